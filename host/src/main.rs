@@ -1,0 +1,2 @@
+//! The `haptic` command.
+fn main() {}

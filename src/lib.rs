@@ -1,0 +1,3 @@
+//! haptic-bridge: the shared control library of board and host.
+#![no_std]
+#![forbid(unsafe_code)]

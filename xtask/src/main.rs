@@ -1,0 +1,2 @@
+//! Entry points that need more than one cargo call.
+fn main() {}
