@@ -1,1 +1,2 @@
+//! Link arguments for the firmware binary.
 fn main() {}

@@ -1,0 +1,131 @@
+//! A device as its maker describes it: what a device file holds, in SI units, before anything is precomputed.
+//!
+//! The host fills it from a TOML file; each mechanism lumps it into its own minimal coefficients once.
+
+use crate::mechanism::Kind;
+
+/// Most joints any mechanism has.
+pub const MAX_JOINTS: usize = 3;
+/// Most links any mechanism lists.
+pub const MAX_LINKS: usize = 4;
+/// Most numbers any mechanism's geometry takes.
+pub const MAX_GEOMETRY: usize = 6;
+
+/// A whole device.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Description {
+    /// Which mechanism; its [`Spec`](crate::mechanism::Spec) says how many entries of the arrays below count.
+    pub kind: Kind,
+    /// Gravity in the task frame, m/s²; the first `task` entries count.
+    pub gravity: [f64; 3],
+    /// The mechanism's geometry, its keys flattened in the order of its `Spec::geometry`; metres, signs unitless.
+    pub geometry: [f64; MAX_GEOMETRY],
+    /// The links in the mechanism's order.
+    pub links: [Link; MAX_LINKS],
+    /// The actuated joints, joint 0 first.
+    pub joints: [Joint; MAX_JOINTS],
+    /// Point mass at the tip, kg.
+    pub handle_mass: f64,
+    /// The pose that homing declares the device to be in, rad.
+    pub home: Option<[f64; MAX_JOINTS]>,
+}
+
+/// One rigid link.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Link {
+    /// kg
+    pub mass: f64,
+    /// Distance of the centre of mass along the link from its proximal joint, m; negative behind it.
+    pub com: f64,
+    /// About the centre of mass, normal to the linkage plane, kg m².
+    pub inertia: f64,
+    /// About the link's own axis, kg m².
+    pub inertia_axial: f64,
+    /// In the linkage plane, across the link, kg m².
+    pub inertia_transverse: f64,
+}
+
+/// One actuated joint with its motor and encoder.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Joint {
+    /// Rotor (and body, on a turret or a paddle) reflected to the joint, kg m².
+    pub inertia: f64,
+    /// Viscous friction, N m s/rad.
+    pub viscous: f64,
+    /// Coulomb friction, N m.
+    pub coulomb: f64,
+    /// Allowed angles (low, high), rad.
+    pub limits: Option<(f64, f64)>,
+    /// The encoder, when the device is to run on a board.
+    pub encoder: Option<Encoder>,
+    /// The motor, when the device is to run on a board.
+    pub motor: Option<Motor>,
+}
+
+/// An incremental encoder as seen at the joint.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Encoder {
+    /// Counts per turn of the joint, after x4 decoding.
+    pub counts_per_turn: f64,
+    /// Joint angle at count 0 after homing, rad.
+    pub offset: f64,
+    /// Counts fall when the angle grows.
+    pub inverted: bool,
+}
+
+/// A brushed motor as seen at the joint.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Motor {
+    /// N m/A at the joint.
+    pub torque_constant: f64,
+    /// ohm
+    pub resistance: f64,
+    /// H
+    pub inductance: f64,
+    /// V s/rad at the joint.
+    pub back_emf: f64,
+    /// A
+    pub max_current: f64,
+    /// A person or a calibration vouches for these numbers; a real board refuses to arm otherwise.
+    pub verified: bool,
+}
+
+/// Why a description cannot be a device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DescriptionError {
+    /// The description is of another mechanism than the one asked for.
+    WrongKind,
+    /// A number that must be positive is not; the index of the geometry entry.
+    GeometryNotPositive(usize),
+    /// No joint angles bring the linkage together.
+    CannotClose,
+    /// `assembly` is neither 1 nor -1.
+    Assembly,
+    /// This mechanism cannot carry the weight it would feel (a paddle's gravity must be zero).
+    GravityNotZero,
+    /// The mass matrix would not be positive definite: some joint moves without any inertia.
+    NoInertia,
+    /// A number is infinite or NaN.
+    NotFinite,
+    /// A mass, inertia or friction coefficient is negative.
+    Negative,
+}
+
+impl core::fmt::Display for DescriptionError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::WrongKind => f.write_str("the description is of another mechanism"),
+            Self::GeometryNotPositive(_) => f.write_str("a length must be greater than zero"),
+            Self::CannotClose => f.write_str("this geometry cannot close: no joint angles bring the links together"),
+            Self::Assembly => f.write_str("assembly must be 1 or -1"),
+            Self::GravityNotZero => f.write_str("gravity must be zero for this mechanism"),
+            Self::NoInertia => {
+                f.write_str("a joint would move without any inertia: give it a rotor inertia, or its links a mass")
+            }
+            Self::NotFinite => f.write_str("every number must be finite"),
+            Self::Negative => f.write_str("masses, inertias and friction must not be negative"),
+        }
+    }
+}
+
+impl core::error::Error for DescriptionError {}

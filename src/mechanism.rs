@@ -1,0 +1,218 @@
+//! Mechanisms: joint angles in; tip, Jacobian, mass matrix and bias forces out.
+//!
+//! A mechanism is one file below this one and one line in [`mechanisms!`]. It lumps the maker's description into its
+//! own minimal coefficients once (in f64, on the host), and computes everything that depends on the angles alone once
+//! per step, in its `Pose`.
+//!
+//! Every mechanism has as many *task* coordinates as joints: the tip's `d` coordinates and, on the redundant arm, the
+//! orientation φ as the third. So its Jacobian J is always square, N x N, and a unit motion of the tip along `n` with
+//! no other motion is E = J⁻¹ n (MODEL.md section 2). Directions in which the tip is rendered have zeros beyond `d`.
+
+use crate::description::{Description, DescriptionError};
+use crate::math::{Math, Real};
+use nalgebra::{SMatrix, SVector};
+
+/// What a device file must hold for a mechanism.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Spec {
+    /// The name in device files.
+    pub name: &'static str,
+    /// Number of joints N.
+    pub joints: usize,
+    /// Task dimension d.
+    pub task: usize,
+    /// The links in order.
+    pub links: &'static [&'static str],
+    /// The keys of `[geometry]` in order, each with its number of values.
+    pub geometry: &'static [(&'static str, usize)],
+    /// Whether angles a whole turn apart are the same pose (false for a paddle, whose task is arc length).
+    pub periodic: bool,
+}
+
+/// How far a pose is from the nearest singularity, each a dimensionless sine in [0, 1] (0 = singular).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Regularity<T> {
+    /// Where J loses rank (an arm stretched): E and the feed-forward grow without bound, Jᵀ f stays finite.
+    pub serial: T,
+    /// Where J⁻¹ loses rank (a closed loop stretched): Jᵀ f grows without bound. 1 on open chains.
+    pub parallel: T,
+}
+
+/// A unit motion of the tip, what the device does for it and what it weighs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shaping<T: Real, const N: usize> {
+    /// E = J⁻¹ n: joint velocities per unit rendered velocity, rad/m.
+    pub e: SVector<T, N>,
+    /// M E: joint momentum per unit rendered velocity, kg m.
+    pub me: SVector<T, N>,
+    /// Wrr = Eᵀ M E: inertia along n with no admissible motion, kg.
+    pub w_rr: T,
+}
+
+/// The equations of motion of one mechanism with N joints, M q̈ + c(q, q̇) + g(q) = τ (friction is the joint's own).
+///
+/// All methods accept any finite input; near a singularity results grow but stay finite where a clamp is documented.
+pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
+    /// What a device file must hold.
+    const SPEC: Spec;
+    /// What depends on the angles alone, computed once per step.
+    type Pose: Copy + core::fmt::Debug;
+
+    /// Lumped coefficients from a description. Errors say what about it cannot be.
+    fn new(description: &Description) -> Result<Self, DescriptionError>;
+
+    /// Everything that depends on the joint angles `q` (rad) alone.
+    fn pose<K: Math<T>>(&self, q: &SVector<T, N>) -> Self::Pose;
+    /// Task position: tip in metres (then φ in rad on the redundant arm).
+    fn tip(&self, pose: &Self::Pose) -> SVector<T, N>;
+    /// Distance from singularities.
+    fn regularity(&self, pose: &Self::Pose) -> Regularity<T>;
+    /// J (N x N): task velocity = J q̇.
+    fn jacobian(&self, pose: &Self::Pose) -> SMatrix<T, N, N>;
+    /// J̇ (N x N) at joint velocities `qd` (rad/s).
+    fn jacobian_rate(&self, pose: &Self::Pose, qd: &SVector<T, N>) -> SMatrix<T, N, N>;
+    /// M(q) (N x N), kg m².
+    fn mass(&self, pose: &Self::Pose) -> SMatrix<T, N, N>;
+    /// c(q, q̇): Coriolis and centrifugal joint torques, N m.
+    fn coriolis(&self, pose: &Self::Pose, qd: &SVector<T, N>) -> SVector<T, N>;
+    /// g(q): the joint torques that hold the device against gravity, N m.
+    fn gravity(&self, pose: &Self::Pose) -> SVector<T, N>;
+
+    /// Jᵀ f: joint torques of a task force.
+    fn transpose(&self, pose: &Self::Pose, force: &SVector<T, N>) -> SVector<T, N> {
+        self.jacobian(pose).tr_mul(force)
+    }
+    /// J q̇: task velocity.
+    fn velocity(&self, pose: &Self::Pose, qd: &SVector<T, N>) -> SVector<T, N> {
+        self.jacobian(pose) * qd
+    }
+    /// J⁻¹ v: the joint velocities of a task velocity. Clamped, not infinite, at a serial singularity.
+    fn inverse(&self, pose: &Self::Pose, velocity: &SVector<T, N>) -> SVector<T, N>;
+    /// J⁻¹ (N x N).
+    fn jacobian_inverse(&self, pose: &Self::Pose) -> SMatrix<T, N, N> {
+        let mut inverse = SMatrix::<T, N, N>::zeros();
+        for column in 0..N {
+            let mut unit = SVector::<T, N>::zeros();
+            unit[column] = T::one();
+            inverse.set_column(column, &self.inverse(pose, &unit));
+        }
+        inverse
+    }
+    /// What a unit task motion along `n` takes and weighs.
+    fn shaping(&self, pose: &Self::Pose, n: &SVector<T, N>) -> Shaping<T, N> {
+        let e = self.inverse(pose, n);
+        let me = self.mass(pose) * e;
+        Shaping { e, me, w_rr: e.dot(&me) }
+    }
+    /// M q̈ + c with the joint accelerations that give the tip the acceleration `tip_acceleration` (m/s²):
+    /// M J⁻¹(a - J̇ q̇) + c, N m. With a = 0 this is the velocity part of `b` in MODEL.md section 2.
+    fn inverse_dynamics(
+        &self,
+        pose: &Self::Pose,
+        qd: &SVector<T, N>,
+        tip_acceleration: &SVector<T, N>,
+    ) -> SVector<T, N> {
+        let qdd = self.inverse(pose, &(tip_acceleration - self.jacobian_rate(pose, qd) * qd));
+        self.mass(pose) * qdd + self.coriolis(pose, qd)
+    }
+    /// Λ = J⁻ᵀ M J⁻¹ (N x N): the inertia in task coordinates.
+    fn operational_inertia(&self, pose: &Self::Pose) -> SMatrix<T, N, N> {
+        let inverse = self.jacobian_inverse(pose);
+        inverse.tr_mul(&(self.mass(pose) * inverse))
+    }
+    /// The two joint coordinates that the mass matrix depends on (all mechanisms here have at most two), rad.
+    fn shape(&self, q: &SVector<T, N>) -> [T; 2];
+}
+
+/// Expands `$with!{ (Variant, module, N) ... }` over every mechanism. Adding a mechanism is adding its line here.
+#[macro_export]
+macro_rules! mechanisms {
+    ($with:ident) => {
+        $with! {
+            (Paddle, paddle, 1)
+            (FiveBar, five_bar, 2)
+        }
+    };
+}
+
+macro_rules! define {
+    ($(($Variant:ident, $module:ident, $n:literal))*) => {
+        $(
+            mod $module;
+            pub use $module::$Variant;
+        )*
+
+        /// Which mechanism.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize, postcard_schema::Schema)]
+        pub enum Kind {
+            $(
+                #[doc = concat!("See [`", stringify!($Variant), "`].")]
+                $Variant,
+            )*
+        }
+
+        impl Kind {
+            /// Every mechanism.
+            pub const ALL: &'static [Kind] = &[$(Kind::$Variant),*];
+
+            /// What a device file of this mechanism holds.
+            pub const fn spec(self) -> Spec {
+                match self {
+                    $(Kind::$Variant => <$Variant<f64> as Mechanism<f64, $n>>::SPEC,)*
+                }
+            }
+        }
+
+        /// A mechanism chosen at run time, with its lumped coefficients.
+        #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize, postcard_schema::Schema)]
+        pub enum AnyMechanism<T: Real> {
+            $(
+                #[doc = concat!("See [`", stringify!($Variant), "`].")]
+                $Variant($Variant<T>),
+            )*
+        }
+
+        impl<T: Real> AnyMechanism<T> {
+            /// The lumped mechanism of a description.
+            pub fn new(description: &Description) -> Result<Self, DescriptionError> {
+                match description.kind {
+                    $(Kind::$Variant => <$Variant<T> as Mechanism<T, $n>>::new(description).map(Self::$Variant),)*
+                }
+            }
+
+            /// Which mechanism this is.
+            pub fn kind(&self) -> Kind {
+                match self {
+                    $(Self::$Variant(_) => Kind::$Variant,)*
+                }
+            }
+        }
+
+        /// Runs `$body` with `$m` bound to the concrete mechanism inside an [`AnyMechanism`].
+        #[macro_export]
+        macro_rules! with_mechanism {
+            ($any:expr, $m:ident => $body:expr) => {
+                match $any {
+                    $($crate::mechanism::AnyMechanism::$Variant($m) => $body,)*
+                }
+            };
+        }
+    };
+}
+
+mechanisms!(define);
+
+impl Kind {
+    /// The mechanism of this name in a device file.
+    pub fn from_name(name: &str) -> Option<Kind> {
+        Kind::ALL.iter().copied().find(|kind| kind.spec().name == name)
+    }
+}
+
+/// `1 / x`, with |x| kept at or above `floor` so that the result is always finite for finite `x`.
+#[inline(always)]
+pub(crate) fn reciprocal<T: Real>(x: T, floor: T) -> T {
+    let magnitude = x.abs().greater(floor);
+    let r = T::one() / magnitude;
+    if x < T::zero() { -r } else { r }
+}

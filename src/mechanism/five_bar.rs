@@ -1,0 +1,339 @@
+//! `five-bar`: two motors, two arms, one tip (Pantograph, Haply 2diy).
+//!
+//! Motors at A = (-base/2, 0) and B = (base/2, 0); elbows C = A + l₁(cos q₁, sin q₁), D = B + l₂(cos q₂, sin q₂);
+//! the tip P is where the circles (C, r₁) and (D, r₂) meet, to the left of C→D for `assembly` 1 and right for -1.
+//!
+//! The closed form used throughout: with u₁ = P - C, u₂ = P - D and the elbow velocities per joint rate
+//! c₁ = l₁(-sin q₁, cos q₁), c₂ likewise, the rods' rigidity uᵢ·(ṗ - cᵢ q̇ᵢ) = 0 gives
+//! J⁻¹ = [u₁ᵀ/k₁; u₂ᵀ/k₂] with kᵢ = uᵢ·cᵢ, and J = [u₁ᵀ; u₂ᵀ]⁻¹ diag(k₁, k₂).
+//!
+//! A rigid rod between elbow and tip has kinetic energy ½(α|Ċ|² + 2β Ċ·ṗ + γ|ṗ|²) with three *constants*
+//! (com at the fraction s of the rod: α = m(1-s)² + I/r², β = m s(1-s) - I/r², γ = m s² + I/r²), so no distal angle is
+//! ever computed, and inertial forces need only the accelerations of elbow and tip.
+
+use super::{Mechanism, Regularity, Shaping, Spec, reciprocal};
+use crate::description::{Description, DescriptionError};
+use crate::math::{Math, Real};
+use crate::mechanism::Kind;
+use nalgebra::{Matrix2, Vector2};
+
+/// A planar five-bar: its minimal coefficients.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize, postcard_schema::Schema)]
+pub struct FiveBar<T> {
+    /// B - A along x, m.
+    base: T,
+    /// Proximal lengths l₁, l₂, m.
+    proximal: [T; 2],
+    /// r₁ + r₂ and |r₁ - r₂| squared, m².
+    reach: [T; 2],
+    /// r₁² - r₂², m².
+    distal_difference: T,
+    /// 1/(lᵢ rᵢ), 1/m²: turns kᵢ into the sine of the elbow angle.
+    elbow_scale: [T; 2],
+    /// Assembly mode, ±1.
+    assembly: T,
+    /// Smallest |kᵢ| divided by, m².
+    elbow_floor: T,
+    /// Rotor, proximal link and the rod's α lᵢ² about each motor, kg m².
+    arm_inertia: [T; 2],
+    /// The rods' β, kg.
+    rod_coupling: [T; 2],
+    /// γ₁ + γ₂ + handle, kg.
+    tip_mass: T,
+    /// Weight carried at each elbow, (m_p c_p/l + m_d(1 - s)) times gravity, N.
+    elbow_weight: [[T; 2]; 2],
+    /// Weight carried at the tip, N.
+    tip_weight: [T; 2],
+}
+
+/// What depends on the two angles alone.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose<T: Real> {
+    /// Tip, m.
+    pub tip: Vector2<T>,
+    /// Elbows relative to their motors, m; turned left by 90° they are the elbow velocities per joint rate.
+    arm: [Vector2<T>; 2],
+    /// Tip relative to the elbows, m.
+    rod: [Vector2<T>; 2],
+    /// kᵢ = uᵢ·cᵢ, m².
+    k: [T; 2],
+    /// 1/kᵢ, clamped.
+    inverse_k: [T; 2],
+    /// 1/(u₁ x u₂), clamped.
+    inverse_det: T,
+    /// |sin| of the angle between the rods; 0 when they are in line or cannot reach each other.
+    parallel: T,
+}
+
+/// `v` turned left by 90°.
+#[inline(always)]
+fn left<T: Real>(v: &Vector2<T>) -> Vector2<T> {
+    Vector2::new(-v[1], v[0])
+}
+
+/// Poses whose rods are closer to one line than this sine are treated as singular; the same for elbows. Beyond it the
+/// reciprocals are clamped so that every number stays finite.
+const SINE_FLOOR: f64 = 1.0e-6;
+
+impl<T: Real> FiveBar<T> {
+    /// The coefficients of a description whose first two links after `first_joint` are proximal; gravity in the plane.
+    fn lump(description: &Description) -> Result<Self, DescriptionError> {
+        let [base, l1, l2, r1, r2, assembly] = description.geometry;
+        for (index, length) in [l1, l2, r1, r2].into_iter().enumerate() {
+            if length.is_nan() || length <= 0.0 {
+                return Err(DescriptionError::GeometryNotPositive(index + 1));
+            }
+        }
+        if base.is_nan() || base < 0.0 {
+            return Err(DescriptionError::GeometryNotPositive(0));
+        }
+        if assembly != 1.0 && assembly != -1.0 {
+            return Err(DescriptionError::Assembly);
+        }
+        // The elbows' distance takes every value between these two; the rods close where it lies in their own range.
+        let farthest = base + l1 + l2;
+        let nearest = (base - l1 - l2).max(0.0).max(l1 - base - l2).max(l2 - base - l1);
+        if nearest >= r1 + r2 || farthest <= (r1 - r2).abs() {
+            return Err(DescriptionError::CannotClose);
+        }
+        let [p1, p2, d1, d2] = description.links;
+        let arm = |index: usize, proximal: &crate::description::Link, distal: &crate::description::Link, l: f64, r: f64| {
+            let s = distal.com / r;
+            let spin = distal.inertia / (r * r);
+            let alpha = distal.mass * (1.0 - s) * (1.0 - s) + spin;
+            let beta = distal.mass * s * (1.0 - s) - spin;
+            let gamma = distal.mass * s * s + spin;
+            let about_motor = description.joints[index].inertia
+                + proximal.inertia
+                + proximal.mass * proximal.com * proximal.com
+                + alpha * l * l;
+            let elbow_load = proximal.mass * proximal.com / l + distal.mass * (1.0 - s);
+            (about_motor, beta, gamma, elbow_load, distal.mass * s)
+        };
+        let (a1, b1, g1, load1, end1) = arm(0, &p1, &d1, l1, r1);
+        let (a2, b2, g2, load2, end2) = arm(1, &p2, &d2, l2, r2);
+        let tip_mass = g1 + g2 + description.handle_mass;
+        if a1 <= 0.0 || a2 <= 0.0 {
+            return Err(DescriptionError::NoInertia);
+        }
+        let gravity = [description.gravity[0], description.gravity[1]];
+        let weight = |mass: f64| gravity.map(|g| T::from_f64(mass * g));
+        let reals = |values: [f64; 2]| values.map(T::from_f64);
+        Ok(Self {
+            base: T::from_f64(base),
+            proximal: reals([l1, l2]),
+            reach: reals([(r1 + r2) * (r1 + r2), (r1 - r2) * (r1 - r2)]),
+            distal_difference: T::from_f64((r1 - r2) * (r1 + r2)),
+            elbow_scale: reals([1.0 / (l1 * r1), 1.0 / (l2 * r2)]),
+            assembly: T::from_f64(assembly),
+            elbow_floor: T::from_f64(SINE_FLOOR * (l1 * r1).min(l2 * r2)),
+            arm_inertia: reals([a1, a2]),
+            rod_coupling: reals([b1, b2]),
+            tip_mass: T::from_f64(tip_mass),
+            elbow_weight: [weight(load1), weight(load2)],
+            tip_weight: weight(end1 + end2 + description.handle_mass),
+        })
+    }
+
+    /// Jᵀ w.
+    #[inline(always)]
+    fn transposed(pose: &Pose<T>, w: &Vector2<T>) -> Vector2<T> {
+        let [u1, u2] = &pose.rod;
+        Vector2::new(
+            pose.k[0] * pose.inverse_det * (u2[1] * w[0] - u2[0] * w[1]),
+            pose.k[1] * pose.inverse_det * (u1[0] * w[1] - u1[1] * w[0]),
+        )
+    }
+
+    /// The joint torques of a tip acceleration `a` and joint accelerations `qdd`, at joint velocities `qd`.
+    #[inline(always)]
+    fn inertial_torque(&self, pose: &Pose<T>, qd: &Vector2<T>, qdd: &Vector2<T>, a: &Vector2<T>) -> Vector2<T> {
+        let [c1, c2] = pose.arm.map(|arm| left(&arm));
+        let elbow1 = c1 * qdd[0] - pose.arm[0] * (qd[0] * qd[0]);
+        let elbow2 = c2 * qdd[1] - pose.arm[1] * (qd[1] * qd[1]);
+        let at_tip = a * self.tip_mass + elbow1 * self.rod_coupling[0] + elbow2 * self.rod_coupling[1];
+        let through_tip = Self::transposed(pose, &at_tip);
+        Vector2::new(
+            self.arm_inertia[0] * qdd[0] + self.rod_coupling[0] * c1.dot(a) + through_tip[0],
+            self.arm_inertia[1] * qdd[1] + self.rod_coupling[1] * c2.dot(a) + through_tip[1],
+        )
+    }
+}
+
+impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
+    const SPEC: Spec = Spec {
+        name: "five-bar",
+        joints: 2,
+        task: 2,
+        links: &["proximal-1", "proximal-2", "distal-1", "distal-2"],
+        geometry: &[("base", 1), ("proximal", 2), ("distal", 2), ("assembly", 1)],
+        periodic: true,
+    };
+    type Pose = Pose<T>;
+
+    fn new(description: &Description) -> Result<Self, DescriptionError> {
+        if description.kind != Kind::FiveBar {
+            return Err(DescriptionError::WrongKind);
+        }
+        Self::lump(description)
+    }
+
+    #[inline(always)]
+    fn pose<K: Math<T>>(&self, q: &Vector2<T>) -> Pose<T> {
+        let half = T::from_f64(0.5);
+        let (s1, c1) = K::sin_cos(q[0]);
+        let (s2, c2) = K::sin_cos(q[1]);
+        let arm1 = Vector2::new(self.proximal[0] * c1, self.proximal[0] * s1);
+        let arm2 = Vector2::new(self.proximal[1] * c2, self.proximal[1] * s2);
+        // C→D and its squared length; elbows that coincide are kept apart by the tiniest length that still divides.
+        let span = Vector2::new(self.base + arm2[0] - arm1[0], arm2[1] - arm1[1]);
+        let span_squared = span.dot(&span);
+        let inverse = T::one() / span_squared.greater(T::EPSILON * T::EPSILON);
+        // Heron's form of the height over C→D: the differences are of lengths, not of nearly equal products.
+        // Rounding (or a pose that cannot close) may make it negative: clamped to zero, seen as parallel = 0.
+        let height_squared =
+            ((self.reach[0] - span_squared) * (span_squared - self.reach[1])).greater(T::zero());
+        let height = half * K::sqrt(height_squared) * inverse;
+        let along = half + half * self.distal_difference * inverse;
+        let det = self.assembly * height * span_squared;
+        let rod1 = span * along + left(&span) * (self.assembly * height);
+        let rod2 = rod1 - span;
+        let k1 = rod1.dot(&left(&arm1));
+        let k2 = rod2.dot(&left(&arm2));
+        // u₁ x u₂ = r₁ r₂ sin(angle between the rods), and (reach₀ - reach₁) = 4 r₁ r₂.
+        let rods_product = T::from_f64(0.25) * (self.reach[0] - self.reach[1]);
+        let floor = rods_product * T::from_f64(SINE_FLOOR);
+        let inverse_det = reciprocal(det, floor);
+        Pose {
+            tip: Vector2::new(arm1[0] + rod1[0] - half * self.base, arm1[1] + rod1[1]),
+            arm: [arm1, arm2],
+            rod: [rod1, rod2],
+            k: [k1, k2],
+            inverse_k: [reciprocal(k1, self.elbow_floor), reciprocal(k2, self.elbow_floor)],
+            inverse_det,
+            parallel: det.abs() / rods_product,
+        }
+    }
+
+    #[inline(always)]
+    fn tip(&self, pose: &Pose<T>) -> Vector2<T> {
+        pose.tip
+    }
+
+    #[inline(always)]
+    fn regularity(&self, pose: &Pose<T>) -> Regularity<T> {
+        let elbow1 = (pose.k[0] * self.elbow_scale[0]).abs();
+        let elbow2 = (pose.k[1] * self.elbow_scale[1]).abs();
+        Regularity { serial: elbow1.lesser(elbow2), parallel: pose.parallel }
+    }
+
+    fn jacobian(&self, pose: &Pose<T>) -> Matrix2<T> {
+        let [u1, u2] = &pose.rod;
+        let (a, b) = (pose.k[0] * pose.inverse_det, pose.k[1] * pose.inverse_det);
+        Matrix2::new(a * u2[1], -b * u1[1], -a * u2[0], b * u1[0])
+    }
+
+    fn jacobian_rate(&self, pose: &Pose<T>, qd: &Vector2<T>) -> Matrix2<T> {
+        // d/dt of [u₁ᵀ; u₂ᵀ] J = diag(k): J̇ = [u₁ᵀ; u₂ᵀ]⁻¹ (diag(k̇) - [u̇₁ᵀ; u̇₂ᵀ] J).
+        let jacobian = self.jacobian(pose);
+        let tip = jacobian * qd;
+        let [u1, u2] = &pose.rod;
+        let [c1, c2] = pose.arm.map(|arm| left(&arm));
+        let du1 = tip - c1 * qd[0];
+        let du2 = tip - c2 * qd[1];
+        let dk1 = du1.dot(&c1) - u1.dot(&pose.arm[0]) * qd[0];
+        let dk2 = du2.dot(&c2) - u2.dot(&pose.arm[1]) * qd[1];
+        let rods_inverse = Matrix2::new(u2[1], -u1[1], -u2[0], u1[0]) * pose.inverse_det;
+        let right = Matrix2::new(dk1, T::zero(), T::zero(), dk2)
+            - Matrix2::from_rows(&[du1.transpose(), du2.transpose()]) * jacobian;
+        rods_inverse * right
+    }
+
+    fn mass(&self, pose: &Pose<T>) -> Matrix2<T> {
+        let j = self.jacobian(pose);
+        let [b1, b2] = self.rod_coupling;
+        let [c1, c2] = pose.arm.map(|arm| left(&arm));
+        let (j1, j2) = (j.column(0), j.column(1));
+        let off = self.tip_mass * j1.dot(&j2) + b1 * c1.dot(&j2) + b2 * c2.dot(&j1);
+        let two = T::from_f64(2.0);
+        Matrix2::new(
+            self.arm_inertia[0] + self.tip_mass * j1.dot(&j1) + two * b1 * c1.dot(&j1),
+            off,
+            off,
+            self.arm_inertia[1] + self.tip_mass * j2.dot(&j2) + two * b2 * c2.dot(&j2),
+        )
+    }
+
+    fn coriolis(&self, pose: &Pose<T>, qd: &Vector2<T>) -> Vector2<T> {
+        let a = self.jacobian_rate(pose, qd) * qd;
+        self.inertial_torque(pose, qd, &Vector2::zeros(), &a)
+    }
+
+    #[inline(always)]
+    fn gravity(&self, pose: &Pose<T>) -> Vector2<T> {
+        let through_tip = Self::transposed(pose, &Vector2::from(self.tip_weight));
+        let [w1, w2] = self.elbow_weight.map(Vector2::from);
+        -Vector2::new(left(&pose.arm[0]).dot(&w1) + through_tip[0], left(&pose.arm[1]).dot(&w2) + through_tip[1])
+    }
+
+    #[inline(always)]
+    fn transpose(&self, pose: &Pose<T>, force: &Vector2<T>) -> Vector2<T> {
+        Self::transposed(pose, force)
+    }
+
+    #[inline(always)]
+    fn velocity(&self, pose: &Pose<T>, qd: &Vector2<T>) -> Vector2<T> {
+        let [u1, u2] = &pose.rod;
+        let (a, b) = (pose.k[0] * pose.inverse_det * qd[0], pose.k[1] * pose.inverse_det * qd[1]);
+        Vector2::new(a * u2[1] - b * u1[1], b * u1[0] - a * u2[0])
+    }
+
+    #[inline(always)]
+    fn inverse(&self, pose: &Pose<T>, velocity: &Vector2<T>) -> Vector2<T> {
+        Vector2::new(
+            pose.rod[0].dot(velocity) * pose.inverse_k[0],
+            pose.rod[1].dot(velocity) * pose.inverse_k[1],
+        )
+    }
+
+    #[inline(always)]
+    fn shaping(&self, pose: &Pose<T>, n: &Vector2<T>) -> Shaping<T, 2> {
+        let e = self.inverse(pose, n);
+        let [c1, c2] = pose.arm.map(|arm| left(&arm));
+        let [b1, b2] = self.rod_coupling;
+        let (cn1, cn2) = (b1 * c1.dot(n), b2 * c2.dot(n));
+        let at_tip = n * self.tip_mass + c1 * (b1 * e[0]) + c2 * (b2 * e[1]);
+        let through_tip = Self::transposed(pose, &at_tip);
+        let (m1, m2) = (self.arm_inertia[0] * e[0] + cn1, self.arm_inertia[1] * e[1] + cn2);
+        Shaping {
+            e,
+            me: Vector2::new(m1 + through_tip[0], m2 + through_tip[1]),
+            // In task space, without passing through J: Λ = Γ I + Σ Aᵢ aᵢaᵢᵀ + βᵢ(aᵢcᵢᵀ + cᵢaᵢᵀ), aᵢ = uᵢ/kᵢ.
+            w_rr: self.tip_mass * n.dot(n) + e[0] * (m1 + cn1) + e[1] * (m2 + cn2),
+        }
+    }
+
+    #[inline(always)]
+    fn inverse_dynamics(&self, pose: &Pose<T>, qd: &Vector2<T>, a: &Vector2<T>) -> Vector2<T> {
+        let tip = self.velocity(pose, qd);
+        let qdd = |i: usize| {
+            let rod_rate = tip - left(&pose.arm[i]) * qd[i];
+            (pose.rod[i].dot(&(a + pose.arm[i] * (qd[i] * qd[i]))) + rod_rate.dot(&rod_rate)) * pose.inverse_k[i]
+        };
+        self.inertial_torque(pose, qd, &Vector2::new(qdd(0), qdd(1)), a)
+    }
+
+    fn operational_inertia(&self, pose: &Pose<T>) -> Matrix2<T> {
+        let mut inertia = Matrix2::from_diagonal_element(self.tip_mass);
+        for i in 0..2 {
+            let a = pose.rod[i] * pose.inverse_k[i];
+            let c = left(&pose.arm[i]) * self.rod_coupling[i];
+            inertia += a * a.transpose() * self.arm_inertia[i] + a * c.transpose() + c * a.transpose();
+        }
+        inertia
+    }
+
+    fn shape(&self, q: &Vector2<T>) -> [T; 2] {
+        [q[0], q[1]]
+    }
+}

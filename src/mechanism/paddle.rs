@@ -1,0 +1,83 @@
+//! `paddle`: one pivot, the handle at `length` from it (Hapkit-like). The task is the handle's arc length, x = length q.
+
+use super::{Mechanism, Regularity, Spec};
+use crate::description::{Description, DescriptionError};
+use crate::math::{Math, Real};
+use crate::mechanism::Kind;
+use nalgebra::{SMatrix, SVector};
+
+/// A paddle: two numbers.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize, postcard_schema::Schema)]
+pub struct Paddle<T> {
+    /// Pivot to handle, m.
+    length: T,
+    /// 1 / length, 1/m.
+    inverse_length: T,
+    /// Body, rotor and handle about the pivot, kg m².
+    inertia: T,
+}
+
+impl<T: Real> Mechanism<T, 1> for Paddle<T> {
+    const SPEC: Spec =
+        Spec { name: "paddle", joints: 1, task: 1, links: &[], geometry: &[("length", 1)], periodic: false };
+    /// The handle's arc length, m.
+    type Pose = T;
+
+    fn new(description: &Description) -> Result<Self, DescriptionError> {
+        if description.kind != Kind::Paddle {
+            return Err(DescriptionError::WrongKind);
+        }
+        let length = description.geometry[0];
+        if length.is_nan() || length <= 0.0 {
+            return Err(DescriptionError::GeometryNotPositive(0));
+        }
+        if description.gravity[0] != 0.0 {
+            return Err(DescriptionError::GravityNotZero);
+        }
+        let inertia = description.joints[0].inertia + description.handle_mass * length * length;
+        if inertia.is_nan() || inertia <= 0.0 {
+            return Err(DescriptionError::NoInertia);
+        }
+        Ok(Self {
+            length: T::from_f64(length),
+            inverse_length: T::from_f64(1.0 / length),
+            inertia: T::from_f64(inertia),
+        })
+    }
+
+    #[inline(always)]
+    fn pose<K: Math<T>>(&self, q: &SVector<T, 1>) -> T {
+        self.length * q[0]
+    }
+    #[inline(always)]
+    fn tip(&self, pose: &T) -> SVector<T, 1> {
+        SVector::from([*pose])
+    }
+    fn regularity(&self, _: &T) -> Regularity<T> {
+        Regularity { serial: T::one(), parallel: T::one() }
+    }
+    #[inline(always)]
+    fn jacobian(&self, _: &T) -> SMatrix<T, 1, 1> {
+        SMatrix::from([[self.length]])
+    }
+    fn jacobian_rate(&self, _: &T, _: &SVector<T, 1>) -> SMatrix<T, 1, 1> {
+        SMatrix::zeros()
+    }
+    #[inline(always)]
+    fn mass(&self, _: &T) -> SMatrix<T, 1, 1> {
+        SMatrix::from([[self.inertia]])
+    }
+    fn coriolis(&self, _: &T, _: &SVector<T, 1>) -> SVector<T, 1> {
+        SVector::zeros()
+    }
+    fn gravity(&self, _: &T) -> SVector<T, 1> {
+        SVector::zeros()
+    }
+    #[inline(always)]
+    fn inverse(&self, _: &T, velocity: &SVector<T, 1>) -> SVector<T, 1> {
+        velocity * self.inverse_length
+    }
+    fn shape(&self, _: &SVector<T, 1>) -> [T; 2] {
+        [T::zero(); 2]
+    }
+}
