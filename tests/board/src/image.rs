@@ -1,0 +1,141 @@
+//! An ELF file for the chip: what the emulator places in memory, and where its symbols are.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use object::{Object, ObjectSection, ObjectSymbol, SymbolKind};
+
+/// A firmware image as a build leaves it, never changed on its way into the emulator.
+#[derive(Clone, Debug)]
+pub struct Firmware {
+    path: PathBuf,
+    bytes: Vec<u8>,
+    symbols: BTreeMap<String, Symbol>,
+    text: (u64, u64),
+}
+
+/// One symbol: its address (a function's without the Thumb bit) and its size in bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Symbol {
+    /// The first byte.
+    pub address: u64,
+    /// Bytes, zero where the linker gave none.
+    pub size: u64,
+}
+
+/// Why an ELF file could not be used.
+#[derive(Debug)]
+pub enum Error {
+    /// The file could not be read. Build the image first: `cargo xtask fw`.
+    Read(PathBuf, std::io::Error),
+    /// The file is not an ELF file this reads.
+    Elf(PathBuf, object::Error),
+    /// The image lacks a symbol that was asked for.
+    Missing(PathBuf, String),
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Read(path, error) => {
+                write!(
+                    out,
+                    "{}: {error} (build it with `cargo xtask fw`)",
+                    path.display()
+                )
+            }
+            Self::Elf(path, error) => write!(out, "{}: {error}", path.display()),
+            Self::Missing(path, name) => write!(out, "{} has no symbol {name}", path.display()),
+        }
+    }
+}
+
+impl std::error::Error for Error {}
+
+impl Firmware {
+    /// Reads the ELF file at `path`.
+    ///
+    /// # Errors
+    ///
+    /// A file that is not there or is not ELF.
+    pub fn read(path: impl AsRef<Path>) -> Result<Self, Error> {
+        let path = path.as_ref().to_owned();
+        let bytes = std::fs::read(&path).map_err(|error| Error::Read(path.clone(), error))?;
+        let elf = object::File::parse(&*bytes).map_err(|error| Error::Elf(path.clone(), error))?;
+        let symbols = elf
+            .symbols()
+            .filter_map(|symbol| {
+                let name = symbol.name().ok().filter(|name| !name.is_empty())?;
+                let thumb = u64::from(symbol.kind() == SymbolKind::Text);
+                let address = symbol.address() & !thumb;
+                Some((
+                    name.to_owned(),
+                    Symbol {
+                        address,
+                        size: symbol.size(),
+                    },
+                ))
+            })
+            .collect();
+        let text = elf.section_by_name(".text").map_or((0, 0), |section| {
+            (section.address(), section.address() + section.size())
+        });
+        Ok(Self {
+            path,
+            symbols,
+            text,
+            bytes,
+        })
+    }
+
+    /// The file's bytes, for a hash or a decoder of its log.
+    #[must_use]
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
+    /// Where the file came from.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The code, from its first address up to but not including its last.
+    #[must_use]
+    pub fn text(&self) -> (u64, u64) {
+        self.text
+    }
+
+    /// The symbol `name`.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Missing`] when the image has none.
+    pub fn symbol(&self, name: &str) -> Result<Symbol, Error> {
+        self.find(name)
+            .ok_or_else(|| Error::Missing(self.path.clone(), name.to_owned()))
+    }
+
+    /// The symbol `name`, if the image has it.
+    #[must_use]
+    pub fn find(&self, name: &str) -> Option<Symbol> {
+        self.symbols.get(name).copied()
+    }
+
+    /// Every symbol with its name, by name.
+    pub fn symbols(&self) -> impl Iterator<Item = (&str, Symbol)> {
+        self.symbols
+            .iter()
+            .map(|(name, &symbol)| (name.as_str(), symbol))
+    }
+
+    /// What the emulator places in memory.
+    ///
+    /// # Errors
+    ///
+    /// What rigless refuses of an ELF file.
+    pub fn image(&self) -> Result<rigless::image::Image, rigless::image::Error> {
+        rigless::image::Image::new(&self.path, self.bytes.clone(), None)
+    }
+}

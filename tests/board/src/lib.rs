@@ -1,0 +1,9 @@
+//! The virtual board: the unmodified firmware image on an emulated STM32F405, with what a board puts around the chip.
+//!
+//! [`chip`] is the microcontroller, [`hardware`] the board it sits on, [`image`] the ELF file that runs on it and
+//! [`count`] counts the instructions of marked stretches of a bench image.
+
+pub mod chip;
+pub mod count;
+pub mod hardware;
+pub mod image;
