@@ -3,5 +3,7 @@
 #![forbid(unsafe_code)]
 
 pub mod description;
+pub mod inertia;
 pub mod math;
 pub mod mechanism;
+pub mod velocity;

@@ -1,0 +1,272 @@
+//! Rendered and admissible motion: what a wall meets, and the feed-forward that makes it meet more.
+//!
+//! Source: "Inertia Properties and Their Role in Haptic Rendering", equations (1) to (4), in the joint form of
+//! MODEL.md section 2, which subtracts no nearly equal numbers and inverts no admissible-sized matrix:
+//! with E = J⁻¹ Q (Q an orthonormal basis of the rendered directions) and b = c + g - M T⁻¹Ṫ q̇,
+//! Wrr = Eᵀ M E, zr = Eᵀ b and **τ = M E Wrr⁻¹ (fr - Eᵀ b) + b**.
+//!
+//! [`shaped_torque`] is that line, the one the board runs; [`Split`] and [`Inertia`] hold the paper's own quantities
+//! for the analysis.
+
+use crate::math::{Math, Real};
+use crate::mechanism::{Mechanism, Shaping};
+use nalgebra::{SMatrix, SVector};
+
+/// A normal adds a rendered direction when this much of it (sine of the angle) lies outside the span of the others.
+pub const RANK_TOLERANCE: f64 = 1.0e-3;
+
+/// An orthonormal basis of the task space whose first columns span the rendered directions.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Split<T: Real, const N: usize> {
+    /// Columns: R rendered directions, then N - R admissible ones.
+    pub basis: SMatrix<T, N, N>,
+    /// R.
+    pub rendered: usize,
+}
+
+impl<T: Real, const N: usize> Split<T, N> {
+    /// The split for walls with these unit normals (zeros beyond the task dimension `task`).
+    ///
+    /// One normal in the plane is completed by (-n_y, n_x), in space by the normalised part of e_k across n
+    /// (k the smallest |n_k|) and its cross product; coordinates beyond the task are admissible as they stand.
+    /// A normal within [`RANK_TOLERANCE`] of the span of the earlier ones adds nothing.
+    pub fn new<K: Math<T>>(normals: &[SVector<T, N>], task: usize) -> Self {
+        let mut basis = SMatrix::<T, N, N>::zeros();
+        let mut rank = 0;
+        let tolerance = T::from_f64(RANK_TOLERANCE);
+        for normal in normals {
+            if rank < task
+                && let Some(unit) = across::<T, K, N>(&basis, rank, normal, tolerance)
+            {
+                basis.set_column(rank, &unit);
+                rank += 1;
+            }
+        }
+        let rendered = rank;
+        if task == 2 && rank == 1 {
+            let (x, y) = (basis[(0, 0)], basis[(1, 0)]);
+            basis[(0, 1)] = -y;
+            basis[(1, 1)] = x;
+            rank = 2;
+        } else if task == 3 && rank == 1 {
+            let n: SVector<T, N> = basis.column(0).into_owned();
+            let smallest = (1..task).fold(0, |k, i| if n[i].abs() < n[k].abs() { i } else { k });
+            let mut unit = SVector::<T, N>::zeros();
+            unit[smallest] = T::one();
+            if let Some(t1) = across::<T, K, N>(&basis, 1, &unit, tolerance) {
+                basis.set_column(1, &t1);
+                basis.set_column(2, &cross(&n, &t1));
+            }
+            rank = 3;
+        } else if task == 3 && rank == 2 {
+            let (a, b): (SVector<T, N>, SVector<T, N>) = (basis.column(0).into_owned(), basis.column(1).into_owned());
+            basis.set_column(2, &cross(&a, &b));
+            rank = 3;
+        } else if rank == 0 {
+            rank = task;
+            for i in 0..task {
+                basis[(i, i)] = T::one();
+            }
+        }
+        for i in rank..N {
+            basis[(i, i)] = T::one();
+        }
+        Self { basis, rendered }
+    }
+}
+
+/// The unit vector of what of `vector` lies across the first `rank` columns of `basis`, unless it is within `tolerance`
+/// of their span. Orthogonalised twice, so that it is orthonormal to rounding also where little is left.
+fn across<T: Real, K: Math<T>, const N: usize>(
+    basis: &SMatrix<T, N, N>,
+    rank: usize,
+    vector: &SVector<T, N>,
+    tolerance: T,
+) -> Option<SVector<T, N>> {
+    let mut rest = *vector;
+    for pass in 0..2 {
+        for i in 0..rank {
+            let column = basis.column(i);
+            rest -= column * column.dot(&rest);
+        }
+        let length = K::sqrt(rest.dot(&rest));
+        let enough = if pass == 0 { length > tolerance } else { length > T::zero() };
+        if !enough {
+            return None;
+        }
+        rest /= length;
+    }
+    Some(rest)
+}
+
+/// Cross product in the first three coordinates (zero where there are fewer).
+fn cross<T: Real, const N: usize>(a: &SVector<T, N>, b: &SVector<T, N>) -> SVector<T, N> {
+    let mut product = SVector::<T, N>::zeros();
+    if N >= 3 {
+        product[0] = a[1] * b[2] - a[2] * b[1];
+        product[1] = a[2] * b[0] - a[0] * b[2];
+        product[2] = a[0] * b[1] - a[1] * b[0];
+    }
+    product
+}
+
+/// The joint torques (N m) that render the task force `force` (N) with the paper's feed-forward in one direction:
+/// τ = M E Wrr⁻¹ (n·f - Eᵀ b) + b.
+#[inline(always)]
+pub fn shaped_torque<T: Real, const N: usize>(shaping: &Shaping<T, N>, force: T, b: &SVector<T, N>) -> SVector<T, N> {
+    shaping.me * ((force - shaping.e.dot(b)) / shaping.w_rr) + b
+}
+
+/// As [`shaped_torque`] in the R rendered directions of `split`; `shapings` are those of its first R columns, `force`
+/// the resultant as a task force.
+pub fn shaped_torque_in_span<T: Real, const N: usize>(
+    split: &Split<T, N>,
+    shapings: &[Shaping<T, N>; N],
+    force: &SVector<T, N>,
+    b: &SVector<T, N>,
+) -> SVector<T, N> {
+    let rank = split.rendered.min(N);
+    // Solve Wrr y = fr - Eᵀ b, the directions that are not rendered decoupled with a unit diagonal.
+    let mut w_rr = SMatrix::<T, N, N>::identity();
+    let mut right = SVector::<T, N>::zeros();
+    for i in 0..rank {
+        right[i] = split.basis.column(i).dot(force) - shapings[i].e.dot(b);
+        for j in 0..rank {
+            w_rr[(i, j)] = shapings[i].e.dot(&shapings[j].me);
+        }
+    }
+    let y = solve_symmetric(&w_rr, &right);
+    (0..rank).fold(*b, |torque, i| torque + shapings[i].me * y[i])
+}
+
+/// x with A x = y for a symmetric positive definite A (N x N), by LDLᵀ without a square root. A pivot that is not
+/// positive is replaced by the smallest positive number that divides, so the result is finite wherever the input is.
+pub fn solve_symmetric<T: Real, const N: usize>(a: &SMatrix<T, N, N>, y: &SVector<T, N>) -> SVector<T, N> {
+    let mut l = SMatrix::<T, N, N>::identity();
+    let mut d = SVector::<T, N>::zeros();
+    let mut x = *y;
+    for j in 0..N {
+        let mut pivot = a[(j, j)];
+        for k in 0..j {
+            pivot -= l[(j, k)] * l[(j, k)] * d[k];
+        }
+        d[j] = pivot.greater(T::EPSILON * T::EPSILON * T::EPSILON * a[(j, j)].abs().greater(T::EPSILON));
+        for i in j + 1..N {
+            let mut entry = a[(i, j)];
+            for k in 0..j {
+                entry -= l[(i, k)] * l[(j, k)] * d[k];
+            }
+            l[(i, j)] = entry / d[j];
+        }
+        for k in 0..j {
+            let step = l[(j, k)] * x[k];
+            x[j] -= step;
+        }
+    }
+    for j in 0..N {
+        x[j] /= d[j];
+    }
+    for j in (0..N).rev() {
+        for k in j + 1..N {
+            let step = l[(k, j)] * x[k];
+            x[j] -= step;
+        }
+    }
+    x
+}
+
+/// How the task frame turns under curved walls: κ (m/s²) such that T⁻¹Ṫ q̇ = J⁻¹(J̇ q̇ + κ), for one rendered
+/// direction `n` with rate `n_rate` and the tip moving at `velocity`: κ = n(ṅ·ṗ) - ṅ(n·ṗ). The admissible directions
+/// do not spin about n. With several directions in space, pass the one admissible direction and its rate instead.
+pub fn frame_rate<T: Real, const N: usize>(
+    n: &SVector<T, N>,
+    n_rate: &SVector<T, N>,
+    velocity: &SVector<T, N>,
+) -> SVector<T, N> {
+    n * n_rate.dot(velocity) - n_rate * n.dot(velocity)
+}
+
+/// The paper's quantities at one configuration, in the basis of a [`Split`].
+#[derive(Clone, Copy, Debug)]
+pub struct Inertia<T: Real, const N: usize> {
+    /// Which directions are rendered.
+    pub split: Split<T, N>,
+    /// W = T⁻ᵀ M T⁻¹ (1a): rendered block first, kg.
+    pub w: SMatrix<T, N, N>,
+    /// z = T⁻ᵀ(c + g) - W Ṫ q̇ (1b), rendered entries first, N.
+    pub z: SVector<T, N>,
+    /// Weff = (Jr M⁻¹ Jrᵀ)⁻¹ in the leading R x R block, kg.
+    pub w_eff: SMatrix<T, N, N>,
+    /// The joint torques of (4) with z for the given force, N m.
+    pub torque: SVector<T, N>,
+    /// Jrᵀ fr: what the joints do without the feed-forward, N m.
+    pub torque_without_feed_forward: SVector<T, N>,
+    /// fa of (4) in its first N - R entries, N.
+    pub f_a: SVector<T, N>,
+}
+
+impl<T: Real, const N: usize> Inertia<T, N> {
+    /// Everything equation (4) says of a mechanism in `pose` at joint velocities `qd` (rad/s), against plane walls
+    /// with these unit `normals` whose forces add up to `force` (N, a task vector).
+    pub fn new<K: Math<T>, M: Mechanism<T, N>>(
+        mechanism: &M,
+        pose: &M::Pose,
+        qd: &SVector<T, N>,
+        normals: &[SVector<T, N>],
+        force: &SVector<T, N>,
+    ) -> Self {
+        let split = Split::new::<K>(normals, M::SPEC.task);
+        let rank = split.rendered;
+        let b = mechanism.inverse_dynamics(pose, qd, &SVector::zeros()) + mechanism.gravity(pose);
+        let shapings: [Shaping<T, N>; N] =
+            core::array::from_fn(|i| mechanism.shaping(pose, &split.basis.column(i).into_owned()));
+        let operational = mechanism.operational_inertia(pose);
+        let w = split.basis.tr_mul(&(operational * split.basis));
+        let z = SVector::from_fn(|i, _| shapings[i].e.dot(&b));
+
+        let mass = mechanism.mass(pose);
+        let rows: [SVector<T, N>; N] =
+            core::array::from_fn(|i| mechanism.transpose(pose, &split.basis.column(i).into_owned()));
+        let mut mobility = SMatrix::<T, N, N>::identity();
+        for j in 0..rank {
+            let accelerations = solve_symmetric(&mass, &rows[j]);
+            for i in 0..rank {
+                mobility[(i, j)] = rows[i].dot(&accelerations);
+            }
+        }
+        let mut w_eff = SMatrix::<T, N, N>::zeros();
+        for j in 0..rank {
+            let mut unit = SVector::<T, N>::zeros();
+            unit[j] = T::one();
+            let column = solve_symmetric(&mobility, &unit);
+            for i in 0..rank {
+                w_eff[(i, j)] = column[i];
+            }
+        }
+
+        let in_span = split.basis.tr_mul(force);
+        let torque = if rank == 1 {
+            shaped_torque(&shapings[0], in_span[0], &b)
+        } else {
+            shaped_torque_in_span(&split, &shapings, force, &b)
+        };
+        let mut w_rr = SMatrix::<T, N, N>::identity();
+        let mut right = SVector::<T, N>::zeros();
+        for i in 0..rank {
+            right[i] = in_span[i] - z[i];
+            for j in 0..rank {
+                w_rr[(i, j)] = w[(i, j)];
+            }
+        }
+        let y = solve_symmetric(&w_rr, &right);
+        let mut f_a = SVector::<T, N>::zeros();
+        for i in rank..N {
+            f_a[i - rank] = (0..rank).fold(z[i], |sum, j| sum + w[(i, j)] * y[j]);
+        }
+        let mut without = SVector::<T, N>::zeros();
+        for i in 0..rank {
+            without += rows[i] * in_span[i];
+        }
+        Self { split, w, z, w_eff, torque, torque_without_feed_forward: without, f_a }
+    }
+}
