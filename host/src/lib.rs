@@ -1,1 +1,6 @@
-//! The `haptic` library.
+//! The `haptic` library: device and scene files, and everything the command-line tool does with them.
+#![forbid(unsafe_code)]
+
+pub mod device_file;
+pub mod error;
+pub mod toml_file;

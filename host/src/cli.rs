@@ -1,0 +1,65 @@
+//! The command line as a whole: the help page with its commands under headings, and how angles and vectors are read.
+
+use crate::commands::{Command, HEADINGS};
+use clap::{CommandFactory, FromArgMatches, Parser};
+
+/// Configure, watch, simulate and analyse haptic-bridge boards: motor drivers that render hard walls on a device
+/// whose inertia they know.
+///
+/// Devices are described in TOML files (see devices/), walls in scene files (see scenes/). Units are SI everywhere:
+/// metres, radians, newtons, kilograms.
+#[derive(Parser)]
+#[command(name = "haptic", version, max_term_width = 110)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// The command with its help page laid out.
+pub fn command() -> clap::Command {
+    let command = Cli::command();
+    let width = HEADINGS.iter().flat_map(|(_, names)| *names).map(|name| name.len()).max().unwrap_or(0) + 2;
+    let mut listing = String::new();
+    for (heading, names) in HEADINGS {
+        listing.push_str(&format!("{heading}:\n"));
+        for name in *names {
+            let about = command.find_subcommand(name).and_then(|found| found.get_about()).map(ToString::to_string);
+            listing.push_str(&format!("  {name:width$}{}\n", about.unwrap_or_default()));
+        }
+        listing.push('\n');
+    }
+    let template = format!(
+        "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{listing}\
+         `haptic COMMAND --help` explains one command; `haptic --version` prints the version.\n\
+         Exit codes: 0 done, 1 it could not be done, 2 the command or a file is wrong."
+    );
+    command.help_template(template).disable_help_subcommand(true)
+}
+
+/// Parses the process's arguments; prints help or what is wrong with them and exits, as clap does.
+pub fn parse() -> Command {
+    let matches = command().get_matches();
+    match Cli::from_arg_matches(&matches) {
+        Ok(cli) => cli.command,
+        Err(error) => error.exit(),
+    }
+}
+
+/// A list of numbers separated by commas, such as `-0.3,1.2`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Numbers(pub Vec<f64>);
+
+impl std::str::FromStr for Numbers {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        let number = |part: &str| match part.trim().parse::<f64>() {
+            Ok(number) if number.is_finite() => Ok(number),
+            Ok(_) => Err(format!("`{}` is not a finite number", part.trim())),
+            Err(_) => {
+                Err(format!("`{}` is not a number; write numbers separated by commas, such as 0.3,-1.2", part.trim()))
+            }
+        };
+        text.split(',').map(number).collect::<Result<Vec<f64>, String>>().map(Numbers)
+    }
+}

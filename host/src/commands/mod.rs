@@ -1,0 +1,35 @@
+//! The subcommands. Each is one file here, with its `Args` and `run(Args) -> Result<(), Failure>`, and one line below.
+
+use haptic::error::Failure;
+
+/// Declares the subcommands: under each heading of `haptic --help`, `(Variant, module)` in the order of that page.
+macro_rules! commands {
+    ($($heading:literal { $(($Variant:ident, $module:ident))* })*) => {
+        $($(pub mod $module;)*)*
+
+        /// What was asked for.
+        #[derive(clap::Subcommand)]
+        pub enum Command {
+            $($($Variant($module::Args),)*)*
+        }
+
+        /// The headings of the help page, each with the subcommands under it.
+        pub const HEADINGS: &[(&str, &[&str])] = &[$(($heading, &[$(stringify!($module)),*])),*];
+
+        /// Runs one command.
+        pub fn run(command: Command) -> Result<(), Failure> {
+            match command {
+                $($(Command::$Variant(args) => $module::run(args),)*)*
+            }
+        }
+    };
+}
+
+commands! {
+    "Without a board" {
+        (Check, check)
+    }
+    "Shell" {
+        (Completions, completions)
+    }
+}

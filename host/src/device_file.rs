@@ -1,0 +1,289 @@
+//! Device files (MODEL.md section 4): TOML in, a checked [`Description`] out, or an error that names the line.
+//!
+//! What a mechanism's file holds is read from its [`Spec`], so a new mechanism needs nothing here. A description that
+//! comes out of this module is one that [`AnyMechanism::new`] accepts: the geometry closes, every joint has inertia.
+
+use crate::toml_file::{Document, FileError, Must, Problem, Table};
+use haptic_bridge::description::{
+    Description, DescriptionError, Encoder, Joint, Link, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS, Motor,
+};
+use haptic_bridge::math::Libm;
+use haptic_bridge::mechanism::{AnyMechanism, Kind, Mechanism, Spec};
+use haptic_bridge::with_mechanism;
+use nalgebra::SVector;
+use std::path::{Path, PathBuf};
+
+/// A device file that was read and found sound.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DeviceFile {
+    /// Where it came from.
+    pub path: PathBuf,
+    /// The device's name.
+    pub name: String,
+    /// The device.
+    pub description: Description,
+    /// The device's lumped coefficients in double precision.
+    pub mechanism: AnyMechanism<f64>,
+}
+
+impl DeviceFile {
+    /// Reads and checks the file at `path`.
+    pub fn load(path: impl AsRef<Path>) -> Result<Self, FileError> {
+        Self::read(&Document::load(path.as_ref())?)
+    }
+
+    /// Checks text that is already there; `origin` is what messages call it.
+    pub fn parse(text: &str, origin: impl Into<PathBuf>) -> Result<Self, FileError> {
+        Self::read(&Document::new(text, origin))
+    }
+
+    /// What a file of this device's mechanism holds: numbers of joints and links, task dimension.
+    pub fn spec(&self) -> Spec {
+        self.description.kind.spec()
+    }
+
+    fn read(document: &Document) -> Result<Self, FileError> {
+        document.read(|top| {
+            let (name, description, mechanism) = device(top)?;
+            Ok(Self { path: document.path().into(), name, description, mechanism })
+        })
+    }
+}
+
+fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>), FileError> {
+    top.refuse_unknown_keys(&["name", "mechanism", "gravity", "geometry", "link", "joint", "handle", "home"])?;
+    let name = top.required("name", top.string("name")?, "name = \"my-device\"")?;
+    if name.trim().is_empty() || name.chars().any(char::is_control) {
+        let reason = "a device's name must be printable text on one line";
+        return Err(top.error_at("name", impossible(reason, "write a name such as \"my-device\"")));
+    }
+    let words: Vec<(&str, Kind)> = Kind::ALL.iter().map(|kind| (kind.spec().name, *kind)).collect();
+    let kind = top.required("mechanism", top.word("mechanism", &words)?, "mechanism = \"five-bar\"")?;
+    let spec = kind.spec();
+
+    let axes = ["x", "x, y", "x, y, z"][(spec.task - 1).min(2)];
+    let gravity = top.numbers("gravity", spec.task, Must::BeFinite, &format!("{axes} in m/s²"))?;
+    let gravity = top.required("gravity", gravity, format!("gravity = {:?}", vec![0.0; spec.task]))?;
+
+    let geometry_table = top.required("geometry", top.table("geometry")?, "[geometry]")?;
+    let geometry = geometry(&geometry_table, &spec)?;
+    let links = links(top, &spec)?;
+    let joints = joints(top, &spec)?;
+    let handle_mass = match top.table("handle")? {
+        None => 0.0,
+        Some(handle) => {
+            handle.refuse_unknown_keys(&["mass"])?;
+            handle.required("mass", handle.number("mass", Must::NotBeNegative)?, "mass = 0.01")?
+        }
+    };
+    let home = home(top, &spec, &joints)?;
+
+    let description = Description { kind, gravity: padded(&gravity), geometry, links, joints, handle_mass, home };
+    let mechanism = AnyMechanism::new(&description).map_err(|error| refusal(error, top, &geometry_table, &spec))?;
+    if let Some(q) = home
+        && !reachable(&mechanism, &q)
+        && let Some(table) = top.table("home")?
+    {
+        let reason = "at the home pose the linkage cannot close: the links do not reach each other";
+        return Err(table.error_at("q", impossible(reason, "write the joint angles of a pose the device can take")));
+    }
+    Ok((name.to_string(), description, mechanism))
+}
+
+fn impossible(reason: impl Into<String>, remedy: impl Into<String>) -> Problem {
+    Problem::Impossible { reason: reason.into(), remedy: remedy.into() }
+}
+
+fn padded<const N: usize>(values: &[f64]) -> [f64; N] {
+    core::array::from_fn(|index| values.get(index).copied().unwrap_or(0.0))
+}
+
+/// The geometry's numbers, flattened in the order of the mechanism.
+fn geometry(table: &Table<'_>, spec: &Spec) -> Result<[f64; MAX_GEOMETRY], FileError> {
+    let known: Vec<&str> = spec.geometry.iter().map(|(key, _)| *key).collect();
+    table.refuse_unknown_keys(&known)?;
+    let mut flat = Vec::with_capacity(MAX_GEOMETRY);
+    for (key, count) in spec.geometry {
+        let values = match count {
+            1 => table.number(key, Must::BeFinite)?.map(|value| vec![value]),
+            _ => table.numbers(key, *count, Must::BeFinite, "metres")?,
+        };
+        let example = match count {
+            1 => format!("{key} = 0.1"),
+            _ => format!("{key} = {:?}", vec![0.1; *count]),
+        };
+        flat.extend(table.required(key, values, example)?);
+    }
+    Ok(padded(&flat))
+}
+
+fn links(top: &Table<'_>, spec: &Spec) -> Result<[Link; MAX_LINKS], FileError> {
+    let tables = top.tables("link")?;
+    let meaning = if spec.links.is_empty() {
+        format!("a {} has no links, its body counts in the joint's inertia", spec.name)
+    } else {
+        spec.links.join(", ")
+    };
+    counted(top, &tables, "link", spec.links.len(), meaning)?;
+    let mut links = [Link::default(); MAX_LINKS];
+    for ((index, table), name) in tables.into_iter().enumerate().zip(spec.links) {
+        let table = table.called(format!("[[link]] {} ({name})", index + 1));
+        table.refuse_unknown_keys(&["mass", "com", "inertia", "inertia_axial", "inertia_transverse"])?;
+        let mass = table.required("mass", table.number("mass", Must::NotBeNegative)?, "mass = 0.02")?;
+        let com = table.required("com", table.number("com", Must::BeFinite)?, "com = 0.03")?;
+        let inertia = table.number("inertia", Must::NotBeNegative)?;
+        let inertia = table.required("inertia", inertia, "inertia = 1.0e-5")?;
+        links[index] = Link {
+            mass,
+            com,
+            inertia,
+            inertia_axial: table.number("inertia_axial", Must::NotBeNegative)?.unwrap_or(0.0),
+            inertia_transverse: table.number("inertia_transverse", Must::NotBeNegative)?.unwrap_or(inertia),
+        };
+    }
+    Ok(links)
+}
+
+/// Refuses the wrong number of `[[key]]` tables, at the first surplus one or at the last there is.
+fn counted(
+    top: &Table<'_>,
+    tables: &[Table<'_>],
+    key: &str,
+    expected: usize,
+    meaning: String,
+) -> Result<(), FileError> {
+    if tables.len() == expected {
+        return Ok(());
+    }
+    let problem = Problem::WrongCount {
+        table: format!("[[{key}]]"),
+        expected: if expected == 0 { "no".into() } else { expected.to_string() },
+        found: tables.len(),
+        meaning,
+    };
+    Err(match tables.get(expected).or(tables.last()) {
+        Some(table) => table.error_here(problem),
+        None => top.error_here(problem),
+    })
+}
+
+fn joints(top: &Table<'_>, spec: &Spec) -> Result<[Joint; MAX_JOINTS], FileError> {
+    let tables = top.tables("joint")?;
+    counted(top, &tables, "joint", spec.joints, "one per actuated joint, joint 0 first".into())?;
+    let mut joints = [Joint::default(); MAX_JOINTS];
+    for (index, table) in tables.into_iter().enumerate() {
+        let place = format!("[[joint]] {}", index + 1);
+        let table = table.called(place.clone());
+        table.refuse_unknown_keys(&["inertia", "viscous", "coulomb", "limits", "encoder", "motor"])?;
+        let inertia = table.number("inertia", Must::NotBeNegative)?;
+        let encoder = table.table("encoder")?.map(|encoder| encoder_of(&encoder)).transpose()?;
+        let motor = table.table("motor")?.map(|motor| motor_of(&motor)).transpose()?;
+        joints[index] = Joint {
+            inertia: table.required("inertia", inertia, "inertia = 2.0e-6")?,
+            viscous: table.number("viscous", Must::NotBeNegative)?.unwrap_or(0.0),
+            coulomb: table.number("coulomb", Must::NotBeNegative)?.unwrap_or(0.0),
+            limits: limits(&table)?,
+            encoder,
+            motor,
+        };
+    }
+    Ok(joints)
+}
+
+fn limits(joint: &Table<'_>) -> Result<Option<(f64, f64)>, FileError> {
+    match joint.numbers("limits", 2, Must::BeFinite, "lowest, highest angle in rad")?.as_deref() {
+        Some([low, high]) if low < high => Ok(Some((*low, *high))),
+        Some([low, high]) => {
+            let reason = format!("limits of {} are the wrong way round: {low} is not below {high}", joint.place());
+            Err(joint.error_at("limits", impossible(reason, "write [lowest, highest] angle in rad")))
+        }
+        _ => Ok(None),
+    }
+}
+
+fn encoder_of(table: &Table<'_>) -> Result<Encoder, FileError> {
+    table.refuse_unknown_keys(&["counts_per_turn", "offset", "inverted"])?;
+    let counts = table.number("counts_per_turn", Must::BePositive)?;
+    Ok(Encoder {
+        counts_per_turn: table.required("counts_per_turn", counts, "counts_per_turn = 16384")?,
+        offset: table.required("offset", table.number("offset", Must::BeFinite)?, "offset = 0.0")?,
+        inverted: table.required("inverted", table.flag("inverted")?, "inverted = false")?,
+    })
+}
+
+fn motor_of(table: &Table<'_>) -> Result<Motor, FileError> {
+    table.refuse_unknown_keys(&[
+        "torque_constant",
+        "resistance",
+        "inductance",
+        "back_emf",
+        "max_current",
+        "verified",
+    ])?;
+    let positive = |key: &str, example: &str| table.required(key, table.number(key, Must::BePositive)?, example);
+    let torque_constant = positive("torque_constant", "torque_constant = 0.05")?;
+    Ok(Motor {
+        torque_constant,
+        resistance: positive("resistance", "resistance = 2.0")?,
+        inductance: table.number("inductance", Must::NotBeNegative)?.unwrap_or(0.0),
+        back_emf: table.number("back_emf", Must::NotBeNegative)?.unwrap_or(torque_constant),
+        max_current: positive("max_current", "max_current = 3.0")?,
+        verified: table.flag("verified")?.unwrap_or(false),
+    })
+}
+
+fn home(top: &Table<'_>, spec: &Spec, joints: &[Joint]) -> Result<Option<[f64; MAX_JOINTS]>, FileError> {
+    let Some(table) = top.table("home")? else { return Ok(None) };
+    table.refuse_unknown_keys(&["q"])?;
+    let q = table.numbers("q", spec.joints, Must::BeFinite, "one angle per joint in rad")?;
+    let q = table.required("q", q, format!("q = {:?}", vec![0.0; spec.joints]))?;
+    for (index, (angle, joint)) in q.iter().zip(joints).enumerate() {
+        if let Some((low, high)) = joint.limits
+            && !(low..=high).contains(angle)
+        {
+            let reason = format!("home puts joint {index} at {angle} rad, outside its limits [{low}, {high}]");
+            return Err(table.error_at_element("q", index, impossible(reason, "move home or widen the limits")));
+        }
+    }
+    Ok(Some(padded(&q)))
+}
+
+/// Whether the linkage closes at these joint angles.
+fn reachable(mechanism: &AnyMechanism<f64>, q: &[f64; MAX_JOINTS]) -> bool {
+    fn regular<const N: usize, M: Mechanism<f64, N>>(mechanism: &M, q: &[f64; MAX_JOINTS]) -> bool {
+        let angles = SVector::<f64, N>::from_fn(|index, _| q[index]);
+        mechanism.regularity(&mechanism.pose::<Libm>(&angles)).parallel > 0.0
+    }
+    with_mechanism!(mechanism, m => regular(m, q))
+}
+
+/// A refusal by the mechanism itself, at the key that causes it.
+fn refusal(error: DescriptionError, top: &Table<'_>, geometry: &Table<'_>, spec: &Spec) -> FileError {
+    let problem = |remedy: &str| impossible(error.to_string(), remedy);
+    match error {
+        DescriptionError::GeometryNotPositive(index) => {
+            let keys = spec.geometry.iter().flat_map(|(key, count)| (0..*count).map(move |element| (*key, element)));
+            let (key, element) = keys.clone().nth(index).unwrap_or(("", 0));
+            let reason = format!("`{key}` in [geometry]: {error}");
+            geometry.error_at_element(key, element, impossible(reason, "write the length in metres"))
+        }
+        DescriptionError::Assembly => geometry
+            .error_at("assembly", problem("write 1 for the tip left of the line from elbow 1 to elbow 2, else -1")),
+        DescriptionError::CannotClose => {
+            geometry.error_here(problem("check the lengths, in metres: each link must reach from one end to the other"))
+        }
+        DescriptionError::GravityNotZero => {
+            top.error_at("gravity", problem(&format!("write gravity = {:?}", vec![0.0; spec.task])))
+        }
+        DescriptionError::NoInertia => match top.tables("joint") {
+            Ok(joints) if !joints.is_empty() => {
+                joints[0].error_at("inertia", problem("write the reflected rotor inertia in kg m²"))
+            }
+            _ => top.error_here(problem("write the reflected rotor inertia in kg m²")),
+        },
+        DescriptionError::WrongKind => top.error_at("mechanism", problem("name another mechanism")),
+        DescriptionError::NotFinite | DescriptionError::Negative => {
+            top.error_here(problem("check the numbers and their units (SI)"))
+        }
+    }
+}

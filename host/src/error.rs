@@ -1,0 +1,92 @@
+//! How a command ends when it does not end well: an exit code, one line that says why, and what to do about it.
+//!
+//! Exit codes (MODEL.md section 5): 0 done, 1 it could not be done, 2 the command or a file is wrong.
+
+use core::fmt;
+use std::process::ExitCode;
+
+/// Whose fault it was.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Blame {
+    /// The request was sound, but the world did not play along: no board, a singular pose, a full disk. Exit code 1.
+    World,
+    /// The command line or a file is wrong, and would be wrong again. Exit code 2.
+    Request,
+}
+
+/// A command that did not do what was asked, on one line.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Failure {
+    blame: Blame,
+    reason: String,
+    remedy: Option<String>,
+}
+
+impl Failure {
+    /// It could not be done (exit code 1).
+    pub fn impossible(reason: impl fmt::Display) -> Self {
+        Self { blame: Blame::World, reason: reason.to_string(), remedy: None }
+    }
+
+    /// The command or a file is wrong (exit code 2).
+    pub fn wrong(reason: impl fmt::Display) -> Self {
+        Self { blame: Blame::Request, reason: reason.to_string(), remedy: None }
+    }
+
+    /// Adds what the user can do about it.
+    pub fn remedy(mut self, remedy: impl fmt::Display) -> Self {
+        self.remedy = Some(remedy.to_string());
+        self
+    }
+
+    /// Whose fault it was.
+    pub fn blame(&self) -> Blame {
+        self.blame
+    }
+
+    /// The process's exit code.
+    pub fn exit_code(&self) -> ExitCode {
+        ExitCode::from(match self.blame {
+            Blame::World => 1,
+            Blame::Request => 2,
+        })
+    }
+}
+
+impl fmt::Display for Failure {
+    /// Always a single line, whatever the reason was made of.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let one_line = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+        f.write_str(&one_line(&self.reason))?;
+        match &self.remedy {
+            Some(remedy) => write!(f, "; {}", one_line(remedy)),
+            None => Ok(()),
+        }
+    }
+}
+
+impl std::error::Error for Failure {}
+
+/// Writes a finished document to standard output. A reader that went away (`haptic … | head`) is not an error.
+pub fn print(document: &str) -> Result<(), Failure> {
+    use std::io::Write;
+    let mut out = std::io::stdout().lock();
+    let written = out.write_all(document.as_bytes()).and_then(|()| out.flush());
+    match written {
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
+            Err(Failure::impossible(format!("standard output cannot be written: {error}")))
+        }
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_failure_is_one_line() {
+        let failure = Failure::wrong("first\nsecond\t third").remedy("do\nthis");
+        assert_eq!(failure.to_string(), "first second third; do this");
+    }
+}
