@@ -1,2 +1,55 @@
-//! Entry points that need more than one cargo call.
-fn main() {}
+//! Entry points that need more than one cargo call. `cargo xtask help` lists them.
+
+mod dfu;
+mod firmware;
+mod image;
+mod tests;
+mod toolchain;
+
+use std::process::ExitCode;
+
+use anyhow::{Result, bail};
+
+const HELP: &str = "\
+cargo xtask COMMAND
+
+  fw [BOARD]        build the firmware of one board, or of all; also `cargo fw`
+  size              build all boards, print flash and RAM, fail above the limits
+  clippy-fw         clippy for the chip, warnings are errors
+  flash BOARD       build and flash with probe-rs; also `cargo flash-BOARD`
+  dfu BOARD         build and write a .dfu update file that leaves the settings alone
+  test              every test: this computer's, both images, the emulated board
+  board             the tests that run the images on the emulated board
+
+Boards: odrive-v3, h-bridge-f405. Options: --install puts missing Debian packages in place (root).";
+
+fn main() -> ExitCode {
+    let mut arguments: Vec<String> = std::env::args().skip(1).collect();
+    let install = arguments.iter().position(|a| a == "--install").map(|at| arguments.remove(at)).is_some();
+    match run(&arguments, install) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("xtask: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(arguments: &[String], install: bool) -> Result<()> {
+    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    match arguments.as_slice() {
+        ["fw"] => firmware::build_all(install).map(drop),
+        ["fw", board] => firmware::build(firmware::board(board)?, install).map(drop),
+        ["size"] => firmware::size(install),
+        ["clippy-fw"] => firmware::clippy(install),
+        ["flash", board] => firmware::flash(firmware::board(board)?, install),
+        ["dfu", board] => firmware::dfu(firmware::board(board)?, install),
+        ["test"] => tests::all(install),
+        ["board", rest @ ..] => tests::board(rest, install),
+        [] | ["help" | "--help" | "-h"] => {
+            println!("{HELP}");
+            Ok(())
+        }
+        _ => bail!("unknown command: {}\n\n{HELP}", arguments.join(" ")),
+    }
+}

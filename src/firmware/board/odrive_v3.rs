@@ -1,0 +1,218 @@
+//! ODrive v3.6 and its clones: two axes, each a three-phase bridge behind a DRV8301, with shunts under phases B and C.
+//!
+//! A brushed motor sits between phases B and C of its axis: both carry the same carrier at 0.5 +- duty/2 and phase A stays off.
+//! Pins: docs/wiring-odrive-v3.md. EN_GATE is common to both drivers, and low resets their registers.
+
+use embassy_stm32::gpio::{Flex, Level, Output, Speed};
+use embassy_stm32::pac;
+use embassy_stm32::pac::timer::TimAdv;
+use embassy_stm32::spi::{self, Spi};
+use embassy_stm32::time::Hertz;
+use embassy_stm32::{Peripherals, peripherals, rcc};
+use embassy_time::Timer;
+
+use super::{Analog, Common, GateError};
+use crate::adc;
+use crate::drv8301::{self, Drv8301};
+use crate::encoder::Encoder;
+use crate::pwm::{self, Carrier};
+
+/// Name of the board, as the host shows it.
+pub const NAME: &str = "odrive-v3";
+
+/// Motors that it can drive.
+pub const AXES: usize = 2;
+
+/// Dead time between the switches of a half bridge: 20 ticks of 1/168 MHz, 119 ns, on top of what the driver inserts itself.
+pub const DEAD_TIME_TICKS: u8 = 20;
+
+/// Low-side shunts under phases B and C, ohm.
+const SHUNT_OHM: f32 = 500e-6;
+
+/// Amperes per count of the converter.
+const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE / drv8301::AMPLIFIER_GAIN / SHUNT_OHM;
+
+/// Bus divider of the 56 V boards, 18 kohm over 1 kohm; the 24 V ones have 10 kohm over 1 kohm (11).
+pub const BUS_DIVIDER: f32 = 19.0;
+
+/// Weight of one reading in the amplifiers' offset, learned while the bridges are off.
+const OFFSET_WEIGHT: f32 = 1.0 / 256.0;
+
+const TIMERS: [TimAdv; AXES] = [pac::TIM1, pac::TIM8];
+
+/// Bit of EN_GATE in port B.
+const EN_GATE: usize = 12;
+/// Bit of nFAULT in port D.
+const N_FAULT: usize = 2;
+
+/// Bridges off, gate drivers off. Plain register writes: works in any state of the program.
+#[inline]
+pub fn off() {
+    for timer in TIMERS {
+        pwm::drive(timer, false);
+    }
+    pac::GPIOB.bsrr().write(|w| w.set_br(EN_GATE, true));
+}
+
+/// What the control interrupt owns.
+pub struct Io {
+    encoders: [Encoder; AXES],
+    offsets: [[f32; 2]; AXES],
+    carrier: Carrier,
+}
+
+impl Io {
+    /// Encoder counts since power-on, one per axis.
+    #[inline]
+    pub fn counts(&mut self) -> [i32; AXES] {
+        [self.encoders[0].read(), self.encoders[1].read()]
+    }
+
+    /// The readings that the crest started; `learn` says that no current flows and the amplifiers' supply is up.
+    #[inline]
+    pub fn analog(&mut self, learn: bool) -> Analog {
+        let fresh = adc::wait(pac::ADC1) & adc::wait(pac::ADC2);
+        let raw = [
+            [adc::result(pac::ADC1, 0), adc::result(pac::ADC2, 0)],
+            [adc::result(pac::ADC1, 1), adc::result(pac::ADC2, 1)],
+        ];
+        let mut current_a = [0.0; AXES];
+        for axis in 0..AXES {
+            let mut phase = [0.0; 2];
+            for side in 0..2 {
+                let counts = f32::from(raw[axis][side]);
+                let offset = &mut self.offsets[axis][side];
+                if learn && fresh {
+                    *offset += (counts - *offset) * OFFSET_WEIGHT;
+                }
+                phase[side] = (counts - *offset) * AMPERES_PER_COUNT;
+            }
+            // What leaves phase B comes back through C.
+            current_a[axis] = 0.5 * (phase[0] - phase[1]);
+        }
+        let bus_v = f32::from(adc::result(pac::ADC1, 2)) * (adc::REFERENCE_V / adc::FULL_SCALE * BUS_DIVIDER);
+        Analog { bus_v, current_a, fresh }
+    }
+
+    /// Duties in -1..1, applied at the next valley. NaN is no voltage.
+    #[inline]
+    pub fn write(&mut self, duty: [f32; AXES]) {
+        for (timer, duty) in TIMERS.into_iter().zip(duty) {
+            let half = 0.5 * duty;
+            timer.ccr(1).write(|w| w.set_ccr(pwm::compare(0.5 + half, self.carrier.top)));
+            timer.ccr(2).write(|w| w.set_ccr(pwm::compare(0.5 - half, self.carrier.top)));
+        }
+    }
+
+    /// Connects the bridges to the carrier, or lets them float. Off also drops EN_GATE.
+    #[inline]
+    pub fn drive(&mut self, on: bool) {
+        if on {
+            for timer in TIMERS {
+                pwm::drive(timer, true);
+            }
+        } else {
+            off();
+        }
+    }
+
+    /// A gate driver pulls the common fault line.
+    #[inline]
+    pub fn driver_fault(&self) -> bool {
+        pac::GPIOD.idr().read().idr(N_FAULT) == pac::gpio::vals::Idr::LOW
+    }
+
+    /// The carrier in use.
+    pub fn carrier(&self) -> Carrier {
+        self.carrier
+    }
+
+    /// Changes the carrier; both axes take it at the same extreme.
+    pub fn set_carrier(&mut self, carrier: Carrier) {
+        for timer in TIMERS {
+            pwm::set_carrier(timer, carrier);
+        }
+        self.carrier = carrier;
+    }
+
+    /// Starts the carriers.
+    pub fn start(&mut self) {
+        pwm::start(Some(pac::TIM8));
+    }
+}
+
+/// What tasks own: the gate drivers.
+pub struct Gate {
+    bus: drv8301::Bus,
+    drivers: [Drv8301; AXES],
+}
+
+impl Gate {
+    /// Raises EN_GATE and sets both drivers up, which takes about 11 ms. On an error everything is off again.
+    pub async fn raise(&mut self) -> Result<(), GateError> {
+        pac::GPIOB.bsrr().write(|w| w.set_bs(EN_GATE, true));
+        // SLOS719F 6.7: up to 10 ms until the driver answers.
+        Timer::after_millis(10).await;
+        for driver in &mut self.drivers {
+            if let Err(error) = driver.configure(&mut self.bus).await {
+                off();
+                return Err(error);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Divides the chip. `carrier` is what the board starts with; nothing runs and nothing is driven yet.
+pub fn split(p: Peripherals, carrier: Carrier) -> (Io, Gate, Common) {
+    // EN_GATE first: low, for good measure, before any gate signal has a driver.
+    core::mem::forget(Output::new(p.PB12, Level::Low, Speed::Low));
+    let mut fault = Flex::new(p.PD2);
+    fault.set_as_input(embassy_stm32::gpio::Pull::Up);
+    core::mem::forget(fault);
+    // The brake resistor's half bridge stays off.
+    core::mem::forget((Output::new(p.PB10, Level::Low, Speed::Low), Output::new(p.PB11, Level::Low, Speed::Low)));
+
+    rcc::enable_and_reset::<peripherals::TIM1>();
+    rcc::enable_and_reset::<peripherals::TIM8>();
+    rcc::enable_and_reset::<peripherals::TIM3>();
+    rcc::enable_and_reset::<peripherals::TIM4>();
+    rcc::enable_and_reset::<peripherals::ADC1>();
+    rcc::enable_and_reset::<peripherals::ADC2>();
+
+    let setup = pwm::Setup { channels: [false, true, true], dead_time: DEAD_TIME_TICKS, break_input: false };
+    for timer in TIMERS {
+        pwm::configure(timer, &setup, carrier);
+    }
+    let [a, b, c] = [Flex::new(p.PA8), Flex::new(p.PA9), Flex::new(p.PA10)];
+    pwm::outputs([a, b, c, Flex::new(p.PB13), Flex::new(p.PB14), Flex::new(p.PB15)], 1);
+    let [a, b, c] = [Flex::new(p.PC6), Flex::new(p.PC7), Flex::new(p.PC8)];
+    pwm::outputs([a, b, c, Flex::new(p.PA7), Flex::new(p.PB0), Flex::new(p.PB1)], 3);
+
+    adc::inputs([Flex::new(p.PC0), Flex::new(p.PC1), Flex::new(p.PC2), Flex::new(p.PC3), Flex::new(p.PA6)]);
+    // Phase B of both axes and the bus on one converter, phase C of both on the other.
+    adc::configure(pac::ADC1, &[10, 13, 6]);
+    adc::configure(pac::ADC2, &[11, 12]);
+
+    let io = Io {
+        encoders: [
+            Encoder::new(pac::TIM3, Flex::new(p.PB4), Flex::new(p.PB5), 2),
+            Encoder::new(pac::TIM4, Flex::new(p.PB6), Flex::new(p.PB7), 2),
+        ],
+        offsets: [[adc::FULL_SCALE / 2.0; 2]; AXES],
+        carrier,
+    };
+
+    let mut config = spi::Config::default();
+    config.mode = spi::MODE_1;
+    config.frequency = Hertz(2_000_000);
+    let bus = Spi::new_blocking(p.SPI3, p.PC10, p.PC12, p.PC11, config);
+    let gate = Gate {
+        bus,
+        drivers: [
+            Drv8301::new(Output::new(p.PC13, Level::High, Speed::Low)),
+            Drv8301::new(Output::new(p.PC14, Level::High, Speed::Low)),
+        ],
+    };
+    (io, gate, Common { usb: (p.USB_OTG_FS, p.PA12, p.PA11), flash: p.FLASH, watchdog: p.IWDG })
+}

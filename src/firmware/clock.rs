@@ -1,0 +1,35 @@
+//! Clocks: an 8 MHz crystal to 168 MHz for the core, 84 MHz for the fast peripheral bus (168 MHz at its timers), 42 MHz for
+//! the slow one (84 MHz at its timers), 48 MHz for USB. STM32F405 reference manual RM0090, section 7.2.
+
+use embassy_stm32::Config;
+use embassy_stm32::rcc::{
+    AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllMul, PllPDiv, PllPreDiv, PllQDiv, PllSource, Sysclk, mux,
+};
+use embassy_stm32::time::Hertz;
+
+use crate::critical;
+
+/// Frequency that the timers of the fast bus (TIM1, TIM8) count at, Hz.
+pub const PWM_TIMER_HZ: u32 = 168_000_000;
+
+/// The clock tree, and all DMA interrupts below the control interrupt.
+pub fn config() -> Config {
+    let mut config = Config::default();
+    config.rcc.hsi = false;
+    config.rcc.hse = Some(Hse { freq: Hertz(8_000_000), mode: HseMode::Oscillator });
+    config.rcc.pll_src = PllSource::HSE;
+    config.rcc.pll = Some(Pll {
+        prediv: PllPreDiv::DIV4,
+        mul: PllMul::MUL168,
+        divp: Some(PllPDiv::DIV2),
+        divq: Some(PllQDiv::DIV7),
+        divr: None,
+    });
+    config.rcc.ahb_pre = AHBPrescaler::DIV1;
+    config.rcc.apb1_pre = APBPrescaler::DIV4;
+    config.rcc.apb2_pre = APBPrescaler::DIV2;
+    config.rcc.sys = Sysclk::PLL1_P;
+    config.rcc.mux.clk48sel = mux::Clk48sel::PLL1_Q;
+    config.dma_interrupt_priority = critical::OTHERS;
+    config
+}

@@ -1,0 +1,90 @@
+//! The DRV8301 gate driver of an axis: its two control registers written and read back, its status read.
+//!
+//! Texas Instruments SLOS719F, section 7.5. Frames are 16 bits, clock idle low, data taken at the falling edge; a reading's answer comes with the
+//! next frame. Pulling EN_GATE low resets the registers, so they are written after every rise of it.
+
+use embassy_stm32::gpio::Output;
+use embassy_stm32::mode::Blocking;
+use embassy_stm32::spi::{Error, Spi, mode::Master};
+use embassy_time::Timer;
+
+use crate::board::GateError;
+
+/// Gain of the shunt amplifiers, V/V (control register 2, bits 3:2 = 3).
+pub const AMPLIFIER_GAIN: f32 = 80.0;
+
+const STATUS_1: u16 = 0;
+const STATUS_2: u16 = 1;
+const CONTROL_1: u16 = 2;
+const CONTROL_2: u16 = 3;
+
+/// 1.7 A of gate current, six independent gate signals, over-current latches the driver off, at 0.730 V over a switch.
+const CONTROL_1_VALUE: u16 = (21 << 6) | (1 << 4);
+
+/// Amplifier gain 80 V/V, no DC calibration, over-temperature and over-current both reported.
+const CONTROL_2_VALUE: u16 = 3 << 2;
+
+/// The SPI bus that both drivers share.
+pub type Bus = Spi<'static, Blocking, Master>;
+
+impl From<Error> for GateError {
+    fn from(_: Error) -> Self {
+        Self::Bus
+    }
+}
+
+/// One gate driver, by its chip select.
+pub struct Drv8301 {
+    select: Output<'static>,
+}
+
+impl Drv8301 {
+    /// The driver behind a chip select line (active low).
+    pub fn new(select: Output<'static>) -> Self {
+        Self { select }
+    }
+
+    async fn transfer(&mut self, bus: &mut Bus, frame: u16) -> Result<u16, GateError> {
+        let mut word = [frame];
+        self.select.set_low();
+        let sent = bus.blocking_transfer_in_place(&mut word);
+        self.select.set_high();
+        // 400 ns of idle select between frames are asked for; a tick of the clock is more.
+        Timer::after_micros(2).await;
+        sent?;
+        Ok(word[0])
+    }
+
+    async fn write(&mut self, bus: &mut Bus, register: u16, value: u16) -> Result<(), GateError> {
+        self.transfer(bus, (register << 11) | (value & 0x7FF)).await?;
+        Ok(())
+    }
+
+    async fn read(&mut self, bus: &mut Bus, register: u16) -> Result<u16, GateError> {
+        let request = 0x8000 | (register << 11);
+        self.transfer(bus, request).await?;
+        Ok(self.transfer(bus, request).await? & 0x7FF)
+    }
+
+    /// Writes the control registers and reads them back; clears and checks the status. EN_GATE must have been high for 10 ms.
+    pub async fn configure(&mut self, bus: &mut Bus) -> Result<(), GateError> {
+        self.write(bus, CONTROL_1, CONTROL_1_VALUE).await?;
+        self.write(bus, CONTROL_2, CONTROL_2_VALUE).await?;
+        let control_1 = self.read(bus, CONTROL_1).await?;
+        let control_2 = self.read(bus, CONTROL_2).await?;
+        if control_1 != CONTROL_1_VALUE || control_2 != CONTROL_2_VALUE {
+            return Err(GateError::Readback);
+        }
+        let (status_1, status_2) = self.status(bus).await?;
+        // Bit 10 of status 1 is FAULT, bit 7 of status 2 GVDD_OV.
+        if status_1 & (1 << 10) != 0 || status_2 & (1 << 7) != 0 {
+            return Err(GateError::Fault(status_1, status_2));
+        }
+        Ok(())
+    }
+
+    /// The two status registers.
+    pub async fn status(&mut self, bus: &mut Bus) -> Result<(u16, u16), GateError> {
+        Ok((self.read(bus, STATUS_1).await?, self.read(bus, STATUS_2).await?))
+    }
+}

@@ -1,0 +1,271 @@
+//! When nothing can go on: a panic or a hard fault turns the bridges off before anything else, writes down why in memory
+//! that survives a reset, and resets. The next start reports it ([`Previous`]). A request for the USB boot loader travels
+//! the same way.
+
+use core::fmt::Write as _;
+use core::mem::MaybeUninit;
+use core::panic::PanicInfo;
+use core::ptr::{addr_of, addr_of_mut};
+
+use cortex_m::peripheral::SCB;
+use embassy_stm32::pac;
+
+use crate::board;
+
+/// Length of the text of a cause: a panic's message and place, cut to this.
+pub const TEXT_LEN: usize = 96;
+
+/// Says that a record was written and not that SRAM happens to hold something.
+const WRITTEN: u32 = 0x4C41_5354;
+const BOOT_LOADER: u32 = 0x4446_5521;
+
+/// What the program says about its own end. Plain words, so that any bit pattern is a valid value.
+#[repr(C)]
+#[derive(Clone, Copy)]
+struct LastWords {
+    mark: u32,
+    /// 1 panic, 2 hard fault, 3 unexpected interrupt.
+    kind: u32,
+    /// Program counter and link register where a fault struck; the interrupt's number for kind 3.
+    pc: u32,
+    lr: u32,
+    /// Configurable fault status and the address it names (RM0090 / ARMv7-M B3.2.15).
+    status: u32,
+    address: u32,
+    len: u32,
+    text: [u8; TEXT_LEN],
+    check: u32,
+}
+
+#[unsafe(link_section = ".uninit.LAST_WORDS")]
+static mut LAST_WORDS: MaybeUninit<LastWords> = MaybeUninit::uninit();
+
+#[unsafe(link_section = ".uninit.BOOT_REQUEST")]
+static mut BOOT_REQUEST: MaybeUninit<u32> = MaybeUninit::uninit();
+
+/// Why the chip started, as its reset flags say (RM0090 section 7.3.21).
+#[derive(Clone, Copy, PartialEq, Eq, Debug, defmt::Format)]
+pub enum ResetCause {
+    /// Supply was switched on, or dipped.
+    Power,
+    /// The independent watchdog was not fed.
+    Watchdog,
+    /// The program reset itself (after a fault, for the boot loader, or on request).
+    Software,
+    /// The reset pin, or a debugger.
+    Pin,
+}
+
+/// How the previous run ended.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, defmt::Format)]
+pub enum Previous {
+    /// Nothing is on record.
+    Clean,
+    /// A panic; `text` is its message and place.
+    Panic,
+    /// A hard fault at `pc`.
+    HardFault,
+    /// A fault while the stack pointer had left the stack.
+    StackOverflow,
+    /// An interrupt that nobody handles.
+    UnexpectedInterrupt,
+}
+
+/// What is known about the start of this run.
+#[derive(Clone, Copy)]
+pub struct Start {
+    /// The reset's cause.
+    pub cause: ResetCause,
+    /// How the previous run ended.
+    pub previous: Previous,
+    /// Program counter of a fault, 0 when unknown.
+    pub pc: u32,
+    /// Fault status register of a hard fault.
+    pub status: u32,
+    /// Length of `text` that is used.
+    pub len: usize,
+    /// A panic's message and place.
+    pub text: [u8; TEXT_LEN],
+}
+
+impl Start {
+    /// The text of a panic, "" if there is none.
+    pub fn message(&self) -> &str {
+        match core::str::from_utf8(&self.text[..self.len]) {
+            Ok(text) => text,
+            Err(error) => core::str::from_utf8(&self.text[..error.valid_up_to()]).unwrap_or(""),
+        }
+    }
+}
+
+impl LastWords {
+    fn sum(&self) -> u32 {
+        let words = [self.mark, self.kind, self.pc, self.lr, self.status, self.address, self.len];
+        let sum = words.iter().fold(0x811C_9DC5_u32, |sum, word| (sum ^ word).wrapping_mul(0x0100_0193));
+        self.text.iter().fold(sum, |sum, byte| (sum ^ u32::from(*byte)).wrapping_mul(0x0100_0193))
+    }
+}
+
+/// Reads and clears what the previous run left. Call once, first thing.
+pub fn take() -> Start {
+    // SAFETY: runs once, before interrupts and tasks exist, so nothing else refers to the record; every bit pattern is valid.
+    let words = unsafe {
+        let words = addr_of!(LAST_WORDS).cast::<LastWords>().read_volatile();
+        addr_of_mut!(LAST_WORDS).cast::<u32>().write_volatile(0);
+        words
+    };
+    let flags = pac::RCC.csr().read();
+    pac::RCC.csr().modify(|w| w.set_rmvf(true));
+    let cause = if flags.wdgrstf() || flags.wwdgrstf() {
+        ResetCause::Watchdog
+    } else if flags.sftrstf() {
+        ResetCause::Software
+    } else if flags.porrstf() || flags.borrstf() {
+        ResetCause::Power
+    } else {
+        ResetCause::Pin
+    };
+    let valid = words.mark == WRITTEN && words.check == words.sum() && cause != ResetCause::Power;
+    let previous = match (valid, words.kind) {
+        (true, 1) => Previous::Panic,
+        (true, 2) => Previous::HardFault,
+        (true, 3) => Previous::UnexpectedInterrupt,
+        (true, 4) => Previous::StackOverflow,
+        _ => Previous::Clean,
+    };
+    let known = previous != Previous::Clean;
+    Start {
+        cause,
+        previous,
+        pc: if known { words.pc } else { 0 },
+        status: if known { words.status } else { 0 },
+        len: if known { (words.len as usize).min(TEXT_LEN) } else { 0 },
+        text: words.text,
+    }
+}
+
+/// Resets into the chip's USB boot loader: the bridges are off, the next start goes to the ROM.
+pub fn reboot_to_boot_loader() -> ! {
+    board::off();
+    // SAFETY: a single aligned word that only the start-up code reads.
+    unsafe { addr_of_mut!(BOOT_REQUEST).cast::<u32>().write_volatile(BOOT_LOADER) };
+    SCB::sys_reset()
+}
+
+/// Restarts the program with the bridges off.
+pub fn reboot() -> ! {
+    board::off();
+    SCB::sys_reset()
+}
+
+/// Jumps to the ROM's boot loader if the previous run asked for it. Call before any clock or peripheral is set up.
+pub fn enter_boot_loader_if_requested() {
+    /// System memory of the STM32F405 (application note AN2606).
+    const SYSTEM_MEMORY: u32 = 0x1FFF_0000;
+    // SAFETY: start-up code, nothing else runs yet. The word is in RAM that start-up does not initialise. The ROM begins with a
+    // stack pointer and an entry address, as any vector table does, and expects the chip as it is right after a reset.
+    unsafe {
+        let request = addr_of_mut!(BOOT_REQUEST).cast::<u32>();
+        if request.read_volatile() != BOOT_LOADER {
+            return;
+        }
+        request.write_volatile(0);
+        pac::RCC.apb2enr().modify(|w| w.set_syscfgen(true));
+        // System memory at address 0, where the boot loader looks for its own vectors.
+        pac::SYSCFG.memrm().modify(|w| w.set_mem_mode(1));
+        cortex_m::asm::bootload(SYSTEM_MEMORY as *const u32)
+    }
+}
+
+struct Text {
+    bytes: [u8; TEXT_LEN],
+    len: usize,
+}
+
+impl core::fmt::Write for Text {
+    fn write_str(&mut self, s: &str) -> core::fmt::Result {
+        for byte in s.bytes() {
+            if let Some(slot) = self.bytes.get_mut(self.len) {
+                *slot = byte;
+                self.len += 1;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn write_down_and_reset(kind: u32, pc: u32, lr: u32, text: Text) -> ! {
+    let mut words = LastWords {
+        mark: WRITTEN,
+        kind,
+        pc,
+        lr,
+        // SAFETY: the system control block is always there; these registers are only read.
+        status: unsafe { (*SCB::PTR).cfsr.read() },
+        address: unsafe { (*SCB::PTR).bfar.read() },
+        len: text.len as u32,
+        text: text.bytes,
+        check: 0,
+    };
+    words.check = words.sum();
+    // SAFETY: interrupts are off and this function does not return, so nothing else touches the record.
+    unsafe { addr_of_mut!(LAST_WORDS).cast::<LastWords>().write_volatile(words) };
+    cortex_m::asm::dsb();
+    SCB::sys_reset()
+}
+
+#[panic_handler]
+fn panic(info: &PanicInfo) -> ! {
+    board::off();
+    cortex_m::interrupt::disable();
+    let mut text = Text { bytes: [0; TEXT_LEN], len: 0 };
+    if let Some(place) = info.location() {
+        // A path is long and its end says more than its beginning.
+        let file = place.file();
+        let file = file.get(file.len().saturating_sub(32)..).unwrap_or(file);
+        let _ = write!(text, "{file}:{}: ", place.line());
+    }
+    let _ = write!(text, "{}", info.message());
+    write_down_and_reset(1, 0, 0, text)
+}
+
+/// The entry of every hard fault: gives the handler the stack pointer of the fault and a fresh stack, because an overflow
+/// may have been the cause.
+#[unsafe(naked)]
+#[unsafe(export_name = "HardFault")]
+unsafe extern "C" fn hard_fault_entry() -> ! {
+    core::arch::naked_asm!(
+        "mrs r0, MSP",
+        "ldr r1, =_stack_start",
+        "msr MSP, r1",
+        "b {handler}",
+        handler = sym hard_fault,
+    )
+}
+
+unsafe extern "C" {
+    static _stack_start: u32;
+    static _stack_end: u32;
+}
+
+extern "C" fn hard_fault(frame: *const u32) -> ! {
+    board::off();
+    cortex_m::interrupt::disable();
+    let (bottom, top) = (addr_of!(_stack_end) as usize, addr_of!(_stack_start) as usize);
+    let at = frame as usize;
+    let inside = at >= bottom && at + 32 <= top && at.is_multiple_of(4);
+    let (pc, lr) = if inside {
+        // SAFETY: the eight words of an exception frame lie inside the stack. ARMv7-M B1.5.6: r0-r3, r12, lr, pc, xPSR.
+        unsafe { (frame.add(6).read_volatile(), frame.add(5).read_volatile()) }
+    } else {
+        (0, 0)
+    };
+    write_down_and_reset(if inside { 2 } else { 4 }, pc, lr, Text { bytes: [0; TEXT_LEN], len: 0 })
+}
+
+#[cortex_m_rt::exception]
+unsafe fn DefaultHandler(number: i16) {
+    board::off();
+    cortex_m::interrupt::disable();
+    write_down_and_reset(3, number as u32, 0, Text { bytes: [0; TEXT_LEN], len: 0 })
+}

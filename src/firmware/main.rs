@@ -1,0 +1,56 @@
+//! The firmware of a haptic-bridge board: boot and task wiring, top to bottom.
+//!
+//! One interrupt does the control step ([`servo`]); everything else is Embassy tasks in thread mode. What may delay what:
+//! nothing delays the control interrupt (its priority is above all others and above critical sections, see [`critical`]); the
+//! control interrupt delays all else by its own length.
+#![no_std]
+#![no_main]
+
+mod adc;
+mod board;
+mod clock;
+mod critical;
+#[cfg(feature = "odrive-v3")]
+mod drv8301;
+mod encoder;
+mod faults;
+mod link;
+mod pwm;
+mod servo;
+
+use defmt_rtt as _;
+use embassy_executor::Spawner;
+use embassy_stm32::pac;
+
+#[embassy_executor::main]
+async fn main(spawner: Spawner) {
+    faults::enter_boot_loader_if_requested();
+    let start = faults::take();
+    let chip = embassy_stm32::init(clock::config());
+    freeze_carriers_when_halted();
+    defmt::info!(
+        "{=str} {=str}: started by {}, before that {}: {=str}",
+        board::NAME,
+        env!("CARGO_PKG_VERSION"),
+        start.cause,
+        start.previous,
+        start.message()
+    );
+
+    let carrier = pwm::Carrier::for_rate(20_000);
+    let (io, _gate, common) = board::split(chip, carrier);
+    servo::start(io);
+    let (usb, serial) = link::device(common.usb);
+    spawner.must_spawn(link::usb(usb));
+    spawner.must_spawn(link::echo(serial));
+}
+
+/// A halted core must not leave a duty standing: with these bits the carriers stop with it and their outputs go to the idle
+/// level (RM0090 section 38.16.4). The watchdog waits for the debugger as well.
+fn freeze_carriers_when_halted() {
+    pac::DBGMCU.apb2fzr().modify(|w| {
+        w.set_tim1(true);
+        w.set_tim8(true);
+    });
+    pac::DBGMCU.apb1fzr().modify(|w| w.set_iwdg(true));
+}

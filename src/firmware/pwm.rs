@@ -1,0 +1,137 @@
+//! The carrier: centre-aligned complementary PWM with dead time on TIM1, and on TIM8 in step with it where the board has a
+//! second bridge.
+//!
+//! A timer counts 0 -> top -> 0. At the crest (top) all low-side switches are on: currents are sampled there and the control
+//! interrupt steps. A duty written then is preloaded and applies at the next valley, half a carrier period later. The repetition
+//! counter stays 0, because it also gates the transfer of preloaded duties; the control interrupt divides in software.
+//! STM32F405 reference manual RM0090, section 17.
+
+use embassy_stm32::gpio::{AfType, Flex, OutputType, Speed};
+use embassy_stm32::pac;
+use embassy_stm32::pac::timer::{TimAdv, vals};
+
+use crate::clock::PWM_TIMER_HZ;
+
+/// Slowest carrier, Hz: above what people hear.
+const CARRIER_MIN_HZ: u32 = 20_000;
+
+/// How a control rate is made: the carrier and the number of carrier periods per control step.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Carrier {
+    /// Timer ticks from valley to crest.
+    pub top: u16,
+    /// Carrier periods per control step, at least 1.
+    pub divider: u16,
+}
+
+impl Carrier {
+    /// The carrier for a control rate in Hz; rates outside 200 Hz .. 50 kHz are moved to the nearer end.
+    ///
+    /// The carrier is the smallest multiple of the rate from 20 kHz up, so it lies between 20 and 50 kHz: at most 4200 and
+    /// at least 1680 steps of duty.
+    pub fn for_rate(rate_hz: u32) -> Self {
+        let rate_hz = rate_hz.clamp(200, 50_000);
+        let divider = CARRIER_MIN_HZ.div_ceil(rate_hz);
+        let twice = 2 * divider * rate_hz;
+        let top = (PWM_TIMER_HZ + twice / 2) / twice;
+        Self { top: top as u16, divider: divider as u16 }
+    }
+
+    /// The control rate that comes out, Hz.
+    pub fn rate_hz(&self) -> f32 {
+        PWM_TIMER_HZ as f32 / (2.0 * f32::from(self.top) * f32::from(self.divider))
+    }
+}
+
+/// Hands pins to a timer's outputs for good: fast edges, low when nothing drives them.
+pub fn outputs<const N: usize>(pins: [Flex<'static>; N], alternate_function: u8) {
+    for mut pin in pins {
+        pin.set_as_af_unchecked(alternate_function, AfType::output(OutputType::PushPull, Speed::VeryHigh));
+        core::mem::forget(pin);
+    }
+}
+
+/// What a bridge's timer is told once.
+pub struct Setup {
+    /// Which of channels 1..3 drive a bridge; the others stay off.
+    pub channels: [bool; 3],
+    /// Dead time between the two switches of a half bridge, ticks of 1/168 MHz, at most 127.
+    pub dead_time: u8,
+    /// Whether a low level on the break input cuts the outputs in hardware.
+    pub break_input: bool,
+}
+
+/// Sets a timer up as a stopped carrier with its outputs off.
+pub fn configure(timer: TimAdv, setup: &Setup, carrier: Carrier) {
+    timer.cr1().write(|w| {
+        w.set_cms(vals::Cms::CENTER_ALIGNED1);
+        w.set_arpe(true);
+        // Only overflow and underflow make updates, not the software event below.
+        w.set_urs(vals::Urs::COUNTER_ONLY);
+    });
+    for channel in 0..3 {
+        timer.ccmr_output(channel / 2).modify(|w| {
+            w.set_ocm(channel % 2, vals::Ocm::PWM_MODE1);
+            w.set_ocpe(channel % 2, true);
+        });
+        timer.ccer().modify(|w| {
+            w.set_cce(channel, setup.channels[channel]);
+            w.set_ccne(channel, setup.channels[channel]);
+        });
+    }
+    // Channel 4 has no pin. It is active from just before the crest to just after it, and its rising edge starts the analog conversions.
+    timer.ccmr_output(1).modify(|w| {
+        w.set_ocm(1, vals::Ocm::PWM_MODE2);
+        w.set_ocpe(1, true);
+    });
+    timer.bdtr().write(|w| {
+        w.set_dtg(setup.dead_time.min(127));
+        // Off is a driven low level at every switch, not a floating input, both while idle and for unused channels.
+        w.set_ossi(vals::Ossi::IDLE_LEVEL);
+        w.set_ossr(vals::Ossr::IDLE_LEVEL);
+        w.set_bkp(0, vals::Bkp::ACTIVE_LOW);
+        w.set_bke(0, setup.break_input);
+    });
+    set_carrier(timer, carrier);
+    timer.egr().write(|w| w.set_ug(true));
+}
+
+/// Writes the preloaded period, with all duties at one half; both apply at the next extreme.
+pub fn set_carrier(timer: TimAdv, carrier: Carrier) {
+    timer.arr().write(|w| w.set_arr(carrier.top));
+    timer.ccr(3).write(|w| w.set_ccr(carrier.top - 1));
+    for channel in 0..3 {
+        timer.ccr(channel).write(|w| w.set_ccr(carrier.top / 2));
+    }
+}
+
+/// Starts the carriers on one clock edge and leaves TIM1's trigger output to the analog converters.
+pub fn start(follower: Option<TimAdv>) {
+    let leader = pac::TIM1;
+    leader.cr2().modify(|w| w.set_mms(vals::Mms::ENABLE));
+    if let Some(follower) = follower {
+        follower.smcr().write(|w| {
+            w.set_ts(vals::Ts::ITR0);
+            w.set_sms(vals::Sms::TRIGGER_MODE);
+        });
+    }
+    leader.smcr().write(|w| w.set_msm(vals::Msm::SYNC));
+    leader.cr1().modify(|w| w.set_cen(true));
+    if let Some(follower) = follower {
+        while !follower.cr1().read().cen() {}
+        follower.smcr().write(|w| w.set_sms(vals::Sms::DISABLED));
+    }
+    leader.cr2().modify(|w| w.set_mms(vals::Mms::COMPARE_OC4));
+}
+
+/// Compare value of a duty in 0..1; anything else, NaN included, is one half (no voltage).
+#[inline]
+pub fn compare(duty: f32, top: u16) -> u16 {
+    if (0.0..=1.0).contains(&duty) { (duty * f32::from(top) + 0.5) as u16 } else { top / 2 }
+}
+
+/// Connects (true) or cuts (false) a timer's outputs.
+#[inline]
+pub fn drive(timer: TimAdv, on: bool) {
+    timer.bdtr().modify(|w| w.set_moe(on));
+}

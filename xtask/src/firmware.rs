@@ -1,0 +1,116 @@
+//! Building, measuring, linting and flashing the firmware images.
+
+use std::env;
+use std::path::PathBuf;
+use std::process::Command;
+
+use anyhow::{Context as _, Result, bail};
+
+use crate::dfu;
+use crate::image::{FLASH_LIMIT, Image, RAM_LIMIT};
+use crate::toolchain::{TARGET, Toolchain, Use, run};
+
+/// All boards, by the name of their Cargo feature.
+pub const BOARDS: [&str; 2] = ["odrive-v3", "h-bridge-f405"];
+
+const BINARY: &str = "haptic-bridge-firmware";
+const CHIP: &str = "STM32F405RGTx";
+
+/// A board by name.
+pub fn board(name: &str) -> Result<&'static str> {
+    BOARDS
+        .into_iter()
+        .find(|board| *board == name)
+        .with_context(|| format!("no board {name:?}; there are {}", BOARDS.join(", ")))
+}
+
+/// The root of the repository.
+pub fn root() -> PathBuf {
+    let mut path = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
+    path.pop();
+    path
+}
+
+fn target_directory() -> PathBuf {
+    match env::var_os("CARGO_TARGET_DIR") {
+        Some(directory) => root().join(directory),
+        None => root().join("target"),
+    }
+}
+
+fn cargo(toolchain: Toolchain, purpose: Use, board: &str) -> Command {
+    let mut command = toolchain.cargo(purpose);
+    command.current_dir(root());
+    // One package alone: features of the tools must not reach the image.
+    command.args(["--locked", "--package", "haptic-bridge", "--bin", BINARY]);
+    command.args(["--profile", "firmware", "--features", board]);
+    command
+}
+
+/// Builds one image and keeps it under its board's name; its path.
+pub fn build(board: &str, install: bool) -> Result<PathBuf> {
+    let toolchain = Toolchain::find(Use::Build, install)?;
+    run(&mut cargo(toolchain, Use::Build, board))?;
+    let directory = target_directory().join(TARGET).join("firmware");
+    let image = directory.join(format!("{BINARY}-{board}.elf"));
+    std::fs::copy(directory.join(BINARY), &image).with_context(|| format!("cannot write {}", image.display()))?;
+    println!("{board}: {}", image.display());
+    Ok(image)
+}
+
+/// Builds all images.
+pub fn build_all(install: bool) -> Result<Vec<PathBuf>> {
+    BOARDS.into_iter().map(|board| build(board, install)).collect()
+}
+
+/// Prints what the images occupy; an error when one is too large.
+pub fn size(install: bool) -> Result<()> {
+    let mut over = Vec::new();
+    let mut lines = Vec::new();
+    for board in BOARDS {
+        let image = Image::read(&build(board, install)?)?;
+        lines.push(format!(
+            "{board:<14} {:>7} B of {FLASH_LIMIT}   {:>6} B of {RAM_LIMIT}  ({} statics, {} stack)",
+            image.flash,
+            image.ram(),
+            image.statics,
+            image.stack
+        ));
+        if image.flash > FLASH_LIMIT || image.ram() > RAM_LIMIT {
+            over.push(board);
+        }
+    }
+    println!("{:<14} {:<20} RAM\n{}", "board", "flash", lines.join("\n"));
+    if !over.is_empty() {
+        bail!("too large: {}", over.join(", "));
+    }
+    Ok(())
+}
+
+/// Lints the library and the firmware as compiled for the chip.
+pub fn clippy(install: bool) -> Result<()> {
+    let toolchain = Toolchain::find(Use::Clippy, install)?;
+    for board in BOARDS {
+        run(cargo(toolchain, Use::Clippy, board).args(["--lib", "--", "-D", "warnings"]))?;
+    }
+    Ok(())
+}
+
+/// Builds and flashes through a debug probe, then shows the log.
+pub fn flash(board: &str, install: bool) -> Result<()> {
+    let image = build(board, install)?;
+    run(Command::new("probe-rs").args(["run", "--chip", CHIP]).arg(image)).context(
+        "probe-rs flashes the chip; `cargo install probe-rs-tools --locked` installs it, docs/flashing.md says the rest",
+    )
+}
+
+/// Builds and writes an update file for the chip's USB boot loader.
+pub fn dfu(board: &str, install: bool) -> Result<()> {
+    let elf = build(board, install)?;
+    let image = Image::read(&elf)?;
+    let path = elf.with_extension("dfu");
+    std::fs::write(&path, dfu::file(&image.segments, board))
+        .with_context(|| format!("cannot write {}", path.display()))?;
+    println!("{}: {} segments; flash with\n    dfu-util -a 0 -D {}", board, image.segments.len(), path.display());
+    Ok(())
+}

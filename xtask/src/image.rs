@@ -1,0 +1,87 @@
+//! What an image occupies on the chip, read from its ELF file, and whether it leaves the settings alone.
+
+use std::fs;
+use std::ops::Range;
+use std::path::Path;
+
+use anyhow::{Context as _, Result, bail, ensure};
+use object::elf::{FileHeader32, PT_LOAD};
+use object::read::elf::{FileHeader as _, ProgramHeader as _};
+use object::{Endianness, Object as _, ObjectSection as _, ObjectSymbol as _, SectionFlags};
+
+/// Flash of the STM32F405RG.
+const FLASH: Range<u64> = 0x0800_0000..0x0810_0000;
+/// Its RAM, without the core-coupled part.
+const RAM: Range<u64> = 0x2000_0000..0x2002_0000;
+/// Sectors 1 and 2, where the settings are.
+const SETTINGS: Range<u64> = 0x0800_4000..0x0800_C000;
+
+/// Most that an image may take of either memory.
+pub const FLASH_LIMIT: u64 = 128 * 1024;
+/// Statics and the reserved stack together.
+pub const RAM_LIMIT: u64 = 48 * 1024;
+
+/// One piece of an image and where it goes.
+pub struct Segment {
+    /// First address in flash.
+    pub address: u32,
+    /// Its bytes.
+    pub bytes: Vec<u8>,
+}
+
+/// What an image is made of.
+pub struct Image {
+    /// The pieces that go to flash, ascending, gaps between them kept.
+    pub segments: Vec<Segment>,
+    /// Bytes of flash that it fills.
+    pub flash: u64,
+    /// Bytes of RAM that its statics take.
+    pub statics: u64,
+    /// Bytes of RAM that its linker script reserves for the stack.
+    pub stack: u64,
+}
+
+impl Image {
+    /// Reads an ELF file.
+    pub fn read(path: &Path) -> Result<Self> {
+        let data = fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+        let header = FileHeader32::<Endianness>::parse(&*data).context("not a 32-bit ELF file")?;
+        let endian = header.endian().context("bad ELF header")?;
+        let mut segments = Vec::new();
+        for segment in header.program_headers(endian, &*data).context("bad program headers")? {
+            if segment.p_type(endian) != PT_LOAD || segment.p_filesz(endian) == 0 {
+                continue;
+            }
+            let bytes = segment.data(endian, &*data).ok().context("a segment lies outside the file")?;
+            segments.push(Segment { address: segment.p_paddr(endian), bytes: bytes.to_vec() });
+        }
+        segments.sort_by_key(|segment| segment.address);
+        let mut flash = 0;
+        for segment in &segments {
+            let range = u64::from(segment.address)..u64::from(segment.address) + segment.bytes.len() as u64;
+            ensure!(FLASH.contains(&range.start) && range.end <= FLASH.end, "a segment at {range:#x?} is not in flash");
+            if range.start < SETTINGS.end && SETTINGS.start < range.end {
+                bail!("a segment at {range:#x?} would overwrite the settings at {SETTINGS:#x?}");
+            }
+            flash += range.end - range.start;
+        }
+
+        let file = object::File::parse(&*data).context("bad ELF file")?;
+        let statics = file
+            .sections()
+            .filter(|section| RAM.contains(&section.address()))
+            .filter(|section| matches!(section.flags(), SectionFlags::Elf { sh_flags } if sh_flags & 2 != 0))
+            .map(|section| section.size())
+            .sum();
+        let symbol =
+            |name: &str| file.symbols().find(|symbol| symbol.name() == Ok(name)).map(|symbol| symbol.address());
+        let (top, bottom) = (symbol("_stack_start"), symbol("_stack_end"));
+        let stack = top.zip(bottom).context("the image does not say where its stack is")?;
+        Ok(Self { segments, flash, statics, stack: stack.0 - stack.1 })
+    }
+
+    /// RAM that is taken: statics and the reserved stack.
+    pub fn ram(&self) -> u64 {
+        self.statics + self.stack
+    }
+}
