@@ -131,6 +131,9 @@ macro_rules! mechanisms {
         $with! {
             (Paddle, paddle, 1)
             (FiveBar, five_bar, 2)
+            (FiveBarTurret, five_bar_turret, 3)
+            (Parallelogram, parallelogram, 3)
+            (Serial3r, serial_3r, 3)
         }
     };
 }

@@ -40,10 +40,12 @@ pub struct FiveBar<T> {
     rod_coupling: [T; 2],
     /// γ₁ + γ₂ + handle, kg.
     tip_mass: T,
-    /// Weight carried at each elbow, (m_p c_p/l + m_d(1 - s)) times gravity, N.
-    elbow_weight: [[T; 2]; 2],
-    /// Weight carried at the tip, N.
-    tip_weight: [T; 2],
+    /// What weighs on each elbow, m_p c_p/l + m_d(1 - s), kg.
+    pub(super) elbow_load: [T; 2],
+    /// What weighs on the tip, m_d1 s_1 + m_d2 s_2 + handle, kg.
+    pub(super) tip_load: T,
+    /// Gravity in the plane (at q₀ = 0 on a turret), m/s².
+    pub(super) gravity: [T; 2],
 }
 
 /// What depends on the two angles alone.
@@ -52,7 +54,7 @@ pub struct Pose<T: Real> {
     /// Tip, m.
     pub tip: Vector2<T>,
     /// Elbows relative to their motors, m; turned left by 90° they are the elbow velocities per joint rate.
-    arm: [Vector2<T>; 2],
+    pub(super) arm: [Vector2<T>; 2],
     /// Tip relative to the elbows, m.
     rod: [Vector2<T>; 2],
     /// kᵢ = uᵢ·cᵢ, m².
@@ -73,11 +75,11 @@ fn left<T: Real>(v: &Vector2<T>) -> Vector2<T> {
 
 /// Poses whose rods are closer to one line than this sine are treated as singular; the same for elbows. Beyond it the
 /// reciprocals are clamped so that every number stays finite.
-const SINE_FLOOR: f64 = 1.0e-6;
+pub(super) const SINE_FLOOR: f64 = 1.0e-6;
 
 impl<T: Real> FiveBar<T> {
-    /// The coefficients of a description whose first two links after `first_joint` are proximal; gravity in the plane.
-    fn lump(description: &Description) -> Result<Self, DescriptionError> {
+    /// The coefficients of a description whose links are a five-bar's and whose joints 0 and 1 carry its arms.
+    pub(super) fn lump(description: &Description) -> Result<Self, DescriptionError> {
         let [base, l1, l2, r1, r2, assembly] = description.geometry;
         for (index, length) in [l1, l2, r1, r2].into_iter().enumerate() {
             if length.is_nan() || length <= 0.0 {
@@ -117,7 +119,6 @@ impl<T: Real> FiveBar<T> {
             return Err(DescriptionError::NoInertia);
         }
         let gravity = [description.gravity[0], description.gravity[1]];
-        let weight = |mass: f64| gravity.map(|g| T::from_f64(mass * g));
         let reals = |values: [f64; 2]| values.map(T::from_f64);
         Ok(Self {
             base: T::from_f64(base),
@@ -130,14 +131,15 @@ impl<T: Real> FiveBar<T> {
             arm_inertia: reals([a1, a2]),
             rod_coupling: reals([b1, b2]),
             tip_mass: T::from_f64(tip_mass),
-            elbow_weight: [weight(load1), weight(load2)],
-            tip_weight: weight(end1 + end2 + description.handle_mass),
+            elbow_load: reals([load1, load2]),
+            tip_load: T::from_f64(end1 + end2 + description.handle_mass),
+            gravity: reals(gravity),
         })
     }
 
     /// Jᵀ w.
     #[inline(always)]
-    fn transposed(pose: &Pose<T>, w: &Vector2<T>) -> Vector2<T> {
+    pub(super) fn transposed(pose: &Pose<T>, w: &Vector2<T>) -> Vector2<T> {
         let [u1, u2] = &pose.rod;
         Vector2::new(
             pose.k[0] * pose.inverse_det * (u2[1] * w[0] - u2[0] * w[1]),
@@ -145,18 +147,57 @@ impl<T: Real> FiveBar<T> {
         )
     }
 
-    /// The joint torques of a tip acceleration `a` and joint accelerations `qdd`, at joint velocities `qd`.
+    /// The joint accelerations of a tip acceleration `a` (m/s²), at joint velocities `qd` and tip velocity `tip`.
     #[inline(always)]
-    fn inertial_torque(&self, pose: &Pose<T>, qd: &Vector2<T>, qdd: &Vector2<T>, a: &Vector2<T>) -> Vector2<T> {
+    pub(super) fn joint_acceleration(
+        pose: &Pose<T>,
+        qd: &Vector2<T>,
+        tip: &Vector2<T>,
+        a: &Vector2<T>,
+    ) -> Vector2<T> {
+        // The rods stay rigid: uᵢ·(a - p̈_elbow) + |u̇ᵢ|² = 0.
+        let qdd = |i: usize| {
+            let rod_rate = tip - left(&pose.arm[i]) * qd[i];
+            (pose.rod[i].dot(&(a + pose.arm[i] * (qd[i] * qd[i]))) + rod_rate.dot(&rod_rate)) * pose.inverse_k[i]
+        };
+        Vector2::new(qdd(0), qdd(1))
+    }
+
+    /// What a tip acceleration `a` and joint accelerations `qdd` take at joint velocities `qd`: the force at the tip (N)
+    /// that is still to go through Jᵀ, and the torques at the joints (N m).
+    #[inline(always)]
+    pub(super) fn inertial_loads(
+        &self,
+        pose: &Pose<T>,
+        qd: &Vector2<T>,
+        qdd: &Vector2<T>,
+        a: &Vector2<T>,
+    ) -> (Vector2<T>, Vector2<T>) {
         let [c1, c2] = pose.arm.map(|arm| left(&arm));
         let elbow1 = c1 * qdd[0] - pose.arm[0] * (qd[0] * qd[0]);
         let elbow2 = c2 * qdd[1] - pose.arm[1] * (qd[1] * qd[1]);
-        let at_tip = a * self.tip_mass + elbow1 * self.rod_coupling[0] + elbow2 * self.rod_coupling[1];
-        let through_tip = Self::transposed(pose, &at_tip);
-        Vector2::new(
-            self.arm_inertia[0] * qdd[0] + self.rod_coupling[0] * c1.dot(a) + through_tip[0],
-            self.arm_inertia[1] * qdd[1] + self.rod_coupling[1] * c2.dot(a) + through_tip[1],
+        (
+            a * self.tip_mass + elbow1 * self.rod_coupling[0] + elbow2 * self.rod_coupling[1],
+            Vector2::new(
+                self.arm_inertia[0] * qdd[0] + self.rod_coupling[0] * c1.dot(a),
+                self.arm_inertia[1] * qdd[1] + self.rod_coupling[1] * c2.dot(a),
+            ),
         )
+    }
+
+    /// The joint torques of a tip acceleration `a` and joint accelerations `qdd`, at joint velocities `qd`.
+    #[inline(always)]
+    fn inertial_torque(&self, pose: &Pose<T>, qd: &Vector2<T>, qdd: &Vector2<T>, a: &Vector2<T>) -> Vector2<T> {
+        let (at_tip, at_joints) = self.inertial_loads(pose, qd, qdd, a);
+        at_joints + Self::transposed(pose, &at_tip)
+    }
+
+    /// The joint torques that hold the linkage where gravity in its plane is `g`, m/s².
+    #[inline(always)]
+    pub(super) fn gravity_torque(&self, pose: &Pose<T>, g: &Vector2<T>) -> Vector2<T> {
+        let through_tip = Self::transposed(pose, &(g * self.tip_load));
+        let elbow = |i: usize| left(&pose.arm[i]).dot(g) * self.elbow_load[i];
+        -Vector2::new(elbow(0) + through_tip[0], elbow(1) + through_tip[1])
     }
 }
 
@@ -271,9 +312,7 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
 
     #[inline(always)]
     fn gravity(&self, pose: &Pose<T>) -> Vector2<T> {
-        let through_tip = Self::transposed(pose, &Vector2::from(self.tip_weight));
-        let [w1, w2] = self.elbow_weight.map(Vector2::from);
-        -Vector2::new(left(&pose.arm[0]).dot(&w1) + through_tip[0], left(&pose.arm[1]).dot(&w2) + through_tip[1])
+        self.gravity_torque(pose, &Vector2::from(self.gravity))
     }
 
     #[inline(always)]
@@ -316,11 +355,8 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
     #[inline(always)]
     fn inverse_dynamics(&self, pose: &Pose<T>, qd: &Vector2<T>, a: &Vector2<T>) -> Vector2<T> {
         let tip = self.velocity(pose, qd);
-        let qdd = |i: usize| {
-            let rod_rate = tip - left(&pose.arm[i]) * qd[i];
-            (pose.rod[i].dot(&(a + pose.arm[i] * (qd[i] * qd[i]))) + rod_rate.dot(&rod_rate)) * pose.inverse_k[i]
-        };
-        self.inertial_torque(pose, qd, &Vector2::new(qdd(0), qdd(1)), a)
+        let qdd = Self::joint_acceleration(pose, qd, &tip, a);
+        self.inertial_torque(pose, qd, &qdd, a)
     }
 
     fn operational_inertia(&self, pose: &Pose<T>) -> Matrix2<T> {

@@ -1,0 +1,295 @@
+//! `five-bar-turret`: a five-bar whose plane a third motor turns about the plane's x axis; a tip in space.
+//!
+//! World (X, Y, Z) = (x, y cos q₀, y sin q₀). In the frame that turns along, (x, radial, normal), the motion falls apart:
+//! the plane is the five-bar of `five_bar.rs`, and across it the tip moves with y q̇₀. So J = R [J_plane; y],
+//! M = diag(J₀, M_plane), and everything about the plane is reused as it is.
+//!
+//! The turret's inertia needs no distal angle either. A link's inertia about the axis is m y_com² + I_axial +
+//! (I_transverse - I_axial) sin²(its angle to the axis), and both y_com and the sine are linear in the y coordinates of
+//! the link's two ends. Summed over the links it is a quadratic form in the y of the two elbows and the tip:
+//! J₀ = I₀ + a₁ y_C² + a₂ y_D² + 2 y_P(b₁ y_C + b₂ y_D) + c y_P². Half its gradient times q̇₀² are the centrifugal
+//! forces on elbows and tip.
+
+use super::five_bar::{self, FiveBar, SINE_FLOOR};
+use super::{Mechanism, Regularity, Shaping, Spec, reciprocal};
+use crate::description::{Description, DescriptionError};
+use crate::math::{Math, Real};
+use crate::mechanism::Kind;
+use nalgebra::{Matrix3, Vector2, Vector3};
+
+/// A five-bar on a turret: its minimal coefficients.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize, postcard_schema::Schema)]
+pub struct FiveBarTurret<T> {
+    /// The linkage; its gravity is the world's (X, Y).
+    plane: FiveBar<T>,
+    /// Gravity along the world's Z, m/s².
+    gravity_z: T,
+    /// I₀: the turret, its rotor and the links about their own axes, kg m².
+    turret_inertia: T,
+    /// aᵢ: on the squared y of each elbow, kg.
+    elbow_spin: [T; 2],
+    /// bᵢ: on the product of each elbow's y with the tip's, kg.
+    coupled_spin: [T; 2],
+    /// c: on the squared y of the tip, kg.
+    tip_spin: T,
+    /// 1/(the farthest the tip can be from the axis), 1/m: turns |y| into a number in [0, 1].
+    reach_scale: T,
+    /// Smallest |y| divided by, m.
+    axis_floor: T,
+}
+
+/// What depends on the three angles alone.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose<T: Real> {
+    /// The linkage in its plane.
+    plane: five_bar::Pose<T>,
+    /// sin q₀
+    sine: T,
+    /// cos q₀
+    cosine: T,
+    /// 1/y, clamped.
+    inverse_y: T,
+}
+
+/// The turret's inertia and half its gradient by the y of the elbows and the tip, kg m².
+struct Spin<T> {
+    inertia: T,
+    elbow: [T; 2],
+    tip: T,
+}
+
+impl<T: Real> Pose<T> {
+    /// A world vector as (in the plane, normal to it).
+    #[inline(always)]
+    fn to_plane(self, v: &Vector3<T>) -> (Vector2<T>, T) {
+        let Self { sine: s, cosine: c, .. } = self;
+        (Vector2::new(v[0], c * v[1] + s * v[2]), c * v[2] - s * v[1])
+    }
+
+    /// A vector given in the plane and normal to it, in the world.
+    #[inline(always)]
+    fn to_world(self, plane: &Vector2<T>, normal: T) -> Vector3<T> {
+        let Self { sine: s, cosine: c, .. } = self;
+        Vector3::new(plane[0], c * plane[1] - s * normal, s * plane[1] + c * normal)
+    }
+}
+
+/// The joints of the linkage.
+#[inline(always)]
+fn linkage<T: Real>(joints: &Vector3<T>) -> Vector2<T> {
+    Vector2::new(joints[1], joints[2])
+}
+
+impl<T: Real> FiveBarTurret<T> {
+    #[inline(always)]
+    fn spin(&self, pose: &Pose<T>) -> Spin<T> {
+        let [y1, y2] = pose.plane.arm.map(|arm| arm[1]);
+        let y = pose.plane.tip[1];
+        let [a1, a2] = self.elbow_spin;
+        let [b1, b2] = self.coupled_spin;
+        let elbow = [a1 * y1 + b1 * y, a2 * y2 + b2 * y];
+        let tip = self.tip_spin * y + b1 * y1 + b2 * y2;
+        Spin { inertia: self.turret_inertia + y1 * elbow[0] + y2 * elbow[1] + y * tip, elbow, tip }
+    }
+
+    /// The torques of given accelerations: `q0dd` of the turret, `qdd` and `a` of the linkage in its plane;
+    /// `tip` is the tip's velocity in the plane.
+    #[inline(always)]
+    fn inertial_torque(
+        &self,
+        pose: &Pose<T>,
+        qd: &Vector3<T>,
+        tip: &Vector2<T>,
+        q0dd: T,
+        qdd: &Vector2<T>,
+        a: &Vector2<T>,
+    ) -> Vector3<T> {
+        let plane = &pose.plane;
+        let spin = self.spin(pose);
+        let (mut at_tip, at_joints) = self.plane.inertial_loads(plane, &linkage(qd), qdd, a);
+        let turning = qd[0] * qd[0];
+        at_tip[1] -= turning * spin.tip;
+        let through_tip = FiveBar::transposed(plane, &at_tip);
+        // Velocities in y per joint rate are the elbows' x.
+        let [f1, f2] = [spin.elbow[0] * plane.arm[0][0], spin.elbow[1] * plane.arm[1][0]];
+        let half_rate = f1 * qd[1] + f2 * qd[2] + spin.tip * tip[1];
+        Vector3::new(
+            spin.inertia * q0dd + T::from_f64(2.0) * qd[0] * half_rate,
+            at_joints[0] + through_tip[0] - turning * f1,
+            at_joints[1] + through_tip[1] - turning * f2,
+        )
+    }
+}
+
+impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
+    const SPEC: Spec = Spec {
+        name: "five-bar-turret",
+        joints: 3,
+        task: 3,
+        links: &["proximal-1", "proximal-2", "distal-1", "distal-2"],
+        geometry: &[("base", 1), ("proximal", 2), ("distal", 2), ("assembly", 1)],
+        periodic: true,
+    };
+    type Pose = Pose<T>;
+
+    fn new(description: &Description) -> Result<Self, DescriptionError> {
+        if description.kind != Kind::FiveBarTurret {
+            return Err(DescriptionError::WrongKind);
+        }
+        let [turret, arm1, arm2] = description.joints;
+        let plane = FiveBar::lump(&Description { joints: [arm1, arm2, turret], ..*description })?;
+        let [_, l1, l2, r1, r2, _] = description.geometry;
+        let [p1, p2, d1, d2] = description.links;
+        let side = |proximal: &crate::description::Link, distal: &crate::description::Link, l: f64, r: f64| {
+            let s = distal.com / r;
+            let tilt = (distal.inertia_transverse - distal.inertia_axial) / (r * r);
+            let elbow = (proximal.mass * proximal.com * proximal.com + proximal.inertia_transverse
+                - proximal.inertia_axial)
+                / (l * l)
+                + distal.mass * (1.0 - s) * (1.0 - s)
+                + tilt;
+            (elbow, distal.mass * s * (1.0 - s) - tilt, distal.mass * s * s + tilt)
+        };
+        let (a1, b1, c1) = side(&p1, &d1, l1, r1);
+        let (a2, b2, c2) = side(&p2, &d2, l2, r2);
+        let turret_inertia = turret.inertia + description.links.iter().map(|link| link.inertia_axial).sum::<f64>();
+        if turret_inertia.is_nan() || turret_inertia <= 0.0 {
+            return Err(DescriptionError::NoInertia);
+        }
+        let reach = (l1 + r1).min(l2 + r2);
+        let real = T::from_f64;
+        Ok(Self {
+            plane,
+            gravity_z: real(description.gravity[2]),
+            turret_inertia: real(turret_inertia),
+            elbow_spin: [real(a1), real(a2)],
+            coupled_spin: [real(b1), real(b2)],
+            tip_spin: real(c1 + c2 + description.handle_mass),
+            reach_scale: real(1.0 / reach),
+            axis_floor: real(SINE_FLOOR * reach),
+        })
+    }
+
+    #[inline(always)]
+    fn pose<K: Math<T>>(&self, q: &Vector3<T>) -> Pose<T> {
+        let (sine, cosine) = K::sin_cos(q[0]);
+        let plane = self.plane.pose::<K>(&linkage(q));
+        Pose { plane, sine, cosine, inverse_y: reciprocal(plane.tip[1], self.axis_floor) }
+    }
+
+    #[inline(always)]
+    fn tip(&self, pose: &Pose<T>) -> Vector3<T> {
+        pose.to_world(&pose.plane.tip, T::zero())
+    }
+
+    #[inline(always)]
+    fn regularity(&self, pose: &Pose<T>) -> Regularity<T> {
+        let Regularity { serial, parallel } = self.plane.regularity(&pose.plane);
+        Regularity { serial: serial.lesser((pose.plane.tip[1] * self.reach_scale).abs()), parallel }
+    }
+
+    fn jacobian(&self, pose: &Pose<T>) -> Matrix3<T> {
+        let plane = self.plane.jacobian(&pose.plane);
+        Matrix3::from_columns(&[
+            pose.to_world(&Vector2::zeros(), pose.plane.tip[1]),
+            pose.to_world(&plane.column(0).into_owned(), T::zero()),
+            pose.to_world(&plane.column(1).into_owned(), T::zero()),
+        ])
+    }
+
+    fn jacobian_rate(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Matrix3<T> {
+        let plane = self.plane.jacobian(&pose.plane);
+        let rate = self.plane.jacobian_rate(&pose.plane, &linkage(qd));
+        let radial_rate = (plane * linkage(qd))[1];
+        Matrix3::from_columns(&[
+            pose.to_world(&Vector2::new(T::zero(), -pose.plane.tip[1] * qd[0]), radial_rate),
+            pose.to_world(&rate.column(0).into_owned(), plane[(1, 0)] * qd[0]),
+            pose.to_world(&rate.column(1).into_owned(), plane[(1, 1)] * qd[0]),
+        ])
+    }
+
+    fn mass(&self, pose: &Pose<T>) -> Matrix3<T> {
+        let mut mass = Matrix3::zeros();
+        mass[(0, 0)] = self.spin(pose).inertia;
+        mass.fixed_view_mut::<2, 2>(1, 1).copy_from(&self.plane.mass(&pose.plane));
+        mass
+    }
+
+    fn coriolis(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
+        let joints = linkage(qd);
+        let tip = self.plane.velocity(&pose.plane, &joints);
+        let a = self.plane.jacobian_rate(&pose.plane, &joints) * joints;
+        self.inertial_torque(pose, qd, &tip, T::zero(), &Vector2::zeros(), &a)
+    }
+
+    #[inline(always)]
+    fn gravity(&self, pose: &Pose<T>) -> Vector3<T> {
+        let [x, y] = self.plane.gravity;
+        let (in_plane, normal) = pose.to_plane(&Vector3::new(x, y, self.gravity_z));
+        let linkage = self.plane.gravity_torque(&pose.plane, &in_plane);
+        let [y1, y2] = pose.plane.arm.map(|arm| arm[1]);
+        let [w1, w2] = self.plane.elbow_load;
+        Vector3::new(
+            -normal * (w1 * y1 + w2 * y2 + self.plane.tip_load * pose.plane.tip[1]),
+            linkage[0],
+            linkage[1],
+        )
+    }
+
+    #[inline(always)]
+    fn transpose(&self, pose: &Pose<T>, force: &Vector3<T>) -> Vector3<T> {
+        let (in_plane, normal) = pose.to_plane(force);
+        let linkage = FiveBar::transposed(&pose.plane, &in_plane);
+        Vector3::new(pose.plane.tip[1] * normal, linkage[0], linkage[1])
+    }
+
+    #[inline(always)]
+    fn velocity(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
+        pose.to_world(&self.plane.velocity(&pose.plane, &linkage(qd)), pose.plane.tip[1] * qd[0])
+    }
+
+    #[inline(always)]
+    fn inverse(&self, pose: &Pose<T>, velocity: &Vector3<T>) -> Vector3<T> {
+        let (in_plane, normal) = pose.to_plane(velocity);
+        let linkage = self.plane.inverse(&pose.plane, &in_plane);
+        Vector3::new(normal * pose.inverse_y, linkage[0], linkage[1])
+    }
+
+    #[inline(always)]
+    fn shaping(&self, pose: &Pose<T>, n: &Vector3<T>) -> Shaping<T, 3> {
+        let (in_plane, normal) = pose.to_plane(n);
+        let linkage = self.plane.shaping(&pose.plane, &in_plane);
+        let e0 = normal * pose.inverse_y;
+        let me0 = self.spin(pose).inertia * e0;
+        Shaping {
+            e: Vector3::new(e0, linkage.e[0], linkage.e[1]),
+            me: Vector3::new(me0, linkage.me[0], linkage.me[1]),
+            w_rr: linkage.w_rr + e0 * me0,
+        }
+    }
+
+    #[inline(always)]
+    fn inverse_dynamics(&self, pose: &Pose<T>, qd: &Vector3<T>, a: &Vector3<T>) -> Vector3<T> {
+        let joints = linkage(qd);
+        let tip = self.plane.velocity(&pose.plane, &joints);
+        let (mut in_plane, normal) = pose.to_plane(a);
+        in_plane[1] += pose.plane.tip[1] * qd[0] * qd[0];
+        let q0dd = (normal - T::from_f64(2.0) * tip[1] * qd[0]) * pose.inverse_y;
+        let qdd = FiveBar::joint_acceleration(&pose.plane, &joints, &tip, &in_plane);
+        self.inertial_torque(pose, qd, &tip, q0dd, &qdd, &in_plane)
+    }
+
+    fn operational_inertia(&self, pose: &Pose<T>) -> Matrix3<T> {
+        let plane = self.plane.operational_inertia(&pose.plane);
+        let mut turned = Matrix3::zeros();
+        turned.fixed_view_mut::<2, 2>(0, 0).copy_from(&plane);
+        turned[(2, 2)] = self.spin(pose).inertia * pose.inverse_y * pose.inverse_y;
+        let (s, c, one, zero) = (pose.sine, pose.cosine, T::one(), T::zero());
+        let frame = Matrix3::new(one, zero, zero, zero, c, -s, zero, s, c);
+        frame * turned * frame.transpose()
+    }
+
+    fn shape(&self, q: &Vector3<T>) -> [T; 2] {
+        [q[1], q[2]]
+    }
+}

@@ -1,0 +1,290 @@
+//! `serial-3r`: a planar arm of three links with relative joint angles; its tip's point is the task, so it is redundant.
+//!
+//! The third task coordinate is the orientation φ = q₁ + q₂ + q₃, whose row of J is (1, 1, 1). Written in the links'
+//! absolute angular rates θ̇ = (q̇₁, q̇₁ + q̇₂, φ̇), with link directions eᵢ, the arm is
+//! ṗ = Σ lᵢ eᵢ⊥ θ̇ᵢ, and with φ̇ given the other two rates are those of a two-link arm:
+//! θ̇₁ = v·e₂/(l₁ sin q₂), θ̇₂ = -v·e₁/(l₂ sin q₂), v = ṗ - l₃ e₃⊥ φ̇.
+//! The mass matrix in absolute rates has constants on its diagonal and a constant times the cosine of the angle between
+//! the two links off it (less the reflected rotor between neighbours); torques go back by sums, τᵢ = Σ_{j≥i} of them.
+
+use super::five_bar::SINE_FLOOR;
+use super::{Mechanism, Regularity, Shaping, Spec, reciprocal};
+use crate::description::{Description, DescriptionError};
+use crate::math::{Math, Real};
+use crate::mechanism::Kind;
+use nalgebra::{Matrix3, Vector2, Vector3};
+
+/// A planar 3R arm: its minimal coefficients.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize, postcard_schema::Schema)]
+pub struct Serial3r<T> {
+    /// l₁, l₂, l₃, m.
+    lengths: [T; 3],
+    /// 1/l₁ and 1/l₂, 1/m.
+    inverse_lengths: [T; 2],
+    /// On the diagonal of the mass matrix in absolute rates, kg m².
+    inertia: [T; 3],
+    /// Times the cosine between links 1 and 2, 2 and 3, 1 and 3, kg m².
+    coupling: [T; 3],
+    /// Rotors of joints 2 and 3, kg m².
+    rotor: [T; 2],
+    /// First moments of mass along each link times gravity, N m.
+    weight: [[T; 2]; 3],
+}
+
+/// What depends on the three angles alone.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose<T: Real> {
+    /// Tip (m) and φ (rad).
+    tip: Vector3<T>,
+    /// e₁, e₂, e₃.
+    link: [Vector2<T>; 3],
+    /// Sines of q₂, q₃, q₂ + q₃: the angles between links 1 and 2, 2 and 3, 1 and 3.
+    sine: [T; 3],
+    /// Cosines of the same.
+    cosine: [T; 3],
+    /// 1/sin q₂, clamped.
+    inverse_sine: T,
+}
+
+/// `v` turned left by 90°.
+#[inline(always)]
+fn left<T: Real>(v: &Vector2<T>) -> Vector2<T> {
+    Vector2::new(-v[1], v[0])
+}
+
+/// Absolute rates of joint rates.
+#[inline(always)]
+fn absolute<T: Real>(qd: &Vector3<T>) -> Vector3<T> {
+    let second = qd[0] + qd[1];
+    Vector3::new(qd[0], second, second + qd[2])
+}
+
+/// Joint rates of absolute rates.
+#[inline(always)]
+fn relative<T: Real>(rates: &Vector3<T>) -> Vector3<T> {
+    Vector3::new(rates[0], rates[1] - rates[0], rates[2] - rates[1])
+}
+
+/// Joint torques of what acts on the absolute angles.
+#[inline(always)]
+fn accumulate<T: Real>(moments: &Vector3<T>) -> Vector3<T> {
+    let second = moments[1] + moments[2];
+    Vector3::new(moments[0] + second, second, moments[2])
+}
+
+impl<T: Real> Serial3r<T> {
+    /// The absolute rates of a task velocity.
+    #[inline(always)]
+    fn rates(&self, pose: &Pose<T>, point: &Vector2<T>, turning: T) -> Vector3<T> {
+        let v = point - left(&pose.link[2]) * (self.lengths[2] * turning);
+        Vector3::new(
+            pose.link[1].dot(&v) * pose.inverse_sine * self.inverse_lengths[0],
+            -pose.link[0].dot(&v) * pose.inverse_sine * self.inverse_lengths[1],
+            turning,
+        )
+    }
+
+    /// The off-diagonal entries (12, 23, 13) of the mass matrix in absolute rates.
+    #[inline(always)]
+    fn off_diagonal(&self, pose: &Pose<T>) -> [T; 3] {
+        let [c12, c23, c13] = pose.cosine;
+        [
+            self.coupling[0] * c12 - self.rotor[0],
+            self.coupling[1] * c23 - self.rotor[1],
+            self.coupling[2] * c13,
+        ]
+    }
+
+    /// Mass matrix in absolute rates times a vector.
+    #[inline(always)]
+    fn momentum(&self, pose: &Pose<T>, rates: &Vector3<T>) -> Vector3<T> {
+        let [m12, m23, m13] = self.off_diagonal(pose);
+        let [m11, m22, m33] = self.inertia;
+        Vector3::new(
+            m11 * rates[0] + m12 * rates[1] + m13 * rates[2],
+            m12 * rates[0] + m22 * rates[1] + m23 * rates[2],
+            m13 * rates[0] + m23 * rates[1] + m33 * rates[2],
+        )
+    }
+
+    /// Centrifugal moments on the absolute angles, given the squares of their rates.
+    #[inline(always)]
+    fn centrifugal(&self, pose: &Pose<T>, squares: &Vector3<T>) -> Vector3<T> {
+        let [k12, k23, k13] = self.coupling;
+        let [s12, s23, s13] = pose.sine;
+        let (a, b, c) = (k12 * s12, k23 * s23, k13 * s13);
+        Vector3::new(
+            -a * squares[1] - c * squares[2],
+            a * squares[0] - b * squares[2],
+            c * squares[0] + b * squares[1],
+        )
+    }
+}
+
+impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
+    const SPEC: Spec = Spec {
+        name: "serial-3r",
+        joints: 3,
+        task: 2,
+        links: &["link-1", "link-2", "link-3"],
+        geometry: &[("lengths", 3)],
+        periodic: true,
+    };
+    type Pose = Pose<T>;
+
+    fn new(description: &Description) -> Result<Self, DescriptionError> {
+        if description.kind != Kind::Serial3r {
+            return Err(DescriptionError::WrongKind);
+        }
+        let [l1, l2, l3, ..] = description.geometry;
+        for length in [l1, l2, l3] {
+            if length.is_nan() || length <= 0.0 {
+                return Err(DescriptionError::GeometryNotPositive(0));
+            }
+        }
+        let [link1, link2, link3, _] = description.links;
+        let [j1, j2, j3] = description.joints.map(|joint| joint.inertia);
+        let handle = description.handle_mass;
+        let own = |link: &crate::description::Link| link.inertia + link.mass * link.com * link.com;
+        // First moments of all that a link carries, itself included, about its proximal joint.
+        let moment3 = link3.mass * link3.com + handle * l3;
+        let moment2 = link2.mass * link2.com + (link3.mass + handle) * l2;
+        let moment1 = link1.mass * link1.com + (link2.mass + link3.mass + handle) * l1;
+        let links = [
+            own(&link1) + (link2.mass + link3.mass + handle) * l1 * l1,
+            own(&link2) + (link3.mass + handle) * l2 * l2,
+            own(&link3) + handle * l3 * l3,
+        ];
+        let spare = [links[0] + j1, links[1] + j2, links[2] + j3];
+        if spare.into_iter().any(|value| value.is_nan() || value <= 0.0) {
+            return Err(DescriptionError::NoInertia);
+        }
+        let real = T::from_f64;
+        let weight = |moment: f64| [real(moment * description.gravity[0]), real(moment * description.gravity[1])];
+        Ok(Self {
+            lengths: [real(l1), real(l2), real(l3)],
+            inverse_lengths: [real(1.0 / l1), real(1.0 / l2)],
+            inertia: [real(links[0] + j1 + j2), real(links[1] + j2 + j3), real(links[2] + j3)],
+            coupling: [real(l1 * moment2), real(l2 * moment3), real(l1 * moment3)],
+            rotor: [real(j2), real(j3)],
+            weight: [weight(moment1), weight(moment2), weight(moment3)],
+        })
+    }
+
+    #[inline(always)]
+    fn pose<K: Math<T>>(&self, q: &Vector3<T>) -> Pose<T> {
+        let (s1, c1) = K::sin_cos(q[0]);
+        let (s12, c12) = K::sin_cos(q[1]);
+        let (s23, c23) = K::sin_cos(q[2]);
+        let turned = |v: &Vector2<T>, s: T, c: T| Vector2::new(v[0] * c - v[1] * s, v[1] * c + v[0] * s);
+        let first = Vector2::new(c1, s1);
+        let second = turned(&first, s12, c12);
+        let third = turned(&second, s23, c23);
+        let across = turned(&Vector2::new(c12, s12), s23, c23);
+        let [l1, l2, l3] = self.lengths;
+        let point = first * l1 + second * l2 + third * l3;
+        Pose {
+            tip: Vector3::new(point[0], point[1], q[0] + q[1] + q[2]),
+            link: [first, second, third],
+            sine: [s12, s23, across[1]],
+            cosine: [c12, c23, across[0]],
+            inverse_sine: reciprocal(s12, T::from_f64(SINE_FLOOR)),
+        }
+    }
+
+    #[inline(always)]
+    fn tip(&self, pose: &Pose<T>) -> Vector3<T> {
+        pose.tip
+    }
+
+    #[inline(always)]
+    fn regularity(&self, pose: &Pose<T>) -> Regularity<T> {
+        Regularity { serial: pose.sine[0].abs(), parallel: T::one() }
+    }
+
+    fn jacobian(&self, pose: &Pose<T>) -> Matrix3<T> {
+        let [l1, l2, l3] = self.lengths;
+        let third = left(&pose.link[2]) * l3;
+        let second = third + left(&pose.link[1]) * l2;
+        let first = second + left(&pose.link[0]) * l1;
+        let one = T::one();
+        Matrix3::new(first[0], second[0], third[0], first[1], second[1], third[1], one, one, one)
+    }
+
+    fn jacobian_rate(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Matrix3<T> {
+        let rates = absolute(qd);
+        let column = |i: usize| pose.link[i] * (-self.lengths[i] * rates[i]);
+        let third = column(2);
+        let second = third + column(1);
+        let first = second + column(0);
+        let zero = T::zero();
+        Matrix3::new(first[0], second[0], third[0], first[1], second[1], third[1], zero, zero, zero)
+    }
+
+    fn mass(&self, pose: &Pose<T>) -> Matrix3<T> {
+        let [m12, m23, m13] = self.off_diagonal(pose);
+        let [m11, m22, m33] = self.inertia;
+        let two = T::from_f64(2.0);
+        let last = [m13 + m23 + m33, m23 + m33, m33];
+        let middle = [m12 + m22 + m13 + m23 + last[1], m22 + m23 + last[1]];
+        let first = m11 + m22 + m33 + two * (m12 + m13 + m23);
+        Matrix3::new(first, middle[0], last[0], middle[0], middle[1], last[1], last[0], last[1], last[2])
+    }
+
+    fn coriolis(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
+        let rates = absolute(qd);
+        accumulate(&self.centrifugal(pose, &rates.component_mul(&rates)))
+    }
+
+    #[inline(always)]
+    fn gravity(&self, pose: &Pose<T>) -> Vector3<T> {
+        let moment = |i: usize| pose.link[i][1] * self.weight[i][0] - pose.link[i][0] * self.weight[i][1];
+        accumulate(&Vector3::new(moment(0), moment(1), moment(2)))
+    }
+
+    #[inline(always)]
+    fn transpose(&self, pose: &Pose<T>, force: &Vector3<T>) -> Vector3<T> {
+        let moment =
+            |i: usize| self.lengths[i] * (pose.link[i][0] * force[1] - pose.link[i][1] * force[0]);
+        accumulate(&Vector3::new(moment(0), moment(1), moment(2) + force[2]))
+    }
+
+    #[inline(always)]
+    fn velocity(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
+        let rates = absolute(qd);
+        let [v1, v2, v3] = [0, 1, 2].map(|i| self.lengths[i] * rates[i]);
+        let [e1, e2, e3] = &pose.link;
+        Vector3::new(
+            -v1 * e1[1] - v2 * e2[1] - v3 * e3[1],
+            v1 * e1[0] + v2 * e2[0] + v3 * e3[0],
+            rates[2],
+        )
+    }
+
+    #[inline(always)]
+    fn inverse(&self, pose: &Pose<T>, velocity: &Vector3<T>) -> Vector3<T> {
+        relative(&self.rates(pose, &Vector2::new(velocity[0], velocity[1]), velocity[2]))
+    }
+
+    #[inline(always)]
+    fn shaping(&self, pose: &Pose<T>, n: &Vector3<T>) -> Shaping<T, 3> {
+        let rates = self.rates(pose, &Vector2::new(n[0], n[1]), n[2]);
+        let momentum = self.momentum(pose, &rates);
+        Shaping { e: relative(&rates), me: accumulate(&momentum), w_rr: rates.dot(&momentum) }
+    }
+
+    #[inline(always)]
+    fn inverse_dynamics(&self, pose: &Pose<T>, qd: &Vector3<T>, a: &Vector3<T>) -> Vector3<T> {
+        let rates = absolute(qd);
+        let squares = rates.component_mul(&rates);
+        let [l1, l2, l3] = self.lengths;
+        let [e1, e2, e3] = &pose.link;
+        let point = Vector2::new(a[0], a[1]) + e1 * (l1 * squares[0]) + e2 * (l2 * squares[1]) + e3 * (l3 * squares[2]);
+        let accelerations = self.rates(pose, &point, a[2]);
+        accumulate(&(self.momentum(pose, &accelerations) + self.centrifugal(pose, &squares)))
+    }
+
+    fn shape(&self, q: &Vector3<T>) -> [T; 2] {
+        [q[1], q[2]]
+    }
+}
