@@ -1,8 +1,8 @@
 //! Mechanisms: joint angles in; tip, Jacobian, mass matrix and bias forces out.
 //!
-//! A mechanism is one file below this one and one line in [`mechanisms!`]. It lumps the maker's description into its
-//! own minimal coefficients once (in f64, on the host), and computes everything that depends on the angles alone once
-//! per step, in its `Pose`.
+//! A mechanism is one file below this one and one line in [`mechanisms!`](crate::mechanisms). It lumps the maker's
+//! description into its own minimal coefficients once (in f64, on the host), and computes everything that depends on
+//! the angles alone once per step, in its `Pose`.
 //!
 //! Every mechanism has as many *task* coordinates as joints: the tip's `d` coordinates and, on the redundant arm, the
 //! orientation φ as the third. So its Jacobian J is always square, N x N, and a unit motion of the tip along `n` with
