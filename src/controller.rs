@@ -1,0 +1,482 @@
+//! One control step: encoder counts in, joint torques out.
+//!
+//! [`Controller::step`] is the whole of it, in the order the data flows:
+//! counts → angles → pose → contacts → wall forces → the feed-forward → torques. It owns no hardware, allocates nothing,
+//! and cannot panic: every index is bounded by a constant, every division is by something clamped. It is generic over
+//! the float and the trigonometry, so the board's f32 step and the analysis' f64 are the same code.
+//!
+//! "Model only what a scene needs": a scene without feed-forward computes no mass matrix, one without velocity terms no
+//! Coriolis forces, one without springs no tip velocity; the choices are made once, in [`Controller::new`].
+
+use crate::device::Device;
+use crate::inertia::{Split, frame_rate, shaped_torque, shaped_torque_in_span};
+use crate::math::{Math, Real};
+use crate::mechanism::{Mechanism, Regularity, Shaping};
+use crate::precomputed::MassModel;
+use crate::scene::{FeedForward, MAX_SPRINGS, MAX_WALLS, Scene, SceneError, Spring, Wall, task_vector};
+use crate::velocity::{Coefficients, LowPass, Velocity, Washout};
+use core::marker::PhantomData;
+use heapless::Vec;
+use nalgebra::SVector;
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
+
+/// Regularity (a sine) at and above which the feed-forward acts in full.
+///
+/// At 0.05 an elbow is 3° from stretched and cond J is about 40 on the shipped devices; f32 keeps the torque within
+/// 1e-5 there (docs/hard-cases.md), so the limit protects the hand from a feed-forward that grows as 1/sin, not the
+/// numbers.
+pub const FULL_REGULARITY: f64 = 0.05;
+/// Regularity at and below which the feed-forward is off; in between it fades, so nothing jumps.
+pub const NO_REGULARITY: f64 = 0.02;
+
+/// A scene's gains of one wall, as they may change while the wall is touched.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Gains<T> {
+    /// Which wall, from 0.
+    pub wall: u8,
+    /// N/m
+    pub stiffness: T,
+    /// N s/m
+    pub damping: T,
+    /// Whether its force is shaped.
+    pub feed_forward: FeedForward,
+    /// Corner of its washout, Hz.
+    pub washout_hz: T,
+}
+
+/// One wall at run time.
+#[derive(Clone, Copy, Debug)]
+struct RunningWall<T: Real> {
+    wall: Wall<T>,
+    velocity: Velocity<T>,
+    washout: Washout<T>,
+}
+
+/// A contact that is rendered in this step.
+#[derive(Clone, Copy, Debug)]
+struct Active<T: Real, const N: usize> {
+    wall: usize,
+    normal: SVector<T, N>,
+    /// What of the wall's force goes through the feed-forward.
+    shaped: T,
+}
+
+/// What one step found and decided.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Step<T: Real, const N: usize> {
+    /// Joint angles, rad.
+    pub q: SVector<T, N>,
+    /// Filtered joint velocities, rad/s.
+    pub qd: SVector<T, N>,
+    /// Task position: the tip, m (and φ, rad).
+    pub tip: SVector<T, N>,
+    /// Joint torques, N m.
+    pub torque: SVector<T, N>,
+    /// Distance to the deepest wall, m; negative inside it. Zero without walls.
+    pub distance: T,
+    /// Velocity along the normal of the deepest wall, m/s.
+    pub normal_velocity: T,
+    /// Sum of the walls' forces, N.
+    pub wall_force: T,
+    /// Number of walls touched.
+    pub contacts: u8,
+    /// Share of the feed-forward that acts: 1 away from singularities, fading to 0 near them.
+    pub shaping: T,
+    /// How far from a singularity the pose is.
+    pub regularity: Regularity<T>,
+}
+
+/// A mechanism in a scene.
+#[derive(Clone, Copy, Debug)]
+pub struct Encoding<T> {
+    radians_per_count: T,
+    counts_per_turn: i32,
+    offset: T,
+}
+
+/// The control step of one mechanism with N joints, its scene, and its memory between steps.
+#[derive(Clone, Debug)]
+pub struct Controller<T: Real, M, K, const N: usize> {
+    mechanism: M,
+    mass: MassModel<T, N>,
+    joints: [Encoding<T>; N],
+    viscous: SVector<T, N>,
+    zero: [i32; N],
+    last_counts: [i32; N],
+    primed: bool,
+    joint_filters: [LowPass<T>; N],
+    coefficients: Coefficients<T>,
+    walls: Vec<RunningWall<T>, MAX_WALLS>,
+    springs: Vec<Spring<T>, MAX_SPRINGS>,
+    field_damping: T,
+    gravity: bool,
+    velocity_terms: bool,
+    math: PhantomData<K>,
+}
+
+impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
+    /// The run-time form of `scene` on this mechanism. Designs the filters, so not for use inside the step.
+    ///
+    /// Errors: whatever [`Scene::check`] finds.
+    pub fn new(mechanism: M, device: &Device<T>, scene: &Scene<T>, mass: MassModel<T, N>) -> Result<Self, SceneError> {
+        scene.check(M::SPEC.task)?;
+        let rate = scene.rate_hz.to_f64();
+        let coefficients =
+            Coefficients::new(scene.estimator, rate, scene.cutoff_hz.to_f64()).map_err(|_| SceneError::Cutoff)?;
+        let mut walls = Vec::new();
+        for (index, wall) in scene.walls.iter().enumerate() {
+            let washout = match wall.feed_forward {
+                FeedForward::Washout => {
+                    Washout::new(wall.washout_hz.to_f64(), rate).map_err(|_| SceneError::Washout(index as u8))?
+                }
+                _ => Washout::default(),
+            };
+            // The two vectors have the same capacity.
+            let _ = walls.push(RunningWall { wall: *wall, velocity: Velocity::default(), washout });
+        }
+        Ok(Self {
+            mechanism,
+            mass,
+            joints: core::array::from_fn(|i| {
+                let joint = &device.joints[i];
+                Encoding {
+                    radians_per_count: joint.radians_per_count,
+                    counts_per_turn: if M::SPEC.periodic { joint.counts_per_turn } else { 0 },
+                    offset: joint.offset,
+                }
+            }),
+            viscous: SVector::from_fn(|i, _| device.joints[i].viscous),
+            zero: [0; N],
+            last_counts: [0; N],
+            primed: false,
+            joint_filters: [LowPass::default(); N],
+            coefficients,
+            walls,
+            springs: scene.springs.clone(),
+            field_damping: scene.field_damping,
+            gravity: scene.gravity_compensation && device.weight,
+            velocity_terms: scene.velocity_terms,
+            math: PhantomData,
+        })
+    }
+
+    /// Joint torques for these encoder counts. Call at the control rate.
+    #[inline(always)]
+    pub fn step(&mut self, counts: &[i32; N]) -> Step<T, N> {
+        let (q, turned) = self.angles(counts);
+        let qd = self.joint_velocities(counts);
+        let pose = self.mechanism.pose::<K>(&turned);
+        let tip = self.mechanism.tip(&pose);
+        let place = task_part::<T, M, N>(&tip);
+        let regularity = self.mechanism.regularity(&pose);
+
+        // Contacts and wall forces; every estimator runs at every step, so contact never starts it from zero.
+        let mut step = Step {
+            q,
+            qd,
+            tip,
+            torque: SVector::zeros(),
+            distance: T::zero(),
+            normal_velocity: T::zero(),
+            wall_force: T::zero(),
+            contacts: 0,
+            shaping: T::one(),
+            regularity,
+        };
+        let mut plain = SVector::<T, N>::zeros();
+        let mut active: Vec<Active<T, N>, MAX_WALLS> = Vec::new();
+        for (index, running) in self.walls.iter_mut().enumerate() {
+            let wall = &running.wall;
+            let contact = wall.surface.contact::<K, N>(&place);
+            let v = running.velocity.step(&self.coefficients, contact.distance);
+            if index == 0 || contact.distance < step.distance {
+                step.distance = contact.distance;
+                step.normal_velocity = v;
+            }
+            let touching = wall.bilateral || contact.distance < T::zero();
+            let mut force = T::zero();
+            if touching {
+                force = -wall.stiffness * contact.distance - wall.damping * v;
+                if !wall.bilateral {
+                    force = force.greater(T::zero());
+                }
+                step.contacts += 1;
+                step.wall_force += force;
+            }
+            let shaped = match wall.feed_forward {
+                FeedForward::Off => T::zero(),
+                FeedForward::Full => force,
+                FeedForward::Washout => running.washout.step(force),
+            };
+            if touching {
+                if wall.feed_forward == FeedForward::Off {
+                    plain += contact.normal * force;
+                } else {
+                    plain += contact.normal * (force - shaped);
+                    let _ = active.push(Active { wall: index, normal: contact.normal, shaped });
+                }
+            }
+        }
+        if !self.springs.is_empty() || self.field_damping > T::zero() {
+            plain += self.guidance(&place, &task_part::<T, M, N>(&self.mechanism.velocity(&pose, &qd)));
+        }
+
+        // (4): what is shaped goes through M E Wrr⁻¹, the rest straight through Jᵀ.
+        if !active.is_empty() {
+            step.shaping = fade(regularity.serial.lesser(regularity.parallel));
+            if step.shaping > T::zero() {
+                let resultant = active.iter().fold(SVector::<T, N>::zeros(), |sum, a| sum + a.normal * a.shaped);
+                let shaped = self.shaped(&turned, &pose, &place, &qd, &active, &resultant);
+                if step.shaping < T::one() {
+                    plain += resultant * (T::one() - step.shaping);
+                    step.torque = shaped * step.shaping;
+                } else {
+                    step.torque = shaped;
+                }
+            } else {
+                plain = active.iter().fold(plain, |sum, a| sum + a.normal * a.shaped);
+            }
+        }
+        step.torque += self.mechanism.transpose(&pose, &plain);
+        if self.gravity {
+            step.torque += self.mechanism.gravity(&pose);
+        }
+        step
+    }
+
+    /// The feed-forward torques of the active walls, without gravity.
+    #[inline(always)]
+    fn shaped(
+        &self,
+        q: &SVector<T, N>,
+        pose: &M::Pose,
+        place: &SVector<T, N>,
+        qd: &SVector<T, N>,
+        active: &Vec<Active<T, N>, MAX_WALLS>,
+        resultant: &SVector<T, N>,
+    ) -> SVector<T, N> {
+        match active.as_slice() {
+            [only] => {
+                let shaping = self.mass.shaping(&self.mechanism, q, pose, &only.normal);
+                let b = self.bias(pose, place, qd, active, || only.normal);
+                shaped_torque(&shaping, only.normal.dot(resultant), &b)
+            }
+            _ => {
+                let mut normals: Vec<SVector<T, N>, MAX_WALLS> = Vec::new();
+                for a in active {
+                    let _ = normals.push(a.normal);
+                }
+                let split = Split::new::<K>(&normals, M::SPEC.task);
+                if split.rendered == N {
+                    // Everything is rendered: nothing is admissible, and (4) adds nothing.
+                    return self.mechanism.transpose(pose, resultant);
+                }
+                let shapings: [Shaping<T, N>; N] = core::array::from_fn(|i| {
+                    self.mass.shaping(&self.mechanism, q, pose, &split.basis.column(i).into_owned())
+                });
+                // One rendered direction, or two in space with one admissible across them.
+                let turning = if split.rendered == 1 { 0 } else { N - 1 };
+                let b = self.bias(pose, place, qd, active, || split.basis.column(turning).into_owned());
+                shaped_torque_in_span(&split, &shapings, resultant, &b)
+            }
+        }
+    }
+
+    /// b without gravity: c - M J⁻¹(J̇ q̇ + κ), and B q̇ where a wall asks for it. Zero when the scene has no velocity
+    /// terms. `line` is the direction that turns with curved walls (see [`frame_rate`]).
+    #[inline(always)]
+    fn bias(
+        &self,
+        pose: &M::Pose,
+        place: &SVector<T, N>,
+        qd: &SVector<T, N>,
+        active: &Vec<Active<T, N>, MAX_WALLS>,
+        line: impl Fn() -> SVector<T, N>,
+    ) -> SVector<T, N> {
+        let mut b = SVector::zeros();
+        if self.velocity_terms {
+            let mut acceleration = SVector::zeros();
+            if self.walls.iter().any(|running| running.wall.surface.curved()) {
+                let velocity = task_part::<T, M, N>(&self.mechanism.velocity(pose, qd));
+                let line = line();
+                acceleration = -frame_rate(&line, &self.line_rate(place, &velocity, active, &line), &velocity);
+            }
+            b = self.mechanism.inverse_dynamics(pose, qd, &acceleration);
+        }
+        let damped = |a: &Active<T, N>| self.walls.get(a.wall).is_some_and(|w| w.wall.damping_compensation);
+        if active.iter().any(damped) {
+            b += self.viscous.component_mul(qd);
+        }
+        b
+    }
+
+    /// The rate of the turning direction: ṅ itself for one wall; for the admissible line t across several, the rate
+    /// that keeps it across all of them, ṫ = -Σ (t·ṅᵢ) nᵢ', with n' the reciprocal basis of the first two normals.
+    #[inline(always)]
+    fn line_rate(
+        &self,
+        place: &SVector<T, N>,
+        velocity: &SVector<T, N>,
+        active: &Vec<Active<T, N>, MAX_WALLS>,
+        line: &SVector<T, N>,
+    ) -> SVector<T, N> {
+        let rate = |a: &Active<T, N>| match self.walls.get(a.wall) {
+            Some(running) => running.wall.surface.normal_rate::<K, N>(place, velocity),
+            None => SVector::zeros(),
+        };
+        match active.as_slice() {
+            [only] => rate(only),
+            [first, rest @ ..] => {
+                // The wall least parallel to the first spans the plane with it.
+                let aligned = |a: &Active<T, N>| a.normal.dot(&first.normal).abs();
+                let Some(second) = rest.iter().reduce(|x, y| if aligned(y) < aligned(x) { y } else { x }) else {
+                    return SVector::zeros();
+                };
+                if line.dot(&first.normal).abs() > T::from_f64(0.5) {
+                    return rate(first);
+                }
+                let cosine = first.normal.dot(&second.normal);
+                let sine_squared = (T::one() - cosine * cosine).greater(T::EPSILON);
+                let (r1, r2) = (line.dot(&rate(first)), line.dot(&rate(second)));
+                -(first.normal * (r1 - cosine * r2) + second.normal * (r2 - cosine * r1)) / sine_squared
+            }
+            [] => SVector::zeros(),
+        }
+    }
+
+    /// The force of springs and fields at the tip.
+    #[inline(always)]
+    fn guidance(&self, place: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
+        let mut force = velocity * -self.field_damping;
+        for spring in &self.springs {
+            let direction = task_vector::<T, N>(&spring.direction);
+            let across = |v: SVector<T, N>| v - direction * direction.dot(&v);
+            let stretch = across(place - task_vector::<T, N>(&spring.point));
+            force -= stretch * spring.stiffness + across(*velocity) * spring.damping;
+        }
+        force
+    }
+
+    /// Joint angles (rad), and the same wrapped to within a turn for the mechanism's sines.
+    #[inline(always)]
+    fn angles(&self, counts: &[i32; N]) -> (SVector<T, N>, SVector<T, N>) {
+        let mut q = SVector::zeros();
+        let mut turned = SVector::zeros();
+        for i in 0..N {
+            let joint = &self.joints[i];
+            let relative = counts[i].wrapping_sub(self.zero[i]);
+            q[i] = T::from_i32(relative) * joint.radians_per_count + joint.offset;
+            let within = relative.checked_rem(joint.counts_per_turn).unwrap_or(relative);
+            turned[i] =
+                if within == relative { q[i] } else { T::from_i32(within) * joint.radians_per_count + joint.offset };
+        }
+        (q, turned)
+    }
+
+    /// Filtered joint velocities from integer count differences, which wrap.
+    #[inline(always)]
+    fn joint_velocities(&mut self, counts: &[i32; N]) -> SVector<T, N> {
+        let mut qd = SVector::zeros();
+        let rate = self.coefficients.rate();
+        for i in 0..N {
+            let moved = if self.primed { counts[i].wrapping_sub(self.last_counts[i]) } else { 0 };
+            let raw = T::from_i32(moved) * self.joints[i].radians_per_count * rate;
+            qd[i] = self.joint_filters[i].step(&self.coefficients, raw);
+        }
+        self.last_counts = *counts;
+        self.primed = true;
+        qd
+    }
+
+    /// Declares the joints to be at `q` (rad) for these counts. Estimators start anew.
+    pub fn home(&mut self, counts: &[i32; N], q: &[T; N]) {
+        for i in 0..N {
+            let joint = &self.joints[i];
+            let scale = joint.radians_per_count.to_f64();
+            let turns = if scale == 0.0 { 0.0 } else { (q[i] - joint.offset).to_f64() / scale };
+            self.zero[i] = counts[i].wrapping_sub(libm::round(turns) as i32);
+        }
+        self.forget();
+    }
+
+    /// Counts that homing has subtracted.
+    pub fn zero(&self) -> [i32; N] {
+        self.zero
+    }
+
+    /// Takes over homing from the controller this one replaces.
+    pub fn set_zero(&mut self, zero: [i32; N]) {
+        self.zero = zero;
+    }
+
+    /// Starts all estimators anew, so that what happened before is not a motion.
+    pub fn forget(&mut self) {
+        self.primed = false;
+        self.joint_filters = [LowPass::default(); N];
+        for running in &mut self.walls {
+            running.velocity.forget();
+            let mut fresh = Washout::default();
+            fresh.retune(&running.washout);
+            running.washout = fresh;
+        }
+    }
+
+    /// Whether a one-sided wall of this scene is touched at these counts: arming and scene changes are refused then.
+    pub fn inside_a_wall(&self, counts: &[i32; N]) -> bool {
+        let (_, turned) = self.angles(counts);
+        let pose = self.mechanism.pose::<K>(&turned);
+        let place = task_part::<T, M, N>(&self.mechanism.tip(&pose));
+        self.walls.iter().any(|running| running.wall.surface.contact::<K, N>(&place).distance < T::zero())
+    }
+
+    /// Prepares a change of gains outside the step; refused when there is no such wall or a number is out of range.
+    pub fn check_gains(&self, gains: &Gains<T>) -> Result<Washout<T>, SceneError> {
+        let valid = |value: T| value.is_finite() && value >= T::zero();
+        if usize::from(gains.wall) >= self.walls.len() || !valid(gains.stiffness) || !valid(gains.damping) {
+            return Err(SceneError::WallGains(gains.wall));
+        }
+        match gains.feed_forward {
+            FeedForward::Washout => Washout::new(gains.washout_hz.to_f64(), self.coefficients.rate().to_f64())
+                .map_err(|_| SceneError::Washout(gains.wall)),
+            _ => Ok(Washout::default()),
+        }
+    }
+
+    /// Applies checked gains between two steps; estimators and the washout's state go on.
+    pub fn set_gains(&mut self, gains: &Gains<T>, washout: &Washout<T>) {
+        if let Some(running) = self.walls.get_mut(usize::from(gains.wall)) {
+            running.wall.stiffness = gains.stiffness;
+            running.wall.damping = gains.damping;
+            running.wall.feed_forward = gains.feed_forward;
+            running.wall.washout_hz = gains.washout_hz;
+            running.washout.retune(washout);
+        }
+    }
+
+    /// Applies checked coefficients of the velocity estimators between two steps; their states go on.
+    pub fn set_coefficients(&mut self, coefficients: &Coefficients<T>) {
+        self.coefficients = *coefficients;
+    }
+}
+
+/// The tip's own coordinates; those beyond the task dimension (φ) zero.
+#[inline(always)]
+fn task_part<T: Real, M: Mechanism<T, N>, const N: usize>(v: &SVector<T, N>) -> SVector<T, N> {
+    let mut part = *v;
+    for i in M::SPEC.task..N {
+        part[i] = T::zero();
+    }
+    part
+}
+
+/// The share of the feed-forward at a regularity: a smooth step from [`NO_REGULARITY`] to [`FULL_REGULARITY`].
+#[inline(always)]
+fn fade<T: Real>(regularity: T) -> T {
+    let (low, high) = (T::from_f64(NO_REGULARITY), T::from_f64(FULL_REGULARITY));
+    if regularity >= high {
+        return T::one();
+    }
+    let s = ((regularity - low) * T::from_f64(1.0 / (FULL_REGULARITY - NO_REGULARITY))).greater(T::zero());
+    s * s * (T::from_f64(3.0) - s - s)
+}

@@ -1,0 +1,111 @@
+//! A device as the board knows it: lumped mechanism, encoders, motors, limits. Plain data, ready to use.
+
+use crate::description::{Description, DescriptionError, MAX_JOINTS};
+use crate::math::Real;
+use crate::mechanism::AnyMechanism;
+use heapless::String;
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
+
+/// Longest device name kept, bytes.
+pub const NAME_LENGTH: usize = 32;
+
+/// Everything about a device that a step needs, lumped and in the board's precision.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Device<T: Real> {
+    /// Its name, for people.
+    pub name: String<NAME_LENGTH>,
+    /// Its equations of motion.
+    pub mechanism: AnyMechanism<T>,
+    /// Whether it has weight to hold.
+    pub weight: bool,
+    /// Its joints; the first N count.
+    pub joints: [Joint<T>; MAX_JOINTS],
+    /// The pose that homing declares, rad.
+    pub home: Option<[T; MAX_JOINTS]>,
+}
+
+/// One joint: encoder, motor, friction, limits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Joint<T> {
+    /// Joint angle per encoder count, rad; negative when the encoder is inverted.
+    pub radians_per_count: T,
+    /// Counts after which the angle repeats, 0 when that is no whole number.
+    pub counts_per_turn: i32,
+    /// Joint angle at count 0, rad.
+    pub offset: T,
+    /// Viscous friction, N m s/rad.
+    pub viscous: T,
+    /// Coulomb friction, N m.
+    pub coulomb: T,
+    /// Allowed angles, rad.
+    pub limits: Option<(T, T)>,
+    /// The motor; a joint without one cannot be armed.
+    pub motor: Option<Motor<T>>,
+}
+
+/// A brushed motor as seen at the joint.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Motor<T> {
+    /// N m/A
+    pub torque_constant: T,
+    /// ohm
+    pub resistance: T,
+    /// H
+    pub inductance: T,
+    /// V s/rad
+    pub back_emf: T,
+    /// A
+    pub max_current: T,
+    /// Someone vouches for these numbers.
+    pub verified: bool,
+}
+
+impl<T: Real> Device<T> {
+    /// Lumps a description in f64 and rounds once. A name longer than [`NAME_LENGTH`] bytes is cut at a character.
+    pub fn new(name: &str, description: &Description) -> Result<Self, DescriptionError> {
+        let spec = description.kind.spec();
+        let r = T::from_f64;
+        let mut short = String::new();
+        for character in name.chars() {
+            if short.push(character).is_err() {
+                break;
+            }
+        }
+        let mut joints = [Joint::default(); MAX_JOINTS];
+        for (joint, described) in joints.iter_mut().zip(&description.joints).take(spec.joints) {
+            let mut scale = 0.0;
+            if let Some(encoder) = described.encoder {
+                let sign = if encoder.inverted { -1.0 } else { 1.0 };
+                scale = sign * core::f64::consts::TAU / encoder.counts_per_turn;
+                joint.offset = r(encoder.offset);
+                let whole = encoder.counts_per_turn as i32;
+                joint.counts_per_turn = if f64::from(whole) == encoder.counts_per_turn { whole } else { 0 };
+            }
+            joint.radians_per_count = r(scale);
+            joint.viscous = r(described.viscous);
+            joint.coulomb = r(described.coulomb);
+            joint.limits = described.limits.map(|(low, high)| (r(low), r(high)));
+            joint.motor = described.motor.map(|motor| Motor {
+                torque_constant: r(motor.torque_constant),
+                resistance: r(motor.resistance),
+                inductance: r(motor.inductance),
+                back_emf: r(motor.back_emf),
+                max_current: r(motor.max_current),
+                verified: motor.verified,
+            });
+        }
+        Ok(Self {
+            name: short,
+            mechanism: AnyMechanism::new(description)?,
+            weight: description.gravity.iter().take(spec.task).any(|g| *g != 0.0),
+            joints,
+            home: description.home.map(|home| home.map(r)),
+        })
+    }
+
+    /// N.
+    pub fn axes(&self) -> usize {
+        self.mechanism.kind().spec().joints
+    }
+}

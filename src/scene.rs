@@ -1,0 +1,287 @@
+//! What the device renders: walls, springs and damping fields, as the scene file says them and checked once.
+//!
+//! A [`Scene`] is plain data, the same on host and board; the controller builds its run-time form from it. A wall's
+//! shape is one file below this one and one line in [`Surface`].
+
+mod cylinder;
+mod plane;
+mod sphere;
+
+use crate::math::{Math, Real};
+use crate::velocity::Estimator;
+pub use cylinder::Cylinder;
+use heapless::Vec;
+use nalgebra::SVector;
+pub use plane::Plane;
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
+pub use sphere::Sphere;
+
+/// Most walls in a scene.
+pub const MAX_WALLS: usize = 8;
+/// Most springs in a scene.
+pub const MAX_SPRINGS: usize = 4;
+
+/// Where a point is against a surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Contact<T: Real, const N: usize> {
+    /// Signed distance along the normal, m; negative inside the solid.
+    pub distance: T,
+    /// Unit normal out of the solid.
+    pub normal: SVector<T, N>,
+}
+
+/// A wall's shape. Vectors are in the task frame; entries beyond the task dimension are zero.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub enum Surface<T> {
+    /// A half-space.
+    Plane(Plane<T>),
+    /// A ball, or what is outside it (in the plane: a disc).
+    Sphere(Sphere<T>),
+    /// A cylinder, or what is outside it (in space only).
+    Cylinder(Cylinder<T>),
+}
+
+impl<T: Real> Surface<T> {
+    /// Distance and normal at the tip position `p` (m).
+    #[inline(always)]
+    pub fn contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N> {
+        match self {
+            Self::Plane(plane) => plane.contact(p),
+            Self::Sphere(sphere) => sphere.contact::<K, N>(p),
+            Self::Cylinder(cylinder) => cylinder.contact::<K, N>(p),
+        }
+    }
+
+    /// ṅ (1/s) at the tip position `p` moving at `velocity` (m/s).
+    #[inline(always)]
+    pub fn normal_rate<K: Math<T>, const N: usize>(
+        &self,
+        p: &SVector<T, N>,
+        velocity: &SVector<T, N>,
+    ) -> SVector<T, N> {
+        match self {
+            Self::Plane(_) => SVector::zeros(),
+            Self::Sphere(sphere) => sphere.normal_rate::<K, N>(p, velocity),
+            Self::Cylinder(cylinder) => cylinder.normal_rate::<K, N>(p, velocity),
+        }
+    }
+
+    /// Whether the normal turns with the tip.
+    pub fn curved(&self) -> bool {
+        !matches!(self, Self::Plane(_))
+    }
+}
+
+/// How much of the paper's feed-forward a wall gets.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[serde(rename_all = "kebab-case")]
+pub enum FeedForward {
+    /// None: the wall meets Weff.
+    Off,
+    /// Equation (4) as it stands: the wall meets Wrr, and a resting hand is pushed sideways.
+    Full,
+    /// Equation (4) with the wall force high-passed: shaped where it would go unstable, at rest it is not there.
+    #[default]
+    Washout,
+}
+
+/// One wall: fr = -stiffness x - damping v while x < 0.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Wall<T> {
+    /// Its shape.
+    pub surface: Surface<T>,
+    /// N/m
+    pub stiffness: T,
+    /// N s/m
+    pub damping: T,
+    /// Whether its force is shaped.
+    pub feed_forward: FeedForward,
+    /// Corner of the high-pass when it is [`FeedForward::Washout`], Hz.
+    pub washout_hz: T,
+    /// Adds B q̇ to b, so that uneven joint damping does not creep.
+    pub damping_compensation: bool,
+    /// Acts on both sides of the surface, and may pull.
+    pub bilateral: bool,
+}
+
+/// A spring to a point or a line (guidance).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Spring<T> {
+    /// A point of the line, or the point, m.
+    pub point: [T; 3],
+    /// The line's unit direction; zero for a point.
+    pub direction: [T; 3],
+    /// N/m
+    pub stiffness: T,
+    /// N s/m, on the same motion.
+    pub damping: T,
+}
+
+/// A whole scene.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Scene<T> {
+    /// The task dimension it was written for.
+    pub task: u8,
+    /// Control rate, Hz.
+    pub rate_hz: T,
+    /// Cutoff of the velocity estimators, Hz.
+    pub cutoff_hz: T,
+    /// Kind of velocity estimator.
+    pub estimator: Estimator,
+    /// Whether the device's own weight is held at all times.
+    pub gravity_compensation: bool,
+    /// Whether the feed-forward includes the velocity terms z.
+    pub velocity_terms: bool,
+    /// Walls.
+    pub walls: Vec<Wall<T>, MAX_WALLS>,
+    /// Springs.
+    pub springs: Vec<Spring<T>, MAX_SPRINGS>,
+    /// Sum of all damping fields, N s/m.
+    pub field_damping: T,
+}
+
+/// Slowest control rate, Hz.
+pub const MIN_RATE_HZ: f64 = 200.0;
+/// Fastest control rate, Hz.
+pub const MAX_RATE_HZ: f64 = 50_000.0;
+
+/// What is wrong with a scene; the index is the wall's or spring's.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub enum SceneError {
+    /// The scene is for another task dimension than the device.
+    Dimension,
+    /// The control rate is outside 200 Hz to 50 kHz.
+    Rate,
+    /// The cutoff is not between zero and half the rate.
+    Cutoff,
+    /// A washout corner is not between zero and half the rate.
+    Washout(u8),
+    /// A wall's stiffness or damping is negative or not finite.
+    WallGains(u8),
+    /// A spring's or field's stiffness or damping is negative or not finite.
+    GuidanceGains,
+    /// A normal, axis or direction is not a unit vector, a radius not positive, or a point not finite.
+    Surface(u8),
+    /// This shape does not exist in the device's task space (a cylinder needs three dimensions).
+    Shape(u8),
+}
+
+impl core::fmt::Display for SceneError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Dimension => f.write_str("the scene is for another task dimension than the device"),
+            Self::Rate => f.write_str("the control rate must be from 200 to 50000 Hz"),
+            Self::Cutoff => f.write_str("the cutoff must be greater than zero and below half the rate"),
+            Self::Washout(i) => {
+                write!(f, "wall {i}: washout_hz must be greater than zero and below half the rate")
+            }
+            Self::WallGains(i) => write!(f, "wall {i}: stiffness and damping must be finite and not negative"),
+            Self::GuidanceGains => {
+                f.write_str("stiffness and damping of springs and fields must be finite and not negative")
+            }
+            Self::Surface(i) => {
+                write!(f, "wall {i}: its point must be finite, its normal or axis not zero, its radius positive")
+            }
+            Self::Shape(i) => write!(f, "wall {i}: this shape needs a three-dimensional device"),
+        }
+    }
+}
+
+impl core::error::Error for SceneError {}
+
+impl<T: Real> Default for Scene<T> {
+    /// Nothing to touch, at 20 kHz with a 500 Hz cutoff, holding the device's own weight.
+    fn default() -> Self {
+        Self {
+            task: 0,
+            rate_hz: T::from_f64(20_000.0),
+            cutoff_hz: T::from_f64(500.0),
+            estimator: Estimator::Butterworth,
+            gravity_compensation: true,
+            velocity_terms: true,
+            walls: Vec::new(),
+            springs: Vec::new(),
+            field_damping: T::zero(),
+        }
+    }
+}
+
+impl<T: Real> Scene<T> {
+    /// Checks everything the controller relies on, for a device of task dimension `task`.
+    pub fn check(&self, task: usize) -> Result<(), SceneError> {
+        let gain = |value: T| value.is_finite() && value >= T::zero();
+        if usize::from(self.task) != task {
+            return Err(SceneError::Dimension);
+        }
+        let rate = self.rate_hz.to_f64();
+        if !(MIN_RATE_HZ..=MAX_RATE_HZ).contains(&rate) {
+            return Err(SceneError::Rate);
+        }
+        let below_half = |hz: T| hz > T::zero() && hz.to_f64() < 0.5 * rate;
+        if !below_half(self.cutoff_hz) {
+            return Err(SceneError::Cutoff);
+        }
+        for (index, wall) in self.walls.iter().enumerate() {
+            let index = index as u8;
+            if !gain(wall.stiffness) || !gain(wall.damping) {
+                return Err(SceneError::WallGains(index));
+            }
+            if wall.feed_forward == FeedForward::Washout && !below_half(wall.washout_hz) {
+                return Err(SceneError::Washout(index));
+            }
+            if matches!(wall.surface, Surface::Cylinder(_)) && task < 3 {
+                return Err(SceneError::Shape(index));
+            }
+            if !wall.surface.valid(task) {
+                return Err(SceneError::Surface(index));
+            }
+        }
+        let springs = self.springs.iter().all(|spring| {
+            let length = squared(&spring.direction);
+            gain(spring.stiffness)
+                && gain(spring.damping)
+                && finite(&spring.point)
+                && (length == T::zero() || is_unit(length))
+        });
+        if !springs || !gain(self.field_damping) {
+            return Err(SceneError::GuidanceGains);
+        }
+        Ok(())
+    }
+}
+
+impl<T: Real> Surface<T> {
+    fn valid(&self, task: usize) -> bool {
+        let flat = |v: &[T; 3]| finite(v) && v.iter().skip(task).all(|entry| *entry == T::zero());
+        match self {
+            Self::Plane(plane) => flat(&plane.point) && flat(&plane.normal) && is_unit(squared(&plane.normal)),
+            Self::Sphere(sphere) => flat(&sphere.center) && sphere.radius > T::zero() && sphere.radius.is_finite(),
+            Self::Cylinder(cylinder) => {
+                flat(&cylinder.point)
+                    && is_unit(squared(&cylinder.axis))
+                    && cylinder.radius > T::zero()
+                    && cylinder.radius.is_finite()
+            }
+        }
+    }
+}
+
+fn finite<T: Real>(v: &[T; 3]) -> bool {
+    v.iter().all(|entry| entry.is_finite())
+}
+
+fn squared<T: Real>(v: &[T; 3]) -> T {
+    v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+}
+
+/// A squared length within f32 rounding of 1.
+fn is_unit<T: Real>(length_squared: T) -> bool {
+    (length_squared - T::one()).abs() < T::from_f64(1.0e-5)
+}
+
+/// The first N entries of a three-vector as a task vector.
+#[inline(always)]
+pub fn task_vector<T: Real, const N: usize>(v: &[T; 3]) -> SVector<T, N> {
+    SVector::from_fn(|i, _| if i < 3 { v[i] } else { T::zero() })
+}

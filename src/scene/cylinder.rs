@@ -1,0 +1,45 @@
+//! A round wall along an axis: a rod to feel from outside, or a pipe to feel from inside.
+
+use super::sphere::{round_contact, round_normal_rate};
+use super::{Contact, task_vector};
+use crate::math::{Math, Real};
+use nalgebra::SVector;
+
+/// A cylinder of endless length, or (`inside`) all that is not the cylinder.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize, postcard_schema::Schema)]
+pub struct Cylinder<T> {
+    /// A point of the axis, m.
+    pub point: [T; 3],
+    /// Unit direction of the axis.
+    pub axis: [T; 3],
+    /// m
+    pub radius: T,
+    /// The tip moves inside; the solid is around it.
+    pub inside: bool,
+}
+
+impl<T: Real> Cylinder<T> {
+    /// Distance to the surface and the normal across the axis.
+    #[inline(always)]
+    pub fn contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N> {
+        round_contact::<T, K, N>(&self.across(&(p - task_vector::<T, N>(&self.point))), self.radius, self.inside)
+    }
+
+    /// ṅ at the tip velocity `velocity` (m/s).
+    #[inline(always)]
+    pub fn normal_rate<K: Math<T>, const N: usize>(
+        &self,
+        p: &SVector<T, N>,
+        velocity: &SVector<T, N>,
+    ) -> SVector<T, N> {
+        let arm = self.across(&(p - task_vector::<T, N>(&self.point)));
+        round_normal_rate::<T, K, N>(&arm, &self.across(velocity), self.inside)
+    }
+
+    /// What of `v` lies across the axis.
+    #[inline(always)]
+    fn across<const N: usize>(&self, v: &SVector<T, N>) -> SVector<T, N> {
+        let axis = task_vector::<T, N>(&self.axis);
+        v - axis * axis.dot(v)
+    }
+}
