@@ -3,4 +3,5 @@
 
 pub mod device_file;
 pub mod error;
+pub mod sim;
 pub mod toml_file;

@@ -1,0 +1,18 @@
+//! The simulated board: the library's own servo on a nonlinear simulation of the device, its motors and a hand.
+//!
+//! [`Device`] is the physics alone (drive in; encoder counts and currents out); it also stands behind the emulated
+//! chip. Nothing here reads a clock or an unseeded random number: the same inputs give the same numbers, bit for bit.
+
+mod device;
+mod encoder;
+mod hand;
+mod motor;
+mod plant;
+mod random;
+
+pub use device::{Device, DeviceError, Options};
+pub use encoder::EncoderModel;
+pub use hand::{Hand, HandSettings, Intent, Waypoint};
+pub use motor::{Bridge, Drive, MotorModel};
+pub use plant::{Load, Plant};
+pub use random::Random;

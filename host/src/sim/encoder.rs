@@ -1,0 +1,67 @@
+//! An incremental encoder: angle to counts since power-on, with the edges half a count to either side of zero.
+
+use haptic_bridge::description::Encoder;
+use std::f64::consts::TAU;
+
+/// One joint's encoder. Like the real one it counts from wherever the joint stood at power-on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EncoderModel {
+    /// Counts per radian, negative when inverted.
+    counts_per_rad: f64,
+    /// The joint's angle at power-on, rad.
+    origin: f64,
+    /// The joint's angle at the index mark, rad.
+    index: f64,
+}
+
+impl EncoderModel {
+    /// An encoder powered on with its joint at `origin` (rad).
+    pub fn new(encoder: &Encoder, origin: f64) -> Self {
+        let sign = if encoder.inverted { -1.0 } else { 1.0 };
+        Self { counts_per_rad: sign * encoder.counts_per_turn / TAU, origin, index: encoder.offset }
+    }
+
+    /// Counts since power-on at the angle `q` (rad).
+    pub fn counts(&self, q: f64) -> i32 {
+        // A float-to-int `as` saturates, and NaN gives 0.
+        ((q - self.origin) * self.counts_per_rad).round() as i32
+    }
+
+    /// Whether the index mark is under the sensor: within half a count of the description's `offset`, each turn.
+    pub fn at_index(&self, q: f64) -> bool {
+        let turns = (q - self.index) / TAU;
+        ((turns - turns.round()) * TAU * self.counts_per_rad).abs() <= 0.5
+    }
+
+    /// The angle that one count stands for, rad.
+    pub fn resolution(&self) -> f64 {
+        1.0 / self.counts_per_rad.abs()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_start_at_zero_where_the_encoder_was_powered_on_and_follow_its_sense() {
+        let encoder = Encoder { counts_per_turn: 4000.0, offset: 0.0, inverted: false };
+        let plain = EncoderModel::new(&encoder, 1.0);
+        let inverted = EncoderModel::new(&Encoder { inverted: true, ..encoder }, 1.0);
+        assert_eq!(plain.counts(1.0), 0);
+        assert_eq!(plain.counts(1.0 + TAU / 4.0), 1000);
+        assert_eq!(inverted.counts(1.0 + TAU / 4.0), -1000);
+        let half = 0.5 * plain.resolution();
+        assert_eq!(plain.counts(1.0 + 0.99 * half), 0);
+        assert_eq!(plain.counts(1.0 + 1.01 * half), 1);
+    }
+
+    #[test]
+    fn the_index_passes_once_a_turn_at_the_offset() {
+        let encoder = Encoder { counts_per_turn: 4000.0, offset: 0.3, inverted: true };
+        let model = EncoderModel::new(&encoder, 1.0);
+        let hits = (0..4000).filter(|i| model.at_index(0.3 + f64::from(*i) * TAU / 4000.0)).count();
+        assert_eq!(hits, 1);
+        assert!(model.at_index(0.3 - TAU));
+    }
+}

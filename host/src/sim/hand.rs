@@ -1,0 +1,194 @@
+//! A hand that holds the tip: a mass between two spring-dampers, the grip (tip to hand) and the arm (hand to intent).
+//!
+//! The intent is a path to follow or a force to push with, both along minimum-jerk segments (Flash and Hogan 1985).
+//! Physiological tremor, when asked for, is a few sinusoids of 8-12 Hz whose phases come from the seed.
+
+use super::random::Random;
+use std::f64::consts::TAU;
+
+/// Where the intent arrives at a time, and rests until the next segment: m when following, N when pushing.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Waypoint {
+    /// Seconds since the hand took hold.
+    pub time: f64,
+    /// m or N; the first d entries count.
+    pub value: [f64; 3],
+}
+
+/// What the hand is about to do.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Intent {
+    /// Nothing: no hand force at all.
+    LetGo,
+    /// Follow a path through these points, in order of time.
+    Follow(Vec<Waypoint>),
+    /// Push with these forces, in order of time; the arm then only damps.
+    Push(Vec<Waypoint>),
+}
+
+/// The mechanics of a hand.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HandSettings {
+    /// Moving mass of hand and forearm, kg.
+    pub mass: f64,
+    /// Grip stiffness, N/m.
+    pub grip_stiffness: f64,
+    /// Grip damping, N s/m.
+    pub grip_damping: f64,
+    /// Arm stiffness, N/m.
+    pub arm_stiffness: f64,
+    /// Arm damping, N s/m.
+    pub arm_damping: f64,
+    /// Amplitude of the tremor of the arm's aim, m per axis.
+    pub tremor: f64,
+    /// Where the tremor's phases come from.
+    pub seed: u64,
+}
+
+impl Default for HandSettings {
+    /// A relaxed pen grip and forearm (orders of magnitude after Kuchenbecker, Park and Niemeyer 2003).
+    fn default() -> Self {
+        Self {
+            mass: 0.12,
+            grip_stiffness: 1200.0,
+            grip_damping: 6.0,
+            arm_stiffness: 250.0,
+            arm_damping: 10.0,
+            tremor: 0.0,
+            seed: 1,
+        }
+    }
+}
+
+/// A hand with its state.
+#[derive(Clone, Debug)]
+pub struct Hand {
+    settings: HandSettings,
+    intent: Intent,
+    began: f64,
+    position: [f64; 3],
+    velocity: [f64; 3],
+    tremor: Vec<Wave>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Wave {
+    axis: usize,
+    hz: f64,
+    phase: f64,
+}
+
+/// Sinusoids of tremor per axis.
+const WAVES: usize = 3;
+
+impl Hand {
+    /// A hand that takes hold of the tip at `tip` (m) at the time `now` (s).
+    pub fn new(settings: HandSettings, intent: Intent, tip: [f64; 3], now: f64) -> Self {
+        let mut random = Random::new(settings.seed);
+        let tremor = (0..3 * WAVES)
+            .map(|i| Wave { axis: i % 3, hz: random.between(8.0, 12.0), phase: random.between(0.0, TAU) })
+            .collect();
+        Self { settings, intent, began: now, position: tip, velocity: [0.0; 3], tremor }
+    }
+
+    /// A hand that holds nothing.
+    pub fn none() -> Self {
+        Self::new(HandSettings::default(), Intent::LetGo, [0.0; 3], 0.0)
+    }
+
+    /// Force on the tip, N, and the hand moved on by `h`; `task` is d.
+    pub fn step(&mut self, tip: &[f64; 3], tip_velocity: &[f64; 3], task: usize, now: f64, h: f64) -> [f64; 3] {
+        let mut force = [0.0; 3];
+        if self.intent == Intent::LetGo {
+            return force;
+        }
+        let time = now - self.began;
+        let s = &self.settings;
+        let tremor = if s.tremor > 0.0 { self.tremor_at(time) } else { [0.0; 3] };
+        for axis in 0..task {
+            let grip = s.grip_stiffness * (self.position[axis] - tip[axis])
+                + s.grip_damping * (self.velocity[axis] - tip_velocity[axis]);
+            let arm = match &self.intent {
+                Intent::LetGo => 0.0,
+                Intent::Follow(path) => {
+                    let (aim, aim_velocity) = along(path, axis, time);
+                    s.arm_stiffness * (aim + tremor[axis] - self.position[axis])
+                        + s.arm_damping * (aim_velocity - self.velocity[axis])
+                }
+                Intent::Push(forces) => {
+                    along(forces, axis, time).0 + s.arm_stiffness * tremor[axis] - s.arm_damping * self.velocity[axis]
+                }
+            };
+            force[axis] = grip;
+            self.velocity[axis] += h * (arm - grip) / s.mass;
+            self.position[axis] += h * self.velocity[axis];
+        }
+        force
+    }
+
+    fn tremor_at(&self, time: f64) -> [f64; 3] {
+        let mut aim = [0.0; 3];
+        for wave in &self.tremor {
+            aim[wave.axis] += self.settings.tremor / WAVES as f64 * (TAU * wave.hz * time + wave.phase).sin();
+        }
+        aim
+    }
+}
+
+/// Value and rate at `time` of the minimum-jerk segments through `points`, along one axis.
+fn along(points: &[Waypoint], axis: usize, time: f64) -> (f64, f64) {
+    let next = points.partition_point(|point| point.time <= time);
+    let Some(to) = points.get(next) else {
+        return (points.last().map_or(0.0, |last| last.value[axis]), 0.0);
+    };
+    let Some(from) = next.checked_sub(1).and_then(|before| points.get(before)) else {
+        return (to.value[axis], 0.0);
+    };
+    let duration = to.time - from.time;
+    let s = (time - from.time) / duration;
+    let distance = to.value[axis] - from.value[axis];
+    let travelled = s * s * s * (10.0 - s * (15.0 - 6.0 * s));
+    let rate = 30.0 * s * s * (1.0 - s) * (1.0 - s) / duration;
+    (from.value[axis] + distance * travelled, distance * rate)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PATH: [Waypoint; 2] =
+        [Waypoint { time: 1.0, value: [0.0, 2.0, 0.0] }, Waypoint { time: 3.0, value: [1.0, 2.0, 0.0] }];
+
+    #[test]
+    fn a_minimum_jerk_segment_starts_and_ends_at_rest_and_is_fastest_in_the_middle() {
+        assert_eq!(along(&PATH, 0, 0.5), (0.0, 0.0));
+        assert_eq!(along(&PATH, 0, 1.0), (0.0, 0.0));
+        // Flash and Hogan: half way at half time, at 15/8 of the mean speed.
+        let (value, rate) = along(&PATH, 0, 2.0);
+        assert!((value - 0.5).abs() < 1e-15 && (rate - 0.5 * 15.0 / 8.0).abs() < 1e-15);
+        assert_eq!(along(&PATH, 0, 3.5), (1.0, 0.0));
+        assert_eq!(along(&PATH, 1, 2.2), (2.0, 0.0));
+    }
+
+    #[test]
+    fn a_push_on_a_blocked_tip_settles_at_the_force_intended() {
+        let push = Intent::Push(vec![Waypoint { time: 0.0, value: [0.0, -3.0, 0.0] }]);
+        let mut hand = Hand::new(HandSettings::default(), push, [0.1, 0.2, 0.0], 0.0);
+        let mut force = [0.0; 3];
+        for i in 0..200_000 {
+            force = hand.step(&[0.1, 0.2, 0.0], &[0.0; 3], 2, f64::from(i) * 1e-5, 1e-5);
+        }
+        assert!(force[0].abs() < 1e-9 && (force[1] + 3.0).abs() < 1e-6, "{force:?}");
+    }
+
+    #[test]
+    fn the_same_seed_trembles_the_same_way_and_another_does_not() {
+        let hand = |seed| {
+            let settings = HandSettings { tremor: 1e-3, seed, ..HandSettings::default() };
+            let mut hand = Hand::new(settings, Intent::Follow(PATH.to_vec()), [0.0; 3], 0.0);
+            (0..100).map(|i| hand.step(&[0.0; 3], &[0.0; 3], 2, f64::from(i) * 1e-4, 1e-4)).last()
+        };
+        assert_eq!(hand(7), hand(7));
+        assert_ne!(hand(7), hand(8));
+    }
+}

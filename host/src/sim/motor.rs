@@ -1,0 +1,176 @@
+//! A brushed motor behind an H-bridge: duty to voltage, voltage to current, current to torque.
+//!
+//! V = R i + L di/dt + Kₑ ω, solved exactly over a step at the mean speed; torque = Kₜ i. The bridge is averaged over its
+//! carrier; what its dead time takes away is kept: in both half bridges, 2 · dead time · carrier of the bus voltage,
+//! against the current, fading to zero where the current is smaller than its ripple and changes sign in every period.
+
+use haptic_bridge::description::Motor;
+
+/// How one axis is driven.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Drive {
+    /// The bridge is off: no current, no torque, the joint turns freely.
+    #[default]
+    Floating,
+    /// The bridge applies this share of the bus voltage, in [-1, 1].
+    Duty(f64),
+    /// An ideal drive: this torque, N m, whatever the speed.
+    Torque(f64),
+}
+
+/// The supply and the bridge of all axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bridge {
+    /// Bus voltage, V.
+    pub bus_voltage: f64,
+    /// Time between one switch opening and the other closing, s.
+    pub dead_time: f64,
+    /// Carrier frequency, Hz.
+    pub carrier_hz: f64,
+}
+
+impl Default for Bridge {
+    /// 24 V; 20 kHz and 120 ns, as the ODrive's gate driver inserts.
+    fn default() -> Self {
+        Self { bus_voltage: 24.0, dead_time: 120e-9, carrier_hz: 20_000.0 }
+    }
+}
+
+/// The electrical state of one motor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MotorModel {
+    motor: Motor,
+    current: f64,
+}
+
+/// Current below which the dead time's loss fades when there is no inductance to compute a ripple from, A.
+const RIPPLE_FLOOR: f64 = 0.02;
+
+impl MotorModel {
+    /// A motor without current.
+    pub fn new(motor: Motor) -> Self {
+        Self { motor, current: 0.0 }
+    }
+
+    /// Winding current, A.
+    pub fn current(&self) -> f64 {
+        self.current
+    }
+
+    /// Advances by `h` at the speed `omega` (rad/s). Returns the torque that acts (N m) and the damping (N m s/rad) that acts
+    /// *beside* it: where there is no inductance, the back-EMF is handed to the integrator as damping, so that any
+    /// step is stable.
+    pub fn step(&mut self, drive: Drive, omega: f64, bridge: &Bridge, h: f64) -> (f64, f64) {
+        let Motor { torque_constant, inductance, back_emf, .. } = self.motor;
+        match drive {
+            Drive::Floating => {
+                // The diodes put the whole bus against what current is left.
+                let fall = if inductance > 0.0 { bridge.bus_voltage / inductance * h } else { f64::INFINITY };
+                let before = self.current;
+                self.current = before.signum() * (before.abs() - fall).max(0.0);
+                (torque_constant * 0.5 * (before + self.current), 0.0)
+            }
+            Drive::Torque(torque) => {
+                self.current = torque / torque_constant;
+                (torque, 0.0)
+            }
+            Drive::Duty(duty) => {
+                let duty = if duty.is_finite() { duty.clamp(-1.0, 1.0) } else { 0.0 };
+                let (voltage, resistance) = self.behind_dead_time(duty * bridge.bus_voltage, omega, bridge);
+                if inductance > 0.0 {
+                    let settled = (voltage - back_emf * omega) / resistance;
+                    let x = h * resistance / inductance;
+                    let excess = self.current - settled;
+                    let mean = settled + excess * (-(-x).exp_m1()) / x;
+                    self.current = settled + excess * (-x).exp();
+                    (torque_constant * mean, 0.0)
+                } else {
+                    self.current = (voltage - back_emf * omega) / resistance;
+                    (torque_constant * voltage / resistance, torque_constant * back_emf / resistance)
+                }
+            }
+        }
+    }
+
+    /// The voltage and resistance that the winding sees: beyond its ripple the dead time is a voltage against the
+    /// current, within it a resistance.
+    fn behind_dead_time(&self, voltage: f64, omega: f64, bridge: &Bridge) -> (f64, f64) {
+        let Motor { resistance, inductance, back_emf, .. } = self.motor;
+        let lost = 2.0 * bridge.dead_time * bridge.carrier_hz * bridge.bus_voltage;
+        let (direction, beyond) = if inductance > 0.0 {
+            // Half the peak-to-peak ripple of two-level modulation at zero duty.
+            let ripple = (bridge.bus_voltage / (4.0 * inductance * bridge.carrier_hz)).max(RIPPLE_FLOOR);
+            if self.current.abs() < ripple {
+                return (voltage, resistance + lost / ripple);
+            }
+            (self.current, true)
+        } else {
+            let net = voltage - back_emf * omega;
+            (net, net.abs() >= lost + RIPPLE_FLOOR * resistance)
+        };
+        if beyond {
+            (voltage - lost * direction.signum(), resistance)
+        } else {
+            (voltage, resistance + lost / RIPPLE_FLOOR)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MOTOR: Motor = Motor {
+        torque_constant: 0.05,
+        resistance: 2.0,
+        inductance: 1e-3,
+        back_emf: 0.05,
+        max_current: 3.0,
+        verified: false,
+    };
+    const IDEAL: Bridge = Bridge { bus_voltage: 24.0, dead_time: 0.0, carrier_hz: 20_000.0 };
+
+    #[test]
+    fn a_blocked_motor_rises_to_its_stall_current_with_its_time_constant() {
+        let mut motor = MotorModel::new(MOTOR);
+        for _ in 0..100 {
+            motor.step(Drive::Duty(0.25), 0.0, &IDEAL, 5e-6);
+        }
+        // After one L/R = 0.5 ms: 1 - 1/e of 6 V / 2 ohm.
+        assert!((motor.current() - 3.0 * (1.0 - (-1.0_f64).exp())).abs() < 1e-12);
+    }
+
+    #[test]
+    fn without_inductance_the_back_emf_is_damping() {
+        let mut motor = MotorModel::new(Motor { inductance: 0.0, ..MOTOR });
+        let (torque, damping) = motor.step(Drive::Duty(0.25), 10.0, &IDEAL, 5e-6);
+        assert!((torque - 0.15).abs() < 1e-15 && (damping - 0.00125).abs() < 1e-15);
+        assert!((motor.current() - (6.0 - 0.5) / 2.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_floating_bridge_carries_no_current() {
+        let mut motor = MotorModel::new(MOTOR);
+        motor.step(Drive::Duty(1.0), 0.0, &IDEAL, 1e-4);
+        assert!(motor.current() > 1.0);
+        motor.step(Drive::Floating, 0.0, &IDEAL, 1e-4);
+        assert_eq!(motor.current(), 0.0);
+        assert_eq!(motor.step(Drive::Floating, 50.0, &IDEAL, 1e-4), (0.0, 0.0));
+    }
+
+    #[test]
+    fn dead_time_takes_voltage_against_the_current() {
+        let bridge = Bridge { dead_time: 1e-6, ..IDEAL };
+        let mut motor = MotorModel::new(Motor { inductance: 0.0, ..MOTOR });
+        motor.step(Drive::Duty(0.25), 0.0, &bridge, 5e-6);
+        // 2 x 1 us x 20 kHz x 24 V = 0.96 V of 6 V.
+        assert!((motor.current() - (6.0 - 0.96) / 2.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_duty_that_is_not_a_number_is_no_voltage() {
+        let mut motor = MotorModel::new(MOTOR);
+        motor.step(Drive::Duty(f64::NAN), 0.0, &IDEAL, 1e-4);
+        assert_eq!(motor.current(), 0.0);
+    }
+}

@@ -1,0 +1,233 @@
+//! The device's equations of motion, integrated: M(q) q̈ + c + g + B q̇ + Coulomb = τ + Jᵀ f (MODEL.md section 1).
+//!
+//! One step is Moreau's midpoint rule (J. J. Moreau 1988, "Unilateral contact and dry friction in finite freedom
+//! dynamics"): drift half a step, solve for the velocity at the end, drift the other half. It is second order and
+//! symplectic for position-dependent forces, exact for a constant torque on a constant inertia, and dry friction is a
+//! *set* of admissible impulses rather than a sign function: a joint that friction can hold does not creep or chatter.
+
+use haptic_bridge::description::{Description, DescriptionError};
+use haptic_bridge::math::Libm;
+use haptic_bridge::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::with_mechanism;
+use nalgebra::{SMatrix, SVector};
+
+/// What acts on the device during one step; the first N (or d) entries count.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Load {
+    /// Motor torques, N m.
+    pub torque: [f64; 3],
+    /// Damping added by the motors (torque constant times back-EMF over resistance), N m s/rad.
+    pub damping: [f64; 3],
+    /// Force on the tip, N.
+    pub force: [f64; 3],
+}
+
+/// Position and velocity of a mechanism with its friction.
+#[derive(Clone, Debug)]
+pub struct Plant {
+    mechanism: AnyMechanism<f64>,
+    joints: usize,
+    task: usize,
+    viscous: [f64; 3],
+    coulomb: [f64; 3],
+    stops: [(f64, f64); 3],
+    q: [f64; 3],
+    qd: [f64; 3],
+    /// The acceleration of the last step, rad/s²: centres the velocity terms of the next.
+    qdd: [f64; 3],
+    /// Friction impulse of the last step, N m s: where the solver starts.
+    friction: [f64; 3],
+    tip: [f64; 3],
+    tip_velocity: [f64; 3],
+}
+
+/// Sweeps of the friction solver. It starts from the previous step's answer, and two sweeps already settle N ≤ 3
+/// joints; the rest is for the steps in which a joint starts or stops.
+const SWEEPS: usize = 20;
+
+fn vector<const N: usize>(values: &[f64; 3]) -> SVector<f64, N> {
+    SVector::from_fn(|i, _| values[i])
+}
+
+fn array<const N: usize>(values: &SVector<f64, N>) -> [f64; 3] {
+    core::array::from_fn(|i| if i < N { values[i] } else { 0.0 })
+}
+
+impl Plant {
+    /// A device at rest at `q` (rad). `friction` false leaves out viscous and Coulomb friction; `stops` are the angles
+    /// (low, high) beyond which a joint cannot go, infinite where there are none.
+    pub fn new(
+        description: &Description,
+        q: [f64; 3],
+        friction: bool,
+        stops: [(f64, f64); 3],
+    ) -> Result<Self, DescriptionError> {
+        let spec = description.kind.spec();
+        let share = if friction { 1.0 } else { 0.0 };
+        let mut plant = Self {
+            mechanism: AnyMechanism::new(description)?,
+            joints: spec.joints,
+            task: spec.task,
+            viscous: description.joints.map(|joint| share * joint.viscous),
+            coulomb: description.joints.map(|joint| share * joint.coulomb),
+            stops,
+            q,
+            qd: [0.0; 3],
+            qdd: [0.0; 3],
+            friction: [0.0; 3],
+            tip: [0.0; 3],
+            tip_velocity: [0.0; 3],
+        };
+        plant.refresh();
+        Ok(plant)
+    }
+
+    /// Number of joints N.
+    pub fn joints(&self) -> usize {
+        self.joints
+    }
+    /// Task dimension d.
+    pub fn task(&self) -> usize {
+        self.task
+    }
+    /// Joint angles, rad.
+    pub fn q(&self) -> [f64; 3] {
+        self.q
+    }
+    /// Joint velocities, rad/s.
+    pub fn qd(&self) -> [f64; 3] {
+        self.qd
+    }
+    /// Tip, m (the first d entries).
+    pub fn tip(&self) -> [f64; 3] {
+        self.tip
+    }
+    /// Tip velocity, m/s.
+    pub fn tip_velocity(&self) -> [f64; 3] {
+        self.tip_velocity
+    }
+
+    /// Puts the device at `q` (rad) with velocities `qd` (rad/s).
+    pub fn place(&mut self, q: [f64; 3], qd: [f64; 3]) {
+        self.q = q;
+        self.qd = qd;
+        self.qdd = [0.0; 3];
+        self.friction = [0.0; 3];
+        self.refresh();
+    }
+
+    /// Gives the tip the velocity `velocity` (m/s), with no other motion where the device is redundant.
+    pub fn push(&mut self, velocity: [f64; 3]) {
+        with_mechanism!(&self.mechanism, m => self.qd = array(&m.inverse(&m.pose::<Libm>(&vector(&self.q)), &vector(&velocity))));
+        self.refresh();
+    }
+
+    /// Kinetic energy ½ q̇ᵀ M q̇, J.
+    pub fn kinetic_energy(&self) -> f64 {
+        fn energy<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &[f64; 3], qd: &[f64; 3]) -> f64 {
+            let qd: SVector<f64, N> = vector(qd);
+            0.5 * qd.dot(&(m.mass(&m.pose::<Libm>(&vector(q))) * qd))
+        }
+        with_mechanism!(&self.mechanism, m => energy(m, &self.q, &self.qd))
+    }
+
+    /// The torques that hold the device against gravity here, N m.
+    pub fn gravity(&self) -> [f64; 3] {
+        with_mechanism!(&self.mechanism, m => array(&m.gravity(&m.pose::<Libm>(&vector(&self.q)))))
+    }
+
+    /// Advances by `h` seconds under a constant load.
+    pub fn step(&mut self, load: &Load, h: f64) {
+        // The mechanism is copied out so that its arm of the match may change the rest of the plant; it is plain data.
+        let mechanism = self.mechanism;
+        with_mechanism!(&mechanism, m => self.advance(m, load, h));
+    }
+
+    fn refresh(&mut self) {
+        let mechanism = self.mechanism;
+        with_mechanism!(&mechanism, m => {
+            let pose = m.pose::<Libm>(&vector(&self.q));
+            self.observe(m, &pose);
+        });
+    }
+
+    fn observe<M: Mechanism<f64, N>, const N: usize>(&mut self, m: &M, pose: &M::Pose) {
+        self.tip = array(&m.tip(pose));
+        self.tip_velocity = array(&m.velocity(pose, &vector(&self.qd)));
+        self.tip[self.task..].fill(0.0);
+        self.tip_velocity[self.task..].fill(0.0);
+    }
+
+    fn advance<M: Mechanism<f64, N>, const N: usize>(&mut self, m: &M, load: &Load, h: f64) {
+        let qd: SVector<f64, N> = vector(&self.qd);
+        let middle: SVector<f64, N> = vector::<N>(&self.q) + qd * (0.5 * h);
+        let pose = m.pose::<Libm>(&middle);
+        let centred = qd + vector::<N>(&self.qdd) * (0.5 * h);
+
+        let mass = m.mass(&pose);
+        let mut force: SVector<f64, N> = vector(&load.force);
+        for entry in self.task..N {
+            force[entry] = 0.0;
+        }
+        let drive =
+            vector::<N>(&load.torque) + m.transpose(&pose, &force) - m.coriolis(&pose, &centred) - m.gravity(&pose);
+        // Viscous friction as the trapezoid's mean: (M + hB/2) v⁺ = (M - hB/2) v + h τ - impulses.
+        let mut damped = mass;
+        let mut momentum = mass * qd + drive * h;
+        for i in 0..N {
+            let half = 0.5 * h * (self.viscous[i] + load.damping[i]);
+            damped[(i, i)] += half;
+            momentum[i] -= half * qd[i];
+        }
+        // Not invertible only when the state is already not finite; the old velocity is then as good as any.
+        let inverse = damped.try_inverse().unwrap_or_else(SMatrix::zeros);
+        let free = inverse * momentum;
+        let after = free - inverse * self.reactions(&inverse, &free, &middle, h);
+
+        self.q = array(&(middle + after * (0.5 * h)));
+        self.qdd = array(&((after - qd) / h));
+        self.qd = array(&after);
+        let pose = m.pose::<Libm>(&vector(&self.q));
+        self.observe(m, &pose);
+    }
+
+    /// Impulses of dry friction and end stops, N m s, by projected Gauss-Seidel: each joint's friction takes what it
+    /// can of the joint's velocity, within ± Coulomb torque times `h`; a stop takes what moves further out.
+    fn reactions<const N: usize>(
+        &mut self,
+        inverse: &SMatrix<f64, N, N>,
+        free: &SVector<f64, N>,
+        q: &SVector<f64, N>,
+        h: f64,
+    ) -> SVector<f64, N> {
+        let outside: [(bool, bool); N] = core::array::from_fn(|i| (q[i] <= self.stops[i].0, q[i] >= self.stops[i].1));
+        if self.coulomb == [0.0; 3] && outside.iter().all(|&(low, high)| !low && !high) {
+            return SVector::zeros();
+        }
+        let mut friction: SVector<f64, N> = vector(&self.friction);
+        let mut stop = SVector::<f64, N>::zeros();
+        for _ in 0..SWEEPS {
+            let mut change: f64 = 0.0;
+            for i in 0..N {
+                let mut take = |impulse: &mut SVector<f64, N>, low: f64, high: f64, other: &SVector<f64, N>| {
+                    let velocity = free[i] - (inverse.row(i) * (*impulse + other))[0];
+                    let before = impulse[i];
+                    impulse[i] = (before + velocity / inverse[(i, i)]).clamp(low, high);
+                    change = change.max((impulse[i] - before).abs());
+                };
+                let bound = self.coulomb[i] * h;
+                take(&mut friction, -bound, bound, &stop);
+                match outside[i] {
+                    (true, _) => take(&mut stop, f64::NEG_INFINITY, 0.0, &friction),
+                    (_, true) => take(&mut stop, 0.0, f64::INFINITY, &friction),
+                    _ => {}
+                }
+            }
+            if change <= 1e-18 {
+                break;
+            }
+        }
+        self.friction = array(&friction);
+        friction + stop
+    }
+}

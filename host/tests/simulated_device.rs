@@ -1,0 +1,172 @@
+//! The simulated device against closed forms: what a simulation gets wrong shows as energy that comes from nowhere.
+
+use haptic::sim::{Bridge, Device, Drive, Options};
+use haptic_bridge::description::{Description, Encoder, Joint, Link, Motor};
+use haptic_bridge::mechanism::Kind;
+
+const MOTOR: Motor =
+    Motor { torque_constant: 0.5, resistance: 2.0, inductance: 0.0, back_emf: 0.5, max_current: 3.0, verified: false };
+
+fn joint(inertia: f64, viscous: f64, coulomb: f64) -> Joint {
+    Joint {
+        inertia,
+        viscous,
+        coulomb,
+        limits: None,
+        encoder: Some(Encoder { counts_per_turn: 20_000.0, offset: 0.0, inverted: false }),
+        motor: Some(MOTOR),
+    }
+}
+
+fn paddle(viscous: f64, coulomb: f64) -> Description {
+    Description {
+        kind: Kind::Paddle,
+        gravity: [0.0; 3],
+        geometry: [0.1, 0.0, 0.0, 0.0, 0.0, 0.0],
+        links: [Link::default(); 4],
+        joints: [joint(1e-3, viscous, coulomb), Joint::default(), Joint::default()],
+        handle_mass: 0.0,
+        home: Some([0.0; 3]),
+    }
+}
+
+fn five_bar() -> Description {
+    let arm = Link { mass: 0.06, com: 0.045, inertia: 6e-5, ..Link::default() };
+    let rod = Link { mass: 0.04, com: 0.065, inertia: 6e-5, ..Link::default() };
+    Description {
+        kind: Kind::FiveBar,
+        gravity: [0.0; 3],
+        geometry: [0.02, 0.1, 0.1, 0.13, 0.13, 1.0],
+        links: [arm, arm, rod, rod],
+        joints: [joint(8e-4, 0.0, 0.0), joint(3e-4, 0.0, 0.0), Joint::default()],
+        handle_mass: 0.05,
+        home: Some([2.3, 0.84, 0.0]),
+    }
+}
+
+fn device(description: &Description) -> Device {
+    Device::new(description, &Options::default()).unwrap()
+}
+
+fn coast(device: &mut Device, seconds: f64) {
+    device.step(&[Drive::Floating; 3], seconds);
+}
+
+fn assert_same_pose(left: [f64; 3], right: [f64; 3]) {
+    assert!(left.iter().zip(right).all(|(a, b)| (a - b).abs() < 1e-12), "{left:?} {right:?}");
+}
+
+#[test]
+fn a_free_linkage_keeps_its_energy() {
+    let mut device = device(&five_bar());
+    device.push([0.15, -0.1, 0.0]);
+    let before = device.plant().kinetic_energy();
+    let start = device.tip();
+    let mut worst: f64 = 0.0;
+    for _ in 0..50 {
+        coast(&mut device, 0.01);
+        worst = worst.max((device.plant().kinetic_energy() / before - 1.0).abs());
+    }
+    let moved = (device.tip()[0] - start[0]).hypot(device.tip()[1] - start[1]);
+    assert!(moved > 0.03, "the linkage must really move: {moved} m");
+    assert!(worst < 1e-9, "relative energy drift {worst:e}");
+}
+
+#[test]
+fn a_constant_torque_gives_a_parabola() {
+    let mut device = device(&paddle(0.0, 0.0));
+    device.step(&[Drive::Torque(2e-3), Drive::Floating, Drive::Floating], 0.5);
+    // Half of 2 rad/s² times (0.5 s)².
+    assert!((device.q()[0] - 0.25).abs() < 1e-12, "{}", device.q()[0]);
+}
+
+#[test]
+fn viscous_friction_decays_exponentially() {
+    let mut device = device(&paddle(5e-3, 0.0));
+    device.push([0.1, 0.0, 0.0]);
+    coast(&mut device, 0.2);
+    assert!((device.qd()[0] - (-1.0_f64).exp()).abs() < 1e-9, "{}", device.qd()[0]);
+}
+
+#[test]
+fn a_motor_without_inductance_brakes_like_its_closed_form() {
+    // Shorted: damping of torque constant x back-EMF / resistance = 0.125 N m s/rad.
+    let options = Options { bridge: Bridge { dead_time: 0.0, ..Bridge::default() }, ..Options::default() };
+    let mut device = Device::new(&paddle(0.0, 0.0), &options).unwrap();
+    device.push([0.1, 0.0, 0.0]);
+    device.step(&[Drive::Duty(0.0); 3], 0.008);
+    assert!((device.qd()[0] - (-1.0_f64).exp()).abs() < 1e-7, "{}", device.qd()[0]);
+}
+
+#[test]
+fn coulomb_friction_stops_a_joint_in_finite_time_and_then_holds_it() {
+    let mut device = device(&paddle(0.0, 0.01));
+    device.push([0.1, 0.0, 0.0]);
+    // 1 rad/s against 0.01 N m on 1e-3 kg m²: at rest after 0.1 s and 0.05 rad.
+    coast(&mut device, 0.11);
+    assert_eq!(device.qd()[0], 0.0);
+    assert!((device.q()[0] - 0.05).abs() < 1e-6, "{}", device.q()[0]);
+    let stuck = device.q()[0];
+    device.step(&[Drive::Torque(0.009); 3], 1.0);
+    assert_eq!(device.q()[0], stuck, "friction must hold without creep");
+    device.step(&[Drive::Torque(0.011); 3], 0.1);
+    assert!((device.qd()[0] - 0.1).abs() < 1e-9, "and let go beyond its limit");
+}
+
+#[test]
+fn friction_holds_every_joint_of_a_coupled_linkage() {
+    let mut description = five_bar();
+    for joint in &mut description.joints[..2] {
+        joint.coulomb = 0.005;
+    }
+    let mut device = device(&description);
+    let before = device.q();
+    device.step(&[Drive::Torque(0.0049), Drive::Torque(-0.0049), Drive::Floating], 1.0);
+    assert_same_pose(device.q(), before);
+}
+
+#[test]
+fn a_joint_stops_just_beyond_its_limits() {
+    let mut description = paddle(0.0, 0.0);
+    description.joints[0].limits = Some((-0.5, 0.5));
+    let mut device = device(&description);
+    device.step(&[Drive::Torque(0.05); 3], 1.0);
+    assert!((device.q()[0] - 0.6).abs() < 1e-3, "{}", device.q()[0]);
+    assert!(device.qd()[0].abs() < 1e-9);
+}
+
+#[test]
+fn gravity_and_a_holding_torque_balance() {
+    let mut description = five_bar();
+    description.gravity = [0.0, -9.81, 0.0];
+    let mut device = device(&description);
+    let before = device.q();
+    let g = device.plant().gravity();
+    assert!(g[0].abs() > 1e-3, "gravity must load the joints: {g:?}");
+    device.step(&[Drive::Torque(g[0]), Drive::Torque(g[1]), Drive::Floating], 0.01);
+    assert_same_pose(device.q(), before);
+    coast(&mut device, 0.01);
+    assert!(device.tip_velocity()[1] < -0.01, "let go, it falls");
+}
+
+#[test]
+fn the_same_inputs_give_the_same_numbers_bit_for_bit() {
+    let run = || {
+        let mut device = device(&five_bar());
+        device.step(&[Drive::Duty(0.1), Drive::Duty(-0.05), Drive::Floating], 0.05);
+        (device.q(), device.qd(), device.counts(), device.currents())
+    };
+    assert_eq!(run(), run());
+}
+
+#[test]
+fn a_step_of_any_length_is_the_same_motion() {
+    let run = |pieces: u32| {
+        let mut device = device(&five_bar());
+        for _ in 0..pieces {
+            device.step(&[Drive::Torque(0.01), Drive::Torque(-0.02), Drive::Floating], 0.02 / f64::from(pieces));
+        }
+        device.q()
+    };
+    assert_same_pose(run(1), run(400));
+}
