@@ -2,6 +2,7 @@
 
 use crate::commands::{Command, HEADINGS};
 use clap::{CommandFactory, FromArgMatches, Parser};
+use haptic::error::Failure;
 
 /// Configure, watch, simulate and analyse haptic-bridge boards: motor drivers that render hard walls on a device
 /// whose inertia they know.
@@ -61,5 +62,28 @@ impl std::str::FromStr for Numbers {
             }
         };
         text.split(',').map(number).collect::<Result<Vec<f64>, String>>().map(Numbers)
+    }
+}
+
+impl Numbers {
+    /// The numbers, if there are exactly `count`; `option` and `meaning` are for the message.
+    pub fn exactly(self, count: usize, option: &str, meaning: &str) -> Result<Vec<f64>, Failure> {
+        if self.0.len() == count {
+            return Ok(self.0);
+        }
+        let reason = format!("{option} has {} numbers, but this device takes {count} ({meaning})", self.0.len());
+        Err(Failure::wrong(reason).remedy("separate them with commas, without spaces"))
+    }
+
+    /// A direction of `task` entries, made a unit vector.
+    pub fn unit(self, task: usize, option: &str) -> Result<Vec<f64>, Failure> {
+        let values = self.exactly(task, option, "task directions")?;
+        let largest = values.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
+        if largest == 0.0 {
+            return Err(Failure::wrong(format!("{option} is zero, which points nowhere")).remedy("write a direction"));
+        }
+        // Scaled first, so that neither tiny nor huge entries spoil the squares.
+        let length = largest * values.iter().map(|value| (value / largest).powi(2)).sum::<f64>().sqrt();
+        Ok(values.into_iter().map(|value| value / length).collect())
     }
 }

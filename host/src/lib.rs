@@ -3,5 +3,6 @@
 
 pub mod device_file;
 pub mod error;
+pub mod model;
 pub mod sim;
 pub mod toml_file;

@@ -28,6 +28,7 @@ macro_rules! commands {
 commands! {
     "Without a board" {
         (Check, check)
+        (Model, model)
     }
     "Shell" {
         (Completions, completions)

@@ -1,0 +1,181 @@
+//! `haptic model`: the inertia a wall meets at one configuration, and the feed-forward that changes it.
+
+use crate::cli::Numbers;
+use clap::ValueEnum;
+use haptic::device_file::DeviceFile;
+use haptic::error::{Failure, print};
+use haptic::model::{Precision, Report, Rows, WallForce, evaluate};
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// Show what a wall meets at one pose: inertia, coupling, feed-forward torque
+///
+/// Prints the mass matrix, the effective inertia Weff that a wall meets without the feed-forward, the inertia Wrr that
+/// it meets with it, and the joint torques of both. Give --normal and --force once per wall.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Device file (TOML)
+    device: PathBuf,
+    /// Joint angles in rad, such as 2.4,0.7 [default: the device file's home]
+    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
+    q: Option<Numbers>,
+    /// Joint velocities in rad/s [default: 0]
+    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
+    qd: Option<Numbers>,
+    /// Normal of a wall, pointing out of the solid; any length
+    #[arg(long, value_name = "X,Y,..", allow_hyphen_values = true)]
+    normal: Vec<Numbers>,
+    /// Force of the wall along its normal, in N [default: 0]
+    #[arg(long, value_name = "N", allow_hyphen_values = true)]
+    force: Vec<Numbers>,
+    /// Arithmetic: f64, or f32 to run the very code that the board runs
+    #[arg(long, value_name = "f32|f64", default_value = "f64")]
+    precision: Arithmetic,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Arithmetic {
+    F32,
+    F64,
+}
+
+/// Computes and prints.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let device = DeviceFile::load(&args.device)?;
+    let spec = device.spec();
+    let q = match (args.q, device.description.home) {
+        (Some(q), _) => q.exactly(spec.joints, "--q", "joint angles")?,
+        (None, Some(home)) => home[..spec.joints].to_vec(),
+        (None, None) => {
+            return Err(Failure::wrong(format!("{} has no [home], so there is no pose", args.device.display()))
+                .remedy("say which with --q"));
+        }
+    };
+    let qd = match args.qd {
+        Some(qd) => qd.exactly(spec.joints, "--qd", "joint velocities")?,
+        None => vec![0.0; spec.joints],
+    };
+    let walls = walls(&args.normal, &args.force, spec.task)?;
+    let precision = match args.precision {
+        Arithmetic::F32 => Precision::F32,
+        Arithmetic::F64 => Precision::F64,
+    };
+    let report = evaluate(&device, &q, &qd, &walls, precision)?;
+    if args.json {
+        let json = serde_json::to_string(&report).map_err(Failure::impossible)?;
+        return print(&(json + "\n"));
+    }
+    let board = if precision == Precision::F32 { ", f32 as on the board" } else { "" };
+    let heading = format!("{} ({}){board}\n", device.name, spec.name);
+    print(&(heading + &readable(&report, &q, &qd, &walls)))
+}
+
+/// Pairs normals with forces, the normals made unit vectors.
+fn walls(normals: &[Numbers], forces: &[Numbers], task: usize) -> Result<Vec<WallForce>, Failure> {
+    if !forces.is_empty() && forces.len() != normals.len() {
+        let reason = format!("--normal is given {} times and --force {} times", normals.len(), forces.len());
+        return Err(Failure::wrong(reason).remedy("give them in pairs, one pair per wall"));
+    }
+    normals
+        .iter()
+        .enumerate()
+        .map(|(index, normal)| {
+            let normal = normal.clone().unit(task, "--normal")?;
+            let force = match forces.get(index) {
+                Some(force) => force.clone().exactly(1, "--force", "force")?[0],
+                None => 0.0,
+            };
+            Ok(WallForce { normal, force })
+        })
+        .collect()
+}
+
+fn readable(report: &Report, q: &[f64], qd: &[f64], walls: &[WallForce]) -> String {
+    let mut text = String::new();
+    let mut line = |name: &str, unit: &str, value: String| {
+        let mut lines = value.lines();
+        let _ = writeln!(text, "  {name:<30}{:<8}{}", unit, lines.next().unwrap_or("none"));
+        for more in lines {
+            let _ = writeln!(text, "  {:<38}{more}", "");
+        }
+    };
+    line("joint angles q", "rad", row(q));
+    if qd.iter().any(|value| *value != 0.0) {
+        line("joint velocities", "rad/s", row(qd));
+    }
+    line("tip", "m", row(&report.position));
+    line("Jacobian J", "m/rad", matrix(&report.jacobian));
+    line("mass matrix M", "kg m²", matrix(&report.mass));
+    line("bias c + g", "N m", row(&report.bias));
+    line("condition of J, of M", "", row(&[report.condition.jacobian, report.condition.mass]));
+    for (index, wall) in walls.iter().enumerate() {
+        line(&format!("wall {}: normal", index + 1), "", row(&wall.normal));
+        line(&format!("wall {}: force", index + 1), "N", row(&[wall.force]));
+    }
+    if walls.is_empty() {
+        text.push_str("\nNo wall: give --normal (and --force) to see what one meets here.\n");
+        return text;
+    }
+    line("Weff, without feed-forward", "kg", matrix(&report.w_eff));
+    line("Wrr, with feed-forward", "kg", matrix(&report.w_rr));
+    line("coupling Wrr - Weff", "kg", matrix(&report.coupling));
+    line("Wra", "", matrix(&report.w_ra));
+    line("Waa", "", matrix(&report.w_aa));
+    line("z rendered", "N", row(&report.z_r));
+    line("z admissible", "", row(&report.z_a));
+    line("feed-forward force fa", "", row(&report.f_a));
+    line("torque without feed-forward", "N m", row(&report.torque_without_feed_forward));
+    line("torque by (4), g in z", "N m", row(&report.torque));
+    text.push('\n');
+    text.push_str(&verdict(report));
+    text
+}
+
+/// What the feed-forward buys here, in a sentence. The stable area of an undamped device grows by (Wrr/Weff)².
+fn verdict(report: &Report) -> String {
+    let gain = report.gain();
+    let directions = match report.w_rr.len() {
+        1 => "this wall meets",
+        _ => "a wall meets at most",
+    };
+    if report.w_aa.is_empty() {
+        "No direction is left free: nothing couples, and the feed-forward adds only the compensation of z.\n".into()
+    } else if gain < 0.03 {
+        format!(
+            "With the feed-forward {directions} {:.1} % more inertia here: it buys next to nothing at this pose and \
+             normal; leave it off.\n",
+            100.0 * gain.max(0.0)
+        )
+    } else {
+        format!(
+            "With the feed-forward {directions} {:.1} % more inertia here: the stable range of stiffness and damping \
+             grows to about {:.2} times the area.\n",
+            100.0 * gain,
+            (1.0 + gain) * (1.0 + gain)
+        )
+    }
+}
+
+fn row(values: &[f64]) -> String {
+    values.iter().map(|value| format!("{:>13}", number(*value))).collect::<String>()
+}
+
+fn matrix(rows: &Rows) -> String {
+    rows.iter().map(|values| row(values)).collect::<Vec<_>>().join("\n")
+}
+
+/// Six significant digits, in powers of ten where that is shorter.
+fn number(value: f64) -> String {
+    let size = value.abs();
+    if value == 0.0 {
+        "0".into()
+    } else if (1.0e-3..1.0e5).contains(&size) {
+        let digits = (5 - size.log10().floor() as i32).clamp(0, 8) as usize;
+        format!("{value:.digits$}")
+    } else {
+        format!("{value:.5e}")
+    }
+}
