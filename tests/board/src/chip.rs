@@ -1,3 +1,184 @@
-//! The microcontroller.
+//! The microcontroller: rigless' STM32F427 turned into the STM32F405 that both boards carry.
+//!
+//! What is taken over from rigless as it is: the core, RCC, PWR, GPIO, timers, converters, SPI, DMA, watchdog. What is
+//! put in place of its own: the memory sizes, the contents of the flash array ([`flash`]), the USB core in device mode
+//! ([`otg`]), and the wires from timer triggers to converters and from TIM1 to TIM8 ([`trigger`]).
+//!
+//! rigless builds its part around a bus of its own description. Here the part runs on a bus of *our* description
+//! ([`map`]) that holds the part's own slots, in the same order; a system reset hands the part its old bus back first.
 
-pub use rigless::soc::stm32f427::Stm32f427 as Chip;
+pub mod flash;
+pub mod hook;
+pub mod map;
+pub mod otg;
+pub mod trigger;
+
+use std::ops::{Deref, DerefMut};
+
+use rigless::device::{ErasedDevice, ResetCause};
+use rigless::mcu::{Mcu, Operate};
+use rigless::soc::stm32f427::Stm32f427;
+use rigless::soc::stm32f427::peripherals::{ADVANCED_TIMERS, CONVERTERS};
+use rigless::soc::{Bus, Error};
+use rigless::time::VirtualNanos;
+
+use flash::FlashUnit;
+use otg::Otg;
+use trigger::{Converter, MasterTimer};
+
+/// The blocks that the vendor's file splits the USB core into, in address order.
+pub const OTG_BLOCKS: [&str; 4] = ["OTG_FS_GLOBAL", "OTG_FS_HOST", "OTG_FS_DEVICE", "OTG_FS_PWRCLK"];
+
+/// Which model of ours answers for a slot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Ours {
+    None,
+    Otg(usize),
+    Flash,
+    Advanced(usize),
+    Converter(usize),
+}
+
+/// An STM32F405.
+#[derive(Debug)]
+pub struct Chip {
+    part: Stm32f427,
+    /// The bus the part was built with, its slots moved out.
+    parked: Bus,
+    ours: Vec<Ours>,
+    /// The USB core and the cable's far end.
+    pub otg: Otg,
+    /// The flash interface with its array.
+    pub flash: FlashUnit,
+    /// TIM1 and TIM8.
+    pub advanced: [MasterTimer; ADVANCED_TIMERS.len()],
+    /// ADC1 to ADC3.
+    pub converters: [Converter; CONVERTERS.len()],
+}
+
+impl Deref for Chip {
+    type Target = Stm32f427;
+    fn deref(&self) -> &Stm32f427 {
+        &self.part
+    }
+}
+
+impl DerefMut for Chip {
+    fn deref_mut(&mut self) -> &mut Stm32f427 {
+        &mut self.part
+    }
+}
+
+impl Chip {
+    /// The chip out of power-on with nothing on its pins.
+    ///
+    /// # Errors
+    ///
+    /// A wrong description of the part, which is a bug here.
+    pub fn new() -> Result<Self, Error> {
+        let part = Stm32f427::new()?;
+        let bus = map::bus(part.bus())?;
+        let ours = bus.slots().iter().map(|slot| owner(slot.peripheral().name)).collect();
+        let mut chip = Self {
+            part,
+            parked: bus,
+            ours,
+            otg: Otg::default(),
+            flash: flash::unit(),
+            advanced: std::array::from_fn(trigger::timer),
+            converters: std::array::from_fn(trigger::converter),
+        };
+        chip.exchange();
+        chip.check()?;
+        Ok(chip)
+    }
+
+    /// Swaps the bus in use with the parked one. The slots of the part's own models move along, so what they hold,
+    /// what gates them and how they are corrected is the same on either.
+    fn exchange(&mut self) {
+        let Self { part, parked, ours, .. } = self;
+        for (index, owner) in ours.iter().enumerate() {
+            if !matches!(owner, Ours::Otg(_)) {
+                std::mem::swap(parked.slot_mut(index), part.bus_mut().slot_mut(index));
+            }
+        }
+        std::mem::swap(parked, part.bus_mut());
+    }
+
+    /// The registers of the instance called `name`.
+    ///
+    /// # Panics
+    ///
+    /// When the part has no such instance, which is a bug of the caller.
+    #[must_use]
+    pub fn register(&self, name: &str, offset: u32) -> u64 {
+        let bus = self.part.bus();
+        let slot = &bus.slots()[bus.slot_of(name).expect("an instance of the part")];
+        let row = (slot.peripheral().registers.iter())
+            .position(|register| register.offset == offset)
+            .expect("a register of the instance");
+        slot.registers().get(map::Row(row))
+    }
+}
+
+fn owner(instance: &str) -> Ours {
+    if let Some(block) = OTG_BLOCKS.iter().position(|&name| name == instance) {
+        return Ours::Otg(block);
+    }
+    if let Some(nth) = ADVANCED_TIMERS.iter().position(|timer| timer.instance == instance) {
+        return Ours::Advanced(nth);
+    }
+    if let Some(nth) = CONVERTERS.iter().position(|&name| name == instance) {
+        return Ours::Converter(nth);
+    }
+    if instance == "FLASH" { Ours::Flash } else { Ours::None }
+}
+
+impl Mcu for Chip {
+    fn bus(&self) -> &Bus {
+        self.part.bus()
+    }
+
+    fn bus_mut(&mut self) -> &mut Bus {
+        self.part.bus_mut()
+    }
+
+    fn reset(&mut self, at: VirtualNanos, cause: ResetCause) {
+        self.exchange();
+        // Our bus of before, with the count of events that models may still wait for.
+        let before = std::mem::replace(&mut self.parked, map::bus(self.part.bus()).expect("described once already"));
+        self.part.reset(at, cause);
+        self.parked.keep_added(&before).expect("the same description");
+        self.exchange();
+        self.otg.chip_reset();
+        self.flash = flash::unit();
+        for (nth, timer) in self.advanced.iter_mut().enumerate() {
+            *timer = trigger::timer(nth);
+        }
+        for (nth, converter) in self.converters.iter_mut().enumerate() {
+            let mut fresh = trigger::converter(nth);
+            fresh.inner.inherit(&converter.inner);
+            *converter = fresh;
+        }
+    }
+
+    fn poll(&mut self, now: VirtualNanos) {
+        self.part.poll(now);
+        let slot = self.bus().slot_of(OTG_BLOCKS[0]).expect("the part has a USB core");
+        let Self { part, otg, .. } = self;
+        let (_, mut context) = part.bus_mut().drive(now, slot);
+        otg.look_outside(&mut context);
+    }
+
+    fn split(&mut self, slot: usize) -> (&mut Bus, Option<&mut dyn ErasedDevice>) {
+        let Self { part, ours, otg, flash, advanced, converters, .. } = self;
+        let model: &mut dyn ErasedDevice = match ours.get(slot) {
+            None | Some(Ours::None) => return part.split(slot),
+            Some(&Ours::Otg(block)) => otg.answering_for(block),
+            Some(Ours::Flash) => flash,
+            Some(&Ours::Advanced(nth)) => &mut advanced[nth],
+            Some(&Ours::Converter(nth)) => &mut converters[nth],
+        };
+        (part.bus_mut(), Some(model))
+    }
+}

@@ -78,10 +78,7 @@ impl fmt::Display for Error {
             Self::Image(error) => write!(out, "{error}"),
             Self::Emulator(error) => write!(out, "the emulator stopped: {error}"),
             Self::NeverDone(seconds) => {
-                write!(
-                    out,
-                    "bench_done was not reached in {seconds} virtual seconds: did the image panic?"
-                )
+                write!(out, "bench_done was not reached in {seconds} virtual seconds: did the image panic?")
             }
             Self::Markers(what) => write!(out, "the image breaks the marker convention: {what}"),
         }
@@ -119,11 +116,9 @@ pub fn count(firmware: &Firmware, seconds: u64) -> Result<Vec<Variant>, Error> {
     let emulator = |error: &dyn fmt::Display| Error::Emulator(error.to_string());
     let hardware = Hardware::new().map_err(|error| emulator(&error))?;
     // Watches are armed when the run first hands the session back, so the first stop comes at once.
-    let session =
-        Session::new(Box::new(hardware), 0, VirtualNanos(1)).map_err(|error| emulator(&error))?;
+    let session = Session::new(Box::new(hardware), 0, VirtualNanos(1)).map_err(|error| emulator(&error))?;
     let images = [firmware.image().map_err(|error| emulator(&error))?];
-    let finished =
-        emulator::run(session, &Start::new(&images), driver).map_err(|error| emulator(&error))?;
+    let finished = emulator::run(session, &Start::new(&images), driver).map_err(|error| emulator(&error))?;
     finished.driver.report(seconds)
 }
 
@@ -188,11 +183,7 @@ impl Counter {
             variant.instructions.push(hit.instruction_count - from);
             if let Some(result) = self.result {
                 let words = result.size / 4;
-                variant.results.push(
-                    (0..words)
-                        .map(|n| word(host, result.address + 4 * n))
-                        .collect(),
-                );
+                variant.results.push((0..words).map(|n| word(host, result.address + 4 * n)).collect());
             }
         } else if hit.address == self.done {
             self.finished = true;
@@ -201,12 +192,7 @@ impl Counter {
 }
 
 impl Driver<Hardware> for Counter {
-    fn on_settled(
-        &mut self,
-        session: &mut Session<Hardware>,
-        host: &mut dyn Host,
-        settled: Settled,
-    ) {
+    fn on_settled(&mut self, session: &mut Session<Hardware>, host: &mut dyn Host, settled: Settled) {
         if let Settled::Hit(hit) = settled {
             self.on_hit(hit, host);
             if self.finished || self.broken.is_some() {
@@ -215,12 +201,7 @@ impl Driver<Hardware> for Counter {
         }
     }
 
-    fn on_stop(
-        &mut self,
-        session: &mut Session<Hardware>,
-        stop: Stop,
-        _host: &mut dyn Host,
-    ) -> Option<VirtualNanos> {
+    fn on_stop(&mut self, session: &mut Session<Hardware>, stop: Stop, _host: &mut dyn Host) -> Option<VirtualNanos> {
         if !self.armed {
             self.armed = true;
             for address in [self.begin, self.end, self.done] {
@@ -233,18 +214,13 @@ impl Driver<Hardware> for Counter {
 }
 
 fn word(host: &mut dyn Host, address: u64) -> u32 {
-    host.read(address, Width::W32)
-        .map_or(0, |value| value as u32)
+    host.read(address, Width::W32).map_or(0, |value| value as u32)
 }
 
 fn variant_name(at: Symbol, host: &mut dyn Host) -> Option<String> {
     let (start, length) = (word(host, at.address), word(host, at.address + 4));
     let bytes: Option<Vec<u8>> = (0..length.min(256))
-        .map(|n| {
-            host.read(u64::from(start) + u64::from(n), Width::W8)
-                .ok()
-                .map(|byte| byte as u8)
-        })
+        .map(|n| host.read(u64::from(start) + u64::from(n), Width::W8).ok().map(|byte| byte as u8))
         .collect();
     String::from_utf8(bytes?).ok()
 }

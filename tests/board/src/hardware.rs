@@ -5,6 +5,7 @@ use std::num::{NonZeroU32, NonZeroU64};
 use rigless::machine::{Board, Target, armv7m};
 use rigless::mcu::{Mcu, Operate};
 use rigless::snapshot::Store;
+use rigless::time::VirtualNanos;
 
 use crate::chip::Chip;
 
@@ -16,6 +17,9 @@ pub const INSTRUCTIONS_PER_SECOND: NonZeroU64 = NonZeroU64::new(84_000_000).expe
 const CRYSTAL_HZ: u64 = 8_000_000;
 /// The rail of both boards, in millivolts.
 const RAIL_MV: u32 = 3300;
+
+/// VREF+ in microvolts: the converters' inputs are set in that unit, since rigless' millivolts are coarser than a bit.
+pub const REFERENCE_UV: u32 = 3_300_000;
 
 /// A board with one STM32F405 on it.
 #[derive(Debug)]
@@ -35,6 +39,11 @@ impl Hardware {
         chip.rcc.attach_crystals(CRYSTAL_HZ, 0);
         chip.set_supply(RAIL_MV);
         Ok(Self { chip })
+    }
+
+    /// What happens on the board at a stop at `at`, and when it needs the next one.
+    pub fn step(&mut self, _at: VirtualNanos) -> Option<VirtualNanos> {
+        None
     }
 }
 

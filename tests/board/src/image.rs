@@ -39,11 +39,7 @@ impl fmt::Display for Error {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Read(path, error) => {
-                write!(
-                    out,
-                    "{}: {error} (build it with `cargo xtask fw`)",
-                    path.display()
-                )
+                write!(out, "{}: {error} (build it with `cargo xtask fw`)", path.display())
             }
             Self::Elf(path, error) => write!(out, "{}: {error}", path.display()),
             Self::Missing(path, name) => write!(out, "{} has no symbol {name}", path.display()),
@@ -69,24 +65,13 @@ impl Firmware {
                 let name = symbol.name().ok().filter(|name| !name.is_empty())?;
                 let thumb = u64::from(symbol.kind() == SymbolKind::Text);
                 let address = symbol.address() & !thumb;
-                Some((
-                    name.to_owned(),
-                    Symbol {
-                        address,
-                        size: symbol.size(),
-                    },
-                ))
+                Some((name.to_owned(), Symbol { address, size: symbol.size() }))
             })
             .collect();
-        let text = elf.section_by_name(".text").map_or((0, 0), |section| {
-            (section.address(), section.address() + section.size())
-        });
-        Ok(Self {
-            path,
-            symbols,
-            text,
-            bytes,
-        })
+        let text = elf
+            .section_by_name(".text")
+            .map_or((0, 0), |section| (section.address(), section.address() + section.size()));
+        Ok(Self { path, symbols, text, bytes })
     }
 
     /// The file's bytes, for a hash or a decoder of its log.
@@ -113,8 +98,7 @@ impl Firmware {
     ///
     /// [`Error::Missing`] when the image has none.
     pub fn symbol(&self, name: &str) -> Result<Symbol, Error> {
-        self.find(name)
-            .ok_or_else(|| Error::Missing(self.path.clone(), name.to_owned()))
+        self.find(name).ok_or_else(|| Error::Missing(self.path.clone(), name.to_owned()))
     }
 
     /// The symbol `name`, if the image has it.
@@ -125,9 +109,7 @@ impl Firmware {
 
     /// Every symbol with its name, by name.
     pub fn symbols(&self) -> impl Iterator<Item = (&str, Symbol)> {
-        self.symbols
-            .iter()
-            .map(|(name, &symbol)| (name.as_str(), symbol))
+        self.symbols.iter().map(|(name, &symbol)| (name.as_str(), symbol))
     }
 
     /// What the emulator places in memory.

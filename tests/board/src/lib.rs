@@ -7,3 +7,6 @@ pub mod chip;
 pub mod count;
 pub mod hardware;
 pub mod image;
+pub mod rtt;
+pub mod run;
+pub mod usb;

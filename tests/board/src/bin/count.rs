@@ -26,9 +26,7 @@ fn main() -> ExitCode {
         }
     }
     let Some(path) = path else { return usage() };
-    let counted = Firmware::read(&path)
-        .map_err(Into::into)
-        .and_then(|firmware| count(&firmware, seconds));
+    let counted = Firmware::read(&path).map_err(Into::into).and_then(|firmware| count(&firmware, seconds));
     match counted {
         Ok(variants) => {
             let variants: Vec<_> = variants

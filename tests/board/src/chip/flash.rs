@@ -1,0 +1,84 @@
+//! The flash array behind rigless' flash interface: programming clears bits, a sector erase sets them (RM0090 chapter 3).
+//!
+//! On silicon code running from flash stalls while a sector erases or a word is programmed; here it runs on, and only
+//! the busy flag takes its time.
+
+use std::collections::VecDeque;
+
+use rigless::device::{DeviceContext, RegisterFile};
+use rigless::soc::Width;
+use rigless::soc::stm32f427::generated::flash::Register;
+use rigless::soc::stm32f427::peripherals::flash::Flash;
+use rigless::soc::stm32f427::peripherals::rcc::HSI_HZ;
+
+use super::hook::{Hook, Hooked};
+use super::map;
+
+const PG: u64 = 1 << 0;
+const SER: u64 = 1 << 1;
+const LOCK: u64 = 1 << 31;
+const BUSY: u64 = 1 << 16;
+/// The answers to our own accesses, apart from any the model asks for.
+const READ: u64 = 1 << 62;
+const WRITTEN: u64 = READ + 1;
+
+/// The interface and the array.
+pub type FlashUnit = Hooked<Flash, Array>;
+
+/// The flash as a power-on finds it. What the array holds is memory, which outlives a reset.
+#[must_use]
+pub fn unit() -> FlashUnit {
+    Hooked { inner: Flash::with_clock(HSI_HZ), hook: Array::default() }
+}
+
+/// What has been asked of the array.
+#[derive(Debug, Default)]
+pub struct Array {
+    busy: bool,
+    stores: VecDeque<(u64, Width, u64)>,
+    /// Sectors erased since power-on, in order.
+    pub erased: Vec<u64>,
+    /// Words programmed since the last reset.
+    pub programmed: u64,
+}
+
+impl Hook<Flash> for Array {
+    fn after(&mut self, _: &mut Flash, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        let busy = registers.get(Register::Sr) & BUSY != 0;
+        let began = busy && !self.busy;
+        self.busy = busy;
+        let control = registers.get(Register::Cr);
+        if began && control & SER != 0 {
+            let number = (control >> 3) & 0xF;
+            let (start, size) = map::sector(number);
+            for offset in (0..size).step_by(8) {
+                context.program(start + offset, Width::W64, u64::MAX, WRITTEN);
+            }
+            self.erased.push(number);
+        }
+    }
+
+    fn answered(&mut self, token: u64, value: u64, context: &mut DeviceContext<'_>) -> bool {
+        if token == READ
+            && let Some((address, width, wanted)) = self.stores.pop_front()
+        {
+            context.program(address, width, value & wanted, WRITTEN);
+        }
+        token == READ || token == WRITTEN
+    }
+
+    fn store(
+        &mut self,
+        store: (u64, Width, u64),
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) -> bool {
+        let control = registers.get(Register::Cr);
+        if control & PG != 0 && control & LOCK == 0 {
+            self.stores.push_back(store);
+            self.programmed += 1;
+            context.read_from(store.0, store.1, READ);
+        }
+        true
+    }
+}

@@ -1,0 +1,161 @@
+//! The STM32F405's memory map and the bus that joins its peripherals (RM0090 rev 22: section 2.3, tables 5, 43, 63).
+
+use std::num::{NonZeroU32, NonZeroU64};
+
+use rigless::soc::stm32f427::peripherals::{ADC_COMMON, ADVANCED_TIMERS, CONTROLLERS, CONVERTERS, SERIAL_INTERFACES};
+use rigless::soc::stm32f427::{CPU, builder};
+use rigless::soc::{
+    Access, Bus, EraseBlocks, Error, Gate, Layout, Peripheral, ReadAction, Region, RegisterSpec, Width, WriteModify,
+};
+
+use super::OTG_BLOCKS;
+
+/// Flash in its twelve sectors (table 5), core-coupled RAM, system memory, SRAM1 and SRAM2, backup SRAM.
+pub static MEMORY: [Region; 5] = [
+    Region::flash("flash", 0x0800_0000, 1 << 20).erased_in(&SECTORS).erased_to(0xFF).programmed_by("FLASH"),
+    Region::ram("ccm", 0x1000_0000, 64 << 10),
+    Region::system("system", 0x1FFF_0000, 32 << 10),
+    Region::ram("sram", 0x2000_0000, 128 << 10),
+    Region::ram("backup_sram", 0x4002_4000, 4 << 10),
+];
+
+static SECTORS: [EraseBlocks; 3] = [blocks(4, 16), blocks(1, 64), blocks(7, 128)];
+
+const fn blocks(count: u32, kib: u64) -> EraseBlocks {
+    EraseBlocks {
+        count: NonZeroU32::new(count).expect("not zero"),
+        size: NonZeroU64::new(kib << 10).expect("not zero"),
+    }
+}
+
+/// The first address and the bytes of flash sector `number`, 0 to 11.
+#[must_use]
+pub const fn sector(number: u64) -> (u64, u64) {
+    const KIB: u64 = 1 << 10;
+    let (offset, size) = match number {
+        0..=3 => (number * 16 * KIB, 16 * KIB),
+        4 => (64 * KIB, 64 * KIB),
+        _ => ((number - 4) * 128 * KIB, 128 * KIB),
+    };
+    (0x0800_0000 + offset, size)
+}
+
+/// The reset bits that a driver of ours pulses (sections 6.3.5 to 6.3.9).
+const RESET_LINES: [(&str, &str, &str); 15] = [
+    ("ADC1", "APB2RSTR", "ADCRST"),
+    ("ADC2", "APB2RSTR", "ADCRST"),
+    ("ADC3", "APB2RSTR", "ADCRST"),
+    ("C_ADC", "APB2RSTR", "ADCRST"),
+    ("TIM1", "APB2RSTR", "TIM1RST"),
+    ("TIM8", "APB2RSTR", "TIM8RST"),
+    ("TIM2", "APB1RSTR", "TIM2RST"),
+    ("TIM3", "APB1RSTR", "TIM3RST"),
+    ("TIM4", "APB1RSTR", "TIM4RST"),
+    ("TIM5", "APB1RSTR", "TIM5RST"),
+    ("SPI3", "APB1RSTR", "SPI3RST"),
+    ("DMA1", "AHB1RSTR", "DMA1RST"),
+    ("DMA2", "AHB1RSTR", "DMA2RST"),
+    ("OTG_FS_GLOBAL", "AHB2RSTR", "OTGFSRST"),
+    ("PWR", "APB1RSTR", "PWRRST"),
+];
+
+/// A bus of our description whose slots stand in the order of `stock`, the bus rigless builds.
+///
+/// # Errors
+///
+/// What [`rigless::soc::Builder::build`] refuses, which is a bug in the description.
+pub fn bus(stock: &Bus) -> Result<Bus, Error> {
+    // The clocks and the readers of requests of the stock description; its tables, gates and corrections come along
+    // with the slots, which `Chip` moves over.
+    let described = builder().build()?;
+    let peripherals: Vec<Peripheral> = stock.peripherals().map(with_our_tables).collect();
+    let mut builder = Bus::builder(CPU, &MEMORY, peripherals);
+    for peripheral in described.peripherals() {
+        if let Some(clock) = described.clock_of(peripheral.name) {
+            builder = builder.clocked_by(peripheral.name, clock);
+        }
+    }
+    for (instance, register, field) in RESET_LINES {
+        builder = builder.reset_by(instance, Gate::by("RCC", register, field));
+    }
+    let timers = ADVANCED_TIMERS.iter().map(|timer| timer.instance);
+    let controllers = CONTROLLERS.iter().map(|controller| controller.instance);
+    let readers = ["RTC", "RCC", ADC_COMMON].into_iter();
+    for instance in readers.chain(SERIAL_INTERFACES).chain(CONVERTERS).chain(timers).chain(controllers) {
+        builder = builder.reads_requests(instance);
+    }
+    builder.build()
+}
+
+fn with_our_tables(stock: &Peripheral) -> Peripheral {
+    match OTG_BLOCKS.iter().position(|&name| name == stock.name) {
+        Some(block) => Peripheral { registers: otg_table(block), interrupts: &[OTG_LINE], ..*stock },
+        None => *stock,
+    }
+}
+
+/// The interrupt line of the USB core, table 63.
+const OTG_LINE: u16 = 67;
+
+/// The register table of one of the USB core's blocks: a word at every offset, plain. [`super::otg`] knows what each is.
+#[must_use]
+pub fn otg_table(block: usize) -> &'static [RegisterSpec] {
+    static GLOBAL: [RegisterSpec; 256] = words();
+    static HOST: [RegisterSpec; 256] = words();
+    static DEVICE: [RegisterSpec; 384] = words();
+    static POWER: [RegisterSpec; 17] = power();
+    match block {
+        0 => &GLOBAL,
+        1 => &HOST,
+        2 => &DEVICE,
+        _ => &POWER,
+    }
+}
+
+const fn word(offset: u32) -> RegisterSpec {
+    RegisterSpec {
+        name: "OTG_FS",
+        offset,
+        width: Width::W32,
+        reset: 0,
+        access: Access::ReadWrite,
+        read: ReadAction::None,
+        write: WriteModify::None,
+        fields: &[],
+    }
+}
+
+const fn words<const N: usize>() -> [RegisterSpec; N] {
+    let mut table = [word(0); N];
+    let mut row = 0;
+    while row < N {
+        table[row] = word(4 * row as u32);
+        row += 1;
+    }
+    table
+}
+
+/// The power and clock gating register, and the first word of each endpoint's FIFO window.
+const fn power() -> [RegisterSpec; 17] {
+    let mut table = [word(0); 17];
+    let mut row = 1;
+    while row < table.len() {
+        table[row] = word(0x200 + 0x1000 * (row as u32 - 1));
+        row += 1;
+    }
+    table
+}
+
+/// A register by its row in its instance's table, for reading one without naming its layout.
+#[derive(Clone, Copy, Debug)]
+pub struct Row(pub usize);
+
+impl Layout for Row {
+    const REGISTERS: &'static [RegisterSpec] = &[];
+    fn from_index(index: usize) -> Option<Self> {
+        Some(Self(index))
+    }
+    fn index(self) -> usize {
+        self.0
+    }
+}

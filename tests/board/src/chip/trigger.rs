@@ -1,0 +1,140 @@
+//! Wires between peripherals that rigless leaves out: timer triggers that start conversions (RM0090 tables 68 and 69)
+//! and the start of TIM8 by TIM1 (table 93, `ITR0`).
+
+use rigless::device::{Device, DeviceContext, Level, RegisterFile, RequestChange};
+use rigless::soc::stm32f427::generated::adc1::Register;
+use rigless::soc::stm32f427::peripherals::adc::Adc;
+use rigless::soc::stm32f427::peripherals::rcc::HSI_HZ;
+use rigless::soc::stm32f427::peripherals::tim::{Advanced, Channel, Tim};
+use rigless::soc::stm32f427::peripherals::{ADVANCED_TIMERS, CONVERTERS, rcc};
+
+use super::hook::{Hook, Hooked};
+
+/// The trigger output, as a request no rigless model uses.
+const TRGO: usize = 100;
+/// The reference of channel 4, likewise.
+const CC4: usize = 101;
+
+/// TIM1 or TIM8 with its trigger outputs wired.
+pub type MasterTimer = Hooked<Tim<Advanced>, Outputs>;
+/// A converter with its external triggers wired.
+pub type Converter = Hooked<Adc, ExternalTrigger>;
+
+/// The nth advanced timer out of reset.
+#[must_use]
+pub fn timer(nth: usize) -> MasterTimer {
+    let inner = Tim::with_clock(HSI_HZ, ADVANCED_TIMERS[nth].counter).breaks_on("RCC", rcc::CLOCK_FAILURE);
+    let hook = Outputs { slave_of_tim1: ADVANCED_TIMERS[nth].instance == "TIM8", ..Outputs::default() };
+    Hooked { inner, hook }
+}
+
+/// The nth converter out of reset, with VREF+ and every input in microvolts (see [`crate::hardware`]).
+#[must_use]
+pub fn converter(nth: usize) -> Converter {
+    let mut inner = Adc::with_clock(HSI_HZ / 2);
+    inner.set_reference(crate::hardware::REFERENCE_UV);
+    Hooked { inner, hook: ExternalTrigger { instance: CONVERTERS[nth] } }
+}
+
+/// What a timer last drove.
+#[derive(Debug, Default)]
+pub struct Outputs {
+    slave_of_tim1: bool,
+    level: Level,
+    pulses: u64,
+    channel4: Level,
+}
+
+impl Hook<Tim<Advanced>> for Outputs {
+    fn after(&mut self, timer: &mut Tim<Advanced>, _: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        let (level, pulses) = timer.trigger_output();
+        if pulses != self.pulses {
+            self.pulses = pulses;
+            context.request(TRGO, Level::High);
+            context.request(TRGO, Level::Low);
+        }
+        if level != self.level {
+            self.level = level;
+            context.request(TRGO, level);
+        }
+        let channel4 = timer.reference(Channel::new(4).expect("a timer has four channels"));
+        if channel4 != self.channel4 {
+            self.channel4 = channel4;
+            context.request(CC4, channel4);
+        }
+    }
+
+    fn request(
+        &mut self,
+        change: RequestChange,
+        timer: &mut Tim<Advanced>,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        if self.slave_of_tim1 && change.instance == "TIM1" && change.request == TRGO {
+            timer.drive_internal_trigger(0, change.level, registers, context);
+        }
+    }
+}
+
+/// The start of a conversion by a timer.
+#[derive(Debug)]
+pub struct ExternalTrigger {
+    instance: &'static str,
+}
+
+/// `JSWSTART` and `SWSTART`, which start a group as its trigger does.
+const JSWSTART: u64 = 1 << 22;
+const SWSTART: u64 = 1 << 30;
+
+impl Hook<Adc> for ExternalTrigger {
+    fn request(
+        &mut self,
+        change: RequestChange,
+        adc: &mut Adc,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        if change.instance == self.instance {
+            return;
+        }
+        let control = registers.get(Register::Cr2);
+        let starts = |select: u64, enable: u64, source: fn(u64) -> Option<(&'static str, usize)>| {
+            let edge = match change.level {
+                Level::High => 0b01,
+                Level::Low => 0b10,
+            };
+            (control >> enable) & edge != 0
+                && source((control >> select) & 0xF) == Some((change.instance, change.request))
+        };
+        let mut start = 0;
+        if starts(16, 20, injected_source) {
+            start |= JSWSTART;
+        }
+        if starts(24, 28, regular_source) {
+            start |= SWSTART;
+        }
+        if start != 0 {
+            registers.set(Register::Cr2, control | start);
+            Device::write(adc, Register::Cr2, control | start, registers, context);
+        }
+    }
+}
+
+/// `JEXTSEL`, table 69.
+fn injected_source(select: u64) -> Option<(&'static str, usize)> {
+    match select {
+        0 => Some(("TIM1", CC4)),
+        1 => Some(("TIM1", TRGO)),
+        14 => Some(("TIM8", CC4)),
+        _ => None,
+    }
+}
+
+/// `EXTSEL`, table 68. TIM1's trigger output starts no regular group on this chip.
+fn regular_source(select: u64) -> Option<(&'static str, usize)> {
+    match select {
+        14 => Some(("TIM8", TRGO)),
+        _ => None,
+    }
+}

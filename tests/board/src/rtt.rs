@@ -1,0 +1,51 @@
+//! The firmware's log as a debug probe takes it: RTT up-channel 0, read from RAM, with the read offset written back.
+
+use rigless::emulator::Memory;
+use rigless::soc::Width;
+
+/// Where the first up-channel's descriptor stands in the control block: after the 16-byte name and the two counts.
+const CHANNEL: u64 = 24;
+const BUFFER: u64 = CHANNEL + 4;
+const SIZE: u64 = CHANNEL + 8;
+const WRITE_OFFSET: u64 = CHANNEL + 12;
+const READ_OFFSET: u64 = CHANNEL + 16;
+
+/// A reader of the log.
+#[derive(Debug)]
+pub struct Rtt {
+    block: Option<u64>,
+    read: Vec<u8>,
+}
+
+impl Rtt {
+    /// A reader of the control block at `block`; without one there is no log.
+    #[must_use]
+    pub fn new(block: Option<u64>) -> Self {
+        Self { block, read: Vec::new() }
+    }
+
+    /// Moves what the firmware has written out of its buffer.
+    pub fn drain(&mut self, memory: &mut (impl Memory + ?Sized)) {
+        let Some(block) = self.block else { return };
+        let mut word = |offset| memory.read(block + offset, Width::W32).unwrap_or(0);
+        let (buffer, size) = (word(BUFFER), word(SIZE));
+        let (write, mut read) = (word(WRITE_OFFSET), word(READ_OFFSET));
+        // Before start-up code has run the block holds whatever RAM held.
+        if size == 0 || size > 1 << 16 || write >= size || read >= size {
+            return;
+        }
+        while read != write {
+            if let Ok(byte) = memory.read(buffer + read, Width::W8) {
+                self.read.push(byte as u8);
+            }
+            read = (read + 1) % size;
+        }
+        // A control block is RAM, so the write lands.
+        let _ = memory.write(block + READ_OFFSET, Width::W32, read);
+    }
+
+    /// Takes what was read since the last call.
+    pub fn take(&mut self) -> Vec<u8> {
+        std::mem::take(&mut self.read)
+    }
+}

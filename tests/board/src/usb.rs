@@ -1,0 +1,639 @@
+//! The computer at the other end of the USB cable: it enumerates a device as a PC does, opens its serial port, and moves
+//! bytes both ways. Everything a user can do to a port can be done to it: unplug, suspend, close, stop reading, write garbage.
+//!
+//! Sources: USB 2.0 chapters 5, 8, 9; CDC PSTN 1.2 section 6.3 (line coding, control line state).
+
+use std::collections::VecDeque;
+
+use rigless::time::VirtualNanos;
+
+use crate::chip::otg::{Core, Handshake};
+
+const MILLISECOND: u64 = 1_000_000;
+/// From seeing a pull-up to the first reset, and each reset's length: the least that USB 2.0 sections 7.1.7.3 and 7.1.7.5
+/// allow, where a PC waits longer.
+const DEBOUNCE: u64 = 100 * MILLISECOND;
+const RESET: u64 = 10 * MILLISECOND;
+const RECOVERY: u64 = 10 * MILLISECOND;
+/// Idle time after which a device counts as suspended, section 7.1.7.6, and the length of a resume, 7.1.7.7.
+const IDLE: u64 = 3 * MILLISECOND;
+const RESUME: u64 = 20 * MILLISECOND;
+
+/// The address given to the device.
+const ADDRESS: u8 = 5;
+/// The most a full-speed bulk packet holds.
+const PACKET: usize = 64;
+
+/// What a packet of `bytes` takes on the bus at 12 Mbit/s: token, data and handshake packets with their gaps take
+/// about 13 bytes more.
+fn bus_time(bytes: usize) -> u64 {
+    (bytes as u64 + 13) * 8 * 1000 / 12
+}
+
+/// Something the host saw or did, for tests to read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Event {
+    /// A pull-up appeared.
+    Connected,
+    /// The device left: unplugged, or its pull-up went away.
+    Left,
+    /// The bus was reset.
+    Reset,
+    /// The device took its address.
+    Addressed,
+    /// The device is configured and its serial port found.
+    Configured,
+    /// The port was opened, with terminal ready set.
+    Opened,
+    /// The port was closed.
+    Closed,
+    /// The device was suspended.
+    Suspended,
+    /// The device was woken.
+    Resumed,
+    /// The device stalled a request: the setup packet.
+    Stalled([u8; 8]),
+}
+
+/// What enumeration read from the device.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Descriptors {
+    /// The device descriptor, 18 bytes.
+    pub device: Vec<u8>,
+    /// The configuration descriptor with everything in it.
+    pub configuration: Vec<u8>,
+    /// Manufacturer, product and serial number, as far as the device has them.
+    pub strings: Vec<String>,
+}
+
+impl Descriptors {
+    /// Vendor and product id.
+    #[must_use]
+    pub fn ids(&self) -> (u16, u16) {
+        let word = |at: usize| {
+            u16::from_le_bytes([
+                self.device.get(at).copied().unwrap_or(0),
+                self.device.get(at + 1).copied().unwrap_or(0),
+            ])
+        };
+        (word(8), word(10))
+    }
+}
+
+/// The serial port found in a configuration descriptor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Port {
+    communication: u8,
+    data_in: usize,
+    data_out: usize,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Bus {
+    #[default]
+    Detached,
+    Debounce(u64),
+    Reset(u64),
+    Recovery(u64),
+    Active,
+    GoingIdle(u64),
+    Suspended,
+    Resuming(u64),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Step {
+    DeviceHead,
+    SetAddress,
+    Device,
+    ConfigurationHead,
+    Configuration,
+    String(u8),
+    SetConfiguration,
+    LineCoding,
+    LineState(bool),
+    Asked,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    Setup,
+    DataIn,
+    DataOut,
+    StatusIn,
+    StatusOut,
+}
+
+#[derive(Clone, Debug)]
+struct Control {
+    step: Step,
+    setup: [u8; 8],
+    data: Vec<u8>,
+    stage: Stage,
+}
+
+impl Control {
+    fn read(step: Step, kind: u8, request: u8, value: u16, index: u16, length: u16) -> Self {
+        let setup = setup(kind, request, value, index, length);
+        Self { step, setup, data: Vec::new(), stage: Stage::Setup }
+    }
+
+    fn write(step: Step, kind: u8, request: u8, value: u16, index: u16, data: &[u8]) -> Self {
+        let setup = setup(kind, request, value, index, data.len() as u16);
+        Self { step, setup, data: data.to_vec(), stage: Stage::Setup }
+    }
+
+    fn is_read(&self) -> bool {
+        self.setup[0] & 0x80 != 0
+    }
+
+    fn length(&self) -> usize {
+        usize::from(u16::from_le_bytes([self.setup[6], self.setup[7]]))
+    }
+}
+
+fn setup(kind: u8, request: u8, value: u16, index: u16, length: u16) -> [u8; 8] {
+    let ([v0, v1], [i0, i1], [l0, l1]) = (value.to_le_bytes(), index.to_le_bytes(), length.to_le_bytes());
+    [kind, request, v0, v1, i0, i1, l0, l1]
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Transaction {
+    Control(Stage),
+    Out,
+    In,
+}
+
+/// The host.
+#[derive(Debug)]
+pub struct Host {
+    plugged: bool,
+    open: bool,
+    reading: bool,
+    idle: bool,
+    bus: Bus,
+    resets: u32,
+    steps: VecDeque<Step>,
+    asked: VecDeque<Control>,
+    control: Option<Control>,
+    port: Option<Port>,
+    opened: bool,
+    under_way: Option<(Transaction, u64)>,
+    free_at: u64,
+    out_last: bool,
+    to_device: VecDeque<u8>,
+    from_device: Vec<u8>,
+    answers: Vec<Result<Vec<u8>, [u8; 8]>>,
+    descriptors: Descriptors,
+    log: Vec<(VirtualNanos, Event)>,
+}
+
+/// A host with its cable in and the port open, reading: a PC with the tool running.
+impl Default for Host {
+    fn default() -> Self {
+        Self {
+            plugged: true,
+            open: true,
+            reading: true,
+            idle: false,
+            bus: Bus::Detached,
+            resets: 0,
+            steps: VecDeque::new(),
+            asked: VecDeque::new(),
+            control: None,
+            port: None,
+            opened: false,
+            under_way: None,
+            free_at: 0,
+            out_last: false,
+            to_device: VecDeque::new(),
+            from_device: Vec::new(),
+            answers: Vec::new(),
+            descriptors: Descriptors::default(),
+            log: Vec::new(),
+        }
+    }
+}
+
+impl Host {
+    /// Puts the cable in or pulls it out.
+    pub fn plug(&mut self, plugged: bool) {
+        self.plugged = plugged;
+    }
+
+    /// Opens or closes the serial port, as a program on a PC does.
+    pub fn open(&mut self, open: bool) {
+        self.open = open;
+    }
+
+    /// Reads the port or leaves what the device sends where it is.
+    pub fn read_port(&mut self, reading: bool) {
+        self.reading = reading;
+    }
+
+    /// Suspends the bus, as a sleeping PC does, or wakes it.
+    pub fn suspend(&mut self, idle: bool) {
+        self.idle = idle;
+    }
+
+    /// Bytes to write to the port.
+    pub fn write(&mut self, bytes: &[u8]) {
+        self.to_device.extend(bytes);
+    }
+
+    /// Bytes written to the port that have not left yet.
+    #[must_use]
+    pub fn unsent(&self) -> usize {
+        self.to_device.len()
+    }
+
+    /// Takes what the device has sent since the last call.
+    pub fn take(&mut self) -> Vec<u8> {
+        std::mem::take(&mut self.from_device)
+    }
+
+    /// Makes a control request of one's own, sane or not: the setup packet, with `data` for a write.
+    pub fn ask(&mut self, setup: [u8; 8], data: &[u8]) {
+        let (step, data) = (Step::Asked, data.to_vec());
+        self.asked.push_back(Control { step, setup, data, stage: Stage::Setup });
+    }
+
+    /// What those requests came back with, in order: the data read, or the setup packet of one that was stalled.
+    pub fn take_answers(&mut self) -> Vec<Result<Vec<u8>, [u8; 8]>> {
+        std::mem::take(&mut self.answers)
+    }
+
+    /// Whether the port is open on a configured device: bytes can flow.
+    #[must_use]
+    pub fn ready(&self) -> bool {
+        self.bus == Bus::Active && self.port.is_some() && self.opened
+    }
+
+    /// What enumeration read.
+    #[must_use]
+    pub fn descriptors(&self) -> &Descriptors {
+        &self.descriptors
+    }
+
+    /// Everything that happened, with its instant.
+    #[must_use]
+    pub fn log(&self) -> &[(VirtualNanos, Event)] {
+        &self.log
+    }
+
+    /// The device is gone from the bus without the cable having moved: its chip restarted.
+    pub fn device_left(&mut self) {
+        if self.bus != Bus::Detached {
+            let at = self.log.last().map_or(VirtualNanos(0), |&(at, _)| at);
+            self.leave(at);
+        }
+    }
+
+    fn leave(&mut self, at: VirtualNanos) {
+        self.bus = Bus::Detached;
+        self.control = None;
+        self.steps.clear();
+        self.under_way = None;
+        self.port = None;
+        self.opened = false;
+        self.to_device.clear();
+        self.log.push((at, Event::Left));
+    }
+
+    /// Goes on with what can be done at `now`, and answers when to look again, if time alone decides it.
+    pub fn advance(&mut self, core: &mut Core, now: VirtualNanos) -> Option<VirtualNanos> {
+        self.follow_cable(core, now);
+        let due = |at: u64| now.0 >= at;
+        match self.bus {
+            Bus::Detached | Bus::Suspended => None,
+            Bus::Debounce(at) if due(at) => {
+                core.bus_reset();
+                self.log.push((now, Event::Reset));
+                self.wait(Bus::Reset, now, RESET)
+            }
+            Bus::Reset(at) if due(at) => {
+                core.enumeration_done();
+                self.resets += 1;
+                self.wait(Bus::Recovery, now, RECOVERY)
+            }
+            Bus::Recovery(at) if due(at) => {
+                self.bus = Bus::Active;
+                self.start_enumeration();
+                self.transact(core, now)
+            }
+            Bus::GoingIdle(at) if due(at) => {
+                core.suspend();
+                self.log.push((now, Event::Suspended));
+                self.bus = Bus::Suspended;
+                None
+            }
+            Bus::Resuming(at) if due(at) => {
+                self.log.push((now, Event::Resumed));
+                self.bus = Bus::Active;
+                self.transact(core, now)
+            }
+            Bus::Active => self.transact(core, now),
+            Bus::Debounce(at) | Bus::Reset(at) | Bus::Recovery(at) | Bus::GoingIdle(at) | Bus::Resuming(at) => {
+                Some(VirtualNanos(at))
+            }
+        }
+    }
+
+    fn wait(&mut self, then: fn(u64) -> Bus, now: VirtualNanos, span: u64) -> Option<VirtualNanos> {
+        self.bus = then(now.0 + span);
+        Some(VirtualNanos(now.0 + span))
+    }
+
+    fn follow_cable(&mut self, core: &mut Core, now: VirtualNanos) {
+        let there = self.plugged && core.connected();
+        match self.bus {
+            Bus::Detached if there => {
+                self.log.push((now, Event::Connected));
+                self.resets = 0;
+                self.bus = Bus::Debounce(now.0 + DEBOUNCE);
+            }
+            Bus::Detached => {}
+            _ if !there => {
+                // A device that does not sense the bus voltage sees nothing but an idle bus.
+                self.leave(now);
+                core.suspend();
+            }
+            Bus::Active if self.idle => self.bus = Bus::GoingIdle(now.0 + IDLE),
+            Bus::Suspended | Bus::GoingIdle(_) if !self.idle => {
+                core.resume();
+                self.bus = Bus::Resuming(now.0 + RESUME);
+            }
+            _ => {}
+        }
+    }
+
+    fn start_enumeration(&mut self) {
+        self.control = None;
+        self.under_way = None;
+        // A PC reads the head of the device descriptor, resets the bus once more, and then goes on.
+        self.steps = if self.resets == 1 {
+            [Step::DeviceHead].into()
+        } else {
+            [Step::SetAddress, Step::Device, Step::ConfigurationHead].into()
+        };
+    }
+
+    fn next_control(&mut self) -> Option<Control> {
+        if let Some(step) = self.steps.pop_front() {
+            return Some(self.control_of(step));
+        }
+        let port = self.port?;
+        if self.open != self.opened {
+            let coding = [0x00, 0xC2, 0x01, 0x00, 0, 0, 8];
+            let index = u16::from(port.communication);
+            return Some(if self.open && self.steps.is_empty() && !self.opened {
+                self.steps.push_back(Step::LineState(true));
+                Control::write(Step::LineCoding, 0x21, 0x20, 0, index, &coding)
+            } else {
+                self.control_of(Step::LineState(self.open))
+            });
+        }
+        self.asked.pop_front()
+    }
+
+    fn control_of(&self, step: Step) -> Control {
+        let total =
+            (self.descriptors.configuration.get(2..4)).map_or(9, |length| u16::from_le_bytes([length[0], length[1]]));
+        let read = |value, index, length| Control::read(step, 0x80, 6, value, index, length);
+        let write = |request, value| Control::write(step, 0x00, request, value, 0, &[]);
+        match step {
+            Step::DeviceHead => read(0x0100, 0, 64),
+            Step::SetAddress => write(5, u16::from(ADDRESS)),
+            Step::Device => read(0x0100, 0, 18),
+            Step::ConfigurationHead => read(0x0200, 0, 9),
+            Step::Configuration => read(0x0200, 0, total),
+            Step::String(index) => read(0x0300 | u16::from(index), 0x0409, 255),
+            Step::SetConfiguration => write(9, 1),
+            Step::LineState(on) => {
+                let index = self.port.map_or(0, |port| u16::from(port.communication));
+                Control::write(step, 0x21, 0x22, if on { 3 } else { 0 }, index, &[])
+            }
+            Step::LineCoding | Step::Asked => unreachable!("made where it is asked for"),
+        }
+    }
+
+    fn transact(&mut self, core: &mut Core, now: VirtualNanos) -> Option<VirtualNanos> {
+        loop {
+            if let Some((transaction, ends)) = self.under_way {
+                if now.0 < ends {
+                    return Some(VirtualNanos(ends));
+                }
+                self.under_way = None;
+                self.free_at = ends;
+                self.complete(transaction, core, now);
+                if self.bus != Bus::Active {
+                    return self.advance(core, now);
+                }
+            }
+            if self.control.is_none() {
+                self.control = self.next_control();
+            }
+            let (transaction, bytes) = self.possible(core)?;
+            let begins = now.0.max(self.free_at);
+            self.under_way = Some((transaction, begins + bus_time(bytes)));
+        }
+    }
+
+    /// The next transaction the device would not turn away, with the bytes it moves.
+    fn possible(&mut self, core: &Core) -> Option<(Transaction, usize)> {
+        let willing = |answer: Handshake<usize>| match answer {
+            Handshake::Ack(bytes) => Some(bytes),
+            Handshake::Stall => Some(0),
+            Handshake::Nak => None,
+        };
+        let taken = |answer: Handshake<()>, bytes: usize| match answer {
+            Handshake::Ack(()) => willing(Handshake::Ack(bytes)),
+            Handshake::Stall => Some(0),
+            Handshake::Nak => None,
+        };
+        if let Some(control) = &self.control {
+            let bytes = match control.stage {
+                Stage::Setup => Some(8),
+                Stage::DataIn | Stage::StatusIn => willing(core.offers(0)),
+                Stage::DataOut => taken(core.accepts(0), control.data.len().min(PACKET)),
+                Stage::StatusOut => taken(core.accepts(0), 0),
+            };
+            if let Some(bytes) = bytes {
+                return Some((Transaction::Control(control.stage), bytes));
+            }
+        }
+        let port = self.port.filter(|_| self.opened)?;
+        let waiting = self.to_device.len().min(PACKET);
+        let out = (waiting > 0).then(|| taken(core.accepts(port.data_out), waiting)).flatten();
+        let input = self.reading.then(|| willing(core.offers(port.data_in))).flatten();
+        match (out, input) {
+            (Some(bytes), None) => Some((Transaction::Out, bytes)),
+            (Some(bytes), Some(_)) if !self.out_last => Some((Transaction::Out, bytes)),
+            (_, Some(bytes)) => Some((Transaction::In, bytes)),
+            (None, None) => None,
+        }
+    }
+
+    fn complete(&mut self, transaction: Transaction, core: &mut Core, now: VirtualNanos) {
+        match (transaction, self.port) {
+            (Transaction::Control(_), _) => self.complete_control(core, now),
+            (Transaction::Out, Some(port)) => {
+                let packet: Vec<u8> = self.to_device.iter().take(PACKET).copied().collect();
+                if core.out(port.data_out, &packet) == Handshake::Ack(()) {
+                    self.to_device.drain(..packet.len());
+                }
+                self.out_last = true;
+            }
+            (Transaction::In, Some(port)) => {
+                if let Handshake::Ack(data) = core.take(port.data_in) {
+                    self.from_device.extend(data);
+                }
+                self.out_last = false;
+            }
+            (_, None) => {}
+        }
+    }
+
+    fn complete_control(&mut self, core: &mut Core, now: VirtualNanos) {
+        let Some(mut control) = self.control.take() else { return };
+        let next = match control.stage {
+            Stage::Setup => {
+                core.setup(control.setup);
+                Some(match (control.is_read(), control.length()) {
+                    (true, 1..) => Stage::DataIn,
+                    (false, 1..) => Stage::DataOut,
+                    (_, 0) => Stage::StatusIn,
+                })
+            }
+            Stage::DataIn => match core.take(0) {
+                Handshake::Ack(packet) => {
+                    control.data.extend(&packet);
+                    let over = packet.len() < PACKET || control.data.len() >= control.length();
+                    Some(if over { Stage::StatusOut } else { Stage::DataIn })
+                }
+                Handshake::Nak => Some(Stage::DataIn),
+                Handshake::Stall => None,
+            },
+            Stage::DataOut => {
+                let length = control.data.len().min(PACKET);
+                match core.out(0, &control.data[..length]) {
+                    Handshake::Ack(()) => {
+                        control.data.drain(..length);
+                        let over = control.data.is_empty();
+                        Some(if over { Stage::StatusIn } else { Stage::DataOut })
+                    }
+                    Handshake::Nak => Some(Stage::DataOut),
+                    Handshake::Stall => None,
+                }
+            }
+            Stage::StatusIn => match core.take(0) {
+                Handshake::Ack(_) => return self.finish(control, now),
+                Handshake::Nak => Some(Stage::StatusIn),
+                Handshake::Stall => None,
+            },
+            Stage::StatusOut => match core.out(0, &[]) {
+                Handshake::Ack(()) => return self.finish(control, now),
+                Handshake::Nak => Some(Stage::StatusOut),
+                Handshake::Stall => None,
+            },
+        };
+        match next {
+            Some(stage) => self.control = Some(Control { stage, ..control }),
+            None => {
+                self.log.push((now, Event::Stalled(control.setup)));
+                if control.step == Step::Asked {
+                    self.answers.push(Err(control.setup));
+                }
+            }
+        }
+    }
+
+    fn finish(&mut self, control: Control, now: VirtualNanos) {
+        match control.step {
+            Step::DeviceHead => self.bus = Bus::Debounce(now.0),
+            Step::SetAddress => self.log.push((now, Event::Addressed)),
+            Step::Device => self.descriptors.device = control.data,
+            Step::ConfigurationHead => {
+                self.descriptors.configuration = control.data;
+                self.steps.push_back(Step::Configuration);
+                self.descriptors.strings.clear();
+                let indices = self.descriptors.device.get(14..17).unwrap_or(&[]);
+                self.steps.extend(indices.iter().filter(|&&index| index != 0).map(|&index| Step::String(index)));
+                self.steps.push_back(Step::SetConfiguration);
+            }
+            Step::Configuration => self.descriptors.configuration = control.data,
+            Step::String(_) => {
+                let units: Vec<u16> = (control.data.get(2..).unwrap_or(&[]))
+                    .chunks_exact(2)
+                    .map(|unit| u16::from_le_bytes([unit[0], unit[1]]))
+                    .collect();
+                self.descriptors.strings.push(String::from_utf16_lossy(&units));
+            }
+            Step::SetConfiguration => {
+                self.port = find_port(&self.descriptors.configuration);
+                self.log.push((now, Event::Configured));
+            }
+            Step::LineCoding => {}
+            Step::LineState(on) => {
+                self.opened = on;
+                self.log.push((now, if on { Event::Opened } else { Event::Closed }));
+            }
+            Step::Asked => self.answers.push(Ok(control.data)),
+        }
+    }
+}
+
+/// The first communication interface and the bulk endpoints of the first data interface.
+fn find_port(configuration: &[u8]) -> Option<Port> {
+    let (mut communication, mut data_in, mut data_out) = (None, None, None);
+    let mut class = 0;
+    let mut rest = configuration;
+    while let [length, kind, ..] = *rest {
+        let descriptor = rest.get(..usize::from(length.max(2)))?;
+        match (kind, descriptor) {
+            (4, [_, _, number, _, _, interface_class, ..]) => {
+                class = *interface_class;
+                if class == 0x02 {
+                    communication = communication.or(Some(*number));
+                }
+            }
+            (5, [_, _, address, attributes, ..]) if class == 0x0A && attributes & 3 == 2 => {
+                let number = Some(usize::from(address & 0xF));
+                if address & 0x80 != 0 {
+                    data_in = data_in.or(number);
+                } else {
+                    data_out = data_out.or(number);
+                }
+            }
+            _ => {}
+        }
+        rest = &rest[descriptor.len()..];
+    }
+    Some(Port { communication: communication?, data_in: data_in?, data_out: data_out? })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_serial_port_is_found_by_its_classes() {
+        let configuration = [
+            9, 2, 0, 0, 2, 1, 0, 0x80, 50, // configuration
+            9, 4, 0, 0, 1, 2, 2, 0, 0, // communication interface 0
+            5, 0x24, 0, 0x10, 1, // its functional descriptor
+            7, 5, 0x81, 3, 8, 0, 255, // its interrupt endpoint
+            9, 4, 1, 0, 2, 0x0A, 0, 0, 0, // data interface 1
+            7, 5, 0x02, 2, 64, 0, 0, 7, 5, 0x82, 2, 64, 0, 0,
+        ];
+        let port = find_port(&configuration);
+        assert_eq!(port, Some(Port { communication: 0, data_in: 2, data_out: 2 }));
+        assert_eq!(find_port(&configuration[..27]), None);
+        assert_eq!(find_port(&[0, 0, 0]), None);
+    }
+
+    #[test]
+    fn a_full_packet_fits_nineteen_times_into_a_frame() {
+        assert_eq!(1_000_000 / bus_time(PACKET), 19);
+    }
+}
