@@ -1,6 +1,7 @@
 //! The `haptic` library: device and scene files, and everything the command-line tool does with them.
 #![forbid(unsafe_code)]
 
+pub mod analysis;
 pub mod device_file;
 pub mod error;
 pub mod model;

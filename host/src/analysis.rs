@@ -1,0 +1,18 @@
+//! Sampled-data analysis: which walls a device can render before the loop starts to oscillate, and how its inertia is spread.
+//!
+//! Nothing here talks to a board: a pose, a direction and a few numbers about the loop go in, predictions come out.
+//!
+//! - [`plant`]: the device linearised at a pose, its joint damping and its drives, in continuous time
+//! - [`sampled`]: zero-order hold, fractional delay, velocity estimator and feed-forward around it, in delta form
+//! - [`spectrum`]: the small dense linear algebra this needs (matrix exponential, resolvent, eigenvalues)
+//! - [`boundary`]: the stiffness at which a mode leaves the unit circle, and every other stable interval
+//! - [`range`]: boundary, area and islands of one device: what `haptic range` prints
+//!
+//! Source: "Inertia Properties and Their Role in Haptic Rendering", the stable domain of virtual walls; sampled-data theory
+//! as in Åström and Wittenmark, *Computer-Controlled Systems*, chapters 2 and 3.
+
+pub mod boundary;
+pub mod plant;
+pub mod range;
+pub mod sampled;
+pub mod spectrum;

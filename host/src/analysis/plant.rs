@@ -1,0 +1,205 @@
+//! The device linearised at a pose, in continuous time: M q̈ + B q̇ = τ with its drives, reduced to what the wall can see.
+//!
+//! A wall feeds back the rendered position alone. Joint positions therefore never enter, and a joint without damping is
+//! an integrator nobody reads: all of them together are seen only through their share of the rendered velocity. That share
+//! is kept as one state and the rest is left out exactly, so no mode that sits at rest on the unit circle by construction
+//! has to be told from one that leaves it.
+//!
+//! Units here are those of one sample: time in samples `T`, velocities in metres (radians) per sample, forces in units of
+//! `m/T²` with `m` a reference mass. Stiffness is then `kp T²/m` and damping `kd T/m`.
+
+use nalgebra::{DMatrix, DVector};
+
+/// A joint whose own damping would need more samples than this to act counts as undamped.
+const SLOWEST_DECAY_SAMPLES: f64 = 1e10;
+
+/// The device at rest at one pose, seen along one rendered direction. `N` joints; gravity is balanced.
+#[derive(Clone, Debug)]
+pub struct Linearised {
+    /// Mass matrix M, N x N, kg m².
+    pub mass: DMatrix<f64>,
+    /// Viscous damping B of each joint, N m s/rad, not negative.
+    pub viscous: DVector<f64>,
+    /// Rendered Jacobian row Jr = nᵀ J, m/rad: rendered velocity of unit joint velocities.
+    pub row: DVector<f64>,
+    /// E = T⁻¹ e₁, rad/m: joint motion of unit rendered motion with no admissible motion.
+    pub unit_motion: DVector<f64>,
+}
+
+impl Linearised {
+    /// Effective inertia Weff = (Jr M⁻¹ Jrᵀ)⁻¹, kg. `None` where M is not positive definite or Jr is zero.
+    pub fn w_eff(&self) -> Option<f64> {
+        let mobility = self.row.dot(&self.mass.clone().cholesky()?.solve(&self.row));
+        (mobility > 0.0 && mobility.is_finite()).then(|| 1.0 / mobility)
+    }
+
+    /// Inertia of the rendered direction with the admissible ones held by the feed-forward, Wrr = Eᵀ M E, kg.
+    pub fn w_rr(&self) -> f64 {
+        self.unit_motion.dot(&(&self.mass * &self.unit_motion))
+    }
+
+    /// Joint torque per newton of wall with the feed-forward (4) on: M E / Wrr, m.
+    pub fn shaped_torque(&self) -> DVector<f64> {
+        &self.mass * &self.unit_motion / self.w_rr()
+    }
+}
+
+/// A DC motor behind a voltage-driven joint, all seen from the joint.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MotorElectrics {
+    /// N m/A.
+    pub torque_constant: f64,
+    /// V s/rad.
+    pub back_emf: f64,
+    /// Ω.
+    pub resistance: f64,
+    /// H.
+    pub inductance: f64,
+}
+
+/// How commanded torque becomes torque.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Drive {
+    /// At once: what the golden values assume.
+    Ideal,
+    /// A voltage R τ/Kt on each motor, back-EMF not compensated: L di/dt = u - R i - Ke q̇, τ = Kt i.
+    Voltage(Vec<MotorElectrics>),
+    /// A current loop that behaves as a first-order lag of this bandwidth (Hz) and rejects the back-EMF.
+    Current {
+        /// -3 dB bandwidth of the current loop, Hz.
+        bandwidth_hz: f64,
+    },
+}
+
+/// The reduced continuous plant ẋ = a x + b u in sample units, for the given torque inputs.
+///
+/// States, in this order: velocities of the damped joints, torques of the joints whose drive lags, the rendered velocity
+/// of all undamped joints together (when there are any), the rendered position, then the positions of the joints in `sensed`
+/// (needed only for their change over a sample).
+pub(crate) struct ContinuousPlant {
+    pub a: DMatrix<f64>,
+    pub b: DMatrix<f64>,
+    /// Joints with a velocity state, in order.
+    pub damped: Vec<usize>,
+    /// Joints with a torque state, in order.
+    pub lagging: Vec<usize>,
+    /// Whether the undamped joints' share of the rendered velocity is a state.
+    pub has_share: bool,
+    /// Index of the rendered position.
+    pub position: usize,
+    /// Joints whose position follows the rendered position.
+    pub sensed: Vec<usize>,
+    /// Whether the drives themselves damp a joint (uncompensated back-EMF).
+    pub electrically_damped: bool,
+}
+
+/// Builds the reduced plant. `inputs` is N x p: torque of each input in units of m/T² times metres. `sensed` must be damped joints.
+///
+/// `None` where M is not positive definite.
+pub(crate) fn reduce(
+    device: &Linearised,
+    drive: &Drive,
+    inputs: &DMatrix<f64>,
+    sample_s: f64,
+    reference_mass: f64,
+    sense_damped: bool,
+) -> Option<ContinuousPlant> {
+    let joints = device.row.len();
+    let (t, m) = (sample_s, reference_mass);
+    let mobility = device.mass.clone().cholesky()?.inverse();
+    let negligible = |damping: f64, joint: usize| {
+        damping * t * mobility[(joint, joint)] < 1.0 / SLOWEST_DECAY_SAMPLES
+    };
+
+    // Lag rate (per sample) and back-EMF damping of each joint's drive.
+    let (lag, emf): (Vec<Option<f64>>, Vec<f64>) = match drive {
+        Drive::Ideal => (vec![None; joints], vec![0.0; joints]),
+        Drive::Current { bandwidth_hz } => (
+            vec![Some(std::f64::consts::TAU * bandwidth_hz * t); joints],
+            vec![0.0; joints],
+        ),
+        Drive::Voltage(motors) => motors
+            .iter()
+            .map(|motor| {
+                let rate = motor.resistance * t / motor.inductance;
+                // A lag of less than a millionth of a sample is no lag.
+                let rate = (rate.is_finite() && rate < 1e6).then_some(rate);
+                (rate, motor.torque_constant * motor.back_emf / motor.resistance)
+            })
+            .unzip(),
+    };
+    let viscous: Vec<f64> = (0..joints)
+        .map(|j| if negligible(device.viscous[j], j) { 0.0 } else { device.viscous[j] })
+        .collect();
+    let damped: Vec<usize> =
+        (0..joints).filter(|&j| viscous[j] > 0.0 || !negligible(emf[j], j)).collect();
+    let undamped: Vec<usize> = (0..joints).filter(|j| !damped.contains(j)).collect();
+    let lagging: Vec<usize> = (0..joints).filter(|&j| lag[j].is_some()).collect();
+    let sensed: Vec<usize> = if sense_damped {
+        (0..joints).filter(|&j| viscous[j] > 0.0).collect()
+    } else {
+        Vec::new()
+    };
+
+    let has_share = !undamped.is_empty();
+    let (d, l) = (damped.len(), lagging.len());
+    let share = d + l;
+    let position = share + usize::from(has_share);
+    let size = position + 1 + sensed.len();
+    let mut a = DMatrix::zeros(size, size);
+    let mut b = DMatrix::zeros(size, inputs.ncols());
+
+    // Acceleration of a joint, or of a weighted sum of joints: weights · M⁻¹ (τ - B q̇), written into one row.
+    let mut accelerate = |into: usize, weights: &DVector<f64>, b: &mut DMatrix<f64>| {
+        let pull = &mobility * weights; // M⁻¹ is symmetric
+        for (column, &joint) in damped.iter().enumerate() {
+            let direct_emf = if lag[joint].is_none() { emf[joint] } else { 0.0 };
+            a[(into, column)] -= t * pull[joint] * (viscous[joint] + direct_emf);
+        }
+        for (column, &joint) in lagging.iter().enumerate() {
+            a[(into, d + column)] += m * pull[joint];
+        }
+        for joint in (0..joints).filter(|&j| lag[j].is_none()) {
+            for input in 0..inputs.ncols() {
+                b[(into, input)] += m * pull[joint] * inputs[(joint, input)];
+            }
+        }
+    };
+    let unit = |joint: usize| DVector::from_fn(joints, |i, _| if i == joint { 1.0 } else { 0.0 });
+    for (state, &joint) in damped.iter().enumerate() {
+        accelerate(state, &unit(joint), &mut b);
+    }
+    if has_share {
+        let weights = DVector::from_fn(joints, |j, _| {
+            if undamped.contains(&j) { device.row[j] } else { 0.0 }
+        });
+        accelerate(share, &weights, &mut b);
+        a[(position, share)] = 1.0;
+    }
+    for (column, &joint) in lagging.iter().enumerate() {
+        let rate = lag[joint].unwrap_or_default();
+        a[(d + column, d + column)] = -rate;
+        if let Some(velocity) = damped.iter().position(|&j| j == joint) {
+            a[(d + column, velocity)] = -rate * emf[joint] * t / m;
+        }
+        for input in 0..inputs.ncols() {
+            b[(d + column, input)] = rate * inputs[(joint, input)];
+        }
+    }
+    for (state, &joint) in damped.iter().enumerate() {
+        a[(position, state)] = device.row[joint];
+        if let Some(slot) = sensed.iter().position(|&j| j == joint) {
+            a[(position + 1 + slot, state)] = 1.0;
+        }
+    }
+    Some(ContinuousPlant {
+        a,
+        b,
+        electrically_damped: emf.iter().enumerate().any(|(j, &e)| !negligible(e, j)),
+        damped,
+        lagging,
+        has_share,
+        position,
+        sensed,
+    })
+}

@@ -1,0 +1,291 @@
+//! The stable domain of a wall on one device: boundary, area and islands, for each way of feeding forward.
+//!
+//! The area is ∫ kp_max dkd (adaptive Gauss-Kronrod, relative tolerance 1e-8); what lies above the first crossing is an
+//! island: reported, not counted.
+
+use serde::Serialize;
+
+use super::boundary::{Circle, Interval};
+use super::plant::Linearised;
+use super::sampled::{AnalysisError, FeedForward, Loop, OpenLoop};
+
+/// Damping values on a boundary when none are asked for.
+pub const BOUNDARY_POINTS: usize = 200;
+
+/// Area gained by the feed-forward below which it is not worth its cost.
+pub const WORTHWHILE_RATIO: f64 = 1.05;
+
+/// One point of the boundary.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct BoundaryPoint {
+    /// Damping, N s/m.
+    pub kd: f64,
+    /// Largest stiffness that is stable from zero up, N/m; zero where nothing is.
+    pub kp: f64,
+}
+
+/// A stable interval of stiffness that cannot be reached from zero at the same damping.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Island {
+    /// Damping, N s/m.
+    pub kd: f64,
+    /// Lower end, N/m.
+    pub kp_low: f64,
+    /// Upper end, N/m.
+    pub kp_high: f64,
+}
+
+/// The stable domain for one kind of feed-forward.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Domain {
+    /// ∫ kp_max dkd, N²s/m².
+    pub area: f64,
+    /// Damping at which kp_max reaches zero, N s/m.
+    pub kd_max: f64,
+    /// kp_max over damping.
+    pub boundary: Vec<BoundaryPoint>,
+    /// Stable intervals above the boundary, at the same damping values and a little beyond.
+    pub islands: Vec<Island>,
+}
+
+/// What `haptic range` answers.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Range {
+    /// Effective inertia, kg: what the wall meets without the feed-forward.
+    pub w_eff: f64,
+    /// Rendered inertia, kg: what it meets with it.
+    pub w_rr: f64,
+    /// Without feed-forward.
+    pub off: Domain,
+    /// With equation (4).
+    pub full: Domain,
+    /// With equation (4) behind a washout, when asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub washout: Option<Domain>,
+    /// Area with the feed-forward over area without; zero where nothing is stable.
+    pub area_ratio: f64,
+}
+
+/// Predicts the stable domain of `device` in `around`: without, with, and (at `washout_hz`) with washed-out feed-forward.
+///
+/// `kd` asks for the boundary at exactly these damping values (N s/m); else it has [`BOUNDARY_POINTS`] even ones.
+pub fn predict(
+    device: &Linearised,
+    around: &Loop,
+    kd: Option<&[f64]>,
+    washout_hz: Option<f64>,
+) -> Result<Range, AnalysisError> {
+    let off = domain(device, around, FeedForward::Off, kd)?;
+    let full = domain(device, around, FeedForward::Full, kd)?;
+    let washout =
+        washout_hz.map(|hz| domain(device, around, FeedForward::Washout(hz), kd)).transpose()?;
+    let area_ratio = if off.area > 0.0 { full.area / off.area } else { 0.0 };
+    let w_eff = device.w_eff().ok_or(AnalysisError::Singular)?;
+    Ok(Range { w_eff, w_rr: device.w_rr(), off, full, washout, area_ratio })
+}
+
+/// Predicts the stable domain for one kind of feed-forward.
+pub fn domain(
+    device: &Linearised,
+    around: &Loop,
+    mode: FeedForward,
+    kd: Option<&[f64]>,
+) -> Result<Domain, AnalysisError> {
+    if let Some(&refused) = kd.unwrap_or_default().iter().find(|kd| !(kd.is_finite() && **kd >= 0.0)) {
+        return Err(AnalysisError::Damping(refused));
+    }
+    let open = OpenLoop::new(device, around, mode)?;
+    let damping_unit = open.mass / open.sample_s;
+    let stiffness_unit = damping_unit / open.sample_s;
+    let mut circle = Circle::new(&open, around.delay_samples);
+
+    let support = circle.damping_intervals()?;
+    let kd_max = support.last().map_or(0.0, |last| last.high);
+    let mut area = 0.0;
+    for interval in &support {
+        area += integrate(*interval, |kd| lowest(&circle.stiffness_intervals(kd)?))?;
+    }
+
+    let even: Vec<f64> = (0..BOUNDARY_POINTS)
+        .map(|i| kd_max * i as f64 / (BOUNDARY_POINTS - 1) as f64)
+        .collect();
+    let at: Vec<f64> = match kd {
+        Some(asked) => asked.iter().map(|kd| kd / damping_unit).collect(),
+        None => even,
+    };
+    let mut boundary = Vec::with_capacity(at.len());
+    let mut islands = Vec::new();
+    for &kd_hat in &at {
+        let stable = circle.stiffness_intervals(kd_hat)?;
+        let supported = support.iter().any(|s| s.low <= kd_hat && kd_hat < s.high);
+        let kp = if supported { lowest_of(&stable) } else { 0.0 };
+        boundary.push(BoundaryPoint { kd: kd_hat * damping_unit, kp: kp * stiffness_unit });
+        push_islands(&mut islands, kd_hat, &stable, damping_unit, stiffness_unit);
+    }
+    if kd.is_none() {
+        // Islands may lie beyond the domain; look as far again as it reaches.
+        let reach = if kd_max > 0.0 { kd_max } else { 1.0 };
+        for i in 1..=32 {
+            let kd_hat = kd_max + reach * f64::from(i) / 32.0;
+            let stable = circle.stiffness_intervals(kd_hat)?;
+            push_islands(&mut islands, kd_hat, &stable, damping_unit, stiffness_unit);
+        }
+    }
+    Ok(Domain {
+        area: area * damping_unit * stiffness_unit,
+        kd_max: kd_max * damping_unit,
+        boundary,
+        islands,
+    })
+}
+
+/// kp_max of one damping value: the end of the interval that starts at the smallest stiffness.
+fn lowest_of(stable: &[Interval]) -> f64 {
+    match stable.first() {
+        Some(first) if first.low <= super::boundary::SMALLEST_STIFFNESS => first.high,
+        _ => 0.0,
+    }
+}
+
+fn lowest(stable: &[Interval]) -> Result<f64, AnalysisError> {
+    Ok(lowest_of(stable))
+}
+
+fn push_islands(into: &mut Vec<Island>, kd_hat: f64, stable: &[Interval], damping: f64, stiffness: f64) {
+    let above = stable.iter().filter(|s| s.low > super::boundary::SMALLEST_STIFFNESS);
+    into.extend(above.map(|s| Island {
+        kd: kd_hat * damping,
+        kp_low: s.low * stiffness,
+        kp_high: s.high * stiffness,
+    }));
+}
+
+/// Nodes and weights of the 15-point Kronrod rule on [-1, 1], and the weights of the 7-point Gauss rule inside it (QUADPACK).
+const KRONROD: [(f64, f64, f64); 8] = [
+    (0.0, 0.209_482_141_084_727_83, 0.417_959_183_673_469_4),
+    (0.207_784_955_007_898_47, 0.204_432_940_075_298_9, 0.0),
+    (0.405_845_151_377_397_17, 0.190_350_578_064_785_4, 0.381_830_050_505_118_94),
+    (0.586_087_235_467_691_1, 0.169_004_726_639_267_9, 0.0),
+    (0.741_531_185_599_394_4, 0.140_653_259_715_525_92, 0.279_705_391_489_276_64),
+    (0.864_864_423_359_769_1, 0.104_790_010_322_250_18, 0.0),
+    (0.949_107_912_342_758_5, 0.063_092_092_629_978_55, 0.129_484_966_168_869_7),
+    (0.991_455_371_120_812_6, 0.022_935_322_010_529_224, 0.0),
+];
+
+/// Adaptive integral over an interval; halves what is not yet accurate, worst first.
+fn integrate(
+    over: Interval,
+    mut value: impl FnMut(f64) -> Result<f64, AnalysisError>,
+) -> Result<f64, AnalysisError> {
+    let mut rule = |low: f64, high: f64| -> Result<(f64, f64), AnalysisError> {
+        let (middle, half) = ((low + high) / 2.0, (high - low) / 2.0);
+        let (mut fine, mut coarse) = (0.0, 0.0);
+        for (node, kronrod, gauss) in KRONROD {
+            let mut sum = value(middle + half * node)?;
+            if node > 0.0 {
+                sum += value(middle - half * node)?;
+            }
+            fine += kronrod * sum;
+            coarse += gauss * sum;
+        }
+        Ok((fine * half, (fine - coarse).abs() * half))
+    };
+    let first = rule(over.low, over.high)?;
+    let mut parts = vec![(over.low, over.high, first.0, first.1)];
+    for _ in 0..120 {
+        let total: f64 = parts.iter().map(|p| p.2).sum();
+        let error: f64 = parts.iter().map(|p| p.3).sum();
+        if error <= 1e-6 * total {
+            break;
+        }
+        let worst = (0..parts.len()).max_by(|&a, &b| parts[a].3.total_cmp(&parts[b].3)).unwrap_or(0);
+        let (low, high, ..) = parts.swap_remove(worst);
+        let middle = (low + high) / 2.0;
+        let (left, right) = (rule(low, middle)?, rule(middle, high)?);
+        parts.push((low, middle, left.0, left.1));
+        parts.push((middle, high, right.0, right.1));
+    }
+    Ok(parts.iter().map(|p| p.2).sum())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::analysis::plant::Drive;
+    use crate::analysis::sampled::Estimator;
+    use nalgebra::{DMatrix, DVector};
+
+    fn mass(m: f64, b: f64) -> Linearised {
+        Linearised {
+            mass: DMatrix::from_element(1, 1, m),
+            viscous: DVector::from_element(1, b),
+            row: DVector::from_element(1, 1.0),
+            unit_motion: DVector::from_element(1, 1.0),
+        }
+    }
+
+    fn around(rate: f64, cutoff: f64, delay: f64) -> Loop {
+        Loop {
+            rate_hz: rate,
+            delay_samples: delay,
+            estimator: Estimator::Butterworth(cutoff),
+            drive: Drive::Ideal,
+            damping_compensation: false,
+        }
+    }
+
+    fn hat(rate: f64, cutoff: f64, delay: f64) -> (f64, f64, f64) {
+        let m = 0.2;
+        let d = domain(&mass(m, 0.0), &around(rate, cutoff, delay), FeedForward::Off, None).unwrap();
+        let t = 1.0 / rate;
+        let top = d.boundary.iter().map(|p| p.kp).fold(0.0, f64::max);
+        (top * t * t / m, d.kd_max * t / m, d.area * t.powi(3) / (m * m))
+    }
+
+    #[test]
+    fn an_undamped_mass_has_the_known_domain() {
+        for (rate, cutoff, kp, kd, area) in [
+            (200.0, 20.0, 0.08921, 0.5190, 0.02981),
+            (1000.0, 20.0, 0.008215, 0.1520, 7.699e-4),
+            (20000.0, 500.0, 0.01184, 0.1838, 1.351e-3),
+        ] {
+            let found = hat(rate, cutoff, 0.0);
+            for (got, known) in [(found.0, kp), (found.1, kd), (found.2, area)] {
+                assert!((got / known - 1.0).abs() < 1e-3, "{rate}/{cutoff}: {got} is not {known}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_sample_of_delay_costs_most_of_the_domain() {
+        for (rate, cutoff, lost) in [(200.0, 20.0, 0.67), (20000.0, 500.0, 0.43)] {
+            let share = hat(rate, cutoff, 1.0).2 / hat(rate, cutoff, 0.0).2;
+            assert!((1.0 - share - lost).abs() < 0.006, "{share}");
+        }
+    }
+
+    #[test]
+    fn without_filter_or_delay_the_domain_is_the_textbook_one() {
+        // Backward difference, double integrator: 1 + K (z+1)/(2(z-1)²) + D (z+1)/(2z(z-1)) ... by Jury: see below.
+        // z(z-1)² + (k/2) z (z+1) + (d/2)(z+1)(z-1) = z³ + (k/2 + d/2 - 2) z² + (1 + k/2) z - d/2.
+        let around = Loop { estimator: Estimator::BackwardDifference, ..around(1000.0, 1.0, 0.0) };
+        let found = domain(&mass(1.0, 0.0), &around, FeedForward::Off, Some(&[200.0])).unwrap();
+        // Jury for a cubic with a0 = -d/2: |a0² - 1| > |a0 a2 - a1| gives the limit at d = 0.2.
+        let d = 0.2;
+        let stable = |k: f64| {
+            let (a2, a1, a0) = (k / 2.0 + d / 2.0 - 2.0, 1.0 + k / 2.0, -d / 2.0);
+            1.0 + a2 + a1 + a0 > 0.0
+                && 1.0 - a2 + a1 - a0 > 0.0
+                && a0.abs() < 1.0
+                && (a0 * a0 - 1.0_f64).abs() > (a0 * a2 - a1).abs()
+        };
+        let (mut low, mut high) = (1e-6, 4.0);
+        for _ in 0..60 {
+            let middle = (low + high) / 2.0;
+            if stable(middle) { low = middle } else { high = middle }
+        }
+        assert!((found.boundary[0].kp * 1e-6 / low - 1.0).abs() < 1e-9);
+        // At k = 0 the double root at one leaves 1: kd_max T/m of the rate loop (z² - (1 - d/2) z + d/2) is 2.
+        assert!((found.kd_max * 1e-3 - 2.0).abs() < 1e-6, "{}", found.kd_max);
+    }
+}

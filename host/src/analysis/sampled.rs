@@ -1,0 +1,587 @@
+//! The sampled loop around a wall: zero-order hold, computation delay, velocity estimator and feed-forward, in delta form.
+//!
+//! The loop is cut at the wall force of one sample: s⁺ = s + F s + b f, with the rendered position x and the estimated
+//! velocity v as outputs. A wall closes it with f = -kp x - kd v, so both gains are rank-one changes of F.
+//!
+//! Every state is chosen so that its change over a sample is computed directly and not as a difference of near-equal
+//! numbers: the change of position is a state of its own, and filters are trapezoidal integrators.
+
+use nalgebra::{DMatrix, DVector};
+use thiserror::Error;
+
+use super::plant::{ContinuousPlant, Drive, Linearised, reduce};
+use super::spectrum::{exp_minus_identity, growth};
+
+/// Longest delay that can be analysed, in samples.
+pub const LONGEST_DELAY: f64 = 64.0;
+
+/// How velocity is taken from sampled positions: a backward difference, then a low-pass.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Estimator {
+    /// The difference as it is.
+    BackwardDifference,
+    /// One pole, bilinear, prewarped at the cutoff (Hz).
+    FirstOrder(f64),
+    /// Second-order Butterworth, bilinear, prewarped at the cutoff (Hz).
+    Butterworth(f64),
+}
+
+impl Estimator {
+    fn cutoff_hz(self) -> Option<f64> {
+        match self {
+            Estimator::BackwardDifference => None,
+            Estimator::FirstOrder(hz) | Estimator::Butterworth(hz) => Some(hz),
+        }
+    }
+
+    fn states(self) -> usize {
+        match self {
+            Estimator::BackwardDifference => 0,
+            Estimator::FirstOrder(_) => 1,
+            Estimator::Butterworth(_) => 2,
+        }
+    }
+}
+
+/// Which torque the wall force becomes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum FeedForward {
+    /// τ = Jrᵀ fr.
+    Off,
+    /// Equation (4).
+    Full,
+    /// Equation (4) with the force behind fa high-passed at this frequency, Hz.
+    Washout(f64),
+}
+
+/// Everything about the loop that is not the device.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Loop {
+    /// Control steps per second, Hz.
+    pub rate_hz: f64,
+    /// Samples between reading the position and the torque that answers it; fractions allowed.
+    pub delay_samples: f64,
+    /// Velocity estimator of every wall.
+    pub estimator: Estimator,
+    /// Motor drives.
+    pub drive: Drive,
+    /// Whether the feed-forward also compensates the joints' own damping (B q̇ in b).
+    pub damping_compensation: bool,
+}
+
+/// Why a loop cannot be analysed.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum AnalysisError {
+    /// Rate outside what makes sense.
+    #[error("the rate must be a positive number of hertz, not {0}")]
+    Rate(f64),
+    /// Low-pass or washout at or above the Nyquist frequency, or not positive.
+    #[error("a cutoff of {cutoff} Hz cannot be had at {rate} Hz: it must lie above 0 and below half the rate")]
+    Cutoff {
+        /// Hz.
+        cutoff: f64,
+        /// Hz.
+        rate: f64,
+    },
+    /// Negative, not finite, or longer than [`LONGEST_DELAY`].
+    #[error("the delay must lie between 0 and 64 samples, not {0}")]
+    Delay(f64),
+    /// Bandwidth of the current loop.
+    #[error("the current loop's bandwidth must be a positive number of hertz, not {0}")]
+    Bandwidth(f64),
+    /// Motor data missing or without resistance.
+    #[error("a voltage drive needs the resistance of every joint's motor ([joint.motor] in the device file)")]
+    Motor,
+    /// Jr, M or B not what a device has.
+    #[error("the device has no inertia in this direction here: its mass matrix or Jacobian is singular or not finite")]
+    Singular,
+    /// A damping value of the boundary.
+    #[error("damping values must be finite and not negative, not {0}")]
+    Damping(f64),
+    /// No upper limit of stiffness was found.
+    #[error("no stiffness was found at which this loop becomes unstable")]
+    Unbounded,
+}
+
+/// The loop cut at the wall force, in sample units (see [`super::plant`]).
+#[derive(Clone, Debug)]
+pub(crate) struct OpenLoop {
+    /// A - I.
+    pub f: DMatrix<f64>,
+    /// Effect of the wall force.
+    pub input: DVector<f64>,
+    /// Rendered position, as a row over the states.
+    pub position: DVector<f64>,
+    /// Estimated rendered velocity per sample, as a row over the states.
+    pub velocity: DVector<f64>,
+    /// Reference mass, kg: stiffness unit is `mass/T²`, damping unit `mass/T`.
+    pub mass: f64,
+    /// Sample period, s.
+    pub sample_s: f64,
+    /// Motions that no feedback sees by construction (damping compensation alone has any).
+    drift: Option<Drift>,
+}
+
+/// States at which the loop rests whatever the gains: one column per motion for the states, and the force it needs.
+#[derive(Clone, Debug)]
+struct Drift {
+    /// States per unit of motion, without the rendered position.
+    states: DMatrix<f64>,
+    /// Wall force per unit of motion, in force units: the rendered position settles at -force/kp.
+    force: DVector<f64>,
+    /// The state that is one for each motion and zero for the others.
+    pivot: Vec<usize>,
+    /// Index of the rendered position.
+    position: usize,
+}
+
+/// A signal as a linear form over the states and the wall force.
+#[derive(Clone)]
+struct Signal {
+    state: DVector<f64>,
+    force: f64,
+}
+
+impl Signal {
+    fn of_state(size: usize, index: usize) -> Self {
+        let mut state = DVector::zeros(size);
+        state[index] = 1.0;
+        Self { state, force: 0.0 }
+    }
+
+    fn plus(&self, factor: f64, other: &Signal) -> Self {
+        Self { state: &self.state + &other.state * factor, force: self.force + factor * other.force }
+    }
+
+    fn times(&self, factor: f64) -> Self {
+        Self { state: &self.state * factor, force: self.force * factor }
+    }
+}
+
+/// Collects the change per sample of every state.
+struct Assembly {
+    f: DMatrix<f64>,
+    input: DVector<f64>,
+}
+
+impl Assembly {
+    fn new(size: usize) -> Self {
+        Self { f: DMatrix::zeros(size, size), input: DVector::zeros(size) }
+    }
+
+    fn size(&self) -> usize {
+        self.input.len()
+    }
+
+    fn change(&mut self, state: usize, by: &Signal) {
+        for (column, value) in by.state.iter().enumerate() {
+            self.f[(state, column)] += value;
+        }
+        self.input[state] += by.force;
+    }
+
+    /// Low-pass states from `first` on, driven by `signal`; returns the filtered signal.
+    fn low_pass(&mut self, estimator: Estimator, rate_hz: f64, first: usize, signal: &Signal) -> Signal {
+        let size = self.size();
+        match estimator {
+            Estimator::BackwardDifference => signal.clone(),
+            Estimator::FirstOrder(hz) => {
+                let (low, step) = one_pole(hz, rate_hz, signal, &Signal::of_state(size, first));
+                self.change(first, &step);
+                low
+            }
+            Estimator::Butterworth(hz) => {
+                // Trapezoidal state-variable filter: the bilinear Butterworth, exactly.
+                let g = (std::f64::consts::PI * hz / rate_hz).tan();
+                let damping = std::f64::consts::SQRT_2;
+                let (s1, s2) = (Signal::of_state(size, first), Signal::of_state(size, first + 1));
+                let high = signal
+                    .plus(-(damping + g), &s1)
+                    .plus(-1.0, &s2)
+                    .times(1.0 / (1.0 + g * (damping + g)));
+                let band = s1.plus(g, &high);
+                let low = s2.plus(g, &band);
+                self.change(first, &high.times(2.0 * g));
+                self.change(first + 1, &band.times(2.0 * g));
+                low
+            }
+        }
+    }
+}
+
+/// Trapezoidal one-pole low-pass: its output, and the change of its state.
+fn one_pole(hz: f64, rate_hz: f64, signal: &Signal, state: &Signal) -> (Signal, Signal) {
+    let g = (std::f64::consts::PI * hz / rate_hz).tan();
+    let step = signal.plus(-1.0, state).times(g / (1.0 + g));
+    (state.plus(1.0, &step), step.times(2.0))
+}
+
+impl Loop {
+    /// Refuses what cannot be sampled.
+    pub fn check(&self) -> Result<(), AnalysisError> {
+        if !(self.rate_hz.is_finite() && self.rate_hz > 0.0) {
+            return Err(AnalysisError::Rate(self.rate_hz));
+        }
+        if !(0.0..=LONGEST_DELAY).contains(&self.delay_samples) {
+            return Err(AnalysisError::Delay(self.delay_samples));
+        }
+        if let Some(cutoff) = self.estimator.cutoff_hz() {
+            self.check_cutoff(cutoff)?;
+        }
+        match &self.drive {
+            Drive::Current { bandwidth_hz } if !(bandwidth_hz.is_finite() && *bandwidth_hz > 0.0) => {
+                Err(AnalysisError::Bandwidth(*bandwidth_hz))
+            }
+            Drive::Voltage(motors) if motors.iter().any(|m| !(m.resistance > 0.0 && m.inductance >= 0.0)) => {
+                Err(AnalysisError::Motor)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn check_cutoff(&self, cutoff: f64) -> Result<(), AnalysisError> {
+        if cutoff > 0.0 && cutoff < self.rate_hz / 2.0 {
+            Ok(())
+        } else {
+            Err(AnalysisError::Cutoff { cutoff, rate: self.rate_hz })
+        }
+    }
+}
+
+impl OpenLoop {
+    /// Puts the loop around the device.
+    pub fn new(device: &Linearised, around: &Loop, mode: FeedForward) -> Result<Self, AnalysisError> {
+        around.check()?;
+        if let FeedForward::Washout(hz) = mode {
+            around.check_cutoff(hz)?;
+        }
+        let joints = device.row.len();
+        if let Drive::Voltage(motors) = &around.drive
+            && motors.len() != joints
+        {
+            return Err(AnalysisError::Motor);
+        }
+        let w_eff = device.w_eff().ok_or(AnalysisError::Singular)?;
+        let mass = match mode {
+            FeedForward::Off => w_eff,
+            _ => device.w_rr(),
+        };
+        if !(mass.is_finite() && mass > 0.0) {
+            return Err(AnalysisError::Singular);
+        }
+        let sample_s = 1.0 / around.rate_hz;
+        let compensated = around.damping_compensation && mode != FeedForward::Off;
+
+        // Torque directions, in metres: what one force unit of each input becomes.
+        let shaped = device.shaped_torque();
+        let mut directions = match mode {
+            FeedForward::Off => vec![device.row.clone()],
+            FeedForward::Full => vec![shaped.clone()],
+            FeedForward::Washout(_) => vec![device.row.clone(), &shaped - &device.row],
+        };
+        let walls = directions.len();
+        if compensated {
+            // τ += (I - M E Wrr⁻¹ Eᵀ) B q̇, one input per damped joint, its velocity per sample.
+            for joint in (0..joints).filter(|&j| damps(device, j, sample_s)) {
+                let mut column = &shaped * -device.unit_motion[joint];
+                column[joint] += 1.0;
+                directions.push(column * (device.viscous[joint] * sample_s / mass));
+            }
+        }
+        let inputs = DMatrix::from_columns(&directions);
+        let plant = reduce(device, &around.drive, &inputs, sample_s, mass, compensated)
+            .ok_or(AnalysisError::Singular)?;
+        Ok(assemble(device, around, mode, &plant, walls, mass))
+    }
+
+    /// F of the closed loop for gains in sample units.
+    pub fn closed(&self, kp: f64, kd: f64) -> DMatrix<f64> {
+        let feedback = &self.position * kp + &self.velocity * kd;
+        let f = &self.f - &self.input * feedback.transpose();
+        match &self.drift {
+            Some(drift) => drift.removed(f, kp),
+            None => f,
+        }
+    }
+
+    /// Whether all modes decay; gains in sample units.
+    pub fn is_stable(&self, kp: f64, kd: f64) -> bool {
+        growth(self.closed(kp, kd)) < STILL
+    }
+}
+
+/// |z|² - 1 below this is rounding: a mode this slow needs 10¹² samples to show.
+const STILL: f64 = 1e-12;
+
+/// Whether a joint's own damping acts within the time [`reduce`] looks at.
+fn damps(device: &Linearised, joint: usize, sample_s: f64) -> bool {
+    let inverse = device.mass.clone().cholesky().map(|c| c.inverse()[(joint, joint)]);
+    inverse.is_some_and(|mobility| device.viscous[joint] * sample_s * mobility >= 1e-10)
+}
+
+fn assemble(
+    device: &Linearised,
+    around: &Loop,
+    mode: FeedForward,
+    plant: &ContinuousPlant,
+    walls: usize,
+    mass: f64,
+) -> OpenLoop {
+    let inputs = plant.b.ncols();
+    let whole = around.delay_samples.floor();
+    let fraction = around.delay_samples - whole;
+    let (whole, fraction) = (whole as usize, if fraction < 1e-12 { 0.0 } else { fraction });
+    let per_estimate = around.estimator.states();
+
+    // State layout.
+    let plant_states = plant.position + 1;
+    let moved = plant_states; // change of x over the last sample
+    let filter = moved + 1;
+    let joint_moved = filter + per_estimate;
+    let joint_filter = joint_moved + plant.sensed.len();
+    let washout = joint_filter + per_estimate * plant.sensed.len();
+    let queue = washout + usize::from(matches!(mode, FeedForward::Washout(_)));
+    let held = queue + whole * inputs;
+    let size = held + if fraction > 0.0 { inputs } else { 0 };
+    let mut loop_ = Assembly::new(size);
+
+    // What the controller sees and asks for at this sample.
+    let velocity =
+        loop_.low_pass(around.estimator, around.rate_hz, filter, &Signal::of_state(size, moved));
+    let force = Signal { state: DVector::zeros(size), force: 1.0 };
+    let mut asked = vec![force.clone()];
+    if let FeedForward::Washout(hz) = mode {
+        let (low, step) = one_pole(hz, around.rate_hz, &force, &Signal::of_state(size, washout));
+        loop_.change(washout, &step);
+        asked.push(force.plus(-1.0, &low));
+    }
+    debug_assert_eq!(asked.len(), walls);
+    for joint in 0..plant.sensed.len() {
+        let seen = Signal::of_state(size, joint_moved + joint);
+        let first = joint_filter + per_estimate * joint;
+        asked.push(loop_.low_pass(around.estimator, around.rate_hz, first, &seen));
+    }
+
+    // Delay: whole samples in a queue, the rest splits the interval between the last command and this one.
+    let steps = Stepped::new(plant, fraction);
+    let mut change = vec![Signal { state: DVector::zeros(size), force: 0.0 }; plant.a.nrows()];
+    for (row, change) in change.iter_mut().enumerate() {
+        for column in 0..plant_states {
+            change.state[column] += steps.free[(row, column)];
+        }
+    }
+    for (input, asked) in asked.iter().enumerate() {
+        let mut now = asked.clone();
+        for place in 0..whole {
+            let slot = queue + input * whole + place;
+            let waiting = Signal::of_state(size, slot);
+            loop_.change(slot, &now.plus(-1.0, &waiting));
+            now = waiting;
+        }
+        for (row, change) in change.iter_mut().enumerate() {
+            *change = change.plus(steps.now[(row, input)], &now);
+        }
+        if fraction > 0.0 {
+            let before = Signal::of_state(size, held + input);
+            loop_.change(held + input, &now.plus(-1.0, &before));
+            for (row, change) in change.iter_mut().enumerate() {
+                *change = change.plus(steps.before[(row, input)], &before);
+            }
+        }
+    }
+    for (state, change) in change.iter().take(plant_states).enumerate() {
+        loop_.change(state, change);
+    }
+    let follow = |loop_: &mut Assembly, state: usize, change: &Signal| {
+        loop_.change(state, &change.plus(-1.0, &Signal::of_state(size, state)));
+    };
+    follow(&mut loop_, moved, &change[plant.position]);
+    for joint in 0..plant.sensed.len() {
+        follow(&mut loop_, joint_moved + joint, &change[plant_states + joint]);
+    }
+
+    let drift = drifting(device, around, mode, plant, mass, |columns| {
+        let mut states = DMatrix::zeros(size, columns.len());
+        for (column, (velocity, share, torque, force)) in columns.iter().enumerate() {
+            for (state, v) in velocity.iter().enumerate() {
+                states[(state, column)] = *v;
+            }
+            for (state, tau) in torque.iter().enumerate() {
+                states[(plant.damped.len() + state, column)] = *tau;
+            }
+            if plant.has_share {
+                states[(plant.position - 1, column)] = *share;
+            }
+            let mut constant = vec![*force];
+            if walls == 2 {
+                constant.push(0.0);
+                states[(washout, column)] = *force;
+            }
+            for (slot, joint) in plant.sensed.iter().enumerate() {
+                let v = plant.damped.iter().position(|d| d == joint).map_or(0.0, |i| velocity[i]);
+                constant.push(v);
+                states[(joint_moved + slot, column)] = v;
+                if per_estimate > 0 {
+                    // The last filter state holds the output of a constant input; the one before it rests.
+                    states[(joint_filter + per_estimate * (slot + 1) - 1, column)] = v;
+                }
+            }
+            for (input, value) in constant.iter().enumerate() {
+                for place in 0..whole {
+                    states[(queue + input * whole + place, column)] = *value;
+                }
+                if fraction > 0.0 {
+                    states[(held + input, column)] = *value;
+                }
+            }
+        }
+        states
+    });
+    OpenLoop {
+        f: loop_.f,
+        input: loop_.input,
+        position: Signal::of_state(size, plant.position).state,
+        velocity: velocity.state,
+        mass,
+        sample_s: 1.0 / around.rate_hz,
+        drift,
+    }
+}
+
+/// The plant over one sample: its free change, and what the present and the previous command add.
+struct Stepped {
+    free: DMatrix<f64>,
+    now: DMatrix<f64>,
+    before: DMatrix<f64>,
+}
+
+impl Stepped {
+    fn new(plant: &ContinuousPlant, fraction: f64) -> Self {
+        let (n, p) = (plant.a.nrows(), plant.b.ncols());
+        let over = |time: f64| {
+            let mut joined = DMatrix::zeros(n + p, n + p);
+            joined.view_mut((0, 0), (n, n)).copy_from(&(&plant.a * time));
+            joined.view_mut((0, n), (n, p)).copy_from(&(&plant.b * time));
+            let e = exp_minus_identity(&joined);
+            (e.view((0, 0), (n, n)).into_owned(), e.view((0, n), (n, p)).into_owned())
+        };
+        let (free, all) = over(1.0);
+        if fraction == 0.0 {
+            return Self { free, now: all, before: DMatrix::zeros(n, p) };
+        }
+        let (_, early) = over(fraction);
+        let (rest, now) = over(1.0 - fraction);
+        let before = &early + rest * &early;
+        Self { free, now, before }
+    }
+}
+
+/// (velocities of the damped joints, share of the undamped ones, lagging torques, wall force) of one constant motion.
+type Constant = (Vec<f64>, f64, Vec<f64>, f64);
+
+/// The constant motions that damping compensation leaves without any restoring force.
+///
+/// With the joints' damping exactly compensated, every constant joint velocity with no rendered part is at rest: under full
+/// feed-forward the wall holds EᵀB q̇ against it, under washout only where that is zero. A drive that damps by itself
+/// (back-EMF) has none.
+fn drifting(
+    device: &Linearised,
+    around: &Loop,
+    mode: FeedForward,
+    plant: &ContinuousPlant,
+    mass: f64,
+    states: impl Fn(&[Constant]) -> DMatrix<f64>,
+) -> Option<Drift> {
+    if plant.sensed.is_empty() || plant.electrically_damped {
+        return None;
+    }
+    let t = 1.0 / around.rate_hz;
+    let d = plant.damped.len();
+    let pull = DVector::from_fn(d, |i, _| {
+        let joint = plant.damped[i];
+        device.unit_motion[joint] * device.viscous[joint] * t / mass
+    });
+    let mut conditions = Vec::new();
+    if !plant.has_share {
+        conditions.push(DVector::from_fn(d, |i, _| device.row[plant.damped[i]]));
+    }
+    if matches!(mode, FeedForward::Washout(_)) {
+        conditions.push(pull.clone());
+    }
+    let (basis, pivot) = null_space(d, &conditions);
+    if basis.is_empty() {
+        return None;
+    }
+    let constants: Vec<Constant> = basis
+        .iter()
+        .map(|v| {
+            let share = -(0..d).map(|i| device.row[plant.damped[i]] * v[i]).sum::<f64>();
+            let torque = plant
+                .lagging
+                .iter()
+                .map(|j| {
+                    let at = plant.damped.iter().position(|i| i == j);
+                    at.map_or(0.0, |i| v[i] * device.viscous[*j] * t / mass)
+                })
+                .collect();
+            let force = if mode == FeedForward::Full { pull.dot(v) } else { 0.0 };
+            (v.iter().copied().collect(), share, torque, force)
+        })
+        .collect();
+    let force = DVector::from_iterator(constants.len(), constants.iter().map(|c| c.3));
+    Some(Drift { states: states(&constants), force, pivot, position: plant.position })
+}
+
+/// Basis of the vectors orthogonal to all conditions, by Gauss-Jordan elimination: each is one at its own pivot coordinate and
+/// zero at the others'.
+fn null_space(dimension: usize, conditions: &[DVector<f64>]) -> (Vec<DVector<f64>>, Vec<usize>) {
+    let mut rows: Vec<DVector<f64>> = Vec::new();
+    let mut bound = Vec::new();
+    for condition in conditions {
+        let mut row = condition.clone();
+        for (other, &at) in rows.iter().zip(&bound) {
+            let factor = row[at];
+            row -= other * factor;
+        }
+        let at = row.iamax();
+        if row[at].abs() <= 1e-12 * condition.amax() {
+            continue;
+        }
+        row /= row[at];
+        for other in &mut rows {
+            let factor = other[at];
+            *other -= &row * factor;
+        }
+        rows.push(row);
+        bound.push(at);
+    }
+    let free: Vec<usize> = (0..dimension).filter(|i| !bound.contains(i)).collect();
+    let basis = free
+        .iter()
+        .map(|&at| {
+            let mut v = DVector::zeros(dimension);
+            v[at] = 1.0;
+            for (row, &pivot) in rows.iter().zip(&bound) {
+                v[pivot] = -row[at];
+            }
+            v
+        })
+        .collect();
+    (basis, free)
+}
+
+impl Drift {
+    /// F on the states that are left when the constant motions are taken out.
+    fn removed(&self, f: DMatrix<f64>, kp: f64) -> DMatrix<f64> {
+        let mut motion = self.states.clone();
+        for column in 0..motion.ncols() {
+            motion[(self.position, column)] = -self.force[column] / kp;
+        }
+        let mut reduced = f.clone();
+        for (column, &pivot) in self.pivot.iter().enumerate() {
+            reduced -= motion.column(column) * f.row(pivot);
+        }
+        let kept: Vec<usize> = (0..f.nrows()).filter(|i| !self.pivot.contains(i)).collect();
+        DMatrix::from_fn(kept.len(), kept.len(), |i, j| reduced[(kept[i], kept[j])])
+    }
+}
