@@ -6,6 +6,7 @@
 //! - [`sampled`]: zero-order hold, fractional delay, velocity estimator and feed-forward around it, in delta form
 //! - [`spectrum`]: the small dense linear algebra this needs (matrix exponential, resolvent, eigenvalues)
 //! - [`boundary`]: the stiffness at which a mode leaves the unit circle, and every other stable interval
+//! - [`pose`]: from a device description and joint angles to the matrices all of this works on
 //! - [`range`]: boundary, area and islands of one device: what `haptic range` prints
 //!
 //! Source: "Inertia Properties and Their Role in Haptic Rendering", the stable domain of virtual walls; sampled-data theory
@@ -13,6 +14,7 @@
 
 pub mod boundary;
 pub mod plant;
+pub mod pose;
 pub mod range;
 pub mod sampled;
 pub mod spectrum;

@@ -88,9 +88,9 @@ impl<'a> Circle<'a> {
         let below = (decades * 48.0) as usize;
         let angles: Vec<f64> = (0..below)
             .map(|i| LOWEST_ANGLE * 10f64.powf(decades * i as f64 / below as f64))
-            .chain((0..even).map(|i| {
-                start + (std::f64::consts::PI * (1.0 - 1e-9) - start) * i as f64 / (even - 1) as f64
-            }))
+            .chain(
+                (0..even).map(|i| start + (std::f64::consts::PI * (1.0 - 1e-9) - start) * i as f64 / (even - 1) as f64),
+            )
             .collect();
         circle.samples = angles.into_iter().map(|angle| circle.respond(angle)).collect();
         circle.at_nyquist = circle.respond(std::f64::consts::PI);

@@ -107,17 +107,14 @@ pub(crate) fn reduce(
     let joints = device.row.len();
     let (t, m) = (sample_s, reference_mass);
     let mobility = device.mass.clone().cholesky()?.inverse();
-    let negligible = |damping: f64, joint: usize| {
-        damping * t * mobility[(joint, joint)] < 1.0 / SLOWEST_DECAY_SAMPLES
-    };
+    let negligible = |damping: f64, joint: usize| damping * t * mobility[(joint, joint)] < 1.0 / SLOWEST_DECAY_SAMPLES;
 
     // Lag rate (per sample) and back-EMF damping of each joint's drive.
     let (lag, emf): (Vec<Option<f64>>, Vec<f64>) = match drive {
         Drive::Ideal => (vec![None; joints], vec![0.0; joints]),
-        Drive::Current { bandwidth_hz } => (
-            vec![Some(std::f64::consts::TAU * bandwidth_hz * t); joints],
-            vec![0.0; joints],
-        ),
+        Drive::Current { bandwidth_hz } => {
+            (vec![Some(std::f64::consts::TAU * bandwidth_hz * t); joints], vec![0.0; joints])
+        }
         Drive::Voltage(motors) => motors
             .iter()
             .map(|motor| {
@@ -128,18 +125,13 @@ pub(crate) fn reduce(
             })
             .unzip(),
     };
-    let viscous: Vec<f64> = (0..joints)
-        .map(|j| if negligible(device.viscous[j], j) { 0.0 } else { device.viscous[j] })
-        .collect();
-    let damped: Vec<usize> =
-        (0..joints).filter(|&j| viscous[j] > 0.0 || !negligible(emf[j], j)).collect();
+    let viscous: Vec<f64> =
+        (0..joints).map(|j| if negligible(device.viscous[j], j) { 0.0 } else { device.viscous[j] }).collect();
+    let damped: Vec<usize> = (0..joints).filter(|&j| viscous[j] > 0.0 || !negligible(emf[j], j)).collect();
     let undamped: Vec<usize> = (0..joints).filter(|j| !damped.contains(j)).collect();
     let lagging: Vec<usize> = (0..joints).filter(|&j| lag[j].is_some()).collect();
-    let sensed: Vec<usize> = if sense_damped {
-        (0..joints).filter(|&j| viscous[j] > 0.0).collect()
-    } else {
-        Vec::new()
-    };
+    let sensed: Vec<usize> =
+        if sense_damped { (0..joints).filter(|&j| viscous[j] > 0.0).collect() } else { Vec::new() };
 
     let has_share = !undamped.is_empty();
     let (d, l) = (damped.len(), lagging.len());
@@ -170,9 +162,7 @@ pub(crate) fn reduce(
         accelerate(state, &unit(joint), &mut b);
     }
     if has_share {
-        let weights = DVector::from_fn(joints, |j, _| {
-            if undamped.contains(&j) { device.row[j] } else { 0.0 }
-        });
+        let weights = DVector::from_fn(joints, |j, _| if undamped.contains(&j) { device.row[j] } else { 0.0 });
         accelerate(share, &weights, &mut b);
         a[(position, share)] = 1.0;
     }

@@ -195,10 +195,7 @@ impl Assembly {
                 let g = (std::f64::consts::PI * hz / rate_hz).tan();
                 let damping = std::f64::consts::SQRT_2;
                 let (s1, s2) = (Signal::of_state(size, first), Signal::of_state(size, first + 1));
-                let high = signal
-                    .plus(-(damping + g), &s1)
-                    .plus(-1.0, &s2)
-                    .times(1.0 / (1.0 + g * (damping + g)));
+                let high = signal.plus(-(damping + g), &s1).plus(-1.0, &s2).times(1.0 / (1.0 + g * (damping + g)));
                 let band = s1.plus(g, &high);
                 let low = s2.plus(g, &band);
                 self.change(first, &high.times(2.0 * g));
@@ -289,8 +286,8 @@ impl OpenLoop {
             }
         }
         let inputs = DMatrix::from_columns(&directions);
-        let plant = reduce(device, &around.drive, &inputs, sample_s, mass, compensated)
-            .ok_or(AnalysisError::Singular)?;
+        let plant =
+            reduce(device, &around.drive, &inputs, sample_s, mass, compensated).ok_or(AnalysisError::Singular)?;
         Ok(assemble(device, around, mode, &plant, walls, mass))
     }
 
@@ -346,8 +343,7 @@ fn assemble(
     let mut loop_ = Assembly::new(size);
 
     // What the controller sees and asks for at this sample.
-    let velocity =
-        loop_.low_pass(around.estimator, around.rate_hz, filter, &Signal::of_state(size, moved));
+    let velocity = loop_.low_pass(around.estimator, around.rate_hz, filter, &Signal::of_state(size, moved));
     let force = Signal { state: DVector::zeros(size), force: 1.0 };
     let mut asked = vec![force.clone()];
     if let FeedForward::Washout(hz) = mode {

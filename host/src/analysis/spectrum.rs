@@ -33,11 +33,9 @@ pub(crate) fn growth(mut f: DMatrix<f64>) -> f64 {
     let _scaling = balancing::balance_parlett_reinsch(&mut f);
     let limit = 200 * f.nrows();
     match Schur::try_new(f, f64::EPSILON, limit) {
-        Some(schur) => schur
-            .complex_eigenvalues()
-            .iter()
-            .map(|g| 2.0 * g.re + g.norm_sqr())
-            .fold(f64::NEG_INFINITY, f64::max),
+        Some(schur) => {
+            schur.complex_eigenvalues().iter().map(|g| 2.0 * g.re + g.norm_sqr()).fold(f64::NEG_INFINITY, f64::max)
+        }
         None => f64::INFINITY,
     }
 }
@@ -69,9 +67,8 @@ impl Resolvent {
             s[row] = Complex::new(b[row], 0.0);
         }
         for k in 0..n {
-            let pivot = (k..n)
-                .max_by(|&i, &j| a[i * n + k].norm_sqr().total_cmp(&a[j * n + k].norm_sqr()))
-                .unwrap_or(k);
+            let pivot =
+                (k..n).max_by(|&i, &j| a[i * n + k].norm_sqr().total_cmp(&a[j * n + k].norm_sqr())).unwrap_or(k);
             if pivot != k {
                 for column in k..n {
                     a.swap(k * n + column, pivot * n + column);

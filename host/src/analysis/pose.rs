@@ -1,0 +1,160 @@
+//! From a device description and joint angles to the matrices the analysis works on.
+
+use haptic_bridge::description::{Description, DescriptionError};
+use haptic_bridge::math::Libm;
+use haptic_bridge::mechanism::{AnyMechanism, Mechanism, Regularity};
+use haptic_bridge::with_mechanism;
+use nalgebra::{DMatrix, DVector, SVector};
+use thiserror::Error;
+
+use super::plant::{Linearised, MotorElectrics};
+
+/// Poses closer to a singularity than this sine are refused.
+pub const SINGULAR_SINE: f64 = 1e-6;
+
+/// Why a pose cannot be analysed.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum PoseError {
+    /// Wrong number of joint angles.
+    #[error("this device has {joints} joints, so --q takes {joints} angles, not {found}")]
+    Joints {
+        /// N of the device.
+        joints: usize,
+        /// Given.
+        found: usize,
+    },
+    /// Wrong number of entries of a normal.
+    #[error("this device's task has {task} dimensions, so a normal has {task} entries, not {found}")]
+    Normal {
+        /// d of the device.
+        task: usize,
+        /// Given.
+        found: usize,
+    },
+    /// Zero, infinite or NaN.
+    #[error("a normal must be finite and not zero")]
+    NoDirection,
+    /// An angle is not a number.
+    #[error("joint angles must be finite numbers of radians")]
+    Angle,
+    /// The arm is stretched or folded.
+    #[error("this pose is singular: the arm is in line with itself, so the tip cannot move in every direction")]
+    Serial,
+    /// The closed loop is stretched, or cannot close at all.
+    #[error("this pose is singular or cannot be reached: the closed linkage is stretched to a line or does not close")]
+    Parallel,
+    /// The description is not a device.
+    #[error(transparent)]
+    Description(#[from] DescriptionError),
+}
+
+/// The device at one pose, in task coordinates: what both the range and the map start from.
+#[derive(Clone, Debug)]
+pub struct TaskPose {
+    /// Task position: tip in metres (d entries).
+    pub position: Vec<f64>,
+    /// J, N x N.
+    pub jacobian: DMatrix<f64>,
+    /// J⁻¹, N x N.
+    pub inverse: DMatrix<f64>,
+    /// M, N x N, kg m².
+    pub mass: DMatrix<f64>,
+    /// Λ = J⁻ᵀ M J⁻¹, N x N.
+    pub operational: DMatrix<f64>,
+    /// Distance from singularities.
+    pub regularity: Regularity<f64>,
+    /// d.
+    pub task: usize,
+}
+
+impl TaskPose {
+    /// Computes it; errors on wrong lengths, not on singular poses (see [`TaskPose::regular`]).
+    pub fn at(description: &Description, q: &[f64]) -> Result<Self, PoseError> {
+        let mechanism = AnyMechanism::<f64>::new(description)?;
+        with_mechanism!(&mechanism, m => evaluate(m, q))
+    }
+
+    /// The pose, unless it is singular.
+    pub fn regular(self) -> Result<Self, PoseError> {
+        if self.regularity.parallel.is_nan() || self.regularity.parallel < SINGULAR_SINE {
+            Err(PoseError::Parallel)
+        } else if self.regularity.serial.is_nan() || self.regularity.serial < SINGULAR_SINE {
+            Err(PoseError::Serial)
+        } else {
+            Ok(self)
+        }
+    }
+}
+
+fn evaluate<const N: usize, M: Mechanism<f64, N>>(mechanism: &M, q: &[f64]) -> Result<TaskPose, PoseError> {
+    if q.len() != N {
+        return Err(PoseError::Joints { joints: N, found: q.len() });
+    }
+    if q.iter().any(|angle| !angle.is_finite()) {
+        return Err(PoseError::Angle);
+    }
+    let pose = mechanism.pose::<Libm>(&SVector::from_column_slice(q));
+    let dense = |m: nalgebra::SMatrix<f64, N, N>| DMatrix::from_iterator(N, N, m.iter().copied());
+    Ok(TaskPose {
+        position: mechanism.tip(&pose).iter().copied().take(M::SPEC.task).collect(),
+        jacobian: dense(mechanism.jacobian(&pose)),
+        inverse: dense(mechanism.jacobian_inverse(&pose)),
+        mass: dense(mechanism.mass(&pose)),
+        operational: dense(mechanism.operational_inertia(&pose)),
+        regularity: mechanism.regularity(&pose),
+        task: M::SPEC.task,
+    })
+}
+
+/// `normal` with unit length, filled up with zeros to N entries.
+pub fn unit_normal(normal: &[f64], task: usize, joints: usize) -> Result<DVector<f64>, PoseError> {
+    if normal.len() != task {
+        return Err(PoseError::Normal { task, found: normal.len() });
+    }
+    // Scaled first, so that no finite normal overflows or vanishes when squared.
+    let largest = normal.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
+    let finite = normal.iter().all(|v| v.is_finite());
+    if !finite || largest == 0.0 {
+        return Err(PoseError::NoDirection);
+    }
+    let n = DVector::from_fn(joints, |i, _| normal.get(i).map_or(0.0, |v| v / largest));
+    let length = n.norm();
+    Ok(n / length)
+}
+
+impl Linearised {
+    /// The device at rest at `q` (rad), seen along `normal` (d entries, any length but zero), with its joint damping.
+    pub fn at(description: &Description, q: &[f64], normal: &[f64]) -> Result<Self, PoseError> {
+        let pose = TaskPose::at(description, q)?.regular()?;
+        let joints = q.len();
+        let n = unit_normal(normal, pose.task, joints)?;
+        Ok(Linearised {
+            row: pose.jacobian.tr_mul(&n),
+            unit_motion: &pose.inverse * &n,
+            viscous: DVector::from_fn(joints, |j, _| description.joints[j].viscous),
+            mass: pose.mass,
+        })
+    }
+
+    /// The same without joint damping.
+    pub fn undamped(mut self) -> Self {
+        self.viscous.fill(0.0);
+        self
+    }
+}
+
+/// The motors of all joints, when every joint has one.
+pub fn motors(description: &Description) -> Option<Vec<MotorElectrics>> {
+    let joints = description.kind.spec().joints;
+    description.joints[..joints]
+        .iter()
+        .map(|joint| {
+            joint.motor.map(|motor| MotorElectrics {
+                torque_constant: motor.torque_constant,
+                back_emf: motor.back_emf,
+                resistance: motor.resistance,
+                inductance: motor.inductance,
+            })
+        })
+        .collect()
+}
