@@ -6,8 +6,10 @@ use embassy_stm32::usb::{self, Driver};
 use embassy_stm32::{Peri, bind_interrupts, interrupt};
 use embassy_usb::class::cdc_acm::{CdcAcmClass, State};
 use embassy_usb::{Builder, UsbDevice};
+use embedded_io_async::{Read as _, Write as _};
 use static_cell::{ConstStaticCell, StaticCell};
 
+use crate::serial::{Incoming, Outgoing, PACKET};
 use crate::{board, critical};
 
 bind_interrupts!(struct Irqs {
@@ -19,9 +21,6 @@ pub type UsbDriver = Driver<'static, USB_OTG_FS>;
 
 /// The serial port.
 pub type Serial = CdcAcmClass<'static, UsbDriver>;
-
-/// Largest packet of a full-speed bulk endpoint.
-const PACKET: usize = 64;
 
 /// STMicroelectronics' numbers for a virtual serial port on their chips. Boards are told apart by product name and serial number.
 const VENDOR_ID: u16 = 0x0483;
@@ -77,14 +76,12 @@ pub async fn usb(mut device: UsbDevice<'static, UsbDriver>) -> ! {
 
 /// Sends back what comes.
 #[embassy_executor::task]
-pub async fn echo(mut serial: Serial) -> ! {
-    let mut packet = [0; PACKET];
+pub async fn echo(serial: Serial) -> ! {
+    let (sender, receiver) = serial.split();
+    let (mut outgoing, mut incoming) = (Outgoing::new(sender), Incoming::new(receiver));
+    let mut bytes = [0; PACKET];
     loop {
-        serial.wait_connection().await;
-        while let Ok(len) = serial.read_packet(&mut packet).await {
-            if serial.write_packet(&packet[..len]).await.is_err() {
-                break;
-            }
-        }
+        let Ok(len) = incoming.read(&mut bytes).await;
+        let Ok(()) = outgoing.write_all(&bytes[..len]).await.map_err(|_| ()) else { continue };
     }
 }

@@ -16,7 +16,11 @@ mod encoder;
 mod faults;
 mod link;
 mod pwm;
+mod serial;
 mod servo;
+mod storage;
+mod supervisor;
+mod watchdog;
 
 use defmt_rtt as _;
 use embassy_executor::Spawner;
@@ -41,6 +45,7 @@ async fn main(spawner: Spawner) {
     let (io, _gate, common) = board::split(chip, carrier);
     servo::start(io);
     let (usb, serial) = link::device(common.usb);
+    spawner.must_spawn(supervisor::supervise(common.watchdog));
     spawner.must_spawn(link::usb(usb));
     spawner.must_spawn(link::echo(serial));
 }
