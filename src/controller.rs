@@ -51,6 +51,40 @@ struct RunningWall<T: Real> {
     wall: Wall<T>,
     velocity: Velocity<T>,
     washout: Washout<T>,
+    passivity: Passivity<T>,
+}
+
+/// A wall's passivity observer and controller (Hannaford and Ryu 2002, in the form that is exact for a force held
+/// between two samples): energy taken up = -Σ f(k-1) (x(k) - x(k-1)); when it falls below zero, damping is added that
+/// takes up the missing part in one step.
+#[derive(Clone, Copy, Debug, Default)]
+struct Passivity<T> {
+    /// J
+    energy: T,
+    /// Force held since the last step, N.
+    held: T,
+}
+
+/// Most damping the passivity controller adds, as a share of the damping at which a mass of 1 kg would stop in a step:
+/// beyond it the controller itself would be the instability.
+const PASSIVITY_SHARE: f64 = 0.01;
+
+impl<T: Real> Passivity<T> {
+    /// Counts the energy of the last period, in which the tip moved by `moved` (m), and returns the damping (N s/m)
+    /// that pays back what the wall has given out. `v` in m/s, `rate` in Hz.
+    #[inline(always)]
+    fn damping(&mut self, moved: T, v: T, rate: T) -> T {
+        self.energy -= self.held * moved;
+        if self.energy >= T::zero() || v == T::zero() {
+            return T::zero();
+        }
+        let most = rate * T::from_f64(PASSIVITY_SHARE);
+        (-self.energy * rate / (v * v).greater(T::from_f64(1.0e-12))).lesser(most)
+    }
+
+    fn hold(&mut self, force: T) {
+        self.held = force;
+    }
 }
 
 /// A contact that is rendered in this step.
@@ -81,6 +115,10 @@ pub struct Step<T: Real, const N: usize> {
     pub wall_force: T,
     /// Number of walls touched.
     pub contacts: u8,
+    /// Energy the touched walls have taken up since contact began, J; negative when they gave some out.
+    pub energy: T,
+    /// Damping that the passivity controller added, N s/m.
+    pub passivity_damping: T,
     /// Share of the feed-forward that acts: 1 away from singularities, fading to 0 near them.
     pub shaping: T,
     /// How far from a singularity the pose is.
@@ -112,6 +150,7 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     field_damping: T,
     gravity: bool,
     velocity_terms: bool,
+    passivity: bool,
     math: PhantomData<K>,
 }
 
@@ -133,7 +172,12 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
                 _ => Washout::default(),
             };
             // The two vectors have the same capacity.
-            let _ = walls.push(RunningWall { wall: *wall, velocity: Velocity::default(), washout });
+            let _ = walls.push(RunningWall {
+                wall: *wall,
+                velocity: Velocity::default(),
+                washout,
+                passivity: Passivity::default(),
+            });
         }
         Ok(Self {
             mechanism,
@@ -157,6 +201,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             field_damping: scene.field_damping,
             gravity: scene.gravity_compensation && device.weight,
             velocity_terms: scene.velocity_terms,
+            passivity: false,
             math: PhantomData,
         })
     }
@@ -181,6 +226,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             normal_velocity: T::zero(),
             wall_force: T::zero(),
             contacts: 0,
+            energy: T::zero(),
+            passivity_damping: T::zero(),
             shaping: T::one(),
             regularity,
         };
@@ -189,6 +236,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         for (index, running) in self.walls.iter_mut().enumerate() {
             let wall = &running.wall;
             let contact = wall.surface.contact::<K, N>(&place);
+            let moved = running.velocity.moved(contact.distance);
             let v = running.velocity.step(&self.coefficients, contact.distance);
             if index == 0 || contact.distance < step.distance {
                 step.distance = contact.distance;
@@ -198,11 +246,22 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             let mut force = T::zero();
             if touching {
                 force = -wall.stiffness * contact.distance - wall.damping * v;
+                if self.passivity {
+                    let extra = running.passivity.damping(moved, v, self.coefficients.rate());
+                    force -= extra * v;
+                    step.passivity_damping += extra;
+                }
                 if !wall.bilateral {
                     force = force.greater(T::zero());
                 }
                 step.contacts += 1;
                 step.wall_force += force;
+                if self.passivity {
+                    running.passivity.hold(force);
+                    step.energy += running.passivity.energy;
+                }
+            } else {
+                running.passivity = Passivity::default();
             }
             let shaped = match wall.feed_forward {
                 FeedForward::Off => T::zero(),
@@ -422,25 +481,17 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         }
     }
 
+    /// Turns the passivity controller on or off.
+    pub fn set_passivity(&mut self, on: bool) {
+        self.passivity = on;
+    }
+
     /// Whether a one-sided wall of this scene is touched at these counts: arming and scene changes are refused then.
     pub fn inside_a_wall(&self, counts: &[i32; N]) -> bool {
         let (_, turned) = self.angles(counts);
         let pose = self.mechanism.pose::<K>(&turned);
         let place = task_part::<T, M, N>(&self.mechanism.tip(&pose));
         self.walls.iter().any(|running| running.wall.surface.contact::<K, N>(&place).distance < T::zero())
-    }
-
-    /// Prepares a change of gains outside the step; refused when there is no such wall or a number is out of range.
-    pub fn check_gains(&self, gains: &Gains<T>) -> Result<Washout<T>, SceneError> {
-        let valid = |value: T| value.is_finite() && value >= T::zero();
-        if usize::from(gains.wall) >= self.walls.len() || !valid(gains.stiffness) || !valid(gains.damping) {
-            return Err(SceneError::WallGains(gains.wall));
-        }
-        match gains.feed_forward {
-            FeedForward::Washout => Washout::new(gains.washout_hz.to_f64(), self.coefficients.rate().to_f64())
-                .map_err(|_| SceneError::Washout(gains.wall)),
-            _ => Ok(Washout::default()),
-        }
     }
 
     /// Applies checked gains between two steps; estimators and the washout's state go on.

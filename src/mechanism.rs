@@ -8,7 +8,7 @@
 //! orientation φ as the third. So its Jacobian J is always square, N x N, and a unit motion of the tip along `n` with
 //! no other motion is E = J⁻¹ n (MODEL.md section 2). Directions in which the tip is rendered have zeros beyond `d`.
 
-use crate::description::{Description, DescriptionError};
+use crate::description::{Description, DescriptionError, MAX_JOINTS};
 use crate::math::{Math, Real};
 use nalgebra::{SMatrix, SVector};
 
@@ -191,6 +191,15 @@ macro_rules! define {
             }
         }
 
+        impl AnyMechanism<f32> {
+            /// Whether everything computed at `q` (rad) is finite: a broken coefficient spoils at least one number.
+            pub fn is_finite_at<K: Math<f32>>(&self, q: &[f32; MAX_JOINTS]) -> bool {
+                match self {
+                    $(Self::$Variant(mechanism) => finite_at::<K, _, $n>(mechanism, q),)*
+                }
+            }
+        }
+
         /// Runs `$body` with `$m` bound to the concrete mechanism inside an [`AnyMechanism`].
         #[macro_export]
         macro_rules! with_mechanism {
@@ -218,4 +227,10 @@ pub(crate) fn reciprocal<T: Real>(x: T, floor: T) -> T {
     let magnitude = x.abs().greater(floor);
     let r = T::one() / magnitude;
     if x < T::zero() { -r } else { r }
+}
+
+fn finite_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M, q: &[f32; MAX_JOINTS]) -> bool {
+    let pose = mechanism.pose::<K>(&SVector::from_fn(|i, _| q.get(i).copied().unwrap_or(0.0)));
+    let at_rest = [mechanism.tip(&pose), mechanism.gravity(&pose)];
+    at_rest.iter().all(|v| v.iter().all(|x| x.is_finite())) && mechanism.mass(&pose).iter().all(|x| x.is_finite())
 }

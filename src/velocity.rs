@@ -118,10 +118,16 @@ impl<T: Real> Velocity<T> {
     /// The velocity (per second) after this sample of the position; zero at the first.
     #[inline(always)]
     pub fn step(&mut self, coefficients: &Coefficients<T>, position: T) -> T {
-        let difference = if self.primed { position - self.last } else { T::zero() };
+        let difference = self.moved(position);
         self.last = position;
         self.primed = true;
         self.filter.step(coefficients, difference * coefficients.rate)
+    }
+
+    /// How far `position` is from the last sample; zero before the first. Call before [`Velocity::step`].
+    #[inline(always)]
+    pub fn moved(&self, position: T) -> T {
+        if self.primed { position - self.last } else { T::zero() }
     }
 
     /// Forgets the last sample, so that a position that is set anew (homing) is not a motion.

@@ -1,0 +1,163 @@
+//! Torque → current → voltage → duty, for one brushed motor on a bridge.
+//!
+//! Where the board senses current a PI loop at the carrier's rate makes it; where it does not, the voltage that the
+//! motor's resistance and back-EMF need is applied. Limits (torque, current, voltage, duty) are enforced here and
+//! nowhere else. The duty returned is signed, -1..1 of the bus voltage across the motor; legs run at ½ ± duty/2.
+
+use crate::device::Motor;
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
+
+/// Largest |duty|: each leg stays within 0.04 to 0.96, which keeps bootstrap capacitors charged and leaves the
+/// low-side shunts conducting long enough to be sampled.
+pub const MAX_DUTY: f32 = 0.92;
+
+/// Smallest inductance the loop is designed for, H: device files may leave it at 0 (ideal).
+const MIN_INDUCTANCE: f32 = 1.0e-5;
+
+/// The current below which dead-time compensation fades, A: its sign is noise around zero.
+const DEAD_TIME_KNEE: f32 = 0.1;
+
+/// How one board drives its motors.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Bridge {
+    /// Carrier frequency, Hz; the current loop runs once a period.
+    pub carrier_hz: f32,
+    /// Dead time between the switches of a leg, s.
+    pub dead_time: f32,
+    /// Closed-loop current bandwidth where current is sensed, Hz.
+    pub bandwidth_hz: f32,
+    /// Whether the motors' currents are measured.
+    pub current_sensed: bool,
+}
+
+/// One motor's drive: constants made when a device is loaded, and the loop's integrator.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Axis {
+    amps_per_torque: f32,
+    torque_per_amp: f32,
+    max_current: f32,
+    resistance: f32,
+    back_emf: f32,
+    proportional: f32,
+    integral: f32,
+    dead_time_share: f32,
+    sensed: bool,
+    /// Voltage the integrator holds, V.
+    integrator: f32,
+    /// What the controller asked for, A.
+    target: f32,
+    /// Back-EMF at the present speed, V.
+    emf: f32,
+    /// I²t accumulator, A² s above what the motor stands for ever.
+    heat: f32,
+    continuous_squared: f32,
+}
+
+/// Time a motor stands its maximum current before the thermal budget trips, s.
+pub const PEAK_SECONDS: f32 = 4.0;
+
+impl Axis {
+    /// A motor on a bridge, allowed at most `max_current` (A; the smaller of this and the motor's own counts) and
+    /// `continuous_current` (A) for ever. A motor without a torque constant gets no current.
+    pub fn new(motor: &Motor<f32>, bridge: &Bridge, max_current: f32, continuous_current: f32) -> Self {
+        let kt = motor.torque_constant;
+        let usable = kt.abs() > 1.0e-9;
+        let bandwidth = core::f32::consts::TAU * bridge.bandwidth_hz;
+        let limit = motor.max_current.min(max_current).max(0.0);
+        let continuous = continuous_current.min(limit);
+        Self {
+            amps_per_torque: if usable { 1.0 / kt } else { 0.0 },
+            torque_per_amp: if usable { kt } else { 0.0 },
+            max_current: if usable { limit } else { 0.0 },
+            resistance: motor.resistance,
+            back_emf: motor.back_emf,
+            proportional: bandwidth * motor.inductance.max(MIN_INDUCTANCE),
+            integral: bandwidth * motor.resistance / bridge.carrier_hz.max(1.0),
+            dead_time_share: 2.0 * bridge.dead_time * bridge.carrier_hz,
+            sensed: bridge.current_sensed,
+            continuous_squared: continuous * continuous,
+            ..Self::default()
+        }
+    }
+
+    /// Takes the joint torque (N m) and speed (rad/s) of this control step and returns the current that will be asked
+    /// for (A), after the limit. What is not finite asks for nothing.
+    #[inline(always)]
+    pub fn command(&mut self, torque: f32, speed: f32) -> f32 {
+        let current = torque * self.amps_per_torque;
+        self.target = if current.is_finite() { current.clamp(-self.max_current, self.max_current) } else { 0.0 };
+        self.emf = if speed.is_finite() { self.back_emf * speed } else { 0.0 };
+        self.target
+    }
+
+    /// The duty for the next carrier period from the bus voltage (V) and the measured current (A, ignored where none
+    /// is sensed). Call once a carrier period. Zero when the bus voltage is not usable.
+    #[inline(always)]
+    pub fn duty(&mut self, bus_voltage: f32, current: f32) -> f32 {
+        if bus_voltage.is_nan() || bus_voltage < 1.0 {
+            self.integrator = 0.0;
+            return 0.0;
+        }
+        let available = MAX_DUTY * bus_voltage;
+        let mut voltage = self.resistance * self.target + self.emf;
+        if self.sensed {
+            let error = self.target - current;
+            let wanted = voltage + self.proportional * error + self.integrator;
+            // Conditional integration: not further into a voltage that is not there.
+            if wanted.abs() < available || wanted * error < 0.0 {
+                self.integrator = (self.integrator + self.integral * error).clamp(-available, available);
+            }
+            voltage = wanted;
+        }
+        // Both legs lose dead time against the current: give it back, fading where the current's sign is unsure.
+        let share = self.target / (self.target.abs() + DEAD_TIME_KNEE);
+        let duty = voltage / bus_voltage + self.dead_time_share * share;
+        if duty.is_finite() { duty.clamp(-MAX_DUTY, MAX_DUTY) } else { 0.0 }
+    }
+
+    /// Heats the motor model by the present current (A) for `dt` (s); true when its budget is spent: the accumulator
+    /// of i² above what it stands for ever has passed what [`PEAK_SECONDS`] at the maximum current put there.
+    #[inline(always)]
+    pub fn heat(&mut self, current: f32, dt: f32) -> bool {
+        let excess = current * current - self.continuous_squared;
+        self.heat = (self.heat + excess * dt).max(0.0);
+        let budget = (self.max_current * self.max_current - self.continuous_squared) * PEAK_SECONDS;
+        self.heat > budget && self.max_current > 0.0 && budget > 0.0
+    }
+
+    /// Forgets the loop's state when the bridge goes off; the motor stays as warm as it is.
+    pub fn rest(&mut self) {
+        self.integrator = 0.0;
+        self.target = 0.0;
+        self.emf = 0.0;
+    }
+
+    /// Keeps the heat of the drive this one replaces, so that loading a scene does not cool a motor.
+    pub fn inherit_heat(&mut self, other: &Self) {
+        self.heat = other.heat;
+    }
+
+    /// Torque (N m) at the current limit.
+    pub fn max_torque(&self) -> f32 {
+        self.max_current * self.torque_per_amp.abs()
+    }
+
+    /// Current limit, A.
+    pub fn max_current(&self) -> f32 {
+        self.max_current
+    }
+
+    /// The speed (rad/s) that the back-EMF left over by a duty at a bus voltage (V) and a current (A) tells.
+    #[inline(always)]
+    pub fn speed_of(&self, duty: f32, bus_voltage: f32, current: f32) -> f32 {
+        let usable = self.back_emf.abs() > 1.0e-6;
+        if usable { (duty * bus_voltage - self.resistance * current) / self.back_emf } else { 0.0 }
+    }
+
+    /// The torque that a current makes, N m.
+    #[inline(always)]
+    pub fn torque_of(&self, current: f32) -> f32 {
+        current * self.torque_per_amp
+    }
+}

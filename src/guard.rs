@@ -1,0 +1,309 @@
+//! The safety state machine, as pure logic: disarmed, armed, fault; and everything that leads from one to another.
+//!
+//! Motors are off unless armed; every fault turns them off within the step that sees it and stays until cleared.
+
+use crate::description::MAX_JOINTS;
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
+
+/// Whether the motors may act.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub enum State {
+    /// Bridges float; the device moves freely.
+    #[default]
+    Disarmed,
+    /// The scene is rendered.
+    Armed,
+    /// One joint at a time is moved by a small torque, to see that motor and encoder agree.
+    CheckingPolarity,
+    /// Bridges float until the fault is cleared.
+    Fault,
+}
+
+macro_rules! faults {
+    ($($(#[$doc:meta])* $Name:ident = $code:literal, $what:literal, $remedy:literal;)*) => {
+        /// What can go wrong, each with a code that never changes.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, Schema)]
+        #[repr(u8)]
+        pub enum Fault { $($(#[$doc])* $Name = $code,)* }
+
+        impl Fault {
+            /// Every fault, in the order of their codes.
+            pub const ALL: &'static [Fault] = &[$(Fault::$Name),*];
+
+            /// Its number in logs.
+            pub const fn code(self) -> u8 {
+                self as u8
+            }
+
+            /// What happened, in plain words.
+            pub const fn what(self) -> &'static str {
+                match self { $(Fault::$Name => $what,)* }
+            }
+
+            /// What a person can do about it.
+            pub const fn remedy(self) -> &'static str {
+                match self { $(Fault::$Name => $remedy,)* }
+            }
+
+            /// The name in logs and documents.
+            pub const fn name(self) -> &'static str {
+                match self { $(Fault::$Name => stringify!($Name),)* }
+            }
+        }
+    };
+}
+
+faults! {
+    /// The control step did not finish in its period; value: periods missed.
+    ControlOverrun = 1, "the control step did not finish within its period",
+        "lower the scene's rate_hz, or let `haptic plan` choose a cheaper model";
+    /// An encoder moved further in one step than the speed limit allows; value: counts.
+    EncoderJump = 2, "an encoder jumped further in one step than the device can move",
+        "check the encoder's cable, shield and supply; lengthen nothing that carries motor current beside it";
+    /// Torque near its limit without any motion; value: seconds.
+    EncoderStall = 3, "a motor pushed hard for seconds and its encoder did not move at all",
+        "check that the encoder is connected and the joint not blocked, then home again";
+    /// The measured back-EMF says the joint turns and the encoder does not; value: rad/s.
+    EncoderLoss = 4, "the motor turns but its encoder does not",
+        "check the encoder's cable and coupling, then home again";
+    /// Both encoder lines changed at once; value: errors seen.
+    EncoderIllegal = 5, "both lines of an encoder changed at once",
+        "check the encoder's cable; a line may be broken or picking up noise";
+    /// The index came at another count than before; value: counts off.
+    IndexMismatch = 6, "the encoder's index came at the wrong count: counts were lost",
+        "check the encoder's cable, then home again";
+    /// A joint left its limits; value: rad.
+    JointLimit = 7, "a joint left its limits",
+        "move the device back by hand, then `haptic clear` and arm again";
+    /// A joint exceeded its speed limit; value: rad/s.
+    SpeedLimit = 8, "a joint moved faster than its limit",
+        "lower the stiffness or raise the damping; if the encoder is noisy, check its cable";
+    /// A motor's current exceeded its limit by far; value: A.
+    OverCurrent = 9, "a motor's current exceeded its limit",
+        "check the motor for a short, and resistance and inductance in the device file";
+    /// A motor has been working too hard for too long; value: fraction of the budget.
+    ThermalBudget = 10, "a motor has spent its thermal budget (I²t)",
+        "let it cool for a minute; lower the stiffness, or the current limit";
+    /// The bus voltage is too low; value: V.
+    BusUnderVoltage = 11, "the supply voltage is too low", "check the supply and its current limit";
+    /// The bus voltage is too high; value: V.
+    BusOverVoltage = 12, "the supply voltage is too high",
+        "braking motors feed the supply: use one that can sink, or a brake resistor";
+    /// The gate driver pulled its fault pin; value: its status register.
+    GateDriver = 13, "the gate driver reports a fault", "check for shorts at the motor terminals, then clear";
+    /// A number in the control step was infinite or not a number.
+    NotFinite = 14, "a number in the control step was not finite",
+        "reload the device and the scene; report it with both files if it returns";
+    /// The linkage reached a pose where its tip force is not defined; value: sine of the angle left.
+    Singularity = 15, "the linkage is stretched to a singular pose",
+        "move the device back by hand; set joint limits that exclude the pose";
+    /// No message from the host for too long; value: seconds.
+    HostLost = 16, "the host has not been heard for too long",
+        "check the cable and the program that sends heartbeats, or turn the heartbeat off in the settings";
+    /// The independent watchdog reset the board.
+    Watchdog = 17, "the watchdog reset the board: the control loop or a task had stopped",
+        "note what was done before, save the log, and report it";
+    /// The stack reached its guard.
+    StackOverflow = 18, "the stack overflowed", "report it with device and scene files";
+    /// Settings in flash were damaged and replaced by defaults; value: how many.
+    SettingsDamaged = 19, "some settings in flash were damaged and are at their defaults",
+        "restore a backup with `haptic restore`, or load device and scene again";
+    /// The processor took a hard fault; value: the address.
+    HardFault = 20, "the processor stopped at a hard fault", "report it with device and scene files";
+    /// The firmware panicked; value: the line.
+    Panic = 21, "the firmware stopped at a panic", "report it with device and scene files";
+    /// The break input cut the bridges in hardware.
+    BreakInput = 22, "the break input cut the bridges", "release the emergency stop, then clear";
+    /// Mean power into the hand exceeded its limit; value: W.
+    PowerLimit = 23, "more power went into the hand than its limit allows",
+        "lower the stiffness or raise the damping; the wall is unstable or the limit too tight";
+    /// Motor and encoder disagree about which way is positive; value: rad moved.
+    PolarityWrong = 24, "a motor turned its joint the wrong way",
+        "swap the motor's two wires, or set `inverted` of that joint's encoder in the device file";
+    /// No motion under the largest torque of the polarity check.
+    PolarityNoMotion = 25, "a joint did not move under the test torque",
+        "free the joint, check motor wires and encoder, then check again";
+    /// The control interrupt's inputs went stale (ADC or SPI stopped); value: periods.
+    SensorStale = 26, "a measurement of the board stopped arriving", "power-cycle the board; report it if it returns";
+}
+
+impl core::fmt::Display for Fault {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "{} ({}): {}", self.name(), self.code(), self.what())
+    }
+}
+
+/// A fault as it happened.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct FaultRecord {
+    /// What.
+    pub fault: Fault,
+    /// Which axis, where one is meant.
+    pub axis: Option<u8>,
+    /// The number that was wrong, in the unit its fault names.
+    pub value: f32,
+    /// Control steps since boot.
+    pub step: u32,
+}
+
+/// Why the board will not do what it was asked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub enum Refusal {
+    /// No device has been loaded.
+    NoDevice,
+    /// No scene has been loaded.
+    NoScene,
+    /// The device has more joints than the board has axes.
+    TooManyJoints {
+        /// Joints of the device.
+        joints: u8,
+        /// Axes of the board.
+        axes: u8,
+    },
+    /// The device's numbers cannot be used (not finite, no encoder, no inertia).
+    BadDevice,
+    /// The scene cannot be used.
+    Scene(crate::scene::SceneError),
+    /// The precomputed table does not fit the device or the board's memory.
+    BadTable,
+    /// Homing needs a device with `[home]`.
+    NoHome,
+    /// Not homed since power-on.
+    NotHomed,
+    /// A joint has no limits.
+    NoJointLimits(u8),
+    /// A joint has no motor.
+    NoMotor(u8),
+    /// A joint's motor data have not been verified.
+    MotorNotVerified(u8),
+    /// The polarity check has not been made with this device.
+    PolarityUnchecked,
+    /// A joint is outside its limits.
+    OutsideLimits(u8),
+    /// The tip is inside a wall.
+    InsideWall,
+    /// The device is not at rest.
+    Moving,
+    /// A fault is latched.
+    Faulted(Fault),
+    /// This needs the motors off.
+    Armed,
+    /// The bus voltage is out of range.
+    BusVoltage,
+    /// Limits may not exceed what the board can do.
+    BadLimits,
+    /// The pose is singular.
+    Singular,
+    /// Another request of the kind is under way.
+    Busy,
+    /// Another tool holds the board.
+    HeldByAnother,
+    /// Writing to flash failed.
+    Flash,
+    /// This board cannot do that.
+    NotSupported,
+}
+
+impl core::fmt::Display for Refusal {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::NoDevice => f.write_str("no device is loaded: `haptic device FILE` first"),
+            Self::NoScene => f.write_str("no scene is loaded: `haptic scene FILE` first"),
+            Self::TooManyJoints { joints, axes } => {
+                write!(f, "the device has {joints} joints and the board {axes} axes: use a board with more")
+            }
+            Self::BadDevice => f.write_str("the device's numbers cannot be used: check encoders and inertias"),
+            Self::Scene(error) => write!(f, "{error}"),
+            Self::BadTable => f.write_str("the precomputed table does not fit this device or the board's memory"),
+            Self::NoHome => f.write_str("the device file has no [home]: add the pose to home in"),
+            Self::NotHomed => f.write_str("the device is not homed: hold it in its home pose and run `haptic home`"),
+            Self::NoJointLimits(joint) => {
+                write!(f, "joint {joint} has no limits in the device file: a real device needs them")
+            }
+            Self::NoMotor(joint) => write!(f, "joint {joint} has no [joint.motor] or encoder in the device file"),
+            Self::MotorNotVerified(joint) => write!(
+                f,
+                "the motor of joint {joint} is not verified: check its numbers, then set `verified = true` in the device file"
+            ),
+            Self::PolarityUnchecked => {
+                f.write_str("motor polarity has not been checked with this device: run `haptic polarity`")
+            }
+            Self::OutsideLimits(joint) => write!(f, "joint {joint} is outside its limits: move it back by hand"),
+            Self::InsideWall => f.write_str("the tip is inside a wall: move it out by hand"),
+            Self::Moving => f.write_str("the device is moving: hold it still"),
+            Self::Faulted(fault) => {
+                write!(f, "{fault}; {}; then `haptic clear`", fault.remedy())
+            }
+            Self::Armed => f.write_str("the motors are armed: `haptic disarm` first"),
+            Self::BusVoltage => f.write_str("the supply voltage is out of range: check the supply"),
+            Self::BadLimits => f.write_str("limits must be finite, positive, and within what the board can do"),
+            Self::Singular => f.write_str("the linkage is in a singular pose: move it by hand"),
+            Self::Busy => f.write_str("the board is busy with an earlier request: try again"),
+            Self::HeldByAnother => f.write_str("another tool holds the board: close it first"),
+            Self::Flash => f.write_str("writing to flash failed: try again; the old settings are kept"),
+            Self::NotSupported => f.write_str("this board cannot do that"),
+        }
+    }
+}
+
+impl core::error::Error for Refusal {}
+
+/// Limits that the board enforces, whatever a tool asks for. Raising them needs the disarmed state.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Limits {
+    /// Joint torque, N m; the motor's current limit counts as well.
+    pub torque: [f32; MAX_JOINTS],
+    /// Motor current, A.
+    pub current: [f32; MAX_JOINTS],
+    /// Motor current that may flow for ever, A.
+    pub continuous_current: [f32; MAX_JOINTS],
+    /// Joint speed, rad/s.
+    pub speed: [f32; MAX_JOINTS],
+    /// Mean mechanical power given to the hand over [`POWER_SECONDS`], W.
+    pub power: f32,
+    /// Lowest bus voltage, V.
+    pub bus_min: f32,
+    /// Highest bus voltage, V.
+    pub bus_max: f32,
+}
+
+/// Averaging time of the power limit, s.
+pub const POWER_SECONDS: f32 = 0.1;
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            torque: [5.0; MAX_JOINTS],
+            current: [10.0; MAX_JOINTS],
+            continuous_current: [10.0; MAX_JOINTS],
+            speed: [60.0; MAX_JOINTS],
+            power: 20.0,
+            bus_min: 8.0,
+            bus_max: 28.0,
+        }
+    }
+}
+
+impl Limits {
+    /// Whether every number is finite, positive and no larger than what `most` allows.
+    pub fn within(&self, most: &Self) -> bool {
+        let below = |values: &[f32; MAX_JOINTS], bounds: &[f32; MAX_JOINTS]| {
+            values.iter().zip(bounds).all(|(value, bound)| *value > 0.0 && value <= bound)
+        };
+        below(&self.torque, &most.torque)
+            && below(&self.current, &most.current)
+            && below(&self.continuous_current, &most.current)
+            && below(&self.speed, &most.speed)
+            && self.power > 0.0
+            && self.power <= most.power
+            && self.bus_min >= most.bus_min
+            && self.bus_max <= most.bus_max
+            && self.bus_min < self.bus_max
+    }
+
+    /// Whether no limit is higher than in `other`: such a change is safe at any time.
+    pub fn no_higher_than(&self, other: &Self) -> bool {
+        self.within(&Self { bus_min: other.bus_min, bus_max: other.bus_max, ..*other })
+    }
+}

@@ -1,0 +1,173 @@
+//! Every message between board and host, with its version.
+//!
+//! postcard-rpc frames (header with key and sequence number, then postcard), COBS-encoded over a byte stream: a USB
+//! CDC-ACM serial port, a pseudo-terminal or TCP. A message's key is a hash of its path and of its types, so a tool and
+//! a board that disagree about one message do not misread it; that they disagree at all is said by [`PROTOCOL`], in
+//! the answer to [`GetInfo`], whose own shape never changes.
+
+use crate::controller::Gains;
+use crate::device::Device;
+use crate::guard::{FaultRecord, Refusal};
+use crate::precomputed::MassModelData;
+use crate::scene::Scene;
+use crate::servo::{Rules, Status};
+use crate::settings::{Damage, Entry, Key};
+use crate::telemetry::{Batch, StreamRequest};
+use crate::velocity::Estimator;
+use heapless::{String, Vec};
+use postcard_rpc::{TopicDirection, endpoints, topics};
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
+
+/// Version of this table. Raised by any change to it.
+pub const PROTOCOL: u16 = 1;
+
+/// USB vendor identifier: pid.codes, for open hardware and firmware.
+pub const USB_VENDOR: u16 = 0x1209;
+/// USB product identifier: the one pid.codes leaves to testing; a maker who sells boards gets one of their own.
+pub const USB_PRODUCT: u16 = 0x0001;
+/// The product string by which the tool tells these boards from others that test with the same identifier.
+pub const USB_PRODUCT_NAME: &str = "haptic-bridge";
+
+/// Largest COBS frame on the link, bytes.
+pub const MAX_FRAME: usize = 1536;
+
+/// Most faults the board remembers since it started.
+pub const FAULT_HISTORY: usize = 16;
+
+/// The answer to what changes something.
+pub type Outcome = Result<(), Refusal>;
+
+/// What a board says of itself. Fields are only ever added behind a new [`PROTOCOL`] and another path.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Info {
+    /// [`PROTOCOL`] of the firmware.
+    pub protocol: u16,
+    /// Firmware version.
+    pub firmware: String<16>,
+    /// Kind of board: `odrive-v3`, `h-bridge-f405`, `simulated`.
+    pub board: String<16>,
+    /// Serial number.
+    pub serial: String<24>,
+}
+
+/// The rest of what a board says of itself.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Details {
+    /// What its owner calls it.
+    pub name: String<32>,
+    /// Motor axes.
+    pub axes: u8,
+    /// Whether there are real motors.
+    pub real: bool,
+    /// Carrier frequency at the present control rate, Hz.
+    pub carrier_hz: f32,
+    /// Computation delay from sampling to duty, in control samples.
+    pub delay_samples: f32,
+    /// The loaded device's name.
+    pub device: Option<String<32>>,
+    /// Control rate, Hz; 20 kHz until a scene says otherwise.
+    pub rate_hz: f32,
+    /// Walls in the scene.
+    pub walls: u8,
+    /// Faults (their codes) that this board cannot sense as it is wired.
+    pub unsensed: Vec<u8, 16>,
+    /// What was found wrong with the settings at boot.
+    pub damage: Vec<(Key, Damage), 6>,
+    /// Control steps that came late since boot.
+    pub overruns: u32,
+    /// Longest control interrupt seen, in core cycles; 0 where it is not measured.
+    pub longest_cycles: u32,
+    /// Stack never used so far, bytes; 0 where it is not measured.
+    pub stack_free: u32,
+}
+
+/// Gains for a wall, and for the estimators of all walls.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct GainsRequest {
+    /// Of one wall.
+    pub wall: Option<Gains<f32>>,
+    /// Kind and cutoff (Hz) of the velocity estimators.
+    pub estimator: Option<(Estimator, f32)>,
+}
+
+/// A piece of a precomputed table on its way to the board.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct TableChunk {
+    /// Index of the first value.
+    pub offset: u16,
+    /// Values.
+    pub values: Vec<f32, 64>,
+}
+
+/// A setting's bytes, to restore.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct WriteEntry {
+    /// Under which key.
+    pub key: Key,
+    /// As [`crate::settings::encode`] made it.
+    pub entry: Entry,
+}
+
+/// A device as it is sent.
+pub type DeviceData = Device<f32>;
+/// A scene as it is sent.
+pub type SceneData = Scene<f32>;
+/// The loaded device, if any.
+pub type MaybeDevice = Option<DeviceData>;
+/// The loaded scene, if any.
+pub type MaybeScene = Option<SceneData>;
+/// The faults seen since the board started, oldest first.
+pub type FaultList = Vec<FaultRecord, FAULT_HISTORY>;
+/// A setting's bytes, if it is set.
+pub type MaybeEntry = Option<Entry>;
+/// What a person calls a board.
+pub type Name = String<32>;
+
+endpoints! {
+    list = ENDPOINTS;
+    | EndpointTy    | RequestTy     | ResponseTy  | Path               |
+    | ----------    | ---------     | ----------  | ----               |
+    | GetInfo       | ()            | Info        | "haptic/info"      |
+    | GetDetails    | ()            | Details     | "haptic/details"   |
+    | GetStatus     | ()            | Status      | "haptic/status"    |
+    | SetDevice     | DeviceData    | Outcome     | "haptic/device"    |
+    | GetDevice     | ()            | MaybeDevice | "haptic/device?"   |
+    | SetScene      | SceneData     | Outcome     | "haptic/scene"     |
+    | GetScene      | ()            | MaybeScene  | "haptic/scene?"    |
+    | SetMassModel  | MassModelData | Outcome     | "haptic/mass"      |
+    | SendTable     | TableChunk    | Outcome     | "haptic/table"     |
+    | SetGains      | GainsRequest  | Outcome     | "haptic/gains"     |
+    | SetRules      | Rules         | Outcome     | "haptic/rules"     |
+    | GetRules      | ()            | Rules       | "haptic/rules?"    |
+    | Home          | ()            | Outcome     | "haptic/home"      |
+    | CheckPolarity | ()            | Outcome     | "haptic/polarity"  |
+    | Arm           | ()            | Outcome     | "haptic/arm"       |
+    | Disarm        | ()            | Outcome     | "haptic/disarm"    |
+    | Clear         | ()            | Outcome     | "haptic/clear"     |
+    | GetFaults     | ()            | FaultList   | "haptic/faults"    |
+    | Heartbeat     | ()            | ()          | "haptic/heartbeat" |
+    | Stream        | StreamRequest | Outcome     | "haptic/stream"    |
+    | Save          | ()            | Outcome     | "haptic/save"      |
+    | ReadEntry     | Key           | MaybeEntry  | "haptic/entry?"    |
+    | RestoreEntry  | WriteEntry    | Outcome     | "haptic/entry"     |
+    | SetName       | Name          | Outcome     | "haptic/name"      |
+    | EnterDfu      | ()            | Outcome     | "haptic/dfu"       |
+    | Restart       | ()            | Outcome     | "haptic/restart"   |
+}
+
+topics! {
+    list = TOPICS_IN;
+    direction = TopicDirection::ToServer;
+    | TopicTy | MessageTy | Path |
+    | ------- | --------- | ---- |
+}
+
+topics! {
+    list = TOPICS_OUT;
+    direction = TopicDirection::ToClient;
+    | TopicTy   | MessageTy   | Path               |
+    | -------   | ---------   | ----               |
+    | Telemetry | Batch       | "haptic/telemetry" |
+    | FaultSeen | FaultRecord | "haptic/fault"     |
+}

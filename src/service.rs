@@ -1,0 +1,428 @@
+//! What the board answers: every request of the protocol as a plain function, without the link and without hardware.
+//!
+//! Firmware and simulated board wrap the same [`Service`] in their own input and output, described by [`Machine`].
+//! Everything is checked here even though the tool has checked it: whatever comes over the link, nothing that the
+//! rules forbid reaches the servo, and the servo checks again what depends on the moment.
+
+use crate::device::Device;
+use crate::guard::{FaultRecord, Refusal, State};
+use crate::math::Math;
+use crate::precomputed::MassModelData;
+use crate::protocol::{Details, FaultList, GainsRequest, Name, TableChunk, WriteEntry};
+use crate::scene::{FeedForward, Scene, SceneError};
+use crate::servo::{Command, Hardware, Program, Reply, Rules, Status};
+use crate::settings::{self, BoardName, Damage, Entry, Key, Polarity, Setting};
+use crate::velocity::{Coefficients, Washout};
+use core::ops::DerefMut;
+use heapless::Vec;
+
+/// The board around the service.
+pub trait Machine {
+    /// The trigonometry it computes with.
+    type Math: Math<f32>;
+    /// How it holds a program: a box, or a static buffer.
+    type Held: DerefMut<Target = Program<Self::Math>>;
+
+    /// Carries a command out between two control steps and waits for the answer.
+    fn execute(&mut self, command: Command<Self::Held>) -> Reply<Self::Held>;
+    /// The servo's state.
+    fn status(&mut self) -> Status;
+    /// Puts a program where the servo can use it; refused while the spare place is taken.
+    fn place(&mut self, program: Program<Self::Math>) -> Result<Self::Held, Refusal>;
+    /// Takes back a program that the servo no longer uses.
+    fn release(&mut self, held: Self::Held);
+    /// Sets carrier and divider for a control rate (Hz). Called with the motors off.
+    fn retime(&mut self, rate_hz: f32);
+    /// Writes a setting so that a power cut leaves the old or the new value.
+    fn save(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal>;
+    /// Reads a setting.
+    fn load(&mut self, key: Key) -> Option<Entry>;
+}
+
+/// The configuration of a board and everything that may be done to it.
+#[derive(Debug)]
+pub struct Service {
+    hardware: Hardware,
+    most: crate::guard::Limits,
+    device: Option<Device<f32>>,
+    scene: Option<Scene<f32>>,
+    mass: MassModelData,
+    rules: Rules,
+    name: Name,
+    polarity: Option<u32>,
+    damage: Vec<(Key, Damage), 6>,
+    faults: FaultList,
+    last_fault: Option<FaultRecord>,
+}
+
+impl Service {
+    /// An empty board whose limits can never be raised above those in `most`, which are also its defaults.
+    pub fn new(hardware: Hardware, most: crate::guard::Limits) -> Self {
+        Self {
+            hardware,
+            most,
+            device: None,
+            scene: None,
+            mass: MassModelData::Exact,
+            rules: Rules { limits: most, ..Rules::default() },
+            name: Name::new(),
+            polarity: None,
+            damage: Vec::new(),
+            faults: FaultList::new(),
+            last_fault: None,
+        }
+    }
+
+    /// Reads the settings and puts them in force. What is damaged stays at its default and is reported in
+    /// [`Details::damage`]; the rest is kept.
+    pub fn boot(&mut self, machine: &mut impl Machine) {
+        if let Some(BoardName(name)) = self.read(machine) {
+            self.name = name;
+        }
+        if let Some(rules) = self.read::<Rules>(machine)
+            && self.set_rules(machine, rules).is_err()
+        {
+            let _ = self.damage.push((Key::Rules, Damage::Corrupt));
+        }
+        if let Some(mass) = self.read(machine) {
+            self.mass = mass;
+        }
+        self.polarity = self.read::<Polarity>(machine).map(|Polarity(fingerprint)| fingerprint);
+        let scene = self.read::<Scene<f32>>(machine);
+        if let Some(device) = self.read::<Device<f32>>(machine)
+            && self.set_device_keeping_mass(machine, device).is_err()
+        {
+            let _ = self.damage.push((Key::Device, Damage::Corrupt));
+        }
+        if let (Some(scene), true) = (scene, self.device.is_some())
+            && self.set_scene(machine, scene).is_err()
+        {
+            let _ = self.damage.push((Key::Scene, Damage::Corrupt));
+        }
+        if !self.damage.is_empty() {
+            let value = self.damage.len() as f32;
+            let _ = machine.execute(Command::Fault(FaultRecord {
+                fault: crate::guard::Fault::SettingsDamaged,
+                axis: None,
+                value,
+                step: 0,
+            }));
+        }
+    }
+
+    fn read<S: Setting>(&mut self, machine: &mut impl Machine) -> Option<S> {
+        let entry = machine.load(S::KEY)?;
+        settings::decode(&entry).map_err(|damage| self.damage.push((S::KEY, damage))).ok()
+    }
+
+    /// What the service knows for [`Details`]; the machine fills in the rest.
+    pub fn describe(&self, details: &mut Details) {
+        details.name = self.name.clone();
+        details.axes = self.hardware.axes as u8;
+        details.real = self.hardware.real;
+        details.device = self.device.as_ref().map(|device| device.name.clone());
+        details.walls = self.scene.as_ref().map_or(0, |scene| scene.walls.len() as u8);
+        details.rate_hz = self.scene.as_ref().map_or(20_000.0, |scene| scene.rate_hz);
+        details.damage = self.damage.clone();
+    }
+
+    /// The loaded device.
+    pub fn device(&self) -> Option<&Device<f32>> {
+        self.device.as_ref()
+    }
+
+    /// The scene in force.
+    pub fn scene(&self) -> Option<&Scene<f32>> {
+        self.scene.as_ref()
+    }
+
+    /// The rules in force.
+    pub fn rules(&self) -> &Rules {
+        &self.rules
+    }
+
+    /// Loads a device: motors must be off; homing, scene (unless it fits) and mass model start anew.
+    pub fn set_device(&mut self, machine: &mut impl Machine, device: Device<f32>) -> Result<(), Refusal> {
+        let old = core::mem::take(&mut self.mass);
+        let result = self.set_device_keeping_mass(machine, device);
+        if result.is_err() {
+            self.mass = old;
+        }
+        result
+    }
+
+    fn set_device_keeping_mass<Mc: Machine>(&mut self, machine: &mut Mc, device: Device<f32>) -> Result<(), Refusal> {
+        must_be_off(machine)?;
+        check_device::<Mc::Math>(&device)?;
+        let task = device.mechanism.kind().spec().task;
+        let kept = self.scene.take().filter(|scene| usize::from(scene.task) == task);
+        let empty = Scene { task: task as u8, ..Scene::default() };
+        let result = self.install(machine, &device, kept.as_ref().unwrap_or(&empty), false);
+        self.scene = kept;
+        result?;
+        let fingerprint = fingerprint(&device);
+        if self.polarity.is_some() && self.polarity == fingerprint {
+            machine.execute(Command::PolarityKnown).0?;
+        }
+        self.device = Some(device);
+        Ok(())
+    }
+
+    /// Loads a scene for the device. With the motors on it must keep the control rate and must not be touched.
+    pub fn set_scene(&mut self, machine: &mut impl Machine, scene: Scene<f32>) -> Result<(), Refusal> {
+        let device = self.device.as_ref().ok_or(Refusal::NoDevice)?;
+        scene.check(device.mechanism.kind().spec().task).map_err(Refusal::Scene)?;
+        self.install(machine, device, &scene, true)?;
+        self.scene = Some(scene);
+        Ok(())
+    }
+
+    /// Chooses where the step takes its mass matrix from; motors must be off.
+    pub fn set_mass_model(&mut self, machine: &mut impl Machine, mass: MassModelData) -> Result<(), Refusal> {
+        must_be_off(machine)?;
+        let old = core::mem::replace(&mut self.mass, mass);
+        let result = self.reinstall(machine);
+        if result.is_err() {
+            self.mass = old;
+        }
+        result
+    }
+
+    /// Takes a piece of a table; see [`MassModelData::receive`].
+    pub fn receive_table(&mut self, machine: &mut impl Machine, chunk: &TableChunk) -> Result<(), Refusal> {
+        must_be_off(machine)?;
+        self.mass.receive(usize::from(chunk.offset), &chunk.values)
+    }
+
+    fn reinstall(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
+        let Some(device) = self.device.as_ref() else { return Ok(()) };
+        let task = device.mechanism.kind().spec().task;
+        let empty = Scene { task: task as u8, ..Scene::default() };
+        self.install(machine, device, self.scene.as_ref().unwrap_or(&empty), true)
+    }
+
+    fn install<Mc: Machine>(
+        &self,
+        machine: &mut Mc,
+        device: &Device<f32>,
+        scene: &Scene<f32>,
+        same_device: bool,
+    ) -> Result<(), Refusal> {
+        let program =
+            Program::<Mc::Math>::new(&self.hardware, &self.rules.limits, device, scene, &self.mass, same_device)?;
+        let off = must_be_off(machine).is_ok();
+        let held = machine.place(program)?;
+        let (result, returned) = machine.execute(Command::Program(held));
+        if let Some(held) = returned {
+            machine.release(held);
+        }
+        result?;
+        if off {
+            machine.retime(scene.rate_hz);
+        }
+        Ok(())
+    }
+
+    /// Changes gains while the scene runs. Refused as a whole when any part of it cannot be.
+    pub fn set_gains(&mut self, machine: &mut impl Machine, request: &GainsRequest) -> Result<(), Refusal> {
+        let device = self.device.as_ref().ok_or(Refusal::NoDevice)?;
+        let scene = self.scene.as_mut().ok_or(Refusal::NoScene)?;
+        let mut changed = scene.clone();
+        if let Some(gains) = &request.wall {
+            let wall = changed
+                .walls
+                .get_mut(usize::from(gains.wall))
+                .ok_or(Refusal::Scene(SceneError::WallGains(gains.wall)))?;
+            wall.stiffness = gains.stiffness;
+            wall.damping = gains.damping;
+            wall.feed_forward = gains.feed_forward;
+            wall.washout_hz = gains.washout_hz;
+        }
+        if let Some((estimator, cutoff_hz)) = request.estimator {
+            changed.estimator = estimator;
+            changed.cutoff_hz = cutoff_hz;
+        }
+        changed.check(device.mechanism.kind().spec().task).map_err(Refusal::Scene)?;
+        let rate = f64::from(changed.rate_hz);
+        if let Some(gains) = request.wall {
+            let washout = match gains.feed_forward {
+                FeedForward::Washout => Washout::new(f64::from(gains.washout_hz), rate)
+                    .map_err(|_| Refusal::Scene(SceneError::Washout(gains.wall)))?,
+                _ => Washout::default(),
+            };
+            machine.execute(Command::Gains(gains, washout)).0?;
+        }
+        if request.estimator.is_some() {
+            let coefficients = Coefficients::new(changed.estimator, rate, f64::from(changed.cutoff_hz))
+                .map_err(|_| Refusal::Scene(SceneError::Cutoff))?;
+            machine.execute(Command::Coefficients(coefficients)).0?;
+        }
+        *scene = changed;
+        Ok(())
+    }
+
+    /// Sets limits and rules; never above what the board can do, and not higher while the motors are on.
+    pub fn set_rules(&mut self, machine: &mut impl Machine, rules: Rules) -> Result<(), Refusal> {
+        let seconds = rules.host_seconds.is_finite() && rules.host_seconds >= 0.01;
+        if !rules.limits.within(&self.most) || !seconds || rules.index_period.iter().any(|period| *period < 0) {
+            return Err(Refusal::BadLimits);
+        }
+        machine.execute(Command::Rules(rules)).0?;
+        let currents_changed = rules.limits.current != self.rules.limits.current
+            || rules.limits.continuous_current != self.rules.limits.continuous_current;
+        self.rules = rules;
+        // Current limits live in the program's drives: built anew when the motors are off, and before the next arming.
+        if currents_changed && must_be_off(machine).is_ok() { self.reinstall(machine) } else { Ok(()) }
+    }
+
+    /// Declares the present pose to be the device's home.
+    pub fn home(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
+        machine.execute(Command::Home).0
+    }
+
+    /// Starts the polarity check; [`Service::poll`] notes its success.
+    pub fn check_polarity(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
+        machine.execute(Command::CheckPolarity).0
+    }
+
+    /// Motors on.
+    pub fn arm(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
+        if self.device.is_none() {
+            return Err(Refusal::NoDevice);
+        }
+        if self.scene.is_none() {
+            return Err(Refusal::NoScene);
+        }
+        machine.execute(Command::Arm).0
+    }
+
+    /// Motors off.
+    pub fn disarm(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
+        machine.execute(Command::Disarm).0
+    }
+
+    /// Clears the latched fault.
+    pub fn clear(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
+        self.last_fault = None;
+        machine.execute(Command::Clear).0
+    }
+
+    /// The host is there.
+    pub fn heartbeat(&mut self, machine: &mut impl Machine) {
+        let _ = machine.execute(Command::HostAlive);
+    }
+
+    /// Faults since the board started, oldest first; the oldest give way.
+    pub fn faults(&self) -> &FaultList {
+        &self.faults
+    }
+
+    /// Looks at the servo: call a few times a second. Returns a fault that is new.
+    pub fn poll(&mut self, machine: &mut impl Machine) -> Option<FaultRecord> {
+        let status = machine.status();
+        if status.polarity
+            && let Some(device) = &self.device
+        {
+            self.polarity = fingerprint(device);
+        }
+        let fault = status.fault?;
+        if self.last_fault == Some(fault) {
+            return None;
+        }
+        self.note_fault(fault);
+        Some(fault)
+    }
+
+    /// Adds a fault to the history, also one from before a reset.
+    pub fn note_fault(&mut self, fault: FaultRecord) {
+        self.last_fault = Some(fault);
+        if self.faults.is_full() {
+            self.faults.remove(0);
+        }
+        let _ = self.faults.push(fault);
+    }
+
+    /// Writes everything to flash; motors must be off, because the processor stalls while flash is erased.
+    pub fn save(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
+        must_be_off(machine)?;
+        let _ = self.poll(machine);
+        if let Some(device) = &self.device {
+            write(machine, device)?;
+        }
+        if let Some(scene) = &self.scene {
+            write(machine, scene)?;
+        }
+        write(machine, &self.rules)?;
+        write(machine, &self.mass)?;
+        if let Some(fingerprint) = self.polarity {
+            write(machine, &Polarity(fingerprint))?;
+        }
+        write(machine, &BoardName(self.name.clone()))
+    }
+
+    /// A setting as it is in flash.
+    pub fn read_entry(&self, machine: &mut impl Machine, key: Key) -> Option<Entry> {
+        machine.load(key)
+    }
+
+    /// Puts a setting from a backup in force and into flash. A damaged or unknown one changes nothing.
+    pub fn restore_entry(&mut self, machine: &mut impl Machine, write: &WriteEntry) -> Result<(), Refusal> {
+        must_be_off(machine)?;
+        let entry = write.entry.as_slice();
+        match write.key {
+            Key::Device => self.set_device(machine, decoded(entry)?)?,
+            Key::Scene => self.set_scene(machine, decoded(entry)?)?,
+            Key::Rules => self.set_rules(machine, decoded(entry)?)?,
+            Key::MassModel => self.set_mass_model(machine, decoded(entry)?)?,
+            Key::Polarity => self.polarity = Some(decoded::<Polarity>(entry)?.0),
+            Key::Name => self.name = decoded::<BoardName>(entry)?.0,
+        }
+        machine.save(write.key, entry)
+    }
+
+    /// Names the board; kept at the next save.
+    pub fn set_name(&mut self, name: Name) {
+        self.name = name;
+    }
+}
+
+/// Refuses while the motors are on.
+pub fn must_be_off(machine: &mut impl Machine) -> Result<(), Refusal> {
+    match machine.status().state {
+        State::Armed | State::CheckingPolarity => Err(Refusal::Armed),
+        State::Disarmed | State::Fault => Ok(()),
+    }
+}
+
+fn write<S: Setting>(machine: &mut impl Machine, value: &S) -> Result<(), Refusal> {
+    let entry = settings::encode(value).map_err(|_| Refusal::Flash)?;
+    if machine.load(S::KEY).is_some_and(|old| old == entry) {
+        return Ok(());
+    }
+    machine.save(S::KEY, &entry)
+}
+
+fn decoded<S: Setting>(entry: &[u8]) -> Result<S, Refusal> {
+    settings::decode(entry).map_err(|_| Refusal::BadDevice)
+}
+
+/// The checksum by which a checked device is known again.
+fn fingerprint(device: &Device<f32>) -> Option<u32> {
+    settings::encode(device).ok().map(|entry| settings::crc32(&entry))
+}
+
+/// Whether every number that the step will use is usable.
+fn check_device<K: Math<f32>>(device: &Device<f32>) -> Result<(), Refusal> {
+    let usable = device.joints.iter().take(device.axes()).all(|joint| {
+        let limits = joint.limits.is_none_or(|(low, high)| low < high);
+        let motor = joint.motor.is_none_or(|motor| {
+            let signed = motor.torque_constant.is_finite() && motor.back_emf.is_finite();
+            let positive = [motor.resistance, motor.inductance, motor.max_current];
+            signed && positive.iter().all(|value| value.is_finite() && *value >= 0.0)
+        });
+        joint.offset.is_finite() && joint.viscous.is_finite() && joint.counts_per_turn >= 0 && limits && motor
+    });
+    let pose = device.home.unwrap_or_default();
+    let mechanism = device.mechanism.is_finite_at::<K>(&pose);
+    if usable && mechanism { Ok(()) } else { Err(Refusal::BadDevice) }
+}

@@ -1,0 +1,152 @@
+//! What the board keeps in flash: one entry per setting, each with its own version and checksum.
+//!
+//! An entry that is damaged or of an unknown version is refused by itself; the others are kept. The bytes are the same
+//! in flash, in a backup file and on the link.
+
+use crate::device::Device;
+use crate::precomputed::MassModelData;
+use crate::scene::Scene;
+use crate::servo::Rules;
+use heapless::{String, Vec};
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+
+/// Largest entry, bytes.
+pub const MAX_ENTRY: usize = 1024;
+/// An entry's bytes.
+pub type Entry = Vec<u8, MAX_ENTRY>;
+
+/// A setting's key; the numbers never change.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[repr(u8)]
+pub enum Key {
+    /// The device.
+    Device = 1,
+    /// The scene.
+    Scene = 2,
+    /// Limits and rules.
+    Rules = 3,
+    /// The mass model.
+    MassModel = 4,
+    /// The fingerprint of the device whose polarity has been checked.
+    Polarity = 5,
+    /// What the board is called.
+    Name = 6,
+}
+
+impl Key {
+    /// Every key.
+    pub const ALL: [Key; 6] = [Key::Device, Key::Scene, Key::Rules, Key::MassModel, Key::Polarity, Key::Name];
+
+    /// Its name in backups and reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Key::Device => "device",
+            Key::Scene => "scene",
+            Key::Rules => "rules",
+            Key::MassModel => "mass-model",
+            Key::Polarity => "polarity",
+            Key::Name => "name",
+        }
+    }
+}
+
+/// A value that is kept under a key.
+pub trait Setting: Serialize + DeserializeOwned {
+    /// Its key.
+    const KEY: Key;
+    /// Version of its encoding; raised whenever its fields change.
+    const VERSION: u8;
+}
+
+impl Setting for Device<f32> {
+    const KEY: Key = Key::Device;
+    const VERSION: u8 = 1;
+}
+impl Setting for Scene<f32> {
+    const KEY: Key = Key::Scene;
+    const VERSION: u8 = 1;
+}
+impl Setting for Rules {
+    const KEY: Key = Key::Rules;
+    const VERSION: u8 = 1;
+}
+impl Setting for MassModelData {
+    const KEY: Key = Key::MassModel;
+    const VERSION: u8 = 1;
+}
+
+/// The fingerprint of the device whose polarity has been checked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Polarity(pub u32);
+impl Setting for Polarity {
+    const KEY: Key = Key::Polarity;
+    const VERSION: u8 = 1;
+}
+
+/// What the board is called.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BoardName(pub String<32>);
+impl Setting for BoardName {
+    const KEY: Key = Key::Name;
+    const VERSION: u8 = 1;
+}
+
+/// Why an entry cannot be used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub enum Damage {
+    /// Checksum or encoding are wrong.
+    Corrupt,
+    /// It was written by a version that this one does not know.
+    UnknownVersion(u8),
+    /// It belongs to another key.
+    OtherKey,
+    /// It does not fit.
+    TooLong,
+}
+
+/// An entry: key, version, the value's postcard bytes, CRC-32 of all before.
+///
+/// Errors: [`Damage::TooLong`] when the value takes more than [`MAX_ENTRY`] bytes.
+pub fn encode<S: Setting>(value: &S) -> Result<Entry, Damage> {
+    let mut entry = Entry::new();
+    entry.resize(MAX_ENTRY, 0).map_err(|_| Damage::TooLong)?;
+    entry[0] = S::KEY as u8;
+    entry[1] = S::VERSION;
+    let used = postcard::to_slice(value, &mut entry[2..MAX_ENTRY - 4]).map_err(|_| Damage::TooLong)?.len();
+    let end = 2 + used;
+    let sum = crc32(&entry[..end]).to_le_bytes();
+    entry[end..end + 4].copy_from_slice(&sum);
+    entry.truncate(end + 4);
+    Ok(entry)
+}
+
+/// The value of an entry. Errors say what is wrong with it.
+pub fn decode<S: Setting>(entry: &[u8]) -> Result<S, Damage> {
+    let Some((body, sum)) = entry.split_last_chunk::<4>() else { return Err(Damage::Corrupt) };
+    if crc32(body) != u32::from_le_bytes(*sum) {
+        return Err(Damage::Corrupt);
+    }
+    match body {
+        [key, ..] if *key != S::KEY as u8 => Err(Damage::OtherKey),
+        [_, version, ..] if *version != S::VERSION => Err(Damage::UnknownVersion(*version)),
+        [_, _, value @ ..] => match postcard::take_from_bytes(value) {
+            Ok((value, [])) => Ok(value),
+            _ => Err(Damage::Corrupt),
+        },
+        _ => Err(Damage::Corrupt),
+    }
+}
+
+/// CRC-32 (IEEE 802.3, reflected), bit by bit: entries are small and written rarely.
+pub fn crc32(bytes: &[u8]) -> u32 {
+    let mut crc = u32::MAX;
+    for byte in bytes {
+        crc ^= u32::from(*byte);
+        for _ in 0..8 {
+            let carry = if crc & 1 == 1 { 0xEDB8_8320 } else { 0 };
+            crc = (crc >> 1) ^ carry;
+        }
+    }
+    !crc
+}

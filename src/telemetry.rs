@@ -1,0 +1,201 @@
+//! Telemetry: which numbers of a step travel, and how they are packed into batches.
+//!
+//! A batch holds consecutive kept steps (every `divider`-th) of the chosen fields as `f32`; a gap starts a new batch,
+//! so a reader knows the step of every row and counts losses exactly: missing steps, and the board's own count of what
+//! it had to drop.
+
+use crate::description::MAX_JOINTS;
+use crate::servo::Frame;
+use heapless::Vec;
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
+
+/// Most numbers in a batch.
+pub const BATCH_VALUES: usize = 220;
+
+macro_rules! fields {
+    ($($(#[$doc:meta])* $Name:ident = $bit:literal, $name:literal, $unit:literal, $vector:literal, |$frame:ident, $i:ident| $value:expr;)*) => {
+        /// A number, or one number an axis, of a telemetry row.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum Field { $($(#[$doc])* $Name,)* }
+
+        impl Field {
+            /// Every field, in the order of the columns.
+            pub const ALL: &'static [Field] = &[$(Field::$Name),*];
+
+            /// Its bit in [`Fields`].
+            pub const fn bit(self) -> u32 {
+                match self { $(Field::$Name => 1 << $bit,)* }
+            }
+            /// Its name in tables and options.
+            pub const fn name(self) -> &'static str {
+                match self { $(Field::$Name => $name,)* }
+            }
+            /// Its unit.
+            pub const fn unit(self) -> &'static str {
+                match self { $(Field::$Name => $unit,)* }
+            }
+            /// Whether there is one number for every axis.
+            pub const fn is_vector(self) -> bool {
+                match self { $(Field::$Name => $vector,)* }
+            }
+            fn value(self, frame: &Frame, i: usize) -> f32 {
+                match self { $(Field::$Name => (|$frame: &Frame, $i: usize| -> f32 { $value })(frame, i),)* }
+            }
+        }
+    };
+}
+
+fields! {
+    /// Joint angles.
+    Angle = 0, "q", "rad", true, |frame, i| frame.q[i];
+    /// Joint velocities.
+    Speed = 1, "qd", "rad/s", true, |frame, i| frame.qd[i];
+    /// Tip.
+    Tip = 2, "tip", "m", true, |frame, i| frame.tip[i];
+    /// Joint torques after limits.
+    Torque = 3, "torque", "N m", true, |frame, i| frame.torque[i];
+    /// Motor currents.
+    Current = 4, "current", "A", true, |frame, i| frame.current[i];
+    /// Duties.
+    Duty = 5, "duty", "", true, |frame, i| frame.duty[i];
+    /// Distance to the deepest wall.
+    Distance = 6, "distance", "m", false, |frame, _i| frame.distance;
+    /// Velocity along its normal.
+    NormalVelocity = 7, "velocity", "m/s", false, |frame, _i| frame.normal_velocity;
+    /// Sum of the walls' forces.
+    WallForce = 8, "force", "N", false, |frame, _i| frame.wall_force;
+    /// Share of the feed-forward that acts.
+    Shaping = 9, "shaping", "", false, |frame, _i| frame.shaping;
+    /// Energy the walls have taken up.
+    Energy = 10, "energy", "J", false, |frame, _i| frame.energy;
+    /// Damping added by the passivity controller.
+    PassivityDamping = 11, "passivity", "N s/m", false, |frame, _i| frame.passivity_damping;
+    /// Bus voltage.
+    BusVoltage = 12, "bus", "V", false, |frame, _i| frame.bus_voltage;
+    /// Encoder counts; the bits of a 32-bit integer in the place of a float, so that none is lost.
+    Counts = 13, "counts", "", true, |frame, i| f32::from_bits(frame.counts[i] as u32);
+    /// 0 disarmed, 1 armed, 2 checking polarity, 3 fault; plus 16 for every wall touched.
+    State = 14, "state", "", false, |frame, _i| f32::from(frame.state as u8) + 16.0 * f32::from(frame.contacts);
+}
+
+/// A set of fields.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct Fields(pub u32);
+
+impl Fields {
+    /// What a person usually wants to see.
+    pub const USUAL: Fields = Fields(
+        Field::Tip.bit()
+            | Field::Torque.bit()
+            | Field::Duty.bit()
+            | Field::Distance.bit()
+            | Field::WallForce.bit()
+            | Field::State.bit(),
+    );
+    /// Everything.
+    pub const ALL: Fields = Fields((1 << 15) - 1);
+
+    /// Whether a field is in the set.
+    pub const fn has(self, field: Field) -> bool {
+        self.0 & field.bit() != 0
+    }
+
+    /// Numbers in one row for a device of `axes` joints.
+    pub fn width(self, axes: usize) -> usize {
+        let numbers = |field: &Field| if field.is_vector() { axes } else { 1 };
+        Field::ALL.iter().filter(|field| self.has(**field)).map(numbers).sum()
+    }
+}
+
+/// What a tool asks to be sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct StreamRequest {
+    /// Which fields.
+    pub fields: Fields,
+    /// Every how many control steps; 0 stops the stream.
+    pub divider: u32,
+}
+
+/// Consecutive rows of telemetry.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Batch {
+    /// Number of this batch since the stream started: a gap means the link lost some.
+    pub number: u32,
+    /// Control step of the first row.
+    pub first_step: u32,
+    /// Control steps between rows.
+    pub divider: u32,
+    /// Rows that the board had to drop since the stream started, because the link was too slow.
+    pub dropped: u32,
+    /// Axes a vector field has.
+    pub axes: u8,
+    /// Bits of [`Fields`].
+    pub fields: u32,
+    /// The rows, one after another, each in the order of [`Field::ALL`].
+    pub values: Vec<f32, BATCH_VALUES>,
+}
+
+/// Packs frames into batches.
+#[derive(Clone, Debug, Default)]
+pub struct Packer {
+    batch: Batch,
+    sent: u32,
+    width: usize,
+}
+
+impl Packer {
+    /// Starts a stream for a device of `axes` joints.
+    pub fn start(&mut self, request: &StreamRequest, axes: usize) {
+        let axes = axes.min(MAX_JOINTS);
+        *self = Self::default();
+        self.batch.divider = request.divider;
+        self.batch.fields = request.fields.0 & Fields::ALL.0;
+        self.batch.axes = axes as u8;
+        self.width = Fields(self.batch.fields).width(axes);
+    }
+
+    /// Whether a stream is on and wants this step.
+    #[inline(always)]
+    pub fn wants(&self, step: u32) -> bool {
+        self.width > 0 && step.checked_rem(self.batch.divider) == Some(0)
+    }
+
+    /// Adds a frame that [`Packer::wants`]. `dropped` counts rows lost on the board so far. Returns a batch when this
+    /// frame does not continue the one under way, or fills it.
+    pub fn push(&mut self, frame: &Frame, dropped: u32) -> Option<Batch> {
+        let rows = self.batch.values.len().checked_div(self.width).unwrap_or(0) as u32;
+        let due = self.batch.first_step.wrapping_add(rows.wrapping_mul(self.batch.divider));
+        let mut full = None;
+        if rows > 0 && frame.step != due {
+            full = Some(self.take());
+        }
+        if self.batch.values.is_empty() {
+            self.batch.first_step = frame.step;
+        }
+        self.batch.dropped = dropped;
+        let fields = Fields(self.batch.fields);
+        for field in Field::ALL.iter().filter(|field| fields.has(**field)) {
+            let numbers = if field.is_vector() { usize::from(self.batch.axes) } else { 1 };
+            for i in 0..numbers.min(MAX_JOINTS) {
+                let _ = self.batch.values.push(field.value(frame, i));
+            }
+        }
+        if full.is_none() && self.batch.values.len() + self.width > BATCH_VALUES {
+            full = Some(self.take());
+        }
+        full
+    }
+
+    /// The batch under way, if it holds any row: call when the stream is slow, so that rows do not wait.
+    pub fn flush(&mut self) -> Option<Batch> {
+        if self.batch.values.is_empty() { None } else { Some(self.take()) }
+    }
+
+    fn take(&mut self) -> Batch {
+        let full = Batch { number: self.sent, ..self.batch.clone() };
+        self.sent = self.sent.wrapping_add(1);
+        self.batch.values.clear();
+        full
+    }
+}
