@@ -1,7 +1,7 @@
 //! Rendered and admissible motion: what a wall meets, and the feed-forward that makes it meet more.
 //!
 //! Source: "Inertia Properties and Their Role in Haptic Rendering", equations (1) to (4), in the joint form of
-//! MODEL.md section 2, which subtracts no nearly equal numbers and inverts no admissible-sized matrix:
+//! docs/model.md section 2, which subtracts no nearly equal numbers and inverts no admissible-sized matrix:
 //! with E = J⁻¹ Q (Q an orthonormal basis of the rendered directions) and b = c + g - M T⁻¹Ṫ q̇,
 //! Wrr = Eᵀ M E, zr = Eᵀ b and **τ = M E Wrr⁻¹ (fr - Eᵀ b) + b**.
 //!

@@ -6,7 +6,7 @@
 //!
 //! Every mechanism has as many *task* coordinates as joints: the tip's `d` coordinates and, on the redundant arm, the
 //! orientation φ as the third. So its Jacobian J is always square, N x N, and a unit motion of the tip along `n` with
-//! no other motion is E = J⁻¹ n (MODEL.md section 2). Directions in which the tip is rendered have zeros beyond `d`.
+//! no other motion is E = J⁻¹ n (docs/model.md section 2). Directions in which the tip is rendered have zeros beyond `d`.
 
 use crate::description::{Description, DescriptionError, MAX_JOINTS};
 use crate::math::{Math, Real};
@@ -105,7 +105,7 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
         Shaping { e, me, w_rr: e.dot(&me) }
     }
     /// M q̈ + c with the joint accelerations that give the tip the acceleration `tip_acceleration` (m/s²):
-    /// M J⁻¹(a - J̇ q̇) + c, N m. With a = 0 this is the velocity part of `b` in MODEL.md section 2.
+    /// M J⁻¹(a - J̇ q̇) + c, N m. With a = 0 this is the velocity part of `b` in docs/model.md section 2.
     fn inverse_dynamics(
         &self,
         pose: &Self::Pose,

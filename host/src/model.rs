@@ -1,4 +1,4 @@
-//! The paper's quantities of a device at one configuration, as `haptic model` prints them (MODEL.md section 5).
+//! The paper's quantities of a device at one configuration, as `haptic model` prints them (docs/model.md section 5).
 //!
 //! The numbers come from the shared library: in double precision with `libm`, or in single precision with the very
 //! mechanism, trigonometry and inertia code that the board runs.

@@ -1,4 +1,4 @@
-//! The device's equations of motion, integrated: M(q) q̈ + c + g + B q̇ + Coulomb = τ + Jᵀ f (MODEL.md section 1).
+//! The device's equations of motion, integrated: M(q) q̈ + c + g + B q̇ + Coulomb = τ + Jᵀ f (docs/model.md section 1).
 //!
 //! One step is Moreau's midpoint rule (J. J. Moreau 1988, "Unilateral contact and dry friction in finite freedom
 //! dynamics"): drift half a step, solve for the velocity at the end, drift the other half. It is second order and
