@@ -176,8 +176,14 @@ fn joints(top: &Table<'_>, spec: &Spec) -> Result<[Joint; MAX_JOINTS], FileError
         let table = table.called(place.clone());
         table.refuse_unknown_keys(&["inertia", "viscous", "coulomb", "limits", "encoder", "motor"])?;
         let inertia = table.number("inertia", Must::NotBeNegative)?;
-        let encoder = table.table("encoder")?.map(|encoder| encoder_of(&encoder)).transpose()?;
-        let motor = table.table("motor")?.map(|motor| motor_of(&motor)).transpose()?;
+        let encoder = table
+            .table("encoder")?
+            .map(|encoder| encoder_of(&encoder.called(format!("[joint.encoder] of {place}"))))
+            .transpose()?;
+        let motor = table
+            .table("motor")?
+            .map(|motor| motor_of(&motor.called(format!("[joint.motor] of {place}"))))
+            .transpose()?;
         joints[index] = Joint {
             inertia: table.required("inertia", inertia, "inertia = 2.0e-6")?,
             viscous: table.number("viscous", Must::NotBeNegative)?.unwrap_or(0.0),

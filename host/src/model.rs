@@ -81,8 +81,10 @@ pub struct Condition {
 /// Why there are no numbers at a configuration.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ModelError {
-    /// J loses rank: joint velocities along `joints` do not move the tip.
+    /// J loses rank: joint velocities along `joints` do not move the tip (on a redundant arm, nor turn it).
     Serial {
+        /// Whether the task has the orientation φ as its last entry.
+        oriented: bool,
         /// The joint motion that moves nothing, a unit vector (N).
         joints: Vec<f64>,
         /// The task direction that no joint motion reaches, a unit vector (N).
@@ -102,10 +104,12 @@ pub enum ModelError {
 impl core::fmt::Display for ModelError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
-            Self::Serial { joints, lost } => {
+            Self::Serial { oriented, joints, lost } => {
                 write!(f, "serial singularity: {} without moving the tip", moving_joints(joints))?;
+                write!(f, "{}", if *oriented { " or turning its link" } else { "" })?;
                 write!(f, " (an arm is stretched, folded or on its turning axis), so that no joint motion")?;
-                write!(f, " moves it along {}", vector(lost))
+                write!(f, " moves it along {}", vector(lost))?;
+                write!(f, "{}", if *oriented { " (x, y, orientation)" } else { "" })
             }
             Self::Parallel { free } => {
                 write!(f, "parallel singularity: the distal links are in one line, and")?;
@@ -132,7 +136,8 @@ impl From<ModelError> for crate::error::Failure {
 }
 
 fn vector(values: &[f64]) -> String {
-    let entries: Vec<String> = values.iter().map(|value| format!("{:.3}", value + 0.0)).collect();
+    let entries: Vec<String> =
+        values.iter().map(|value| format!("{:.3}", (value * 1.0e3).round() / 1.0e3 + 0.0)).collect();
     format!("[{}]", entries.join(", "))
 }
 
@@ -142,7 +147,10 @@ fn moving_joints(direction: &[f64]) -> String {
         (0..direction.len()).filter(|joint| direction[*joint].abs() > 1.0e-3).map(|joint| joint.to_string()).collect();
     match moving.as_slice() {
         [joint] => format!("joint {joint} turns"),
-        _ => format!("joints {} turn together as {}", moving.join(" and "), vector(direction)),
+        [first @ .., last] => {
+            format!("joints {} and {last} turn together as {}", first.join(", "), vector(direction))
+        }
+        [] => "a joint turns".into(),
     }
 }
 
@@ -191,7 +199,7 @@ fn regular<const N: usize, M: Mechanism<f64, N>>(mechanism: &M, q: &[f64]) -> Re
     if regularity.serial < SINGULAR {
         let jacobian = mechanism.jacobian(&pose);
         let (lost, joints) = weakest(DMatrix::from_fn(N, N, |i, j| jacobian[(i, j)]));
-        return Err(ModelError::Serial { joints, lost });
+        return Err(ModelError::Serial { oriented: N > M::SPEC.task, joints, lost });
     }
     Ok(())
 }

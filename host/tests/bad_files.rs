@@ -1,0 +1,312 @@
+//! A wrong file is refused by name, line and remedy, on one line, with exit code 2.
+//!
+//! Two ways: a table of mistakes people make, each through the command itself, and every shipped file mutilated line by
+//! line, which no list of mistakes would cover.
+
+use assert_cmd::Command;
+use haptic::device_file::DeviceFile;
+use haptic::scene_file::SceneFile;
+use haptic::toml_file::FileError;
+use std::path::{Path, PathBuf};
+
+const DEVICE: &str = r#"name = "example"
+mechanism = "five-bar"
+gravity = [0.0, 0.0]
+
+[geometry]
+base = 0.05
+proximal = [0.07, 0.07]
+distal = [0.09, 0.09]
+assembly = 1
+
+[[link]]
+mass = 0.02
+com = 0.03
+inertia = 1.0e-5
+
+[[link]]
+mass = 0.02
+com = 0.03
+inertia = 1.0e-5
+
+[[link]]
+mass = 0.01
+com = 0.04
+inertia = 1.0e-5
+
+[[link]]
+mass = 0.01
+com = 0.04
+inertia = 1.0e-5
+
+[[joint]]
+inertia = 2.0e-6
+limits = [-1.0, 3.0]
+
+[joint.encoder]
+counts_per_turn = 16384
+offset = 0.0
+inverted = false
+
+[joint.motor]
+torque_constant = 0.05
+resistance = 2.0
+max_current = 3.0
+
+[[joint]]
+inertia = 2.0e-6
+
+[home]
+q = [2.4, 0.7]
+"#;
+
+const SCENE: &str = r#"rate_hz = 20000
+cutoff_hz = 500
+
+[[wall]]
+point = [0.0, 0.13]
+normal = [0.0, -1.0]
+stiffness = 1000.0
+damping = 1.0
+
+[[wall]]
+shape = "sphere"
+point = [0.0, 0.1]
+radius = 0.05
+inside = true
+stiffness = 1000.0
+
+[[spring]]
+point = [0.0, 0.1]
+direction = [1.0, 0.0]
+stiffness = 100.0
+
+[[field]]
+damping = 1.0
+"#;
+
+fn shipped(folder: &str) -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices").join(folder);
+    let files = std::fs::read_dir(folder).expect("the folder is there").map(|entry| entry.expect("readable").path());
+    files.filter(|path| path.extension().is_some_and(|extension| extension == "toml")).collect()
+}
+
+/// What `haptic check` says on standard error about this device and scene; insists on exit code 2 and one line.
+fn refusal(device: &str, scene: &str) -> String {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let (device_path, scene_path) = (folder.path().join("device.toml"), folder.path().join("scene.toml"));
+    std::fs::write(&device_path, device).expect("writable");
+    std::fs::write(&scene_path, scene).expect("writable");
+    let mut command = Command::cargo_bin("haptic").expect("the command is built");
+    let output = command.arg("check").arg(device_path).arg(scene_path).output().expect("it runs");
+    let said = String::from_utf8(output.stderr).expect("text");
+    assert_eq!(output.status.code(), Some(2), "{said}");
+    assert!(output.stdout.is_empty(), "it prints nothing on standard output");
+    assert_eq!(said.trim_end().lines().count(), 1, "one line: {said}");
+    said
+}
+
+fn replaced(text: &str, from: &str, to: &str) -> String {
+    assert!(text.contains(from), "`{from}` is not in the example");
+    text.replacen(from, to, 1)
+}
+
+#[test]
+fn the_examples_themselves_are_sound() {
+    DeviceFile::parse(DEVICE, "example").expect("a sound device");
+    SceneFile::parse(SCENE, "example", 2).expect("a sound scene");
+}
+
+#[test]
+fn a_wrong_device_is_refused_by_line_and_remedy() {
+    // What is written, what is written instead, the line and column named, words that must be said.
+    let mistakes: &[(&str, &str, &str, &[&str])] = &[
+        ("mass = 0.02", "mas = 0.02", ":12:1:", &["`mas`", "[[link]] 1 (proximal-1)", "did you mean `mass`?"]),
+        ("mass = 0.02\n", "", ":11:1:", &["`mass`", "[[link]] 1", "missing", "add `mass = 0.02`"]),
+        ("mass = 0.02", "mass = -0.02", ":12:8:", &["`mass`", "-0.02", "zero or more"]),
+        ("mass = 0.02", "mass = nan", ":12:8:", &["`mass`", "not a finite number"]),
+        ("mass = 0.02", "mass = -inf", ":12:8:", &["`mass`", "not a finite number"]),
+        ("mass = 0.02", "mass = 1e39", ":12:8:", &["`mass`", "not a finite number", "3.4e38"]),
+        ("mass = 0.02", "mass = \"0.02\"", ":12:8:", &["`mass`", "a string, not a number"]),
+        ("mass = 0.02", "mass = [0.02]", ":12:8:", &["`mass`", "a list, not a number"]),
+        ("inertia = 1.0e-5", "inertia = -1.0e-5", ":14:11:", &["`inertia`", "zero or more"]),
+        ("proximal = [0.07, 0.07]", "proximal = [0.07]", ":7:12:", &["`proximal`", "1 number instead of 2"]),
+        ("proximal = [0.07, 0.07]", "proximal = [0.07, 0.07, 0.07]", ":7:12:", &["3 numbers instead of 2"]),
+        ("proximal = [0.07, 0.07]", "proximal = 0.07", ":7:12:", &["a number, not a list of 2 numbers"]),
+        ("proximal = [0.07, 0.07]", "proximal = [0.07, 0]", ":7:19:", &["`proximal`", "greater than zero"]),
+        ("proximal = [0.07, 0.07]", "proximal = [0.07, nan]", ":7:19:", &["`proximal`", "not a finite number"]),
+        ("base = 0.05", "base = 0.5", ":5:1:", &["cannot close", "check the lengths"]),
+        ("base = 0.05", "base = -0.05", ":6:8:", &["`base`"]),
+        ("assembly = 1", "assembly = 2", ":9:12:", &["assembly must be 1 or -1"]),
+        ("mechanism = \"five-bar\"", "mechanism = \"fivebar\"", ":2:13:", &["did you mean \"five-bar\"?", "paddle"]),
+        ("mechanism = \"five-bar\"", "mechanism = 5", ":2:13:", &["a string in quotes"]),
+        ("mechanism = \"five-bar\"\n", "", ":1:1:", &["`mechanism` is missing"]),
+        ("gravity = [0.0, 0.0]", "gravity = [0.0, 0.0, -9.81]", ":3:11:", &["3 numbers instead of 2", "m/s²"]),
+        ("name = \"example\"", "name = \"\"", ":1:8:", &["name"]),
+        ("name = \"example\"", "name = \"a\\nb\"", ":1:8:", &["one line"]),
+        ("name = \"example\"", "name = \"a\"\nname = \"b\"", ":2:1:", &["duplicate key"]),
+        ("name = \"example\"", "name \"example\"", ":1:", &["not valid TOML"]),
+        ("[geometry]", "[geometri]", ":5:2:", &["unknown key `geometri`", "did you mean `geometry`?"]),
+        ("[geometry]", "[[geometry]]", ":5:1:", &["one [geometry] table"]),
+        ("[home]", "[[link]]\n[home]", ":48:1:", &["5 [[link]] tables instead of 4", "proximal-1"]),
+        ("[[joint]]\ninertia = 2.0e-6\n\n[home]", "[home]", ":31:1:", &["1 [[joint]] tables instead of 2"]),
+        ("counts_per_turn = 16384", "counts_per_turn = 0", ":36:19:", &["`counts_per_turn`", "more than zero"]),
+        ("counts_per_turn = 16384", "counts_per_turn = -4", ":36:19:", &["`counts_per_turn`", "more than zero"]),
+        ("inverted = false", "inverted = 0", ":38:12:", &["`inverted`", "not true or false"]),
+        ("limits = [-1.0, 3.0]", "limits = [3.0, -1.0]", ":33:10:", &["the wrong way round"]),
+        ("limits = [-1.0, 3.0]", "limits = [1.0, 1.0]", ":33:10:", &["the wrong way round"]),
+        ("limits = [-1.0, 3.0]", "limits = [-1.0, 2.0]", ":49:6:", &["home", "outside its limits"]),
+        ("resistance = 2.0", "resistance = 0.0", ":42:14:", &["`resistance`", "more than zero"]),
+        ("resistance = 2.0", "resistance = 2.0\ninductance = -1", ":43:14:", &["`inductance`", "zero or more"]),
+        ("max_current = 3.0\n", "", ":40:1:", &["`max_current`", "[joint.motor] of [[joint]] 1"]),
+        ("q = [2.4, 0.7]", "q = [2.4]", ":49:5:", &["1 number instead of 2", "one angle per joint"]),
+        ("distal = [0.09, 0.09]", "distal = [0.09, 0.04]", ":49:5:", &["home", "cannot close"]),
+        ("inertia = 2.0e-6\nlimits", "limits", ":31:1:", &["`inertia`", "missing"]),
+    ];
+    for (from, to, place, words) in mistakes {
+        let said = refusal(&replaced(DEVICE, from, to), SCENE);
+        let place = format!("device.toml{place}");
+        assert!(said.contains(&place), "`{to}` should be refused at {place}: {said}");
+        for word in *words {
+            assert!(said.contains(word), "`{to}` should be refused with \"{word}\": {said}");
+        }
+    }
+}
+
+#[test]
+fn a_wrong_scene_is_refused_by_line_and_remedy() {
+    let wall = "[[wall]]\npoint = [0.0, 0.13]\nnormal = [0.0, -1.0]\nstiffness = 1000.0\n";
+    let nine_walls = format!("{SCENE}{}", wall.repeat(7));
+    let mistakes: &[(&str, &str, &str, &[&str])] = &[
+        ("normal = [0.0, -1.0]", "normal = [0.0, 0.0]", ":6:10:", &["`normal`", "points nowhere"]),
+        ("normal = [0.0, -1.0]", "normal = [0.0, -1.0, 0.0]", ":6:10:", &["3 numbers instead of 2"]),
+        ("normal = [0.0, -1.0]", "normal = [0.0, inf]", ":6:16:", &["not a finite number"]),
+        ("normal = [0.0, -1.0]\n", "", ":4:1:", &["`normal`", "missing", "add `normal ="]),
+        ("point = [0.0, 0.13]", "point = [0.13]", ":5:9:", &["1 number instead of 2"]),
+        ("stiffness = 1000.0", "stiffness = -1000.0", ":7:13:", &["`stiffness`", "zero or more"]),
+        ("stiffness = 1000.0", "stiffness = nan", ":7:13:", &["`stiffness`", "not a finite number"]),
+        ("damping = 1.0", "damping = -1.0", ":8:11:", &["`damping`", "zero or more"]),
+        ("damping = 1.0", "radius = 1.0", ":8:1:", &["unknown key `radius`", "[[wall]] 1 (plane)"]),
+        ("damping = 1.0", "feed_forward = \"on\"", ":8:16:", &["off, full, washout"]),
+        ("damping = 1.0", "feed_forward = true", ":8:16:", &["a string in quotes"]),
+        ("damping = 1.0", "washout_hz = 0", ":8:14:", &["`washout_hz`", "more than zero"]),
+        ("damping = 1.0", "washout_hz = 10000", ":8:14:", &["below half the rate of 20000 Hz"]),
+        ("damping = 1.0", "bilateral = 1", ":8:13:", &["not true or false"]),
+        ("damping = 1.0", "stifness = 1.0", ":8:1:", &["did you mean `stiffness`?"]),
+        ("shape = \"sphere\"", "shape = \"cube\"", ":11:9:", &["plane, sphere, cylinder"]),
+        ("shape = \"sphere\"", "shape = \"cylinder\"", ":11:9:", &["moves in space", "shape = \"sphere\""]),
+        ("radius = 0.05", "radius = 0", ":13:10:", &["`radius`", "more than zero"]),
+        ("radius = 0.05", "radius = 1e-60", ":13:10:", &["`radius`", "more than zero"]),
+        ("radius = 0.05\n", "", ":10:1:", &["`radius`", "missing"]),
+        ("direction = [1.0, 0.0]", "direction = [0, 0]", ":19:13:", &["points nowhere"]),
+        ("stiffness = 100.0", "stiffness = -1", ":20:13:", &["zero or more"]),
+        ("[[field]]\ndamping = 1.0", "[[field]]\ndamping = -1.0", ":23:11:", &["zero or more"]),
+        ("[[field]]\ndamping = 1.0", "[[field]]", ":22:1:", &["`damping`", "missing"]),
+        ("rate_hz = 20000", "rate_hz = 199", ":1:11:", &["from 200 to 50000 Hz"]),
+        ("rate_hz = 20000", "rate_hz = 50001", ":1:11:", &["from 200 to 50000 Hz"]),
+        ("cutoff_hz = 500", "cutoff_hz = 10000", ":2:13:", &["below half the rate of 20000 Hz"]),
+        ("cutoff_hz = 500", "cutoff_hz = 0", ":2:13:", &["more than zero"]),
+        ("cutoff_hz = 500", "estimator = \"kalman\"", ":2:13:", &["butterworth, first-order, backward-difference"]),
+        ("cutoff_hz = 500", "cutof_hz = 500", ":2:1:", &["did you mean `cutoff_hz`?"]),
+        ("[[spring]]", "[spring]", ":17:1:", &["[[spring]] tables"]),
+    ];
+    for (from, to, place, words) in mistakes {
+        let said = refusal(DEVICE, &replaced(SCENE, from, to));
+        let place = format!("scene.toml{place}");
+        assert!(said.contains(&place), "`{to}` should be refused at {place}: {said}");
+        for word in *words {
+            assert!(said.contains(word), "`{to}` should be refused with \"{word}\": {said}");
+        }
+    }
+    let said = refusal(DEVICE, &nine_walls);
+    assert!(said.contains("at most 8 [[wall]] tables"), "{said}");
+}
+
+#[test]
+fn a_file_that_is_not_there_or_not_text_is_refused_by_name() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let binary = folder.path().join("binary.toml");
+    std::fs::write(&binary, b"name = \"\xff\"").expect("writable");
+    for (path, word) in [
+        (folder.path().join("none.toml"), "none.toml: cannot be read"),
+        (folder.path().to_path_buf(), "cannot be read"),
+        (binary, "binary.toml:1:9: not UTF-8 text"),
+    ] {
+        let mut command = Command::cargo_bin("haptic").expect("the command is built");
+        let output = command.arg("check").arg(path).output().expect("it runs");
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{said}");
+        assert!(said.contains(word) && said.trim_end().lines().count() == 1, "{said}");
+    }
+}
+
+/// Every shipped file with its parser.
+type Parser = fn(&str) -> Result<(), FileError>;
+fn shipped_files() -> Vec<(String, Parser)> {
+    let mut files: Vec<(String, Parser)> = Vec::new();
+    for path in shipped("") {
+        let text = std::fs::read_to_string(&path).expect("readable");
+        let task = DeviceFile::parse(&text, &path).expect("sound").spec().task;
+        files.push((text, |text| DeviceFile::parse(text, "device").map(drop)));
+        for scene in shipped(&format!("scenes/{}", path.file_stem().expect("a name").to_string_lossy())) {
+            let parser: Parser = match task {
+                1 => |text| SceneFile::parse(text, "scene", 1).map(drop),
+                2 => |text| SceneFile::parse(text, "scene", 2).map(drop),
+                _ => |text| SceneFile::parse(text, "scene", 3).map(drop),
+            };
+            files.push((std::fs::read_to_string(scene).expect("readable"), parser));
+        }
+    }
+    files
+}
+
+/// The file with one line replaced.
+fn with_line(text: &str, line: usize, replacement: &str) -> String {
+    let lines = text.lines().enumerate().map(|(index, old)| if index == line { replacement } else { old });
+    lines.collect::<Vec<_>>().join("\n")
+}
+
+#[test]
+fn no_key_can_be_misspelt_or_mistyped_unnoticed() {
+    let mut tried = 0;
+    for (text, parse) in shipped_files() {
+        parse(&text).expect("sound as shipped");
+        for (index, line) in text.lines().enumerate() {
+            let Some((key, value)) = line.split_once(" = ") else { continue };
+            if line.starts_with('#') {
+                continue;
+            }
+            tried += 1;
+            let misspelt = parse(&with_line(&text, index, &format!("{key}x = {value}")));
+            let error = misspelt.expect_err(&format!("`{key}x` must be refused"));
+            assert_eq!(error.position, Some((index + 1, 1)), "{error}");
+            assert!(error.to_string().contains(&format!("`{key}x`")), "{error}");
+            // No value is a date, and none may be.
+            let mistyped = parse(&with_line(&text, index, &format!("{key} = 1979-05-27")));
+            let error = mistyped.expect_err(&format!("`{key}` must not be a date"));
+            assert_eq!(error.position, Some((index + 1, key.len() + 4)), "{error}");
+            assert!(error.to_string().contains("a date"), "{error}");
+            // Numbers must be finite.
+            let number = |value: &str| value.split('#').next().is_some_and(|value| value.trim().parse::<f64>().is_ok());
+            if number(value) {
+                for wrong in ["nan", "inf", "-inf", "1e99"] {
+                    let error = parse(&with_line(&text, index, &format!("{key} = {wrong}"))).expect_err(wrong);
+                    assert_eq!(error.position, Some((index + 1, key.len() + 4)), "{error}");
+                }
+            }
+        }
+    }
+    assert!(tried > 300, "{tried} keys tried");
+}
+
+#[test]
+fn a_file_cut_short_anywhere_is_refused_or_sound_but_never_a_crash() {
+    for (text, parse) in shipped_files() {
+        for end in (0..text.len()).filter(|end| text.is_char_boundary(*end)) {
+            if let Err(error) = parse(&text[..end]) {
+                let (line, _) = error.position.expect("a place in the file");
+                assert!(line <= text[..end].lines().count().max(1) + 1, "{error}");
+            }
+        }
+    }
+}

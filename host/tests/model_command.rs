@@ -1,0 +1,207 @@
+//! `haptic model` as another program meets it: one JSON document, exit codes, and singular poses told apart.
+
+use assert_cmd::Command;
+use serde_json::Value;
+use std::path::Path;
+use std::process::Output;
+
+fn device(name: &str) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices").join(format!("{name}.toml"));
+    path.to_str().expect("a plain path").to_string()
+}
+
+fn model(name: &str, args: &[&str]) -> Output {
+    let mut command = Command::cargo_bin("haptic").expect("the command is built");
+    command.arg("model").arg(device(name)).args(args).output().expect("it runs")
+}
+
+fn json(name: &str, args: &[&str]) -> Value {
+    let output = model(name, &[args, &["--json"]].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(output.stderr.is_empty());
+    serde_json::from_slice(&output.stdout).expect("one JSON document and nothing else")
+}
+
+/// The one line on standard error of a command that ends with `code`.
+fn refusal(code: i32, name: &str, args: &[&str]) -> String {
+    let output = model(name, args);
+    let said = String::from_utf8(output.stderr).expect("text");
+    assert_eq!(output.status.code(), Some(code), "{args:?}: {said}");
+    assert!(output.stdout.is_empty(), "nothing on standard output");
+    said
+}
+
+fn one_line(said: String) -> String {
+    assert_eq!(said.trim_end().lines().count(), 1, "one line: {said}");
+    said
+}
+
+fn angles(q: &[f64]) -> String {
+    let angles: Vec<String> = q.iter().map(|angle| format!("{angle:?}")).collect();
+    format!("--q={}", angles.join(","))
+}
+
+#[test]
+fn the_document_has_the_documented_keys_and_shapes() {
+    let one = json("woodenhaptics", &["--q=0.2,1.0,-0.5", "--normal=0.7,0.7,0", "--force", "2"]);
+    let keys: Vec<&str> = one.as_object().expect("an object").keys().map(String::as_str).collect();
+    let mut documented = [
+        "position",
+        "jacobian",
+        "mass",
+        "bias",
+        "w_rr",
+        "w_ra",
+        "w_aa",
+        "z_r",
+        "z_a",
+        "w_eff",
+        "coupling",
+        "f_a",
+        "torque",
+        "torque_without_feed_forward",
+        "condition",
+    ];
+    documented.sort_unstable();
+    let mut sorted = keys.clone();
+    sorted.sort_unstable();
+    assert_eq!(sorted, documented);
+    let shape = |value: &Value| {
+        let rows = value.as_array().expect("a list");
+        (rows.len(), rows.first().and_then(Value::as_array).map_or(0, Vec::len))
+    };
+    for (key, expected) in [
+        ("jacobian", (3, 3)),
+        ("mass", (3, 3)),
+        ("w_rr", (1, 1)),
+        ("w_ra", (1, 2)),
+        ("w_aa", (2, 2)),
+        ("w_eff", (1, 1)),
+        ("coupling", (1, 1)),
+        ("z_r", (1, 0)),
+        ("z_a", (2, 0)),
+        ("f_a", (2, 0)),
+        ("torque", (3, 0)),
+    ] {
+        assert_eq!(shape(&one[key]), expected, "{key}");
+    }
+    assert!(one["condition"]["jacobian"].is_f64() && one["condition"]["mass"].is_f64());
+
+    // An edge of two walls renders two directions and leaves one.
+    let edge = ["--q=0.2,1.0,-0.5", "--normal=1,0,0", "--force=1", "--normal=0,1,0", "--force=2"];
+    let two = json("woodenhaptics", &edge);
+    assert_eq!(shape(&two["w_rr"]), (2, 2));
+    assert_eq!(shape(&two["w_ra"]), (2, 1));
+    assert_eq!(shape(&two["f_a"]), (1, 0));
+
+    // The redundant arm has a planar tip and three joints.
+    let arm = json("serial-3r", &["--q=0.6,0.9,-0.7", "--normal=0,1", "--force=1"]);
+    assert_eq!(shape(&arm["jacobian"]), (2, 3));
+    assert_eq!(arm["position"].as_array().map(Vec::len), Some(2));
+}
+
+#[test]
+fn negative_numbers_parse_in_either_notation() {
+    let joined = json("haply-2diy", &["--q=-0.3,1.2", "--qd=-1,2", "--normal=-1,0.5", "--force=-2"]);
+    let apart = json("haply-2diy", &["--q", "-0.3,1.2", "--qd", "-1,2", "--normal", "-1,0.5", "--force", "-2"]);
+    assert_eq!(joined, apart);
+}
+
+#[test]
+fn a_normal_of_any_length_is_the_same_wall() {
+    let short = json("haply-2diy", &["--normal=3e-30,4e-30", "--force=2"]);
+    let long = json("haply-2diy", &["--normal=0.6,0.8", "--force=2"]);
+    for key in ["torque", "torque_without_feed_forward"] {
+        for (a, b) in short[key].as_array().into_iter().flatten().zip(long[key].as_array().into_iter().flatten()) {
+            let (a, b) = (a.as_f64().expect("a number"), b.as_f64().expect("a number"));
+            assert!((a - b).abs() < 1.0e-12, "{key}: {a} {b}");
+        }
+    }
+}
+
+#[test]
+fn without_a_pose_the_home_pose_is_meant() {
+    let home = json("coupled-five-bar", &[]);
+    let said = json("coupled-five-bar", &["--q=2.3,0.84159265358979"]);
+    assert_eq!(home, said);
+}
+
+#[test]
+fn whole_turns_change_nothing_on_the_board_either() {
+    // The board's trigonometry is accurate within a turn, so angles are wrapped before they are rounded to f32.
+    let turn = core::f64::consts::TAU;
+    let wall = ["--normal=0.7,0.7", "--force=2", "--precision=f32"];
+    let near = json("coupled-five-bar", &[&wall[..], &[&angles(&[2.6, 1.75])]].concat());
+    let far = json("coupled-five-bar", &[&wall[..], &[&angles(&[2.6 + 1000.0 * turn, 1.75 - 1000.0 * turn])]].concat());
+    for (a, b) in near["torque"].as_array().into_iter().flatten().zip(far["torque"].as_array().into_iter().flatten()) {
+        let (a, b) = (a.as_f64().expect("a number"), b.as_f64().expect("a number"));
+        assert!((a - b).abs() < 2.0e-6, "{a} {b}");
+    }
+}
+
+#[test]
+fn a_stretched_arm_is_a_serial_singularity_of_its_joint() {
+    // haply-2diy: arm 0 stretched at 1.2 rad, the tip 0.16 m from its motor; arm 1 by the law of cosines.
+    let (base, proximal, distal) = (0.038_f64, 0.07_f64, 0.09_f64);
+    let tip = ((proximal + distal) * 1.2_f64.cos() - base, (proximal + distal) * 1.2_f64.sin());
+    let reach = tip.0.hypot(tip.1);
+    let elbow = ((proximal.powi(2) + reach.powi(2) - distal.powi(2)) / (2.0 * proximal * reach)).acos();
+    let q1 = tip.1.atan2(tip.0) - elbow;
+    let said = one_line(refusal(1, "haply-2diy", &[&angles(&[1.2, q1]), "--normal=0,1", "--force=1"]));
+    assert!(said.contains("serial singularity: joint 0 turns without moving the tip"), "{said}");
+    // Near it, the numbers are there again.
+    let near = json("haply-2diy", &[&angles(&[1.2 + 1.0e-3, q1]), "--normal=0,1", "--force=1"]);
+    assert!(near["condition"]["jacobian"].as_f64().is_some_and(|condition| condition > 100.0));
+}
+
+#[test]
+fn distal_links_in_line_are_a_parallel_singularity() {
+    // pantograph-mk2: elbows exactly two distal lengths apart.
+    let q1 = ((0.15_f64 - 0.025) / 0.126).acos();
+    let said = one_line(refusal(1, "pantograph-mk2", &[&angles(&[core::f64::consts::PI - q1, q1]), "--normal=0,1"]));
+    assert!(said.contains("parallel singularity"), "{said}");
+    let apart = one_line(refusal(1, "pantograph-mk2", &[&angles(&[core::f64::consts::PI, 0.0]), "--normal=0,1"]));
+    assert!(apart.contains("do not meet"), "{apart}");
+}
+
+#[test]
+fn other_mechanisms_name_their_singularities() {
+    for (name, q, word) in [
+        // Upper arm and forearm in line.
+        ("woodenhaptics", "--q=0.2,0.5,0.5", "serial singularity: joints 1 and 2 turn together"),
+        // The tip on the turret's axis: the upper arm straight up, the forearm too.
+        ("serial-3r", "--q=0.3,0,0.5", "serial singularity"),
+    ] {
+        let normal = if name == "serial-3r" { "--normal=0,1" } else { "--normal=0,1,0" };
+        let said = one_line(refusal(1, name, &[q, normal]));
+        assert!(said.contains(word), "{said}");
+    }
+}
+
+#[test]
+fn wrong_arguments_end_with_2_and_say_what_is_wrong() {
+    for (args, word) in [
+        (&["--q=1"][..], "--q has 1 numbers, but this device takes 2"),
+        (&["--q=1,2,3"], "--q has 3 numbers"),
+        (&["--qd=1"], "--qd has 1 numbers"),
+        (&["--normal=0,0"], "--normal is zero"),
+        (&["--normal=0,0,1"], "--normal has 3 numbers"),
+        (&["--normal=0,1", "--force=1", "--force=2"], "in pairs"),
+        (&["--force=1"], "in pairs"),
+        (&["--q=a,b"], "`a` is not a number"),
+        (&["--q=nan,1"], "not a finite number"),
+        (&["--q="], "not a number"),
+        (&["--normal=0,1", "--force=inf"], "not a finite number"),
+        (&["--precision=f16"], "f16"),
+        (&["--colour"], "--colour"),
+    ] {
+        let said = refusal(2, "haply-2diy", args);
+        assert!(said.contains(word), "{args:?}: {said}");
+    }
+}
+
+#[test]
+fn overflow_is_an_error_and_not_null() {
+    let said = one_line(refusal(1, "haply-2diy", &["--qd=1e200,1e200", "--normal=0,1", "--json"]));
+    assert!(said.contains("overflow"), "{said}");
+}
