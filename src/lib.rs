@@ -17,7 +17,7 @@
 //!             └─► current ► voltage ► duty (drive)  ◄── servo::Servo::duties
 //! ```
 //!
-//! Everything around that path configures it ([`service`], [`settings`], [`protocol`]) or watches it ([`telemetry`]).
+//! Everything around that path configures it ([`service`], [`settings`], [`protocol`], [`dispatch`]) or watches it ([`telemetry`]).
 //! Nothing here knows a chip, a host or a file: the firmware (`src/firmware`) and the tool (`host`) bring those.
 //!
 //! The code is generic over the float and its trigonometry ([`math`]): the board runs `f32`, the analysis runs the same
@@ -25,9 +25,11 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+pub mod carrier;
 pub mod controller;
 pub mod description;
 pub mod device;
+pub mod dispatch;
 pub mod drive;
 pub mod guard;
 pub mod inertia;

@@ -5,6 +5,7 @@
 //! between two steps: a [`Program`] is built elsewhere and handed over by ownership, small changes are [`Command`]s.
 //! Nothing here blocks, allocates or panics.
 
+use crate::carrier::Carrier;
 use crate::controller::{Controller, Gains, Step};
 use crate::description::MAX_JOINTS;
 use crate::device::Device;
@@ -282,6 +283,8 @@ impl<K: Math<f32>> Program<K> {
             return Err(Refusal::TooManyJoints { joints: joints as u8, axes: hardware.axes as u8 });
         }
         let controller = AnyController::new(device, scene, mass)?;
+        // The current loops run once a carrier period, and the carrier follows the control rate.
+        let bridge = Bridge { carrier_hz: Carrier::for_rate(scene.rate_hz).carrier_hz(), ..hardware.bridge };
         let mut axes = [Axis::default(); MAX_JOINTS];
         let mut unarmable = if device.home.is_none() && hardware.real { Some(Refusal::NoHome) } else { None };
         for (i, joint) in device.joints.iter().enumerate().take(joints) {
@@ -297,7 +300,7 @@ impl<K: Math<f32>> Program<K> {
                         unarmable = unarmable.or(Some(Refusal::MotorNotVerified(index)));
                     }
                     let (most, steady) = (limits.current[i], limits.continuous_current[i]);
-                    axes[i] = Axis::new(motor, &hardware.bridge, most, steady);
+                    axes[i] = Axis::new(motor, &bridge, most, steady);
                 }
             }
             if hardware.real && joint.limits.is_none() {

@@ -1,0 +1,83 @@
+//! The PWM carrier behind a control rate: which frequency, how many of its periods a control step has, and what delay
+//! that makes.
+//!
+//! The carrier is centre-aligned: a timer counts up to a crest and back down to a valley. Encoders and currents are
+//! sampled at the crest, and a duty written then applies at the next valley, half a carrier period later.
+
+/// Frequency that the PWM timers count at, Hz.
+pub const TIMER_HZ: u32 = 168_000_000;
+
+/// Slowest carrier, Hz: above what people hear.
+pub const CARRIER_MIN_HZ: u32 = 20_000;
+
+/// Lowest and highest control rate, Hz.
+pub const RATE_HZ: (u32, u32) = (200, 50_000);
+
+/// How a control rate is made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Carrier {
+    /// Timer ticks from valley to crest.
+    pub top: u16,
+    /// Carrier periods in a control step, at least 1.
+    pub divider: u16,
+}
+
+impl Carrier {
+    /// The carrier for a control rate in Hz; rates outside [`RATE_HZ`], and what is no number, are moved to the nearer end.
+    ///
+    /// It is the smallest multiple of the rate from 20 kHz up, so it lies between 20 and 50 kHz and a duty has at
+    /// least 1680 steps.
+    pub fn for_rate(rate_hz: f32) -> Self {
+        let rate_hz = (rate_hz as u32).clamp(RATE_HZ.0, RATE_HZ.1);
+        let divider = CARRIER_MIN_HZ.div_ceil(rate_hz);
+        let twice = 2 * divider * rate_hz;
+        let top = (TIMER_HZ + twice / 2) / twice;
+        Self { top: top as u16, divider: divider as u16 }
+    }
+
+    /// Frequency of the carrier, Hz.
+    pub fn carrier_hz(&self) -> f32 {
+        TIMER_HZ as f32 / (2.0 * f32::from(self.top))
+    }
+
+    /// The control rate that comes out, Hz: within 0.05 % of the one asked for.
+    pub fn rate_hz(&self) -> f32 {
+        self.carrier_hz() / f32::from(self.divider)
+    }
+
+    /// Delay from sampling to the duty that answers it, in control samples: half a carrier period.
+    pub fn delay_samples(&self) -> f32 {
+        0.5 / f32::from(self.divider)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_usual_rates_come_out_exactly() {
+        for (rate, top, divider) in [(200.0, 4200, 100), (1000.0, 4200, 20), (20_000.0, 4200, 1), (50_000.0, 1680, 1)] {
+            let carrier = Carrier::for_rate(rate);
+            assert_eq!((carrier.top, carrier.divider), (top, divider));
+            assert_eq!(carrier.rate_hz(), rate);
+        }
+        assert_eq!(Carrier::for_rate(1000.0).delay_samples(), 0.025);
+    }
+
+    #[test]
+    fn every_rate_has_an_inaudible_carrier_and_comes_out_close() {
+        for rate in (200..=50_000).step_by(7) {
+            let carrier = Carrier::for_rate(rate as f32);
+            assert!((19_990.0..=50_000.0).contains(&carrier.carrier_hz()), "{rate} Hz: {carrier:?}");
+            assert!((carrier.rate_hz() / rate as f32 - 1.0).abs() < 5.0e-4, "{rate} Hz: {carrier:?}");
+        }
+    }
+
+    #[test]
+    fn nonsense_becomes_the_nearest_rate() {
+        for (asked, rate) in [(f32::NAN, 200.0), (-1.0, 200.0), (f32::INFINITY, 50_000.0), (1.0e9, 50_000.0)] {
+            assert_eq!(Carrier::for_rate(asked).rate_hz(), rate);
+        }
+    }
+}

@@ -1,0 +1,163 @@
+//! From a frame that came over the link to the frame that answers it: decodes a request, has the [`Service`] do it,
+//! encodes the answer. The same on every board, real, simulated or emulated.
+//!
+//! A frame is a postcard-rpc header (key, sequence number) and a postcard body. What cannot be understood is answered by
+//! postcard-rpc's own error message; nothing that comes in can do more than that.
+
+use crate::protocol::*;
+use crate::service::{Machine, Service};
+use crate::telemetry::StreamRequest;
+use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
+use postcard_rpc::standard_icd::{ERROR_KEY, WireError};
+use postcard_rpc::{Endpoint, Topic};
+use serde::{Serialize, de::DeserializeOwned};
+
+/// What a machine tells of itself, beside being one.
+pub trait Described: Machine {
+    /// Who it is.
+    fn info(&self) -> Info;
+    /// Its own part of the details; the service fills in the rest.
+    fn details(&mut self) -> Details;
+}
+
+/// What is left to do once the answer is on its way.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum After {
+    /// Nothing.
+    Nothing,
+    /// Start, change or stop the telemetry stream, for a device of so many axes.
+    Stream(StreamRequest, usize),
+    /// Enter the boot loader.
+    BootLoader,
+    /// Start anew.
+    Restart,
+}
+
+/// Answers the request in `frame` (without COBS), writing a frame into `out` (at least [`MAX_FRAME`] bytes).
+///
+/// Returns the answer, `None` for what is no frame at all, and what is left to do.
+pub fn answer<'o, M: Described>(
+    service: &mut Service,
+    machine: &mut M,
+    frame: &[u8],
+    out: &'o mut [u8],
+) -> (Option<&'o [u8]>, After) {
+    let Some((header, body)) = VarHeader::take_from_slice(frame) else { return (None, After::Nothing) };
+    let mut after = After::Nothing;
+    let length = route(service, machine, &Request { header, body }, out, &mut after);
+    (length.and_then(|length| out.get(..length)), after)
+}
+
+/// Writes a topic message as a frame (without COBS) into `out`; `None` when it does not fit.
+pub fn publish<'o, T: Topic>(sequence: u16, message: &T::Message, out: &'o mut [u8]) -> Option<&'o [u8]>
+where
+    T::Message: Serialize + Sized,
+{
+    let header = VarHeader { key: VarKey::Key8(T::TOPIC_KEY), seq_no: VarSeq::Seq2(sequence) };
+    let length = encode(&header, message, out)?;
+    out.get(..length)
+}
+
+struct Request<'f> {
+    header: VarHeader,
+    body: &'f [u8],
+}
+
+impl Request<'_> {
+    fn is<E: Endpoint>(&self) -> bool {
+        self.header.key == VarKey::Key8(E::REQ_KEY)
+    }
+
+    /// Decodes the request, does the work and encodes the answer. Never inlined: each keeps its own stack frame, or the
+    /// largest messages would all lie on the stack at once.
+    #[inline(never)]
+    fn serve<E: Endpoint>(&self, out: &mut [u8], work: impl FnOnce(E::Request) -> E::Response) -> Option<usize>
+    where
+        E::Request: DeserializeOwned,
+        E::Response: Serialize,
+    {
+        match postcard::take_from_bytes(self.body) {
+            Ok((request, [])) => {
+                let header = VarHeader { key: VarKey::Key8(E::RESP_KEY), seq_no: self.header.seq_no };
+                encode(&header, &work(request), out).or_else(|| self.fail(WireError::SerFailed, out))
+            }
+            _ => self.fail(WireError::DeserFailed, out),
+        }
+    }
+
+    fn fail(&self, error: WireError, out: &mut [u8]) -> Option<usize> {
+        encode(&VarHeader { key: VarKey::Key8(ERROR_KEY), seq_no: self.header.seq_no }, &error, out)
+    }
+}
+
+fn encode(header: &VarHeader, message: &impl Serialize, out: &mut [u8]) -> Option<usize> {
+    let (head, rest) = header.write_to_slice(out)?;
+    let head = head.len();
+    let body = postcard::to_slice(message, rest).ok()?.len();
+    Some(head + body)
+}
+
+fn route<M: Described>(
+    service: &mut Service,
+    machine: &mut M,
+    request: &Request,
+    out: &mut [u8],
+    after: &mut After,
+) -> Option<usize> {
+    // Short keys collide; a tool that uses them is told.
+    if matches!(request.header.key, VarKey::Key1(_) | VarKey::Key2(_)) {
+        return request.fail(WireError::KeyTooSmall, out);
+    }
+    macro_rules! serve {
+        ($($Endpoint:ident: |$message:pat_param| $work:expr;)*) => {
+            $(if request.is::<$Endpoint>() {
+                return request.serve::<$Endpoint>(out, |$message| $work);
+            })*
+        };
+    }
+    serve! {
+        GetStatus: |()| machine.status();
+        Heartbeat: |()| service.heartbeat(machine);
+        Arm: |()| service.arm(machine);
+        Disarm: |()| service.disarm(machine);
+        SetGains: |gains| service.set_gains(machine, &gains);
+        SetScene: |scene| service.set_scene(machine, scene);
+        SetDevice: |device| service.set_device(machine, device);
+        GetInfo: |()| machine.info();
+        GetDetails: |()| {
+            let mut details = machine.details();
+            service.describe(&mut details);
+            details
+        };
+        GetDevice: |()| service.device().cloned();
+        GetScene: |()| service.scene().cloned();
+        SetMassModel: |mass| service.set_mass_model(machine, mass);
+        SendTable: |chunk| service.receive_table(machine, &chunk);
+        SetRules: |rules| service.set_rules(machine, rules);
+        GetRules: |()| *service.rules();
+        Home: |()| service.home(machine);
+        CheckPolarity: |()| service.check_polarity(machine);
+        Clear: |()| service.clear(machine);
+        GetFaults: |()| service.faults().clone();
+        Stream: |stream| {
+            *after = After::Stream(stream, service.device().map_or(0, |device| device.axes()));
+            Ok(())
+        };
+        Save: |()| service.save(machine);
+        ReadEntry: |key| service.read_entry(machine, key);
+        RestoreEntry: |entry| service.restore_entry(machine, &entry);
+        SetName: |name| {
+            service.set_name(name);
+            Ok(())
+        };
+        EnterDfu: |()| {
+            *after = After::BootLoader;
+            service.disarm(machine)
+        };
+        Restart: |()| {
+            *after = After::Restart;
+            service.disarm(machine)
+        };
+    }
+    request.fail(WireError::UnknownKey, out)
+}
