@@ -42,6 +42,31 @@ impl DeviceFile {
         self.description.kind.spec()
     }
 
+    /// What must still be added before a real board arms, each with the key to write. Empty when nothing is missing.
+    pub fn lacks_for_a_board(&self) -> Vec<String> {
+        let mut lacks = Vec::new();
+        for (index, joint) in self.description.joints.iter().take(self.spec().joints).enumerate() {
+            let place = format!("[[joint]] {}", index + 1);
+            if joint.limits.is_none() {
+                lacks.push(format!("{place} needs limits = [lowest, highest]"));
+            }
+            if joint.encoder.is_none() {
+                lacks.push(format!("{place} needs [joint.encoder]"));
+            }
+            match joint.motor {
+                None => lacks.push(format!("{place} needs [joint.motor]")),
+                Some(motor) if !motor.verified => {
+                    lacks.push(format!("check the motor data of {place}, then write verified = true"));
+                }
+                Some(_) => {}
+            }
+        }
+        if self.description.home.is_none() {
+            lacks.push("[home] needs q, the pose that homing declares".into());
+        }
+        lacks
+    }
+
     fn read(document: &Document) -> Result<Self, FileError> {
         document.read(|top| {
             let (name, description, mechanism) = device(top)?;

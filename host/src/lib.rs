@@ -5,5 +5,6 @@ pub mod analysis;
 pub mod device_file;
 pub mod error;
 pub mod model;
+pub mod scene_file;
 pub mod sim;
 pub mod toml_file;

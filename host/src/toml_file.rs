@@ -464,7 +464,8 @@ impl<'a> Table<'a> {
         };
         match must {
             Must::NotBeNegative if number < 0.0 => error(out_of_range("zero or more")),
-            Must::BePositive if number <= 0.0 => error(out_of_range("more than zero")),
+            // Also what vanishes in the board's 32-bit floats.
+            Must::BePositive if number as f32 <= 0.0 => error(out_of_range("more than zero")),
             _ => Ok(number),
         }
     }

@@ -1,0 +1,265 @@
+//! Scene files (MODEL.md section 4): TOML in, a checked [`Scene`] out, or an error that names the line.
+//!
+//! A scene is written in the task coordinates of a device, so it is read for a task dimension: normals, points and
+//! directions must have exactly that many entries. Directions are made unit vectors here. Defaults:
+//!
+//! | key | default |
+//! |---|---|
+//! | `rate_hz` | 20000 |
+//! | `cutoff_hz` | 500, or a tenth of the rate where that is less |
+//! | `estimator` | `"butterworth"` (also `"first-order"`, `"backward-difference"`) |
+//! | `gravity_compensation` | true (nothing happens on a device without gravity) |
+//! | wall `shape` | `"plane"` (also `"sphere"`, `"cylinder"`) |
+//! | wall `damping`, spring `damping` | 0 |
+//! | wall `feed_forward`, `washout_hz` | `"washout"`, 2 |
+//! | wall `damping_compensation`, `bilateral`, `inside` | false |
+//! | spring `direction` | none: the spring pulls to its point, else to the line through it |
+
+use crate::toml_file::{Document, FileError, Must, Problem, Table};
+use haptic_bridge::math::Real;
+use haptic_bridge::scene::{
+    Cylinder, FeedForward, MAX_RATE_HZ, MAX_SPRINGS, MAX_WALLS, MIN_RATE_HZ, Plane, Scene, SceneError, Sphere, Spring,
+    Surface, Wall,
+};
+use haptic_bridge::velocity::Estimator;
+use std::path::{Path, PathBuf};
+
+/// Default control rate, Hz.
+pub const DEFAULT_RATE_HZ: f64 = 20_000.0;
+/// Default cutoff, Hz, at rates of ten times that and more; below, a tenth of the rate (the paper's 20 Hz at 200 Hz).
+pub const DEFAULT_CUTOFF_HZ: f64 = 500.0;
+/// Default corner of the washout, Hz: keeps 99 % of the gained stable area at 20 kHz (MODEL.md section 3).
+pub const DEFAULT_WASHOUT_HZ: f64 = 2.0;
+
+/// A scene file that was read and found sound.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SceneFile {
+    /// Where it came from.
+    pub path: PathBuf,
+    /// The scene in double precision.
+    pub scene: Scene<f64>,
+}
+
+impl SceneFile {
+    /// Reads and checks the file at `path` for a device of task dimension `task`.
+    pub fn load(path: impl AsRef<Path>, task: usize) -> Result<Self, FileError> {
+        Self::read(&Document::load(path.as_ref())?, task)
+    }
+
+    /// Checks text that is already there; `origin` is what messages call it.
+    pub fn parse(text: &str, origin: impl Into<PathBuf>, task: usize) -> Result<Self, FileError> {
+        Self::read(&Document::new(text, origin), task)
+    }
+
+    /// Checks a document.
+    pub fn read(document: &Document, task: usize) -> Result<Self, FileError> {
+        let scene = document.read(|top| scene(top, task))?;
+        Ok(Self { path: document.path().into(), scene })
+    }
+
+    /// The scene in the precision it is to run in: f32 on a board.
+    ///
+    /// Errors only where rounding makes a number impossible, such as a radius that vanishes.
+    pub fn scene<T: Real>(&self) -> Result<Scene<T>, SceneError> {
+        let scene = rounded::<T>(&self.scene);
+        scene.check(usize::from(scene.task)).map(|()| scene)
+    }
+}
+
+fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
+    top.refuse_unknown_keys(&["rate_hz", "cutoff_hz", "estimator", "gravity_compensation", "wall", "spring", "field"])?;
+    let rate_hz = top.number("rate_hz", Must::BePositive)?.unwrap_or(DEFAULT_RATE_HZ);
+    if !(MIN_RATE_HZ..=MAX_RATE_HZ).contains(&rate_hz) {
+        return Err(out_of_range(top, "rate_hz", rate_hz, "from 200 to 50000 Hz"));
+    }
+    let cutoff_hz = top.number("cutoff_hz", Must::BePositive)?.unwrap_or(DEFAULT_CUTOFF_HZ.min(0.1 * rate_hz));
+    below_half_the_rate(top, "cutoff_hz", cutoff_hz, rate_hz)?;
+    let estimators = [
+        ("butterworth", Estimator::Butterworth),
+        ("first-order", Estimator::FirstOrder),
+        ("backward-difference", Estimator::BackwardDifference),
+    ];
+    let mut scene = Scene {
+        task: task as u8,
+        rate_hz,
+        cutoff_hz,
+        estimator: top.word("estimator", &estimators)?.unwrap_or_default(),
+        gravity_compensation: top.flag("gravity_compensation")?.unwrap_or(true),
+        ..Scene::default()
+    };
+    let walls = top.tables("wall")?;
+    for table in &walls {
+        let wall = wall(table, task, rate_hz)?;
+        scene.walls.push(wall).map_err(|_| too_many(table, "[[wall]]", walls.len(), MAX_WALLS))?;
+    }
+    let springs = top.tables("spring")?;
+    for table in &springs {
+        let spring = spring(table, task)?;
+        scene.springs.push(spring).map_err(|_| too_many(table, "[[spring]]", springs.len(), MAX_SPRINGS))?;
+    }
+    for table in top.tables("field")? {
+        table.refuse_unknown_keys(&["damping"])?;
+        let damping = table.number("damping", Must::NotBeNegative)?;
+        scene.field_damping += table.required("damping", damping, "damping = 2.0")?;
+    }
+    Ok(scene)
+}
+
+fn too_many(table: &Table<'_>, name: &str, found: usize, most: usize) -> FileError {
+    table.error_here(Problem::WrongCount {
+        table: name.into(),
+        expected: format!("at most {most}"),
+        found,
+        meaning: "a board holds no more".into(),
+    })
+}
+
+fn out_of_range(table: &Table<'_>, key: &str, found: f64, must: &str) -> FileError {
+    let place = table.place().to_string();
+    table.error_at(key, Problem::OutOfRange { key: key.into(), place, found, must: must.into() })
+}
+
+fn below_half_the_rate(table: &Table<'_>, key: &str, found: f64, rate_hz: f64) -> Result<(), FileError> {
+    if found < 0.5 * rate_hz {
+        return Ok(());
+    }
+    Err(out_of_range(table, key, found, &format!("below half the rate of {rate_hz} Hz")))
+}
+
+#[derive(Clone, Copy)]
+enum Shape {
+    Plane,
+    Sphere,
+    Cylinder,
+}
+
+fn wall(table: &Table<'_>, task: usize, rate_hz: f64) -> Result<Wall<f64>, FileError> {
+    let shapes = [("plane", Shape::Plane), ("sphere", Shape::Sphere), ("cylinder", Shape::Cylinder)];
+    let shape = table.word("shape", &shapes)?.unwrap_or(Shape::Plane);
+    let (name, own): (&str, &[&str]) = match shape {
+        Shape::Plane => ("plane", &["normal"]),
+        Shape::Sphere => ("sphere", &["radius", "inside"]),
+        Shape::Cylinder => ("cylinder", &["radius", "inside", "axis"]),
+    };
+    let table = table.clone().called(format!("{} ({name})", table.place()));
+    let every =
+        ["shape", "point", "stiffness", "damping", "feed_forward", "washout_hz", "damping_compensation", "bilateral"];
+    table.refuse_unknown_keys(&[own, &every].concat())?;
+
+    let point = vector(&table, "point", task, "a point in metres")?;
+    let radius = || table.required("radius", table.number("radius", Must::BePositive)?, "radius = 0.03");
+    let inside = table.flag("inside")?.unwrap_or(false);
+    let surface = match shape {
+        Shape::Plane => Surface::Plane(Plane { point, normal: direction(&table, "normal", task)? }),
+        Shape::Sphere => Surface::Sphere(Sphere { center: point, radius: radius()?, inside }),
+        Shape::Cylinder if task < 3 => {
+            let problem = Problem::Impossible {
+                reason: format!("a cylinder needs a device that moves in space, this one has {task} task directions"),
+                remedy: "use shape = \"sphere\", which is a disc in the plane".into(),
+            };
+            return Err(table.error_at("shape", problem));
+        }
+        Shape::Cylinder => {
+            Surface::Cylinder(Cylinder { point, axis: direction(&table, "axis", task)?, radius: radius()?, inside })
+        }
+    };
+
+    let words = [("off", FeedForward::Off), ("full", FeedForward::Full), ("washout", FeedForward::Washout)];
+    let washout_hz = table.number("washout_hz", Must::BePositive)?.unwrap_or(DEFAULT_WASHOUT_HZ);
+    below_half_the_rate(&table, "washout_hz", washout_hz, rate_hz)?;
+    let stiffness = table.number("stiffness", Must::NotBeNegative)?;
+    Ok(Wall {
+        surface,
+        stiffness: table.required("stiffness", stiffness, "stiffness = 2000.0")?,
+        damping: table.number("damping", Must::NotBeNegative)?.unwrap_or(0.0),
+        feed_forward: table.word("feed_forward", &words)?.unwrap_or_default(),
+        washout_hz,
+        damping_compensation: table.flag("damping_compensation")?.unwrap_or(false),
+        bilateral: table.flag("bilateral")?.unwrap_or(false),
+    })
+}
+
+fn spring(table: &Table<'_>, task: usize) -> Result<Spring<f64>, FileError> {
+    table.refuse_unknown_keys(&["point", "direction", "stiffness", "damping"])?;
+    let stiffness = table.number("stiffness", Must::NotBeNegative)?;
+    Ok(Spring {
+        point: vector(table, "point", task, "a point in metres")?,
+        direction: if table.has("direction") { direction(table, "direction", task)? } else { [0.0; 3] },
+        stiffness: table.required("stiffness", stiffness, "stiffness = 200.0")?,
+        damping: table.number("damping", Must::NotBeNegative)?.unwrap_or(0.0),
+    })
+}
+
+/// A task vector, padded with zeros.
+fn vector(table: &Table<'_>, key: &str, task: usize, meaning: &str) -> Result<[f64; 3], FileError> {
+    let axes = ["x", "x, y", "x, y, z"][task.clamp(1, 3) - 1];
+    let values = table.numbers(key, task, Must::BeFinite, &format!("{axes}, {meaning} of this device"))?;
+    let values = table.required(key, values, format!("{key} = {:?}", vec![0.0; task]))?;
+    Ok(core::array::from_fn(|index| values.get(index).copied().unwrap_or(0.0)))
+}
+
+/// A unit vector along the one in the file; zero is refused.
+fn direction(table: &Table<'_>, key: &str, task: usize) -> Result<[f64; 3], FileError> {
+    let values = vector(table, key, task, "a direction")?;
+    let largest = values.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
+    if largest == 0.0 {
+        let problem = Problem::Impossible {
+            reason: format!("`{key}` in {} is zero, which points nowhere", table.place()),
+            remedy: "write a direction of any length".into(),
+        };
+        return Err(table.error_at(key, problem));
+    }
+    // Scaled first, so that neither tiny nor huge entries spoil the squares.
+    let scaled = values.map(|value| value / largest);
+    let length = scaled.iter().map(|value| value * value).sum::<f64>().sqrt();
+    Ok(scaled.map(|value| value / length))
+}
+
+fn rounded<T: Real>(scene: &Scene<f64>) -> Scene<T> {
+    let r = T::from_f64;
+    let v = |values: [f64; 3]| values.map(T::from_f64);
+    let surface = |surface: &Surface<f64>| match surface {
+        Surface::Plane(plane) => Surface::Plane(Plane { point: v(plane.point), normal: v(plane.normal) }),
+        Surface::Sphere(sphere) => {
+            Surface::Sphere(Sphere { center: v(sphere.center), radius: r(sphere.radius), inside: sphere.inside })
+        }
+        Surface::Cylinder(cylinder) => Surface::Cylinder(Cylinder {
+            point: v(cylinder.point),
+            axis: v(cylinder.axis),
+            radius: r(cylinder.radius),
+            inside: cylinder.inside,
+        }),
+    };
+    Scene {
+        task: scene.task,
+        rate_hz: r(scene.rate_hz),
+        cutoff_hz: r(scene.cutoff_hz),
+        estimator: scene.estimator,
+        gravity_compensation: scene.gravity_compensation,
+        velocity_terms: scene.velocity_terms,
+        walls: scene
+            .walls
+            .iter()
+            .map(|wall| Wall {
+                surface: surface(&wall.surface),
+                stiffness: r(wall.stiffness),
+                damping: r(wall.damping),
+                feed_forward: wall.feed_forward,
+                washout_hz: r(wall.washout_hz),
+                damping_compensation: wall.damping_compensation,
+                bilateral: wall.bilateral,
+            })
+            .collect(),
+        springs: scene
+            .springs
+            .iter()
+            .map(|spring| Spring {
+                point: v(spring.point),
+                direction: v(spring.direction),
+                stiffness: r(spring.stiffness),
+                damping: r(spring.damping),
+            })
+            .collect(),
+        field_damping: r(scene.field_damping),
+    }
+}

@@ -1,0 +1,141 @@
+//! The mechanics of rigid bodies from first principles, as slow and as plain as they come.
+//!
+//! Every link of a description is placed in space (centre of mass, principal axes) straight from MODEL's section on
+//! mechanisms, distal angles and all; velocities are differences of placements, the mass matrix is
+//! Σ m JvᵀJv + JωᵀIJω, gravity's torques are the gradient of potential energy. Nothing here is lumped or closed form,
+//! so it shares no algebra with the library.
+
+use haptic_bridge::description::Description;
+use haptic_bridge::mechanism::Kind;
+use nalgebra::{Matrix3, Vector2, Vector3};
+
+/// A rigid body: its mass, where its centre of mass is, its principal axes as columns, its inertia about each.
+#[derive(Clone, Copy, Debug)]
+pub struct Body {
+    mass: f64,
+    com: Vector3<f64>,
+    axes: Matrix3<f64>,
+    inertia: Vector3<f64>,
+}
+
+/// A link in its plane: proximal end and direction.
+type InPlane = (Vector2<f64>, Vector2<f64>);
+
+/// The bodies of a device at joint angles `q`, and its task position (φ last on the redundant arm).
+pub fn place(device: &Description, q: &[f64]) -> (Vec<Body>, Vector3<f64>) {
+    let g = device.geometry;
+    let along = |angle: f64| Vector2::new(angle.cos(), angle.sin());
+    let (turret, arms) = match device.kind {
+        Kind::FiveBarTurret | Kind::Parallelogram => (q[0], &q[1..]),
+        _ => (0.0, q),
+    };
+    let mut phi = 0.0;
+    let (links, tip) = match device.kind {
+        Kind::Paddle => return (Vec::new(), Vector3::new(g[0] * q[0], 0.0, 0.0)),
+        Kind::FiveBar | Kind::FiveBarTurret => {
+            let (a, b) = (Vector2::new(-g[0] / 2.0, 0.0), Vector2::new(g[0] / 2.0, 0.0));
+            let (c, d) = (a + along(arms[0]) * g[1], b + along(arms[1]) * g[2]);
+            // The law of cosines at C in the triangle C, D, P.
+            let span = d - c;
+            let angle = ((span.norm_squared() + g[3] * g[3] - g[4] * g[4]) / (2.0 * g[3] * span.norm())).acos();
+            let p = c + along(span.y.atan2(span.x) + g[5] * angle) * g[3];
+            let links =
+                vec![(a, along(arms[0])), (b, along(arms[1])), (c, (p - c).normalize()), (d, (p - d).normalize())];
+            (links, p)
+        }
+        Kind::Parallelogram => {
+            let (upper, fore) = (along(arms[0]), along(arms[1]));
+            let elbow = upper * g[0];
+            let zero = Vector2::zeros();
+            (vec![(zero, upper), (elbow, fore), (zero, -fore), (-fore * g[2], upper)], elbow + fore * g[1])
+        }
+        Kind::Serial3r => {
+            let mut end = Vector2::zeros();
+            let mut links = Vec::new();
+            for i in 0..3 {
+                phi += arms[i];
+                links.push((end, along(phi)));
+                end += along(phi) * g[i];
+            }
+            (links, end)
+        }
+    };
+    // The plane's own axes in the world.
+    let (s, c) = turret.sin_cos();
+    let plane = match device.kind {
+        Kind::FiveBarTurret => Matrix3::new(1.0, 0.0, 0.0, 0.0, c, -s, 0.0, s, c),
+        Kind::Parallelogram => Matrix3::new(c, 0.0, s, 0.0, 1.0, 0.0, -s, 0.0, c),
+        _ => Matrix3::identity(),
+    };
+    let world = |v: Vector2<f64>| plane * Vector3::new(v.x, v.y, 0.0);
+    let mut bodies: Vec<Body> = links
+        .iter()
+        .zip(&device.links)
+        .map(|((from, direction), link)| Body {
+            mass: link.mass,
+            com: world(from + direction * link.com),
+            axes: plane * Matrix3::new(direction.x, -direction.y, 0.0, direction.y, direction.x, 0.0, 0.0, 0.0, 1.0),
+            inertia: Vector3::new(link.inertia_axial, link.inertia_transverse, link.inertia),
+        })
+        .collect();
+    bodies.push(Body {
+        mass: device.handle_mass,
+        com: world(tip),
+        axes: Matrix3::identity(),
+        inertia: Vector3::zeros(),
+    });
+    let task = if device.kind == Kind::Serial3r { Vector3::new(tip.x, tip.y, phi) } else { world(tip) };
+    (bodies, task)
+}
+
+/// The derivative of `f` at 0 by central differences with Richardson's extrapolation: error of order step⁴.
+pub fn derivative<V>(step: f64, f: impl Fn(f64) -> V) -> V
+where
+    V: std::ops::Sub<Output = V> + std::ops::Mul<f64, Output = V>,
+{
+    let central = |h: f64| (f(h) - f(-h)) * (0.5 / h);
+    central(0.5 * step) * (4.0 / 3.0) - central(step) * (1.0 / 3.0)
+}
+
+/// The mass matrix (rows) and gravity's torques of a device at `q`.
+pub fn dynamics(device: &Description, q: &[f64]) -> (Vec<Vec<f64>>, Vec<f64>) {
+    let n = q.len();
+    let moved = |i: usize, h: f64| {
+        let mut q = q.to_vec();
+        q[i] += h;
+        place(device, &q).0
+    };
+    let (here, _) = place(device, q);
+    let step = 1.0e-4;
+    // Linear and angular velocity of every body per unit rate of every joint.
+    let rates: Vec<Vec<(Vector3<f64>, Vector3<f64>)>> = (0..n)
+        .map(|i| {
+            (0..here.len())
+                .map(|k| {
+                    let v = derivative(step, |h| moved(i, h)[k].com);
+                    let spin = derivative(step, |h| moved(i, h)[k].axes) * here[k].axes.transpose();
+                    (v, Vector3::new(spin[(2, 1)], spin[(0, 2)], spin[(1, 0)]))
+                })
+                .collect()
+        })
+        .collect();
+    let gravity = Vector3::from(device.gravity);
+    let mut mass = vec![vec![0.0; n]; n];
+    let mut weight = vec![0.0; n];
+    for i in 0..n {
+        mass[i][i] = device.joints[i].inertia;
+        for (k, body) in here.iter().enumerate() {
+            let (vi, wi) = rates[i][k];
+            weight[i] -= body.mass * gravity.dot(&vi);
+            for j in 0..n {
+                let (vj, wj) = rates[j][k];
+                let (wi, wj) = (body.axes.tr_mul(&wi), body.axes.tr_mul(&wj));
+                mass[i][j] += body.mass * vi.dot(&vj) + body.inertia.dot(&wi.component_mul(&wj));
+            }
+        }
+    }
+    if device.kind == Kind::Paddle {
+        mass[0][0] += device.handle_mass * device.geometry[0] * device.geometry[0];
+    }
+    (mass, weight)
+}

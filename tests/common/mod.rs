@@ -1,0 +1,124 @@
+//! What several tests share: devices drawn at random, and the mechanics of bodies from first principles.
+#![allow(dead_code)]
+
+pub mod bodies;
+
+use haptic_bridge::description::{Description, Joint, Link, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
+use haptic_bridge::mechanism::Kind;
+use nalgebra::SMatrix;
+
+/// A stream of numbers in [0, 1) handed out one by one; a test case is a list of them, so that it can be shrunk.
+pub struct Draw<'a>(pub std::slice::Iter<'a, f64>);
+
+impl<'a> Draw<'a> {
+    /// From the numbers of one test case.
+    pub fn new(numbers: &'a [f64]) -> Self {
+        Self(numbers.iter())
+    }
+
+    /// The next number, spread over `low..high`.
+    pub fn within(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.0.next().copied().expect("a test case has enough numbers")
+    }
+
+    /// The next number, spread over `low..high` by orders of magnitude.
+    pub fn order(&mut self, low: f64, high: f64) -> f64 {
+        self.within(low.ln(), high.ln()).exp()
+    }
+
+    /// One of `low..high` per entry.
+    pub fn list<const N: usize>(&mut self, low: f64, high: f64) -> [f64; N] {
+        core::array::from_fn(|_| self.within(low, high))
+    }
+}
+
+/// Numbers one device and one pose of it take, with some to spare.
+pub const NUMBERS: usize = 80;
+
+/// A link that could be built: com anywhere from a counterweight's place to the far end, inertias of a real body.
+fn link(draw: &mut Draw<'_>, length: f64) -> Link {
+    let mass = draw.order(0.002, 0.5);
+    let squared = |extent: f64| mass * extent * extent / 12.0;
+    let thick = draw.within(0.02, 0.5) * length;
+    Link {
+        mass,
+        com: draw.within(-0.4, 1.0) * length,
+        inertia: squared(length) + squared(thick),
+        inertia_axial: 2.0 * squared(thick),
+        inertia_transverse: draw.within(0.8, 1.2) * (squared(length) + squared(thick)),
+    }
+}
+
+/// A device of this kind, hand-sized, whose every term of the equations of motion matters.
+pub fn device(kind: Kind, draw: &mut Draw<'_>) -> Description {
+    let mut geometry = [0.0; MAX_GEOMETRY];
+    let mut links = [Link::default(); MAX_LINKS];
+    let mut place = |index: usize, link: Link| links[index] = link;
+    let length = |draw: &mut Draw<'_>| draw.within(0.05, 0.25);
+    match kind {
+        Kind::Paddle => geometry[0] = length(draw),
+        Kind::FiveBar | Kind::FiveBarTurret => {
+            geometry[0] = draw.within(0.0, 0.08);
+            for i in 0..4 {
+                geometry[i + 1] = length(draw) * if i < 2 { 1.0 } else { 1.4 };
+                place(i, link(draw, geometry[i + 1]));
+            }
+            geometry[5] = if draw.within(0.0, 1.0) < 0.5 { 1.0 } else { -1.0 };
+        }
+        Kind::Parallelogram => {
+            geometry[..3].copy_from_slice(&[length(draw), length(draw), draw.within(0.02, 0.06)]);
+            for (i, reach) in [geometry[0], geometry[1], geometry[2], geometry[0]].into_iter().enumerate() {
+                place(i, link(draw, reach));
+            }
+        }
+        Kind::Serial3r => {
+            for (i, arm) in geometry[..3].iter_mut().enumerate() {
+                *arm = length(draw);
+                place(i, link(draw, *arm));
+            }
+        }
+    }
+    let gravity = if kind == Kind::Paddle { [0.0; 3] } else { draw.list(-10.0, 10.0) };
+    let mut joints = [Joint::default(); MAX_JOINTS];
+    for joint in &mut joints {
+        joint.inertia = draw.order(1.0e-5, 1.0e-3);
+    }
+    Description { kind, gravity, geometry, links, joints, handle_mass: draw.order(1.0e-3, 0.3), home: None }
+}
+
+/// Gauss and Jordan's elimination with pivoting: the inverse and the determinant.
+fn eliminate<const N: usize>(matrix: &SMatrix<f64, N, N>) -> (SMatrix<f64, N, N>, f64) {
+    let (mut a, mut inverse, mut determinant) = (*matrix, SMatrix::<f64, N, N>::identity(), 1.0);
+    for k in 0..N {
+        let pivot = (k..N).fold(k, |best, i| if a[(i, k)].abs() > a[(best, k)].abs() { i } else { best });
+        if pivot != k {
+            a.swap_rows(k, pivot);
+            inverse.swap_rows(k, pivot);
+            determinant = -determinant;
+        }
+        let d = a[(k, k)];
+        determinant *= d;
+        for j in 0..N {
+            a[(k, j)] /= d;
+            inverse[(k, j)] /= d;
+        }
+        for i in (0..N).filter(|i| *i != k) {
+            let factor = a[(i, k)];
+            for j in 0..N {
+                a[(i, j)] -= factor * a[(k, j)];
+                inverse[(i, j)] -= factor * inverse[(k, j)];
+            }
+        }
+    }
+    (inverse, determinant)
+}
+
+/// The inverse of a regular matrix.
+pub fn inverse<const N: usize>(matrix: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {
+    eliminate(matrix).0
+}
+
+/// The determinant of a regular matrix.
+pub fn determinant<const N: usize>(matrix: &SMatrix<f64, N, N>) -> f64 {
+    eliminate(matrix).1
+}

@@ -1,0 +1,357 @@
+//! What must hold of every mechanism at every regular pose, on devices drawn at random.
+//!
+//! Mass matrix, gravity and tip are compared with rigid bodies placed one by one (common/bodies.rs); velocity terms with
+//! derivatives of the mass matrix; each hand-written kernel of the control step with the matrices it stands for.
+
+mod common;
+
+use common::bodies::{derivative, dynamics, place};
+use common::{Draw, NUMBERS, determinant, device, inverse};
+use haptic_bridge::description::Description;
+use haptic_bridge::inertia::shaped_torque;
+use haptic_bridge::math::{Libm, Minimax};
+use haptic_bridge::mechanism::{AnyMechanism, Kind, Mechanism, Regularity};
+use haptic_bridge::with_mechanism;
+use nalgebra::{SMatrix, SVector};
+use proptest::prelude::*;
+use proptest::test_runner::TestCaseError;
+
+type Outcome = Result<(), TestCaseError>;
+
+/// Poses nearer to a singularity than this (sine) belong to tests/hard_cases.rs.
+const REGULAR: f64 = 0.15;
+
+/// One mechanism, moving, with a unit vector and a vector of its task.
+struct Case<M, const N: usize> {
+    m: M,
+    device: Description,
+    q: SVector<f64, N>,
+    qd: SVector<f64, N>,
+    /// Unit, zero beyond the task dimension.
+    n: SVector<f64, N>,
+    v: SVector<f64, N>,
+}
+
+impl<M: Mechanism<f64, N>, const N: usize> Case<M, N> {
+    fn new(m: M, device: Description, draw: &mut Draw<'_>) -> Option<Self> {
+        let mut vector = |bound: f64| SVector::<f64, N>::from(draw.list::<N>(-bound, bound));
+        let (q, qd, v) = (vector(3.2), vector(6.0), vector(3.0));
+        let mut n = vector(1.0);
+        for i in M::SPEC.task..N {
+            n[i] = 0.0;
+        }
+        let Regularity { serial, parallel } = m.regularity(&m.pose::<Libm>(&q));
+        (serial.min(parallel) > REGULAR && n.norm() > 0.1).then(|| Self { m, device, q, qd, n: n.normalize(), v })
+    }
+
+    fn pose(&self) -> M::Pose {
+        self.m.pose::<Libm>(&self.q)
+    }
+
+    /// The pose after moving for the time `t` at `qd`.
+    fn later(&self, t: f64) -> M::Pose {
+        self.m.pose::<Libm>(&(self.q + self.qd * t))
+    }
+}
+
+/// `a` is `b` within `tolerance` of the largest entry of `b` (at least `floor`).
+fn same<const R: usize, const C: usize>(
+    what: &str,
+    a: &SMatrix<f64, R, C>,
+    b: &SMatrix<f64, R, C>,
+    tolerance: f64,
+    floor: f64,
+) -> Outcome {
+    let error = (a - b).amax() / b.amax().max(floor);
+    prop_assert!(error <= tolerance, "{what}: {a} against {b}, error {error:e}");
+    Ok(())
+}
+
+fn tip_and_jacobian_are_where_the_links_are<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+    let task = |q: &SVector<f64, N>| {
+        let (_, tip) = place(&case.device, q.as_slice());
+        SVector::<f64, N>::from_fn(|i, _| tip[i])
+    };
+    same("tip", &case.m.tip(&case.pose()), &task(&case.q), 1e-11, 1e-3)?;
+    let mut differences = SMatrix::<f64, N, N>::zeros();
+    for i in 0..N {
+        let column = derivative(1e-4, |h| {
+            let mut q = case.q;
+            q[i] += h;
+            task(&q)
+        });
+        differences.set_column(i, &column);
+    }
+    same("J", &case.m.jacobian(&case.pose()), &differences, 1e-6, 1e-3)
+}
+
+fn jacobian_rate_is_the_rate_of_the_jacobian<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+    let differences = derivative(2e-5, |t| case.m.jacobian(&case.later(t)));
+    same("J̇", &case.m.jacobian_rate(&case.pose(), &case.qd), &differences, 1e-6, 1e-2)
+}
+
+fn mass_and_gravity_are_those_of_the_bodies<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+    let (mass, gravity) = dynamics(&case.device, case.q.as_slice());
+    let pose = case.pose();
+    same("M", &case.m.mass(&pose), &SMatrix::from_fn(|i, j| mass[i][j]), 1e-6, 0.0)?;
+    same("g", &case.m.gravity(&pose), &SVector::from_fn(|i, _| gravity[i]), 1e-6, 1e-3)
+}
+
+fn mass_is_symmetric_and_positive_definite<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+    let mass = case.m.mass(&case.pose());
+    prop_assert_eq!(mass, mass.transpose());
+    // Sylvester: every leading minor is positive.
+    for size in 1..=N {
+        let minor = SMatrix::<f64, N, N>::from_fn(|i, j| {
+            if i < size && j < size { mass[(i, j)] } else { f64::from(u8::from(i == j)) }
+        });
+        prop_assert!(determinant(&minor) > 0.0, "{mass}");
+    }
+    Ok(())
+}
+
+fn coriolis_forces_do_no_work_beyond_the_rate_of_m<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+    let pose = case.pose();
+    let (m, qd) = (&case.m, &case.qd);
+    let mass_rate = derivative(2e-5, |t| m.mass(&case.later(t)));
+    let scale = mass_rate.amax().max(m.mass(&pose).amax());
+    // c is quadratic in q̇; C(q, q̇) x is its polar form, whose columns are C by Christoffel's symbols.
+    let mut c = SMatrix::<f64, N, N>::zeros();
+    for i in 0..N {
+        let mut unit = SVector::<f64, N>::zeros();
+        unit[i] = 1.0;
+        let both = m.coriolis(&pose, &(qd + unit)) - m.coriolis(&pose, qd) - m.coriolis(&pose, &unit);
+        c.set_column(i, &(both * 0.5));
+    }
+    let skew = mass_rate - c * 2.0;
+    same("Ṁ - 2C", &(skew + skew.transpose()), &SMatrix::zeros(), 1e-6, scale)?;
+    // Lagrange: c = Ṁ q̇ - ½ ∂(q̇ᵀ M q̇)/∂q.
+    let gradient = SVector::<f64, N>::from_fn(|i, _| {
+        derivative(1e-4, |h| {
+            let mut q = case.q;
+            q[i] += h;
+            qd.dot(&(m.mass(&m.pose::<Libm>(&q)) * qd))
+        })
+    });
+    same("c", &m.coriolis(&pose, qd), &(mass_rate * qd - gradient * 0.5), 1e-6, scale)
+}
+
+fn free_motion_keeps_its_energy<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+    let m = &case.m;
+    let rate = |q: &SVector<f64, N>, qd: &SVector<f64, N>| {
+        let pose = m.pose::<Libm>(q);
+        -(inverse(&m.mass(&pose)) * m.coriolis(&pose, qd))
+    };
+    let energy = |q: &SVector<f64, N>, qd: &SVector<f64, N>| 0.5 * qd.dot(&(m.mass(&m.pose::<Libm>(q)) * qd));
+    let (mut q, mut qd) = (case.q, case.qd);
+    let before = energy(&q, &qd);
+    // Runge and Kutta's fourth order, as long as the motion stays clear of singularities.
+    let h = 2e-5;
+    for _ in 0..500 {
+        let Regularity { serial, parallel } = m.regularity(&m.pose::<Libm>(&q));
+        if serial.min(parallel) < 0.5 * REGULAR {
+            break;
+        }
+        let k1 = rate(&q, &qd);
+        let (q2, qd2) = (q + qd * (h / 2.0), qd + k1 * (h / 2.0));
+        let k2 = rate(&q2, &qd2);
+        let (q3, qd3) = (q + qd2 * (h / 2.0), qd + k2 * (h / 2.0));
+        let k3 = rate(&q3, &qd3);
+        let (q4, qd4) = (q + qd3 * h, qd + k3 * h);
+        let k4 = rate(&q4, &qd4);
+        q += (qd + qd2 * 2.0 + qd3 * 2.0 + qd4) * (h / 6.0);
+        qd += (k1 + k2 * 2.0 + k3 * 2.0 + k4) * (h / 6.0);
+    }
+    let drift = (energy(&q, &qd) / before - 1.0).abs();
+    prop_assert!(drift < 1e-7, "energy changed by {drift:e}");
+    Ok(())
+}
+
+fn kernels_are_the_matrices_they_stand_for<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+    let (m, pose, qd, n, v) = (&case.m, case.pose(), &case.qd, &case.n, &case.v);
+    let (jacobian, mass) = (m.jacobian(&pose), m.mass(&pose));
+    let jacobian_inverse = inverse(&jacobian);
+    let rate = m.jacobian_rate(&pose, qd);
+    let c = m.coriolis(&pose, qd);
+    same("Jᵀ f", &m.transpose(&pose, v), &jacobian.tr_mul(v), 1e-10, 0.0)?;
+    same("J q̇", &m.velocity(&pose, qd), &(jacobian * qd), 1e-10, 0.0)?;
+    same("J⁻¹ v", &m.inverse(&pose, v), &(jacobian_inverse * v), 1e-9, 0.0)?;
+    same("J⁻¹", &m.jacobian_inverse(&pose), &jacobian_inverse, 1e-9, 0.0)?;
+    let shaping = m.shaping(&pose, n);
+    let e = jacobian_inverse * n;
+    same("E", &shaping.e, &e, 1e-9, 0.0)?;
+    same("M E", &shaping.me, &(mass * e), 1e-9, 0.0)?;
+    same("Wrr", &[[shaping.w_rr]].into(), &[[e.dot(&(mass * e))]].into(), 1e-9, 0.0)?;
+    same("Λ", &m.operational_inertia(&pose), &(jacobian_inverse.tr_mul(&mass) * jacobian_inverse), 1e-9, 0.0)?;
+    for a in [SVector::zeros(), *v * 10.0] {
+        let expected = mass * (jacobian_inverse * (a - rate * qd)) + c;
+        same("inverse dynamics", &m.inverse_dynamics(&pose, qd, &a), &expected, 1e-8, 1e-4)?;
+    }
+    Ok(())
+}
+
+fn effective_inertia_is_at_most_what_is_rendered<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+    let (m, pose) = (&case.m, case.pose());
+    let row = m.transpose(&pose, &case.n);
+    let mobility = row.dot(&(inverse(&m.mass(&pose)) * row));
+    let w_rr = m.shaping(&pose, &case.n).w_rr;
+    prop_assert!(1.0 / mobility <= w_rr * (1.0 + 1e-9), "Weff {} against Wrr {w_rr}", 1.0 / mobility);
+    Ok(())
+}
+
+fn with_feed_forward_the_tip_leaves_along_the_normal<M: Mechanism<f64, N>, const N: usize>(
+    case: &Case<M, N>,
+) -> Outcome {
+    let (m, pose, qd, n) = (&case.m, case.pose(), &case.qd, &case.n);
+    let b = m.inverse_dynamics(&pose, qd, &SVector::zeros()) + m.gravity(&pose);
+    let shaping = m.shaping(&pose, n);
+    let force = case.v[0];
+    let torque = shaped_torque(&shaping, force, &b);
+    let bias = m.coriolis(&pose, qd) + m.gravity(&pose);
+    let qdd = inverse(&m.mass(&pose)) * (torque - bias);
+    let acceleration = m.jacobian(&pose) * qdd + m.jacobian_rate(&pose, qd) * qd;
+    let expected = n * ((force - shaping.e.dot(&b)) / shaping.w_rr);
+    same("acceleration", &acceleration, &expected, 1e-7, 1e-1)
+}
+
+fn torque_does_not_depend_on_the_admissible_directions<M: Mechanism<f64, N>, const N: usize>(
+    case: &Case<M, N>,
+) -> Outcome {
+    let (m, pose, qd, n) = (&case.m, case.pose(), &case.qd, &case.n);
+    let b = m.inverse_dynamics(&pose, qd, &SVector::zeros()) + m.gravity(&pose);
+    let torque = shaped_torque(&m.shaping(&pose, n), case.v[0], &b);
+    // Equation (4) to the letter, with directions across n that are neither orthogonal to each other nor of unit length.
+    let mut directions = SMatrix::<f64, N, N>::identity();
+    directions.set_column(0, n);
+    for i in 1..N {
+        let skewed = SVector::<f64, N>::from_fn(|k, _| case.v[(i + k) % N] + if i == k { 2.0 } else { 0.0 });
+        directions.set_column(i, &(skewed - n * n.dot(&skewed)));
+    }
+    prop_assume!(determinant(&directions).abs() > 0.3);
+    let t = directions.tr_mul(&m.jacobian(&pose));
+    let t_rate = directions.tr_mul(&m.jacobian_rate(&pose, qd));
+    let inverse = inverse(&t);
+    let w = inverse.tr_mul(&(m.mass(&pose) * inverse));
+    let z = inverse.tr_mul(&(m.coriolis(&pose, qd) + m.gravity(&pose))) - w * (t_rate * qd);
+    let mut f = z;
+    f[0] = case.v[0];
+    for i in 1..N {
+        f[i] += w[(i, 0)] / w[(0, 0)] * (case.v[0] - z[0]);
+    }
+    same("τ", &torque, &t.tr_mul(&f), 1e-7, 1e-3)
+}
+
+fn every_property<M: Mechanism<f64, N>, const N: usize>(m: M, device: Description, draw: &mut Draw<'_>) -> Outcome {
+    let Some(case) = Case::new(m, device, draw) else {
+        return Err(TestCaseError::reject("too near a singularity"));
+    };
+    tip_and_jacobian_are_where_the_links_are(&case)?;
+    jacobian_rate_is_the_rate_of_the_jacobian(&case)?;
+    mass_and_gravity_are_those_of_the_bodies(&case)?;
+    mass_is_symmetric_and_positive_definite(&case)?;
+    coriolis_forces_do_no_work_beyond_the_rate_of_m(&case)?;
+    free_motion_keeps_its_energy(&case)?;
+    kernels_are_the_matrices_they_stand_for(&case)?;
+    effective_inertia_is_at_most_what_is_rendered(&case)?;
+    with_feed_forward_the_tip_leaves_along_the_normal(&case)?;
+    torque_does_not_depend_on_the_admissible_directions(&case)
+}
+
+/// The board's numbers: f32, minimax sines, angles rounded to f32; the torque of (4) against f64, as a share of the
+/// largest entry.
+fn board_error<A, B, const N: usize>(exact: &A, board: &B, case: &Case<A, N>) -> f64
+where
+    A: Mechanism<f64, N>,
+    B: Mechanism<f32, N>,
+{
+    let f32s = |v: &SVector<f64, N>| v.map(|x| x as f32);
+    let f64s = |v: &SVector<f32, N>| v.map(f64::from);
+    let (q, qd, n) = (f32s(&case.q), f32s(&case.qd), f32s(&case.n));
+    let pose = board.pose::<Minimax>(&q);
+    let b = board.inverse_dynamics(&pose, &qd, &SVector::zeros()) + board.gravity(&pose);
+    let torque = shaped_torque(&board.shaping(&pose, &n), 3.0, &b);
+    let (q, qd, n) = (f64s(&q), f64s(&qd), f64s(&n));
+    let pose = exact.pose::<Libm>(&q);
+    let b = exact.inverse_dynamics(&pose, &qd, &SVector::zeros()) + exact.gravity(&pose);
+    let expected = shaped_torque(&exact.shaping(&pose, &n), 3.0, &b);
+    (f64s(&torque) - expected).amax() / expected.amax()
+}
+
+fn board_matches<A, B, const N: usize>(
+    exact: A,
+    board: AnyMechanism<f32>,
+    device: Description,
+    draw: &mut Draw<'_>,
+    as_board: impl Fn(AnyMechanism<f32>) -> Option<B>,
+) -> Outcome
+where
+    A: Mechanism<f64, N>,
+    B: Mechanism<f32, N>,
+{
+    let Some(case) = Case::new(exact, device, draw) else {
+        return Err(TestCaseError::reject("too near a singularity"));
+    };
+    let board = as_board(board).expect("both precisions are of one kind");
+    let error = board_error(&exact, &board, &case);
+    prop_assert!(error < 2e-4, "the board is off by {error:e}");
+    Ok(())
+}
+
+fn check(kind: Kind, numbers: &[f64]) -> Outcome {
+    let draw = &mut Draw::new(numbers);
+    let device = device(kind, draw);
+    let Ok(mechanism) = AnyMechanism::<f64>::new(&device) else {
+        return Err(TestCaseError::reject("cannot close"));
+    };
+    with_mechanism!(mechanism, m => every_property(m, device, draw))
+}
+
+fn check_board(kind: Kind, numbers: &[f64]) -> Outcome {
+    let draw = &mut Draw::new(numbers);
+    let device = device(kind, draw);
+    let (Ok(exact), Ok(board)) = (AnyMechanism::<f64>::new(&device), AnyMechanism::<f32>::new(&device)) else {
+        return Err(TestCaseError::reject("cannot close"));
+    };
+    macro_rules! pair {
+        ($($Variant:ident)*) => {
+            match exact {
+                $(AnyMechanism::$Variant(m) => board_matches(m, board, device, draw, |any| match any {
+                    AnyMechanism::$Variant(m) => Some(m),
+                    _ => None,
+                }),)*
+            }
+        };
+    }
+    pair!(Paddle FiveBar FiveBarTurret Parallelogram Serial3r)
+}
+
+macro_rules! properties {
+    ($($kind:ident: $exact:ident $board:ident;)*) => {
+        proptest! {
+            #![proptest_config(ProptestConfig { cases: 96, max_global_rejects: 8192, ..ProptestConfig::default() })]
+            $(
+                #[test]
+                fn $exact(numbers in prop::collection::vec(0.0..1.0, NUMBERS)) {
+                    check(Kind::$kind, &numbers)?;
+                }
+                #[test]
+                fn $board(numbers in prop::collection::vec(0.0..1.0, NUMBERS)) {
+                    check_board(Kind::$kind, &numbers)?;
+                }
+            )*
+        }
+    };
+}
+
+properties! {
+    Paddle: a_paddle_obeys_mechanics on_the_board_a_paddle_keeps_four_digits;
+    FiveBar: a_five_bar_obeys_mechanics on_the_board_a_five_bar_keeps_four_digits;
+    FiveBarTurret: a_turreted_five_bar_obeys_mechanics on_the_board_a_turreted_five_bar_keeps_four_digits;
+    Parallelogram: a_parallelogram_obeys_mechanics on_the_board_a_parallelogram_keeps_four_digits;
+    Serial3r: a_redundant_arm_obeys_mechanics on_the_board_a_redundant_arm_keeps_four_digits;
+}
+
+#[test]
+fn every_mechanism_is_tried_here() {
+    assert_eq!(Kind::ALL.len(), 5, "a new mechanism needs its line in `properties!`");
+}
