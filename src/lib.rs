@@ -36,6 +36,7 @@ pub mod inertia;
 pub mod math;
 pub mod mechanism;
 pub mod precomputed;
+pub mod program;
 pub mod protocol;
 pub mod scene;
 pub mod service;

@@ -5,16 +5,15 @@
 //! between two steps: a [`Program`] is built elsewhere and handed over by ownership, small changes are [`Command`]s.
 //! Nothing here blocks, allocates or panics.
 
-use crate::carrier::Carrier;
-use crate::controller::{Controller, Gains, Step};
+mod polarity;
+mod watch;
+
+use crate::controller::Gains;
 use crate::description::MAX_JOINTS;
-use crate::device::Device;
 use crate::drive::{Axis, Bridge};
-use crate::guard::{Fault, FaultRecord, Limits, POWER_SECONDS, Refusal, State};
+use crate::guard::{Fault, FaultRecord, Limits, Refusal, State};
 use crate::math::Math;
-use crate::mechanism::Kind;
-use crate::precomputed::{MassModel, MassModelData};
-use crate::scene::Scene;
+pub use crate::program::{AnyController, Program};
 use crate::velocity::{Coefficients, Washout};
 use core::ops::DerefMut;
 use postcard_schema::Schema;
@@ -22,20 +21,8 @@ use serde::{Deserialize, Serialize};
 
 /// Seconds over which torque ramps up after arming.
 pub const ARM_SECONDS: f32 = 0.5;
-/// Regularity of a closed loop below which its tip force is no longer defined well enough to act.
-pub const SINGULAR_SINE: f32 = 2.0e-3;
-/// How long torque near its limit without any encoder motion is believed, s.
-pub const STALL_SECONDS: f32 = 5.0;
-/// How long an encoder may stand still while the back-EMF says the joint turns, s.
-pub const LOSS_SECONDS: f32 = 0.05;
 /// Speed below which a device counts as at rest, rad/s.
 pub const REST_SPEED: f32 = 0.2;
-/// Largest share of a motor's torque that the polarity check applies.
-pub const POLARITY_SHARE: f32 = 0.25;
-/// Joint motion that decides the polarity check, rad.
-pub const POLARITY_MOTION: f32 = 0.02;
-/// Time the polarity check takes to reach its torque, s; it gives up after twice this.
-pub const POLARITY_SECONDS: f32 = 1.0;
 
 /// What the hardware saw at one sampling instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -150,187 +137,6 @@ pub struct Hardware {
     pub bridge: Bridge,
 }
 
-macro_rules! define {
-    ($(($Variant:ident, $module:ident, $n:literal))*) => {
-        /// The controller of whichever mechanism is loaded, in the board's precision.
-        #[derive(Clone, Debug)]
-        pub enum AnyController<K> {
-            $(
-                #[doc = concat!("Controls a [`", stringify!($Variant), "`](crate::mechanism::", stringify!($Variant), ").")]
-                $Variant(Controller<f32, crate::mechanism::$Variant<f32>, K, $n>),
-            )*
-        }
-
-        impl<K: Math<f32>> AnyController<K> {
-            /// Builds the run-time form of a device and a scene; designs filters, so not for the interrupt.
-            pub fn new(device: &Device<f32>, scene: &Scene<f32>, mass: &MassModelData) -> Result<Self, Refusal> {
-                match &device.mechanism {
-                    $(crate::mechanism::AnyMechanism::$Variant(mechanism) => {
-                        let mass = MassModel::new(mass).ok_or(Refusal::BadTable)?;
-                        Controller::new(*mechanism, device, scene, mass).map(Self::$Variant).map_err(Refusal::Scene)
-                    })*
-                }
-            }
-
-            /// Which mechanism.
-            pub fn kind(&self) -> Kind {
-                match self { $(Self::$Variant(_) => Kind::$Variant,)* }
-            }
-
-            /// One control step; fills what a frame records of it and returns the distances from singularities.
-            #[inline(always)]
-            fn step(&mut self, counts: &[i32; MAX_JOINTS], frame: &mut Frame) -> crate::mechanism::Regularity<f32> {
-                match self { $(Self::$Variant(controller) => record(controller.step(&head(counts)), frame),)* }
-            }
-
-            /// See [`Controller::home`].
-            pub fn home(&mut self, counts: &[i32; MAX_JOINTS], q: &[f32; MAX_JOINTS]) {
-                match self { $(Self::$Variant(controller) => controller.home(&head(counts), &head(q)),)* }
-            }
-
-            /// Counts that homing subtracts.
-            pub fn zero(&self) -> [i32; MAX_JOINTS] {
-                match self { $(Self::$Variant(controller) => pad(&controller.zero()),)* }
-            }
-
-            /// Takes over homing.
-            pub fn set_zero(&mut self, zero: &[i32; MAX_JOINTS]) {
-                match self { $(Self::$Variant(controller) => controller.set_zero(head(zero)),)* }
-            }
-
-            /// See [`Controller::inside_a_wall`].
-            pub fn inside_a_wall(&self, counts: &[i32; MAX_JOINTS]) -> bool {
-                match self { $(Self::$Variant(controller) => controller.inside_a_wall(&head(counts)),)* }
-            }
-
-            /// See [`Controller::set_gains`].
-            pub fn set_gains(&mut self, gains: &Gains<f32>, washout: &Washout<f32>) {
-                match self { $(Self::$Variant(controller) => controller.set_gains(gains, washout),)* }
-            }
-
-            /// See [`Controller::set_coefficients`].
-            pub fn set_coefficients(&mut self, coefficients: &Coefficients<f32>) {
-                match self { $(Self::$Variant(controller) => controller.set_coefficients(coefficients),)* }
-            }
-
-            /// See [`Controller::set_passivity`].
-            pub fn set_passivity(&mut self, on: bool) {
-                match self { $(Self::$Variant(controller) => controller.set_passivity(on),)* }
-            }
-        }
-    };
-}
-crate::mechanisms!(define);
-
-/// The first N of three.
-#[inline(always)]
-fn head<V: Copy, const N: usize>(values: &[V; MAX_JOINTS]) -> [V; N] {
-    core::array::from_fn(|i| values[i.min(MAX_JOINTS - 1)])
-}
-
-/// N values padded to three.
-#[inline(always)]
-fn pad<V: Copy + Default, const N: usize>(values: &[V; N]) -> [V; MAX_JOINTS] {
-    core::array::from_fn(|i| if i < N { values[i.min(N - 1)] } else { V::default() })
-}
-
-#[inline(always)]
-fn record<const N: usize>(step: Step<f32, N>, frame: &mut Frame) -> crate::mechanism::Regularity<f32> {
-    frame.q = pad(&step.q.data.0[0]);
-    frame.qd = pad(&step.qd.data.0[0]);
-    frame.tip = pad(&step.tip.data.0[0]);
-    frame.torque = pad(&step.torque.data.0[0]);
-    frame.distance = step.distance;
-    frame.normal_velocity = step.normal_velocity;
-    frame.wall_force = step.wall_force;
-    frame.contacts = step.contacts;
-    frame.shaping = step.shaping;
-    frame.energy = step.energy;
-    frame.passivity_damping = step.passivity_damping;
-    step.regularity
-}
-
-/// A device in a scene on a board, ready to run: what is handed to the servo whole.
-#[derive(Clone, Debug)]
-pub struct Program<K> {
-    controller: AnyController<K>,
-    axes: [Axis; MAX_JOINTS],
-    joints: usize,
-    limits: [Option<(f32, f32)>; MAX_JOINTS],
-    home: Option<[f32; MAX_JOINTS]>,
-    counts_scale: [f32; MAX_JOINTS],
-    /// Same device as the program before: homing and the polarity check stay valid.
-    same_device: bool,
-    /// Why this program may not be armed, found once.
-    unarmable: Option<Refusal>,
-    rate_hz: f32,
-}
-
-impl<K: Math<f32>> Program<K> {
-    /// Builds a program for `hardware` under `limits`. `same_device` keeps homing across a change of scene.
-    ///
-    /// Errors: more joints than axes, a joint without encoder scale, or whatever the scene or the table lacks.
-    pub fn new(
-        hardware: &Hardware,
-        limits: &Limits,
-        device: &Device<f32>,
-        scene: &Scene<f32>,
-        mass: &MassModelData,
-        same_device: bool,
-    ) -> Result<Self, Refusal> {
-        let joints = device.axes();
-        if joints > hardware.axes {
-            return Err(Refusal::TooManyJoints { joints: joints as u8, axes: hardware.axes as u8 });
-        }
-        let controller = AnyController::new(device, scene, mass)?;
-        // The current loops run once a carrier period, and the carrier follows the control rate.
-        let bridge = Bridge { carrier_hz: Carrier::for_rate(scene.rate_hz).carrier_hz(), ..hardware.bridge };
-        let mut axes = [Axis::default(); MAX_JOINTS];
-        let mut unarmable = if device.home.is_none() && hardware.real { Some(Refusal::NoHome) } else { None };
-        for (i, joint) in device.joints.iter().enumerate().take(joints) {
-            let scale = joint.radians_per_count;
-            if !scale.is_finite() || scale == 0.0 {
-                return Err(Refusal::BadDevice);
-            }
-            let index = i as u8;
-            match &joint.motor {
-                None => unarmable = unarmable.or(Some(Refusal::NoMotor(index))),
-                Some(motor) => {
-                    if hardware.real && !motor.verified {
-                        unarmable = unarmable.or(Some(Refusal::MotorNotVerified(index)));
-                    }
-                    let (most, steady) = (limits.current[i], limits.continuous_current[i]);
-                    axes[i] = Axis::new(motor, &bridge, most, steady);
-                }
-            }
-            if hardware.real && joint.limits.is_none() {
-                unarmable = unarmable.or(Some(Refusal::NoJointLimits(index)));
-            }
-        }
-        Ok(Self {
-            controller,
-            axes,
-            joints,
-            limits: core::array::from_fn(|i| device.joints[i].limits),
-            home: device.home,
-            counts_scale: core::array::from_fn(|i| device.joints[i].radians_per_count.abs()),
-            same_device,
-            unarmable,
-            rate_hz: scene.rate_hz,
-        })
-    }
-
-    /// Its controller.
-    pub fn controller(&self) -> &AnyController<K> {
-        &self.controller
-    }
-
-    /// Control rate, Hz.
-    pub fn rate_hz(&self) -> f32 {
-        self.rate_hz
-    }
-}
-
 /// A change between two control steps. `P` holds a [`Program`]: a box on the PC, a static buffer on the board.
 #[derive(Debug)]
 pub enum Command<P> {
@@ -384,14 +190,6 @@ pub struct Status {
     pub tip: [f32; MAX_JOINTS],
 }
 
-/// Progress of the polarity check.
-#[derive(Clone, Copy, Debug, Default)]
-struct Polarity {
-    axis: usize,
-    seconds: f32,
-    from: f32,
-}
-
 /// The board's control loop.
 #[derive(Debug)]
 pub struct Servo<P> {
@@ -401,7 +199,7 @@ pub struct Servo<P> {
     state: State,
     homed: bool,
     polarity_known: bool,
-    polarity: Polarity,
+    polarity: polarity::Polarity,
     fault: Option<FaultRecord>,
     frame: Frame,
     period: f32,
@@ -429,7 +227,7 @@ where
             state: State::Disarmed,
             homed: false,
             polarity_known: false,
-            polarity: Polarity::default(),
+            polarity: polarity::Polarity::default(),
             fault: None,
             frame: Frame::default(),
             period: 1.0 / 20_000.0,
@@ -694,15 +492,6 @@ where
         Ok(())
     }
 
-    fn start_polarity_check(&mut self) -> Result<(), Refusal> {
-        self.ready()?;
-        self.polarity = Polarity { axis: 0, seconds: 0.0, from: self.frame.q[0] };
-        self.polarity_known = false;
-        self.host_silent = 0.0;
-        self.state = State::CheckingPolarity;
-        Ok(())
-    }
-
     /// Sets each motor's current from the step's torques.
     #[inline(always)]
     fn drive(&mut self) {
@@ -729,160 +518,6 @@ where
             self.frame.torque[i] = axis.torque_of(current);
             if !self.hardware.bridge.current_sensed {
                 self.frame.current[i] = current;
-            }
-        }
-    }
-
-    fn check_polarity(&mut self) {
-        let Some((joints, most)) = self.program.as_ref().map(|p| (p.joints, p.axes.map(|axis| axis.max_torque())))
-        else {
-            return;
-        };
-        let i = self.polarity.axis.min(MAX_JOINTS - 1);
-        let moved = self.frame.q[i] - self.polarity.from;
-        if moved > POLARITY_MOTION {
-            if i + 1 >= joints {
-                self.off();
-                self.state = State::Disarmed;
-                self.polarity_known = true;
-            } else {
-                self.polarity = Polarity { axis: i + 1, seconds: 0.0, from: self.frame.q[i + 1] };
-                self.command(|_, _| 0.0);
-            }
-            return;
-        }
-        if moved < -POLARITY_MOTION {
-            return self.trip(Fault::PolarityWrong, Some(i as u8), moved);
-        }
-        self.polarity.seconds += self.period;
-        if self.polarity.seconds > 2.0 * POLARITY_SECONDS {
-            return self.trip(Fault::PolarityNoMotion, Some(i as u8), moved);
-        }
-        let share = POLARITY_SHARE * (self.polarity.seconds * (1.0 / POLARITY_SECONDS)).min(1.0);
-        self.command(|axis, _| if axis == i { share * most[i] } else { 0.0 });
-    }
-
-    /// Looks for everything that must turn the motors off.
-    #[inline(always)]
-    fn watch(&mut self, samples: &Samples, regularity: &crate::mechanism::Regularity<f32>) {
-        let Some(program) = self.program.as_mut() else { return };
-        let joints = program.joints;
-        let mut found: Option<(Fault, Option<u8>, f32)> = None;
-        let mut note = |fault: Fault, axis: Option<usize>, value: f32| {
-            if found.is_none() {
-                found = Some((fault, axis.map(|i| i as u8), value));
-            }
-        };
-        let active = matches!(self.state, State::Armed | State::CheckingPolarity);
-        let mut power = 0.0;
-        let mut sum = self.frame.wall_force + self.frame.normal_velocity + samples.bus_voltage;
-        for i in 0..joints.min(MAX_JOINTS) {
-            let (q, qd, torque) = (self.frame.q[i], self.frame.qd[i], self.frame.torque[i]);
-            sum += q + qd + torque + samples.currents[i];
-            power += torque * qd;
-            let moved = samples.counts[i].wrapping_sub(self.last_counts[i]);
-            let speed_limit = self.rules.limits.speed[i];
-            // A jump is a step that even five times the speed limit cannot explain, and more than noise of a count.
-            let jump = (moved.unsigned_abs() as f32) * program.counts_scale[i];
-            if self.primed && moved.unsigned_abs() > 4 && jump > 5.0 * speed_limit * self.period {
-                note(Fault::EncoderJump, Some(i), moved as f32);
-            }
-            if active {
-                if qd.abs() > speed_limit {
-                    note(Fault::SpeedLimit, Some(i), qd);
-                }
-                if let Some((low, high)) = program.limits[i]
-                    && (q < low || q > high)
-                {
-                    note(Fault::JointLimit, Some(i), q);
-                }
-                let axis = &mut program.axes[i];
-                let current = if self.hardware.bridge.current_sensed {
-                    self.frame.current[i] = samples.currents[i];
-                    samples.currents[i]
-                } else {
-                    self.frame.current[i]
-                };
-                // The loop may overshoot a little; half again as much as the limit is not the loop.
-                if current.abs() > 1.5 * axis.max_current() + 1.0 {
-                    note(Fault::OverCurrent, Some(i), current);
-                }
-                if axis.heat(current, self.period) {
-                    note(Fault::ThermalBudget, Some(i), current);
-                }
-                if moved != 0 {
-                    self.still[i] = 0.0;
-                } else if torque.abs() > 0.8 * axis.max_torque() && axis.max_torque() > 0.0 {
-                    self.still[i] += self.period;
-                    if self.still[i] > STALL_SECONDS {
-                        note(Fault::EncoderStall, Some(i), self.still[i]);
-                    }
-                }
-                // Voltage across the motor less R i is its back-EMF: when that says several rad/s, counts must move.
-                if self.hardware.bridge.current_sensed {
-                    let turning = axis.speed_of(self.frame.duty[i], samples.bus_voltage, current);
-                    let suspicious = moved == 0 && turning.abs() > 0.25 * speed_limit;
-                    self.lost[i] = if suspicious { self.lost[i] + self.period } else { 0.0 };
-                    if self.lost[i] > LOSS_SECONDS {
-                        note(Fault::EncoderLoss, Some(i), turning);
-                    }
-                }
-            }
-            let period = self.rules.index_period[i];
-            if let (Some(count), true) = (samples.index[i], period > 0) {
-                match self.first_index[i] {
-                    None => self.first_index[i] = Some(count),
-                    Some(first) => {
-                        let off = count.wrapping_sub(first).checked_rem(period).unwrap_or(0);
-                        let off = off.abs().min(period - off.abs());
-                        // An index pulse is up to four counts wide.
-                        if off > 4 {
-                            note(Fault::IndexMismatch, Some(i), off as f32);
-                        }
-                    }
-                }
-            }
-        }
-        if active {
-            // Mean power into the hand: what the torques do on the joints, smoothed over POWER_SECONDS.
-            self.power += (power - self.power) * (self.period * (1.0 / POWER_SECONDS));
-            if self.power > self.rules.limits.power {
-                note(Fault::PowerLimit, None, self.power);
-            }
-            if regularity.parallel < SINGULAR_SINE {
-                note(Fault::Singularity, None, regularity.parallel);
-            }
-            if self.hardware.bus_sensed {
-                if samples.bus_voltage < self.rules.limits.bus_min {
-                    note(Fault::BusUnderVoltage, None, samples.bus_voltage);
-                }
-                if samples.bus_voltage > self.rules.limits.bus_max {
-                    note(Fault::BusOverVoltage, None, samples.bus_voltage);
-                }
-            }
-            if self.rules.host_action != HostAction::Ignore && self.host_silent > self.rules.host_seconds {
-                if self.rules.host_action == HostAction::Disarm {
-                    note(Fault::HostLost, None, self.host_silent);
-                } else if self.fault.is_none() {
-                    let record = FaultRecord {
-                        fault: Fault::HostLost,
-                        axis: None,
-                        value: self.host_silent,
-                        step: self.frame.step,
-                    };
-                    self.fault = Some(record);
-                }
-            }
-        }
-        // One check for all: a sum of finite numbers this small can only be infinite or NaN if one of them is.
-        if !sum.is_finite() {
-            found = Some((Fault::NotFinite, None, sum));
-        }
-        if let Some((fault, axis, value)) = found {
-            // While the motors are off only lost counts and broken numbers matter; they end homing as well.
-            self.trip(fault, axis, value);
-            if matches!(fault, Fault::EncoderJump | Fault::EncoderLoss | Fault::IndexMismatch) {
-                self.homed = false;
             }
         }
     }

@@ -1,0 +1,195 @@
+//! A device in a scene, ready to run: the controller of whichever mechanism is loaded, and the drives of its motors.
+
+use crate::carrier::Carrier;
+use crate::controller::{Controller, Gains, Step};
+use crate::description::MAX_JOINTS;
+use crate::device::Device;
+use crate::drive::{Axis, Bridge};
+use crate::guard::{Limits, Refusal};
+use crate::math::Math;
+use crate::mechanism::{Kind, Regularity};
+use crate::precomputed::{MassModel, MassModelData};
+use crate::scene::Scene;
+use crate::servo::{Frame, Hardware};
+use crate::velocity::{Coefficients, Washout};
+
+macro_rules! define {
+    ($(($Variant:ident, $module:ident, $n:literal))*) => {
+        /// The controller of whichever mechanism is loaded, in the board's precision.
+        #[derive(Clone, Debug)]
+        pub enum AnyController<K> {
+            $(
+                #[doc = concat!("Controls a [`", stringify!($Variant), "`](crate::mechanism::", stringify!($Variant), ").")]
+                $Variant(Controller<f32, crate::mechanism::$Variant<f32>, K, $n>),
+            )*
+        }
+
+        impl<K: Math<f32>> AnyController<K> {
+            /// Builds the run-time form of a device and a scene; designs filters, so not for the interrupt.
+            pub fn new(device: &Device<f32>, scene: &Scene<f32>, mass: &MassModelData) -> Result<Self, Refusal> {
+                match &device.mechanism {
+                    $(crate::mechanism::AnyMechanism::$Variant(mechanism) => {
+                        let mass = MassModel::new(mass).ok_or(Refusal::BadTable)?;
+                        Controller::new(*mechanism, device, scene, mass).map(Self::$Variant).map_err(Refusal::Scene)
+                    })*
+                }
+            }
+
+            /// Which mechanism.
+            pub fn kind(&self) -> Kind {
+                match self { $(Self::$Variant(_) => Kind::$Variant,)* }
+            }
+
+            /// One control step; fills what a frame records of it and returns the distances from singularities.
+            #[inline(always)]
+            pub(crate) fn step(&mut self, counts: &[i32; MAX_JOINTS], frame: &mut Frame) -> Regularity<f32> {
+                match self { $(Self::$Variant(controller) => record(controller.step(&head(counts)), frame),)* }
+            }
+
+            /// See [`Controller::home`].
+            pub fn home(&mut self, counts: &[i32; MAX_JOINTS], q: &[f32; MAX_JOINTS]) {
+                match self { $(Self::$Variant(controller) => controller.home(&head(counts), &head(q)),)* }
+            }
+
+            /// Counts that homing subtracts.
+            pub fn zero(&self) -> [i32; MAX_JOINTS] {
+                match self { $(Self::$Variant(controller) => pad(&controller.zero()),)* }
+            }
+
+            /// Takes over homing.
+            pub fn set_zero(&mut self, zero: &[i32; MAX_JOINTS]) {
+                match self { $(Self::$Variant(controller) => controller.set_zero(head(zero)),)* }
+            }
+
+            /// See [`Controller::inside_a_wall`].
+            pub fn inside_a_wall(&self, counts: &[i32; MAX_JOINTS]) -> bool {
+                match self { $(Self::$Variant(controller) => controller.inside_a_wall(&head(counts)),)* }
+            }
+
+            /// See [`Controller::set_gains`].
+            pub fn set_gains(&mut self, gains: &Gains<f32>, washout: &Washout<f32>) {
+                match self { $(Self::$Variant(controller) => controller.set_gains(gains, washout),)* }
+            }
+
+            /// See [`Controller::set_coefficients`].
+            pub fn set_coefficients(&mut self, coefficients: &Coefficients<f32>) {
+                match self { $(Self::$Variant(controller) => controller.set_coefficients(coefficients),)* }
+            }
+
+            /// See [`Controller::set_passivity`].
+            pub fn set_passivity(&mut self, on: bool) {
+                match self { $(Self::$Variant(controller) => controller.set_passivity(on),)* }
+            }
+        }
+    };
+}
+crate::mechanisms!(define);
+
+/// The first N of three.
+#[inline(always)]
+fn head<V: Copy, const N: usize>(values: &[V; MAX_JOINTS]) -> [V; N] {
+    core::array::from_fn(|i| values[i.min(MAX_JOINTS - 1)])
+}
+
+/// N values padded to three.
+#[inline(always)]
+fn pad<V: Copy + Default, const N: usize>(values: &[V; N]) -> [V; MAX_JOINTS] {
+    core::array::from_fn(|i| if i < N { values[i.min(N - 1)] } else { V::default() })
+}
+
+#[inline(always)]
+fn record<const N: usize>(step: Step<f32, N>, frame: &mut Frame) -> Regularity<f32> {
+    frame.q = pad(&step.q.data.0[0]);
+    frame.qd = pad(&step.qd.data.0[0]);
+    frame.tip = pad(&step.tip.data.0[0]);
+    frame.torque = pad(&step.torque.data.0[0]);
+    frame.distance = step.distance;
+    frame.normal_velocity = step.normal_velocity;
+    frame.wall_force = step.wall_force;
+    frame.contacts = step.contacts;
+    frame.shaping = step.shaping;
+    frame.energy = step.energy;
+    frame.passivity_damping = step.passivity_damping;
+    step.regularity
+}
+
+/// A device in a scene on a board, ready to run: what is handed to the servo whole.
+#[derive(Clone, Debug)]
+pub struct Program<K> {
+    pub(crate) controller: AnyController<K>,
+    pub(crate) axes: [Axis; MAX_JOINTS],
+    pub(crate) joints: usize,
+    pub(crate) limits: [Option<(f32, f32)>; MAX_JOINTS],
+    pub(crate) home: Option<[f32; MAX_JOINTS]>,
+    pub(crate) counts_scale: [f32; MAX_JOINTS],
+    /// Same device as the program before: homing and the polarity check stay valid.
+    pub(crate) same_device: bool,
+    /// Why this program may not be armed, found once.
+    pub(crate) unarmable: Option<Refusal>,
+    pub(crate) rate_hz: f32,
+}
+
+impl<K: Math<f32>> Program<K> {
+    /// Builds a program for `hardware` under `limits`. `same_device` keeps homing across a change of scene.
+    ///
+    /// Errors: more joints than axes, a joint without encoder scale, or whatever the scene or the table lacks.
+    pub fn new(
+        hardware: &Hardware,
+        limits: &Limits,
+        device: &Device<f32>,
+        scene: &Scene<f32>,
+        mass: &MassModelData,
+        same_device: bool,
+    ) -> Result<Self, Refusal> {
+        let joints = device.axes();
+        if joints > hardware.axes {
+            return Err(Refusal::TooManyJoints { joints: joints as u8, axes: hardware.axes as u8 });
+        }
+        let controller = AnyController::new(device, scene, mass)?;
+        // The current loops run once a carrier period, and the carrier follows the control rate.
+        let bridge = Bridge { carrier_hz: Carrier::for_rate(scene.rate_hz).carrier_hz(), ..hardware.bridge };
+        let mut axes = [Axis::default(); MAX_JOINTS];
+        let mut unarmable = if device.home.is_none() && hardware.real { Some(Refusal::NoHome) } else { None };
+        for (i, joint) in device.joints.iter().enumerate().take(joints) {
+            let scale = joint.radians_per_count;
+            if !scale.is_finite() || scale == 0.0 {
+                return Err(Refusal::BadDevice);
+            }
+            let index = i as u8;
+            match &joint.motor {
+                None => unarmable = unarmable.or(Some(Refusal::NoMotor(index))),
+                Some(motor) => {
+                    if hardware.real && !motor.verified {
+                        unarmable = unarmable.or(Some(Refusal::MotorNotVerified(index)));
+                    }
+                    let (most, steady) = (limits.current[i], limits.continuous_current[i]);
+                    axes[i] = Axis::new(motor, &bridge, most, steady);
+                }
+            }
+            if hardware.real && joint.limits.is_none() {
+                unarmable = unarmable.or(Some(Refusal::NoJointLimits(index)));
+            }
+        }
+        Ok(Self {
+            controller,
+            axes,
+            joints,
+            limits: core::array::from_fn(|i| device.joints[i].limits),
+            home: device.home,
+            counts_scale: core::array::from_fn(|i| device.joints[i].radians_per_count.abs()),
+            same_device,
+            unarmable,
+            rate_hz: scene.rate_hz,
+        })
+    }
+
+    /// Its controller.
+    pub fn controller(&self) -> &AnyController<K> {
+        &self.controller
+    }
+
+    /// Control rate, Hz.
+    pub fn rate_hz(&self) -> f32 {
+        self.rate_hz
+    }
+}

@@ -1,0 +1,66 @@
+//! The polarity check: a small torque must move each joint the right way before a real device may be armed.
+
+use super::Servo;
+use crate::description::MAX_JOINTS;
+use crate::guard::{Fault, Refusal, State};
+use crate::math::Math;
+use crate::program::Program;
+use core::ops::DerefMut;
+
+/// Largest share of a motor's torque that the polarity check applies.
+pub const POLARITY_SHARE: f32 = 0.25;
+/// Joint motion that decides the polarity check, rad.
+pub const POLARITY_MOTION: f32 = 0.02;
+/// Time the polarity check takes to reach its torque, s; it gives up after twice this.
+pub const POLARITY_SECONDS: f32 = 1.0;
+
+/// Progress of the polarity check.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Polarity {
+    pub(super) axis: usize,
+    seconds: f32,
+    from: f32,
+}
+
+impl<P, K> Servo<P>
+where
+    P: DerefMut<Target = Program<K>>,
+    K: Math<f32>,
+{
+    pub(super) fn start_polarity_check(&mut self) -> Result<(), Refusal> {
+        self.ready()?;
+        self.polarity = Polarity { axis: 0, seconds: 0.0, from: self.frame.q[0] };
+        self.polarity_known = false;
+        self.host_silent = 0.0;
+        self.state = State::CheckingPolarity;
+        Ok(())
+    }
+    pub(super) fn check_polarity(&mut self) {
+        let Some((joints, most)) = self.program.as_ref().map(|p| (p.joints, p.axes.map(|axis| axis.max_torque())))
+        else {
+            return;
+        };
+        let i = self.polarity.axis.min(MAX_JOINTS - 1);
+        let moved = self.frame.q[i] - self.polarity.from;
+        if moved > POLARITY_MOTION {
+            if i + 1 >= joints {
+                self.off();
+                self.state = State::Disarmed;
+                self.polarity_known = true;
+            } else {
+                self.polarity = Polarity { axis: i + 1, seconds: 0.0, from: self.frame.q[i + 1] };
+                self.command(|_, _| 0.0);
+            }
+            return;
+        }
+        if moved < -POLARITY_MOTION {
+            return self.trip(Fault::PolarityWrong, Some(i as u8), moved);
+        }
+        self.polarity.seconds += self.period;
+        if self.polarity.seconds > 2.0 * POLARITY_SECONDS {
+            return self.trip(Fault::PolarityNoMotion, Some(i as u8), moved);
+        }
+        let share = POLARITY_SHARE * (self.polarity.seconds * (1.0 / POLARITY_SECONDS)).min(1.0);
+        self.command(|axis, _| if axis == i { share * most[i] } else { 0.0 });
+    }
+}
