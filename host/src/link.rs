@@ -1,0 +1,18 @@
+//! Talking to a board: find it, open its port, call its endpoints, follow its telemetry.
+//!
+//! The bytes are `postcard-rpc`'s (its header, its keys, COBS frames ended by a zero), over a USB serial port, a
+//! pseudo-terminal, TCP, or in memory to a simulated board. The client here is synchronous and has no threads, unlike
+//! postcard-rpc's own: a simulated board then runs in lock step with its caller, so that what a test sees never
+//! depends on a scheduler, and no telemetry is dropped on this side of the wire (docs/protocol.md).
+
+mod client;
+mod error;
+mod framing;
+mod ports;
+mod wire;
+
+pub use client::{Client, TopicFrame};
+pub use error::LinkError;
+pub use framing::{Deframer, Frame, MAX_FRAME, encode};
+pub use ports::{BoardPort, PRODUCT_ID, PortSpec, VENDOR_ID, boards};
+pub use wire::{SerialWire, TcpWire, Wire};

@@ -1,0 +1,152 @@
+//! Requests and their answers, and the topic messages that come between them.
+
+use super::error::LinkError;
+use super::framing::{Deframer, Frame, encode};
+use super::wire::Wire;
+use postcard_rpc::header::{VarHeader, VarKey, VarKeyKind, VarSeq};
+use postcard_rpc::standard_icd::{ERROR_KEY, WireError};
+use postcard_rpc::{Endpoint, Key, Topic};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::collections::VecDeque;
+use std::time::Duration;
+
+/// A topic message as it arrived.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TopicFrame {
+    key: VarKey,
+    /// The sender's count of messages, as wide as it sends it.
+    pub sequence: VarSeq,
+    body: Vec<u8>,
+}
+
+impl TopicFrame {
+    /// The message, when it is one of topic `T`; `None` when it is of another.
+    pub fn message<T: Topic>(&self) -> Option<Result<T::Message, LinkError>>
+    where
+        T::Message: DeserializeOwned,
+    {
+        (self.key == VarKey::Key8(T::TOPIC_KEY))
+            .then(|| postcard::from_bytes(&self.body).map_err(|_| LinkError::Unreadable { what: T::PATH }))
+    }
+}
+
+/// A connection that speaks frames.
+pub struct Client {
+    wire: Box<dyn Wire>,
+    deframer: Deframer,
+    answers: VecDeque<Frame>,
+    topics: VecDeque<TopicFrame>,
+    sequence: u16,
+    key_kind: VarKeyKind,
+    buffer: Vec<u8>,
+}
+
+/// How long a board may take over an answer that needs no flash or motion.
+pub const ANSWER_TIMEOUT: Duration = Duration::from_secs(2);
+
+impl Client {
+    /// A client on an open wire.
+    pub fn new(wire: Box<dyn Wire>) -> Self {
+        Self {
+            wire,
+            deframer: Deframer::default(),
+            answers: VecDeque::new(),
+            topics: VecDeque::new(),
+            sequence: 0,
+            key_kind: VarKeyKind::Key8,
+            buffer: vec![0; 16 * 1024],
+        }
+    }
+
+    /// The wire's clock.
+    pub fn now(&self) -> Duration {
+        self.wire.now()
+    }
+
+    /// Stretches of bytes that were not frames.
+    pub fn garbled(&self) -> u64 {
+        self.deframer.garbled
+    }
+
+    /// Sends a request of endpoint `E` and waits for its answer. Topic messages that come meanwhile are kept.
+    pub fn call<E: Endpoint>(&mut self, request: &E::Request, timeout: Duration) -> Result<E::Response, LinkError>
+    where
+        E::Request: Serialize,
+        E::Response: DeserializeOwned,
+    {
+        self.sequence = self.sequence.wrapping_add(1);
+        let sequence = VarSeq::Seq2(self.sequence);
+        let mut key = VarKey::Key8(E::REQ_KEY);
+        key.shrink_to(self.key_kind);
+        let body = postcard::to_stdvec(request).map_err(|_| LinkError::Unreadable { what: E::PATH })?;
+        self.wire.send(&encode(&VarHeader { key, seq_no: sequence }, &body)).map_err(LinkError::Lost)?;
+
+        let deadline = self.wire.now() + timeout;
+        loop {
+            while let Some(frame) = self.answers.pop_front() {
+                // Anything else answers a request that was given up.
+                if frame.header.seq_no != sequence {
+                    continue;
+                }
+                self.key_kind = frame.header.key.kind();
+                if frame.header.key == VarKey::Key8(E::RESP_KEY) {
+                    return postcard::from_bytes(&frame.body).map_err(|_| LinkError::Unreadable { what: E::PATH });
+                }
+                if frame.header.key == VarKey::Key8(ERROR_KEY) {
+                    let error: WireError =
+                        postcard::from_bytes(&frame.body).map_err(|_| LinkError::Unreadable { what: E::PATH })?;
+                    return Err(LinkError::Rejected { what: E::PATH, error: error.to_string() });
+                }
+            }
+            let left = deadline.saturating_sub(self.wire.now());
+            if left.is_zero() {
+                return Err(LinkError::Silent { what: E::PATH });
+            }
+            self.pump(left, &[E::RESP_KEY, ERROR_KEY])?;
+        }
+    }
+
+    /// Sends a message of topic `T`, which is not answered.
+    pub fn publish<T: Topic>(&mut self, message: &T::Message) -> Result<(), LinkError>
+    where
+        T::Message: Serialize + Sized,
+    {
+        self.sequence = self.sequence.wrapping_add(1);
+        let mut key = VarKey::Key8(T::TOPIC_KEY);
+        key.shrink_to(self.key_kind);
+        let body = postcard::to_stdvec(message).map_err(|_| LinkError::Unreadable { what: T::PATH })?;
+        let header = VarHeader { key, seq_no: VarSeq::Seq2(self.sequence) };
+        self.wire.send(&encode(&header, &body)).map_err(LinkError::Lost)
+    }
+
+    /// The next topic message, waiting at most `timeout` for it.
+    pub fn topic(&mut self, timeout: Duration) -> Result<Option<TopicFrame>, LinkError> {
+        let deadline = self.wire.now() + timeout;
+        loop {
+            if let Some(frame) = self.topics.pop_front() {
+                return Ok(Some(frame));
+            }
+            let left = deadline.saturating_sub(self.wire.now());
+            if left.is_zero() {
+                return Ok(None);
+            }
+            self.pump(left, &[])?;
+        }
+    }
+
+    /// Takes in what the wire has; frames with one of the keys `answers` wait for [`Self::call`], the others are topics.
+    fn pump(&mut self, timeout: Duration, answers: &[Key]) -> Result<(), LinkError> {
+        let count = self.wire.receive(&mut self.buffer, timeout).map_err(LinkError::Lost)?;
+        let (waiting, topics) = (&mut self.answers, &mut self.topics);
+        self.deframer.feed(&self.buffer[..count], |frame| {
+            if answers.iter().any(|key| VarKey::Key8(*key) == frame.header.key) {
+                waiting.push_back(frame);
+            } else {
+                let Frame { header, body } = frame;
+                topics.push_back(TopicFrame { key: header.key, sequence: header.seq_no, body });
+            }
+        });
+        Ok(())
+    }
+}

@@ -1,0 +1,76 @@
+//! What can go wrong between the tool and a board, each with what to do about it.
+
+use std::io;
+
+/// Why a board could not be reached, or stopped being reachable.
+#[derive(Debug, thiserror::Error)]
+pub enum LinkError {
+    /// No board among the serial ports.
+    #[error(
+        "no board found{}; plug one in, or name its port with --port (a serial port, tcp:HOST:PORT, or sim)",
+        if others.is_empty() { " and no serial ports at all".into() } else { format!(" (other serial ports: {})", others.join(", ")) }
+    )]
+    NoBoard {
+        /// Serial ports that are not boards.
+        others: Vec<String>,
+    },
+    /// Several boards, and none was chosen.
+    #[error("several boards found: {}; choose one with --port PORT or --port SERIAL-NUMBER", .0.join(", "))]
+    SeveralBoards(Vec<String>),
+    /// The port's name means nothing.
+    #[error("no port {name}: {reason}; `haptic list` shows the boards that are connected")]
+    NoSuchPort {
+        /// What was asked for.
+        name: String,
+        /// What the operating system said.
+        reason: String,
+    },
+    /// Someone else has the port open.
+    #[error("port {0} is in use by another program (another `haptic`, a serial monitor, ModemManager); close it first")]
+    PortBusy(String),
+    /// Not allowed to open the port.
+    #[error("no permission to open {0}; add yourself to its group: sudo usermod -aG dialout $USER, then log in again")]
+    Forbidden(String),
+    /// A TCP connection was not made.
+    #[error("cannot connect to {address}: {error}; is `haptic sim --tcp` running there?")]
+    NotListening {
+        /// Where.
+        address: String,
+        /// Why not.
+        error: io::Error,
+    },
+    /// The board or the wire went away.
+    #[error("the board was unplugged or the connection was lost ({0}); plug it in again and repeat the command")]
+    Lost(io::Error),
+    /// The board does not answer.
+    #[error("the board does not answer ({what}); is this a haptic-bridge board? If it is, power-cycle it")]
+    Silent {
+        /// The request's path.
+        what: &'static str,
+    },
+    /// The board understood the frame but not the message.
+    #[error("the board rejected the message {what}: {error}; flash the firmware that came with this tool")]
+    Rejected {
+        /// The request's path.
+        what: &'static str,
+        /// postcard-rpc's reason.
+        error: String,
+    },
+    /// A message that could not be read or written.
+    #[error("the message {what} could not be decoded; flash the firmware that came with this tool")]
+    Unreadable {
+        /// The message's path.
+        what: &'static str,
+    },
+    /// Tool and board speak different versions of the protocol.
+    #[error(
+        "the board speaks protocol version {board} and this tool version {tool}; \
+         {}", if board < tool { "flash the firmware that came with this tool" } else { "install the tool that came with the board's firmware" }
+    )]
+    Version {
+        /// The board's.
+        board: u16,
+        /// The tool's.
+        tool: u16,
+    },
+}

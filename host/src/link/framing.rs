@@ -1,0 +1,126 @@
+//! Frames: postcard-rpc's header and a postcard body, COBS-encoded, ended by a zero.
+
+use postcard_rpc::header::VarHeader;
+
+/// Longest frame taken in, bytes before COBS decoding. A device with its precomputed table is the longest message.
+pub const MAX_FRAME: usize = 16 * 1024;
+
+/// One message: which, in answer to what, and its postcard bytes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Frame {
+    /// Key of endpoint or topic, and sequence number.
+    pub header: VarHeader,
+    /// The serialised message.
+    pub body: Vec<u8>,
+}
+
+/// The bytes of a frame on the wire.
+pub fn encode(header: &VarHeader, body: &[u8]) -> Vec<u8> {
+    // A header is at most 1 + 8 + 4 bytes.
+    let mut head = [0; 16];
+    let used = header.write_to_slice(&mut head).map_or(0, |(used, _)| used.len());
+    let mut plain = Vec::with_capacity(used + body.len());
+    plain.extend_from_slice(&head[..used]);
+    plain.extend_from_slice(body);
+    let mut bytes = cobs::encode_vec(&plain);
+    bytes.push(0);
+    bytes
+}
+
+/// Finds frames in a stream of bytes, whatever it is cut into; what is no frame is skipped and counted.
+#[derive(Clone, Debug, Default)]
+pub struct Deframer {
+    partial: Vec<u8>,
+    overlong: bool,
+    /// Stretches of bytes between zeros that were not frames.
+    pub garbled: u64,
+}
+
+impl Deframer {
+    /// Takes bytes in and hands out every frame they complete.
+    pub fn feed(&mut self, bytes: &[u8], mut found: impl FnMut(Frame)) {
+        for piece in bytes.split_inclusive(|byte| *byte == 0) {
+            let (content, ended) = match piece.split_last() {
+                Some((0, content)) => (content, true),
+                _ => (piece, false),
+            };
+            if self.partial.len() + content.len() > MAX_FRAME {
+                self.overlong = true;
+                self.partial.clear();
+            } else if !self.overlong {
+                self.partial.extend_from_slice(content);
+            }
+            if ended {
+                if self.overlong {
+                    self.garbled += 1;
+                } else if !self.partial.is_empty() {
+                    match decode(&mut self.partial) {
+                        Some(frame) => found(frame),
+                        None => self.garbled += 1,
+                    }
+                }
+                self.overlong = false;
+                self.partial.clear();
+            }
+        }
+    }
+}
+
+fn decode(bytes: &mut [u8]) -> Option<Frame> {
+    let length = cobs::decode_in_place(bytes).ok()?;
+    let (header, body) = VarHeader::take_from_slice(bytes.get(..length)?)?;
+    Some(Frame { header, body: body.to_vec() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use postcard_rpc::Key;
+    use postcard_rpc::header::{VarKey, VarSeq};
+
+    fn header(seq: u16) -> VarHeader {
+        let key = Key::for_path::<u32>("some/path");
+        VarHeader { key: VarKey::Key8(key), seq_no: VarSeq::Seq2(seq) }
+    }
+
+    #[test]
+    fn the_bytes_are_those_of_postcard_rpc() {
+        // Two-byte key and sequence number: discriminant 0b0101_0000, then key, then sequence number little endian.
+        let mut key = VarKey::Key8(Key::for_path::<u32>("some/path"));
+        key.shrink_to(postcard_rpc::header::VarKeyKind::Key2);
+        let VarKey::Key2(short) = key else { panic!("two bytes asked for") };
+        let [a, b] = short.to_bytes();
+        let bytes = encode(&VarHeader { key, seq_no: VarSeq::Seq2(0x0201) }, &[0, 9]);
+        // COBS by hand: six bytes up to the zero, then two.
+        assert_eq!(bytes, [6, 0x50, a, b, 1, 2, 2, 9, 0]);
+    }
+
+    #[test]
+    fn frames_survive_any_cut() {
+        let mut stream = encode(&header(1), &[1, 0, 2]);
+        stream.extend(encode(&header(2), &[0; 300]));
+        for size in 1..40 {
+            let mut deframer = Deframer::default();
+            let mut frames = Vec::new();
+            for chunk in stream.chunks(size) {
+                deframer.feed(chunk, |frame| frames.push(frame));
+            }
+            assert_eq!(frames.len(), 2);
+            assert_eq!(frames[0], Frame { header: header(1), body: vec![1, 0, 2] });
+            assert_eq!(frames[1].body, [0; 300]);
+        }
+    }
+
+    #[test]
+    fn noise_between_frames_is_counted_and_skipped() {
+        let mut stream = vec![7, 7, 7, 0, 0, 0];
+        stream.extend(vec![3; 2 * MAX_FRAME]);
+        stream.push(0);
+        stream.extend(encode(&header(5), &[4]));
+        let mut deframer = Deframer::default();
+        let mut frames = Vec::new();
+        deframer.feed(&stream, |frame| frames.push(frame));
+        assert_eq!(frames, [Frame { header: header(5), body: vec![4] }]);
+        assert_eq!(deframer.garbled, 2);
+    }
+}

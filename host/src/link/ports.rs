@@ -1,0 +1,199 @@
+//! Which port: what the user wrote, or the one board among the serial ports.
+
+use super::error::LinkError;
+use super::wire::{SerialWire, TcpWire, Wire};
+use serialport::{ErrorKind, SerialPortType};
+use std::io;
+use std::net::{TcpStream, ToSocketAddrs};
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// USB vendor id of the boards' serial port: ST's, whose virtual COM port every system knows.
+pub const VENDOR_ID: u16 = 0x0483;
+/// USB product id of the boards' serial port.
+pub const PRODUCT_ID: u16 = 0x5740;
+/// USB manufacturer string that tells these boards from others with the same ids.
+pub const MANUFACTURER: &str = "haptic-bridge";
+
+/// Where a board is, as `--port` says it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum PortSpec {
+    /// The only board connected.
+    Find,
+    /// A serial port, by path or by the board's serial number.
+    Serial(String),
+    /// `tcp:HOST:PORT`
+    Tcp(String),
+    /// `sim` or `sim:DEVICE.toml`: a simulated board in this process.
+    Sim(Option<PathBuf>),
+}
+
+impl std::str::FromStr for PortSpec {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if let Some(address) = text.strip_prefix("tcp:") {
+            let port =
+                address.rsplit_once(':').and_then(|(host, port)| (!host.is_empty()).then(|| port.parse::<u16>()));
+            return match port {
+                Some(Ok(_)) => Ok(Self::Tcp(address.into())),
+                _ => Err(format!("`{text}` is not tcp:HOST:PORT, such as tcp:localhost:7710")),
+            };
+        }
+        match text.strip_prefix("sim") {
+            Some("") => Ok(Self::Sim(None)),
+            Some(file) if file.len() > 1 && file.starts_with(':') => Ok(Self::Sim(Some(file[1..].into()))),
+            _ if text.is_empty() => Err("an empty port; write a serial port, tcp:HOST:PORT, or sim".into()),
+            _ => Ok(Self::Serial(text.into())),
+        }
+    }
+}
+
+/// A board found among the serial ports.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BoardPort {
+    /// The serial port.
+    pub path: String,
+    /// The board's serial number.
+    pub serial: String,
+    /// The board's kind, as it names itself.
+    pub product: String,
+}
+
+/// The boards that are connected, and the other serial ports.
+pub fn boards() -> (Vec<BoardPort>, Vec<String>) {
+    // A system without serial ports may also be one where they cannot be listed.
+    sort(serialport::available_ports().unwrap_or_default())
+}
+
+fn sort(ports: Vec<serialport::SerialPortInfo>) -> (Vec<BoardPort>, Vec<String>) {
+    let (mut boards, mut others) = (Vec::new(), Vec::new());
+    for port in ports {
+        match port.port_type {
+            SerialPortType::UsbPort(usb)
+                if usb.vid == VENDOR_ID
+                    && usb.pid == PRODUCT_ID
+                    && usb.manufacturer.as_deref().is_none_or(|maker| maker == MANUFACTURER) =>
+            {
+                boards.push(BoardPort {
+                    path: port.port_name,
+                    serial: usb.serial_number.unwrap_or_default(),
+                    product: usb.product.unwrap_or_default(),
+                });
+            }
+            _ => others.push(port.port_name),
+        }
+    }
+    (boards, others)
+}
+
+/// The path of the port to open: the one asked for by path or serial number, or the only board there is.
+fn choose(asked: Option<&str>, boards: &[BoardPort], others: Vec<String>) -> Result<String, LinkError> {
+    match (asked, boards) {
+        (Some(name), _) => {
+            Ok(boards.iter().find(|board| board.serial == name).map_or(name, |board| &board.path).into())
+        }
+        (None, [only]) => Ok(only.path.clone()),
+        (None, []) => Err(LinkError::NoBoard { others }),
+        (None, several) => Err(LinkError::SeveralBoards(
+            several
+                .iter()
+                .map(|board| format!("{} ({}, serial number {})", board.path, board.product, board.serial))
+                .collect(),
+        )),
+    }
+}
+
+/// Opens a serial port: `asked` by path or serial number, or the only board there is. Returns its path as well.
+pub(super) fn open_serial(asked: Option<&str>) -> Result<(Box<dyn Wire>, String), LinkError> {
+    let (boards, others) = boards();
+    let path = choose(asked, &boards, others)?;
+    match SerialWire::open(&path) {
+        Ok(wire) => Ok((Box::new(wire), path)),
+        Err(error) => Err(refused(path, &error)),
+    }
+}
+
+fn refused(path: String, error: &serialport::Error) -> LinkError {
+    let busy = ["busy", "Resource temporarily unavailable", "locked", "Access is denied"];
+    match error.kind() {
+        ErrorKind::Io(io::ErrorKind::PermissionDenied) => LinkError::Forbidden(path),
+        _ if busy.iter().any(|word| error.description.contains(word)) => LinkError::PortBusy(path),
+        _ => LinkError::NoSuchPort { name: path, reason: error.description.clone() },
+    }
+}
+
+/// Connects to `HOST:PORT`.
+pub(super) fn open_tcp(address: &str) -> Result<Box<dyn Wire>, LinkError> {
+    let not_listening = |error| LinkError::NotListening { address: address.into(), error };
+    let mut last = io::Error::new(io::ErrorKind::NotFound, "the host has no address");
+    for candidate in address.to_socket_addrs().map_err(not_listening)? {
+        match TcpStream::connect_timeout(&candidate, Duration::from_secs(3)).and_then(TcpWire::new) {
+            Ok(wire) => return Ok(Box::new(wire)),
+            Err(error) => last = error,
+        }
+    }
+    Err(not_listening(last))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serialport::{SerialPortInfo, UsbPortInfo};
+
+    fn usb(name: &str, vid: u16, maker: &str, serial: &str) -> SerialPortInfo {
+        SerialPortInfo {
+            port_name: name.into(),
+            port_type: SerialPortType::UsbPort(UsbPortInfo {
+                vid,
+                pid: PRODUCT_ID,
+                serial_number: Some(serial.into()),
+                manufacturer: Some(maker.into()),
+                product: Some("odrive-v3".into()),
+            }),
+        }
+    }
+
+    #[test]
+    fn a_port_is_what_it_looks_like() {
+        assert_eq!("sim".parse(), Ok(PortSpec::Sim(None)));
+        assert_eq!("sim:a/b.toml".parse(), Ok(PortSpec::Sim(Some("a/b.toml".into()))));
+        assert_eq!("tcp:localhost:7710".parse(), Ok(PortSpec::Tcp("localhost:7710".into())));
+        assert_eq!("tcp:[::1]:7710".parse(), Ok(PortSpec::Tcp("[::1]:7710".into())));
+        assert_eq!("/dev/ttyACM0".parse(), Ok(PortSpec::Serial("/dev/ttyACM0".into())));
+        assert_eq!("COM3".parse(), Ok(PortSpec::Serial("COM3".into())));
+        for bad in ["", "tcp:", "tcp:host", "tcp:host:port", "tcp::7710"] {
+            assert!(bad.parse::<PortSpec>().is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn boards_are_told_from_other_serial_ports() {
+        let ports = vec![
+            usb("/dev/ttyACM0", VENDOR_ID, MANUFACTURER, "A1"),
+            usb("/dev/ttyACM1", VENDOR_ID, "STMicroelectronics", "B2"),
+            usb("/dev/ttyUSB0", 0x1234, "FTDI", "C3"),
+        ];
+        let (boards, others) = sort(ports);
+        assert_eq!(boards.iter().map(|board| board.path.as_str()).collect::<Vec<_>>(), ["/dev/ttyACM0"]);
+        assert_eq!(others, ["/dev/ttyACM1", "/dev/ttyUSB0"]);
+    }
+
+    #[test]
+    fn one_board_is_found_several_are_named_and_a_serial_number_chooses() {
+        let board = |path: &str, serial: &str| BoardPort {
+            path: path.into(),
+            serial: serial.into(),
+            product: "odrive-v3".into(),
+        };
+        let one = [board("/dev/ttyACM0", "A1")];
+        let two = [board("/dev/ttyACM0", "A1"), board("/dev/ttyACM1", "B2")];
+        assert_eq!(choose(None, &one, vec![]).unwrap(), "/dev/ttyACM0");
+        assert_eq!(choose(Some("B2"), &two, vec![]).unwrap(), "/dev/ttyACM1");
+        assert_eq!(choose(Some("/dev/pts/7"), &two, vec![]).unwrap(), "/dev/pts/7");
+        let several = choose(None, &two, vec![]).unwrap_err().to_string();
+        assert!(several.contains("serial number A1") && several.contains("/dev/ttyACM1"), "{several}");
+        let none = choose(None, &[], vec!["/dev/ttyS0".into()]).unwrap_err().to_string();
+        assert!(none.contains("no board found") && none.contains("/dev/ttyS0") && none.contains("sim"), "{none}");
+    }
+}

@@ -1,0 +1,102 @@
+//! Byte streams to a board: a serial port (or pseudo-terminal) and TCP.
+
+use std::io::{self, Read, Write};
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+
+/// A byte stream with a clock. The clock is the board's world's: real time for real wires, simulated time for a
+/// simulated board in this process, so that a timeout means the same in both.
+pub trait Wire: Send {
+    /// Sends all of `bytes`.
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()>;
+    /// Waits at most `timeout` for bytes and returns how many came; 0 when none did. An error means the wire is gone.
+    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize>;
+    /// Time since some moment.
+    fn now(&self) -> Duration;
+}
+
+/// How long a board may leave a request unread before the wire counts as stuck. A flash erase stalls a board for
+/// half a second (STM32F405 data sheet, table 40: 16 KB sector).
+const SEND_TIMEOUT: Duration = Duration::from_secs(3);
+
+/// Shortest timeout that the operating system is asked for: zero means "for ever" to sockets.
+const SHORTEST: Duration = Duration::from_millis(1);
+
+fn nothing_yet(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted)
+}
+
+fn gone(what: &str) -> io::Error {
+    io::Error::new(io::ErrorKind::UnexpectedEof, what)
+}
+
+/// A serial port, held exclusively.
+pub struct SerialWire {
+    port: Box<dyn serialport::SerialPort>,
+    began: Instant,
+}
+
+impl SerialWire {
+    /// Opens the port at `path`; the baud rate means nothing to a USB serial port.
+    pub fn open(path: &str) -> Result<Self, serialport::Error> {
+        let port = serialport::new(path, 115_200).timeout(SEND_TIMEOUT).dtr_on_open(true).open()?;
+        Ok(Self { port, began: Instant::now() })
+    }
+}
+
+impl Wire for SerialWire {
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.port.set_timeout(SEND_TIMEOUT)?;
+        self.port.write_all(bytes)?;
+        self.port.flush()
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
+        self.port.set_timeout(timeout.max(SHORTEST))?;
+        match self.port.read(buffer) {
+            Ok(0) => Err(gone("the port has closed")),
+            Ok(count) => Ok(count),
+            Err(error) if nothing_yet(&error) => Ok(0),
+            Err(error) => Err(error),
+        }
+    }
+
+    fn now(&self) -> Duration {
+        self.began.elapsed()
+    }
+}
+
+/// A TCP connection.
+pub struct TcpWire {
+    stream: TcpStream,
+    began: Instant,
+}
+
+impl TcpWire {
+    /// A connection that is already there.
+    pub fn new(stream: TcpStream) -> io::Result<Self> {
+        stream.set_nodelay(true)?;
+        stream.set_write_timeout(Some(SEND_TIMEOUT))?;
+        Ok(Self { stream, began: Instant::now() })
+    }
+}
+
+impl Wire for TcpWire {
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.stream.write_all(bytes)
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
+        self.stream.set_read_timeout(Some(timeout.max(SHORTEST)))?;
+        match self.stream.read(buffer) {
+            Ok(0) => Err(gone("the connection was closed")),
+            Ok(count) => Ok(count),
+            Err(error) if nothing_yet(&error) => Ok(0),
+            Err(error) => Err(error),
+        }
+    }
+
+    fn now(&self) -> Duration {
+        self.began.elapsed()
+    }
+}
