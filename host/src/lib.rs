@@ -6,6 +6,7 @@ pub mod device_file;
 pub mod error;
 pub mod link;
 pub mod model;
+pub mod recorder;
 pub mod scene_file;
 pub mod sim;
 pub mod toml_file;

@@ -5,14 +5,18 @@
 //! postcard-rpc's own: a simulated board then runs in lock step with its caller, so that what a test sees never
 //! depends on a scheduler, and no telemetry is dropped on this side of the wire (docs/protocol.md).
 
+mod board;
 mod client;
 mod error;
 mod framing;
 mod ports;
+mod telemetry;
 mod wire;
 
-pub use client::{Client, TopicFrame};
-pub use error::LinkError;
-pub use framing::{Deframer, Frame, MAX_FRAME, encode};
-pub use ports::{BoardPort, PRODUCT_ID, PortSpec, VENDOR_ID, boards};
+pub use board::Board;
+pub use client::{Client, Occupied, TopicFrame};
+pub use error::{BoardError, LinkError};
+pub use framing::{Deframer, Frame, MAX_FRAME, encode, envelope};
+pub use ports::{BoardPort, PortSpec, boards};
+pub use telemetry::{Column, Losses, Row, columns, fields};
 pub use wire::{SerialWire, TcpWire, Wire};

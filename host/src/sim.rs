@@ -3,16 +3,22 @@
 //! [`Device`] is the physics alone (drive in; encoder counts and currents out); it also stands behind the emulated
 //! chip. Nothing here reads a clock or an unseeded random number: the same inputs give the same numbers, bit for bit.
 
+mod board;
 mod device;
 mod encoder;
 mod hand;
 mod motor;
 mod plant;
+mod port;
 mod random;
+mod wire;
 
+pub use board::{BoardOptions, DriveModel, SimulatedBoard};
 pub use device::{Device, DeviceError, Options};
 pub use encoder::EncoderModel;
 pub use hand::{Hand, HandSettings, Intent, Waypoint};
 pub use motor::{Bridge, Drive, MotorModel};
 pub use plant::{Load, Plant};
 pub use random::Random;
+pub(crate) use wire::open_simulated;
+pub use wire::{SHIPPED_DEVICE, SharedBoard, ready_board};

@@ -42,8 +42,14 @@ pub struct Client {
     buffer: Vec<u8>,
 }
 
-/// How long a board may take over an answer that needs no flash or motion.
-pub const ANSWER_TIMEOUT: Duration = Duration::from_secs(2);
+/// What the server of a simulated board sends a second tool before it hangs up.
+pub struct Occupied;
+
+impl Topic for Occupied {
+    type Message = ();
+    const PATH: &'static str = "haptic/occupied";
+    const TOPIC_KEY: Key = Key::for_path::<()>(Self::PATH);
+}
 
 impl Client {
     /// A client on an open wire.
@@ -67,6 +73,16 @@ impl Client {
     /// Stretches of bytes that were not frames.
     pub fn garbled(&self) -> u64 {
         self.deframer.garbled
+    }
+
+    /// Ends whatever frame a tool before this one left unfinished.
+    pub fn end_frame(&mut self) -> Result<(), LinkError> {
+        self.wire.send(&[0]).map_err(LinkError::Lost)
+    }
+
+    /// Whether the other side has said that another tool is connected.
+    pub fn was_told_occupied(&self) -> bool {
+        self.topics.iter().any(|topic| topic.key == VarKey::Key8(Occupied::TOPIC_KEY))
     }
 
     /// Sends a request of endpoint `E` and waits for its answer. Topic messages that come meanwhile are kept.

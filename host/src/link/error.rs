@@ -1,5 +1,7 @@
 //! What can go wrong between the tool and a board, each with what to do about it.
 
+use crate::error::Failure;
+use haptic_bridge::guard::Refusal;
 use std::io;
 
 /// Why a board could not be reached, or stopped being reachable.
@@ -42,6 +44,12 @@ pub enum LinkError {
     /// The board or the wire went away.
     #[error("the board was unplugged or the connection was lost ({0}); plug it in again and repeat the command")]
     Lost(io::Error),
+    /// Another tool is connected to the simulated board.
+    #[error("another tool is connected to {0}; close it first")]
+    HeldByAnother(String),
+    /// The device of `sim:FILE` cannot be simulated.
+    #[error("{0}")]
+    CannotSimulate(String),
     /// The board does not answer.
     #[error("the board does not answer ({what}); is this a haptic-bridge board? If it is, power-cycle it")]
     Silent {
@@ -73,4 +81,39 @@ pub enum LinkError {
         /// The tool's.
         tool: u16,
     },
+}
+
+/// Why a board did not do what it was asked.
+#[derive(Debug, thiserror::Error)]
+pub enum BoardError {
+    /// It could not be asked.
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    /// It refused.
+    #[error("the board refuses: {0}")]
+    Refused(Refusal),
+}
+
+impl From<Refusal> for BoardError {
+    fn from(refusal: Refusal) -> Self {
+        Self::Refused(refusal)
+    }
+}
+
+impl From<LinkError> for Failure {
+    fn from(error: LinkError) -> Self {
+        match error {
+            LinkError::CannotSimulate(_) => Self::wrong(error),
+            _ => Self::impossible(error),
+        }
+    }
+}
+
+impl From<BoardError> for Failure {
+    fn from(error: BoardError) -> Self {
+        match error {
+            BoardError::Link(error) => error.into(),
+            BoardError::Refused(_) => Self::impossible(error),
+        }
+    }
 }

@@ -2,8 +2,8 @@
 
 use postcard_rpc::header::VarHeader;
 
-/// Longest frame taken in, bytes before COBS decoding. A device with its precomputed table is the longest message.
-pub const MAX_FRAME: usize = 16 * 1024;
+/// Longest frame taken in, bytes before COBS decoding.
+pub const MAX_FRAME: usize = haptic_bridge::protocol::MAX_FRAME;
 
 /// One message: which, in answer to what, and its postcard bytes.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,7 +22,12 @@ pub fn encode(header: &VarHeader, body: &[u8]) -> Vec<u8> {
     let mut plain = Vec::with_capacity(used + body.len());
     plain.extend_from_slice(&head[..used]);
     plain.extend_from_slice(body);
-    let mut bytes = cobs::encode_vec(&plain);
+    envelope(&plain)
+}
+
+/// The bytes on the wire of a frame that already has its header.
+pub fn envelope(plain: &[u8]) -> Vec<u8> {
+    let mut bytes = cobs::encode_vec(plain);
     bytes.push(0);
     bytes
 }
@@ -37,8 +42,18 @@ pub struct Deframer {
 }
 
 impl Deframer {
-    /// Takes bytes in and hands out every frame they complete.
+    /// Takes bytes in and hands out every message they complete.
     pub fn feed(&mut self, bytes: &[u8], mut found: impl FnMut(Frame)) {
+        let mut headless = 0;
+        self.feed_plain(bytes, |plain| match VarHeader::take_from_slice(plain) {
+            Some((header, body)) => found(Frame { header, body: body.to_vec() }),
+            None => headless += 1,
+        });
+        self.garbled += headless;
+    }
+
+    /// Takes bytes in and hands out every frame they complete, without its COBS encoding.
+    pub fn feed_plain(&mut self, bytes: &[u8], mut found: impl FnMut(&[u8])) {
         for piece in bytes.split_inclusive(|byte| *byte == 0) {
             let (content, ended) = match piece.split_last() {
                 Some((0, content)) => (content, true),
@@ -54,9 +69,9 @@ impl Deframer {
                 if self.overlong {
                     self.garbled += 1;
                 } else if !self.partial.is_empty() {
-                    match decode(&mut self.partial) {
-                        Some(frame) => found(frame),
-                        None => self.garbled += 1,
+                    match cobs::decode_in_place(&mut self.partial) {
+                        Ok(length) => found(self.partial.get(..length).unwrap_or_default()),
+                        Err(_) => self.garbled += 1,
                     }
                 }
                 self.overlong = false;
@@ -64,12 +79,6 @@ impl Deframer {
             }
         }
     }
-}
-
-fn decode(bytes: &mut [u8]) -> Option<Frame> {
-    let length = cobs::decode_in_place(bytes).ok()?;
-    let (header, body) = VarHeader::take_from_slice(bytes.get(..length)?)?;
-    Some(Frame { header, body: body.to_vec() })
 }
 
 #[cfg(test)]

@@ -2,18 +2,12 @@
 
 use super::error::LinkError;
 use super::wire::{SerialWire, TcpWire, Wire};
+use haptic_bridge::protocol::{USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR};
 use serialport::{ErrorKind, SerialPortType};
 use std::io;
 use std::net::{TcpStream, ToSocketAddrs};
 use std::path::PathBuf;
 use std::time::Duration;
-
-/// USB vendor id of the boards' serial port: ST's, whose virtual COM port every system knows.
-pub const VENDOR_ID: u16 = 0x0483;
-/// USB product id of the boards' serial port.
-pub const PRODUCT_ID: u16 = 0x5740;
-/// USB manufacturer string that tells these boards from others with the same ids.
-pub const MANUFACTURER: &str = "haptic-bridge";
 
 /// Where a board is, as `--port` says it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -66,14 +60,17 @@ pub fn boards() -> (Vec<BoardPort>, Vec<String>) {
     sort(serialport::available_ports().unwrap_or_default())
 }
 
+/// Whether a USB product string is one of these boards'; a system that does not tell it is believed.
+fn names_itself(product: Option<&str>) -> bool {
+    product.is_none_or(|name| name.to_lowercase().replace([' ', '_'], "-").contains(USB_PRODUCT_NAME))
+}
+
 fn sort(ports: Vec<serialport::SerialPortInfo>) -> (Vec<BoardPort>, Vec<String>) {
     let (mut boards, mut others) = (Vec::new(), Vec::new());
     for port in ports {
         match port.port_type {
             SerialPortType::UsbPort(usb)
-                if usb.vid == VENDOR_ID
-                    && usb.pid == PRODUCT_ID
-                    && usb.manufacturer.as_deref().is_none_or(|maker| maker == MANUFACTURER) =>
+                if usb.vid == USB_VENDOR && usb.pid == USB_PRODUCT && names_itself(usb.product.as_deref()) =>
             {
                 boards.push(BoardPort {
                     path: port.port_name,
@@ -139,17 +136,18 @@ pub(super) fn open_tcp(address: &str) -> Result<Box<dyn Wire>, LinkError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use haptic_bridge::protocol::{USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR};
     use serialport::{SerialPortInfo, UsbPortInfo};
 
-    fn usb(name: &str, vid: u16, maker: &str, serial: &str) -> SerialPortInfo {
+    fn usb(name: &str, vid: u16, product: &str, serial: &str) -> SerialPortInfo {
         SerialPortInfo {
             port_name: name.into(),
             port_type: SerialPortType::UsbPort(UsbPortInfo {
                 vid,
-                pid: PRODUCT_ID,
+                pid: USB_PRODUCT,
                 serial_number: Some(serial.into()),
-                manufacturer: Some(maker.into()),
-                product: Some("odrive-v3".into()),
+                manufacturer: None,
+                product: Some(product.into()),
             }),
         }
     }
@@ -170,8 +168,8 @@ mod tests {
     #[test]
     fn boards_are_told_from_other_serial_ports() {
         let ports = vec![
-            usb("/dev/ttyACM0", VENDOR_ID, MANUFACTURER, "A1"),
-            usb("/dev/ttyACM1", VENDOR_ID, "STMicroelectronics", "B2"),
+            usb("/dev/ttyACM0", USB_VENDOR, USB_PRODUCT_NAME, "A1"),
+            usb("/dev/ttyACM1", USB_VENDOR, "Arduino", "B2"),
             usb("/dev/ttyUSB0", 0x1234, "FTDI", "C3"),
         ];
         let (boards, others) = sort(ports);

@@ -15,6 +15,8 @@ pub struct Options {
     pub bridge: Bridge,
     /// Where the device stands at power-on, rad; the description's home when `None`.
     pub start: Option<[f64; 3]>,
+    /// The encoders know their angle at power-on, as if homed; otherwise they start at zero wherever the device stands.
+    pub absolute_encoders: bool,
     /// Longest integration step, s. At 5 µs a five-bar's energy drifts by less than 1e-9 in a second (tests/plant).
     pub substep: f64,
     /// How far beyond its limits each joint hits a stop, rad; joints without limits have none.
@@ -23,7 +25,14 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { friction: true, bridge: Bridge::default(), start: None, substep: 5e-6, stop_margin: 0.1 }
+        Self {
+            friction: true,
+            bridge: Bridge::default(),
+            start: None,
+            absolute_encoders: false,
+            substep: 5e-6,
+            stop_margin: 0.1,
+        }
     }
 }
 
@@ -89,7 +98,8 @@ impl Device {
         for (index, joint) in description.joints[..joints].iter().enumerate() {
             motors.push(MotorModel::new(joint.motor.ok_or(DeviceError::NoMotor(index))?));
             let encoder = joint.encoder.ok_or(DeviceError::NoEncoder(index))?;
-            encoders.push(EncoderModel::new(&encoder, start[index]));
+            let zero = if options.absolute_encoders { encoder.offset } else { start[index] };
+            encoders.push(EncoderModel::new(&encoder, zero));
         }
         Ok(Self {
             plant,

@@ -3,25 +3,26 @@
 use haptic_bridge::description::Encoder;
 use std::f64::consts::TAU;
 
-/// One joint's encoder. Like the real one it counts from wherever the joint stood at power-on.
+/// One joint's encoder: it counts from the angle where its counter was zero, which for an incremental encoder is
+/// wherever the joint stood at power-on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EncoderModel {
     /// Counts per radian, negative when inverted.
     counts_per_rad: f64,
-    /// The joint's angle at power-on, rad.
+    /// The joint's angle at count 0, rad.
     origin: f64,
     /// The joint's angle at the index mark, rad.
     index: f64,
 }
 
 impl EncoderModel {
-    /// An encoder powered on with its joint at `origin` (rad).
+    /// An encoder whose count is 0 at `origin` (rad).
     pub fn new(encoder: &Encoder, origin: f64) -> Self {
         let sign = if encoder.inverted { -1.0 } else { 1.0 };
         Self { counts_per_rad: sign * encoder.counts_per_turn / TAU, origin, index: encoder.offset }
     }
 
-    /// Counts since power-on at the angle `q` (rad).
+    /// The count at the angle `q` (rad).
     pub fn counts(&self, q: f64) -> i32 {
         // A float-to-int `as` saturates, and NaN gives 0.
         ((q - self.origin) * self.counts_per_rad).round() as i32

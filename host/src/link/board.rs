@@ -1,0 +1,255 @@
+//! A board as a program sees it: one method for every endpoint of the protocol.
+
+use super::client::Client;
+use super::error::{BoardError, LinkError};
+use super::ports::{self, PortSpec};
+use super::telemetry::{Losses, Row, Rows};
+use super::wire::Wire;
+use crate::sim::open_simulated;
+use haptic_bridge::controller::Gains;
+use haptic_bridge::protocol::{self as p, Details, GainsRequest, Info, Outcome, PROTOCOL};
+use haptic_bridge::scene::Scene;
+use haptic_bridge::servo::{Rules, Status};
+use haptic_bridge::settings::{Entry, Key};
+use haptic_bridge::telemetry::{Fields, StreamRequest};
+use haptic_bridge::velocity::Estimator;
+use postcard_rpc::Endpoint;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::time::Duration;
+
+/// How long a board may take over an answer.
+const ANSWER: Duration = Duration::from_secs(2);
+/// How long it may take when it writes flash: two sector erases of 16 KB and what is written (STM32F405 data sheet).
+const FLASH_ANSWER: Duration = Duration::from_secs(6);
+/// How often the host says that it is there, when it was asked to.
+const HEARTBEAT: Duration = Duration::from_millis(100);
+
+/// An open board of this tool's protocol version.
+pub struct Board {
+    client: Client,
+    port: String,
+    info: Info,
+    rows: Rows,
+    heartbeat: bool,
+    last_heartbeat: Duration,
+    faults: Vec<haptic_bridge::guard::FaultRecord>,
+}
+
+impl Board {
+    /// Finds and opens the board that `--port` means, and checks its protocol version.
+    pub fn open(port: &PortSpec) -> Result<Self, LinkError> {
+        match port {
+            PortSpec::Find => ports::open_serial(None).and_then(|(wire, path)| Self::over(wire, path)),
+            PortSpec::Serial(name) => ports::open_serial(Some(name)).and_then(|(wire, path)| Self::over(wire, path)),
+            PortSpec::Tcp(address) => Self::over(ports::open_tcp(address)?, format!("tcp:{address}")),
+            PortSpec::Sim(device) => Self::over(open_simulated(device.as_deref())?, "sim"),
+        }
+    }
+
+    /// A board behind an open wire; `port` is what messages call it.
+    pub fn over(wire: Box<dyn Wire>, port: impl Into<String>) -> Result<Self, LinkError> {
+        let mut client = Client::new(wire);
+        let port = port.into();
+        // A tool that was killed may have left half a request in the board's buffer: end it first.
+        client.end_frame()?;
+        let info = match client.call::<p::GetInfo>(&(), ANSWER) {
+            Err(_) if client.was_told_occupied() => return Err(LinkError::HeldByAnother(port)),
+            other => other?,
+        };
+        if info.protocol != PROTOCOL {
+            return Err(LinkError::Version { board: info.protocol, tool: PROTOCOL });
+        }
+        Ok(Self {
+            client,
+            port,
+            info,
+            rows: Rows::default(),
+            heartbeat: false,
+            last_heartbeat: Duration::ZERO,
+            faults: Vec::new(),
+        })
+    }
+
+    /// What the port is called.
+    pub fn port(&self) -> &str {
+        &self.port
+    }
+    /// What the board says of itself.
+    pub fn info(&self) -> &Info {
+        &self.info
+    }
+    /// The wire's clock: simulated time on a simulated board.
+    pub fn now(&self) -> Duration {
+        self.client.now()
+    }
+
+    fn ask<E: Endpoint>(&mut self, request: &E::Request, timeout: Duration) -> Result<E::Response, LinkError>
+    where
+        E::Request: Serialize,
+        E::Response: DeserializeOwned,
+    {
+        self.client.call::<E>(request, timeout)
+    }
+
+    fn change<E: Endpoint<Response = Outcome>>(&mut self, request: &E::Request) -> Result<(), BoardError>
+    where
+        E::Request: Serialize,
+    {
+        Ok(self.ask::<E>(request, ANSWER)??)
+    }
+
+    /// The rest of what the board says of itself.
+    pub fn details(&mut self) -> Result<Details, LinkError> {
+        self.ask::<p::GetDetails>(&(), ANSWER)
+    }
+    /// State, homing, latched fault.
+    pub fn status(&mut self) -> Result<Status, LinkError> {
+        self.ask::<p::GetStatus>(&(), ANSWER)
+    }
+    /// Loads a device; homing and the polarity check are forgotten.
+    pub fn set_device(&mut self, device: &p::DeviceData) -> Result<(), BoardError> {
+        self.change::<p::SetDevice>(device)
+    }
+    /// The loaded device.
+    pub fn device(&mut self) -> Result<Option<p::DeviceData>, LinkError> {
+        self.ask::<p::GetDevice>(&(), ANSWER)
+    }
+    /// Loads a scene.
+    pub fn set_scene(&mut self, scene: &Scene<f32>) -> Result<(), BoardError> {
+        self.change::<p::SetScene>(scene)
+    }
+    /// The loaded scene.
+    pub fn scene(&mut self) -> Result<Option<p::SceneData>, LinkError> {
+        self.ask::<p::GetScene>(&(), ANSWER)
+    }
+    /// Says where the control step takes its mass matrix from.
+    pub fn set_mass_model(&mut self, model: &haptic_bridge::precomputed::MassModelData) -> Result<(), BoardError> {
+        self.change::<p::SetMassModel>(model)
+    }
+    /// Sends a piece of a precomputed table.
+    pub fn send_table(&mut self, chunk: &p::TableChunk) -> Result<(), BoardError> {
+        self.change::<p::SendTable>(chunk)
+    }
+    /// Changes the gains of one wall, also while it is touched.
+    pub fn set_wall_gains(&mut self, gains: Gains<f32>) -> Result<(), BoardError> {
+        self.change::<p::SetGains>(&GainsRequest { wall: Some(gains), estimator: None })
+    }
+    /// Changes the velocity estimators of all walls; cutoff in Hz.
+    pub fn set_estimator(&mut self, estimator: Estimator, cutoff_hz: f32) -> Result<(), BoardError> {
+        self.change::<p::SetGains>(&GainsRequest { wall: None, estimator: Some((estimator, cutoff_hz)) })
+    }
+    /// Sets limits and rules. Limits may only be raised while disarmed.
+    pub fn set_rules(&mut self, rules: &Rules) -> Result<(), BoardError> {
+        self.change::<p::SetRules>(rules)
+    }
+    /// Limits and rules.
+    pub fn rules(&mut self) -> Result<Rules, LinkError> {
+        self.ask::<p::GetRules>(&(), ANSWER)
+    }
+    /// Declares the present pose to be the device's home pose.
+    pub fn home(&mut self) -> Result<(), BoardError> {
+        self.change::<p::Home>(&())
+    }
+    /// Starts the polarity check: each joint is moved by a small torque.
+    pub fn check_polarity(&mut self) -> Result<(), BoardError> {
+        self.change::<p::CheckPolarity>(&())
+    }
+    /// Motors on.
+    pub fn arm(&mut self) -> Result<(), BoardError> {
+        self.change::<p::Arm>(&())
+    }
+    /// Motors off.
+    pub fn disarm(&mut self) -> Result<(), BoardError> {
+        self.change::<p::Disarm>(&())
+    }
+    /// Clears a latched fault.
+    pub fn clear(&mut self) -> Result<(), BoardError> {
+        self.change::<p::Clear>(&())
+    }
+    /// The faults seen since the board started, oldest first.
+    pub fn faults(&mut self) -> Result<p::FaultList, LinkError> {
+        self.ask::<p::GetFaults>(&(), ANSWER)
+    }
+    /// Faults the board has reported by itself since the last call.
+    pub fn take_reported_faults(&mut self) -> Vec<haptic_bridge::guard::FaultRecord> {
+        std::mem::take(&mut self.faults)
+    }
+    /// Writes device, scene, rules and the rest to flash. Only while disarmed; the board pauses for up to a second.
+    pub fn save(&mut self) -> Result<(), BoardError> {
+        Ok(self.ask::<p::Save>(&(), FLASH_ANSWER)??)
+    }
+    /// The bytes of a setting as they are kept.
+    pub fn read_entry(&mut self, key: Key) -> Result<Option<Entry>, LinkError> {
+        self.ask::<p::ReadEntry>(&key, ANSWER)
+    }
+    /// Restores a setting's bytes.
+    pub fn restore_entry(&mut self, key: Key, entry: Entry) -> Result<(), BoardError> {
+        Ok(self.ask::<p::RestoreEntry>(&p::WriteEntry { key, entry }, FLASH_ANSWER)??)
+    }
+    /// Gives the board a name.
+    pub fn set_name(&mut self, name: &p::Name) -> Result<(), BoardError> {
+        Ok(self.ask::<p::SetName>(name, FLASH_ANSWER)??)
+    }
+    /// Restarts into the chip's own boot loader, to be flashed over USB.
+    pub fn enter_dfu(&mut self) -> Result<(), BoardError> {
+        self.change::<p::EnterDfu>(&())
+    }
+    /// Restarts the board.
+    pub fn restart(&mut self) -> Result<(), BoardError> {
+        self.change::<p::Restart>(&())
+    }
+
+    /// From now on says several times a second that the host is there, whenever it waits for telemetry.
+    pub fn keep_alive(&mut self) {
+        self.heartbeat = true;
+    }
+
+    /// Starts a stream of every `divider`-th step's `fields`; losses count from here.
+    pub fn start_stream(&mut self, fields: Fields, divider: u32) -> Result<(), BoardError> {
+        self.rows = Rows::default();
+        self.change::<p::Stream>(&StreamRequest { fields, divider })
+    }
+
+    /// Stops the stream. Rows that were still on their way are in the next [`Board::rows`].
+    pub fn stop_stream(&mut self) -> Result<(), BoardError> {
+        self.change::<p::Stream>(&StreamRequest { fields: Fields(0), divider: 0 })
+    }
+
+    /// The rows that have come, waiting at most `timeout` for the first. Faults that the board reports are kept for
+    /// [`Board::take_reported_faults`].
+    pub fn rows(&mut self, timeout: Duration) -> Result<Vec<Row>, LinkError> {
+        let deadline = self.client.now() + timeout;
+        let mut rows = Vec::new();
+        loop {
+            self.beat()?;
+            let left = deadline.saturating_sub(self.client.now());
+            let wait = if rows.is_empty() { left.min(HEARTBEAT) } else { Duration::ZERO };
+            match self.client.topic(wait)? {
+                Some(frame) => {
+                    if let Some(batch) = frame.message::<p::Telemetry>() {
+                        self.rows.take(&batch?, &mut rows);
+                    } else if let Some(record) = frame.message::<p::FaultSeen>() {
+                        self.faults.push(record?);
+                    }
+                }
+                None if !rows.is_empty() || left.is_zero() => return Ok(rows),
+                None => {}
+            }
+        }
+    }
+
+    /// What the stream has lost so far.
+    pub fn losses(&self) -> Losses {
+        Losses { garbled: self.client.garbled(), ..self.rows.losses() }
+    }
+
+    fn beat(&mut self) -> Result<(), LinkError> {
+        let now = self.client.now();
+        if self.heartbeat && now.saturating_sub(self.last_heartbeat) >= HEARTBEAT {
+            self.last_heartbeat = now;
+            self.ask::<p::Heartbeat>(&(), ANSWER)?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,208 @@
+//! Telemetry as it arrives: rows with their step, columns with name and unit, and exact accounts of what was lost.
+
+use haptic_bridge::telemetry::{Batch, Field, Fields};
+
+/// One kept control step.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Row {
+    /// Control steps since the board's boot.
+    pub step: u32,
+    /// One number for each of [`columns`].
+    pub values: Vec<f64>,
+}
+
+/// A column of telemetry.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Column {
+    /// Which field; the state's two columns share theirs.
+    pub field: Field,
+    /// Which axis, for vectors.
+    pub axis: usize,
+    /// The name with its unit, fit for a CSV header: `tip_x_m`, `torque1_n_m`.
+    pub label: String,
+}
+
+/// The columns of a stream of `fields` from a device of `axes` joints, in the order of [`Row::values`]. The state
+/// makes two: the state and the number of walls touched.
+pub fn columns(fields: Fields, axes: usize) -> Vec<Column> {
+    let mut columns = Vec::new();
+    for field in Field::ALL.iter().copied().filter(|field| fields.has(*field)) {
+        let unit: String = field.unit().to_lowercase().replace([' ', '/'], "_");
+        let suffix = if unit.is_empty() { String::new() } else { format!("_{unit}") };
+        if field == Field::State {
+            columns.push(Column { field, axis: 0, label: "state".into() });
+            columns.push(Column { field, axis: 1, label: "contacts".into() });
+        } else if field.is_vector() {
+            for axis in 0..axes {
+                let place = match field {
+                    Field::Tip => ["_x", "_y", "_z"].get(axis).copied().unwrap_or_default().to_string(),
+                    _ => axis.to_string(),
+                };
+                columns.push(Column { field, axis, label: format!("{}{place}{suffix}", field.name()) });
+            }
+        } else {
+            columns.push(Column { field, axis: 0, label: format!("{}{suffix}", field.name()) });
+        }
+    }
+    columns
+}
+
+/// The set of fields named in a comma-separated list; `all` and `usual` are sets of their own. Errors name the
+/// word that is no field, and the fields there are.
+pub fn fields(names: &str) -> Result<Fields, String> {
+    let mut set = 0;
+    for name in names.split(',').map(str::trim) {
+        set |= match name {
+            "all" => Fields::ALL.0,
+            "usual" => Fields::USUAL.0,
+            _ => match Field::ALL.iter().find(|field| field.name() == name) {
+                Some(field) => field.bit(),
+                None => {
+                    let known: Vec<&str> = Field::ALL.iter().map(|field| field.name()).collect();
+                    return Err(format!("`{name}` is no field; choose among usual, all, {}", known.join(", ")));
+                }
+            },
+        };
+    }
+    Ok(Fields(set))
+}
+
+/// What a stream has lost.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Losses {
+    /// Rows that came.
+    pub received: u64,
+    /// Rows that did not come, whoever lost them: counted from the steps that are missing.
+    pub missing: u64,
+    /// Of these, rows that the board itself dropped because the link was too slow.
+    pub dropped_by_board: u64,
+    /// Batches that the board sent and that did not arrive.
+    pub batches_lost: u64,
+    /// Stretches of bytes that were no frames.
+    pub garbled: u64,
+}
+
+impl std::fmt::Display for Losses {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} rows", self.received)?;
+        if self.missing == 0 && self.garbled == 0 {
+            return f.write_str(", none lost");
+        }
+        write!(f, ", {} lost ({} dropped by the board", self.missing, self.dropped_by_board)?;
+        write!(f, ", {} batches lost on the link, {} frames garbled)", self.batches_lost, self.garbled)
+    }
+}
+
+/// Unpacks batches and keeps account.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Rows {
+    losses: Losses,
+    next: Option<(u32, u32)>,
+}
+
+impl Rows {
+    pub(super) fn losses(&self) -> Losses {
+        self.losses
+    }
+
+    /// Appends the rows of a batch.
+    pub(super) fn take(&mut self, batch: &Batch, rows: &mut Vec<Row>) {
+        let fields = Fields(batch.fields);
+        let width = fields.width(usize::from(batch.axes));
+        if width == 0 || batch.divider == 0 {
+            return;
+        }
+        if let Some((step, number)) = self.next {
+            let ahead = batch.first_step.wrapping_sub(step) / batch.divider;
+            // A step counter that went back means that the board restarted: nothing can be said of what lies between.
+            if ahead < u32::MAX / 2 / batch.divider {
+                self.losses.missing += u64::from(ahead);
+            }
+            self.losses.batches_lost += u64::from(batch.number.wrapping_sub(number));
+        } else {
+            self.losses.batches_lost += u64::from(batch.number);
+        }
+        self.losses.dropped_by_board = u64::from(batch.dropped);
+        let mut step = batch.first_step;
+        for packed in batch.values.chunks_exact(width) {
+            rows.push(Row { step, values: unpack(fields, usize::from(batch.axes), packed) });
+            self.losses.received += 1;
+            step = step.wrapping_add(batch.divider);
+        }
+        self.next = Some((step, batch.number.wrapping_add(1)));
+    }
+}
+
+fn unpack(fields: Fields, axes: usize, packed: &[f32]) -> Vec<f64> {
+    let mut values = Vec::with_capacity(packed.len() + 1);
+    let mut packed = packed.iter().copied();
+    for field in Field::ALL.iter().copied().filter(|field| fields.has(*field)) {
+        for _ in 0..if field.is_vector() { axes } else { 1 } {
+            let Some(value) = packed.next() else { return values };
+            match field {
+                Field::Counts => values.push(f64::from(value.to_bits() as i32)),
+                Field::State => {
+                    let bits = value as u32;
+                    values.push(f64::from(bits % 16));
+                    values.push(f64::from(bits / 16));
+                }
+                _ => values.push(f64::from(value)),
+            }
+        }
+    }
+    values
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn batch(number: u32, first_step: u32, rows: usize, dropped: u32) -> Batch {
+        let mut values = haptic_bridge::telemetry::Batch::default().values;
+        for row in 0..rows {
+            values.push(row as f32).unwrap();
+        }
+        Batch { number, first_step, divider: 4, dropped, axes: 2, fields: Field::WallForce.bit(), values }
+    }
+
+    #[test]
+    fn every_missing_row_is_counted_once_and_blamed() {
+        let (mut stream, mut rows) = (Rows::default(), Vec::new());
+        stream.take(&batch(0, 100, 3, 0), &mut rows);
+        stream.take(&batch(1, 112, 2, 0), &mut rows);
+        assert_eq!(stream.losses(), Losses { received: 5, ..Losses::default() });
+        // The board dropped 5 rows (steps 120 to 136), then batch 3 with two rows got lost on the way.
+        stream.take(&batch(2, 140, 1, 5), &mut rows);
+        stream.take(&batch(4, 152, 1, 5), &mut rows);
+        let expected = Losses { received: 7, missing: 7, dropped_by_board: 5, batches_lost: 1, garbled: 0 };
+        assert_eq!(stream.losses(), expected);
+        let steps: Vec<u32> = rows.iter().map(|row| row.step).collect();
+        assert_eq!(steps, [100, 104, 108, 112, 116, 140, 152]);
+        assert!(stream.losses().to_string().contains("7 lost (5 dropped by the board"));
+    }
+
+    #[test]
+    fn the_step_counter_may_wrap() {
+        let (mut stream, mut rows) = (Rows::default(), Vec::new());
+        stream.take(&batch(0, u32::MAX - 7, 2, 0), &mut rows);
+        stream.take(&batch(1, 0, 2, 0), &mut rows);
+        assert_eq!(stream.losses().missing, 0);
+    }
+
+    #[test]
+    fn counts_keep_all_their_bits_and_the_state_is_taken_apart() {
+        let fields = fields("counts,state").unwrap();
+        let packed = [f32::from_bits(-123_456_789_i32 as u32), f32::from_bits(7), 33.0];
+        assert_eq!(unpack(fields, 2, &packed), [-123_456_789.0, 7.0, 1.0, 2.0]);
+        let labels: Vec<String> = columns(fields, 2).into_iter().map(|column| column.label).collect();
+        assert_eq!(labels, ["counts0", "counts1", "state", "contacts"]);
+    }
+
+    #[test]
+    fn columns_carry_their_units() {
+        let labels: Vec<String> =
+            columns(fields("tip,torque,force").unwrap(), 2).into_iter().map(|column| column.label).collect();
+        assert_eq!(labels, ["tip_x_m", "tip_y_m", "torque0_n_m", "torque1_n_m", "force_n"]);
+        assert!(fields("tip,forse").unwrap_err().contains("`forse` is no field"));
+    }
+}

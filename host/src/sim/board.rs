@@ -1,0 +1,378 @@
+//! The simulated board: the firmware's servo, service and protocol around a simulated device.
+//!
+//! Time is a count of carrier periods, so a run is the same on every machine. A period goes as on the chip: sample at
+//! the carrier's crest, control at every `divider`-th crest, duties in force half a carrier period later.
+
+use super::device::{Device, DeviceError, Options};
+use super::motor::Drive;
+use super::port::Port;
+use haptic_bridge::carrier::{CARRIER_MIN_HZ, Carrier};
+use haptic_bridge::description::Description;
+use haptic_bridge::device::Device as BoardDevice;
+use haptic_bridge::dispatch::{self, After, Described};
+use haptic_bridge::drive::Bridge;
+use haptic_bridge::guard::{Fault, FaultRecord, Limits, Refusal};
+use haptic_bridge::math::Minimax;
+use haptic_bridge::protocol::{Details, FaultSeen, Info, MAX_FRAME, PROTOCOL, Telemetry};
+use haptic_bridge::scene::Scene;
+use haptic_bridge::service::{Machine, Service};
+use haptic_bridge::servo::{Command, Hardware, Program, Reply, Rules, Samples, Servo, Status};
+use haptic_bridge::settings::{Entry, Key};
+use haptic_bridge::telemetry::Packer;
+use std::collections::BTreeMap;
+
+/// How the motors are driven.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum DriveModel {
+    /// Duty, bus, winding: the current loop runs and is as good as it is.
+    #[default]
+    Electric,
+    /// The commanded torque acts at once; what linear theory and the golden values assume.
+    Ideal,
+}
+
+/// What a simulated board is like.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BoardOptions {
+    /// The device behind it.
+    pub device: Options,
+    /// How its motors are driven.
+    pub drive: DriveModel,
+    /// From sampling to the duty in force, in carrier periods, 0 to 1. The boards have 0.5.
+    pub delay: f64,
+    /// Asks of a user what a real board asks: verified motors, limits, homing, polarity check. Its encoders then
+    /// start at zero wherever the device stands; otherwise they know their angle.
+    pub strict: bool,
+    /// Motor axes.
+    pub axes: usize,
+    /// Bytes that wait for a host to read them; what comes on top of it is dropped and counted.
+    pub send_buffer: usize,
+    /// Serial number.
+    pub serial: String,
+}
+
+impl Default for BoardOptions {
+    fn default() -> Self {
+        Self {
+            device: Options::default(),
+            drive: DriveModel::Electric,
+            delay: 0.5,
+            strict: false,
+            axes: 3,
+            send_buffer: 256 * 1024,
+            serial: "SIM0001".into(),
+        }
+    }
+}
+
+/// How often the service looks at the servo, s.
+const POLL_SECONDS: f64 = 0.02;
+
+/// Everything that the service may reach while it answers.
+#[derive(Debug)]
+struct Innards {
+    servo: Servo<Box<Program<Minimax>>>,
+    flash: BTreeMap<u8, Entry>,
+    carrier: Carrier,
+    options: BoardOptions,
+}
+
+impl Machine for Innards {
+    type Math = Minimax;
+    type Held = Box<Program<Minimax>>;
+
+    fn execute(&mut self, command: Command<Self::Held>) -> Reply<Self::Held> {
+        self.servo.execute(command)
+    }
+    fn status(&mut self) -> Status {
+        self.servo.status()
+    }
+    fn place(&mut self, program: Program<Minimax>) -> Result<Self::Held, Refusal> {
+        Ok(Box::new(program))
+    }
+    fn release(&mut self, _held: Self::Held) {}
+    fn retime(&mut self, rate_hz: f32) {
+        self.carrier = Carrier::for_rate(rate_hz);
+    }
+    fn save(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
+        let entry = Entry::from_slice(entry).map_err(|_| Refusal::Flash)?;
+        self.flash.insert(key as u8, entry);
+        Ok(())
+    }
+    fn load(&mut self, key: Key) -> Option<Entry> {
+        self.flash.get(&(key as u8)).cloned()
+    }
+}
+
+impl Described for Innards {
+    fn info(&self) -> Info {
+        // What does not fit is cut: these are short names of this tool's own.
+        Info {
+            protocol: PROTOCOL,
+            firmware: env!("CARGO_PKG_VERSION").chars().take(16).collect(),
+            board: "simulated".chars().take(16).collect(),
+            serial: self.options.serial.chars().take(24).collect(),
+        }
+    }
+
+    fn details(&mut self) -> Details {
+        let delay = self.options.delay / f64::from(self.carrier.divider);
+        Details {
+            name: Default::default(),
+            axes: 0,
+            real: false,
+            carrier_hz: self.carrier.carrier_hz(),
+            delay_samples: delay as f32,
+            device: None,
+            rate_hz: 0.0,
+            walls: 0,
+            unsensed: Default::default(),
+            damage: Default::default(),
+            overruns: 0,
+            longest_cycles: 0,
+            stack_free: 0,
+        }
+    }
+}
+
+/// A board with a device on it.
+#[derive(Debug)]
+pub struct SimulatedBoard {
+    service: Service,
+    innards: Innards,
+    device: Device,
+    hardware: Hardware,
+    countdown: u32,
+    drive: [Drive; 3],
+    bridges: bool,
+    injected: Option<(Fault, Option<u8>, f32)>,
+    since_poll: f64,
+    packer: Packer,
+    dropped: u32,
+    link: Port,
+}
+
+impl SimulatedBoard {
+    /// A board fresh from the factory, with the device of `description` wired to it.
+    pub fn new(description: &Description, options: BoardOptions) -> Result<Self, DeviceError> {
+        let device = Device::new(
+            description,
+            &Options { absolute_encoders: options.device.absolute_encoders || !options.strict, ..options.device },
+        )?;
+        let bridge = options.device.bridge;
+        let hardware = Hardware {
+            axes: options.axes,
+            real: options.strict,
+            bus_sensed: true,
+            bridge: Bridge {
+                carrier_hz: bridge.carrier_hz as f32,
+                dead_time: bridge.dead_time as f32,
+                bandwidth_hz: 1_500.0,
+                current_sensed: true,
+            },
+        };
+        let mut board = Self {
+            service: Service::new(hardware, Limits::default()),
+            innards: Innards {
+                servo: Servo::new(hardware, Rules::default()),
+                flash: BTreeMap::new(),
+                carrier: Carrier::for_rate(CARRIER_MIN_HZ as f32),
+                options: options.clone(),
+            },
+            device,
+            link: Port::new(options.send_buffer),
+            hardware,
+            countdown: 0,
+            drive: [Drive::Floating; 3],
+            bridges: false,
+            injected: None,
+            since_poll: 0.0,
+            packer: Packer::default(),
+            dropped: 0,
+        };
+        board.service.boot(&mut board.innards);
+        Ok(board)
+    }
+
+    /// Loads a device and a scene as the tool would, so that the board is ready to arm.
+    pub fn load(&mut self, name: &str, description: &Description, scene: Option<Scene<f32>>) -> Result<(), Refusal> {
+        let device = BoardDevice::new(name, description).map_err(|_| Refusal::BadDevice)?;
+        self.service.set_device(&mut self.innards, device)?;
+        match scene {
+            Some(scene) => self.service.set_scene(&mut self.innards, scene),
+            None => Ok(()),
+        }
+    }
+
+    /// Lets one control period pass.
+    pub fn control_period(&mut self) {
+        match self.innards.options.drive {
+            DriveModel::Electric => {
+                for _ in 0..self.innards.carrier.divider {
+                    self.carrier_period(1);
+                }
+            }
+            DriveModel::Ideal => self.carrier_period(self.innards.carrier.divider.into()),
+        }
+    }
+
+    /// `carriers` periods of the carrier as one, with one sample and one set of duties.
+    fn carrier_period(&mut self, carriers: u32) {
+        let carrier = 1.0 / f64::from(self.innards.carrier.carrier_hz());
+        let period = carrier * f64::from(carriers);
+        let currents = self.device.currents().map(|current| current as f32);
+        let bus_voltage = self.device.bus_voltage() as f32;
+        let due = self.countdown == 0;
+        if due {
+            self.countdown = self.innards.carrier.divider.into();
+            let counts = self.device.counts();
+            let index = core::array::from_fn(|axis| self.device.index()[axis].then_some(counts[axis]));
+            let fault = self.injected.take();
+            let samples = Samples { counts, bus_voltage, currents, index, fault };
+            self.bridges = self.innards.servo.control(&samples).bridges;
+        }
+        self.countdown = self.countdown.saturating_sub(carriers);
+        let duties = self.innards.servo.duties(bus_voltage, &currents);
+        if due {
+            self.record();
+        }
+        let torques = self.innards.servo.frame().torque;
+        let next = core::array::from_fn(|axis| match (self.bridges, self.innards.options.drive) {
+            (false, _) => Drive::Floating,
+            (true, DriveModel::Electric) => Drive::Duty(f64::from(duties[axis])),
+            (true, DriveModel::Ideal) => Drive::Torque(f64::from(torques[axis])),
+        });
+        let delay = (carrier * self.innards.options.delay).min(period);
+        if delay > 0.0 {
+            self.device.step(&self.drive, delay);
+        }
+        self.drive = next;
+        if period > delay {
+            self.device.step(&self.drive, period - delay);
+        }
+        self.since_poll += period;
+        if self.since_poll >= POLL_SECONDS {
+            self.since_poll = 0.0;
+            self.poll();
+        }
+    }
+
+    /// Adds the step to the stream. A row that the host is too slow for is dropped before it is packed, as on the
+    /// chip, so that a batch once numbered is also sent.
+    fn record(&mut self) {
+        let frame = *self.innards.servo.frame();
+        if !self.packer.wants(frame.step) {
+            return;
+        }
+        if !self.link.has_room() {
+            self.dropped = self.dropped.wrapping_add(1);
+        } else if let Some(batch) = self.packer.push(&frame, self.dropped) {
+            self.link.publish::<Telemetry>(&batch);
+        }
+    }
+
+    fn poll(&mut self) {
+        if let Some(record) = self.service.poll(&mut self.innards) {
+            self.link.publish::<FaultSeen>(&record);
+        }
+        if let Some(batch) = self.packer.flush() {
+            self.link.publish::<Telemetry>(&batch);
+        }
+    }
+
+    /// Lets simulated time pass up to `until` (s since power-on).
+    pub fn run_until(&mut self, until: f64) {
+        while self.device.time() < until {
+            self.control_period();
+        }
+    }
+
+    /// Lets `seconds` pass.
+    pub fn run(&mut self, seconds: f64) {
+        self.run_until(self.device.time() + seconds);
+    }
+
+    /// Takes bytes from a host. Every request they complete is answered between two control periods; as on a real
+    /// link, control goes on while it is on its way.
+    pub fn receive(&mut self, bytes: &[u8]) {
+        for frame in self.link.take_in(bytes) {
+            self.control_period();
+            self.control_period();
+            self.answer(&frame);
+        }
+    }
+
+    /// Bytes for the host, as many as fit; returns how many.
+    pub fn take_bytes(&mut self, buffer: &mut [u8]) -> usize {
+        self.link.take_out(buffer)
+    }
+
+    /// Whether bytes wait for the host.
+    pub fn has_bytes(&self) -> bool {
+        !self.link.is_empty()
+    }
+
+    /// Forgets bytes that nobody will read and stops the stream: the host is gone.
+    pub fn hang_up(&mut self) {
+        self.packer = Packer::default();
+        self.link.clear();
+    }
+
+    /// Lets the hardware report a fault at the next sample.
+    pub fn inject(&mut self, fault: Fault, axis: Option<u8>, value: f32) {
+        self.injected = Some((fault, axis, value));
+    }
+
+    /// The device behind the board.
+    pub fn device(&self) -> &Device {
+        &self.device
+    }
+    /// The device behind the board, to put a hand on it or move it.
+    pub fn device_mut(&mut self) -> &mut Device {
+        &mut self.device
+    }
+    /// Seconds since power-on.
+    pub fn time(&self) -> f64 {
+        self.device.time()
+    }
+    /// The servo's state.
+    pub fn status(&self) -> Status {
+        self.innards.servo.status()
+    }
+
+    fn answer(&mut self, frame: &[u8]) {
+        let mut out = [0; MAX_FRAME];
+        let (answer, after) = dispatch::answer(&mut self.service, &mut self.innards, frame, &mut out);
+        // Rows of the stream so far go out before the answer that ends it.
+        if let (After::Stream(..), Some(batch)) = (after, self.packer.flush()) {
+            self.link.publish::<Telemetry>(&batch);
+        }
+        if let Some(answer) = answer {
+            self.link.send(answer);
+        }
+        match after {
+            After::Nothing => {}
+            After::Stream(request, axes) => {
+                self.packer.start(&request, axes);
+                self.dropped = 0;
+            }
+            // There is no boot loader here to enter: what comes after one is a restart.
+            After::BootLoader | After::Restart => self.restart(),
+        }
+    }
+
+    /// What pressing reset does: flash stays, everything else starts anew, motors off.
+    fn restart(&mut self) {
+        self.innards.servo = Servo::new(self.hardware, Rules::default());
+        self.service = Service::new(self.hardware, Limits::default());
+        self.drive = [Drive::Floating; 3];
+        self.bridges = false;
+        self.packer = Packer::default();
+        self.service.boot(&mut self.innards);
+    }
+
+    /// Reports a fault from before a reset, as the chip does after a watchdog bite or a panic.
+    pub fn note_fault(&mut self, record: FaultRecord) {
+        self.service.note_fault(record);
+    }
+}

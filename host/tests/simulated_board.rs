@@ -1,0 +1,258 @@
+//! The simulated board over its real protocol, in lock step: what a tool is told and what the device then does.
+
+use haptic::device_file::DeviceFile;
+use haptic::link::{Board, BoardError, fields};
+use haptic::sim::{BoardOptions, Hand, HandSettings, Intent, SHIPPED_DEVICE, SharedBoard, Waypoint, ready_board};
+use haptic_bridge::controller::Gains;
+use haptic_bridge::device::Device;
+use haptic_bridge::guard::{Fault, Refusal, State};
+use haptic_bridge::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::servo::{HostAction, Rules};
+use std::time::Duration;
+
+fn device_file() -> DeviceFile {
+    DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap()
+}
+
+fn connect(options: BoardOptions) -> (SharedBoard, Board) {
+    let shared = SharedBoard::new(ready_board(&device_file(), options).unwrap());
+    let board = Board::over(shared.wire(), "sim").unwrap();
+    (shared, board)
+}
+
+/// A wall whose surface is `gap` metres below the tip, facing up (+y).
+fn wall_below(shared: &SharedBoard, gap: f64, feed_forward: FeedForward) -> Scene<f32> {
+    let tip = shared.lock().device().tip();
+    let point = [tip[0] as f32, (tip[1] - gap) as f32, 0.0];
+    let mut scene = Scene { task: 2, ..Scene::default() };
+    let wall = Wall {
+        surface: Surface::Plane(Plane { point, normal: [0.0, 1.0, 0.0] }),
+        stiffness: 1000.0,
+        damping: 5.0,
+        feed_forward,
+        washout_hz: 2.0,
+        damping_compensation: false,
+        bilateral: false,
+    };
+    scene.walls.push(wall).unwrap();
+    scene
+}
+
+fn push_down(shared: &SharedBoard, newtons: f64) {
+    let mut guard = shared.lock();
+    let (tip, now) = (guard.device().tip(), guard.time());
+    let push = Intent::Push(vec![
+        Waypoint { time: 0.0, value: [0.0; 3] },
+        Waypoint { time: 0.3, value: [0.0, -newtons, 0.0] },
+    ]);
+    guard.device_mut().set_hand(Hand::new(HandSettings::default(), push, tip, now));
+}
+
+fn refusal(result: Result<(), BoardError>) -> Refusal {
+    match result {
+        Err(BoardError::Refused(refusal)) => refusal,
+        other => panic!("expected a refusal, got {other:?}"),
+    }
+}
+
+#[test]
+fn a_board_says_what_it_is() {
+    let (_, mut board) = connect(BoardOptions::default());
+    assert_eq!(board.info().board.as_str(), "simulated");
+    let details = board.details().unwrap();
+    assert_eq!(details.device.as_deref(), Some("coupled-five-bar"));
+    assert_eq!((details.axes, details.walls, details.real), (3, 0, false));
+    assert_eq!((details.rate_hz, details.carrier_hz, details.delay_samples), (20_000.0, 20_000.0, 0.5));
+}
+
+#[test]
+fn a_wall_holds_a_push_with_the_penetration_its_stiffness_predicts() {
+    let (shared, mut board) = connect(BoardOptions::default());
+    board.set_scene(&wall_below(&shared, 0.005, FeedForward::Off)).unwrap();
+    board.arm().unwrap();
+    push_down(&shared, 4.0);
+    board.start_stream(fields("distance,force,state").unwrap(), 20).unwrap();
+    let mut last = Vec::new();
+    while shared.lock().time() < 2.5 {
+        if let Some(row) = board.rows(Duration::from_millis(100)).unwrap().pop() {
+            last = row.values;
+        }
+    }
+    // 4 N on 1000 N/m; joint friction (0.005 N m on 0.1 m arms) may hold a part of it.
+    assert!((last[0] + 0.004).abs() < 0.0003, "distance {}", last[0]);
+    assert!((last[1] - 4.0).abs() < 0.3, "force {}", last[1]);
+    assert_eq!(last[2..], [1.0, 1.0], "armed, one wall touched");
+    assert_eq!(board.losses().missing, 0);
+    board.disarm().unwrap();
+    assert_eq!(board.status().unwrap().state, State::Disarmed);
+}
+
+#[test]
+fn a_disarmed_wall_is_not_there() {
+    let (shared, mut board) = connect(BoardOptions::default());
+    board.set_scene(&wall_below(&shared, 0.005, FeedForward::Off)).unwrap();
+    push_down(&shared, 4.0);
+    let before = shared.lock().device().tip()[1];
+    shared.lock().run(0.5);
+    assert!(shared.lock().device().tip()[1] < before - 0.01);
+    assert_eq!(shared.lock().device().currents(), [0.0; 3]);
+}
+
+#[test]
+fn every_row_of_a_full_rate_stream_arrives_in_order() {
+    let (_, mut board) = connect(BoardOptions::default());
+    board.start_stream(fields("q,counts").unwrap(), 1).unwrap();
+    let mut rows = Vec::new();
+    while rows.len() < 5_000 {
+        rows.extend(board.rows(Duration::from_millis(100)).unwrap());
+    }
+    assert!(rows.windows(2).all(|pair| pair[1].step == pair[0].step + 1));
+    assert_eq!(board.losses().missing, 0);
+    assert_eq!(board.losses().received, rows.len() as u64);
+}
+
+#[test]
+fn a_host_that_does_not_read_loses_rows_and_is_told_how_many() {
+    let (shared, mut board) = connect(BoardOptions { send_buffer: 4_000, ..BoardOptions::default() });
+    board.start_stream(fields("q,tip").unwrap(), 1).unwrap();
+    shared.lock().run(1.0);
+    let mut rows = Vec::new();
+    while rows.last().is_none_or(|row: &haptic::link::Row| row.step < 21_000) {
+        rows.extend(board.rows(Duration::from_millis(50)).unwrap());
+    }
+    let losses = board.losses();
+    let span = u64::from(rows[rows.len() - 1].step - rows[0].step) + 1;
+    assert!(losses.missing > 15_000, "{losses}");
+    assert_eq!(losses.received + losses.missing, span, "every step between first and last row is accounted for");
+    assert_eq!(losses.dropped_by_board, losses.missing);
+    assert_eq!(losses.batches_lost, 0);
+}
+
+#[test]
+fn what_cannot_be_armed_is_refused_with_the_reason() {
+    let options = BoardOptions { strict: true, ..BoardOptions::default() };
+    let shared = SharedBoard::new(haptic::sim::SimulatedBoard::new(&device_file().description, options).unwrap());
+    let mut board = Board::over(shared.wire(), "sim").unwrap();
+    assert_eq!(refusal(board.arm()), Refusal::NoDevice);
+    assert_eq!(refusal(board.home()), Refusal::NoDevice);
+
+    let mut description = device_file().description;
+    board.set_device(&Device::new("unverified", &description).unwrap()).unwrap();
+    assert_eq!(refusal(board.arm()), Refusal::NoScene);
+    board.set_scene(&wall_below(&shared, 0.01, FeedForward::Full)).unwrap();
+    assert_eq!(refusal(board.arm()), Refusal::MotorNotVerified(0));
+
+    for joint in &mut description.joints[..2] {
+        joint.motor.as_mut().unwrap().verified = true;
+        joint.limits = Some((-4.0, 4.0));
+    }
+    board.set_device(&Device::new("verified", &description).unwrap()).unwrap();
+    assert_eq!(refusal(board.arm()), Refusal::NotHomed);
+    board.home().unwrap();
+    assert_eq!(refusal(board.arm()), Refusal::PolarityUnchecked);
+    board.check_polarity().unwrap();
+    shared.lock().run(5.0);
+    assert!(board.status().unwrap().polarity, "{:?}", board.status());
+
+    // The polarity check moved the device; a wall is now put around its tip.
+    let scene = wall_below(&shared, -0.01, FeedForward::Full);
+    board.set_scene(&scene).unwrap();
+    assert_eq!(refusal(board.arm()), Refusal::InsideWall);
+}
+
+#[test]
+fn a_swapped_motor_is_found_before_it_is_armed() {
+    let mut file = device_file();
+    let mut wired = file.description;
+    wired.joints[1].motor.as_mut().unwrap().torque_constant *= -1.0;
+    wired.joints[1].motor.as_mut().unwrap().back_emf *= -1.0;
+    for joint in &mut file.description.joints[..2] {
+        joint.motor.as_mut().unwrap().verified = true;
+        joint.limits = Some((-4.0, 4.0));
+    }
+    let options = BoardOptions { strict: true, ..BoardOptions::default() };
+    let mut simulated = haptic::sim::SimulatedBoard::new(&wired, options).unwrap();
+    simulated.load(&file.name, &file.description, None).unwrap();
+    let shared = SharedBoard::new(simulated);
+    let mut board = Board::over(shared.wire(), "sim").unwrap();
+    board.home().unwrap();
+    board.check_polarity().unwrap();
+    shared.lock().run(5.0);
+    let fault = board.status().unwrap().fault.unwrap();
+    assert_eq!((fault.fault, fault.axis), (Fault::PolarityWrong, Some(1)));
+    assert_eq!(board.faults().unwrap().len(), 1);
+}
+
+#[test]
+fn gains_change_while_the_wall_is_touched_and_bad_ones_do_not() {
+    let (shared, mut board) = connect(BoardOptions::default());
+    board.set_scene(&wall_below(&shared, 0.005, FeedForward::Washout)).unwrap();
+    board.arm().unwrap();
+    push_down(&shared, 4.0);
+    shared.lock().run(2.0);
+    let before = shared.lock().device().tip()[1];
+    let gains =
+        Gains { wall: 0, stiffness: 4000.0, damping: 10.0, feed_forward: FeedForward::Washout, washout_hz: 2.0 };
+    board.set_wall_gains(gains).unwrap();
+    shared.lock().run(1.0);
+    let risen = shared.lock().device().tip()[1] - before;
+    assert!((risen - 0.003).abs() < 0.0006, "4 N/1000 - 4 N/4000 = 3 mm, got {risen}");
+    for bad in [f32::NAN, f32::INFINITY, -1.0] {
+        assert!(matches!(refusal(board.set_wall_gains(Gains { stiffness: bad, ..gains })), Refusal::Scene(_)));
+    }
+    assert!(matches!(refusal(board.set_wall_gains(Gains { wall: 3, ..gains })), Refusal::Scene(_)));
+    assert_eq!(board.scene().unwrap().unwrap().walls[0].stiffness, 4000.0);
+}
+
+#[test]
+fn a_silent_host_disarms_when_the_rules_say_so_and_a_waiting_one_keeps_the_board_alive() {
+    let (shared, mut board) = connect(BoardOptions::default());
+    board.set_scene(&wall_below(&shared, 0.05, FeedForward::Off)).unwrap();
+    let rules = Rules { host_action: HostAction::Disarm, host_seconds: 0.3, ..board.rules().unwrap() };
+    board.set_rules(&rules).unwrap();
+    board.arm().unwrap();
+    board.keep_alive();
+    for _ in 0..20 {
+        board.rows(Duration::from_millis(50)).unwrap();
+    }
+    assert_eq!(board.status().unwrap().state, State::Armed);
+    shared.lock().run(0.5);
+    let status = board.status().unwrap();
+    assert_eq!(status.state, State::Fault);
+    assert_eq!(status.fault.unwrap().fault, Fault::HostLost);
+    assert_eq!(refusal(board.arm()), Refusal::Faulted(Fault::HostLost));
+    board.clear().unwrap();
+    board.arm().unwrap();
+}
+
+#[test]
+fn settings_survive_a_restart_once_saved() {
+    let (shared, mut board) = connect(BoardOptions::default());
+    let scene = wall_below(&shared, 0.02, FeedForward::Full);
+    board.set_scene(&scene).unwrap();
+    board.restart().unwrap();
+    assert_eq!(board.device().unwrap(), None, "nothing was saved");
+    shared.lock().load("saved", &device_file().description, Some(scene.clone())).unwrap();
+    board.save().unwrap();
+    board.restart().unwrap();
+    assert_eq!(board.details().unwrap().device.as_deref(), Some("saved"));
+    assert_eq!(board.scene().unwrap(), Some(scene));
+    assert!(matches!(board.status().unwrap().state, State::Disarmed));
+}
+
+#[test]
+fn two_runs_are_the_same_bit_for_bit() {
+    let run = || {
+        let (shared, mut board) = connect(BoardOptions::default());
+        board.set_scene(&wall_below(&shared, 0.002, FeedForward::Washout)).unwrap();
+        board.arm().unwrap();
+        push_down(&shared, 3.0);
+        board.start_stream(fields("all").unwrap(), 7).unwrap();
+        let mut rows = Vec::new();
+        while shared.lock().time() < 0.6 {
+            rows.extend(board.rows(Duration::from_millis(30)).unwrap());
+        }
+        rows
+    };
+    assert_eq!(run(), run());
+}
