@@ -230,15 +230,14 @@ fn stable_between(
     let mut stable: Vec<Interval> = Vec::new();
     for (i, pair) in edges.windows(2).enumerate() {
         let (low, high) = (pair[0], pair[1]);
-        // The first interval is judged where it starts: "unstable at the smallest stiffness" is zero.
-        let probe = if i == 0 && start > 0.0 { start } else { (low + high) / 2.0 };
-        if high - low <= 1e-12 * high || !is_stable(probe) {
+        if high - low <= 1e-12 * high || !is_stable((low + high) / 2.0) {
+            continue;
+        }
+        // "Unstable at the smallest stiffness" is zero, whatever comes above.
+        if i == 0 && start > 0.0 && !is_stable(start) {
             continue;
         }
         if i + 2 == edges.len() {
-            if !is_stable((low + high) / 2.0) {
-                continue; // a crossing at the start itself, up to rounding
-            }
             return Err(AnalysisError::Unbounded);
         }
         match stable.last_mut() {
