@@ -2,6 +2,7 @@
 //!
 //! Nothing here talks to a board: a pose, a direction and a few numbers about the loop go in, predictions come out.
 //!
+//! - [`passivity`]: the classical bounds of walls that no hand can make oscillate
 //! - [`plant`]: the device linearised at a pose, its joint damping and its drives, in continuous time
 //! - [`sampled`]: zero-order hold, fractional delay, velocity estimator and feed-forward around it, in delta form
 //! - [`spectrum`]: the small dense linear algebra this needs (matrix exponential, resolvent, eigenvalues)
@@ -13,6 +14,7 @@
 //! as in Åström and Wittenmark, *Computer-Controlled Systems*, chapters 2 and 3.
 
 pub mod boundary;
+pub mod passivity;
 pub mod plant;
 pub mod pose;
 pub mod range;

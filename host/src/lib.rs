@@ -6,6 +6,7 @@ pub mod device_file;
 pub mod error;
 pub mod link;
 pub mod model;
+pub mod plot;
 pub mod recorder;
 pub mod scene_file;
 pub mod sim;

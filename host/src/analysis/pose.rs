@@ -48,6 +48,17 @@ pub enum PoseError {
     Description(#[from] DescriptionError),
 }
 
+impl From<PoseError> for crate::error::Failure {
+    fn from(error: PoseError) -> Self {
+        match error {
+            PoseError::Serial | PoseError::Parallel => {
+                Self::impossible(error).remedy("choose a pose away from it with --q")
+            }
+            _ => Self::wrong(error),
+        }
+    }
+}
+
 /// The device at one pose, in task coordinates: what both the range and the map start from.
 #[derive(Clone, Debug)]
 pub struct TaskPose {

@@ -103,6 +103,15 @@ pub enum AnalysisError {
     Unbounded,
 }
 
+impl From<AnalysisError> for crate::error::Failure {
+    fn from(error: AnalysisError) -> Self {
+        match error {
+            AnalysisError::Singular | AnalysisError::Unbounded => Self::impossible(error),
+            _ => Self::wrong(error),
+        }
+    }
+}
+
 /// The loop cut at the wall force, in sample units (see [`super::plant`]).
 #[derive(Clone, Debug)]
 pub(crate) struct OpenLoop {

@@ -1,0 +1,223 @@
+//! `haptic range`: which walls stay stable on a device, predicted, without and with the feed-forward.
+
+use crate::cli::Numbers;
+use clap::{Args as ClapArgs, ValueEnum};
+use haptic::analysis::passivity::Passivity;
+use haptic::analysis::plant::{Drive, Linearised};
+use haptic::analysis::pose::motors;
+use haptic::analysis::range::{Domain, Range, WORTHWHILE_RATIO, predict};
+use haptic::analysis::sampled::{Estimator, Loop};
+use haptic::device_file::DeviceFile;
+use haptic::error::{Failure, print};
+use haptic::plot::range::{Contents, draw};
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// Predict which stiffness and damping a wall can have before it oscillates
+///
+/// Exact sampled-data analysis (zero-order hold, delay, velocity filter, joint damping) of one wall at one pose, without
+/// and with the feed-forward. Friction and a hand make the measured range larger; `haptic measure-range` measures it.
+#[derive(ClapArgs)]
+pub struct Args {
+    /// Device file (TOML)
+    device: PathBuf,
+    /// Joint angles in rad, such as 2.4,0.7 [default: the device file's home]
+    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
+    q: Option<Numbers>,
+    /// Normal of the wall; any length
+    #[arg(long, value_name = "X,Y,..", allow_hyphen_values = true)]
+    normal: Numbers,
+    /// Control rate in Hz
+    #[arg(long, value_name = "HZ")]
+    rate: f64,
+    /// Cutoff of the velocity filter in Hz
+    #[arg(long, value_name = "HZ")]
+    cutoff: f64,
+    /// Delay from reading the encoders to applying the torque, in control samples
+    #[arg(long, value_name = "SAMPLES", default_value_t = 0.0, allow_hyphen_values = true)]
+    delay: f64,
+    /// Velocity estimator
+    #[arg(long, value_name = "KIND", default_value = "butterworth")]
+    estimator: EstimatorKind,
+    /// Leave the joints' own viscous damping out
+    #[arg(long)]
+    undamped: bool,
+    /// Evaluate the boundary at exactly these dampings, in N s/m [default: 200 even ones]
+    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
+    kd: Option<Numbers>,
+    /// Also analyse the feed-forward behind a washout at this frequency, in Hz
+    #[arg(long, value_name = "HZ")]
+    washout: Option<f64>,
+    /// Let the feed-forward compensate the joints' own damping too
+    #[arg(long)]
+    damping_compensation: bool,
+    /// How the motors are driven: ideal (torque at once), voltage (resistance, inductance and back-EMF of the device file's
+    /// motors), current (a current loop of --current-bandwidth)
+    #[arg(long, value_name = "KIND", default_value = "ideal")]
+    drive: DriveKind,
+    /// Bandwidth of the current loop in Hz, for --drive current
+    #[arg(long, value_name = "HZ", default_value_t = 1000.0)]
+    current_bandwidth: f64,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+    /// Draw the range into this SVG file
+    #[arg(long, value_name = "FILE")]
+    svg: Option<PathBuf>,
+    /// Draw the range into this PNG file
+    #[arg(long, value_name = "FILE")]
+    png: Option<PathBuf>,
+}
+
+/// Estimators of the analysis.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum EstimatorKind {
+    /// Backward difference and a 2nd-order Butterworth low-pass
+    Butterworth,
+    /// Backward difference and a 1st-order low-pass
+    FirstOrder,
+    /// Backward difference alone
+    BackwardDifference,
+}
+
+/// Drives of the analysis.
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+enum DriveKind {
+    Ideal,
+    Voltage,
+    Current,
+}
+
+/// Analyses, prints and draws.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let file = DeviceFile::load(&args.device)?;
+    let spec = file.spec();
+    let q = match (&args.q, file.description.home) {
+        (Some(q), _) => q.clone().exactly(spec.joints, "--q", "joint angles")?,
+        (None, Some(home)) => home[..spec.joints].to_vec(),
+        (None, None) => {
+            return Err(Failure::wrong(format!("{} has no [home], so there is no pose", args.device.display()))
+                .remedy("say which with --q"));
+        }
+    };
+    let normal = args.normal.clone().unit(spec.task, "--normal")?;
+    let mut device = Linearised::at(&file.description, &q, &normal)?;
+    if args.undamped {
+        device = device.undamped();
+    }
+    let drive = match args.drive {
+        DriveKind::Ideal => Drive::Ideal,
+        DriveKind::Current => Drive::Current { bandwidth_hz: args.current_bandwidth },
+        DriveKind::Voltage => {
+            Drive::Voltage(motors(&file.description).ok_or_else(|| {
+                Failure::wrong(format!("{} has joints without [joint.motor]", args.device.display()))
+                    .remedy("a voltage drive is analysed with the motors' resistance and back-EMF: add them")
+            })?)
+        }
+    };
+    let around = Loop {
+        rate_hz: args.rate,
+        delay_samples: args.delay,
+        estimator: match args.estimator {
+            EstimatorKind::Butterworth => Estimator::Butterworth(args.cutoff),
+            EstimatorKind::FirstOrder => Estimator::FirstOrder(args.cutoff),
+            EstimatorKind::BackwardDifference => Estimator::BackwardDifference,
+        },
+        drive,
+        damping_compensation: args.damping_compensation,
+    };
+    let range = predict(&device, &around, args.kd.as_ref().map(|kd| kd.0.as_slice()), args.washout)?;
+    let passivity = Passivity::new(&device, &file.description, 1.0 / args.rate);
+    if args.svg.is_some() || args.png.is_some() {
+        // A picture always shows the whole boundary, whatever points were asked for.
+        let whole = if args.kd.is_some() { predict(&device, &around, None, args.washout)? } else { range.clone() };
+        let picture = draw(&Contents {
+            title: format!("{}: stable walls, predicted", file.name),
+            subtitle: subtitle(&args, &q, &normal, range.area_ratio),
+            range: &whole,
+            passivity: Some(&passivity),
+            measured_off: &[],
+            measured_full: &[],
+        });
+        args.svg.as_deref().map(|path| picture.save_svg(path)).transpose()?;
+        args.png.as_deref().map(|path| picture.save_png(path)).transpose()?;
+    }
+    if args.json {
+        let json = serde_json::to_string(&range).map_err(Failure::impossible)?;
+        return print(&(json + "\n"));
+    }
+    print(&readable(&file.name, &args, &q, &normal, &range, &passivity))
+}
+
+fn subtitle(args: &Args, q: &[f64], normal: &[f64], ratio: f64) -> [String; 2] {
+    let joined = |values: &[f64]| values.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");
+    [
+        format!("q = ({}) rad, n = ({})", joined(q), joined(normal)),
+        format!(
+            "{} Hz, cutoff {} Hz, delay {} samples, {:?} drive; area ratio {ratio:.3}",
+            args.rate, args.cutoff, args.delay, args.drive
+        )
+        .to_lowercase()
+        .replace("hz", "Hz"),
+    ]
+}
+
+fn readable(name: &str, args: &Args, q: &[f64], normal: &[f64], range: &Range, passivity: &Passivity) -> String {
+    let mut text = String::new();
+    let mut line = |content: String| {
+        let _ = writeln!(text, "{content}");
+    };
+    let [pose, around] = subtitle(args, q, normal, range.area_ratio);
+    line(format!("{name}: {pose}"));
+    line(format!("  {around}"));
+    line(format!("  effective inertia Weff, met without feed-forward  {:>12.6} kg", range.w_eff));
+    line(format!("  rendered inertia Wrr, met with feed-forward       {:>12.6} kg", range.w_rr));
+    line(String::new());
+    line(format!("  {:<26}{:>14}{:>14}{:>18}", "", "max kp N/m", "kd_max N s/m", "area N²s/m²"));
+    let mut row = |label: &str, domain: &Domain| {
+        let top = domain.boundary.iter().map(|p| p.kp).fold(0.0, f64::max);
+        line(format!("  {label:<26}{top:>14.2}{:>14.4}{:>18.6e}", domain.kd_max, domain.area));
+    };
+    row("no feed-forward", &range.off);
+    row("feed-forward (4)", &range.full);
+    if let Some(washout) = &range.washout {
+        row(&format!("washout {} Hz", args.washout.unwrap_or_default()), washout);
+    }
+    line(String::new());
+    // A dozen rows are enough to read; --json and --kd give the rest.
+    let step = (range.off.boundary.len() / 12).max(1);
+    line(format!("  {:>12}{:>14}{:>14}{:>14}", "kd off", "kp_max off", "kd full", "kp_max full"));
+    for (off, full) in range.off.boundary.iter().zip(&range.full.boundary).step_by(step) {
+        line(format!("  {:>12.4}{:>14.2}{:>14.4}{:>14.2}", off.kd, off.kp, full.kd, full.kp));
+    }
+    line(String::new());
+    let islands = range.off.islands.len() + range.full.islands.len();
+    if islands > 0 {
+        line(format!("  {islands} stable intervals lie above the boundary (islands): listed with --json, not counted."));
+    }
+    line(format!("  passive without feed-forward (Colgate and Schenkel 1997): kp < {:.2} N/m at kd = 0, kd < {:.4} N s/m",
+        passivity.sampled(0.0), passivity.damping));
+    if let Some(limit) = passivity.quantised() {
+        line(format!("  passive with quantisation and friction (Abbott and Okamura 2005): kp <= {limit:.2} N/m at kd = 0"));
+    }
+    line(verdict(range));
+    text
+}
+
+/// What the feed-forward buys, in a sentence.
+fn verdict(range: &Range) -> String {
+    let ratio = range.area_ratio;
+    if range.off.area == 0.0 {
+        "Nothing is stable here without the feed-forward: lower the delay or raise the cutoff.".into()
+    } else if range.full.area == 0.0 {
+        "With the feed-forward nothing is stable here: uneven joint damping makes it creep. Try --damping-compensation."
+            .into()
+    } else if ratio < WORTHWHILE_RATIO {
+        format!(
+            "The feed-forward buys nothing here: the stable area changes by {:+.1} %. Leave it off at this pose and normal.",
+            100.0 * (ratio - 1.0)
+        )
+    } else {
+        format!("With the feed-forward the stable area is {ratio:.3} times as large.")
+    }
+}

@@ -1,0 +1,89 @@
+//! Pictures for papers and bench notes: SVG by hand, PNG from the same SVG.
+//!
+//! - [`canvas`]: an SVG document and its few shapes
+//! - [`axes`]: a framed coordinate system with round ticks, curves, dots with error bars, and a legend
+//! - [`colour`]: the palette, and a colour scale that reads the same in print
+//! - [`range`]: the stable domain of a device (the paper's Fig. 3)
+//!
+//! PNG is rendered by resvg with the DejaVu fonts compiled in, so a picture looks the same on every machine.
+
+pub mod axes;
+pub mod canvas;
+pub mod colour;
+pub mod range;
+
+use std::path::Path;
+use std::sync::Arc;
+
+use resvg::{tiny_skia, usvg};
+use thiserror::Error;
+
+/// Pixels of a PNG per unit of its SVG.
+const PNG_SCALE: f32 = 2.0;
+
+/// Why a picture could not be written.
+#[derive(Debug, Error)]
+pub enum PictureError {
+    /// The file could not be written.
+    #[error("{path} could not be written: {reason}")]
+    File {
+        /// Where to.
+        path: String,
+        /// What the system says.
+        reason: String,
+    },
+    /// The drawing could not be turned into pixels.
+    #[error("the picture could not be drawn: {0}")]
+    Drawing(String),
+}
+
+impl From<PictureError> for crate::error::Failure {
+    fn from(error: PictureError) -> Self {
+        Self::impossible(error)
+    }
+}
+
+/// A finished drawing.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Picture {
+    svg: String,
+}
+
+impl Picture {
+    /// The SVG document.
+    pub fn svg(&self) -> &str {
+        &self.svg
+    }
+
+    /// Writes it as SVG.
+    pub fn save_svg(&self, path: &Path) -> Result<(), PictureError> {
+        write(path, self.svg.as_bytes())
+    }
+
+    /// Writes it as PNG, two pixels per unit.
+    pub fn save_png(&self, path: &Path) -> Result<(), PictureError> {
+        write(path, &self.png()?)
+    }
+
+    /// The PNG's bytes.
+    pub fn png(&self) -> Result<Vec<u8>, PictureError> {
+        let drawing = |reason: String| PictureError::Drawing(reason);
+        let mut fonts = usvg::fontdb::Database::new();
+        fonts.load_font_data(dejavu::sans::regular().to_vec());
+        fonts.load_font_data(dejavu::sans::bold().to_vec());
+        fonts.load_font_data(dejavu::sans::oblique().to_vec());
+        let options =
+            usvg::Options { fontdb: Arc::new(fonts), font_family: canvas::FONT.into(), ..usvg::Options::default() };
+        let tree = usvg::Tree::from_str(&self.svg, &options).map_err(|e| drawing(e.to_string()))?;
+        let size = tree.size().to_int_size().scale_by(PNG_SCALE).ok_or_else(|| drawing("it has no size".into()))?;
+        let mut pixels =
+            tiny_skia::Pixmap::new(size.width(), size.height()).ok_or_else(|| drawing("it is too large".into()))?;
+        resvg::render(&tree, tiny_skia::Transform::from_scale(PNG_SCALE, PNG_SCALE), &mut pixels.as_mut());
+        pixels.encode_png().map_err(|e| drawing(e.to_string()))
+    }
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<(), PictureError> {
+    std::fs::write(path, bytes)
+        .map_err(|e| PictureError::File { path: path.display().to_string(), reason: e.to_string() })
+}

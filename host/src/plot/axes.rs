@@ -1,0 +1,191 @@
+//! A framed coordinate system on a canvas: round ticks, SI prefixes, curves, dots with error bars, a legend.
+
+use super::canvas::{Anchor, Canvas, Stroke};
+use super::colour::{FAINT, INK};
+
+const TEXT: f64 = 12.0;
+
+/// One quantity along an axis.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Axis {
+    /// What it is, such as "stiffness kp".
+    pub name: String,
+    /// SI unit, such as "N/m".
+    pub unit: String,
+    /// Lowest value shown.
+    pub low: f64,
+    /// Highest value shown.
+    pub high: f64,
+}
+
+/// Where the frame lies on the canvas, in pixels, and what it shows.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// Left and top edge.
+    pub at: (f64, f64),
+    /// Width and height.
+    pub size: (f64, f64),
+    /// Horizontal axis.
+    pub x: Axis,
+    /// Vertical axis.
+    pub y: Axis,
+}
+
+/// What a legend entry looks like.
+pub enum Mark<'a> {
+    /// A line.
+    Line(Stroke<'a>),
+    /// A dot with an error bar.
+    Dot(&'a str),
+    /// A filled area.
+    Area(&'a str),
+}
+
+impl Axis {
+    /// The factor that brings values to the prefixed unit, and that unit: 12000 N/m is 12 kN/m.
+    fn prefixed(&self) -> (f64, String) {
+        let size = self.low.abs().max(self.high.abs());
+        let prefixes = [(1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ")];
+        // Base units only take a prefix where it reads well: never "mkg" and no prefix on an empty unit.
+        if self.unit.is_empty() || self.unit == "kg" {
+            return (1.0, self.unit.clone());
+        }
+        let (factor, prefix) = prefixes.into_iter().find(|(f, _)| size >= 2.0 * f).unwrap_or((1e-6, "µ"));
+        (1.0 / factor, format!("{prefix}{}", self.unit))
+    }
+
+    fn label(&self) -> String {
+        let unit = self.prefixed().1;
+        if unit.is_empty() { self.name.clone() } else { format!("{} ({unit})", self.name) }
+    }
+
+    /// Round values inside the axis, about `count` of them, with their texts.
+    fn ticks(&self, count: f64) -> Vec<(f64, String)> {
+        let factor = self.prefixed().0;
+        let (low, high) = (self.low * factor, self.high * factor);
+        let span = high - low;
+        if !(span.is_finite() && span > 0.0) {
+            return Vec::new();
+        }
+        let raw = span / count;
+        let power = 10f64.powf(raw.log10().floor());
+        let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|s| s * power).find(|s| *s >= raw).unwrap_or(raw);
+        let decimals = (-(step.log10() + 1e-9).floor()).clamp(0.0, 9.0) as usize;
+        let first = (low / step - 1e-9).ceil() as i64;
+        let last = (high / step + 1e-9).floor() as i64;
+        (first..=last)
+            .map(|i| {
+                let value = i as f64 * step;
+                (value / factor, format!("{value:.decimals$}"))
+            })
+            .collect()
+    }
+}
+
+impl Frame {
+    /// The pixel of a value pair.
+    pub fn pixel(&self, x: f64, y: f64) -> (f64, f64) {
+        let share = |axis: &Axis, v: f64| (v - axis.low) / (axis.high - axis.low);
+        (self.at.0 + share(&self.x, x) * self.size.0, self.at.1 + (1.0 - share(&self.y, y)) * self.size.1)
+    }
+
+    /// Frame, ticks, labels and title.
+    pub fn draw(&self, canvas: &mut Canvas, title: &str) {
+        let (left, top) = self.at;
+        let (width, height) = self.size;
+        let bottom = top + height;
+        for (value, text) in self.x.ticks(width / 75.0) {
+            let (x, _) = self.pixel(value, self.y.low);
+            canvas.line((x, bottom), (x, bottom + 5.0), Stroke::solid(INK, 1.0));
+            canvas.text((x, bottom + 19.0), TEXT, Anchor::Middle, false, &text);
+        }
+        let mut widest = 0;
+        for (value, text) in self.y.ticks(height / 55.0) {
+            let (_, y) = self.pixel(self.x.low, value);
+            widest = widest.max(text.chars().count());
+            canvas.line((left - 5.0, y), (left, y), Stroke::solid(INK, 1.0));
+            canvas.text((left - 9.0, y + 4.2), TEXT, Anchor::End, false, &text);
+        }
+        canvas.rectangle(self.at, self.size, "none", Stroke::solid(INK, 1.0));
+        canvas.text((left + width / 2.0, bottom + 40.0), 13.0, Anchor::Middle, false, &self.x.label());
+        let clear = left - 20.0 - 7.7 * widest as f64;
+        canvas.text((clear, top + height / 2.0), 13.0, Anchor::Middle, true, &self.y.label());
+        canvas.text((left, top - 10.0), 13.5, Anchor::Start, false, title);
+    }
+
+    /// Draws inside the frame only.
+    pub fn clipped(&self, canvas: &mut Canvas, draw: impl FnOnce(&mut Canvas)) {
+        canvas.begin_clip(self.at, self.size);
+        draw(canvas);
+        canvas.end_clip();
+    }
+
+    /// A curve through value pairs.
+    pub fn curve(&self, canvas: &mut Canvas, points: &[(f64, f64)], stroke: Stroke<'_>) {
+        let pixels: Vec<(f64, f64)> = points.iter().map(|&(x, y)| self.pixel(x, y)).collect();
+        canvas.polyline(&pixels, stroke);
+    }
+
+    /// The area between a curve and the horizontal axis.
+    pub fn area_under(&self, canvas: &mut Canvas, points: &[(f64, f64)], fill: &str, opacity: f64) {
+        let (Some(first), Some(last)) = (points.first(), points.last()) else { return };
+        let mut pixels = vec![self.pixel(first.0, 0.0)];
+        pixels.extend(points.iter().map(|&(x, y)| self.pixel(x, y)));
+        pixels.push(self.pixel(last.0, 0.0));
+        canvas.polygon(&pixels, fill, opacity);
+    }
+
+    /// A dot at `y` with a bar from `low` to `high`.
+    pub fn dot(&self, canvas: &mut Canvas, x: f64, y: f64, low: f64, high: f64, colour: &str) {
+        let (px, top) = self.pixel(x, high);
+        let (_, bottom) = self.pixel(x, low);
+        let bar = Stroke::solid(colour, 1.2);
+        if bottom - top > 1.0 {
+            canvas.line((px, top), (px, bottom), bar);
+            canvas.line((px - 3.0, top), (px + 3.0, top), bar);
+            canvas.line((px - 3.0, bottom), (px + 3.0, bottom), bar);
+        }
+        canvas.circle(self.pixel(x, y), 3.2, "white", Stroke::solid(colour, 1.6));
+    }
+
+    /// A legend whose right edge is `right` and whose first line is at `top` (pixels).
+    pub fn legend(canvas: &mut Canvas, right: f64, top: f64, entries: &[(Mark<'_>, String)]) {
+        let longest = entries.iter().map(|(_, text)| text.chars().count()).max().unwrap_or(0) as f64;
+        let width = 48.0 + 6.5 * longest;
+        let left = right - width;
+        let height = 10.0 + 18.0 * entries.len() as f64;
+        canvas.rectangle((left, top), (width, height), "#ffffffee", Stroke::solid(FAINT, 0.6));
+        for (i, (mark, text)) in entries.iter().enumerate() {
+            let y = top + 14.0 + 18.0 * i as f64;
+            match mark {
+                Mark::Line(stroke) => canvas.line((left + 8.0, y), (left + 34.0, y), *stroke),
+                Mark::Dot(colour) => {
+                    canvas.line((left + 21.0, y - 7.0), (left + 21.0, y + 7.0), Stroke::solid(colour, 1.2));
+                    canvas.circle((left + 21.0, y), 3.2, "white", Stroke::solid(colour, 1.6));
+                }
+                Mark::Area(colour) => {
+                    canvas.rectangle((left + 8.0, y - 5.0), (26.0, 10.0), colour, Stroke::solid(colour, 0.0));
+                }
+            }
+            canvas.text((left + 41.0, y + 4.0), 11.5, Anchor::Start, false, text);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn axis(low: f64, high: f64, unit: &str) -> Axis {
+        Axis { name: "x".into(), unit: unit.into(), low, high }
+    }
+
+    #[test]
+    fn ticks_are_round_and_inside() {
+        let texts = |axis: Axis| axis.ticks(6.0).into_iter().map(|t| t.1).collect::<Vec<_>>();
+        assert_eq!(texts(axis(0.0, 0.103, "m")), ["0", "20", "40", "60", "80", "100"]);
+        assert_eq!(texts(axis(-0.5, 0.5, "")), ["-0.4", "-0.2", "0.0", "0.2", "0.4"]);
+        assert_eq!(axis(0.0, 12_000.0, "N/m").label(), "x (kN/m)");
+        assert!(axis(1.0, 1.0, "m").ticks(5.0).is_empty());
+    }
+}

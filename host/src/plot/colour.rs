@@ -1,0 +1,42 @@
+//! Colours: a palette that colour-blind readers can tell apart, and a perceptually even scale.
+//!
+//! Palette: Okabe and Ito, "Color Universal Design" (2008). Scale: viridis (Smith and van der Walt, 2015), sampled.
+
+/// Without feed-forward.
+pub const OFF: &str = "#0072B2";
+/// With feed-forward.
+pub const FULL: &str = "#D55E00";
+/// With washed-out feed-forward.
+pub const WASHOUT: &str = "#009E73";
+/// Bounds that are not the boundary itself.
+pub const BOUND: &str = "#7A5195";
+/// Frames, ticks and text.
+pub const INK: &str = "#222222";
+/// What should stay behind.
+pub const FAINT: &str = "#9a9a9a";
+
+/// Viridis at even steps.
+const SCALE: [(u8, u8, u8); 11] = [
+    (68, 1, 84),
+    (72, 36, 117),
+    (65, 68, 135),
+    (53, 95, 141),
+    (42, 120, 142),
+    (33, 145, 140),
+    (34, 168, 132),
+    (68, 191, 112),
+    (122, 209, 81),
+    (189, 223, 38),
+    (253, 231, 37),
+];
+
+/// The colour of a share between 0 and 1; what is outside takes the nearest end.
+pub fn scale(share: f64) -> String {
+    let last = SCALE.len() - 1;
+    let at = if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) * last as f64 };
+    let low = (at.floor() as usize).min(last - 1);
+    let mix = at - low as f64;
+    let ((r0, g0, b0), (r1, g1, b1)) = (SCALE[low], SCALE[low + 1]);
+    let channel = |a: u8, b: u8| (f64::from(a) + mix * (f64::from(b) - f64::from(a))).round() as u8;
+    format!("#{:02x}{:02x}{:02x}", channel(r0, r1), channel(g0, g1), channel(b0, b1))
+}
