@@ -7,7 +7,8 @@ use crate::toml_file::{Document, FileError, Must, Problem, Table};
 use haptic_bridge::description::{
     Description, DescriptionError, Encoder, Joint, Link, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS, Motor,
 };
-use haptic_bridge::math::Libm;
+use haptic_bridge::device::Device;
+use haptic_bridge::math::{Libm, Minimax, Real};
 use haptic_bridge::mechanism::{AnyMechanism, Kind, Mechanism, Spec};
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
@@ -40,6 +41,13 @@ impl DeviceFile {
     /// What a file of this device's mechanism holds: numbers of joints and links, task dimension.
     pub fn spec(&self) -> Spec {
         self.description.kind.spec()
+    }
+
+    /// The device as a board takes it: lumped in double precision, rounded once.
+    ///
+    /// Errors never occur for a device that was read by this module; they are those of [`AnyMechanism::new`].
+    pub fn device<T: Real>(&self) -> Result<Device<T>, DescriptionError> {
+        Device::new(&self.name, &self.description)
     }
 
     /// What must still be added before a real board arms, each with the key to write. Empty when nothing is missing.
@@ -105,6 +113,11 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>), F
 
     let description = Description { kind, gravity: padded(&gravity), geometry, links, joints, handle_mass, home };
     let mechanism = AnyMechanism::new(&description).map_err(|error| refusal(error, top, &geometry_table, &spec))?;
+    let at = home.unwrap_or_default().map(|angle| angle as f32);
+    if !AnyMechanism::<f32>::new(&description).is_ok_and(|board| board.is_finite_at::<Minimax>(&at)) {
+        let reason = "some number is so large that the device overflows the board's 32-bit floats";
+        return Err(top.error_here(impossible(reason, "check the numbers and their units (SI: m, kg, s)")));
+    }
     if let Some(q) = home
         && !reachable(&mechanism, &q)
         && let Some(table) = top.table("home")?

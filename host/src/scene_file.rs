@@ -15,13 +15,18 @@
 //! | wall `damping_compensation`, `bilateral`, `inside` | false |
 //! | spring `direction` | none: the spring pulls to its point, else to the line through it |
 
+use crate::device_file::DeviceFile;
 use crate::toml_file::{Document, FileError, Must, Problem, Table};
-use haptic_bridge::math::Real;
+use haptic_bridge::description::MAX_JOINTS;
+use haptic_bridge::math::{Libm, Real};
+use haptic_bridge::mechanism::Mechanism;
 use haptic_bridge::scene::{
     Cylinder, FeedForward, MAX_RATE_HZ, MAX_SPRINGS, MAX_WALLS, MIN_RATE_HZ, Plane, Scene, SceneError, Sphere, Spring,
     Surface, Wall,
 };
 use haptic_bridge::velocity::Estimator;
+use haptic_bridge::with_mechanism;
+use nalgebra::SVector;
 use std::path::{Path, PathBuf};
 
 /// Default control rate, Hz.
@@ -49,6 +54,22 @@ impl SceneFile {
     /// Checks text that is already there; `origin` is what messages call it.
     pub fn parse(text: &str, origin: impl Into<PathBuf>, task: usize) -> Result<Self, FileError> {
         Self::read(&Document::new(text, origin), task)
+    }
+
+    /// The one-sided walls (from 1) that the tip would be inside of at joint angles `q` (rad).
+    pub fn walls_entered(&self, device: &DeviceFile, q: &[f64; MAX_JOINTS]) -> Vec<usize> {
+        fn entered<const N: usize, M: Mechanism<f64, N>>(
+            m: &M,
+            scene: &Scene<f64>,
+            q: &[f64; MAX_JOINTS],
+        ) -> Vec<usize> {
+            let mut tip = m.tip(&m.pose::<Libm>(&SVector::<f64, N>::from_fn(|i, _| q[i])));
+            (M::SPEC.task..N).for_each(|i| tip[i] = 0.0);
+            let walls = scene.walls.iter().enumerate().filter(|(_, wall)| !wall.bilateral);
+            let inside = walls.filter(|(_, wall)| wall.surface.contact::<Libm, N>(&tip).distance < 0.0);
+            inside.map(|(index, _)| index + 1).collect()
+        }
+        with_mechanism!(&device.mechanism, m => entered(m, &self.scene, q))
     }
 
     /// Checks a document.

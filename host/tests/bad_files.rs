@@ -137,6 +137,7 @@ fn a_wrong_device_is_refused_by_line_and_remedy() {
         ("proximal = [0.07, 0.07]", "proximal = [0.07, nan]", ":7:19:", &["`proximal`", "not a finite number"]),
         ("base = 0.05", "base = 0.5", ":5:1:", &["cannot close", "check the lengths"]),
         ("base = 0.05", "base = -0.05", ":6:8:", &["`base`"]),
+        ("com = 0.03", "com = 1e25", ":1:1:", &["overflows the board's 32-bit floats"]),
         ("assembly = 1", "assembly = 2", ":9:12:", &["assembly must be 1 or -1"]),
         ("mechanism = \"five-bar\"", "mechanism = \"fivebar\"", ":2:13:", &["did you mean \"five-bar\"?", "paddle"]),
         ("mechanism = \"five-bar\"", "mechanism = 5", ":2:13:", &["a string in quotes"]),

@@ -201,6 +201,21 @@ fn wrong_arguments_end_with_2_and_say_what_is_wrong() {
 }
 
 #[test]
+fn the_text_says_what_the_feed_forward_buys_and_costs() {
+    let text = |name: &str, normal: &str| {
+        let output = model(name, &[normal, "--force=1"]);
+        assert!(output.status.success());
+        String::from_utf8(output.stdout).expect("text")
+    };
+    // The home pose of a light five-bar couples next to nothing; a WoodenHaptics at its own does.
+    let light = text("pantograph-mk2", "--normal=0,1");
+    assert!(light.contains("buys next to nothing"), "{light}");
+    let heavy = text("woodenhaptics", "--normal=0.5,1,0");
+    assert!(heavy.contains("more inertia here") && !heavy.contains("buys next to nothing"), "{heavy}");
+    assert!(heavy.contains("pushes a hand along the wall"), "{heavy}");
+}
+
+#[test]
 fn overflow_is_an_error_and_not_null() {
     let said = one_line(refusal(1, "haply-2diy", &["--qd=1e200,1e200", "--normal=0,1", "--json"]));
     assert!(said.contains("overflow"), "{said}");

@@ -44,6 +44,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
             counted(scene.springs.len(), "spring"),
             scene.rate_hz,
         ));
+        let entered = device.description.home.map(|home| file.walls_entered(&device, &home)).unwrap_or_default();
+        for wall in entered {
+            report.push_str(&format!("  the home pose is inside [[wall]] {wall}: a board will not arm there\n"));
+        }
     }
     print(&report)
 }

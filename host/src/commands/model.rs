@@ -131,7 +131,22 @@ fn readable(report: &Report, q: &[f64], qd: &[f64], walls: &[WallForce]) -> Stri
     line("torque by (4), g in z", "N m", row(&report.torque));
     text.push('\n');
     text.push_str(&verdict(report));
+    if let Some(push) = sideways(report) {
+        let _ = writeln!(
+            text,
+            "At rest equation (4) pushes a hand along the wall by {push:.3} N per newton (feed_forward = \"full\"); \
+             \"washout\" lets go of a resting hand."
+        );
+    }
     text
+}
+
+/// The force along one wall that the feed-forward adds to each newton across it while nothing moves, where it is felt.
+fn sideways(report: &Report) -> Option<f64> {
+    let [coupled] = report.w_ra.as_slice() else { return None };
+    let tip = coupled.iter().take(report.position.len() - 1);
+    let push = tip.map(|entry| entry * entry).sum::<f64>().sqrt() / report.w_rr[0][0];
+    (push >= 0.005).then_some(push)
 }
 
 /// What the feed-forward buys here, in a sentence. The stable area of an undamped device grows by (Wrr/Weff)².

@@ -1,0 +1,211 @@
+//! Why a file is refused: every mistake a device or scene file can hold, in words, with what to do about it.
+//!
+//! One line each: `file:line:column: what is wrong; what to do`.
+
+use core::fmt;
+use std::path::PathBuf;
+
+/// Why a file was refused, where, and what to do about it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FileError {
+    /// The file.
+    pub path: PathBuf,
+    /// Line and column, both from 1; none when the file as a whole is meant.
+    pub position: Option<(usize, usize)>,
+    /// What is wrong.
+    pub problem: Box<Problem>,
+}
+
+/// Everything a file can be refused for. `place` is the table, such as `[geometry]` or `[[link]] 2 (proximal-2)`.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Problem {
+    /// The file cannot be read at all.
+    Unreadable(String),
+    /// Not UTF-8 text.
+    NotText,
+    /// Not TOML.
+    Syntax(String),
+    /// A key nobody reads.
+    UnknownKey {
+        /// The key as written.
+        key: String,
+        /// Its table.
+        place: String,
+        /// The known key it resembles.
+        nearest: Option<String>,
+        /// Every key that may stand here.
+        known: Vec<String>,
+    },
+    /// A key that must be there is not.
+    MissingKey {
+        /// The key.
+        key: String,
+        /// Its table.
+        place: String,
+        /// A line that would do.
+        example: String,
+    },
+    /// A value of the wrong type.
+    WrongType {
+        /// The key.
+        key: String,
+        /// Its table.
+        place: String,
+        /// What must stand there.
+        expected: String,
+        /// What does.
+        found: &'static str,
+    },
+    /// A list of the wrong length.
+    WrongLength {
+        /// The key.
+        key: String,
+        /// Its table.
+        place: String,
+        /// How many numbers there must be.
+        expected: usize,
+        /// How many there are.
+        found: usize,
+        /// What they are.
+        meaning: String,
+    },
+    /// Infinite, not a number, or beyond what the board's 32-bit floats hold.
+    NotFinite {
+        /// The key.
+        key: String,
+        /// Its table.
+        place: String,
+    },
+    /// A number outside its range.
+    OutOfRange {
+        /// The key.
+        key: String,
+        /// Its table.
+        place: String,
+        /// The number.
+        found: f64,
+        /// What it must be, with the unit or the reason.
+        must: String,
+    },
+    /// A word that is not one of a fixed set.
+    UnknownWord {
+        /// The key.
+        key: String,
+        /// Its table.
+        place: String,
+        /// The word as written.
+        found: String,
+        /// Every word that may stand here.
+        known: Vec<String>,
+    },
+    /// The wrong number of repeated tables.
+    WrongCount {
+        /// The table, such as `[[link]]`.
+        table: String,
+        /// How many there must be.
+        expected: String,
+        /// How many there are.
+        found: usize,
+        /// What they stand for, in order.
+        meaning: String,
+    },
+    /// Every value is fine by itself, but together they cannot be.
+    Impossible {
+        /// What cannot be.
+        reason: String,
+        /// What to change.
+        remedy: String,
+    },
+}
+
+impl Problem {
+    /// What to do about it.
+    pub fn remedy(&self) -> String {
+        match self {
+            Self::Unreadable(_) => "check the path and its permissions".into(),
+            Self::NotText => "save the file as UTF-8 text".into(),
+            Self::Syntax(_) => "mend the TOML at this place".into(),
+            Self::UnknownKey { nearest: Some(nearest), .. } => format!("did you mean `{nearest}`?"),
+            Self::UnknownKey { nearest: None, known, .. } if known.is_empty() => "remove it".into(),
+            Self::UnknownKey { nearest: None, known, .. } => {
+                format!("remove it; known here: {}", known.join(", "))
+            }
+            Self::MissingKey { example, .. } => format!("add `{example}`"),
+            Self::WrongType { expected, .. } => format!("write {expected}"),
+            Self::WrongLength { expected: 1, meaning, .. } => format!("write one number: {meaning}"),
+            Self::WrongLength { expected, meaning, .. } => format!("write {expected} numbers: {meaning}"),
+            Self::NotFinite { .. } => "write an ordinary number, at most 3.4e38 in size".into(),
+            Self::OutOfRange { must, .. } => format!("it must be {must}"),
+            Self::UnknownWord { found, known, .. } => match nearest(found, known) {
+                Some(nearest) => format!("did you mean \"{nearest}\"? known: {}", known.join(", ")),
+                None => format!("known: {}", known.join(", ")),
+            },
+            Self::WrongCount { table, expected, meaning, .. } => {
+                format!("write {expected} {table} tables: {meaning}")
+            }
+            Self::Impossible { remedy, .. } => remedy.clone(),
+        }
+    }
+}
+
+/// `key` in `place`, or `key` alone at the top of the file.
+fn at(key: &str, place: &str) -> String {
+    if place.is_empty() { format!("`{key}`") } else { format!("`{key}` in {place}") }
+}
+
+impl fmt::Display for Problem {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Unreadable(why) => write!(f, "cannot be read: {why}"),
+            Self::NotText => write!(f, "not UTF-8 text"),
+            Self::Syntax(why) => write!(f, "not valid TOML: {why}"),
+            Self::UnknownKey { key, place, .. } => write!(f, "unknown key {}", at(key, place)),
+            Self::MissingKey { key, place, .. } => write!(f, "{} is missing", at(key, place)),
+            Self::WrongType { key, place, expected, found } => {
+                write!(f, "{} is {found}, not {expected}", at(key, place))
+            }
+            Self::WrongLength { key, place, expected, found, .. } => {
+                let noun = if *found == 1 { "number" } else { "numbers" };
+                write!(f, "{} has {found} {noun} instead of {expected}", at(key, place))
+            }
+            Self::NotFinite { key, place } => write!(f, "{} is not a finite number", at(key, place)),
+            Self::OutOfRange { key, place, found, .. } => write!(f, "{} cannot be {found}", at(key, place)),
+            Self::UnknownWord { key, place, found, .. } => {
+                write!(f, "{} cannot be \"{}\"", at(key, place), found.escape_debug())
+            }
+            Self::WrongCount { table, expected, found, .. } => {
+                write!(f, "{found} {table} tables instead of {expected}")
+            }
+            Self::Impossible { reason, .. } => f.write_str(reason),
+        }
+    }
+}
+
+impl fmt::Display for FileError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.path.display())?;
+        if let Some((line, column)) = self.position {
+            write!(f, ":{line}:{column}")?;
+        }
+        write!(f, ": {}; {}", self.problem, self.problem.remedy())
+    }
+}
+
+impl std::error::Error for FileError {}
+
+impl From<FileError> for crate::error::Failure {
+    fn from(error: FileError) -> Self {
+        Self::wrong(error)
+    }
+}
+
+/// The known word that `word` was probably meant to be.
+pub(crate) fn nearest(word: &str, known: &[String]) -> Option<String> {
+    let lower = word.to_lowercase();
+    known
+        .iter()
+        .map(|candidate| (strsim::jaro_winkler(&lower, candidate), candidate))
+        .filter(|(likeness, _)| *likeness >= 0.8)
+        .max_by(|(a, _), (b, _)| a.total_cmp(b))
+        .map(|(_, candidate)| candidate.clone())
+}
