@@ -11,6 +11,7 @@ mod motor;
 mod plant;
 mod port;
 mod random;
+pub mod server;
 mod wire;
 
 pub use board::{BoardOptions, DriveModel, SimulatedBoard};

@@ -112,7 +112,7 @@ pub(super) fn open_serial(asked: Option<&str>) -> Result<(Box<dyn Wire>, String)
 }
 
 fn refused(path: String, error: &serialport::Error) -> LinkError {
-    let busy = ["busy", "Resource temporarily unavailable", "locked", "Access is denied"];
+    let busy = ["busy", "exclusive lock", "Resource temporarily unavailable", "locked", "Access is denied"];
     match error.kind() {
         ErrorKind::Io(io::ErrorKind::PermissionDenied) => LinkError::Forbidden(path),
         _ if busy.iter().any(|word| error.description.contains(word)) => LinkError::PortBusy(path),

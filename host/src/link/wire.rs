@@ -47,8 +47,8 @@ impl SerialWire {
 impl Wire for SerialWire {
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
         self.port.set_timeout(SEND_TIMEOUT)?;
-        self.port.write_all(bytes)?;
-        self.port.flush()
+        // No flush: it waits without bound for a board that does not read.
+        self.port.write_all(bytes)
     }
 
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
