@@ -85,6 +85,13 @@ impl<T: Real> Passivity<T> {
     fn hold(&mut self, force: T) {
         self.held = force;
     }
+
+    /// The tip has left the wall: counts the last period's energy and keeps what the wall still owes for its next touch.
+    #[inline(always)]
+    fn leave(&mut self, moved: T) {
+        self.energy = (self.energy - self.held * moved).lesser(T::zero());
+        self.held = T::zero();
+    }
 }
 
 /// A contact that is rendered in this step.
@@ -115,7 +122,8 @@ pub struct Step<T: Real, const N: usize> {
     pub wall_force: T,
     /// Number of walls touched.
     pub contacts: u8,
-    /// Energy the touched walls have taken up since contact began, J; negative when they gave some out.
+    /// Energy the touched walls have taken up since contact began, less what they owed then, J; negative when they gave
+    /// some out.
     pub energy: T,
     /// Damping that the passivity controller added, N s/m.
     pub passivity_damping: T,
@@ -251,8 +259,9 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
                     force -= extra * v;
                     step.passivity_damping += extra;
                 }
-                if !wall.bilateral {
-                    force = force.greater(T::zero());
+                // Written so that what is not a number stays one, and is found out.
+                if !wall.bilateral && force < T::zero() {
+                    force = T::zero();
                 }
                 step.contacts += 1;
                 step.wall_force += force;
@@ -261,7 +270,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
                     step.energy += running.passivity.energy;
                 }
             } else {
-                running.passivity = Passivity::default();
+                running.passivity.leave(moved);
             }
             let shaped = match wall.feed_forward {
                 FeedForward::Off => T::zero(),
@@ -483,6 +492,9 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
     /// Turns the passivity controller on or off.
     pub fn set_passivity(&mut self, on: bool) {
+        if self.passivity != on {
+            self.walls.iter_mut().for_each(|running| running.passivity = Passivity::default());
+        }
         self.passivity = on;
     }
 
@@ -491,17 +503,25 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let (_, turned) = self.angles(counts);
         let pose = self.mechanism.pose::<K>(&turned);
         let place = task_part::<T, M, N>(&self.mechanism.tip(&pose));
-        self.walls.iter().any(|running| running.wall.surface.contact::<K, N>(&place).distance < T::zero())
+        self.walls.iter().any(|running| {
+            let wall = &running.wall;
+            !wall.bilateral && wall.surface.contact::<K, N>(&place).distance < T::zero()
+        })
     }
 
     /// Applies checked gains between two steps; estimators and the washout's state go on.
     pub fn set_gains(&mut self, gains: &Gains<T>, washout: &Washout<T>) {
         if let Some(running) = self.walls.get_mut(usize::from(gains.wall)) {
+            if running.wall.feed_forward == FeedForward::Washout {
+                running.washout.retune(washout);
+            } else {
+                // It was not stepped, so what it remembers is no longer true.
+                running.washout = *washout;
+            }
             running.wall.stiffness = gains.stiffness;
             running.wall.damping = gains.damping;
             running.wall.feed_forward = gains.feed_forward;
             running.wall.washout_hz = gains.washout_hz;
-            running.washout.retune(washout);
         }
     }
 

@@ -18,6 +18,9 @@ const MIN_INDUCTANCE: f32 = 1.0e-5;
 /// The current below which dead-time compensation fades, A: its sign is noise around zero.
 const DEAD_TIME_KNEE: f32 = 0.1;
 
+/// Share by which a winding's resistance may exceed the device file's: copper gains 40 % per 100 K.
+const RESISTANCE_DOUBT: f32 = 0.5;
+
 /// How one board drives its motors.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Bridge {
@@ -36,6 +39,8 @@ pub struct Bridge {
 pub struct Axis {
     amps_per_torque: f32,
     torque_per_amp: f32,
+    /// What the motor itself stands, A; nothing where it has no torque constant.
+    motor_current: f32,
     max_current: f32,
     resistance: f32,
     back_emf: f32,
@@ -51,6 +56,8 @@ pub struct Axis {
     emf: f32,
     /// I²t accumulator, A² s above what the motor stands for ever.
     heat: f32,
+    /// What rounding has kept out of `heat` so far: a step's share can be less than its last digit.
+    heat_rest: f32,
     continuous_squared: f32,
 }
 
@@ -64,21 +71,27 @@ impl Axis {
         let kt = motor.torque_constant;
         let usable = kt.abs() > 1.0e-9;
         let bandwidth = core::f32::consts::TAU * bridge.bandwidth_hz;
-        let limit = motor.max_current.min(max_current).max(0.0);
-        let continuous = continuous_current.min(limit);
-        Self {
+        let mut axis = Self {
             amps_per_torque: if usable { 1.0 / kt } else { 0.0 },
             torque_per_amp: if usable { kt } else { 0.0 },
-            max_current: if usable { limit } else { 0.0 },
+            motor_current: if usable { motor.max_current } else { 0.0 },
             resistance: motor.resistance,
             back_emf: motor.back_emf,
             proportional: bandwidth * motor.inductance.max(MIN_INDUCTANCE),
             integral: bandwidth * motor.resistance / bridge.carrier_hz.max(1.0),
             dead_time_share: 2.0 * bridge.dead_time * bridge.carrier_hz,
             sensed: bridge.current_sensed,
-            continuous_squared: continuous * continuous,
             ..Self::default()
-        }
+        };
+        axis.limit(max_current, continuous_current);
+        axis
+    }
+
+    /// Sets the currents that are allowed, A, as in [`Axis::new`]; the motor's own limit still counts.
+    pub fn limit(&mut self, max_current: f32, continuous_current: f32) {
+        self.max_current = self.motor_current.min(max_current).max(0.0);
+        let continuous = continuous_current.min(self.max_current).max(0.0);
+        self.continuous_squared = continuous * continuous;
     }
 
     /// Takes the joint torque (N m) and speed (rad/s) of this control step and returns the current that will be asked
@@ -86,7 +99,7 @@ impl Axis {
     #[inline(always)]
     pub fn command(&mut self, torque: f32, speed: f32) -> f32 {
         let current = torque * self.amps_per_torque;
-        self.target = if current.is_finite() { current.clamp(-self.max_current, self.max_current) } else { 0.0 };
+        self.target = if current.is_finite() { limited(current, self.max_current) } else { 0.0 };
         self.emf = if speed.is_finite() { self.back_emf * speed } else { 0.0 };
         self.target
     }
@@ -106,14 +119,14 @@ impl Axis {
             let wanted = voltage + self.proportional * error + self.integrator;
             // Conditional integration: not further into a voltage that is not there.
             if wanted.abs() < available || wanted * error < 0.0 {
-                self.integrator = (self.integrator + self.integral * error).clamp(-available, available);
+                self.integrator = limited(self.integrator + self.integral * error, available);
             }
             voltage = wanted;
         }
         // Both legs lose dead time against the current: give it back, fading where the current's sign is unsure.
         let share = self.target / (self.target.abs() + DEAD_TIME_KNEE);
         let duty = voltage / bus_voltage + self.dead_time_share * share;
-        if duty.is_finite() { duty.clamp(-MAX_DUTY, MAX_DUTY) } else { 0.0 }
+        if duty.is_finite() { limited(duty, MAX_DUTY) } else { 0.0 }
     }
 
     /// Heats the motor model by the present current (A) for `dt` (s); true when its budget is spent: the accumulator
@@ -121,7 +134,10 @@ impl Axis {
     #[inline(always)]
     pub fn heat(&mut self, current: f32, dt: f32) -> bool {
         let excess = current * current - self.continuous_squared;
-        self.heat = (self.heat + excess * dt).max(0.0);
+        let share = excess * dt + self.heat_rest;
+        let heat = self.heat + share;
+        self.heat_rest = if heat > 0.0 { share - (heat - self.heat) } else { 0.0 };
+        self.heat = heat.max(0.0);
         let budget = (self.max_current * self.max_current - self.continuous_squared) * PEAK_SECONDS;
         self.heat > budget && self.max_current > 0.0 && budget > 0.0
     }
@@ -136,6 +152,7 @@ impl Axis {
     /// Keeps the heat of the drive this one replaces, so that loading a scene does not cool a motor.
     pub fn inherit_heat(&mut self, other: &Self) {
         self.heat = other.heat;
+        self.heat_rest = other.heat_rest;
     }
 
     /// Torque (N m) at the current limit.
@@ -148,11 +165,16 @@ impl Axis {
         self.max_current
     }
 
-    /// The speed (rad/s) that the back-EMF left over by a duty at a bus voltage (V) and a current (A) tells.
+    /// The least speed (rad/s) that a duty at a bus voltage (V) and a current (A) tells: what is left of the voltage
+    /// without the resistance's part is back-EMF, less what a winding half as resistive again (hot, or a poor contact)
+    /// and the dead time could make of it.
     #[inline(always)]
     pub fn speed_of(&self, duty: f32, bus_voltage: f32, current: f32) -> f32 {
-        let usable = self.back_emf.abs() > 1.0e-6;
-        if usable { (duty * bus_voltage - self.resistance * current) / self.back_emf } else { 0.0 }
+        let drop = self.resistance * current;
+        let left = duty * bus_voltage - drop;
+        let doubt = RESISTANCE_DOUBT * drop.abs() + self.dead_time_share * bus_voltage;
+        let usable = self.back_emf.abs() > 1.0e-6 && left.abs() > doubt;
+        if usable { (left - doubt * left.signum()) / self.back_emf } else { 0.0 }
     }
 
     /// The torque that a current makes, N m.
@@ -160,4 +182,10 @@ impl Axis {
     pub fn torque_of(&self, current: f32) -> f32 {
         current * self.torque_per_amp
     }
+}
+
+/// `value` within ±`bound`; unlike `clamp` it has no way to panic.
+#[inline(always)]
+fn limited(value: f32, bound: f32) -> f32 {
+    value.min(bound).max(-bound)
 }

@@ -128,6 +128,16 @@ faults! {
     SensorStale = 26, "a measurement of the board stopped arriving", "power-cycle the board; report it if it returns";
 }
 
+impl Fault {
+    /// Whether the joint angles can no longer be trusted: the device has to be homed again.
+    pub const fn loses_counts(self) -> bool {
+        matches!(
+            self,
+            Self::EncoderJump | Self::EncoderStall | Self::EncoderLoss | Self::EncoderIllegal | Self::IndexMismatch
+        )
+    }
+}
+
 impl core::fmt::Display for Fault {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         write!(f, "{} ({}): {}", self.name(), self.code(), self.what())
@@ -304,6 +314,7 @@ impl Limits {
 
     /// Whether no limit is higher than in `other`: such a change is safe at any time.
     pub fn no_higher_than(&self, other: &Self) -> bool {
-        self.within(&Self { bus_min: other.bus_min, bus_max: other.bus_max, ..*other })
+        let steady = self.continuous_current.iter().zip(&other.continuous_current).all(|(value, bound)| value <= bound);
+        steady && self.within(other)
     }
 }

@@ -204,6 +204,10 @@ pub struct Servo<P> {
     frame: Frame,
     period: f32,
     ramp: f32,
+    /// Torques that the ramp starts from, N m: none when arming, the old scene's when one replaces another.
+    from: [f32; MAX_JOINTS],
+    /// Regularity of the closed loop at the last step.
+    parallel: f32,
     host_silent: f32,
     still: [f32; MAX_JOINTS],
     lost: [f32; MAX_JOINTS],
@@ -232,6 +236,8 @@ where
             frame: Frame::default(),
             period: 1.0 / 20_000.0,
             ramp: 0.0,
+            from: [0.0; MAX_JOINTS],
+            parallel: 1.0,
             host_silent: 0.0,
             still: [0.0; MAX_JOINTS],
             lost: [0.0; MAX_JOINTS],
@@ -302,9 +308,8 @@ where
                 if self.state == State::Fault {
                     self.state = State::Disarmed;
                 }
-                self.power = 0.0;
-                self.still = [0.0; MAX_JOINTS];
-                self.lost = [0.0; MAX_JOINTS];
+                // Only the host: what else has been summed up while armed stays, or clearing would lift a limit.
+                self.host_silent = 0.0;
                 Ok(())
             }
             Command::HostAlive => {
@@ -330,8 +335,10 @@ where
         }
         self.host_silent += self.period;
         if let Some(program) = self.program.as_mut() {
+            let acted = self.frame.torque;
             let regularity = program.controller.step(&samples.counts, &mut self.frame);
-            self.watch(samples, &regularity);
+            self.parallel = regularity.parallel;
+            self.watch(samples, &acted, &regularity);
             self.drive();
         }
         self.last_counts = samples.counts;
@@ -358,8 +365,12 @@ where
 
     /// Latches the first fault and turns the motors off.
     pub fn trip(&mut self, fault: Fault, axis: Option<u8>, value: f32) {
-        if self.fault.is_none() {
+        // A host that is only listed as silent is no reason for the motors to be off: what is comes in its place.
+        if self.fault.is_none() || self.state != State::Fault {
             self.fault = Some(FaultRecord { fault, axis, value, step: self.frame.step });
+        }
+        if fault.loses_counts() {
+            self.homed = false;
         }
         self.off();
         self.state = State::Fault;
@@ -368,6 +379,7 @@ where
     fn off(&mut self) {
         self.ramp = 0.0;
         self.frame.torque = [0.0; MAX_JOINTS];
+        self.frame.current = [0.0; MAX_JOINTS];
         if let Some(program) = self.program.as_mut() {
             program.axes.iter_mut().for_each(Axis::rest);
         }
@@ -401,20 +413,32 @@ where
         self.period = 1.0 / program.rate_hz.max(1.0);
         program.controller.set_passivity(self.rules.passivity);
         match &self.program {
-            Some(old) if program.same_device => {
-                program.controller.set_zero(&old.controller.zero());
-                let heats = old.axes;
-                for (axis, old) in program.axes.iter_mut().zip(&heats) {
-                    axis.inherit_heat(old);
-                }
-            }
+            Some(old) if program.same_device => program.controller.set_zero(&old.controller.zero()),
             _ => {
                 self.homed = false;
                 self.polarity_known = false;
                 self.first_index = [None; MAX_JOINTS];
             }
         }
+        // Motors are as warm as they were, whatever is said about them now.
+        if let Some(old) = &self.program {
+            for (axis, old) in program.axes.iter_mut().zip(&old.axes) {
+                axis.inherit_heat(old);
+            }
+        }
+        self.limit_currents(&mut program);
+        // What acts now fades into what the new scene asks for.
+        self.from = self.frame.torque;
+        self.ramp = 0.0;
         self.program.replace(program)
+    }
+
+    /// Puts the rules' currents in force; the motors' own limits still count.
+    fn limit_currents(&self, program: &mut Program<K>) {
+        let limits = &self.rules.limits;
+        for ((axis, most), steady) in program.axes.iter_mut().zip(&limits.current).zip(&limits.continuous_current) {
+            axis.limit(*most, *steady);
+        }
     }
 
     fn set_rules(&mut self, rules: Rules) -> Result<(), Refusal> {
@@ -424,8 +448,10 @@ where
         }
         self.rules = rules;
         self.host_silent = 0.0;
-        if let Some(program) = self.program.as_mut() {
+        if let Some(mut program) = self.program.take() {
             program.controller.set_passivity(rules.passivity);
+            self.limit_currents(&mut program);
+            self.program = Some(program);
         }
         Ok(())
     }
@@ -465,6 +491,9 @@ where
         if self.hardware.bus_sensed && !(self.rules.limits.bus_min..=self.rules.limits.bus_max).contains(&bus) {
             return Err(Refusal::BusVoltage);
         }
+        if self.parallel < watch::SINGULAR_SINE {
+            return Err(Refusal::Singular);
+        }
         for (i, limits) in program.limits.iter().enumerate().take(program.joints) {
             if let Some((low, high)) = limits
                 && !(*low..=*high).contains(&self.frame.q[i])
@@ -484,12 +513,18 @@ where
             return Err(Refusal::InsideWall);
         }
         self.ramp = 0.0;
+        self.from = [0.0; MAX_JOINTS];
+        self.watch_anew();
+        self.state = State::Armed;
+        Ok(())
+    }
+
+    /// Starts everything that is summed up while the motors are on.
+    fn watch_anew(&mut self) {
         self.power = 0.0;
         self.host_silent = 0.0;
         self.still = [0.0; MAX_JOINTS];
         self.lost = [0.0; MAX_JOINTS];
-        self.state = State::Armed;
-        Ok(())
     }
 
     /// Sets each motor's current from the step's torques.
@@ -498,8 +533,8 @@ where
         match self.state {
             State::Armed => {
                 self.ramp = (self.ramp + self.period * (1.0 / ARM_SECONDS)).min(1.0);
-                let ramp = self.ramp;
-                self.command(|_, torque| torque * ramp);
+                let (ramp, from) = (self.ramp, self.from);
+                self.command(|i, torque| from[i] + (torque - from[i]) * ramp);
             }
             State::CheckingPolarity => self.check_polarity(),
             State::Disarmed | State::Fault => self.frame.torque = [0.0; MAX_JOINTS],

@@ -31,7 +31,7 @@ where
         self.ready()?;
         self.polarity = Polarity { axis: 0, seconds: 0.0, from: self.frame.q[0] };
         self.polarity_known = false;
-        self.host_silent = 0.0;
+        self.watch_anew();
         self.state = State::CheckingPolarity;
         Ok(())
     }

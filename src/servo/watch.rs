@@ -20,9 +20,9 @@ where
     P: DerefMut<Target = Program<K>>,
     K: Math<f32>,
 {
-    /// Looks for everything that must turn the motors off.
+    /// Looks for everything that must turn the motors off. `acted` are the torques (N m) of the period that ended.
     #[inline(always)]
-    pub(super) fn watch(&mut self, samples: &Samples, regularity: &Regularity<f32>) {
+    pub(super) fn watch(&mut self, samples: &Samples, acted: &[f32; MAX_JOINTS], regularity: &Regularity<f32>) {
         let Some(program) = self.program.as_mut() else { return };
         let joints = program.joints;
         let mut found: Option<(Fault, Option<u8>, f32)> = None;
@@ -33,11 +33,17 @@ where
         };
         let active = matches!(self.state, State::Armed | State::CheckingPolarity);
         let mut power = 0.0;
-        let mut sum = self.frame.wall_force + self.frame.normal_velocity + samples.bus_voltage;
+        let sensed = self.hardware.bridge.current_sensed;
+        let mut sum = self.frame.wall_force + self.frame.normal_velocity + self.frame.bus_voltage;
         for i in 0..joints.min(MAX_JOINTS) {
             let (q, qd, torque) = (self.frame.q[i], self.frame.qd[i], self.frame.torque[i]);
-            sum += q + qd + torque + samples.currents[i];
-            power += torque * qd;
+            let acted = acted[i];
+            if sensed {
+                self.frame.current[i] = samples.currents[i];
+            }
+            let current = self.frame.current[i];
+            sum += q + qd + torque + current;
+            power += acted * qd;
             let moved = samples.counts[i].wrapping_sub(self.last_counts[i]);
             let speed_limit = self.rules.limits.speed[i];
             // A jump is a step that even five times the speed limit cannot explain, and more than noise of a count.
@@ -54,30 +60,21 @@ where
                 {
                     note(Fault::JointLimit, Some(i), q);
                 }
-                let axis = &mut program.axes[i];
-                let current = if self.hardware.bridge.current_sensed {
-                    self.frame.current[i] = samples.currents[i];
-                    samples.currents[i]
-                } else {
-                    self.frame.current[i]
-                };
+                let axis = &program.axes[i];
                 // The loop may overshoot a little; half again as much as the limit is not the loop.
                 if current.abs() > 1.5 * axis.max_current() + 1.0 {
                     note(Fault::OverCurrent, Some(i), current);
                 }
-                if axis.heat(current, self.period) {
-                    note(Fault::ThermalBudget, Some(i), current);
-                }
                 if moved != 0 {
                     self.still[i] = 0.0;
-                } else if torque.abs() > 0.8 * axis.max_torque() && axis.max_torque() > 0.0 {
+                } else if acted.abs() > 0.8 * axis.max_torque() && axis.max_torque() > 0.0 {
                     self.still[i] += self.period;
                     if self.still[i] > STALL_SECONDS {
                         note(Fault::EncoderStall, Some(i), self.still[i]);
                     }
                 }
                 // Voltage across the motor less R i is its back-EMF: when that says several rad/s, counts must move.
-                if self.hardware.bridge.current_sensed {
+                if sensed && self.hardware.bus_sensed {
                     let turning = axis.speed_of(self.frame.duty[i], samples.bus_voltage, current);
                     let suspicious = moved == 0 && turning.abs() > 0.25 * speed_limit;
                     self.lost[i] = if suspicious { self.lost[i] + self.period } else { 0.0 };
@@ -85,6 +82,10 @@ where
                         note(Fault::EncoderLoss, Some(i), turning);
                     }
                 }
+            }
+            // The motor model goes on while the motors are off: that is when they cool.
+            if program.axes[i].heat(current, self.period) && active {
+                note(Fault::ThermalBudget, Some(i), current);
             }
             let period = self.rules.index_period[i];
             if let (Some(count), true) = (samples.index[i], period > 0) {
@@ -137,11 +138,7 @@ where
             found = Some((Fault::NotFinite, None, sum));
         }
         if let Some((fault, axis, value)) = found {
-            // While the motors are off only lost counts and broken numbers matter; they end homing as well.
             self.trip(fault, axis, value);
-            if matches!(fault, Fault::EncoderJump | Fault::EncoderLoss | Fault::IndexMismatch) {
-                self.homed = false;
-            }
         }
     }
 }

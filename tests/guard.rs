@@ -1,0 +1,453 @@
+//! Every fault turns the motors off within one control period, stays latched, and clears.
+//!
+//! Faults that the control step finds are provoked by what it is shown (counts, currents, voltages, time); those that
+//! hardware or another part of the firmware finds reach the step as [`Samples::fault`] and are provoked on the emulated
+//! chip by tests/board. A fault that is neither does not compile here.
+
+mod rig;
+
+use haptic_bridge::guard::{Fault, State};
+use haptic_bridge::scene::Scene;
+use haptic_bridge::servo::{Command, HostAction, Rules};
+use rig::{RATE, Rig, five_bar, hardware, limits, paddle, rules, scene, wall};
+
+/// How a fault is provoked.
+enum Origin {
+    /// The step sees it; the function arms a board and brings it to the step before.
+    Step(fn() -> Rig),
+    /// Found outside the step, which is told.
+    Told,
+}
+
+fn quiet() -> Scene<f32> {
+    scene(1, &[wall(-0.05, 1_000.0)])
+}
+
+fn with_rules(change: impl Fn(&mut Rules)) -> Rig {
+    let mut rules = rules();
+    change(&mut rules);
+    let mut rig = Rig::with(&paddle(), &quiet(), hardware(), rules);
+    rig.arm();
+    rig
+}
+
+/// Rests 1 cm deep in a wall: 255 N/m there take 85 % of the motor's torque.
+fn pressing(stiffness: f32) -> Rig {
+    let mut rig = Rig::ready(&scene(1, &[wall(-0.005, stiffness)]));
+    rig.arm();
+    rig.turn(0, -0.15, 1.0);
+    rig
+}
+
+fn origin(fault: Fault) -> Origin {
+    use Origin::{Step, Told};
+    match fault {
+        Fault::EncoderJump => Step(|| {
+            let mut rig = Rig::armed();
+            rig.samples.counts[0] += 4_000;
+            rig
+        }),
+        Fault::EncoderStall => Step(|| {
+            let mut rig = pressing(255.0);
+            let steps = (5.0 * RATE) as u32;
+            for _ in 0..steps {
+                rig.step();
+                if rig.state() == State::Fault {
+                    break;
+                }
+            }
+            rig
+        }),
+        Fault::EncoderLoss => Step(|| {
+            // A hand turns the motor at 10 rad/s: the current loop has to hold 1 V of back-EMF against it.
+            let mut rig = Rig::armed();
+            for _ in 0..(0.5 * RATE) as u32 {
+                rig.shown_current = Some(-0.05);
+                rig.step();
+                if rig.state() == State::Fault {
+                    break;
+                }
+            }
+            rig
+        }),
+        Fault::IndexMismatch => Step(|| {
+            let mut rig = with_rules(|rules| rules.index_period[0] = 60_000);
+            rig.samples.index[0] = Some(1_000);
+            rig.step();
+            assert_eq!(rig.fault(), None, "the first index is where it is");
+            rig.samples.index[0] = Some(1_012);
+            rig
+        }),
+        Fault::JointLimit => Step(|| {
+            let mut rig = Rig::armed();
+            rig.turn(0, 0.9999, 5.0);
+            rig.samples.counts[0] += 3;
+            rig
+        }),
+        Fault::SpeedLimit => Step(|| {
+            let mut rig = Rig::armed();
+            rig.turn(0, 0.6, 30.0);
+            rig
+        }),
+        Fault::OverCurrent => Step(|| {
+            let mut rig = Rig::armed();
+            rig.shown_current = Some(6.0);
+            rig
+        }),
+        Fault::ThermalBudget => Step(|| {
+            let mut rig = Rig::armed();
+            rig.shown_current = Some(2.9);
+            for step in 0..(10.0 * RATE) as u32 {
+                // The encoder moves, so that it is the motor's heat and nothing else.
+                rig.samples.counts[0] = (step % 2) as i32;
+                rig.step();
+                if rig.state() == State::Fault {
+                    break;
+                }
+            }
+            rig
+        }),
+        Fault::BusUnderVoltage => Step(|| {
+            let mut rig = Rig::armed();
+            rig.samples.bus_voltage = 9.9;
+            rig
+        }),
+        Fault::BusOverVoltage => Step(|| {
+            let mut rig = Rig::armed();
+            rig.samples.bus_voltage = 28.1;
+            rig
+        }),
+        Fault::NotFinite => Step(|| {
+            let mut rig = Rig::armed();
+            rig.shown_current = Some(f32::NAN);
+            rig
+        }),
+        Fault::Singularity => Step(|| {
+            let description = five_bar();
+            let mut rig = Rig::with(&description, &scene(2, &[]), hardware(), rules());
+            rig.arm();
+            // Both cranks outward: the elbows drift apart until the distal links lie in one line.
+            let mut angle = 0.0;
+            while rig.state() == State::Armed && angle < 1.0 {
+                angle += 0.001;
+                let counts = (angle / core::f64::consts::TAU * rig::COUNTS) as i32;
+                rig.samples.counts = [counts, -counts, 0];
+                rig.step();
+            }
+            rig
+        }),
+        Fault::HostLost => Step(|| {
+            let mut rig = with_rules(|rules| rules.host_action = HostAction::Disarm);
+            rig.execute(Command::HostAlive).unwrap();
+            rig.run(0.5);
+            rig
+        }),
+        Fault::PowerLimit => Step(|| {
+            // Pushes out of the wall at full torque with 10 rad/s: 3 W, 2 W allowed.
+            let mut rig = Rig::ready(&scene(1, &[wall(0.09, 100_000.0)]));
+            rig.turn(0, 0.95, 5.0);
+            rig.settle();
+            rig.arm();
+            rig.turn(0, -0.8, 5.0);
+            rig.turn(0, 0.85, 10.0);
+            rig
+        }),
+        Fault::PolarityWrong => Step(|| {
+            let mut rig = Rig::ready(&quiet());
+            rig.execute(Command::CheckPolarity).unwrap();
+            rig.turn(0, -0.025, 1.0);
+            rig
+        }),
+        Fault::PolarityNoMotion => Step(|| {
+            let mut rig = Rig::ready(&quiet());
+            rig.execute(Command::CheckPolarity).unwrap();
+            rig.run(2.0);
+            rig
+        }),
+        Fault::ControlOverrun
+        | Fault::EncoderIllegal
+        | Fault::GateDriver
+        | Fault::Watchdog
+        | Fault::StackOverflow
+        | Fault::SettingsDamaged
+        | Fault::HardFault
+        | Fault::Panic
+        | Fault::BreakInput
+        | Fault::SensorStale => Told,
+    }
+}
+
+/// A board with this fault, one step after its cause.
+fn provoked(fault: Fault) -> Rig {
+    match origin(fault) {
+        Origin::Step(prepare) => {
+            let mut rig = prepare();
+            if rig.state() != State::Fault {
+                rig.step();
+            }
+            if rig.state() != State::Fault {
+                rig.step();
+            }
+            rig
+        }
+        Origin::Told => {
+            let mut rig = Rig::armed();
+            rig.samples.fault = Some((fault, None, 1.0));
+            rig.step();
+            rig
+        }
+    }
+}
+
+#[test]
+fn every_fault_can_be_provoked_and_is_named_as_itself() {
+    for fault in Fault::ALL {
+        let rig = provoked(*fault);
+        assert_eq!(rig.fault(), Some(*fault), "{}", fault.name());
+    }
+}
+
+#[test]
+fn motors_are_off_in_the_very_period_of_any_fault() {
+    for fault in Fault::ALL {
+        let rig = provoked(*fault);
+        assert!(rig.motors_off(), "{}: {:?} {:?}", fault.name(), rig.outputs, rig.duties);
+    }
+}
+
+#[test]
+fn a_sudden_cause_needs_one_step_and_no_more() {
+    let sudden = [
+        Fault::EncoderJump,
+        Fault::OverCurrent,
+        Fault::BusUnderVoltage,
+        Fault::BusOverVoltage,
+        Fault::NotFinite,
+        Fault::IndexMismatch,
+        Fault::JointLimit,
+    ];
+    for fault in sudden {
+        let Origin::Step(prepare) = origin(fault) else { panic!("{} is found by the step", fault.name()) };
+        let mut rig = prepare();
+        assert!(rig.outputs.bridges, "{}: armed before", fault.name());
+        rig.step();
+        assert!(rig.motors_off() && rig.state() == State::Fault, "{}", fault.name());
+    }
+}
+
+#[test]
+fn a_fault_stays_when_its_cause_is_gone_and_the_first_one_is_told() {
+    for fault in Fault::ALL {
+        let mut rig = provoked(*fault);
+        let record = rig.servo.status().fault;
+        rig.shown_current = None;
+        rig.samples.bus_voltage = 24.0;
+        rig.settle();
+        rig.samples.fault = Some((Fault::SensorStale, None, 7.0));
+        rig.step();
+        assert!(rig.motors_off() && rig.state() == State::Fault, "{}", fault.name());
+        let told = rig.servo.status().fault;
+        assert_eq!(
+            told.map(|r| (r.fault, r.axis, r.step)),
+            record.map(|r| (r.fault, r.axis, r.step)),
+            "{}",
+            fault.name()
+        );
+        assert!(rig.execute(Command::Arm).is_err(), "{}", fault.name());
+    }
+}
+
+#[test]
+fn clearing_ends_every_fault_and_leaves_the_motors_off() {
+    for fault in Fault::ALL {
+        let mut rig = provoked(*fault);
+        rig.shown_current = None;
+        rig.samples.bus_voltage = 24.0;
+        rig.samples.fault = None;
+        rig.execute(Command::Clear).unwrap();
+        rig.settle();
+        assert_eq!((rig.state(), rig.fault()), (State::Disarmed, None), "{}", fault.name());
+        assert!(rig.motors_off(), "{}", fault.name());
+    }
+}
+
+#[test]
+fn what_loses_counts_loses_homing_too() {
+    for fault in
+        [Fault::EncoderJump, Fault::EncoderLoss, Fault::EncoderIllegal, Fault::EncoderStall, Fault::IndexMismatch]
+    {
+        assert!(!provoked(fault).servo.status().homed, "{}", fault.name());
+    }
+    assert!(provoked(Fault::OverCurrent).servo.status().homed);
+}
+
+#[test]
+fn codes_and_names_are_unique_and_every_remedy_says_something() {
+    for (i, fault) in Fault::ALL.iter().enumerate() {
+        assert!(!fault.what().is_empty() && !fault.remedy().is_empty(), "{}", fault.name());
+        for other in &Fault::ALL[..i] {
+            assert!(other.code() < fault.code() && other.name() != fault.name());
+        }
+    }
+}
+
+#[test]
+fn a_fault_while_the_host_is_only_listed_as_silent_is_told_as_itself() {
+    let mut rig = with_rules(|rules| rules.host_action = HostAction::Hold);
+    rig.run(0.6);
+    assert_eq!((rig.state(), rig.fault()), (State::Armed, Some(Fault::HostLost)));
+    rig.shown_current = Some(9.0);
+    rig.step();
+    assert_eq!((rig.state(), rig.fault()), (State::Fault, Some(Fault::OverCurrent)));
+}
+
+#[test]
+fn a_silent_host_does_nothing_unless_the_rules_say_so() {
+    let mut rig = Rig::armed();
+    rig.run(5.0);
+    assert_eq!((rig.state(), rig.fault()), (State::Armed, None));
+}
+
+#[test]
+fn a_heartbeat_keeps_the_motors_on() {
+    let mut rig = with_rules(|rules| rules.host_action = HostAction::Disarm);
+    for _ in 0..20 {
+        rig.execute(Command::HostAlive).unwrap();
+        rig.run(0.4);
+    }
+    assert_eq!(rig.state(), State::Armed);
+}
+
+#[test]
+fn a_silent_host_held_over_clears_and_comes_again_only_after_its_time() {
+    let mut rig = with_rules(|rules| rules.host_action = HostAction::Hold);
+    rig.run(0.6);
+    rig.execute(Command::Clear).unwrap();
+    rig.run(0.3);
+    assert_eq!((rig.state(), rig.fault()), (State::Armed, None), "clearing is a sign of life");
+    rig.run(0.3);
+    assert_eq!(rig.fault(), Some(Fault::HostLost));
+    rig.execute(Command::Disarm).unwrap();
+    assert!(rig.execute(Command::Arm).is_err(), "arming waits until it is cleared");
+}
+
+#[test]
+fn clearing_over_and_over_does_not_lift_a_limit() {
+    let mut rig = Rig::ready(&scene(1, &[wall(0.09, 100_000.0)]));
+    rig.turn(0, 0.95, 5.0);
+    rig.settle();
+    rig.arm();
+    rig.turn(0, -0.8, 5.0);
+    let mut steps = 0;
+    while rig.state() == State::Armed && steps < (0.16 * RATE) as u32 {
+        rig.execute(Command::Clear).unwrap();
+        rig.samples.counts[0] += (10.0 / f64::from(RATE) / core::f64::consts::TAU * rig::COUNTS) as i32;
+        rig.step();
+        steps += 1;
+    }
+    assert_eq!(rig.fault(), Some(Fault::PowerLimit));
+}
+
+#[test]
+fn power_is_what_the_motors_give_not_what_the_scene_asks_for() {
+    // The wall asks for a thousand times the torque limit; at 3 rad/s the motor gives 0.9 W of the 2 W allowed.
+    let mut rig = Rig::ready(&scene(1, &[wall(0.09, 100_000.0)]));
+    rig.turn(0, 0.95, 5.0);
+    rig.settle();
+    rig.arm();
+    rig.turn(0, -0.8, 3.0);
+    rig.turn(0, 0.85, 3.0);
+    assert_eq!((rig.state(), rig.fault()), (State::Armed, None));
+}
+
+#[test]
+fn a_stall_is_judged_by_the_torque_that_acts() {
+    // A torque limit of a tenth of the motor's: pressing against it for long is no sign of a dead encoder.
+    let mut rules = rules();
+    rules.limits.torque = [0.03; 3];
+    let mut rig = Rig::with(&paddle(), &scene(1, &[wall(-0.005, 10_000.0)]), hardware(), rules);
+    rig.arm();
+    rig.turn(0, -0.15, 1.0);
+    rig.run(6.0);
+    assert_eq!((rig.state(), rig.fault()), (State::Armed, None));
+}
+
+#[test]
+fn a_warm_winding_pressed_against_a_wall_is_no_lost_encoder() {
+    // Copper at 100 °C has a third more resistance than the 2 ohm of the data sheet.
+    let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 250.0)]));
+    rig.resistance = 2.7;
+    rig.arm();
+    rig.turn(0, -0.15, 1.0);
+    rig.run(1.0);
+    assert_eq!((rig.state(), rig.fault()), (State::Armed, None));
+    assert!((rig.currents[0] - 2.5).abs() < 0.05, "the loop makes 2.5 A all the same: {:?}", rig.currents);
+}
+
+#[test]
+fn voltages_and_currents_that_a_board_does_not_sense_are_ignored() {
+    let mut board = hardware();
+    board.bus_sensed = false;
+    board.bridge.current_sensed = false;
+    let mut rig = Rig::with(&paddle(), &quiet(), board, rules());
+    rig.samples.bus_voltage = f32::NAN;
+    rig.shown_current = Some(f32::NAN);
+    rig.arm();
+    rig.run(0.2);
+    assert_eq!((rig.state(), rig.fault()), (State::Armed, None));
+}
+
+#[test]
+fn a_board_without_bus_voltage_does_not_mistake_that_for_a_lost_encoder() {
+    let mut board = hardware();
+    board.bus_sensed = false;
+    let mut rig = Rig::with(&paddle(), &quiet(), board, rules());
+    rig.samples.bus_voltage = 0.0;
+    rig.shown_current = Some(2.0);
+    rig.execute(Command::Arm).unwrap();
+    rig.run(0.5);
+    assert_eq!((rig.state(), rig.fault()), (State::Armed, None));
+}
+
+#[test]
+fn a_hot_motor_cools_while_it_is_off_and_stays_hot_when_a_device_is_loaded_anew() {
+    let mut rig = provoked(Fault::ThermalBudget);
+    rig.shown_current = None;
+    rig.execute(Command::Clear).unwrap();
+    rig.load(&paddle(), &quiet(), false).unwrap();
+    rig.settle();
+    rig.execute(Command::Home).unwrap();
+    rig.settle();
+    rig.execute(Command::PolarityKnown).unwrap();
+    rig.execute(Command::Arm).unwrap();
+    rig.shown_current = Some(2.9);
+    for step in 0..(0.5 * RATE) as u32 {
+        rig.samples.counts[0] = (step % 2) as i32;
+        rig.step();
+    }
+    assert_eq!(rig.fault(), Some(Fault::ThermalBudget), "it had no time to cool");
+
+    // The budget is (3² - 1²) A² for 4 s; at rest it gains 1 A² every second.
+    rig.shown_current = None;
+    rig.execute(Command::Clear).unwrap();
+    rig.run(33.0);
+    rig.execute(Command::Arm).unwrap();
+    rig.shown_current = Some(2.9);
+    for step in 0..(2.0 * RATE) as u32 {
+        rig.samples.counts[0] = (step % 2) as i32;
+        rig.step();
+    }
+    assert_eq!(rig.fault(), None, "it has cooled");
+}
+
+#[test]
+fn limits_hold_whatever_the_step_is_asked_for() {
+    let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 1.0e9)]));
+    rig.arm();
+    let bound = limits().torque[0] * 1.000_01;
+    for angle in [-0.1, -0.5, -0.9, 0.2] {
+        rig.turn(0, angle, 4.0);
+        assert!(rig.servo.frame().torque[0].abs() <= bound, "{:?}", rig.servo.frame());
+        assert!(rig.duties.iter().all(|duty| duty.abs() <= 0.92));
+    }
+}

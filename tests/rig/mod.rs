@@ -1,0 +1,261 @@
+//! A servo with a device and a scene in hand, for the tests of the safety logic: no hardware, one call a control period.
+#![allow(dead_code, reason = "every test file uses its own part")]
+
+use haptic_bridge::description::{Description, Encoder, Joint, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS, Motor};
+use haptic_bridge::device::Device;
+use haptic_bridge::drive::Bridge;
+use haptic_bridge::guard::{Fault, Limits, Refusal, State};
+use haptic_bridge::math::Minimax;
+use haptic_bridge::mechanism::Kind;
+use haptic_bridge::precomputed::MassModelData;
+use haptic_bridge::program::Program;
+use haptic_bridge::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::servo::{Command, Hardware, Outputs, Rules, Samples, Servo};
+
+pub type Held = Box<Program<Minimax>>;
+
+/// Control rate of the scenes here, Hz.
+pub const RATE: f32 = 2_000.0;
+/// Counts in a turn of a joint here.
+pub const COUNTS: f64 = 60_000.0;
+
+/// A board with three axes that measures everything.
+pub fn hardware() -> Hardware {
+    Hardware {
+        axes: 3,
+        real: true,
+        bus_sensed: true,
+        bridge: Bridge { carrier_hz: 20_000.0, dead_time: 200.0e-9, bandwidth_hz: 1_000.0, current_sensed: true },
+    }
+}
+
+/// Rules with every limit in reach of a test.
+pub fn rules() -> Rules {
+    Rules { limits: limits(), ..Rules::default() }
+}
+
+pub fn limits() -> Limits {
+    Limits {
+        torque: [0.3; MAX_JOINTS],
+        current: [3.0; MAX_JOINTS],
+        continuous_current: [1.0; MAX_JOINTS],
+        speed: [20.0; MAX_JOINTS],
+        power: 2.0,
+        bus_min: 10.0,
+        bus_max: 28.0,
+    }
+}
+
+fn joint() -> Joint {
+    Joint {
+        inertia: 1.0e-4,
+        limits: Some((-1.0, 1.0)),
+        encoder: Some(Encoder { counts_per_turn: COUNTS, offset: 0.0, inverted: false }),
+        motor: Some(Motor {
+            torque_constant: 0.1,
+            resistance: 2.0,
+            inductance: 1.0e-3,
+            back_emf: 0.1,
+            max_current: 3.0,
+            verified: true,
+        }),
+        ..Joint::default()
+    }
+}
+
+/// A paddle 0.1 m long, so that 1 rad is 0.1 m and 1 N is 0.1 N m. Gravity does not act.
+pub fn paddle() -> Description {
+    let mut geometry = [0.0; MAX_GEOMETRY];
+    geometry[0] = 0.1;
+    Description {
+        kind: Kind::Paddle,
+        gravity: [0.0; 3],
+        geometry,
+        links: [haptic_bridge::description::Link::default(); MAX_LINKS],
+        joints: [joint(), Joint::default(), Joint::default()],
+        handle_mass: 0.0,
+        home: Some([0.0; MAX_JOINTS]),
+    }
+}
+
+/// A five-bar whose elbows stretch at joint angles well within its limits.
+pub fn five_bar() -> Description {
+    let link = haptic_bridge::description::Link { mass: 0.02, com: 0.03, inertia: 1.0e-5, ..Default::default() };
+    let joint = Joint { limits: Some((-3.2, 3.2)), ..joint() };
+    Description {
+        kind: Kind::FiveBar,
+        gravity: [0.0; 3],
+        geometry: [0.05, 0.07, 0.07, 0.09, 0.09, 1.0],
+        links: [link; MAX_LINKS],
+        joints: [joint, joint, Joint::default()],
+        handle_mass: 0.01,
+        home: Some([2.4, 0.7, 0.0]),
+    }
+}
+
+/// A plane wall facing +x with its surface at `x` (m).
+pub fn wall(x: f32, stiffness: f32) -> Wall<f32> {
+    Wall {
+        surface: Surface::Plane(Plane { point: [x, 0.0, 0.0], normal: [1.0, 0.0, 0.0] }),
+        stiffness,
+        damping: 0.0,
+        feed_forward: FeedForward::Off,
+        washout_hz: 2.0,
+        damping_compensation: false,
+        bilateral: false,
+    }
+}
+
+/// A scene for task dimension `task` with these walls.
+pub fn scene(task: u8, walls: &[Wall<f32>]) -> Scene<f32> {
+    Scene { task, rate_hz: RATE, cutoff_hz: 200.0, walls: walls.iter().copied().collect(), ..Scene::default() }
+}
+
+pub fn device(description: &Description) -> Device<f32> {
+    Device::new("test", description).expect("a sound device")
+}
+
+/// The servo, what it is shown at the next step, and what it decided at the last.
+pub struct Rig {
+    pub servo: Servo<Held>,
+    pub samples: Samples,
+    pub outputs: Outputs,
+    pub duties: [f32; MAX_JOINTS],
+    pub hardware: Hardware,
+    pub rules: Rules,
+    /// What the current sensors show of axis 0 instead of the motor's current, A.
+    pub shown_current: Option<f32>,
+    /// The motors' currents, A.
+    pub currents: [f32; MAX_JOINTS],
+    /// Their windings, ohm.
+    pub resistance: f32,
+}
+
+impl Rig {
+    /// A board without a device.
+    pub fn bare(hardware: Hardware, rules: Rules) -> Self {
+        let samples = Samples { bus_voltage: 24.0, ..Samples::default() };
+        let servo = Servo::new(hardware, rules);
+        Self {
+            servo,
+            samples,
+            outputs: Outputs::default(),
+            duties: [0.0; MAX_JOINTS],
+            hardware,
+            rules,
+            shown_current: None,
+            currents: [0.0; MAX_JOINTS],
+            resistance: 2.0,
+        }
+    }
+
+    /// A board with a paddle, homed and polarity known, and this scene; disarmed.
+    pub fn ready(scene: &Scene<f32>) -> Self {
+        Self::with(&paddle(), scene, hardware(), rules())
+    }
+
+    /// As [`Rig::ready`] for any device, board and rules.
+    pub fn with(description: &Description, scene: &Scene<f32>, hardware: Hardware, rules: Rules) -> Self {
+        let mut rig = Self::bare(hardware, rules);
+        rig.load(description, scene, false).expect("a program that fits");
+        rig.settle();
+        rig.execute(Command::Home).expect("homes at rest");
+        rig.settle();
+        rig.execute(Command::PolarityKnown).expect("cannot be refused");
+        rig
+    }
+
+    /// A paddle in free space far from a stiff wall at -0.05 m, armed, ramp over.
+    pub fn armed() -> Self {
+        let mut rig = Self::ready(&scene(1, &[wall(-0.05, 1_000.0)]));
+        rig.arm();
+        rig
+    }
+
+    /// Arms and waits for the ramp's end.
+    pub fn arm(&mut self) {
+        self.execute(Command::Arm).expect("everything is in place");
+        for _ in 0..(0.6 * RATE) as u32 {
+            self.execute(Command::HostAlive).expect("never refused");
+            self.step();
+        }
+        assert_eq!(self.state(), State::Armed, "{:?}", self.servo.status().fault);
+    }
+
+    pub fn load(&mut self, description: &Description, scene: &Scene<f32>, same_device: bool) -> Result<(), Refusal> {
+        let program = Program::new(
+            &self.hardware,
+            &self.rules.limits,
+            &device(description),
+            scene,
+            &MassModelData::Exact,
+            same_device,
+        )?;
+        self.execute(Command::Program(Box::new(program)))
+    }
+
+    pub fn execute(&mut self, command: Command<Held>) -> Result<(), Refusal> {
+        self.servo.execute(command).0
+    }
+
+    /// One control period, in which the motors' windings answer to ten duties.
+    pub fn step(&mut self) {
+        let before = self.servo.frame().counts;
+        self.samples.currents = self.currents;
+        if let Some(current) = self.shown_current {
+            self.samples.currents[0] = current;
+        }
+        self.outputs = self.servo.control(&self.samples);
+        let carrier = 20_000.0;
+        for _ in 0..(carrier / RATE) as u32 {
+            let mut measured = self.currents;
+            measured[0] = self.shown_current.unwrap_or(measured[0]);
+            self.duties = self.servo.duties(self.samples.bus_voltage, &measured);
+            for (i, current) in self.currents.iter_mut().enumerate() {
+                let turned = self.samples.counts[i].wrapping_sub(before[i]) as f32 * core::f32::consts::TAU;
+                let voltage = self.duties[i] * 24.0 - 0.1 * turned / COUNTS as f32 * RATE;
+                *current += (voltage - self.resistance * *current) / 1.0e-3 / carrier;
+                if !self.outputs.bridges {
+                    *current = 0.0;
+                }
+            }
+        }
+        self.samples.index = [None; MAX_JOINTS];
+        self.samples.fault = None;
+    }
+
+    /// Runs for so many seconds of nothing new.
+    pub fn run(&mut self, seconds: f32) {
+        for _ in 0..(seconds * RATE).round() as u32 {
+            self.step();
+        }
+    }
+
+    /// Long enough for the filters to come to rest.
+    pub fn settle(&mut self) {
+        self.run(0.05);
+    }
+
+    /// Turns joint `i` to `angle` (rad) from home, as fast as `speed` (rad/s).
+    pub fn turn(&mut self, i: usize, angle: f64, speed: f64) {
+        let target = (angle / core::f64::consts::TAU * COUNTS).round() as i32;
+        let most = (speed / f64::from(RATE) / core::f64::consts::TAU * COUNTS).max(1.0) as i32;
+        while self.samples.counts[i] != target && self.state() != State::Fault {
+            self.samples.counts[i] += (target - self.samples.counts[i]).clamp(-most, most);
+            self.step();
+        }
+    }
+
+    pub fn state(&self) -> State {
+        self.servo.status().state
+    }
+
+    pub fn fault(&self) -> Option<Fault> {
+        self.servo.status().fault.map(|record| record.fault)
+    }
+
+    /// Whether nothing acts: bridges off, no duty, no torque asked for.
+    pub fn motors_off(&self) -> bool {
+        !self.outputs.bridges && self.duties == [0.0; MAX_JOINTS] && self.servo.frame().torque == [0.0; MAX_JOINTS]
+    }
+}

@@ -1,0 +1,400 @@
+//! What the servo refuses, what it keeps, and how it comes on and goes off.
+
+mod rig;
+
+use haptic_bridge::controller::Gains;
+use haptic_bridge::guard::{Fault, FaultRecord, Limits, Refusal, State};
+use haptic_bridge::scene::FeedForward;
+use haptic_bridge::servo::{ARM_SECONDS, Command, Rules};
+use haptic_bridge::velocity::Washout;
+use rig::{RATE, Rig, five_bar, hardware, limits, paddle, rules, scene, wall};
+
+fn gains(stiffness: f32, damping: f32, feed_forward: FeedForward) -> Command<rig::Held> {
+    let washout = Washout::new(2.0, f64::from(RATE)).unwrap();
+    Command::Gains(Gains { wall: 0, stiffness, damping, feed_forward, washout_hz: 2.0 }, washout)
+}
+
+#[test]
+fn a_board_starts_with_its_motors_off_and_without_a_device_stays_so() {
+    let mut rig = Rig::bare(hardware(), rules());
+    rig.step();
+    assert!(rig.motors_off());
+    for command in [Command::Arm, Command::CheckPolarity, Command::Home, gains(1.0, 0.0, FeedForward::Off)] {
+        assert_eq!(rig.execute(command), Err(Refusal::NoDevice));
+    }
+    rig.run(0.1);
+    assert!(rig.motors_off());
+}
+
+#[test]
+fn a_device_that_is_not_homed_is_not_armed() {
+    let mut rig = Rig::bare(hardware(), rules());
+    rig.load(&paddle(), &scene(1, &[]), false).unwrap();
+    rig.settle();
+    rig.execute(Command::PolarityKnown).unwrap();
+    assert_eq!(rig.execute(Command::Arm), Err(Refusal::NotHomed));
+    assert_eq!(rig.execute(Command::CheckPolarity), Err(Refusal::NotHomed));
+    assert_eq!(rig.state(), State::Disarmed);
+}
+
+#[test]
+fn a_device_whose_polarity_is_unknown_is_not_armed() {
+    let mut rig = Rig::bare(hardware(), rules());
+    rig.load(&paddle(), &scene(1, &[]), false).unwrap();
+    rig.settle();
+    rig.execute(Command::Home).unwrap();
+    rig.settle();
+    assert_eq!(rig.execute(Command::Arm), Err(Refusal::PolarityUnchecked));
+}
+
+#[test]
+fn what_the_device_file_does_not_vouch_for_is_not_armed() {
+    let mut unverified = paddle();
+    unverified.joints[0].motor.as_mut().unwrap().verified = false;
+    let mut unlimited = paddle();
+    unlimited.joints[0].limits = None;
+    let mut unmotored = paddle();
+    unmotored.joints[0].motor = None;
+    let mut homeless = paddle();
+    homeless.home = None;
+    let cases = [
+        (unverified, Refusal::MotorNotVerified(0)),
+        (unlimited, Refusal::NoJointLimits(0)),
+        (unmotored, Refusal::NoMotor(0)),
+        (homeless, Refusal::NoHome),
+    ];
+    for (description, refusal) in cases {
+        let mut rig = Rig::bare(hardware(), rules());
+        rig.load(&description, &scene(1, &[]), false).unwrap();
+        rig.settle();
+        let _ = rig.execute(Command::Home);
+        rig.execute(Command::PolarityKnown).unwrap();
+        assert_eq!(rig.execute(Command::Arm), Err(refusal));
+        assert_eq!(rig.execute(Command::CheckPolarity), Err(refusal));
+    }
+}
+
+#[test]
+fn an_encoder_without_a_scale_and_more_joints_than_axes_are_refused_at_once() {
+    let mut blind = paddle();
+    blind.joints[0].encoder = None;
+    let mut rig = Rig::bare(hardware(), rules());
+    assert_eq!(rig.load(&blind, &scene(1, &[]), false), Err(Refusal::BadDevice));
+    let mut one_axis = hardware();
+    one_axis.axes = 1;
+    let mut rig = Rig::bare(one_axis, rules());
+    let refusal = Refusal::TooManyJoints { joints: 2, axes: 1 };
+    assert_eq!(rig.load(&five_bar(), &scene(2, &[]), false), Err(refusal));
+}
+
+#[test]
+fn arming_is_refused_inside_a_wall_outside_the_limits_and_without_supply() {
+    let mut rig = Rig::ready(&scene(1, &[wall(-0.05, 1_000.0)]));
+    rig.turn(0, -0.6, 5.0);
+    assert_eq!(rig.execute(Command::Arm), Err(Refusal::InsideWall));
+    rig.turn(0, 1.1, 5.0);
+    assert_eq!(rig.execute(Command::Arm), Err(Refusal::OutsideLimits(0)));
+    rig.turn(0, 0.0, 5.0);
+    for voltage in [0.0, 9.9, 28.1, f32::INFINITY] {
+        rig.samples.bus_voltage = voltage;
+        rig.servo.control(&rig.samples);
+        let refusal = rig.execute(Command::Arm).unwrap_err();
+        assert!(matches!(refusal, Refusal::BusVoltage | Refusal::Faulted(Fault::NotFinite)), "{voltage}: {refusal}");
+    }
+}
+
+#[test]
+fn a_wall_that_acts_on_both_sides_does_not_keep_a_device_from_arming() {
+    let mut both = wall(0.05, 100.0);
+    both.bilateral = true;
+    let mut rig = Rig::ready(&scene(1, &[both]));
+    assert_eq!(rig.execute(Command::Arm), Ok(()));
+}
+
+#[test]
+fn arming_is_refused_at_a_singular_pose() {
+    let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
+    let mut angle = 0.0;
+    while rig.execute(Command::Arm).is_ok() && angle < 1.0 {
+        rig.execute(Command::Disarm).unwrap();
+        angle += 0.001;
+        let counts = (angle / core::f64::consts::TAU * rig::COUNTS) as i32;
+        rig.samples.counts = [counts, -counts, 0];
+        rig.step();
+    }
+    assert_eq!(rig.execute(Command::Arm), Err(Refusal::Singular));
+    assert_eq!(rig.fault(), None);
+}
+
+#[test]
+fn a_device_in_motion_is_not_homed() {
+    let mut rig = Rig::ready(&scene(1, &[]));
+    rig.turn(0, 0.1, 2.0);
+    assert_eq!(rig.execute(Command::Home), Err(Refusal::Moving));
+    rig.settle();
+    assert_eq!(rig.execute(Command::Home), Ok(()));
+}
+
+#[test]
+fn homing_declares_the_pose_of_the_device_file() {
+    let mut rig = Rig::bare(hardware(), rules());
+    rig.load(&five_bar(), &scene(2, &[]), false).unwrap();
+    rig.samples.counts = [12_345, -54_321, 0];
+    rig.settle();
+    rig.execute(Command::Home).unwrap();
+    rig.step();
+    let q = rig.servo.status().q;
+    let count = core::f32::consts::TAU / rig::COUNTS as f32;
+    assert!((q[0] - 2.4).abs() <= count && (q[1] - 0.7).abs() <= count, "{q:?}");
+}
+
+#[test]
+fn torque_rises_from_nothing_when_armed() {
+    // Gravity compensation stands for any torque that is there from the first step on.
+    let mut spring = scene(1, &[]);
+    spring
+        .springs
+        .push(haptic_bridge::scene::Spring {
+            point: [0.02, 0.0, 0.0],
+            direction: [0.0; 3],
+            stiffness: 100.0,
+            damping: 0.0,
+        })
+        .unwrap();
+    let mut rig = Rig::ready(&spring);
+    rig.execute(Command::Arm).unwrap();
+    let full = 100.0 * 0.02 * 0.1;
+    let mut last = 0.0;
+    for step in 1..=(ARM_SECONDS * RATE) as u32 {
+        rig.step();
+        let torque = rig.servo.frame().torque[0];
+        let expected = full * step as f32 / (ARM_SECONDS * RATE);
+        assert!((torque - expected).abs() < 1.0e-3 * full, "step {step}: {torque} for {expected}");
+        assert!(torque >= last);
+        last = torque;
+    }
+    rig.step();
+    assert!((rig.servo.frame().torque[0] - full).abs() < 1.0e-5);
+}
+
+#[test]
+fn a_scene_that_replaces_another_while_armed_fades_in_and_keeps_homing() {
+    let spring_at = |x: f32| {
+        let mut scene = scene(1, &[]);
+        let spring =
+            haptic_bridge::scene::Spring { point: [x, 0.0, 0.0], direction: [0.0; 3], stiffness: 100.0, damping: 0.0 };
+        scene.springs.push(spring).unwrap();
+        scene
+    };
+    let mut rig = Rig::ready(&spring_at(0.02));
+    rig.arm();
+    let before = rig.servo.frame().torque[0];
+    rig.load(&paddle(), &spring_at(-0.02), true).unwrap();
+    rig.step();
+    let after = rig.servo.frame().torque[0];
+    assert!((after - before).abs() < 0.01 * before.abs(), "{before} to {after}");
+    rig.run(0.6);
+    let settled = rig.servo.frame().torque[0];
+    assert!((settled + before).abs() < 1.0e-4, "{settled}");
+    let status = rig.servo.status();
+    assert_eq!((status.state, status.homed, status.polarity), (State::Armed, true, true));
+}
+
+#[test]
+fn a_scene_that_would_be_touched_or_change_the_rate_is_refused_while_armed() {
+    let mut rig = Rig::armed();
+    assert_eq!(rig.load(&paddle(), &scene(1, &[wall(0.01, 10.0)]), true), Err(Refusal::InsideWall));
+    let mut faster = scene(1, &[]);
+    faster.rate_hz = 2.0 * RATE;
+    assert_eq!(rig.load(&paddle(), &faster, true), Err(Refusal::Armed));
+    assert_eq!(rig.load(&paddle(), &scene(1, &[]), false), Err(Refusal::Armed), "another device");
+    assert_eq!(rig.state(), State::Armed);
+}
+
+#[test]
+fn another_device_forgets_homing_and_polarity() {
+    let mut rig = Rig::ready(&scene(1, &[]));
+    rig.load(&five_bar(), &scene(2, &[]), false).unwrap();
+    let status = rig.servo.status();
+    assert!(!status.homed && !status.polarity);
+}
+
+#[test]
+fn limits_are_raised_only_with_the_motors_off_and_lowered_at_any_time() {
+    type Change = fn(&mut Limits, f32);
+    let changes: [(&str, Change); 5] = [
+        ("torque", |limits, by| limits.torque[0] *= by),
+        ("current", |limits, by| limits.current[0] *= by),
+        ("continuous current", |limits, by| limits.continuous_current[0] *= by),
+        ("speed", |limits, by| limits.speed[0] *= by),
+        ("power", |limits, by| limits.power *= by),
+    ];
+    for (name, change) in changes {
+        let changed = |by| {
+            let mut limits = limits();
+            change(&mut limits, by);
+            Command::Rules(Rules { limits, ..rules() })
+        };
+        let mut rig = Rig::armed();
+        assert_eq!(rig.execute(changed(1.01)), Err(Refusal::Armed), "{name}");
+        assert_eq!(rig.execute(changed(0.99)), Ok(()), "{name}");
+        assert_eq!(rig.execute(changed(1.0)), Err(Refusal::Armed), "{name}: back up again");
+        rig.execute(Command::Disarm).unwrap();
+        assert_eq!(rig.execute(changed(1.0)), Ok(()), "{name}");
+    }
+}
+
+#[test]
+fn a_lowered_current_limit_acts_at_the_next_step() {
+    let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 250.0)]));
+    rig.arm();
+    rig.turn(0, -0.15, 1.0);
+    assert!((rig.servo.frame().torque[0] - 0.25).abs() < 0.01);
+    let mut lower = rules();
+    lower.limits.current[0] = 1.5;
+    rig.execute(Command::Rules(lower)).unwrap();
+    rig.step();
+    assert!((rig.servo.frame().torque[0] - 0.15).abs() < 1.0e-6, "{:?}", rig.servo.frame().torque);
+}
+
+#[test]
+fn gains_that_change_in_contact_change_the_torque_by_the_gains_alone() {
+    let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 100.0)]));
+    rig.arm();
+    rig.turn(0, -0.1, 1.0);
+    rig.settle();
+    // 5 mm deep: 0.5 N or 0.05 N m at 100 N/m.
+    for stiffness in [100.0, 200.0, 150.0, 0.0, 400.0] {
+        rig.execute(gains(stiffness, 0.0, FeedForward::Off)).unwrap();
+        rig.step();
+        let expected = stiffness * 0.005 * 0.1;
+        let torque = rig.servo.frame().torque[0];
+        assert!((torque - expected).abs() < 2.0e-3 * expected.max(0.01), "{stiffness}: {torque} for {expected}");
+    }
+    // At rest there is no velocity that damping could act on.
+    let before = rig.servo.frame().torque[0];
+    rig.execute(gains(400.0, 50.0, FeedForward::Off)).unwrap();
+    rig.step();
+    assert!((rig.servo.frame().torque[0] - before).abs() < 1.0e-3 * before);
+}
+
+#[test]
+fn gains_that_are_no_numbers_turn_the_motors_off() {
+    for stiffness in [f32::NAN, f32::INFINITY] {
+        let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 100.0)]));
+        rig.arm();
+        rig.turn(0, -0.1, 1.0);
+        rig.execute(gains(stiffness, 0.0, FeedForward::Off)).unwrap();
+        rig.step();
+        assert!(rig.motors_off());
+        assert_eq!(rig.fault(), Some(Fault::NotFinite));
+    }
+}
+
+#[test]
+fn disarming_acts_before_the_next_duty() {
+    let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 250.0)]));
+    rig.arm();
+    rig.turn(0, -0.15, 1.0);
+    assert!(rig.duties[0] != 0.0);
+    rig.execute(Command::Disarm).unwrap();
+    assert_eq!(rig.servo.duties(24.0, &[0.0; 3]), [0.0; 3]);
+    rig.step();
+    assert!(rig.motors_off());
+    assert_eq!(rig.state(), State::Disarmed);
+}
+
+#[test]
+fn a_fault_from_outside_acts_before_the_next_duty() {
+    let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 250.0)]));
+    rig.arm();
+    rig.turn(0, -0.15, 1.0);
+    rig.execute(Command::Fault(FaultRecord { fault: Fault::BreakInput, axis: None, value: 0.0, step: 0 })).unwrap();
+    assert_eq!(rig.servo.duties(24.0, &[0.0; 3]), [0.0; 3]);
+    assert_eq!(rig.state(), State::Fault);
+}
+
+#[test]
+fn the_polarity_check_moves_every_joint_in_turn_and_ends_disarmed() {
+    let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
+    rig.execute(Command::CheckPolarity).unwrap();
+    for joint in 0..2 {
+        rig.run(0.5);
+        let torque = rig.servo.frame().torque;
+        assert!(torque[joint] > 0.0 && torque[1 - joint] == 0.0, "{torque:?}");
+        assert!(torque[joint] <= 0.25 * 0.3, "a small torque: {torque:?}");
+        let counts = rig.samples.counts[joint];
+        for _ in 0..210 {
+            rig.samples.counts[joint] += 1;
+            rig.step();
+        }
+        assert_eq!(rig.samples.counts[joint], counts + 210);
+    }
+    assert_eq!(rig.state(), State::Disarmed);
+    assert!(rig.motors_off() && rig.servo.status().polarity);
+}
+
+#[test]
+fn a_joint_that_turns_the_wrong_way_or_not_at_all_fails_the_polarity_check() {
+    let mut rig = Rig::ready(&scene(1, &[]));
+    rig.execute(Command::CheckPolarity).unwrap();
+    assert!(!rig.servo.status().polarity, "an earlier check no longer counts");
+    rig.turn(0, -0.021, 1.0);
+    rig.settle();
+    assert_eq!(rig.fault(), Some(Fault::PolarityWrong));
+    rig.execute(Command::Clear).unwrap();
+    rig.execute(Command::CheckPolarity).unwrap();
+    rig.run(2.1);
+    assert_eq!(rig.fault(), Some(Fault::PolarityNoMotion));
+    rig.execute(Command::Clear).unwrap();
+    assert_eq!(rig.execute(Command::Arm), Err(Refusal::PolarityUnchecked));
+}
+
+#[test]
+fn the_polarity_check_starts_with_a_clean_slate() {
+    // Power that an earlier run left over is not its own.
+    let mut rig = Rig::ready(&scene(1, &[wall(0.09, 100_000.0)]));
+    rig.turn(0, 0.95, 5.0);
+    rig.settle();
+    rig.arm();
+    rig.turn(0, -0.8, 5.0);
+    rig.turn(0, 0.85, 6.0);
+    rig.execute(Command::Disarm).unwrap();
+    rig.settle();
+    rig.execute(Command::CheckPolarity).unwrap();
+    rig.run(0.5);
+    assert_eq!(rig.state(), State::CheckingPolarity, "{:?}", rig.servo.status().fault);
+}
+
+#[test]
+fn commands_in_any_order_never_move_a_disarmed_device() {
+    use proptest::prelude::*;
+    let command = (0_u8..10, any::<f32>());
+    proptest!(ProptestConfig::with_cases(200), |(script in proptest::collection::vec((command, -50_i32..50), 1..60))| {
+        let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 250.0)]));
+        let mut armed = false;
+        for ((which, number), moved) in script {
+            let command = match which {
+                0 => Command::Arm,
+                1 => Command::Disarm,
+                2 => Command::Clear,
+                3 => Command::Home,
+                4 => Command::HostAlive,
+                5 => gains(number, number, FeedForward::Full),
+                6 => gains(number, 0.0, FeedForward::Washout),
+                7 => Command::Fault(FaultRecord { fault: Fault::GateDriver, axis: None, value: number, step: 0 }),
+                8 => Command::Rules(Rules { passivity: number > 0.0, ..rules() }),
+                _ => Command::PolarityKnown,
+            };
+            let arming = matches!(command, Command::Arm);
+            let outcome = rig.execute(command);
+            armed = (arming && outcome.is_ok()) || (armed && rig.state() == State::Armed);
+            rig.samples.counts[0] += moved;
+            rig.step();
+            armed &= rig.state() == State::Armed;
+            prop_assert!(armed || rig.motors_off());
+            prop_assert!(rig.duties.iter().all(|duty| duty.abs() <= 0.92));
+            prop_assert!(rig.servo.frame().torque[0].abs() <= 0.3 * 1.000_01);
+        }
+    });
+}
