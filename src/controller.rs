@@ -21,14 +21,18 @@ use nalgebra::SVector;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Regularity (a sine) at and above which the feed-forward acts in full.
+/// Sine of a serial singularity at and above which the feed-forward acts in full.
 ///
 /// At 0.05 an elbow is 3° from stretched and cond J is about 40 on the shipped devices; f32 keeps the torque within
-/// 1e-5 there (docs/hard-cases.md), so the limit protects the hand from a feed-forward that grows as 1/sin, not the
+/// 2e-5 there (docs/hard-cases.md), so the limit protects the hand from a feed-forward that grows as 1/sin, not the
 /// numbers.
 pub const FULL_REGULARITY: f64 = 0.05;
-/// Regularity at and below which the feed-forward is off; in between it fades, so nothing jumps.
+/// Sine at and below which the feed-forward is off; in between it fades, so nothing jumps.
 pub const NO_REGULARITY: f64 = 0.02;
+/// A parallel singularity counts as this many times nearer: in full from a sine of 0.15 (rods 9° from one line), off
+/// at 0.06. There it is the numbers: Jᵀ itself loses digits as 1/sin², and 0.15 is where f32 still keeps the torque
+/// of a moving tip within 1e-4 (docs/hard-cases.md).
+pub const PARALLEL_REGULARITY: f64 = 3.0;
 
 /// A scene's gains of one wall, as they may change while the wall is touched.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
@@ -292,7 +296,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
         // (4): what is shaped goes through M E Wrr⁻¹, the rest straight through Jᵀ.
         if !active.is_empty() {
-            step.shaping = fade(regularity.serial.lesser(regularity.parallel));
+            let parallel = regularity.parallel * T::from_f64(1.0 / PARALLEL_REGULARITY);
+            step.shaping = fade(regularity.serial.lesser(parallel));
             if step.shaping > T::zero() {
                 let resultant = active.iter().fold(SVector::<T, N>::zeros(), |sum, a| sum + a.normal * a.shaped);
                 let shaped = self.shaped(&turned, &pose, &place, &qd, &active, &resultant);
@@ -340,11 +345,12 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
                     // Everything is rendered: nothing is admissible, and (4) adds nothing.
                     return self.mechanism.transpose(pose, resultant);
                 }
-                let shapings: [Shaping<T, N>; N] =
-                    core::array::from_fn(|i| self.mass.shaping(&self.mechanism, q, pose, &split.direction(i)));
+                let shapings: [Shaping<T, N>; N] = core::array::from_fn(|i| {
+                    self.mass.shaping(&self.mechanism, q, pose, &split.basis.column(i).into_owned())
+                });
                 // One rendered direction, or two in space with one admissible across them.
                 let turning = if split.rendered == 1 { 0 } else { N - 1 };
-                let b = self.bias(pose, place, qd, active, || split.direction(turning));
+                let b = self.bias(pose, place, qd, active, || split.basis.column(turning).into_owned());
                 shaped_torque_in_span(&split, &shapings, resultant, &b)
             }
         }

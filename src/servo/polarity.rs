@@ -48,8 +48,7 @@ where
                 self.state = State::Disarmed;
                 self.polarity_known = true;
             } else {
-                let next = (i + 1).min(MAX_JOINTS - 1);
-                self.polarity = Polarity { axis: next, seconds: 0.0, from: self.frame.q[next] };
+                self.polarity = Polarity { axis: i + 1, seconds: 0.0, from: self.frame.q[i + 1] };
                 self.command(|_, _| 0.0);
             }
             return;

@@ -31,8 +31,7 @@ pub fn root() -> PathBuf {
     path
 }
 
-/// Where builds go.
-pub fn target_directory() -> PathBuf {
+fn target_directory() -> PathBuf {
     match env::var_os("CARGO_TARGET_DIR") {
         Some(directory) => root().join(directory),
         None => root().join("target"),

@@ -29,7 +29,6 @@ commands! {
     "Without a board" {
         (Check, check)
         (Model, model)
-        (Map, map)
         (Range, range)
     }
     "Shell" {

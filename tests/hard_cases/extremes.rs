@@ -1,0 +1,199 @@
+//! Inertia ratios up to a million, links of a millimetre and of ten metres, masses of a milligram and of 100 kg.
+
+use super::double_double::{DoubleDouble, Series};
+use super::routes::{Errors, Routes, routes};
+use super::singular::{Random, cast};
+use super::{Table, digits, shipped};
+use haptic_bridge::description::Description;
+use haptic_bridge::math::{Libm, Minimax};
+use haptic_bridge::mechanism::{AnyMechanism, Mechanism};
+use nalgebra::SVector;
+
+/// Poses per row, each with normals of its own.
+const POSES: usize = 40;
+/// Normals tried per pose; with a ratio to reach, the one with the largest ratio is measured.
+const NORMALS: usize = 20;
+
+/// One row of the table.
+#[derive(Clone, Debug)]
+pub struct Row {
+    pub device: &'static str,
+    pub case: String,
+    /// Largest Wrr/Weff among the poses.
+    pub ratio: f64,
+    pub board: Errors,
+    pub double: Errors,
+}
+
+/// The errors at regular poses of a device, at the normals with the largest Wrr/Weff.
+fn row<A, B, C, const N: usize>((double, board, reference): (&A, &B, &C), device: &'static str, case: String) -> Row
+where
+    A: Mechanism<f64, N>,
+    B: Mechanism<f32, N>,
+    C: Mechanism<DoubleDouble, N>,
+{
+    let mut random = Random(11);
+    let mut row = Row { device, case, ratio: 0.0, board: Errors::default(), double: Errors::default() };
+    let mut poses = 0;
+    while poses < POSES {
+        let q: SVector<f32, N> = cast(&random.vector::<N>(3.1));
+        let r = double.regularity(&double.pose::<Libm>(&cast(&q)));
+        if r.serial.min(r.parallel) < 0.2 {
+            continue;
+        }
+        poses += 1;
+        let qd: SVector<f32, N> = cast(&random.vector::<N>(1.0));
+        let mut worst: Option<(f64, SVector<f32, N>, Routes<DoubleDouble, N>)> = None;
+        for _ in 0..NORMALS {
+            let mut n: SVector<f32, N> = cast(&random.vector::<N>(1.0));
+            for i in A::SPEC.task..N {
+                n[i] = 0.0;
+            }
+            let exact = routes::<_, Series, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n));
+            let ratio = (exact.w_rr_kernel / exact.w_eff_joint).high;
+            if worst.as_ref().is_none_or(|(most, ..)| ratio > *most) {
+                worst = Some((ratio, n, exact));
+            }
+        }
+        let Some((ratio, n, exact)) = worst else { continue };
+        row.ratio = row.ratio.max(ratio);
+        row.board.grow(&Errors::new(&routes::<_, Minimax, _, N>(board, &q, &qd, &n), &exact));
+        row.double.grow(&Errors::new(&routes::<_, Libm, _, N>(double, &cast(&q), &cast(&qd), &cast(&n)), &exact));
+    }
+    row
+}
+
+fn measured(name: &'static str, device: &Description, case: String) -> Row {
+    let sound = "scaling keeps a device sound";
+    let double = AnyMechanism::<f64>::new(device).expect(sound);
+    let board = AnyMechanism::<f32>::new(device).expect(sound);
+    let reference = AnyMechanism::<DoubleDouble>::new(device).expect(sound);
+    macro_rules! each {
+        ($($Variant:ident)*) => {
+            match (double, board, reference) {
+                $((AnyMechanism::$Variant(a), AnyMechanism::$Variant(b), AnyMechanism::$Variant(c)) => {
+                    row((&a, &b, &c), name, case)
+                })*
+                _ => unreachable!("three precisions of one device are of one kind"),
+            }
+        };
+    }
+    each!(Paddle FiveBar FiveBarTurret Parallelogram Serial3r)
+}
+
+/// The same device with every length and every mass multiplied.
+fn scaled(device: &Description, length: f64, mass: f64) -> Description {
+    let mut scaled = *device;
+    let spec = device.kind.spec();
+    let mut index = 0;
+    for (key, count) in spec.geometry {
+        for _ in 0..*count {
+            if *key != "assembly" {
+                scaled.geometry[index] *= length;
+            }
+            index += 1;
+        }
+    }
+    let inertia = mass * length * length;
+    for link in &mut scaled.links {
+        link.mass *= mass;
+        link.com *= length;
+        link.inertia *= inertia;
+        link.inertia_axial *= inertia;
+        link.inertia_transverse *= inertia;
+    }
+    for joint in &mut scaled.joints {
+        joint.inertia *= inertia;
+    }
+    scaled.handle_mass *= mass;
+    scaled
+}
+
+/// The device with its longest link `length` metres and its heaviest link (or handle) `mass` kilograms.
+fn sized(device: &Description, length: f64, mass: f64) -> Description {
+    let lengths = device.kind.spec().joints.max(2) + 2;
+    let longest = device.geometry[..lengths.min(5)].iter().fold(0.0_f64, |most, l| most.max(*l));
+    let heaviest = device.links.iter().fold(device.handle_mass, |most, link| most.max(link.mass));
+    // A paddle is lumped into its joint: what it weighs is its inertia over its length squared.
+    let heaviest = if heaviest > 0.0 { heaviest } else { device.joints[0].inertia / (longest * longest) };
+    scaled(device, length / longest, mass / heaviest)
+}
+
+const DEVICES: [(&str, &str); 5] = [
+    ("paddle", "hapkit-paddle"),
+    ("five-bar", "haply-2diy"),
+    ("five-bar-turret", "fictive-five-bar-turret"),
+    ("parallelogram", "phantom-premium-1.5"),
+    ("serial-3r", "serial-3r"),
+];
+
+/// Ratios to reach, by making joint 0 heavier.
+const RATIOS: [f64; 3] = [1e2, 1e4, 1e6];
+
+/// Every row.
+pub fn all() -> Vec<Row> {
+    let mut rows = Vec::new();
+    for (name, file) in DEVICES {
+        let device = shipped(file);
+        for (length, mass) in [(1e-3, 1e-6), (1e-3, 1e2), (1e1, 1e-6), (1e1, 1e2)] {
+            let unit = if length < 1.0 { "1 mm" } else { "10 m" };
+            let weight = if mass < 1.0 { "1 mg" } else { "100 kg" };
+            rows.push(measured(name, &sized(&device, length, mass), format!("{unit}, {weight}")));
+        }
+        if device.kind.spec().joints == 1 {
+            continue; // A paddle has nothing admissible: Wrr = Weff.
+        }
+        for ratio in RATIOS {
+            // Wrr/Weff grows in proportion to the heavy joint once it dominates: one correction reaches it.
+            let heavier = |factor: f64| {
+                let mut heavy = device;
+                heavy.joints[0].inertia *= factor;
+                heavy
+            };
+            let mut factor = 10.0 * ratio;
+            for _ in 0..3 {
+                factor *= ratio / measured(name, &heavier(factor), String::new()).ratio;
+            }
+            rows.push(measured(name, &heavier(factor), format!("Wrr/Weff {ratio:.0e}")));
+        }
+    }
+    rows
+}
+
+/// The rows as the page shows them.
+pub fn table(rows: &[Row]) -> Table {
+    let mut table = Table::new(
+        "Extreme devices",
+        "Shipped devices with every length and mass scaled (longest link, heaviest link), and with joint 0 made so heavy \
+         that Wrr/Weff reaches the ratio at the worst of 20 normals; random poses with sines above 0.2, moving at 1 \
+         rad/s. Errors in f32 against 106 bits.",
+        &[
+            "device",
+            "case",
+            "Wrr/Weff",
+            "Weff, Schur form",
+            "Weff, 1/(Jr M⁻¹ Jrᵀ)",
+            "**Wrr, board**",
+            "**torque, board**",
+            "**moving, board**",
+            "f64: moving",
+        ],
+    );
+    for row in rows {
+        let mut cells = vec![row.device.into(), row.case.clone(), format!("{:.3}", Short(row.ratio))];
+        let b = &row.board;
+        cells.extend([b.w_eff_schur, b.w_eff_joint, b.w_rr_kernel, b.torque, b.torque_moving].map(digits));
+        cells.push(digits(row.double.torque_moving));
+        table.push(cells);
+    }
+    table
+}
+
+/// A ratio in plain digits while it is small.
+struct Short(f64);
+
+impl std::fmt::Display for Short {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        if self.0 < 100.0 { write!(f, "{:.1}", self.0) } else { write!(f, "{:.0e}", self.0) }
+    }
+}

@@ -1,0 +1,145 @@
+//! Where numbers are hard to keep: f32 against f64 and both against 106 bits.
+//!
+//! The rows are computed once (page.rs), shown in docs/hard-cases.md and asserted here.
+
+#[path = "page.rs"]
+mod page;
+
+use page::Rows;
+use page::singular::{Row, Singularity, Target};
+use std::sync::LazyLock;
+
+static ROWS: LazyLock<Rows> = LazyLock::new(Rows::compute);
+
+/// The feed-forward's torques must keep four digits wherever it acts in full.
+const USABLE: f64 = 1e-4;
+
+fn serial(row: &&Row) -> bool {
+    row.singularity != Singularity::Rods
+}
+
+fn conditioned(row: &Row) -> f64 {
+    match row.target {
+        Target::Condition(condition) => condition,
+        Target::Sine(_) => 0.0,
+    }
+}
+
+#[test]
+fn every_singularity_is_met_up_to_cond_1e4() {
+    for name in ["five-bar (haply-2diy)", "five-bar-turret", "parallelogram (Phantom)", "serial-3r"] {
+        for condition in [1e1, 1e2, 1e3, 1e4, 1e5] {
+            let met =
+                ROWS.singular.iter().any(|row| row.device == name && conditioned(row) == condition && serial(&row));
+            assert!(met, "{name} at cond J {condition:e}");
+        }
+    }
+    for condition in [1e1, 1e2, 1e3, 1e4] {
+        let met = ROWS.singular.iter().filter(|row| conditioned(row) == condition && !serial(row)).count();
+        assert_eq!(met, 2, "parallel singularities at cond J {condition:e}");
+    }
+}
+
+#[test]
+fn where_the_feed_forward_acts_in_full_its_torque_keeps_four_digits() {
+    let mut edges = 0;
+    for row in &ROWS.singular {
+        if row.target != Target::Sine(row.singularity.fade()[0]) {
+            continue;
+        }
+        edges += 1;
+        let board = &row.board;
+        for error in [board.w_rr_kernel, board.plain, board.torque, board.torque_moving] {
+            assert!(error < USABLE, "{row:?}");
+        }
+    }
+    assert_eq!(edges, 8, "one edge per singularity");
+}
+
+#[test]
+fn without_feed_forward_a_serial_singularity_costs_nothing() {
+    for row in ROWS.singular.iter().filter(serial) {
+        assert!(row.board.plain < USABLE, "{row:?}");
+    }
+}
+
+#[test]
+fn the_schur_form_loses_its_digits_at_serial_singularities_and_the_joint_route_keeps_them() {
+    for row in ROWS.singular.iter().filter(serial).filter(|row| conditioned(row) >= 1e3) {
+        assert!(row.board.w_eff_schur > 1e-2, "{row:?}");
+        assert!(row.board.w_eff_joint < 2e-4, "{row:?}");
+    }
+}
+
+#[test]
+fn at_parallel_singularities_the_closed_form_in_task_space_keeps_what_joint_space_loses() {
+    for row in ROWS.singular.iter().filter(|row| !serial(row) && conditioned(row) >= 1e3) {
+        assert!(row.board.w_rr_kernel * 10.0 < row.board.w_rr_joint, "{row:?}");
+        assert!(row.board.w_rr_kernel < 1e-2, "{row:?}");
+    }
+}
+
+#[test]
+fn double_precision_keeps_five_digits_everywhere() {
+    for row in &ROWS.singular {
+        for error in [row.double.w_rr_kernel, row.double.torque, row.double.torque_moving] {
+            assert!(error < 1e-5, "{row:?}");
+        }
+    }
+}
+
+#[test]
+fn in_106_bits_all_routes_agree_so_that_the_reference_is_one() {
+    // Closer than 1e-6 the closed form clamps its reciprocals on purpose.
+    for row in ROWS.singular.iter().filter(|row| row.regularity > 2e-6) {
+        assert!(row.reference < 1e-13, "{row:?}");
+    }
+}
+
+#[test]
+fn a_millimetre_or_ten_metres_a_milligram_or_a_hundredweight_keep_five_digits() {
+    let sized: Vec<_> = ROWS.extremes.iter().filter(|row| !row.case.contains("Wrr/Weff")).collect();
+    assert_eq!(sized.len(), 20);
+    for row in sized {
+        let board = &row.board;
+        for error in [board.w_eff_joint, board.w_rr_kernel, board.torque, board.torque_moving] {
+            assert!(error < 1e-5, "{row:?}");
+        }
+    }
+}
+
+#[test]
+fn a_million_times_the_effective_inertia_is_rendered_to_five_digits() {
+    let ratios: Vec<_> = ROWS.extremes.iter().filter(|row| row.case.contains("Wrr/Weff")).collect();
+    assert_eq!(ratios.len(), 12);
+    for row in ratios {
+        let asked: f64 = row.case.rsplit(' ').next().and_then(|text| text.parse().ok()).expect("a ratio");
+        assert!((row.ratio / asked - 1.0).abs() < 0.05, "{row:?}");
+        assert!(row.board.w_eff_joint < 1e-5 && row.board.w_rr_kernel < 1e-5 && row.board.torque < 1e-5, "{row:?}");
+        // Moving, the heavy joint's velocity terms cancel: their rounding is its share of the ratio's root.
+        assert!(row.board.torque_moving < 3e-6 * asked.sqrt(), "{row:?}");
+    }
+}
+
+#[test]
+fn velocity_filters_keep_four_digits_at_any_cutoff() {
+    assert_eq!(ROWS.filters.len(), 8);
+    for row in &ROWS.filters {
+        assert!(row.swing < 1e-4 && row.gain < 1e-4, "{row:?}");
+        assert!(row.ratio < 1e-3 || (row.swing < 4e-6 && row.gain < 4e-6), "{row:?}");
+        assert!(row.reference < 1e-12, "{row:?}");
+    }
+    let slowest = &ROWS.filters[0];
+    assert!(slowest.direct_gain > 1e-2, "the direct form is not the one to use: {slowest:?}");
+}
+
+#[test]
+fn the_page_shows_what_the_code_gives() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/hard-cases.md");
+    let page = std::fs::read_to_string(path).expect("docs/hard-cases.md is there");
+    let computed = ROWS.markdown();
+    for (line, (shown, computed)) in page.lines().zip(computed.lines()).enumerate() {
+        assert_eq!(shown, computed, "line {} of docs/hard-cases.md; its first paragraph says how it is made", line + 1);
+    }
+    assert_eq!(page.lines().count(), computed.lines().count());
+}
