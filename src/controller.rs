@@ -345,12 +345,11 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
                     // Everything is rendered: nothing is admissible, and (4) adds nothing.
                     return self.mechanism.transpose(pose, resultant);
                 }
-                let shapings: [Shaping<T, N>; N] = core::array::from_fn(|i| {
-                    self.mass.shaping(&self.mechanism, q, pose, &split.basis.column(i).into_owned())
-                });
+                let shapings: [Shaping<T, N>; N] =
+                    core::array::from_fn(|i| self.mass.shaping(&self.mechanism, q, pose, &split.direction(i)));
                 // One rendered direction, or two in space with one admissible across them.
                 let turning = if split.rendered == 1 { 0 } else { N - 1 };
-                let b = self.bias(pose, place, qd, active, || split.basis.column(turning).into_owned());
+                let b = self.bias(pose, place, qd, active, || split.direction(turning));
                 shaped_torque_in_span(&split, &shapings, resultant, &b)
             }
         }

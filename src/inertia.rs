@@ -73,6 +73,12 @@ impl<T: Real, const N: usize> Split<T, N> {
         }
         Self { basis, rendered }
     }
+
+    /// Column `i` of the basis; zero beyond it, so that asking cannot panic.
+    #[inline(always)]
+    pub fn direction(&self, i: usize) -> SVector<T, N> {
+        SVector::from_fn(|row, _| self.basis.get((row, i)).copied().unwrap_or_default())
+    }
 }
 
 /// The unit vector of what of `vector` lies across the first `rank` columns of `basis`, unless it is within `tolerance`

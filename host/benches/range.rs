@@ -1,6 +1,7 @@
-//! Time of one prediction: a 200-point boundary with its area, without and with the feed-forward.
+//! Time of one prediction: a 200-point boundary with its area, without and with the feed-forward; and of a map.
 
 use criterion::{Criterion, criterion_group, criterion_main};
+use haptic::analysis::map::map;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::predict;
 use haptic::analysis::sampled::{Estimator, Loop};
@@ -25,5 +26,13 @@ fn boundaries(criterion: &mut Criterion) {
     }
 }
 
-criterion_group!(benches, boundaries);
+fn whole_map(criterion: &mut Criterion) {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/coupled-five-bar.toml");
+    let file = DeviceFile::load(path).expect("a shipped device file");
+    criterion.bench_function("map, 2000 poses", |bench| {
+        bench.iter(|| map(black_box(&file.description), &[1.0, 0.0], 2000));
+    });
+}
+
+criterion_group!(benches, boundaries, whole_map);
 criterion_main!(benches);

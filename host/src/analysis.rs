@@ -2,6 +2,7 @@
 //!
 //! Nothing here talks to a board: a pose, a direction and a few numbers about the loop go in, predictions come out.
 //!
+//! - [`map`]: inertia over the workspace: what `haptic map` prints
 //! - [`passivity`]: the classical bounds of walls that no hand can make oscillate
 //! - [`plant`]: the device linearised at a pose, its joint damping and its drives, in continuous time
 //! - [`sampled`]: zero-order hold, fractional delay, velocity estimator and feed-forward around it, in delta form
@@ -14,6 +15,7 @@
 //! as in Åström and Wittenmark, *Computer-Controlled Systems*, chapters 2 and 3.
 
 pub mod boundary;
+pub mod map;
 pub mod passivity;
 pub mod plant;
 pub mod pose;

@@ -87,3 +87,32 @@ impl Numbers {
         Ok(values.into_iter().map(|value| value / length).collect())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        command().debug_assert();
+    }
+
+    #[test]
+    fn every_command_stands_under_a_heading_and_says_what_it_is_for() {
+        let help = command().render_long_help().to_string();
+        for found in command().get_subcommands() {
+            let about = found.get_about().map(ToString::to_string).unwrap_or_default();
+            assert!(about.len() > 10 && !about.ends_with('.'), "{}: \"{about}\"", found.get_name());
+            assert!(help.contains(&about), "{} is not on the help page", found.get_name());
+        }
+    }
+
+    #[test]
+    fn numbers_parse_with_signs_and_spaces_but_not_with_gaps() {
+        assert_eq!("-0.3,1.2".parse(), Ok(Numbers(vec![-0.3, 1.2])));
+        assert_eq!(" 1e-3, -2 ".parse(), Ok(Numbers(vec![1.0e-3, -2.0])));
+        for wrong in ["", ",", "1,,2", "1;2", "nan", "1,inf"] {
+            assert!(wrong.parse::<Numbers>().is_err(), "{wrong}");
+        }
+    }
+}

@@ -3,6 +3,7 @@
 //! - [`canvas`]: an SVG document and its few shapes
 //! - [`axes`]: a framed coordinate system with round ticks, curves, dots with error bars, and a legend
 //! - [`colour`]: the palette, and a colour scale that reads the same in print
+//! - [`map`]: inertia over the workspace (the paper's Fig. 1)
 //! - [`range`]: the stable domain of a device (the paper's Fig. 3)
 //!
 //! PNG is rendered by resvg with the DejaVu fonts compiled in, so a picture looks the same on every machine.
@@ -10,6 +11,7 @@
 pub mod axes;
 pub mod canvas;
 pub mod colour;
+pub mod map;
 pub mod range;
 
 use std::path::Path;

@@ -252,7 +252,8 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
     #[inline(always)]
     fn velocity(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
         let rates = absolute(qd);
-        let [v1, v2, v3] = [0, 1, 2].map(|i| self.lengths[i] * rates[i]);
+        let [l1, l2, l3] = self.lengths;
+        let [v1, v2, v3] = [l1 * rates[0], l2 * rates[1], l3 * rates[2]];
         let [e1, e2, e3] = &pose.link;
         Vector3::new(
             -v1 * e1[1] - v2 * e2[1] - v3 * e3[1],

@@ -48,7 +48,8 @@ where
                 self.state = State::Disarmed;
                 self.polarity_known = true;
             } else {
-                self.polarity = Polarity { axis: i + 1, seconds: 0.0, from: self.frame.q[i + 1] };
+                let next = (i + 1).min(MAX_JOINTS - 1);
+                self.polarity = Polarity { axis: next, seconds: 0.0, from: self.frame.q[next] };
                 self.command(|_, _| 0.0);
             }
             return;

@@ -31,7 +31,8 @@ pub fn root() -> PathBuf {
     path
 }
 
-fn target_directory() -> PathBuf {
+/// Where builds go.
+pub fn target_directory() -> PathBuf {
     match env::var_os("CARGO_TARGET_DIR") {
         Some(directory) => root().join(directory),
         None => root().join("target"),

@@ -3,7 +3,9 @@
 mod dfu;
 mod firmware;
 mod image;
+mod no_panic;
 mod tests;
+mod thumb;
 mod toolchain;
 
 use std::process::ExitCode;
@@ -18,6 +20,7 @@ cargo xtask COMMAND
   clippy-fw         clippy for the chip, warnings are errors
   flash BOARD       build and flash with probe-rs; also `cargo flash-BOARD`
   dfu BOARD         build and write a .dfu update file that leaves the settings alone
+  no-panic          prove that the control step cannot panic, and bound its stack
   test              every test: this computer's, both images, the emulated board
   board             the tests that run the images on the emulated board
 
@@ -44,6 +47,7 @@ fn run(arguments: &[String], install: bool) -> Result<()> {
         ["clippy-fw"] => firmware::clippy(install),
         ["flash", board] => firmware::flash(firmware::board(board)?, install),
         ["dfu", board] => firmware::dfu(firmware::board(board)?, install),
+        ["no-panic"] => no_panic::prove(install),
         ["test"] => tests::all(install),
         ["board", rest @ ..] => tests::board(rest, install),
         [] | ["help" | "--help" | "-h"] => {

@@ -5,8 +5,8 @@ use std::process::Command;
 
 use anyhow::Result;
 
-use crate::firmware;
 use crate::toolchain::run;
+use crate::{firmware, no_panic};
 
 fn cargo() -> Command {
     Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
@@ -16,6 +16,7 @@ fn cargo() -> Command {
 pub fn all(install: bool) -> Result<()> {
     run(cargo().current_dir(firmware::root()).args(["test", "--locked", "--workspace"]))?;
     firmware::size(install)?;
+    no_panic::prove(install)?;
     board(&[], install)
 }
 

@@ -29,6 +29,7 @@ commands! {
     "Without a board" {
         (Check, check)
         (Model, model)
+        (Map, map)
         (Range, range)
     }
     "Shell" {

@@ -1,0 +1,337 @@
+//! Inertia over the workspace: what a wall of one normal meets, the worst normals, and the axes of Λ, pose by pose.
+//!
+//! Poses are those that can be reached from the home pose without crossing a singularity: a grid over the joints' ranges,
+//! flooded from home through regular poses of the same orientation of J. So each tip position appears once, in the
+//! device's own working mode.
+//!
+//! With one full task (J square) both worst normals are closed forms in the eigenvalues of Λ (MODEL.md section 2). The
+//! redundant arm's tip meets two different matrices, Λ's own block and the inverse of the mobility's block; there the normal is
+//! searched, and the axes are those of the tip's inertia (J M⁻¹ Jᵀ)⁻¹.
+
+use haptic_bridge::description::Description;
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
+use serde::Serialize;
+
+use super::pose::{PoseError, TaskPose, unit_normal};
+use crate::model::Condition;
+
+/// Regular enough to walk through when flooding: the sine of the nearest singular angle.
+const WALKABLE_SINE: f64 = 0.08;
+
+/// A normal and what it makes of the inertia.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Worst {
+    /// Unit normal in the task frame.
+    pub normal: Vec<f64>,
+    /// Wrr/Weff (for the ratio) or Wrr - Weff in kg (for the coupling).
+    pub value: f64,
+}
+
+/// One pose of the map.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct MapPoint {
+    /// Joint angles, rad.
+    pub q: Vec<f64>,
+    /// Tip, m.
+    pub position: Vec<f64>,
+    /// Effective inertia along the normal, kg.
+    pub w_eff: f64,
+    /// Inertia along the normal with the feed-forward, kg.
+    pub w_rr: f64,
+    /// Wrr - Weff, kg.
+    pub coupling: f64,
+    /// Condition numbers of the tip Jacobian and of M.
+    pub condition: Condition,
+    /// Normal of the largest Wrr/Weff here.
+    pub worst_ratio: Worst,
+    /// Normal of the largest Wrr - Weff here.
+    pub worst_coupling: Worst,
+    /// Of the tip's operational-space inertia, ascending, kg.
+    pub eigenvalues: Vec<f64>,
+    /// Unit eigenvectors: entry k belongs to eigenvalue k.
+    pub eigenvectors: Vec<Vec<f64>>,
+}
+
+/// A grid over the joints, and which of its poses can be reached.
+#[derive(Clone, Debug)]
+pub struct Reachable {
+    /// Angles of the grid along each joint, rad.
+    pub axes: Vec<Vec<f64>>,
+    /// The joints whose grid closes on itself.
+    wraps: Vec<bool>,
+    /// Reached, by flat index, joint 0 slowest.
+    reached: Vec<bool>,
+}
+
+/// Evaluates one pose; `None` where it is singular.
+pub fn at(description: &Description, q: &[f64], normal: &DVector<f64>) -> Result<Option<MapPoint>, PoseError> {
+    let pose = TaskPose::at(description, q)?;
+    Ok(evaluate(&pose, q, normal))
+}
+
+fn evaluate(pose: &TaskPose, q: &[f64], normal: &DVector<f64>) -> Option<MapPoint> {
+    let d = pose.task;
+    let mobility = &pose.jacobian * pose.mass.clone().cholesky()?.solve(&pose.jacobian.transpose());
+    let held = pose.operational.view((0, 0), (d, d)).into_owned();
+    let free = mobility.view((0, 0), (d, d)).into_owned();
+    let n = normal.rows(0, d).into_owned();
+    let quadratic = |m: &DMatrix<f64>, n: &DVector<f64>| n.dot(&(m * n));
+    let w_rr = quadratic(&held, &n);
+    let w_eff = 1.0 / quadratic(&free, &n);
+
+    let axes = SymmetricEigen::new(free.clone().cholesky()?.inverse());
+    let mut order: Vec<usize> = (0..d).collect();
+    order.sort_by(|&a, &b| axes.eigenvalues[a].total_cmp(&axes.eigenvalues[b]));
+    let eigenvalues: Vec<f64> = order.iter().map(|&k| axes.eigenvalues[k]).collect();
+    let eigenvectors: Vec<DVector<f64>> = order.iter().map(|&k| axes.eigenvectors.column(k).into_owned()).collect();
+
+    let redundant = pose.jacobian.nrows() > d;
+    let (worst_ratio, worst_coupling) = if redundant {
+        let ratio = |n: &DVector<f64>| quadratic(&held, n) * quadratic(&free, n);
+        let coupling = |n: &DVector<f64>| quadratic(&held, n) - 1.0 / quadratic(&free, n);
+        (searched(ratio), searched(coupling))
+    } else {
+        closed_form(&eigenvalues, &eigenvectors)
+    };
+    let condition = |m: &DMatrix<f64>| {
+        let values = m.singular_values();
+        values.max() / values.min()
+    };
+    let point = MapPoint {
+        q: q.to_vec(),
+        position: pose.position.clone(),
+        w_eff,
+        w_rr,
+        // Rounding aside it is not negative.
+        coupling: (w_rr - w_eff).max(0.0),
+        condition: Condition {
+            jacobian: condition(&pose.jacobian.rows(0, d).into_owned()),
+            mass: condition(&pose.mass),
+        },
+        worst_ratio,
+        worst_coupling,
+        eigenvalues,
+        eigenvectors: eigenvectors.iter().map(|v| v.iter().copied().collect()).collect(),
+    };
+    let numbers = [point.w_eff, point.w_rr, point.condition.jacobian, point.condition.mass];
+    numbers.iter().all(|v| v.is_finite()).then_some(point)
+}
+
+/// Both worst normals in the plane of the eigenvectors of the smallest and largest eigenvalue (MODEL.md section 2).
+fn closed_form(eigenvalues: &[f64], eigenvectors: &[DVector<f64>]) -> (Worst, Worst) {
+    let (low, high) = (eigenvalues[0], eigenvalues[eigenvalues.len() - 1]);
+    let (e_low, e_high) = (&eigenvectors[0], &eigenvectors[eigenvectors.len() - 1]);
+    if eigenvalues.len() == 1 {
+        let only = |value| Worst { normal: e_low.iter().copied().collect(), value };
+        return (only(1.0), only(0.0));
+    }
+    let mixed = |on_low: f64, value: f64| {
+        let n = e_low * on_low.sqrt() + e_high * (1.0 - on_low).sqrt();
+        Worst { normal: n.iter().copied().collect(), value }
+    };
+    let (root_low, root_high) = (low.sqrt(), high.sqrt());
+    (
+        mixed(0.5, (high + low).powi(2) / (4.0 * high * low)),
+        mixed(root_low / (root_high + root_low), (root_high - root_low).powi(2)),
+    )
+}
+
+/// The planar direction in which `value` is largest, by a scan refined with golden sections.
+fn searched(value: impl Fn(&DVector<f64>) -> f64) -> Worst {
+    let along = |angle: f64| DVector::from_vec(vec![angle.cos(), angle.sin()]);
+    let steps = 180;
+    let step = std::f64::consts::PI / f64::from(steps);
+    let best = (0..steps)
+        .map(|i| f64::from(i) * step)
+        .max_by(|a, b| value(&along(*a)).total_cmp(&value(&along(*b))))
+        .unwrap_or(0.0);
+    let (mut low, mut high) = (best - step, best + step);
+    for _ in 0..60 {
+        let golden = 0.618_033_988_749_895 * (high - low);
+        let (left, right) = (high - golden, low + golden);
+        if value(&along(left)) > value(&along(right)) { high = right } else { low = left }
+    }
+    let normal = along((low + high) / 2.0);
+    Worst { value: value(&normal), normal: normal.iter().copied().collect() }
+}
+
+/// Whether a pose may be walked through, and on which side of the singularities it lies.
+fn side(description: &Description, q: &[f64]) -> Result<Option<bool>, PoseError> {
+    let pose = TaskPose::at(description, q)?;
+    let regular = pose.regularity.serial >= WALKABLE_SINE && pose.regularity.parallel >= WALKABLE_SINE;
+    Ok(regular.then(|| pose.jacobian.determinant() > 0.0))
+}
+
+impl Reachable {
+    /// Floods a grid of `per_joint` angles per joint from the home pose (or, without one, the most regular pose).
+    /// `held` fixes one joint at an angle.
+    pub fn from_home(
+        description: &Description,
+        per_joint: usize,
+        held: Option<(usize, f64)>,
+    ) -> Result<Self, PoseError> {
+        let spec = description.kind.spec();
+        let mut axes = Vec::new();
+        let mut wraps = Vec::new();
+        for joint in 0..spec.joints {
+            match (held, description.joints[joint].limits) {
+                (Some((at, angle)), _) if at == joint => {
+                    axes.push(vec![angle]);
+                    wraps.push(false);
+                }
+                (_, Some((low, high))) => {
+                    let last = per_joint.max(2) - 1;
+                    axes.push((0..=last).map(|i| low + (high - low) * i as f64 / last as f64).collect());
+                    wraps.push(false);
+                }
+                (_, None) => {
+                    // A whole turn, cell by cell, so that -π is not there twice.
+                    let step = std::f64::consts::TAU / per_joint as f64;
+                    axes.push((0..per_joint).map(|i| -std::f64::consts::PI + (i as f64 + 0.5) * step).collect());
+                    wraps.push(spec.periodic && per_joint > 2);
+                }
+            }
+        }
+        let mut grid = Self { axes, wraps, reached: Vec::new() };
+        grid.flood(description)?;
+        Ok(grid)
+    }
+
+    fn flood(&mut self, description: &Description) -> Result<(), PoseError> {
+        let count: usize = self.axes.iter().map(Vec::len).product();
+        let sides: Vec<Option<bool>> =
+            (0..count).map(|i| side(description, &self.angles(i))).collect::<Result<_, _>>()?;
+        self.reached = vec![false; count];
+        let home = description.home.unwrap_or_default();
+        let far = |index: usize| -> f64 {
+            self.angles(index)
+                .iter()
+                .zip(home)
+                .map(|(q, h)| (q - h - std::f64::consts::TAU * ((q - h) / std::f64::consts::TAU).round()).powi(2))
+                .sum()
+        };
+        let Some(start) = (0..count).filter(|&i| sides[i].is_some()).min_by(|&a, &b| far(a).total_cmp(&far(b))) else {
+            return Ok(());
+        };
+        let mut waiting = vec![start];
+        self.reached[start] = true;
+        while let Some(index) = waiting.pop() {
+            for neighbour in self.neighbours(index) {
+                if !self.reached[neighbour] && sides[neighbour] == sides[start] {
+                    self.reached[neighbour] = true;
+                    waiting.push(neighbour);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Joint angles of a flat index.
+    pub fn angles(&self, mut index: usize) -> Vec<f64> {
+        let mut q = vec![0.0; self.axes.len()];
+        for joint in (0..self.axes.len()).rev() {
+            q[joint] = self.axes[joint][index % self.axes[joint].len()];
+            index /= self.axes[joint].len();
+        }
+        q
+    }
+
+    /// Flat indices of the reached poses.
+    pub fn indices(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..self.reached.len()).filter(|&i| self.reached[i])
+    }
+
+    fn neighbours(&self, index: usize) -> Vec<usize> {
+        let mut found = Vec::new();
+        let mut stride = 1;
+        for joint in (0..self.axes.len()).rev() {
+            let length = self.axes[joint].len();
+            let place = (index / stride) % length;
+            let base = index - place * stride;
+            if place + 1 < length {
+                found.push(base + (place + 1) * stride);
+            } else if self.wraps[joint] {
+                found.push(base);
+            }
+            if place > 0 {
+                found.push(base + (place - 1) * stride);
+            } else if self.wraps[joint] {
+                found.push(base + (length - 1) * stride);
+            }
+            stride *= length;
+        }
+        found
+    }
+}
+
+/// The map of a device for one normal (d entries, any length but zero), over about `points` grid poses.
+pub fn map(description: &Description, normal: &[f64], points: usize) -> Result<Vec<MapPoint>, PoseError> {
+    let spec = description.kind.spec();
+    let normal = unit_normal(normal, spec.task, spec.joints)?;
+    let per_joint = (points as f64).powf(1.0 / spec.joints as f64).round().max(2.0) as usize;
+    let reachable = Reachable::from_home(description, per_joint, None)?;
+    let mut found = Vec::new();
+    for index in reachable.indices() {
+        found.extend(at(description, &reachable.angles(index), &normal)?);
+    }
+    Ok(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device_file::DeviceFile;
+
+    fn device(name: &str) -> Description {
+        let path = format!("{}/../devices/{name}.toml", env!("CARGO_MANIFEST_DIR"));
+        DeviceFile::load(path).unwrap().description
+    }
+
+    /// Wrr/Weff and Wrr - Weff along any normal, from M and J alone.
+    fn meets(description: &Description, q: &[f64], normal: &[f64]) -> (f64, f64) {
+        let device = super::super::plant::Linearised::at(description, q, normal).unwrap();
+        let (held, free) = (device.w_rr(), device.w_eff().unwrap());
+        (held / free, held - free)
+    }
+
+    #[test]
+    fn no_normal_is_worse_than_the_worst() {
+        for (name, q) in [
+            ("coupled-five-bar", vec![2.6, 1.75]),
+            ("phantom-premium-1.5", vec![0.3, 0.9, -0.3]),
+            ("fictive-five-bar-turret", vec![0.3, 2.4, 1.1]),
+            ("serial-3r", vec![0.6, 0.9, -0.7]),
+        ] {
+            let description = device(name);
+            let task = description.kind.spec().task;
+            let n = unit_normal(&vec![1.0; task], task, q.len()).unwrap();
+            let point = at(&description, &q, &n).unwrap().unwrap();
+            let (ratio, _) = meets(&description, &q, &point.worst_ratio.normal);
+            let (_, coupling) = meets(&description, &q, &point.worst_coupling.normal);
+            assert!((ratio / point.worst_ratio.value - 1.0).abs() < 1e-9, "{name}");
+            assert!((coupling / point.worst_coupling.value - 1.0).abs() < 1e-7, "{name}");
+            for i in 0..40 {
+                for j in 0..if task == 3 { 40 } else { 1 } {
+                    let (a, b) = (f64::from(i) * 0.0785, f64::from(j) * 0.157);
+                    let normal = [a.cos(), a.sin() * b.cos(), a.sin() * b.sin()];
+                    let (other_ratio, other_coupling) = meets(&description, &q, &normal[..task]);
+                    assert!(other_ratio <= ratio * (1.0 + 1e-9), "{name}");
+                    assert!(other_coupling <= coupling * (1.0 + 1e-9), "{name}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_map_stays_in_the_working_mode_of_home() {
+        for name in ["haply-2diy", "phantom-premium-1.5", "serial-3r", "hapkit-paddle"] {
+            let description = device(name);
+            let home = &description.home.unwrap()[..description.kind.spec().joints];
+            let sign = |q: &[f64]| TaskPose::at(&description, q).unwrap().jacobian.determinant() > 0.0;
+            let task = description.kind.spec().task;
+            let points = map(&description, &vec![1.0; task], 800).unwrap();
+            assert!(points.len() > 30, "{name}: {}", points.len());
+            assert!(points.iter().all(|p| sign(&p.q) == sign(home) && p.w_eff <= p.w_rr * (1.0 + 1e-9)), "{name}");
+        }
+    }
+}

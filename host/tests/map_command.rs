@@ -1,0 +1,68 @@
+//! `haptic map` as other programs see it.
+
+use assert_cmd::Command;
+use serde_json::Value;
+
+const DEVICE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/coupled-five-bar.toml");
+
+fn haptic(arguments: &[&str]) -> assert_cmd::assert::Assert {
+    Command::cargo_bin("haptic").unwrap().args(arguments).assert()
+}
+
+fn json(arguments: &[&str]) -> Value {
+    let done = haptic(arguments).success();
+    serde_json::from_slice(&done.get_output().stdout).unwrap()
+}
+
+#[test]
+fn every_point_agrees_with_haptic_model() {
+    let map = json(&["map", DEVICE, "--normal", "0.6,-0.8", "--points", "100", "--json"]);
+    let points = map["points"].as_array().unwrap();
+    assert!(points.len() > 20);
+    for point in points.iter().step_by(7) {
+        let q: Vec<String> =
+            point["q"].as_array().unwrap().iter().map(|v| format!("{:e}", v.as_f64().unwrap())).collect();
+        let q = format!("--q={}", q.join(","));
+        let model = json(&["model", DEVICE, &q, "--normal", "0.6,-0.8", "--json"]);
+        for (one, other) in [
+            (&point["w_eff"], &model["w_eff"][0][0]),
+            (&point["w_rr"], &model["w_rr"][0][0]),
+            (&point["condition"]["jacobian"], &model["condition"]["jacobian"]),
+            (&point["condition"]["mass"], &model["condition"]["mass"]),
+            (&point["position"][1], &model["position"][1]),
+        ] {
+            let (one, other) = (one.as_f64().unwrap(), other.as_f64().unwrap());
+            assert!((one - other).abs() < 1e-9 * other.abs().max(1e-3), "{q}: {one} {other}");
+        }
+    }
+}
+
+#[test]
+fn a_point_has_the_documented_keys() {
+    let map = json(&["map", DEVICE, "--normal", "1,0", "--points", "30", "--json"]);
+    let keys: Vec<&String> = map["points"][0].as_object().unwrap().keys().collect();
+    assert_eq!(
+        keys,
+        [
+            "condition",
+            "coupling",
+            "eigenvalues",
+            "eigenvectors",
+            "position",
+            "q",
+            "w_eff",
+            "w_rr",
+            "worst_coupling",
+            "worst_ratio"
+        ]
+    );
+}
+
+#[test]
+fn the_picture_is_written_and_a_zero_normal_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let svg = folder.path().join("map.svg");
+    haptic(&["map", DEVICE, "--normal", "1,0", "--svg", svg.to_str().unwrap()]).success();
+    assert!(std::fs::read_to_string(svg).unwrap().contains("coupled-five-bar"));
+    haptic(&["map", DEVICE, "--normal", "0,0"]).code(2);
+}

@@ -1,0 +1,45 @@
+//! The proof that the control step cannot panic, and what its machine code shows besides: no indirect calls, no
+//! recursion, a bounded stack.
+
+use std::process::Command;
+
+use anyhow::{Context as _, Result, ensure};
+
+use crate::firmware::{root, target_directory};
+use crate::thumb::Image;
+use crate::toolchain::{TARGET, Toolchain, Use, run};
+
+/// Most stack the control step may take, bytes: a quarter of what the images reserve.
+const STACK_LIMIT: u32 = 2048;
+
+/// The function that does not exist; its name is in the linker's message.
+const MISSING: &str = "the_control_step_can_panic";
+
+fn cargo(toolchain: Toolchain) -> Command {
+    let mut command = toolchain.cargo(Use::Build);
+    command.current_dir(root().join("tests/no-panic")).args(["--locked", "--release"]);
+    command.arg("--target-dir").arg(target_directory().join("no-panic"));
+    command
+}
+
+/// Links the step alone, and reads the result.
+pub fn prove(install: bool) -> Result<()> {
+    let toolchain = Toolchain::find(Use::Build, install)?;
+    run(&mut cargo(toolchain)).context("a panic is left in the control step; the linker's message above says so")?;
+    let image = Image::read(&target_directory().join("no-panic").join(TARGET).join("release/no-panic"))?;
+    let reach = image.reach(&["control_step", "carrier_step"])?;
+    println!("control step: links without a panic; {} functions, no recursion", reach.functions);
+    for (root, stack) in &reach.stack {
+        println!("{root}: at most {stack} bytes of stack (limit {STACK_LIMIT})");
+        ensure!(*stack <= STACK_LIMIT, "{root} takes too much stack");
+    }
+    ensure!(reach.indirect.is_empty(), "indirect jumps in the control step:\n    {}", reach.indirect.join("\n    "));
+    println!("no indirect calls");
+
+    // The proof must be able to fail: with one index that nothing bounds, the same image must not link.
+    let broken = cargo(toolchain).args(["--features", "broken"]).output().context("cannot run cargo")?;
+    let message = String::from_utf8_lossy(&broken.stderr);
+    ensure!(!broken.status.success() && message.contains(MISSING), "a step that can panic was not found out");
+    println!("and a step with one unbounded index does not link");
+    Ok(())
+}
