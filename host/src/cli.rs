@@ -3,6 +3,7 @@
 use crate::commands::{Command, HEADINGS};
 use clap::{CommandFactory, FromArgMatches, Parser};
 use haptic::error::Failure;
+use std::ffi::OsString;
 
 /// Configure, watch, simulate and analyse haptic-bridge boards: motor drivers that render hard walls on a device
 /// whose inertia they know.
@@ -40,11 +41,24 @@ pub fn command() -> clap::Command {
 
 /// Parses the process's arguments; prints help or what is wrong with them and exits, as clap does.
 pub fn parse() -> Command {
-    let matches = command().get_matches();
+    let matches = command().get_matches_from(port_after_command(std::env::args_os().collect()));
     match Cli::from_arg_matches(&matches) {
         Ok(cli) => cli.command,
         Err(error) => error.exit(),
     }
+}
+
+/// Lets `--port` stand before the command as well: `haptic --port sim info` is `haptic info --port sim`.
+fn port_after_command(mut words: Vec<OsString>) -> Vec<OsString> {
+    let ahead = match words.get(1).and_then(|word| word.to_str()) {
+        Some("--port") => 2,
+        Some(word) if word.starts_with("--port=") => 1,
+        _ => return words,
+    };
+    if words.len() > 1 + ahead {
+        words[1..2 + ahead].rotate_right(1);
+    }
+    words
 }
 
 /// A list of numbers separated by commas, such as `-0.3,1.2`.

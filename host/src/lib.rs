@@ -5,6 +5,7 @@ pub mod analysis;
 pub mod device_file;
 pub mod error;
 pub mod file_error;
+pub mod interrupt;
 pub mod link;
 pub mod model;
 pub mod plot;

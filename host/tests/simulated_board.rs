@@ -112,6 +112,22 @@ fn every_row_of_a_full_rate_stream_arrives_in_order() {
 }
 
 #[test]
+fn requests_in_the_middle_of_a_stream_lose_no_rows() {
+    let (_, mut board) = connect(BoardOptions::default());
+    board.keep_alive();
+    board.start_stream(fields("q").unwrap(), 1).unwrap();
+    let mut received = 0;
+    while received < 10_000 {
+        received += board.rows(Duration::from_millis(100)).unwrap().len();
+        board.status().unwrap();
+    }
+    board.stop_stream().unwrap();
+    received += board.rows(Duration::ZERO).unwrap().len();
+    let losses = board.losses();
+    assert_eq!((losses.missing, losses.batches_lost, losses.received), (0, 0, received as u64));
+}
+
+#[test]
 fn a_host_that_does_not_read_loses_rows_and_is_told_how_many() {
     let (shared, mut board) = connect(BoardOptions { send_buffer: 4_000, ..BoardOptions::default() });
     board.start_stream(fields("q,tip").unwrap(), 1).unwrap();

@@ -1,5 +1,7 @@
 //! The subcommands. Each is one file here, with its `Args` and `run(Args) -> Result<(), Failure>`, and one line below.
 
+mod port;
+
 use haptic::error::Failure;
 
 /// Declares the subcommands: under each heading of `haptic --help`, `(Variant, module)` in the order of that page.
@@ -31,6 +33,22 @@ commands! {
         (Model, model)
         (Map, map)
         (Range, range)
+    }
+    "With a board" {
+        (List, list)
+        (Info, info)
+        (Device, device)
+        (Scene, scene)
+        (Gains, gains)
+        (Home, home)
+        (Polarity, polarity)
+        (Arm, arm)
+        (Disarm, disarm)
+        (Stream, stream)
+        (Faults, faults)
+        (Clear, clear)
+        (Save, save)
+        (Sim, sim)
     }
     "Shell" {
         (Completions, completions)

@@ -344,7 +344,9 @@ impl SimulatedBoard {
         let mut out = [0; MAX_FRAME];
         let (answer, after) = dispatch::answer(&mut self.service, &mut self.innards, frame, &mut out);
         // Rows of the stream so far go out before the answer that ends it.
-        if let (After::Stream(..), Some(batch)) = (after, self.packer.flush()) {
+        if matches!(after, After::Stream(..))
+            && let Some(batch) = self.packer.flush()
+        {
             self.link.publish::<Telemetry>(&batch);
         }
         if let Some(answer) = answer {

@@ -1,0 +1,56 @@
+//! `haptic device`: loads a device file onto a board.
+
+use super::port::Port;
+use haptic::device_file::DeviceFile;
+use haptic::error::{Failure, print};
+use haptic_bridge::device::Device;
+use std::path::{Path, PathBuf};
+
+/// Load a device onto a board
+///
+/// The board forgets homing and the polarity check, because they belong to the device before. `haptic save` keeps the
+/// device over a power cycle.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Device file (TOML)
+    file: PathBuf,
+    #[command(flatten)]
+    port: Port,
+}
+
+/// Checks the file, then the board, then loads.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let file = DeviceFile::load(&args.file)?;
+    let device = Device::new(&file.name, &file.description)
+        .map_err(|error| Failure::wrong(format!("{}: {error}", args.file.display())))?;
+    let mut board = args.port.open()?;
+    let details = board.details()?;
+    let joints = file.spec().joints;
+    if joints > usize::from(details.axes) {
+        let line = line_of_joint(&args.file, usize::from(details.axes));
+        let reason = format!(
+            "{}:{line}: the device has {joints} joints and the board {} axes",
+            args.file.display(),
+            details.axes
+        );
+        return Err(Failure::wrong(reason).remedy("use a board with more axes"));
+    }
+    board.set_device(&device)?;
+    let mut report = format!("{} is loaded on {}; it is not homed\n", file.name, board.port());
+    if details.real {
+        for lack in file.lacks_for_a_board() {
+            report.push_str(&format!("  before the board arms: {lack}\n"));
+        }
+    }
+    if board.scene()?.is_none() {
+        report.push_str("next: `haptic scene FILE`, then `haptic home`\n");
+    }
+    print(&report)
+}
+
+/// The line on which the `index`-th joint begins; 1 when the file cannot be read again.
+fn line_of_joint(path: &Path, index: usize) -> usize {
+    let text = std::fs::read_to_string(path).unwrap_or_default();
+    let mut joints = text.lines().enumerate().filter(|(_, line)| line.trim_start().starts_with("[[joint]]"));
+    joints.nth(index).map_or(1, |(line, _)| line + 1)
+}

@@ -1,0 +1,107 @@
+//! `haptic gains`: shows or changes stiffness, damping, feed-forward and cutoff, also while a wall is touched.
+
+use super::port::Port;
+use clap::ValueEnum;
+use haptic::error::{Failure, print};
+use haptic::link::BoardError;
+use haptic_bridge::controller::Gains;
+use haptic_bridge::guard::Refusal;
+use haptic_bridge::scene::FeedForward;
+use haptic_bridge::velocity::Estimator;
+
+/// Show or change the gains of a wall, also while it is touched
+///
+/// What is not named stays as it is. `haptic save` keeps the gains over a power cycle.
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    port: Port,
+    /// Which wall, from 0, in the order of the scene file
+    #[arg(long, value_name = "INDEX", default_value_t = 0)]
+    wall: u8,
+    /// Stiffness in N/m
+    #[arg(long, value_name = "N/M", value_parser = gain, allow_hyphen_values = true)]
+    stiffness: Option<f32>,
+    /// Damping in N s/m
+    #[arg(long, value_name = "N S/M", value_parser = gain, allow_hyphen_values = true)]
+    damping: Option<f32>,
+    /// Feed-forward of the wall's force
+    #[arg(long, value_name = "KIND")]
+    feed_forward: Option<FeedForwardKind>,
+    /// Corner of the washout in Hz
+    #[arg(long, value_name = "HZ", value_parser = gain, allow_hyphen_values = true)]
+    washout: Option<f32>,
+    /// Cutoff of the velocity filters of all walls in Hz
+    #[arg(long, value_name = "HZ", value_parser = gain, allow_hyphen_values = true)]
+    cutoff: Option<f32>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum FeedForwardKind {
+    /// None
+    Off,
+    /// The paper's equation (4)
+    Full,
+    /// The same, gone at rest, so that a resting hand is not pushed sideways
+    Washout,
+}
+
+fn gain(text: &str) -> Result<f32, String> {
+    match text.parse::<f32>() {
+        Ok(value) if value.is_finite() && value >= 0.0 => Ok(value),
+        Ok(_) => Err("must be finite and not negative".into()),
+        Err(_) => Err("not a number".into()),
+    }
+}
+
+/// Reads what is in force, changes what is named, reports what is in force then.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let mut board = args.port.open()?;
+    let scene = board.scene()?.ok_or(BoardError::Refused(Refusal::NoScene))?;
+    let Some(wall) = scene.walls.get(usize::from(args.wall)) else {
+        let reason = format!("the scene has {} walls, so there is no wall {}", scene.walls.len(), args.wall);
+        return Err(Failure::wrong(reason).remedy("count from 0 in the order of the scene file"));
+    };
+    let gains = Gains {
+        wall: args.wall,
+        stiffness: args.stiffness.unwrap_or(wall.stiffness),
+        damping: args.damping.unwrap_or(wall.damping),
+        feed_forward: match args.feed_forward {
+            None => wall.feed_forward,
+            Some(FeedForwardKind::Off) => FeedForward::Off,
+            Some(FeedForwardKind::Full) => FeedForward::Full,
+            Some(FeedForwardKind::Washout) => FeedForward::Washout,
+        },
+        washout_hz: args.washout.unwrap_or(wall.washout_hz),
+    };
+    let named =
+        args.stiffness.is_some() || args.damping.is_some() || args.feed_forward.is_some() || args.washout.is_some();
+    if named {
+        board.set_wall_gains(gains)?;
+    }
+    if let Some(cutoff) = args.cutoff {
+        board.set_estimator(scene.estimator, cutoff)?;
+    }
+    let scene = board.scene()?.ok_or(BoardError::Refused(Refusal::NoScene))?;
+    let Some(wall) = scene.walls.get(usize::from(args.wall)) else {
+        return Err(BoardError::Refused(Refusal::NoScene).into());
+    };
+    let estimator = match scene.estimator {
+        Estimator::Butterworth => "Butterworth",
+        Estimator::FirstOrder => "first-order",
+        Estimator::BackwardDifference => "no",
+    };
+    print(&format!(
+        "wall {}: stiffness {} N/m, damping {} N s/m, feed-forward {}; {estimator} filter at {} Hz, control at {} Hz\n",
+        args.wall,
+        wall.stiffness,
+        wall.damping,
+        match wall.feed_forward {
+            FeedForward::Off => "off".into(),
+            FeedForward::Full => "full".into(),
+            FeedForward::Washout => format!("washout at {} Hz", wall.washout_hz),
+        },
+        scene.cutoff_hz,
+        scene.rate_hz
+    ))
+}

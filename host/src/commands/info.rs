@@ -1,0 +1,111 @@
+//! `haptic info`: what a board is, what it has loaded, and how it is.
+
+use super::port::{Port, fault_in_words, numbers, state_in_words};
+use haptic::error::{Failure, print};
+use haptic_bridge::guard::Fault;
+use haptic_bridge::scene::{FeedForward, Surface};
+use serde_json::json;
+
+/// Show what a board is, what it has loaded, and its state
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    port: Port,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+/// Asks and reports.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let mut board = args.port.open()?;
+    let info = board.info().clone();
+    let details = board.details()?;
+    let status = board.status()?;
+    let scene = board.scene()?;
+    let axes = board.device()?.map_or(0, |device| device.axes());
+    if args.json {
+        let fault = status.fault.map(|record| {
+            json!({ "code": record.fault.code(), "name": record.fault.name(), "axis": record.axis,
+                    "value": record.value, "step": record.step })
+        });
+        return print(&format!(
+            "{}\n",
+            json!({
+                "port": board.port(), "board": info.board, "serial": info.serial, "firmware": info.firmware,
+                "protocol": info.protocol, "name": details.name, "axes": details.axes, "real": details.real,
+                "device": details.device, "rate_hz": details.rate_hz, "carrier_hz": details.carrier_hz,
+                "delay_samples": details.delay_samples, "walls": details.walls, "unsensed_faults": details.unsensed,
+                "overruns": details.overruns, "longest_cycles": details.longest_cycles,
+                "stack_free": details.stack_free, "state": format!("{:?}", status.state), "homed": status.homed,
+                "polarity_checked": status.polarity, "fault": fault, "step": status.step,
+                "bus_voltage": status.bus_voltage, "q": &status.q[..axes], "tip": &status.tip[..axes],
+            })
+        ));
+    }
+    let mut report = String::new();
+    let mut line = |name: &str, value: String| report.push_str(&format!("{name:<12}{value}\n"));
+    let name = if details.name.is_empty() { String::new() } else { format!(" \"{}\"", details.name) };
+    line("board", format!("{}{name}, serial number {}, on {}", info.board, info.serial, board.port()));
+    line("firmware", format!("{}, protocol {}", info.firmware, info.protocol));
+    line("axes", details.axes.to_string());
+    line(
+        "control",
+        format!("{} Hz, carrier {} Hz, delay {} samples", details.rate_hz, details.carrier_hz, details.delay_samples),
+    );
+    line("device", details.device.as_deref().unwrap_or("none; load one with `haptic device FILE`").into());
+    match &scene {
+        None => line("scene", "none; load one with `haptic scene FILE`".into()),
+        Some(scene) => {
+            line("scene", format!("{} walls, {} springs", scene.walls.len(), scene.springs.len()));
+            for (index, wall) in scene.walls.iter().enumerate() {
+                let shape = match wall.surface {
+                    Surface::Plane(_) => "plane",
+                    Surface::Sphere(_) => "sphere",
+                    Surface::Cylinder(_) => "cylinder",
+                };
+                let feed_forward = match wall.feed_forward {
+                    FeedForward::Off => "off".into(),
+                    FeedForward::Full => "full".into(),
+                    FeedForward::Washout => format!("washout at {} Hz", wall.washout_hz),
+                };
+                line(
+                    &format!("  wall {index}"),
+                    format!("{shape}, {} N/m, {} N s/m, feed-forward {feed_forward}", wall.stiffness, wall.damping),
+                );
+            }
+        }
+    }
+    line("state", state_in_words(status.state).into());
+    line("homed", if status.homed { "yes" } else { "no" }.into());
+    line("polarity", if status.polarity { "checked" } else { "not checked" }.into());
+    line("bus", format!("{:.2} V", status.bus_voltage));
+    if axes > 0 {
+        line("joints", numbers(&status.q[..axes], "rad"));
+        line("tip", numbers(&status.tip[..axes], "m"));
+    }
+    if let Some(record) = &status.fault {
+        line("fault", fault_in_words(record, details.rate_hz));
+    }
+    if details.overruns > 0 {
+        line("overruns", details.overruns.to_string());
+    }
+    if details.longest_cycles > 0 {
+        line("longest step", format!("{} cycles", details.longest_cycles));
+    }
+    if details.stack_free > 0 {
+        line("stack free", format!("{} bytes", details.stack_free));
+    }
+    let unsensed: Vec<&str> = Fault::ALL
+        .iter()
+        .filter(|fault| details.unsensed.contains(&fault.code()))
+        .map(|fault| fault.what())
+        .collect();
+    if !unsensed.is_empty() {
+        line("not sensed", unsensed.join("; "));
+    }
+    for (key, damage) in &details.damage {
+        line("damaged", format!("the stored {} ({damage:?}): it is at its default", key.name()));
+    }
+    print(&report)
+}

@@ -1,0 +1,37 @@
+//! `haptic list`: the boards that are connected.
+
+use haptic::error::{Failure, print};
+use haptic::link::boards;
+use serde_json::json;
+
+/// List the boards that are connected
+#[derive(clap::Args)]
+pub struct Args {
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+/// Lists boards by their USB identifiers, without opening any port.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let (boards, others) = boards();
+    if args.json {
+        let boards: Vec<_> = boards
+            .iter()
+            .map(|board| json!({ "port": board.path, "serial": board.serial, "product": board.product }))
+            .collect();
+        return print(&format!("{}\n", json!({ "boards": boards, "other_serial_ports": others })));
+    }
+    let mut report = String::new();
+    for board in &boards {
+        report.push_str(&format!("{}  {}  serial number {}\n", board.path, board.product, board.serial));
+    }
+    if boards.is_empty() {
+        report.push_str("no boards found\n");
+        if !others.is_empty() {
+            report.push_str(&format!("other serial ports: {}\n", others.join(", ")));
+        }
+        report.push_str("without a board: `haptic demo`, `haptic sim`, or `--port sim` on any command\n");
+    }
+    print(&report)
+}

@@ -1,0 +1,129 @@
+//! `haptic sim`: runs a simulated board until interrupted, behind a port that any command can open.
+
+use clap::ValueEnum;
+use haptic::device_file::DeviceFile;
+use haptic::error::{Failure, print};
+use haptic::interrupt;
+use haptic::scene_file::SceneFile;
+use haptic::sim::server::{Pace, serve, tcp};
+use haptic::sim::{BoardOptions, DriveModel, Hand, HandSettings, Intent, SHIPPED_DEVICE, Waypoint, ready_board};
+use std::net::{SocketAddr, ToSocketAddrs};
+use std::path::PathBuf;
+
+/// Run a simulated board with a device on it, until Ctrl-C
+///
+/// The board runs the firmware's own control code on a nonlinear simulation of the device and speaks the real protocol
+/// on a pseudo-terminal, or on TCP with --tcp. The device is loaded, and the board ready to take a scene.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Device file (TOML) [default: the coupled five-bar that ships]
+    device: Option<PathBuf>,
+    /// Scene file (TOML) to load as well
+    #[arg(long, value_name = "FILE")]
+    scene: Option<PathBuf>,
+    /// Listen on this TCP address instead of a pseudo-terminal: PORT or HOST:PORT
+    #[arg(long, value_name = "ADDRESS")]
+    tcp: Option<String>,
+    /// Let simulated time pass as fast as the computer can while a tool is connected
+    #[arg(long)]
+    fast: bool,
+    /// Ask of the user what a real board asks: verified motors, limits, homing, polarity check
+    #[arg(long)]
+    strict: bool,
+    /// What the simulated hand does
+    #[arg(long, value_name = "KIND", default_value = "none")]
+    hand: HandKind,
+    /// Leave friction out of the simulated device
+    #[arg(long)]
+    frictionless: bool,
+    /// Let commanded torques act at once, without bridges, windings and a current loop
+    #[arg(long)]
+    ideal_drive: bool,
+    /// Motor axes of the board
+    #[arg(long, value_name = "COUNT", default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=3))]
+    axes: u8,
+    /// Seed of the hand's tremor
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum HandKind {
+    /// No hand
+    None,
+    /// A hand that moves the tip around a small loop, over and over
+    Loop,
+}
+
+/// Runs the board.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let file = match &args.device {
+        Some(path) => DeviceFile::load(path)?,
+        None => DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml")?,
+    };
+    let mut options = BoardOptions {
+        drive: if args.ideal_drive { DriveModel::Ideal } else { DriveModel::Electric },
+        strict: args.strict,
+        axes: args.axes.into(),
+        ..BoardOptions::default()
+    };
+    options.device.friction = !args.frictionless;
+    let wrong = |error: &dyn std::fmt::Display| Failure::wrong(format!("{}: {error}", file.path.display()));
+    let mut board = ready_board(&file, options).map_err(|error| wrong(&error))?;
+    if let Some(path) = &args.scene {
+        let scene = SceneFile::load(path, file.spec().task)?;
+        let scene = scene.scene::<f32>().map_err(|error| Failure::wrong(format!("{}: {error}", path.display())))?;
+        board.load(&file.name, &file.description, Some(scene)).map_err(|refusal| wrong(&refusal))?;
+    }
+    if args.hand == HandKind::Loop {
+        let tip = board.device().tip();
+        let settings = HandSettings { tremor: 2e-4, seed: args.seed, ..HandSettings::default() };
+        board.device_mut().set_hand(Hand::new(settings, small_loop(tip), tip, 0.0));
+    }
+    let door = match &args.tcp {
+        Some(text) => {
+            let address = address(text)?;
+            tcp(address).map_err(|error| {
+                Failure::impossible(format!("cannot listen on {address}: {error}")).remedy("choose another --tcp PORT")
+            })?
+        }
+        None => pseudo_terminal()?,
+    };
+    let pace = if args.fast { Pace::AsFastAsItCan } else { Pace::RealTime };
+    print(&format!(
+        "a simulated board with {} is on {}\ntry: haptic info --port {}\nCtrl-C ends it\n",
+        file.name, door.port, door.port
+    ))?;
+    let stop = interrupt::watch();
+    serve(&mut board, &door, pace, stop.flag());
+    eprintln!("simulated {:.3} s", board.time());
+    Ok(())
+}
+
+#[cfg(unix)]
+fn pseudo_terminal() -> Result<haptic::sim::server::Door, Failure> {
+    haptic::sim::server::pseudo_terminal().map_err(|error| {
+        Failure::impossible(format!("cannot open a pseudo-terminal: {error}")).remedy("use --tcp PORT")
+    })
+}
+
+#[cfg(not(unix))]
+fn pseudo_terminal() -> Result<haptic::sim::server::Door, Failure> {
+    Err(Failure::wrong("this system has no pseudo-terminals").remedy("use --tcp PORT"))
+}
+
+fn address(text: &str) -> Result<SocketAddr, Failure> {
+    let full = if text.contains(':') { text.to_string() } else { format!("127.0.0.1:{text}") };
+    let found = full.to_socket_addrs().ok().and_then(|mut addresses| addresses.next());
+    found.ok_or_else(|| Failure::wrong(format!("--tcp {text} is not PORT or HOST:PORT")).remedy("try --tcp 7710"))
+}
+
+/// Three centimetres across, four seconds around, for an hour.
+fn small_loop(centre: [f64; 3]) -> Intent {
+    let corners = [[0.0, 0.0], [0.015, 0.015], [0.0, 0.03], [-0.015, 0.015]];
+    let points = (0..3600).zip(corners.iter().cycle()).map(|(second, [x, y])| Waypoint {
+        time: f64::from(second),
+        value: [centre[0] + x, centre[1] + y, centre[2]],
+    });
+    Intent::Follow(points.collect())
+}

@@ -1,0 +1,150 @@
+//! The commands that talk to a board, as a person types them, against a simulated board in another process.
+
+use assert_cmd::Command;
+use assert_cmd::cargo::CommandCargoExt;
+use haptic::recorder::Recording;
+use predicates::prelude::*;
+use predicates::str::contains;
+use std::io::{BufRead, BufReader};
+use std::path::PathBuf;
+use std::process::{Child, Stdio};
+
+fn file(name: &str) -> String {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../devices").join(name).display().to_string()
+}
+
+fn haptic(arguments: &[&str]) -> Command {
+    let mut command = Command::cargo_bin("haptic").unwrap();
+    command.args(arguments);
+    command
+}
+
+/// `haptic sim …` in a process of its own.
+struct Sim {
+    child: Child,
+    port: String,
+}
+
+impl Sim {
+    fn start(arguments: &[&str]) -> Self {
+        let mut command = std::process::Command::cargo_bin("haptic").unwrap();
+        let mut child = command.args(["sim", "--tcp", "0"]).args(arguments).stdout(Stdio::piped()).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let port = line.trim().rsplit(' ').next().unwrap().to_string();
+        assert!(port.starts_with("tcp:127.0.0.1:"), "{line}");
+        Self { child, port }
+    }
+
+    fn run(&self, arguments: &[&str]) -> assert_cmd::assert::Assert {
+        let mut command = haptic(arguments);
+        command.args(["--port", &self.port]).assert()
+    }
+}
+
+impl Drop for Sim {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[test]
+fn a_session_from_a_bare_board_to_a_recording() {
+    let sim = Sim::start(&["--fast"]);
+    sim.run(&["device", &file("coupled-five-bar.toml")]).success().stdout(contains("coupled-five-bar is loaded"));
+    sim.run(&["arm"]).code(1).stderr(contains("no scene is loaded"));
+    sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success().stdout(contains("1 walls"));
+    sim.run(&["gains", "--stiffness", "300", "--damping", "2"]).success().stdout(contains("stiffness 300 N/m"));
+    sim.run(&["gains", "--wall", "4"]).code(2).stderr(contains("there is no wall 4"));
+    sim.run(&["arm"]).success();
+    sim.run(&["save"]).code(1).stderr(contains("haptic disarm"));
+
+    let directory = tempfile::tempdir().unwrap();
+    let csv = directory.path().join("run.csv");
+    let csv = csv.to_str().unwrap();
+    sim.run(&["stream", "--csv", csv, "--rate", "5000", "--seconds", "0.5", "--fields", "q,force,state"])
+        .success()
+        .stderr(contains("2500 rows are in").and(contains("none lost")));
+    let recording = Recording::parse(&std::fs::read_to_string(csv).unwrap()).unwrap();
+    assert_eq!(recording.columns, ["step", "time_s", "q0_rad", "q1_rad", "force_n", "state", "contacts"]);
+    assert_eq!(recording.rows.len(), 2500);
+    assert!(recording.rows.windows(2).all(|pair| pair[1][0] - pair[0][0] == 4.0), "every fourth step");
+
+    sim.run(&["disarm"]).success();
+    sim.run(&["save"]).success();
+    let info = sim.run(&["info", "--json"]).success();
+    let info: serde_json::Value = serde_json::from_slice(&info.get_output().stdout).unwrap();
+    assert_eq!(info["device"], "coupled-five-bar");
+    assert_eq!(info["walls"], 1);
+    assert_eq!(info["state"], "Disarmed");
+    sim.run(&["faults"]).success().stdout(contains("no faults"));
+}
+
+#[test]
+fn a_strict_board_asks_for_everything_a_real_one_does() {
+    let sim = Sim::start(&["--fast", "--strict"]);
+    sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success();
+    sim.run(&["arm"]).code(1).stderr(contains("verified"));
+    sim.run(&["polarity"]).code(1).stderr(contains("--yes"));
+}
+
+#[test]
+fn a_device_with_more_joints_than_axes_is_refused_with_file_and_line() {
+    let sim = Sim::start(&["--fast", "--axes", "2"]);
+    let refused = sim.run(&["device", &file("phantom-premium-1.5.toml")]).code(2);
+    let text = String::from_utf8_lossy(&refused.get_output().stderr).into_owned();
+    assert!(text.contains("phantom-premium-1.5.toml:") && text.contains("3 joints and the board 2 axes"), "{text}");
+}
+
+#[test]
+fn a_scene_of_the_wrong_dimension_is_refused_before_it_is_sent() {
+    let sim = Sim::start(&["--fast"]);
+    sim.run(&["scene", &file("scenes/fictive-five-bar-turret/ball.toml")]).code(2).stderr(contains("ball.toml:"));
+    sim.run(&["info"]).success().stdout(contains("none; load one with `haptic scene FILE`"));
+}
+
+#[test]
+fn a_board_that_dies_while_streaming_leaves_a_whole_recording() {
+    let mut sim = Sim::start(&[]);
+    let directory = tempfile::tempdir().unwrap();
+    let csv = directory.path().join("cut.csv");
+    let mut command = std::process::Command::cargo_bin("haptic").unwrap();
+    let mut stream = command
+        .args(["stream", "--rate", "20000", "--csv", csv.to_str().unwrap(), "--port", &sim.port])
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    // Pull the plug once there is something on disk.
+    while std::fs::metadata(&csv).map_or(0, |about| about.len()) < 100_000 {
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
+    sim.child.kill().unwrap();
+    assert_eq!(stream.wait().unwrap().code(), Some(1));
+    let mut said = String::new();
+    std::io::Read::read_to_string(&mut stream.stderr.take().unwrap(), &mut said).unwrap();
+    assert!(said.contains("unplugged or the connection was lost") && said.contains("rows are in"), "{said}");
+    let recording = Recording::parse(&std::fs::read_to_string(&csv).unwrap()).unwrap();
+    assert!(!recording.torn && recording.rows.len() > 100);
+}
+
+#[test]
+fn a_simulated_board_needs_no_other_process() {
+    haptic(&["--port", "sim", "info"]).assert().success().stdout(contains("coupled-five-bar"));
+    haptic(&["info", "--port", &format!("sim:{}", file("hapkit-paddle.toml"))])
+        .assert()
+        .success()
+        .stdout(contains("hapkit-paddle"));
+    haptic(&["info", "--port", "sim:no-such.toml"]).assert().code(2).stderr(contains("no-such.toml"));
+}
+
+#[test]
+fn wrong_ports_and_gains_are_refused_by_the_command_line() {
+    haptic(&["info", "--port", "tcp:nowhere"]).assert().code(2).stderr(contains("tcp:HOST:PORT"));
+    for bad in ["-1", "nan", "inf", "soft"] {
+        haptic(&["gains", "--port", "sim", "--stiffness", bad]).assert().code(2);
+    }
+    haptic(&["stream", "--port", "sim", "--fields", "forse"]).assert().code(2).stderr(contains("`forse` is no field"));
+    haptic(&["info", "--port", "/dev/no-such-port"]).assert().code(1).stderr(contains("/dev/no-such-port"));
+    haptic(&["list", "--json"]).assert().success();
+}
