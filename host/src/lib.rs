@@ -7,6 +7,7 @@ pub mod error;
 pub mod file_error;
 pub mod interrupt;
 pub mod link;
+pub mod measure;
 pub mod model;
 pub mod plot;
 pub mod recorder;
