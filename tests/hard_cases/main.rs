@@ -134,6 +134,24 @@ fn velocity_filters_keep_four_digits_at_any_cutoff() {
 }
 
 #[test]
+fn a_hit_at_ten_metres_a_second_keeps_four_digits_and_never_pulls() {
+    assert_eq!(ROWS.steps.len(), 5);
+    for row in &ROWS.steps {
+        assert!(row.hit < 1e-4, "{row:?}");
+        assert!(row.least >= 0.0, "{row:?}");
+        assert!(row.force > 1e3 && (9.0..12.0).contains(&row.speed), "{row:?}");
+    }
+}
+
+#[test]
+fn a_wall_of_a_million_newtons_per_metre_is_held_to_the_last_digit_of_the_tips_position() {
+    // A tip at 0.4 m is known to 0.1 µm: two units in f32's last place, and the sines' own error.
+    for row in &ROWS.steps {
+        assert!(row.press < 1e-7 * 1e6, "{row:?}");
+    }
+}
+
+#[test]
 fn the_page_shows_what_the_code_gives() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/hard-cases.md");
     let page = std::fs::read_to_string(path).expect("docs/hard-cases.md is there");

@@ -5,6 +5,7 @@ pub mod extremes;
 pub mod filters;
 pub mod routes;
 pub mod singular;
+pub mod steps;
 
 use haptic::device_file::DeviceFile;
 use haptic_bridge::description::Description;
@@ -62,18 +63,23 @@ pub struct Rows {
     pub singular: Vec<singular::Row>,
     pub extremes: Vec<extremes::Row>,
     pub filters: Vec<filters::Row>,
+    pub steps: Vec<steps::Row>,
 }
 
 impl Rows {
     /// Computes all of them.
     pub fn compute() -> Self {
-        Self { singular: singular::all(), extremes: extremes::all(), filters: filters::all() }
+        Self { singular: singular::all(), extremes: extremes::all(), filters: filters::all(), steps: steps::all() }
     }
 
     /// The page, docs/hard-cases.md.
     pub fn markdown(&self) -> String {
-        let sections =
-            [singular::table(&self.singular), extremes::table(&self.extremes), filters::table(&self.filters)];
+        let sections = [
+            singular::table(&self.singular),
+            extremes::table(&self.extremes),
+            filters::table(&self.filters),
+            steps::table(&self.steps),
+        ];
         let sections: Vec<String> = sections.iter().map(Table::markdown).collect();
         format!("{PREFACE}\n{}", sections.join("\n"))
     }

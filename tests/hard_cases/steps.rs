@@ -1,0 +1,222 @@
+//! The whole control step where it is hard: a hit at 10 m/s on a wall of 1e6 N/m, and a press on one.
+
+use super::singular::Random;
+use super::{Table, digits, shipped};
+use haptic_bridge::controller::{Controller, FULL_REGULARITY, PARALLEL_REGULARITY, Step};
+use haptic_bridge::description::{Description, Encoder};
+use haptic_bridge::device::Device;
+use haptic_bridge::math::{Libm, Math, Minimax, Real};
+use haptic_bridge::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::precomputed::MassModel;
+use haptic_bridge::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use nalgebra::SVector;
+
+/// One row of the table.
+#[derive(Clone, Debug)]
+pub struct Row {
+    pub device: &'static str,
+    /// Largest torque error of the hit as a share of its largest torque.
+    pub hit: f64,
+    /// Largest wall force of the hit, N.
+    pub force: f64,
+    /// Largest speed along the normal that the estimator showed, m/s.
+    pub speed: f64,
+    /// Smallest wall force, N: a wall never pulls.
+    pub least: f64,
+    /// Error of the wall's force at rest, pressed in by up to 1 mm, N.
+    pub press: f64,
+}
+
+/// Control rate, Hz.
+pub const RATE: f64 = 20_000.0;
+/// N/m
+const STIFFNESS: f64 = 1e6;
+/// m/s
+const SPEED: f64 = 10.0;
+/// Counts per turn: fine enough that a press moves in micrometres.
+const COUNTS: f64 = 1_048_576.0;
+
+/// The device with such an encoder at every joint, homed at zero.
+pub fn encoded(device: &Description) -> Description {
+    let mut device = *device;
+    for joint in &mut device.joints {
+        joint.encoder = Some(Encoder { counts_per_turn: COUNTS, offset: 0.0, inverted: false });
+    }
+    device
+}
+
+/// Encoder counts of joint angles.
+pub fn counts<const N: usize>(q: &SVector<f64, N>) -> [i32; N] {
+    core::array::from_fn(|i| (q[i] * COUNTS / std::f64::consts::TAU).round() as i32)
+}
+
+/// One plane wall through `point` (m) facing along `normal`, all terms on.
+pub fn scene<T: Real>(
+    task: usize,
+    point: [f64; 3],
+    normal: [f64; 3],
+    stiffness: f64,
+    damping: f64,
+    feed_forward: FeedForward,
+) -> Scene<T> {
+    let r = T::from_f64;
+    let wall = Wall {
+        surface: Surface::Plane(Plane { point: point.map(r), normal: normal.map(r) }),
+        stiffness: r(stiffness),
+        damping: r(damping),
+        feed_forward,
+        washout_hz: r(2.0),
+        damping_compensation: true,
+        bilateral: false,
+    };
+    Scene {
+        task: task as u8,
+        rate_hz: r(RATE),
+        cutoff_hz: r(500.0),
+        walls: [wall].into_iter().collect(),
+        ..Scene::default()
+    }
+}
+
+/// A controller of `mechanism` in `scene`.
+pub fn controller<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
+    mechanism: M,
+    device: &Description,
+    scene: &Scene<T>,
+) -> Controller<T, M, K, N> {
+    let device = Device::<T>::new("hard", device).expect("a sound device");
+    Controller::new(mechanism, &device, scene, MassModel::Exact).expect("a sound scene")
+}
+
+/// The first three entries, the missing ones zero.
+pub fn three<const N: usize>(v: &SVector<f64, N>, task: usize) -> [f64; 3] {
+    core::array::from_fn(|i| if i < task.min(N) { v[i] } else { 0.0 })
+}
+
+/// Whether the feed-forward acts in full here.
+fn usable<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>) -> bool {
+    let r = m.regularity(&m.pose::<Libm>(q));
+    r.serial.min(r.parallel / PARALLEL_REGULARITY) > 2.0 * FULL_REGULARITY
+}
+
+/// Joint angles at every step of a straight run against `n` at [`SPEED`], 2 cm to the wall's surface and 1 cm beyond;
+/// with the surface's point. `None` where the run leaves the regular workspace.
+fn run_up<M: Mechanism<f64, N>, const N: usize>(
+    m: &M,
+    start: &SVector<f64, N>,
+    n: &SVector<f64, N>,
+) -> Option<(Vec<SVector<f64, N>>, SVector<f64, N>)> {
+    let mut q = *start;
+    let mut run = Vec::new();
+    let (steps, fine) = ((0.03 / SPEED * RATE) as usize, 50);
+    for _ in 0..steps {
+        run.push(q);
+        for _ in 0..fine {
+            q += m.inverse(&m.pose::<Libm>(&q), &(n * (-SPEED / RATE / fine as f64)));
+        }
+        if !usable(m, &q) {
+            return None;
+        }
+    }
+    let surface = m.tip(&m.pose::<Libm>(start)) - n * 0.02;
+    Some((run, surface))
+}
+
+fn row<A, B, const N: usize>(double: A, board: B, name: &'static str, device: &Description) -> Row
+where
+    A: Mechanism<f64, N>,
+    B: Mechanism<f32, N>,
+{
+    let task = A::SPEC.task;
+    let mut random = Random(3);
+    let mut row = Row { device: name, hit: 0.0, force: 0.0, speed: 0.0, least: f64::INFINITY, press: 0.0 };
+    let mut runs = 0;
+    while runs < 10 {
+        let (start, mut n): (SVector<f64, N>, SVector<f64, N>) = (random.vector(3.1), random.vector(1.0));
+        for i in task..N {
+            n[i] = 0.0;
+        }
+        n /= n.dot(&n).sqrt();
+        if !usable(&double, &start) {
+            continue;
+        }
+        let Some((run, surface)) = run_up(&double, &start, &n) else { continue };
+        runs += 1;
+        let (p, normal) = (three(&surface, task), three(&n, task));
+        let full = FeedForward::Full;
+        let mut exact = controller::<f64, Libm, _, N>(double, device, &scene(task, p, normal, STIFFNESS, 100.0, full));
+        let mut found =
+            controller::<f32, Minimax, _, N>(board, device, &scene(task, p, normal, STIFFNESS, 100.0, full));
+        let (mut worst, mut largest) = (0.0_f64, 0.0_f64);
+        for q in &run {
+            let (a, b): (Step<f64, N>, Step<f32, N>) = (exact.step(&counts(q)), found.step(&counts(q)));
+            worst = worst.max((a.torque - b.torque.map(f64::from)).amax());
+            largest = largest.max(a.torque.amax());
+            row.force = row.force.max(a.wall_force);
+            row.speed = row.speed.max(-a.normal_velocity);
+            row.least = row.least.min(a.wall_force).min(f64::from(b.wall_force));
+        }
+        row.hit = row.hit.max(worst / largest);
+
+        // The same wall at rest, without damping: a fresh controller at poses up to 1 mm inside.
+        let off = FeedForward::Off;
+        for depth in (0..100).map(|k| 1e-5 * f64::from(k)) {
+            let mut q = start;
+            for _ in 0..200 {
+                let missing = surface - n * depth - double.tip(&double.pose::<Libm>(&q));
+                q += double.inverse(&double.pose::<Libm>(&q), &missing);
+            }
+            let a = controller::<f64, Libm, _, N>(double, device, &scene(task, p, normal, STIFFNESS, 0.0, off))
+                .step(&counts(&q));
+            let b = controller::<f32, Minimax, _, N>(board, device, &scene(task, p, normal, STIFFNESS, 0.0, off))
+                .step(&counts(&q));
+            row.press = row.press.max((a.wall_force - f64::from(b.wall_force)).abs());
+        }
+    }
+    row
+}
+
+/// Every mechanism.
+pub fn all() -> Vec<Row> {
+    [
+        ("paddle", "hapkit-paddle"),
+        ("five-bar", "haply-2diy"),
+        ("five-bar-turret", "fictive-five-bar-turret"),
+        ("parallelogram", "phantom-premium-1.5"),
+        ("serial-3r", "serial-3r"),
+    ]
+    .into_iter()
+    .map(|(name, file)| {
+        let device = encoded(&shipped(file));
+        let sound = "a shipped device is sound";
+        let double = AnyMechanism::<f64>::new(&device).expect(sound);
+        let board = AnyMechanism::<f32>::new(&device).expect(sound);
+        macro_rules! each {
+            ($($Variant:ident)*) => {
+                match (double, board) {
+                    $((AnyMechanism::$Variant(a), AnyMechanism::$Variant(b)) => row(a, b, name, &device),)*
+                    _ => unreachable!("both precisions of one device are of one kind"),
+                }
+            };
+        }
+        each!(Paddle FiveBar FiveBarTurret Parallelogram Serial3r)
+    })
+    .collect()
+}
+
+/// The rows as the page shows them.
+pub fn table(rows: &[Row]) -> Table {
+    let mut table = Table::new(
+        "A wall of 1e6 N/m",
+        "The whole control step at 20 kHz, f32 against f64 fed the same encoder counts. *Hit*: ten runs at 10 m/s into a \
+         wall of 1e6 N/m and 100 N s/m, 1 cm deep, feed-forward in full with velocity terms and gravity; the torque's \
+         error as a share of the run's largest. *Press*: at rest, up to 1 mm deep; the force's error is the tip \
+         position's last digit in f32 times the stiffness.",
+        &["device", "largest force of the hit, N", "speed seen, m/s", "**hit, torque**", "**press, N**"],
+    );
+    for row in rows {
+        let cells = [format!("{:.0}", row.force), format!("{:.1}", row.speed), digits(row.hit), digits(row.press)];
+        table.push([row.device.to_string()].into_iter().chain(cells).collect());
+    }
+    table
+}

@@ -1,0 +1,288 @@
+//! The control step over long times, far angles, wrapping counters, into singularities, and fed with what is no number.
+
+#[allow(dead_code, reason = "the page's rows are asserted in tests/hard_cases/")]
+#[path = "hard_cases/page.rs"]
+mod page;
+mod rig;
+
+use haptic_bridge::controller::{Controller, FULL_REGULARITY, NO_REGULARITY, PARALLEL_REGULARITY, Step};
+use haptic_bridge::device::Device;
+use haptic_bridge::math::{Libm, Minimax};
+use haptic_bridge::mechanism::{AnyMechanism, FiveBar, Mechanism};
+use haptic_bridge::precomputed::MassModelData;
+use haptic_bridge::program::Program;
+use haptic_bridge::scene::FeedForward;
+use haptic_bridge::servo::Command;
+use nalgebra::{SVector, Vector2, Vector3};
+use page::shipped;
+use page::steps::{controller, counts, encoded, scene, three};
+use rig::Rig;
+
+const COUNTS_PER_TURN: i32 = 1_048_576;
+
+type Board = Controller<f32, FiveBar<f32>, Minimax, 2>;
+
+/// A Haply that presses into a wall with its tip, all terms on; the pose it starts from.
+fn haply(feed_forward: FeedForward) -> (Board, Vector2<f64>) {
+    let device = encoded(&shipped("haply-2diy"));
+    let Ok(AnyMechanism::FiveBar(mechanism)) = AnyMechanism::<f32>::new(&device) else { panic!("a sound five-bar") };
+    let Ok(AnyMechanism::FiveBar(double)) = AnyMechanism::<f64>::new(&device) else { panic!("a sound five-bar") };
+    let q = Vector2::new(2.4, 0.7);
+    let tip = double.tip(&double.pose::<Libm>(&q));
+    let scene = scene(2, [tip.x, tip.y, 0.0], [0.6, 0.8, 0.0], 1_000.0, 5.0, feed_forward);
+    (controller(mechanism, &device, &scene), q)
+}
+
+/// A motion in and out of that wall, step by step.
+fn motion(q: &Vector2<f64>, step: u32) -> [i32; 2] {
+    let t = f64::from(step % 1_000) / 1_000.0 * std::f64::consts::TAU;
+    counts(&Vector2::new(q.x + 0.1 * libm::sin(t), q.y + 0.1 * libm::cos(2.0 * t)))
+}
+
+fn assert_same(a: &Step<f32, 2>, b: &Step<f32, 2>) {
+    assert_eq!((a.torque, a.tip, a.qd, a.wall_force), (b.torque, b.tip, b.qd, b.wall_force));
+}
+
+#[test]
+fn counters_that_wrap_change_nothing() {
+    let (mut plain, q) = haply(FeedForward::Washout);
+    let (mut wrapping, _) = haply(FeedForward::Washout);
+    let start = motion(&q, 0);
+    // The raw counters overflow, one up and one down, while the tip is in the wall.
+    let shift = [(i32::MAX - 10).wrapping_sub(start[0]), (i32::MIN + 10).wrapping_sub(start[1])];
+    let shifted = |c: [i32; 2]| [c[0].wrapping_add(shift[0]), c[1].wrapping_add(shift[1])];
+    let home = [(f64::from(start[0]) / f64::from(COUNTS_PER_TURN) * std::f64::consts::TAU) as f32, q.y as f32 + 0.1];
+    plain.home(&start, &home);
+    wrapping.home(&shifted(start), &home);
+    let mut wrapped = [false; 2];
+    for step in 0..3_000 {
+        let c = motion(&q, step);
+        for i in 0..2 {
+            wrapped[i] |= c[i].checked_add(shift[i]).is_none();
+        }
+        assert_same(&wrapping.step(&shifted(c)), &plain.step(&c));
+    }
+    assert_eq!(wrapped, [true; 2]);
+}
+
+#[test]
+fn a_pose_many_turns_away_is_the_same_pose() {
+    for turns in [1, 7, 1_000, 2_000] {
+        let (mut near, q) = haply(FeedForward::Full);
+        let (mut far, _) = haply(FeedForward::Full);
+        let (mut behind, _) = haply(FeedForward::Full);
+        for step in 0..2_000 {
+            let c = motion(&q, step);
+            let a = near.step(&c);
+            let b = far.step(&c.map(|c| c + turns * COUNTS_PER_TURN));
+            assert_eq!((a.torque, a.tip, a.qd), (b.torque, b.tip, b.qd));
+            // Angles on the other side of zero have other last digits.
+            let b = behind.step(&c.map(|c| c - turns * COUNTS_PER_TURN));
+            assert!((a.tip - b.tip).amax() < 1e-7, "{turns} turns");
+            assert!((a.torque - b.torque).amax() < 1e-3, "{turns} turns: {} against {}", a.torque, b.torque);
+        }
+    }
+}
+
+#[test]
+fn ten_hours_at_1_khz_leave_no_trace() {
+    const STEPS: u32 = 10 * 3600 * 1000;
+    let (mut long, q) = haply(FeedForward::Washout);
+    let (mut short, _) = haply(FeedForward::Washout);
+    let period: Vec<[i32; 2]> = (0..1_000).map(|step| motion(&q, step)).collect();
+    let at = |step: u32| &period[(step % 1_000) as usize];
+    // The last hundred seconds are enough for every filter to forget its start.
+    const LAST: u32 = STEPS - 100_000;
+    for step in 0..LAST {
+        long.step(at(step));
+    }
+    let mut largest = 0.0_f32;
+    let mut worst = 0.0_f32;
+    for step in LAST..STEPS {
+        let (a, b) = (long.step(at(step)), short.step(at(step)));
+        if step >= STEPS - 1_000 {
+            largest = largest.max(b.torque.amax());
+            worst = worst.max((a.torque - b.torque).amax());
+        }
+    }
+    assert!(largest > 0.01, "the wall was touched: {largest}");
+    assert!(worst <= 1e-6 * largest, "{worst} of {largest}");
+}
+
+/// Steps a device with a constant force of about 1 N on its tip along a path of joint angles; each step's outcome.
+fn along<M: Mechanism<f32, N>, const N: usize>(
+    mechanism: M,
+    file: &str,
+    normal: [f64; 3],
+    path: impl Iterator<Item = SVector<f64, N>>,
+) -> Vec<Step<f32, N>> {
+    // A wall of 1 N/m whose surface is a metre away: inside it the force hardly changes.
+    let task = M::SPEC.task;
+    let scene = scene(task, normal, normal, 1.0, 0.0, FeedForward::Full);
+    let mut controller = controller::<f32, Minimax, M, N>(mechanism, &encoded(&shipped(file)), &scene);
+    path.map(|q| controller.step(&counts(&q))).collect()
+}
+
+/// The share of the feed-forward falls from 1 to 0 as the sine does, between its documented edges, and the torque
+/// changes little from step to step.
+fn assert_fades<const N: usize>(what: &str, steps: &[Step<f32, N>]) {
+    let largest = steps.iter().fold(0.0_f32, |most, step| most.max(step.torque.amax()));
+    let judged =
+        |step: &Step<f32, N>| step.regularity.serial.min(step.regularity.parallel / PARALLEL_REGULARITY as f32);
+    for step in steps {
+        let sine = judged(step);
+        assert!(step.torque.iter().all(|t| t.is_finite()), "{what}: {step:?}");
+        assert!(sine < FULL_REGULARITY as f32 || step.shaping == 1.0, "{what} at {sine}: {}", step.shaping);
+        assert!(sine > NO_REGULARITY as f32 || step.shaping == 0.0, "{what} at {sine}: {}", step.shaping);
+    }
+    assert_eq!(steps[0].shaping, 1.0, "{what}");
+    assert_eq!(steps[steps.len() - 1].shaping, 0.0, "{what}");
+    for pair in steps.windows(2).skip(200) {
+        let jump = (pair[1].torque - pair[0].torque).amax();
+        assert!(jump < 0.02 * largest, "{what} at a sine of {}: {jump} of {largest}", judged(&pair[1]));
+        assert!((pair[1].shaping - pair[0].shaping).abs() < 0.01, "{what}");
+    }
+}
+
+/// From `start` to `end` in steps of a few counts.
+fn path<const N: usize>(start: SVector<f64, N>, end: SVector<f64, N>) -> impl Iterator<Item = SVector<f64, N>> {
+    (0..=40_000).map(move |k| start + (end - start) * (f64::from(k) / 40_000.0))
+}
+
+fn board(file: &str) -> AnyMechanism<f32> {
+    AnyMechanism::new(&shipped(file)).expect("a sound device")
+}
+
+#[test]
+fn near_an_elbow_singularity_the_feed_forward_fades_and_the_torque_never_jumps() {
+    let AnyMechanism::Parallelogram(phantom) = board("phantom-premium-1.5") else { panic!("a parallelogram") };
+    let folding = path(Vector3::new(0.3, 0.9, -0.3), Vector3::new(0.3, 0.9, 0.895));
+    assert_fades("parallelogram", &along(phantom, "phantom-premium-1.5", [0.6, 0.8, 0.0], folding));
+    let AnyMechanism::Serial3r(arm) = board("serial-3r") else { panic!("a serial arm") };
+    let stretching = path(Vector3::new(0.5, 0.8, 0.7), Vector3::new(0.5, 0.005, 0.7));
+    assert_fades("serial-3r", &along(arm, "serial-3r", [0.6, 0.8, 0.0], stretching));
+}
+
+#[test]
+fn on_the_turrets_axis_the_feed_forward_fades_and_the_torque_never_jumps() {
+    let AnyMechanism::Parallelogram(phantom) = board("phantom-premium-1.5") else { panic!("a parallelogram") };
+    // With both angles past the vertical by the same amount the tip comes over the axis.
+    let over = path(Vector3::new(0.3, 1.2, 0.3), Vector3::new(0.3, 2.1, 0.905));
+    assert_fades("axis", &along(phantom, "phantom-premium-1.5", [0.6, 0.0, 0.8], over));
+}
+
+#[test]
+fn near_a_parallel_singularity_the_feed_forward_fades_and_the_torque_never_jumps() {
+    let mut device = encoded(&shipped("coupled-five-bar"));
+    device.geometry[0] = 0.1;
+    let Ok(AnyMechanism::FiveBar(wide)) = AnyMechanism::<f32>::new(&device) else { panic!("a five-bar") };
+    // Both arms swing outwards until the rods are almost in line: base + 2 l cos = 2 r.
+    let outwards = path(Vector2::new(2.0, 1.141_592_65), Vector2::new(2.497_592_65, 0.644));
+    let scene = scene(2, [0.6, 0.8, 0.0], [0.6, 0.8, 0.0], 1.0, 0.0, FeedForward::Full);
+    let mut controller = controller::<f32, Minimax, _, 2>(wide, &device, &scene);
+    let steps: Vec<Step<f32, 2>> = outwards.map(|q| controller.step(&counts(&q))).collect();
+    assert_fades("rods", &steps);
+}
+
+#[test]
+fn any_count_gives_finite_torques() {
+    for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
+        let (mut controller, _) = haply(feed_forward);
+        let extremes = [0, 1, -1, i32::MAX, i32::MIN, i32::MAX / 3, i32::MIN / 7, COUNTS_PER_TURN / 2];
+        for a in extremes {
+            for b in extremes {
+                let step = controller.step(&[a, b]);
+                assert!(step.torque.iter().chain(step.tip.iter()).chain(step.qd.iter()).all(|x| x.is_finite()));
+                assert!(step.wall_force.is_finite() && step.wall_force >= 0.0);
+            }
+        }
+    }
+}
+
+#[test]
+fn every_pose_of_every_shipped_device_gives_finite_torques() {
+    fn sweep<M: Mechanism<f32, N>, const N: usize>(mechanism: M, file: &str) {
+        let device = encoded(&shipped(file));
+        let n = three(&SVector::<f64, N>::from_element(1.0 / (M::SPEC.task as f64).sqrt()), M::SPEC.task);
+        let scene = scene(M::SPEC.task, n, n, 1e6, 100.0, FeedForward::Full);
+        let mut controller = controller::<f32, Minimax, M, N>(mechanism, &device, &scene);
+        // Right angles, straight lines and closures that cannot be, singular ones among them to the last bit.
+        let angles: Vec<i32> = (0..16).map(|k| k * (COUNTS_PER_TURN / 16)).collect();
+        for k in 0..16_usize.pow(N as u32) {
+            let at: [i32; N] = core::array::from_fn(|i| angles[k / 16_usize.pow(i as u32) % 16]);
+            for _ in 0..2 {
+                let step = controller.step(&at);
+                assert!(step.torque.iter().all(|x| x.is_finite()), "{file} at {at:?}: {step:?}");
+            }
+        }
+    }
+    for file in ["hapkit-paddle", "haply-2diy", "coupled-five-bar", "pantograph-mk2", "serial-3r"] {
+        haptic_bridge::with_mechanism!(board(file), m => sweep(m, file));
+    }
+    for file in ["fictive-five-bar-turret", "phantom-premium-1.5", "woodenhaptics"] {
+        haptic_bridge::with_mechanism!(board(file), m => sweep(m, file));
+    }
+}
+
+/// What no sender should send.
+const POISON: [f32; 7] =
+    [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::MIN_POSITIVE / 8.0, -1.0e-45, -0.0];
+
+#[test]
+fn measurements_that_are_no_numbers_never_reach_a_duty() {
+    for poison in POISON {
+        for field in 0..4 {
+            let mut rig = Rig::armed();
+            match field {
+                0 => rig.samples.bus_voltage = poison,
+                1 => rig.shown_current = Some(poison),
+                2 => rig.resistance = poison,
+                _ => rig.samples.fault = Some((haptic_bridge::guard::Fault::GateDriver, None, poison)),
+            }
+            for _ in 0..50 {
+                rig.step();
+                assert!(rig.duties.iter().all(|duty| duty.abs() <= 0.96), "{poison}: {:?}", rig.duties);
+            }
+            let frame = rig.servo.frame();
+            assert!(frame.torque.iter().all(|t| t.is_finite()), "{poison}: {frame:?}");
+        }
+    }
+}
+
+#[test]
+fn a_device_with_any_number_spoilt_is_refused_or_never_spoils_a_duty() {
+    let scene = rig::scene(2, &[rig::wall(0.0, 1_000.0)]);
+    let sound = rig::device(&rig::five_bar());
+    let mut buffer = [0; 1024];
+    let bytes = postcard::to_slice(&sound, &mut buffer).expect("a device can be sent").to_vec();
+    let (mut loaded, mut refused) = (0, 0);
+    for poison in POISON {
+        for place in 0..bytes.len() - 4 {
+            let mut spoilt = bytes.clone();
+            spoilt[place..place + 4].copy_from_slice(&poison.to_le_bytes());
+            let Ok(device) = postcard::from_bytes::<Device<f32>>(&spoilt) else { continue };
+            let mut rig = Rig::bare(rig::hardware(), rig::rules());
+            let program = Program::new(&rig.hardware, &rig.rules.limits, &device, &scene, &MassModelData::Exact, false);
+            let Ok(program) = program else {
+                refused += 1;
+                continue;
+            };
+            if rig.execute(Command::Program(Box::new(program))).is_err() {
+                refused += 1;
+                continue;
+            }
+            loaded += 1;
+            rig.settle();
+            let _ = rig.execute(Command::Home);
+            rig.settle();
+            let _ = rig.execute(Command::PolarityKnown);
+            let _ = rig.execute(Command::Arm);
+            for k in 0..200 {
+                rig.samples.counts = [40 * (k % 50), -30 * (k % 50), 0];
+                rig.step();
+                assert!(rig.duties.iter().all(|duty| duty.abs() <= 0.96), "byte {place}: {:?}", rig.duties);
+            }
+        }
+    }
+    assert!(loaded > 500 && refused > 0, "{loaded} loaded, {refused} refused");
+}
