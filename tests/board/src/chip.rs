@@ -46,6 +46,9 @@ pub struct Chip {
     /// The bus the part was built with, its slots moved out.
     parked: Bus,
     ours: Vec<Ours>,
+    otg_slot: usize,
+    /// Restarts so far.
+    pub restarts: u64,
     /// The USB core and the cable's far end.
     pub otg: Otg,
     /// The flash interface with its array.
@@ -78,11 +81,14 @@ impl Chip {
     pub fn new() -> Result<Self, Error> {
         let part = Stm32f427::new()?;
         let bus = map::bus(part.bus())?;
+        let bus_slot = bus.slot(OTG_BLOCKS[0])?;
         let ours = bus.slots().iter().map(|slot| owner(slot.peripheral().name)).collect();
         let mut chip = Self {
             part,
             parked: bus,
+            otg_slot: bus_slot,
             ours,
+            restarts: 0,
             otg: Otg::default(),
             flash: flash::unit(),
             advanced: std::array::from_fn(trigger::timer),
@@ -103,6 +109,11 @@ impl Chip {
             }
         }
         std::mem::swap(parked, part.bus_mut());
+    }
+
+    /// The bus and the advanced timers, apart, to drive a timer's input.
+    pub fn bus_and_timers(&mut self) -> (&mut Bus, &mut [MasterTimer]) {
+        (self.part.bus_mut(), &mut self.advanced)
     }
 
     /// The registers of the instance called `name`.
@@ -150,10 +161,12 @@ impl Mcu for Chip {
         self.part.reset(at, cause);
         self.parked.keep_added(&before).expect("the same description");
         self.exchange();
+        self.restarts += 1;
         self.otg.chip_reset();
         self.flash = flash::unit();
         for (nth, timer) in self.advanced.iter_mut().enumerate() {
             *timer = trigger::timer(nth);
+            timer.hook.begin(at);
         }
         for (nth, converter) in self.converters.iter_mut().enumerate() {
             let mut fresh = trigger::converter(nth);
@@ -163,10 +176,9 @@ impl Mcu for Chip {
     }
 
     fn poll(&mut self, now: VirtualNanos) {
-        self.part.poll(now);
-        let slot = self.bus().slot_of(OTG_BLOCKS[0]).expect("the part has a USB core");
-        let Self { part, otg, .. } = self;
-        let (_, mut context) = part.bus_mut().drive(now, slot);
+        // The part's own poll asks its serial ports alone, and nothing hangs on those.
+        let Self { part, otg, otg_slot, .. } = self;
+        let (_, mut context) = part.bus_mut().drive(now, *otg_slot);
         otg.look_outside(&mut context);
     }
 

@@ -114,7 +114,7 @@ pub fn count(firmware: &Firmware, seconds: u64) -> Result<Vec<Variant>, Error> {
         variants: BTreeMap::new(),
     };
     let emulator = |error: &dyn fmt::Display| Error::Emulator(error.to_string());
-    let hardware = Hardware::new().map_err(|error| emulator(&error))?;
+    let hardware = Hardware::bare().map_err(|error| emulator(&error))?;
     // Watches are armed when the run first hands the session back, so the first stop comes at once.
     let session = Session::new(Box::new(hardware), 0, VirtualNanos(1)).map_err(|error| emulator(&error))?;
     let images = [firmware.image().map_err(|error| emulator(&error))?];

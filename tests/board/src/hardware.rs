@@ -1,54 +1,292 @@
-//! The board around the chip: the crystal, the rail and the core's configuration.
+//! The board around the chip: crystal, rail, power stages, sensors and encoders, wired as [`crate::boards`] says.
+//!
+//! Every [`PHYSICS_STEP`] the time that each switch was on since the last step becomes the motors' voltage, the plant
+//! moves on by that time, and what its sensors see is put on the chip's pins: quadrature edges one after another,
+//! microvolts at the converters, levels at the fault and index pins.
 
 use std::num::{NonZeroU32, NonZeroU64};
 
+use haptic::sim::Drive;
+use rigless::device::Level;
 use rigless::machine::{Board, Target, armv7m};
 use rigless::mcu::{Mcu, Operate};
 use rigless::snapshot::Store;
+use rigless::soc::st::tim::{BreakInput, BreakSource};
+use rigless::soc::stm32f427::peripherals::adc::Channel as AnalogChannel;
+use rigless::soc::stm32f427::peripherals::gpio::{Gpio, Pin as PortPin};
+use rigless::soc::stm32f427::peripherals::spi::Select;
+use rigless::soc::stm32f427::peripherals::tim::Channel;
 use rigless::time::VirtualNanos;
 
+use crate::boards::{BoardKind, EncoderWires, HalfBridge, MotorWires, Pin, Wiring};
 use crate::chip::Chip;
+use crate::chip::trigger::Span;
+use crate::drv8301::Drv8301;
+use crate::plant::{Dummy, Plant};
 
 /// Instructions a second of virtual time: 168 MHz at two cycles an instruction, the middle of the 1.9 to 2.3 that a
 /// cycle estimate of a control step gives on a Cortex-M4F with flash wait states hidden.
 pub const INSTRUCTIONS_PER_SECOND: NonZeroU64 = NonZeroU64::new(84_000_000).expect("not zero");
 
+/// Time between two steps of the plant, ns: half a period of the slowest carrier.
+pub const PHYSICS_STEP: u64 = 25_000;
+/// Time between two edges of one encoder, ns: more than the 95 ns its input filter needs.
+const EDGE_SPACING: u64 = 250;
+
 /// The 8 MHz crystal of both boards.
 const CRYSTAL_HZ: u64 = 8_000_000;
 /// The rail of both boards, in millivolts.
 const RAIL_MV: u32 = 3300;
-
 /// VREF+ in microvolts: the converters' inputs are set in that unit, since rigless' millivolts are coarser than a bit.
 pub const REFERENCE_UV: u32 = 3_300_000;
+/// Where a current sensor stands at no current, V.
+const MID_SUPPLY: f64 = 1.65;
+/// What each current sensor's zero is off by, V: within the few millivolts of real amplifiers, and each another.
+const SENSOR_OFFSETS: [f64; 4] = [0.008, -0.005, 0.003, -0.011];
+/// SPI3 in rigless' order.
+const SPI3: usize = 2;
 
-/// A board with one STM32F405 on it.
+/// The two channels of an encoder at each of its four phases, and the order in which they follow at rising counts.
+const QUADRATURE: [[Level; 2]; 4] =
+    [[Level::Low, Level::Low], [Level::High, Level::Low], [Level::High, Level::High], [Level::Low, Level::High]];
+
+/// A board with its chip.
 #[derive(Debug)]
 pub struct Hardware {
     /// The microcontroller.
     pub chip: Chip,
+    /// How the board is wired; `None` for a bare chip.
+    pub wiring: Option<&'static Wiring>,
+    /// What hangs on the board's connectors.
+    pub plant: Box<dyn Plant>,
+    /// The fault line is held down from outside, whatever the drivers say.
+    pub fault_line_shorted: bool,
+    encoders: [EncoderDrive; 3],
+    next_step: u64,
+    drives: [Drive; 3],
+    faults_wired: Option<Level>,
+    restarts_seen: Option<u64>,
 }
 
-impl Hardware {
-    /// The chip out of power-on with its crystal and its rail.
-    ///
-    /// # Errors
-    ///
-    /// A wrong description of the part, which is a bug here.
-    pub fn new() -> Result<Self, rigless::soc::Error> {
-        let mut chip = Chip::new()?;
-        chip.rcc.attach_crystals(CRYSTAL_HZ, 0);
-        chip.set_supply(RAIL_MV);
-        Ok(Self { chip })
-    }
-
-    /// What happens on the board at a stop at `at`, and when it needs the next one.
-    pub fn step(&mut self, _at: VirtualNanos) -> Option<VirtualNanos> {
-        None
-    }
+#[derive(Clone, Copy, Debug, Default)]
+struct EncoderDrive {
+    shown: i32,
+    wanted: i32,
 }
 
 /// No snapshots: a run starts at power-on.
 impl Store for Hardware {}
+
+impl Hardware {
+    /// A bare chip with a crystal and a rail, for images that need no board.
+    ///
+    /// # Errors
+    ///
+    /// A wrong description of the part, which is a bug here.
+    pub fn bare() -> Result<Self, rigless::soc::Error> {
+        let mut chip = Chip::new()?;
+        chip.rcc.attach_crystals(CRYSTAL_HZ, 0);
+        chip.set_supply(RAIL_MV);
+        Ok(Self {
+            chip,
+            wiring: None,
+            plant: Box::new(Dummy::default()),
+            fault_line_shorted: false,
+            encoders: [EncoderDrive::default(); 3],
+            next_step: 0,
+            drives: [Drive::Floating; 3],
+            faults_wired: None,
+            restarts_seen: None,
+        })
+    }
+
+    /// A board with `plant` at its connectors.
+    ///
+    /// # Errors
+    ///
+    /// A wrong description of the part, which is a bug here.
+    pub fn new(kind: BoardKind, plant: Box<dyn Plant>) -> Result<Self, rigless::soc::Error> {
+        let mut hardware = Self { wiring: Some(kind.wiring()), plant, ..Self::bare()? };
+        for select in kind.wiring().drivers {
+            let (port, pin) = place(*select);
+            let select = Select { port: PORT_NAMES[port], pin, active: Level::Low };
+            hardware.chip.spi[SPI3].attach_selected(Drv8301::default(), select);
+        }
+        Ok(hardware)
+    }
+
+    /// The nth gate driver.
+    ///
+    /// # Panics
+    ///
+    /// On a board without it.
+    pub fn driver(&mut self, nth: usize) -> &mut Drv8301 {
+        self.chip.spi[SPI3].chip_mut(nth).expect("the board has this driver")
+    }
+
+    /// How the motors were driven over the last step.
+    #[must_use]
+    pub fn drives(&self) -> [Drive; 3] {
+        self.drives
+    }
+
+    /// The level that the chip or the board puts on `pin`.
+    pub fn level(&mut self, pin: Pin) -> Level {
+        let (port, pin) = place(pin);
+        let (model, registers) = self.chip.port(port);
+        model.level(pin, registers)
+    }
+
+    /// What happens on the board at a stop at `at`, and when it needs the next one.
+    pub fn step(&mut self, at: VirtualNanos) -> Option<VirtualNanos> {
+        let wiring = self.wiring?;
+        if self.restarts_seen != Some(self.chip.restarts) {
+            self.restarts_seen = Some(self.chip.restarts);
+            self.faults_wired = None;
+            // The encoders stand where they stood; a chip that starts finds their levels there.
+            for (axis, wires) in wiring.encoders.iter().enumerate() {
+                self.show_phase(at, axis, wires);
+            }
+        }
+        if at.0 >= self.next_step {
+            self.advance_plant(wiring, at);
+            self.next_step = at.0 - at.0 % PHYSICS_STEP + PHYSICS_STEP;
+        }
+        let moving = self.drive_encoders(wiring, at);
+        Some(VirtualNanos(if moving { at.0 + EDGE_SPACING } else { self.next_step }))
+    }
+
+    fn advance_plant(&mut self, wiring: &Wiring, at: VirtualNanos) {
+        let spans = [0, 1].map(|nth| self.chip.advanced[nth].hook.take_span(at));
+        let enabled = self.level(wiring.enable) == Level::High;
+        for nth in 0..wiring.drivers.len() {
+            self.driver(nth).enable(enabled);
+        }
+        for (axis, motor) in wiring.motors.iter().enumerate() {
+            self.drives[axis] = self.drive(wiring, motor, &spans[usize::from(motor.timer == 8)], enabled);
+        }
+        if spans[0].whole > 0 {
+            self.plant.step(&self.drives, spans[0].whole as f64 * 1e-9);
+        }
+        for (encoder, counts) in self.encoders.iter_mut().zip(self.plant.counts()) {
+            encoder.wanted = counts;
+        }
+        self.show_analog(wiring);
+        self.show_levels(wiring, at);
+    }
+
+    fn drive(&mut self, wiring: &Wiring, motor: &MotorWires, span: &Span, enabled: bool) -> Drive {
+        let joined = motor.gates.iter().all(|&gate| self.function(gate) == Some(motor.function));
+        if !enabled || !joined || span.whole == 0 {
+            return Drive::Floating;
+        }
+        if span.driven * 2 < span.whole {
+            return if wiring.idle_brakes { Drive::Duty(0.0) } else { Drive::Floating };
+        }
+        let share = |end| match end {
+            HalfBridge::Channel(n) => span.active[usize::from(n) - 1] as f64,
+            HalfBridge::Complement(n) => (span.driven - span.active[usize::from(n) - 1]) as f64,
+        };
+        let [first, second] = motor.ends;
+        Drive::Duty((share(first) - share(second)) / span.whole as f64)
+    }
+
+    /// The alternate function a pin is set to.
+    fn function(&mut self, pin: Pin) -> Option<u8> {
+        let (port, pin) = place(pin);
+        let (_, registers) = self.chip.port(port);
+        Gpio::function(pin, registers)
+    }
+
+    fn show_analog(&mut self, wiring: &Wiring) {
+        let currents = self.plant.currents();
+        let mut nth = 0;
+        for (axis, motor) in wiring.motors.iter().enumerate() {
+            let gain = if wiring.drivers.is_empty() { Some(1.0) } else { self.driver(axis).gain() };
+            for &(channel, volts_per_ampere) in motor.sensors {
+                let seen = gain
+                    .map_or(0.0, |gain| MID_SUPPLY + SENSOR_OFFSETS[nth] + gain * volts_per_ampere * currents[axis]);
+                self.show_volts(channel, seen);
+                nth += 1;
+            }
+        }
+        let (channel, divider) = wiring.bus;
+        self.show_volts(channel, self.plant.bus_voltage() / divider);
+    }
+
+    fn show_volts(&mut self, channel: u8, volts: f64) {
+        let channel = AnalogChannel::new(channel).expect("a pin channel");
+        // A float-to-int `as` saturates, as an input clamped to its rails does.
+        let microvolts = ((volts * 1e6) as u32).min(REFERENCE_UV);
+        for converter in &mut self.chip.converters {
+            converter.inner.set_input(channel, microvolts);
+        }
+    }
+
+    fn show_levels(&mut self, wiring: &Wiring, at: VirtualNanos) {
+        let pulled = self.fault_line_shorted || (0..wiring.drivers.len()).any(|nth| self.driver(nth).pulls_fault());
+        self.put(wiring.fault, Level::from(!pulled), at);
+        if wiring.fault_breaks {
+            let level = Level::from(!pulled);
+            if self.faults_wired != Some(level) && self.function(wiring.fault) == Some(1) {
+                self.faults_wired = Some(level);
+                let slot = self.chip.bus().slot_of("TIM1").expect("the part has TIM1");
+                let (bus, timers) = self.chip.bus_and_timers();
+                let (registers, mut context) = bus.drive(at, slot);
+                let (input, source) = (BreakInput::First, BreakSource::Pin);
+                timers[0].inner.drive_break_source(input, source, level, registers, &mut context);
+            }
+        }
+        let index = self.plant.index();
+        for (encoder, mark) in wiring.encoders.iter().zip(index) {
+            if let Some(pin) = encoder.index {
+                self.put(pin, Level::from(mark), at);
+            }
+        }
+    }
+
+    fn put(&mut self, pin: Pin, level: Level, at: VirtualNanos) {
+        let (port, pin) = place(pin);
+        self.chip.drive_port(at, port, |port, registers, context| {
+            port.drive(pin, Some(level), registers, context);
+        });
+    }
+
+    /// Gives each encoder that has counts to show one edge. Answers whether one still has.
+    fn drive_encoders(&mut self, wiring: &Wiring, at: VirtualNanos) -> bool {
+        let mut moving = false;
+        for (axis, wires) in wiring.encoders.iter().enumerate() {
+            let encoder = &mut self.encoders[axis];
+            let step = (encoder.wanted - encoder.shown).signum();
+            if step == 0 {
+                continue;
+            }
+            encoder.shown += step;
+            moving |= encoder.shown != encoder.wanted;
+            if wires.pins.iter().all(|&pin| self.function(pin) == Some(wires.function)) {
+                self.show_phase(at, axis, wires);
+            }
+        }
+        moving
+    }
+
+    fn show_phase(&mut self, at: VirtualNanos, axis: usize, wires: &EncoderWires) {
+        let levels = QUADRATURE[self.encoders[axis].shown.rem_euclid(4) as usize];
+        for (channel, level) in (1..).zip(levels) {
+            let channel = Channel::new(channel).expect("a timer has four channels");
+            self.chip.drive_timer(at, usize::from(wires.timer) - 2, |timer, registers, context| {
+                timer.drive_input(channel, level, registers, context);
+            });
+        }
+    }
+}
+
+const PORT_NAMES: [&str; 4] = ["GPIOA", "GPIOB", "GPIOC", "GPIOD"];
+
+fn place(Pin(port, number): Pin) -> (usize, PortPin) {
+    let port = (port as usize) - ('A' as usize);
+    (port, PortPin::new(number).expect("a port has sixteen pins"))
+}
 
 impl Board for Hardware {
     fn name(&self) -> &'static str {

@@ -3,8 +3,11 @@
 use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 
 use object::{Object, ObjectSection, ObjectSymbol, SymbolKind};
+
+use crate::boards::BoardKind;
 
 /// A firmware image as a build leaves it, never changed on its way into the emulator.
 #[derive(Clone, Debug)]
@@ -31,6 +34,8 @@ pub enum Error {
     Read(PathBuf, std::io::Error),
     /// The file is not an ELF file this reads.
     Elf(PathBuf, object::Error),
+    /// The image could not be built; what the build said is above.
+    Build(String),
     /// The image lacks a symbol that was asked for.
     Missing(PathBuf, String),
 }
@@ -42,6 +47,7 @@ impl fmt::Display for Error {
                 write!(out, "{}: {error} (build it with `cargo xtask fw`)", path.display())
             }
             Self::Elf(path, error) => write!(out, "{}: {error}", path.display()),
+            Self::Build(why) => write!(out, "the firmware could not be built: {why}"),
             Self::Missing(path, name) => write!(out, "{} has no symbol {name}", path.display()),
         }
     }
@@ -72,6 +78,32 @@ impl Firmware {
             .section_by_name(".text")
             .map_or((0, 0), |section| (section.address(), section.address() + section.size()));
         Ok(Self { path, symbols, text, bytes })
+    }
+
+    /// The release image of `board`, as `cargo xtask fw` leaves it; an up-to-date one is not built again. With
+    /// `HAPTIC_FIRMWARE_DIR` set, the image is taken from that directory.
+    ///
+    /// # Errors
+    ///
+    /// An image that cannot be built or read.
+    pub fn of(board: BoardKind) -> Result<Self, Error> {
+        let name = board.wiring().name;
+        if let Some(directory) = std::env::var_os("HAPTIC_FIRMWARE_DIR") {
+            return Self::read(Path::new(&directory).join(format!("haptic-bridge-firmware-{name}.elf")));
+        }
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        let built = Command::new("cargo")
+            .args(["run", "--quiet", "--package", "xtask", "--", "fw", name])
+            .current_dir(root)
+            .stderr(Stdio::inherit())
+            .output()
+            .map_err(|error| Error::Build(error.to_string()))?;
+        let printed = String::from_utf8_lossy(&built.stdout);
+        let path = printed.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(": "));
+        match path {
+            Some(path) if built.status.success() => Self::read(path),
+            _ => Err(Error::Build(format!("`cargo xtask fw {name}` failed"))),
+        }
     }
 
     /// The file's bytes, for a hash or a decoder of its log.

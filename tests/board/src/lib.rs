@@ -3,10 +3,13 @@
 //! [`chip`] is the microcontroller, [`hardware`] the board it sits on, [`image`] the ELF file that runs on it and
 //! [`count`] counts the instructions of marked stretches of a bench image.
 
+pub mod boards;
 pub mod chip;
 pub mod count;
+pub mod drv8301;
 pub mod hardware;
 pub mod image;
+pub mod plant;
 pub mod rtt;
 pub mod run;
 pub mod usb;

@@ -3,10 +3,12 @@
 
 use rigless::device::{Device, DeviceContext, Level, RegisterFile, RequestChange};
 use rigless::soc::stm32f427::generated::adc1::Register;
+use rigless::soc::stm32f427::generated::tim1::Register as TimRegister;
 use rigless::soc::stm32f427::peripherals::adc::Adc;
 use rigless::soc::stm32f427::peripherals::rcc::HSI_HZ;
 use rigless::soc::stm32f427::peripherals::tim::{Advanced, Channel, Tim};
 use rigless::soc::stm32f427::peripherals::{ADVANCED_TIMERS, CONVERTERS, rcc};
+use rigless::time::VirtualNanos;
 
 use super::hook::{Hook, Hooked};
 
@@ -36,17 +38,66 @@ pub fn converter(nth: usize) -> Converter {
     Hooked { inner, hook: ExternalTrigger { instance: CONVERTERS[nth] } }
 }
 
-/// What a timer last drove.
+/// What a timer last drove, and how long.
 #[derive(Debug, Default)]
 pub struct Outputs {
     slave_of_tim1: bool,
     level: Level,
     pulses: u64,
     channel4: Level,
+    references: [bool; 3],
+    driven: bool,
+    since: u64,
+    span: Span,
 }
 
+/// How long a timer's channels were active over a stretch of time, in nanoseconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Span {
+    /// The stretch.
+    pub whole: u64,
+    /// The part of it in which the main output was enabled.
+    pub driven: u64,
+    /// The part in which channels 1 to 3's references were active and driven: upper switch on, but for dead time.
+    pub active: [u64; 3],
+}
+
+impl Outputs {
+    /// Takes the time the channels were active since the last call, up to `now`.
+    pub fn take_span(&mut self, now: VirtualNanos) -> Span {
+        self.account(now);
+        std::mem::take(&mut self.span)
+    }
+
+    /// Starts counting time at `at`: the timer came out of a reset then.
+    pub fn begin(&mut self, at: VirtualNanos) {
+        self.since = at.0;
+    }
+
+    fn account(&mut self, now: VirtualNanos) {
+        let passed = now.0.saturating_sub(self.since);
+        self.since = self.since.max(now.0);
+        self.span.whole += passed;
+        if self.driven {
+            self.span.driven += passed;
+            for (active, reference) in self.span.active.iter_mut().zip(self.references) {
+                *active += if reference { passed } else { 0 };
+            }
+        }
+    }
+}
+
+/// The main output enable, in `BDTR`.
+const MOE: u64 = 1 << 15;
+
 impl Hook<Tim<Advanced>> for Outputs {
-    fn after(&mut self, timer: &mut Tim<Advanced>, _: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+    fn after(&mut self, timer: &mut Tim<Advanced>, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        self.account(context.now());
+        self.driven = registers.get(TimRegister::Bdtr) & MOE != 0;
+        for (number, reference) in (1..).zip(&mut self.references) {
+            let channel = Channel::new(number).expect("a timer has four channels");
+            *reference = timer.reference(channel) == Level::High;
+        }
         let (level, pulses) = timer.trigger_output();
         if pulses != self.pulses {
             self.pulses = pulses;

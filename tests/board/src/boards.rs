@@ -1,0 +1,164 @@
+//! How each board is wired, for the virtual hardware around the chip. The pins are those of docs/wiring-odrive-v3.md and
+//! docs/wiring-h-bridge-f405.md, read a second time here, so that a pin swapped in the firmware shows.
+
+/// A port pin: the port's letter and the pin's number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Pin(pub char, pub u8);
+
+/// The boards there is firmware for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BoardKind {
+    /// ODrive v3.6 and its clones.
+    OdriveV3,
+    /// Any STM32F405 module with three H-bridges.
+    HBridgeF405,
+}
+
+/// An encoder's wires: the general timer that counts it (2 to 5), its two pins and their alternate function.
+#[derive(Clone, Copy, Debug)]
+pub struct EncoderWires {
+    /// TIM2 to TIM5, by number.
+    pub timer: u8,
+    /// Channel A at the timer's channel 1, channel B at its channel 2.
+    pub pins: [Pin; 2],
+    /// The alternate function that joins the pins to the timer.
+    pub function: u8,
+    /// The index mark's pin, where the board has one.
+    pub index: Option<Pin>,
+}
+
+/// One side of a motor: a switched half bridge.
+#[derive(Clone, Copy, Debug)]
+pub enum HalfBridge {
+    /// The upper switch follows a timer channel (1 to 3), the lower one its complement.
+    Channel(u8),
+    /// The upper switch follows the complement of a channel.
+    Complement(u8),
+}
+
+/// A motor's wires.
+#[derive(Clone, Copy, Debug)]
+pub struct MotorWires {
+    /// The advanced timer that drives it: 1 or 8.
+    pub timer: u8,
+    /// The half bridges at its two ends; current flows from the first to the second at positive duty.
+    pub ends: [HalfBridge; 2],
+    /// The gate signals' pins, and the alternate function that joins them to the timer.
+    pub gates: [Pin; 4],
+    /// The alternate function of `gates`.
+    pub function: u8,
+    /// Where its current is seen: converter channel, and volts per ampere (from first end to second) of each sensor.
+    /// A gain-programmed sensor gives the shunt's volts per ampere; the driver's gain multiplies it.
+    pub sensors: &'static [(u8, f64)],
+}
+
+/// A board.
+#[derive(Clone, Copy, Debug)]
+pub struct Wiring {
+    /// The name of the board and of its Cargo feature.
+    pub name: &'static str,
+    /// The encoders, one per axis.
+    pub encoders: &'static [EncoderWires],
+    /// The motors, one per axis.
+    pub motors: &'static [MotorWires],
+    /// The pin that lets the power stages work, high for on.
+    pub enable: Pin,
+    /// What all axes do while it is on but the timer's outputs are idle: float (false) or brake (true).
+    pub idle_brakes: bool,
+    /// The pin that a power stage pulls low for a fault, and whether that line is the timer's break input.
+    pub fault: Pin,
+    /// TIM1's break input listens to `fault`.
+    pub fault_breaks: bool,
+    /// The bus voltage's converter channel and divider.
+    pub bus: (u8, f64),
+    /// The chip selects of the gate drivers, on SPI3.
+    pub drivers: &'static [Pin],
+    /// The nominal bus voltage, V.
+    pub bus_voltage: f64,
+    /// Dead time that costs voltage, s: both switches of a half bridge off. Zero where a half bridge is a module of its own.
+    pub dead_time: f64,
+}
+
+/// Shunts under phases B and C.
+const SHUNT: f64 = 500e-6;
+/// A 185 mV/A Hall sensor behind a divider from 5 V to 3.3 V.
+const HALL: f64 = 0.185 * 0.66;
+
+static ODRIVE_V3: Wiring = Wiring {
+    name: "odrive-v3",
+    encoders: &[
+        EncoderWires { timer: 3, pins: [Pin('B', 4), Pin('B', 5)], function: 2, index: Some(Pin('C', 9)) },
+        EncoderWires { timer: 4, pins: [Pin('B', 6), Pin('B', 7)], function: 2, index: Some(Pin('C', 15)) },
+    ],
+    motors: &[
+        MotorWires {
+            timer: 1,
+            ends: [HalfBridge::Channel(2), HalfBridge::Channel(3)],
+            gates: [Pin('A', 9), Pin('A', 10), Pin('B', 14), Pin('B', 15)],
+            function: 1,
+            sensors: &[(10, SHUNT), (11, -SHUNT)],
+        },
+        MotorWires {
+            timer: 8,
+            ends: [HalfBridge::Channel(2), HalfBridge::Channel(3)],
+            gates: [Pin('C', 7), Pin('C', 8), Pin('B', 0), Pin('B', 1)],
+            function: 3,
+            sensors: &[(13, SHUNT), (12, -SHUNT)],
+        },
+    ],
+    enable: Pin('B', 12),
+    idle_brakes: false,
+    fault: Pin('D', 2),
+    fault_breaks: false,
+    bus: (6, 19.0),
+    drivers: &[Pin('C', 13), Pin('C', 14)],
+    bus_voltage: 24.0,
+    dead_time: 20.0 / 168e6,
+};
+
+static H_BRIDGE_F405: Wiring = Wiring {
+    name: "h-bridge-f405",
+    encoders: &[
+        EncoderWires { timer: 2, pins: [Pin('A', 15), Pin('B', 3)], function: 1, index: None },
+        EncoderWires { timer: 3, pins: [Pin('B', 4), Pin('B', 5)], function: 2, index: None },
+        EncoderWires { timer: 4, pins: [Pin('B', 6), Pin('B', 7)], function: 2, index: None },
+    ],
+    motors: &[
+        h_bridge(1, [Pin('A', 8), Pin('B', 13)], &[(10, HALL)]),
+        h_bridge(2, [Pin('A', 9), Pin('B', 14)], &[(11, HALL)]),
+        h_bridge(3, [Pin('A', 10), Pin('B', 15)], &[(12, HALL)]),
+    ],
+    enable: Pin('C', 6),
+    idle_brakes: true,
+    fault: Pin('B', 12),
+    fault_breaks: true,
+    bus: (13, 11.0),
+    drivers: &[],
+    bus_voltage: 24.0,
+    dead_time: 0.0,
+};
+
+const fn h_bridge(channel: u8, [p, n]: [Pin; 2], sensors: &'static [(u8, f64)]) -> MotorWires {
+    let ends = [HalfBridge::Channel(channel), HalfBridge::Complement(channel)];
+    MotorWires { timer: 1, ends, gates: [p, n, p, n], function: 1, sensors }
+}
+
+impl BoardKind {
+    /// Both boards.
+    pub const ALL: [Self; 2] = [Self::OdriveV3, Self::HBridgeF405];
+
+    /// The board called `name`.
+    #[must_use]
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.wiring().name == name)
+    }
+
+    /// How it is wired.
+    #[must_use]
+    pub fn wiring(self) -> &'static Wiring {
+        match self {
+            Self::OdriveV3 => &ODRIVE_V3,
+            Self::HBridgeF405 => &H_BRIDGE_F405,
+        }
+    }
+}

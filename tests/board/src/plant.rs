@@ -1,0 +1,81 @@
+//! What the board's connectors lead to: motors that turn something, encoders that see it.
+
+use std::fmt::Debug;
+
+use haptic::sim::{Device, Drive};
+
+/// A device at the board's connectors, with up to three axes.
+pub trait Plant: Debug + Send {
+    /// Lets `dt` seconds pass with each motor driven as said.
+    fn step(&mut self, drives: &[Drive; 3], dt: f64);
+    /// Encoder counts since power-on (quadrature edges).
+    fn counts(&self) -> [i32; 3];
+    /// Whether each encoder's index mark is under its sensor.
+    fn index(&self) -> [bool; 3];
+    /// Winding currents, A, positive with positive duty.
+    fn currents(&self) -> [f64; 3];
+    /// Bus voltage, V.
+    fn bus_voltage(&self) -> f64;
+    /// The simulated device, if that is what it is.
+    fn device(&mut self) -> Option<&mut Device> {
+        None
+    }
+}
+
+impl Plant for Device {
+    fn step(&mut self, drives: &[Drive; 3], dt: f64) {
+        Device::step(self, drives, dt);
+    }
+    fn counts(&self) -> [i32; 3] {
+        Device::counts(self)
+    }
+    fn index(&self) -> [bool; 3] {
+        Device::index(self)
+    }
+    fn currents(&self) -> [f64; 3] {
+        Device::currents(self)
+    }
+    fn bus_voltage(&self) -> f64 {
+        Device::bus_voltage(self)
+    }
+    fn device(&mut self) -> Option<&mut Device> {
+        Some(self)
+    }
+}
+
+/// Nothing turns by itself: the encoders stand where they are put, and the drives are remembered.
+#[derive(Clone, Debug)]
+pub struct Dummy {
+    /// Where the encoders stand, counts.
+    pub counts: [i32; 3],
+    /// The currents the sensors see, A.
+    pub currents: [f64; 3],
+    /// The bus voltage, V.
+    pub bus_voltage: f64,
+    /// How the motors were driven in the last step.
+    pub drives: [Drive; 3],
+}
+
+impl Default for Dummy {
+    fn default() -> Self {
+        Self { counts: [0; 3], currents: [0.0; 3], bus_voltage: 24.0, drives: [Drive::Floating; 3] }
+    }
+}
+
+impl Plant for Dummy {
+    fn step(&mut self, drives: &[Drive; 3], _: f64) {
+        self.drives = *drives;
+    }
+    fn counts(&self) -> [i32; 3] {
+        self.counts
+    }
+    fn index(&self) -> [bool; 3] {
+        [false; 3]
+    }
+    fn currents(&self) -> [f64; 3] {
+        self.currents
+    }
+    fn bus_voltage(&self) -> f64 {
+        self.bus_voltage
+    }
+}
