@@ -22,7 +22,9 @@ cargo xtask COMMAND
   dfu BOARD         build and write a .dfu update file that leaves the settings alone
   no-panic          prove that the control step cannot panic, and bound its stack
   test              every test: this computer's, both images, the emulated board
-  board             the tests that run the images on the emulated board
+  test-board        of these, the tests that run the images on the emulated board
+  board [BOARD] [--device FILE] [--tcp PORT] [--fast]
+                    the real firmware on an emulated board with a simulated device, to talk to
 
 Boards: odrive-v3, h-bridge-f405. Options: --install puts missing Debian packages in place (root).";
 
@@ -49,7 +51,8 @@ fn run(arguments: &[String], install: bool) -> Result<()> {
         ["dfu", board] => firmware::dfu(firmware::board(board)?, install),
         ["no-panic"] => no_panic::prove(install),
         ["test"] => tests::all(install),
-        ["board", rest @ ..] => tests::board(rest, install),
+        ["test-board", rest @ ..] => tests::board(rest, install),
+        ["board", rest @ ..] => tests::play(rest, install),
         [] | ["help" | "--help" | "-h"] => {
             println!("{HELP}");
             Ok(())

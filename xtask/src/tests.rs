@@ -20,12 +20,24 @@ pub fn all(install: bool) -> Result<()> {
     board(&[], install)
 }
 
-/// The tests of the real images on the emulated chip: a workspace of its own, which declares a newer compiler than it needs.
-/// Further arguments go to `cargo test`.
+/// The tests of the real images on the emulated chip. Further arguments go to `cargo test`.
 pub fn board(arguments: &[&str], install: bool) -> Result<()> {
-    firmware::build_all(install)?;
-    run(cargo()
-        .current_dir(firmware::root().join("tests/board"))
-        .args(["test", "--locked", "--ignore-rust-version", "--release"])
-        .args(arguments))
+    run(emulated("test", install)?.args(arguments))
+}
+
+/// The real firmware on an emulated board, for a person. Further arguments go to the board.
+pub fn play(arguments: &[&str], install: bool) -> Result<()> {
+    run(emulated("run", install)?.args(["--quiet", "--bin", "board", "--"]).args(arguments))
+}
+
+/// A cargo call in the virtual board's workspace, which is one of its own because the emulator declares a newer compiler than
+/// it needs. Its tests and its program take the images from where this built them.
+fn emulated(call: &str, install: bool) -> Result<Command> {
+    let images = firmware::build_all(install)?;
+    let mut command = cargo();
+    command.current_dir(firmware::root().join("tests/board")).args([call, "--locked", "--ignore-rust-version"]);
+    if let Some(directory) = images.first().and_then(|image| image.parent()) {
+        command.env("HAPTIC_FIRMWARE_DIR", directory);
+    }
+    Ok(command)
 }

@@ -5,7 +5,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use object::{Object, ObjectSection, ObjectSymbol, SymbolKind};
+use object::{Object, ObjectSection, ObjectSymbol, SectionKind, SymbolKind};
 
 use crate::boards::BoardKind;
 
@@ -137,6 +137,16 @@ impl Firmware {
     #[must_use]
     pub fn find(&self, name: &str) -> Option<Symbol> {
         self.symbols.get(name).copied()
+    }
+
+    /// The code of the function `symbol`, or `None` where the image has no such code.
+    #[must_use]
+    pub fn code(&self, symbol: Symbol) -> Option<Vec<u8>> {
+        let elf = object::File::parse(&*self.bytes).ok()?;
+        elf.sections().find_map(|section| {
+            let data = section.data_range(symbol.address, symbol.size).ok()??;
+            (section.kind() == SectionKind::Text).then(|| data.to_vec())
+        })
     }
 
     /// Every symbol with its name, by name.

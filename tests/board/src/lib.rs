@@ -4,12 +4,17 @@
 //! [`count`] counts the instructions of marked stretches of a bench image.
 
 pub mod boards;
+pub mod bridge;
 pub mod chip;
 pub mod count;
 pub mod drv8301;
 pub mod hardware;
 pub mod image;
+pub mod interrupt;
+pub mod log;
 pub mod plant;
+pub mod rig;
 pub mod rtt;
 pub mod run;
 pub mod usb;
+pub mod wire;

@@ -1,0 +1,105 @@
+//! `board [odrive-v3|h-bridge-f405] [--device FILE.toml] [--tcp PORT] [--fast]`: the real firmware on an emulated board with a simulated
+//! device, for a person. `cargo xtask board` calls it.
+//!
+//! It prints the ports that `haptic --port …` connects to, and the firmware's log as it comes. Ctrl-C ends it.
+//! `--fast` lets virtual time run as fast as the emulator goes instead of following the clock.
+//! Exit code 1: it could not be started; 2: the command is wrong.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+use haptic::device_file::DeviceFile;
+use haptic::sim::{Bridge, Device, Options};
+use virtual_board::boards::BoardKind;
+use virtual_board::bridge::{Outlet, TcpOutlet};
+use virtual_board::hardware::Hardware;
+use virtual_board::image::Firmware;
+use virtual_board::log::Decoder;
+use virtual_board::rig;
+use virtual_board::run::{MILLISECOND, VirtualBoard};
+
+struct Arguments {
+    board: BoardKind,
+    device: PathBuf,
+    port: u16,
+    fast: bool,
+}
+
+fn main() -> ExitCode {
+    let Some(arguments) = parse(std::env::args().skip(1)) else {
+        eprintln!("usage: board [odrive-v3|h-bridge-f405] [--device FILE.toml] [--tcp PORT] [--fast]");
+        return ExitCode::from(2);
+    };
+    match run(&arguments) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("board: {error}");
+            ExitCode::from(1)
+        }
+    }
+}
+
+fn parse(mut words: impl Iterator<Item = String>) -> Option<Arguments> {
+    let device = rig::devices().join("pantograph-mk2.toml");
+    let mut arguments = Arguments { board: BoardKind::OdriveV3, device, port: 0, fast: false };
+    while let Some(word) = words.next() {
+        match word.as_str() {
+            "--device" => arguments.device = words.next()?.into(),
+            "--tcp" => arguments.port = words.next()?.parse().ok()?,
+            "--fast" => arguments.fast = true,
+            name => arguments.board = BoardKind::named(name)?,
+        }
+    }
+    Some(arguments)
+}
+
+fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
+    let wiring = arguments.board.wiring();
+    let file = DeviceFile::load(&arguments.device)?;
+    let bridge = Bridge { bus_voltage: wiring.bus_voltage, dead_time: wiring.dead_time, ..Bridge::default() };
+    let device = Device::new(&file.description, &Options { bridge, ..Options::default() })?;
+    let firmware = Firmware::of(arguments.board)?;
+    let decoder = Decoder::new(&firmware);
+    let mut log = decoder.as_ref().map(Decoder::reader);
+    let mut board = VirtualBoard::start(&firmware, Hardware::new(arguments.board, Box::new(device))?)?;
+
+    println!("{} with {}, firmware {}", wiring.name, file.name, firmware.path().display());
+    let mut outlets: Vec<Box<dyn Outlet>> = Vec::new();
+    let tcp = TcpOutlet::listen(arguments.port)?;
+    println!("port: tcp:127.0.0.1:{}", tcp.port()?);
+    outlets.push(Box::new(tcp));
+    #[cfg(unix)]
+    {
+        let terminal = virtual_board::bridge::TerminalOutlet::new()?;
+        println!("port: {}", terminal.path());
+        outlets.push(Box::new(terminal));
+    }
+
+    let began = Instant::now();
+    loop {
+        board.run(MILLISECOND);
+        let mut written = Vec::new();
+        for outlet in &mut outlets {
+            if outlet.open() {
+                written.extend(outlet.read());
+            }
+        }
+        let (sent, raw) = board.with(move |bench| {
+            bench.usb().write(&written);
+            (bench.usb().take(), bench.take_log())
+        });
+        for outlet in &mut outlets {
+            outlet.write(&sent);
+        }
+        if let Some(log) = &mut log {
+            for line in log.feed(&raw) {
+                println!("{:10.3} {line}", board.now() as f64 * 1e-9);
+            }
+        }
+        let ahead = Duration::from_nanos(board.now()).saturating_sub(began.elapsed());
+        if !arguments.fast && ahead > Duration::ZERO {
+            std::thread::sleep(ahead);
+        }
+    }
+}
