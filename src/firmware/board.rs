@@ -21,8 +21,13 @@ mod odrive_v3;
 #[cfg(feature = "odrive-v3")]
 pub use odrive_v3::*;
 
+use core::sync::atomic::{AtomicU16, Ordering};
+
 use embassy_stm32::Peri;
 use embassy_stm32::peripherals::{FLASH, IWDG, PA11, PA12, USB_OTG_FS};
+use embassy_time::{Duration, block_for};
+
+use crate::{adc, servo};
 
 /// Readings of one crest.
 #[derive(Clone, Copy)]
@@ -45,13 +50,84 @@ pub struct Common {
     pub watchdog: Peri<'static, IWDG>,
 }
 
-/// What can go wrong while the gate drivers are set up.
+/// What can go wrong while the power stage is readied.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, defmt::Format)]
+#[cfg_attr(
+    not(feature = "odrive-v3"),
+    expect(dead_code, reason = "a board without gate drivers has fewer ways to fail")
+)]
 pub enum GateError {
     /// The transfer itself failed.
     Bus,
     /// A control register did not read back as written: no driver there, or no supply.
     Readback,
-    /// The driver reports a fault; the status registers as read.
+    /// The driver reports a fault; its status registers.
     Fault(u16, u16),
+    /// The current sensors' zero is this many counts from the middle of their range.
+    Offset(u16),
+}
+
+impl GateError {
+    /// What a fault record keeps of it.
+    pub fn value(self) -> f32 {
+        match self {
+            Self::Bus | Self::Readback => 0.0,
+            Self::Fault(status, _) => f32::from(status),
+            Self::Offset(counts) => f32::from(counts),
+        }
+    }
+}
+
+/// Weight of one reading in a current sensor's zero, learned while no current flows: settled after a hundred readings.
+const ZERO_WEIGHT: f32 = 1.0 / 32.0;
+
+/// Farthest that a zero may be from the middle of the converter's range, counts.
+const ZERO_MAX: u16 = 512;
+
+/// Time for the zeros to settle, ms: at least 200 carrier periods.
+const ZERO_MS: u64 = 12;
+
+/// Farthest zero from the middle, counts, as the control interrupt last saw it.
+static ZERO_WORST: AtomicU16 = AtomicU16::new(0);
+
+/// The zeros of a board's current sensors.
+struct Zeros<const N: usize>([f32; N]);
+
+impl<const N: usize> Zeros<N> {
+    const fn new() -> Self {
+        Self([adc::FULL_SCALE / 2.0; N])
+    }
+
+    /// Readings less their zeros, counts. Learns the zeros if asked to.
+    #[inline(always)]
+    fn take(&mut self, raw: [u16; N], learn: bool) -> [f32; N] {
+        let mut counts = raw.map(f32::from);
+        let mut worst = 0.0_f32;
+        for (counts, zero) in counts.iter_mut().zip(&mut self.0) {
+            if learn {
+                *zero += (*counts - *zero) * ZERO_WEIGHT;
+                worst = worst.max((*zero - adc::FULL_SCALE / 2.0).abs());
+            }
+            *counts -= *zero;
+        }
+        if learn {
+            ZERO_WORST.store(worst as u16, Ordering::Relaxed);
+        }
+        counts
+    }
+}
+
+/// Says that no current can flow and waits until the zeros are learned; an error when one is far off.
+fn learn_zeros() -> Result<(), GateError> {
+    ZERO_WORST.store(0, Ordering::Relaxed);
+    servo::GATE_READY.store(true, Ordering::Relaxed);
+    block_for(Duration::from_millis(ZERO_MS));
+    match ZERO_WORST.load(Ordering::Relaxed) {
+        ..=ZERO_MAX => Ok(()),
+        far => {
+            servo::GATE_READY.store(false, Ordering::Relaxed);
+            off();
+            Err(GateError::Offset(far))
+        }
+    }
 }

@@ -1,4 +1,5 @@
-//! Clocks: an 8 MHz crystal to 168 MHz for the core, 84 MHz for the fast peripheral bus (168 MHz at its timers), 42 MHz for
+//! Clocks: an 8 MHz crystal to 168 MHz for the core, 84 MHz for the fast peripheral bus (168 MHz at its timers,
+//! [`haptic_bridge::carrier::TIMER_HZ`]), 42 MHz for
 //! the slow one (84 MHz at its timers), 48 MHz for USB. STM32F405 reference manual RM0090, section 7.2.
 
 use embassy_stm32::Config;
@@ -8,9 +9,6 @@ use embassy_stm32::rcc::{
 use embassy_stm32::time::Hertz;
 
 use crate::critical;
-
-/// Frequency that the timers of the fast bus (TIM1, TIM8) count at, Hz.
-pub const PWM_TIMER_HZ: u32 = 168_000_000;
 
 /// The clock tree, and all DMA interrupts below the control interrupt.
 pub fn config() -> Config {

@@ -6,7 +6,6 @@
 use embassy_stm32::gpio::Output;
 use embassy_stm32::mode::Blocking;
 use embassy_stm32::spi::{Error, Spi, mode::Master};
-use embassy_time::Timer;
 
 use crate::board::GateError;
 
@@ -44,38 +43,38 @@ impl Drv8301 {
         Self { select }
     }
 
-    async fn transfer(&mut self, bus: &mut Bus, frame: u16) -> Result<u16, GateError> {
+    fn transfer(&mut self, bus: &mut Bus, frame: u16) -> Result<u16, GateError> {
         let mut word = [frame];
         self.select.set_low();
         let sent = bus.blocking_transfer_in_place(&mut word);
         self.select.set_high();
-        // 400 ns of idle select between frames are asked for; a tick of the clock is more.
-        Timer::after_micros(2).await;
+        // SLOS719F asks for 400 ns of idle select between frames; these are 600 ns.
+        cortex_m::asm::delay(100);
         sent?;
         Ok(word[0])
     }
 
-    async fn write(&mut self, bus: &mut Bus, register: u16, value: u16) -> Result<(), GateError> {
-        self.transfer(bus, (register << 11) | (value & 0x7FF)).await?;
+    fn write(&mut self, bus: &mut Bus, register: u16, value: u16) -> Result<(), GateError> {
+        self.transfer(bus, (register << 11) | (value & 0x7FF))?;
         Ok(())
     }
 
-    async fn read(&mut self, bus: &mut Bus, register: u16) -> Result<u16, GateError> {
+    fn read(&mut self, bus: &mut Bus, register: u16) -> Result<u16, GateError> {
         let request = 0x8000 | (register << 11);
-        self.transfer(bus, request).await?;
-        Ok(self.transfer(bus, request).await? & 0x7FF)
+        self.transfer(bus, request)?;
+        Ok(self.transfer(bus, request)? & 0x7FF)
     }
 
     /// Writes the control registers and reads them back; clears and checks the status. EN_GATE must have been high for 10 ms.
-    pub async fn configure(&mut self, bus: &mut Bus) -> Result<(), GateError> {
-        self.write(bus, CONTROL_1, CONTROL_1_VALUE).await?;
-        self.write(bus, CONTROL_2, CONTROL_2_VALUE).await?;
-        let control_1 = self.read(bus, CONTROL_1).await?;
-        let control_2 = self.read(bus, CONTROL_2).await?;
+    pub fn configure(&mut self, bus: &mut Bus) -> Result<(), GateError> {
+        self.write(bus, CONTROL_1, CONTROL_1_VALUE)?;
+        self.write(bus, CONTROL_2, CONTROL_2_VALUE)?;
+        let control_1 = self.read(bus, CONTROL_1)?;
+        let control_2 = self.read(bus, CONTROL_2)?;
         if control_1 != CONTROL_1_VALUE || control_2 != CONTROL_2_VALUE {
             return Err(GateError::Readback);
         }
-        let (status_1, status_2) = self.status(bus).await?;
+        let (status_1, status_2) = self.status(bus)?;
         // Bit 10 of status 1 is FAULT, bit 7 of status 2 GVDD_OV.
         if status_1 & (1 << 10) != 0 || status_2 & (1 << 7) != 0 {
             return Err(GateError::Fault(status_1, status_2));
@@ -84,7 +83,7 @@ impl Drv8301 {
     }
 
     /// The two status registers.
-    pub async fn status(&mut self, bus: &mut Bus) -> Result<(u16, u16), GateError> {
-        Ok((self.read(bus, STATUS_1).await?, self.read(bus, STATUS_2).await?))
+    pub fn status(&mut self, bus: &mut Bus) -> Result<(u16, u16), GateError> {
+        Ok((self.read(bus, STATUS_1)?, self.read(bus, STATUS_2)?))
     }
 }

@@ -9,6 +9,7 @@ use core::ptr::{addr_of, addr_of_mut};
 
 use cortex_m::peripheral::SCB;
 use embassy_stm32::pac;
+use haptic_bridge::guard::{Fault, FaultRecord};
 
 use crate::board;
 
@@ -26,7 +27,7 @@ struct LastWords {
     mark: u32,
     /// 1 panic, 2 hard fault, 3 unexpected interrupt.
     kind: u32,
-    /// Program counter and link register where a fault struck; the interrupt's number for kind 3.
+    /// Program counter and link register where a fault struck; the line of a panic, the number of an interrupt.
     pc: u32,
     lr: u32,
     /// Configurable fault status and the address it names (RM0090 / ARMv7-M B3.2.15).
@@ -78,7 +79,7 @@ pub struct Start {
     pub cause: ResetCause,
     /// How the previous run ended.
     pub previous: Previous,
-    /// Program counter of a fault, 0 when unknown.
+    /// Program counter of a fault, 0 when unknown; the line of a panic.
     pub pc: u32,
     /// Fault status register of a hard fault.
     pub status: u32,
@@ -95,6 +96,20 @@ impl Start {
             Ok(text) => text,
             Err(error) => core::str::from_utf8(&self.text[..error.valid_up_to()]).unwrap_or(""),
         }
+    }
+}
+
+impl Start {
+    /// What the end of the previous run means for this one: a fault that stays latched until someone clears it.
+    pub fn fault(&self) -> Option<FaultRecord> {
+        let (fault, value) = match (self.previous, self.cause) {
+            (Previous::Panic, _) => (Fault::Panic, self.pc as f32),
+            (Previous::StackOverflow, _) => (Fault::StackOverflow, 0.0),
+            (Previous::HardFault | Previous::UnexpectedInterrupt, _) => (Fault::HardFault, self.pc as f32),
+            (Previous::Clean, ResetCause::Watchdog) => (Fault::Watchdog, 0.0),
+            (Previous::Clean, _) => return None,
+        };
+        Some(FaultRecord { fault, axis: None, value, step: 0 })
     }
 }
 
@@ -219,14 +234,16 @@ fn panic(info: &PanicInfo) -> ! {
     board::off();
     cortex_m::interrupt::disable();
     let mut text = Text { bytes: [0; TEXT_LEN], len: 0 };
+    let mut line = 0;
     if let Some(place) = info.location() {
+        line = place.line();
         // A path is long and its end says more than its beginning.
         let file = place.file();
         let file = file.get(file.len().saturating_sub(32)..).unwrap_or(file);
-        let _ = write!(text, "{file}:{}: ", place.line());
+        let _ = write!(text, "{file}:{line}: ");
     }
     let _ = write!(text, "{}", info.message());
-    write_down_and_reset(1, 0, 0, text)
+    write_down_and_reset(1, line, 0, text)
 }
 
 /// The entry of every hard fault: gives the handler the stack pointer of the fault and a fresh stack, because an overflow

@@ -1,16 +1,24 @@
-//! The USB device: one serial port (CDC-ACM).
+//! The USB device, one serial port (CDC-ACM), and the task that serves the protocol over it.
 
+use embassy_futures::select::{Either, select};
 use embassy_stm32::interrupt::InterruptExt;
 use embassy_stm32::peripherals::{PA11, PA12, USB_OTG_FS};
 use embassy_stm32::usb::{self, Driver};
 use embassy_stm32::{Peri, bind_interrupts, interrupt};
+use embassy_time::{Duration, Instant, Timer};
 use embassy_usb::class::cdc_acm::{CdcAcmClass, State};
 use embassy_usb::{Builder, UsbDevice};
-use embedded_io_async::{Read as _, Write as _};
+use haptic_bridge::dispatch::{self, After};
+use haptic_bridge::guard::FaultRecord;
+use haptic_bridge::protocol::{FaultSeen, MAX_FRAME, Telemetry, USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR};
+use haptic_bridge::service::{Machine as _, Service};
+use haptic_bridge::servo::{Command, Hardware};
 use static_cell::{ConstStaticCell, StaticCell};
 
-use crate::serial::{Incoming, Outgoing, PACKET};
-use crate::{board, critical};
+use crate::machine::Panel;
+use crate::serial::{Event, Incoming, Outgoing, PACKET};
+use crate::telemetry::TelemetryStream;
+use crate::{board, critical, faults, supervisor};
 
 bind_interrupts!(struct Irqs {
     OTG_FS => usb::InterruptHandler<USB_OTG_FS>;
@@ -22,20 +30,16 @@ pub type UsbDriver = Driver<'static, USB_OTG_FS>;
 /// The serial port.
 pub type Serial = CdcAcmClass<'static, UsbDriver>;
 
-/// STMicroelectronics' numbers for a virtual serial port on their chips. Boards are told apart by product name and serial number.
-const VENDOR_ID: u16 = 0x0483;
-const PRODUCT_ID: u16 = 0x5740;
-
 /// Builds the USB device with its serial port.
 pub fn device(
     (peripheral, dp, dm): (Peri<'static, USB_OTG_FS>, Peri<'static, PA12>, Peri<'static, PA11>),
+    serial_number: &'static str,
 ) -> (UsbDevice<'static, UsbDriver>, Serial) {
     static OUT: ConstStaticCell<[u8; 256]> = ConstStaticCell::new([0; 256]);
     static CONFIG: ConstStaticCell<[u8; 128]> = ConstStaticCell::new([0; 128]);
     static BOS: ConstStaticCell<[u8; 16]> = ConstStaticCell::new([0; 16]);
     static CONTROL: ConstStaticCell<[u8; 64]> = ConstStaticCell::new([0; 64]);
     static STATE: StaticCell<State> = StaticCell::new();
-    static SERIAL_NUMBER: StaticCell<[u8; 12]> = StaticCell::new();
 
     let mut hardware = usb::Config::default();
     // PA9, where the bus voltage would be sensed, is a gate signal on these boards.
@@ -43,11 +47,10 @@ pub fn device(
     let driver = Driver::new_fs(peripheral, Irqs, dp, dm, OUT.take(), hardware);
     interrupt::OTG_FS.set_priority(critical::OTHERS);
 
-    let mut config = embassy_usb::Config::new(VENDOR_ID, PRODUCT_ID);
-    config.manufacturer = Some("haptic-bridge");
-    config.product = Some(board::NAME);
-    let serial_number = SERIAL_NUMBER.init(serial_number());
-    config.serial_number = core::str::from_utf8(serial_number).ok();
+    let mut config = embassy_usb::Config::new(USB_VENDOR, USB_PRODUCT);
+    config.manufacturer = Some(board::NAME);
+    config.product = Some(USB_PRODUCT_NAME);
+    config.serial_number = Some(serial_number);
     config.max_power = 100;
     let mut builder = Builder::new(driver, config, CONFIG.take(), BOS.take(), &mut [], CONTROL.take());
     let serial = CdcAcmClass::new(&mut builder, STATE.init(State::new()), PACKET as u16);
@@ -55,8 +58,9 @@ pub fn device(
 }
 
 /// The serial number that the chip's own boot loader reports as well, so that a board keeps its name while it is updated: the
-/// first and third word of the unique identifier added, then the upper half of the second.
-fn serial_number() -> [u8; 12] {
+/// first and third word of the unique identifier added, then the upper half of the second. Call once.
+pub fn serial_number() -> &'static str {
+    static SERIAL_NUMBER: StaticCell<[u8; 12]> = StaticCell::new();
     let id = embassy_stm32::uid::uid();
     let word = |at: usize| u32::from_le_bytes([id[at], id[at + 1], id[at + 2], id[at + 3]]);
     let mut digits = [0; 12];
@@ -65,7 +69,7 @@ fn serial_number() -> [u8; 12] {
         let nibble = (parts >> (44 - 4 * place)) & 0xF;
         *digit = b"0123456789ABCDEF"[nibble as usize];
     }
-    digits
+    core::str::from_utf8(SERIAL_NUMBER.init(digits)).unwrap_or("")
 }
 
 /// Runs the USB device.
@@ -74,14 +78,66 @@ pub async fn usb(mut device: UsbDevice<'static, UsbDriver>) -> ! {
     device.run().await
 }
 
-/// Sends back what comes.
+/// How often the servo is looked at for new faults.
+const WATCH: Duration = Duration::from_millis(20);
+
+/// How often the telemetry queue is emptied: it holds 3 ms of frames at 20 kHz.
+const DRAIN: Duration = Duration::from_millis(1);
+
+/// Answers the host, sends telemetry and new faults. `previous` is how the last run ended, if that was a fault.
 #[embassy_executor::task]
-pub async fn echo(serial: Serial) -> ! {
+pub async fn serve(mut panel: Panel, hardware: Hardware, previous: Option<FaultRecord>, serial: Serial) -> ! {
+    static FRAME: ConstStaticCell<[u8; MAX_FRAME]> = ConstStaticCell::new([0; MAX_FRAME]);
+    let frame = FRAME.take();
     let (sender, receiver) = serial.split();
     let (mut outgoing, mut incoming) = (Outgoing::new(sender), Incoming::new(receiver));
-    let mut bytes = [0; PACKET];
-    loop {
-        let Ok(len) = incoming.read(&mut bytes).await;
-        let Ok(()) = outgoing.write_all(&bytes[..len]).await.map_err(|_| ()) else { continue };
+    let mut service = Service::new(hardware, board::LIMITS);
+    service.boot(&mut panel);
+    if let Some(record) = previous {
+        let _ = panel.execute(Command::Fault(record));
     }
+    let mut stream = TelemetryStream::default();
+    let mut sequence = 0;
+    let mut watch = Instant::now();
+    loop {
+        supervisor::alive(supervisor::Task::Link);
+        let wake = if stream.runs() { Instant::now() + DRAIN } else { watch };
+        match select(incoming.next(), Timer::at(wake)).await {
+            Either::First(Event::Frame(request)) => {
+                let (answer, after) = dispatch::answer(&mut service, &mut panel, request, frame);
+                if let Some(answer) = answer {
+                    outgoing.send(answer).await;
+                }
+                match after {
+                    After::Nothing => {}
+                    After::Stream(request, axes) => stream.start(&request, axes, &mut panel),
+                    After::BootLoader => restart(faults::reboot_to_boot_loader).await,
+                    After::Restart => restart(faults::reboot).await,
+                }
+            }
+            Either::First(Event::Disconnected) => stream.stop(),
+            Either::Second(()) => {}
+        }
+        while let Some(batch) = stream.batch(&mut panel) {
+            if let Some(message) = dispatch::publish::<Telemetry>(sequence, batch, frame) {
+                sequence = sequence.wrapping_add(1);
+                outgoing.send(message).await;
+            }
+        }
+        if Instant::now() >= watch {
+            watch = Instant::now() + WATCH;
+            if let Some(record) = service.poll(&mut panel)
+                && let Some(message) = dispatch::publish::<FaultSeen>(sequence, &record, frame)
+            {
+                sequence = sequence.wrapping_add(1);
+                outgoing.send(message).await;
+            }
+        }
+    }
+}
+
+/// Lets the answer leave, then restarts.
+async fn restart(how: fn() -> !) {
+    Timer::after_millis(100).await;
+    how()
 }

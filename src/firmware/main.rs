@@ -15,39 +15,56 @@ mod drv8301;
 mod encoder;
 mod faults;
 mod link;
+mod machine;
 mod pwm;
 mod serial;
 mod servo;
+mod stack;
 mod storage;
 mod supervisor;
+mod telemetry;
 mod watchdog;
 
 use defmt_rtt as _;
 use embassy_executor::Spawner;
 use embassy_stm32::pac;
+use haptic_bridge::carrier::{CARRIER_MIN_HZ, Carrier};
+use haptic_bridge::servo::{Hardware, Rules};
+
+use crate::machine::Panel;
+use crate::storage::Storage;
 
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
+    board::off();
     faults::enter_boot_loader_if_requested();
     let start = faults::take();
     let chip = embassy_stm32::init(clock::config());
     freeze_carriers_when_halted();
     defmt::info!(
-        "{=str} {=str}: started by {}, before that {}: {=str}",
+        "{=str} {=str}: started by {}, before that {} at {=u32:#x} (status {=u32:#x}) {=str}",
         board::NAME,
         env!("CARGO_PKG_VERSION"),
         start.cause,
         start.previous,
+        start.pc,
+        start.status,
         start.message()
     );
 
-    let carrier = pwm::Carrier::for_rate(20_000);
-    let (io, _gate, common) = board::split(chip, carrier);
-    servo::start(io);
-    let (usb, serial) = link::device(common.usb);
+    let hardware = Hardware { axes: board::AXES, real: true, bus_sensed: true, bridge: board::BRIDGE };
+    let rules = Rules { limits: board::LIMITS, ..Rules::default() };
+    let carrier = Carrier::for_rate(CARRIER_MIN_HZ as f32);
+    let (io, gate, common) = board::split(chip, carrier);
+    let servo = servo::start(io, hardware, rules);
+    let storage = Storage::new(common.flash);
+    let serial_number = link::serial_number();
+    let panel = Panel::new(servo, gate, storage, serial_number, carrier);
+    let (usb, serial) = link::device(common.usb, serial_number);
+
     spawner.must_spawn(supervisor::supervise(common.watchdog));
     spawner.must_spawn(link::usb(usb));
-    spawner.must_spawn(link::echo(serial));
+    spawner.must_spawn(link::serve(panel, hardware, start.fault(), serial));
 }
 
 /// A halted core must not leave a duty standing: with these bits the carriers stop with it and their outputs go to the idle

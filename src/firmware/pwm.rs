@@ -10,38 +10,7 @@ use embassy_stm32::gpio::{AfType, Flex, OutputType, Speed};
 use embassy_stm32::pac;
 use embassy_stm32::pac::timer::{TimAdv, vals};
 
-use crate::clock::PWM_TIMER_HZ;
-
-/// Slowest carrier, Hz: above what people hear.
-const CARRIER_MIN_HZ: u32 = 20_000;
-
-/// How a control rate is made: the carrier and the number of carrier periods per control step.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub struct Carrier {
-    /// Timer ticks from valley to crest.
-    pub top: u16,
-    /// Carrier periods per control step, at least 1.
-    pub divider: u16,
-}
-
-impl Carrier {
-    /// The carrier for a control rate in Hz; rates outside 200 Hz .. 50 kHz are moved to the nearer end.
-    ///
-    /// The carrier is the smallest multiple of the rate from 20 kHz up, so it lies between 20 and 50 kHz: at most 4200 and
-    /// at least 1680 steps of duty.
-    pub fn for_rate(rate_hz: u32) -> Self {
-        let rate_hz = rate_hz.clamp(200, 50_000);
-        let divider = CARRIER_MIN_HZ.div_ceil(rate_hz);
-        let twice = 2 * divider * rate_hz;
-        let top = (PWM_TIMER_HZ + twice / 2) / twice;
-        Self { top: top as u16, divider: divider as u16 }
-    }
-
-    /// The control rate that comes out, Hz.
-    pub fn rate_hz(&self) -> f32 {
-        PWM_TIMER_HZ as f32 / (2.0 * f32::from(self.top) * f32::from(self.divider))
-    }
-}
+use haptic_bridge::carrier::Carrier;
 
 /// Hands pins to a timer's outputs for good: fast edges, low when nothing drives them.
 pub fn outputs<const N: usize>(pins: [Flex<'static>; N], alternate_function: u8) {

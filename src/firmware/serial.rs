@@ -1,18 +1,16 @@
-//! The two directions of the USB serial port as byte streams that never fail and never hold the board up.
+//! The two directions of the USB serial port as frames (COBS, ended by a zero) that never hold the board up.
 //!
-//! In: a lost connection ends the frame that was under way (one zero byte, the frame delimiter) and waits for the next
-//! connection. Out: a host that stops reading is given [`PATIENCE`]; from then on bytes are dropped until it reads again, and
-//! what follows starts with a delimiter, so that only whole frames are lost after the first.
+//! In: what is no frame is skipped, and a lost connection ends the frame that was under way. Out: a host that stops reading is
+//! given [`PATIENCE`]; from then on frames are dropped until it reads again, and what follows starts with a delimiter, so that
+//! only whole frames are lost after the first.
 
-use core::convert::Infallible;
 use core::future::{Future as _, poll_fn};
 use core::pin::pin;
-use core::sync::atomic::{AtomicU32, Ordering};
 use core::task::Poll;
 
 use embassy_time::{Duration, with_timeout};
 use embassy_usb::class::cdc_acm::{Receiver, Sender};
-use embedded_io_async::{ErrorType, Read, Write};
+use haptic_bridge::protocol::MAX_FRAME;
 
 use crate::link::UsbDriver;
 
@@ -22,99 +20,122 @@ pub const PACKET: usize = 64;
 /// How long a host may leave a packet unread before the board stops waiting for it.
 const PATIENCE: Duration = Duration::from_millis(100);
 
-/// Bytes that no host took.
-pub static DROPPED_BYTES: AtomicU32 = AtomicU32::new(0);
+/// Room for a frame with what COBS adds: a byte in 254, one more, and the delimiter.
+const WIRE_FRAME: usize = MAX_FRAME + MAX_FRAME / 254 + 2;
 
-/// Bytes from the host.
+/// What came from the host.
+pub enum Event<'f> {
+    /// A frame, decoded.
+    Frame(&'f [u8]),
+    /// The host has left, or arrived: whatever it had asked for is over.
+    Disconnected,
+}
+
+/// Frames from the host.
 pub struct Incoming {
     receiver: Receiver<'static, UsbDriver>,
     packet: [u8; PACKET],
     taken: usize,
     filled: usize,
+    frame: [u8; WIRE_FRAME],
+    length: usize,
+    too_long: bool,
 }
 
 impl Incoming {
     /// The receiving half of a serial port.
     pub fn new(receiver: Receiver<'static, UsbDriver>) -> Self {
-        Self { receiver, packet: [0; PACKET], taken: 0, filled: 0 }
+        Self { receiver, packet: [0; PACKET], taken: 0, filled: 0, frame: [0; WIRE_FRAME], length: 0, too_long: false }
     }
-}
 
-impl ErrorType for Incoming {
-    type Error = Infallible;
-}
-
-impl Read for Incoming {
-    async fn read(&mut self, bytes: &mut [u8]) -> Result<usize, Infallible> {
-        while self.taken == self.filled {
-            self.taken = 0;
-            self.filled = match self.receiver.read_packet(&mut self.packet).await {
-                Ok(len) => len,
+    /// Waits for the next frame. May be dropped while it waits; nothing is lost.
+    pub async fn next(&mut self) -> Event<'_> {
+        let length = loop {
+            if let Some(length) = self.take() {
+                break length;
+            }
+            match self.receiver.read_packet(&mut self.packet).await {
+                Ok(filled) => (self.taken, self.filled) = (0, filled),
                 Err(_) => {
                     self.receiver.wait_connection().await;
-                    self.packet[0] = 0;
-                    1
+                    (self.taken, self.filled, self.length, self.too_long) = (0, 0, 0, false);
+                    return Event::Disconnected;
                 }
-            };
+            }
+        };
+        Event::Frame(&self.frame[..length])
+    }
+
+    /// Moves bytes from the packet to the frame until one is complete; its length once decoded.
+    fn take(&mut self) -> Option<usize> {
+        while self.taken < self.filled {
+            let byte = self.packet[self.taken];
+            self.taken += 1;
+            if byte != 0 {
+                match self.frame.get_mut(self.length) {
+                    Some(slot) => (*slot, self.length) = (byte, self.length + 1),
+                    None => self.too_long = true,
+                }
+                continue;
+            }
+            let length = core::mem::take(&mut self.length);
+            if !core::mem::take(&mut self.too_long)
+                && length > 0
+                && let Ok(decoded) = cobs::decode_in_place(&mut self.frame[..length])
+            {
+                return Some(decoded);
+            }
         }
-        let len = bytes.len().min(self.filled - self.taken);
-        bytes[..len].copy_from_slice(&self.packet[self.taken..self.taken + len]);
-        self.taken += len;
-        Ok(len)
+        None
     }
 }
 
-/// Bytes to the host.
+/// Frames to the host.
 pub struct Outgoing {
     sender: Sender<'static, UsbDriver>,
+    wire: [u8; WIRE_FRAME],
     stalled: bool,
 }
 
 impl Outgoing {
     /// The sending half of a serial port. Nobody has read anything yet, so it does not wait for the first packet.
     pub fn new(sender: Sender<'static, UsbDriver>) -> Self {
-        Self { sender, stalled: true }
+        Self { sender, wire: [0; WIRE_FRAME], stalled: true }
     }
 
-    /// Sends one packet; false when it was dropped.
-    async fn packet(&mut self, bytes: &[u8]) -> bool {
-        let mut sending = pin!(self.sender.write_packet(bytes));
-        let sent = if self.stalled {
-            // One look, no waiting.
-            poll_fn(|context| match sending.as_mut().poll(context) {
-                Poll::Ready(result) => Poll::Ready(result.is_ok()),
-                Poll::Pending => Poll::Ready(false),
-            })
-            .await
-        } else {
-            matches!(with_timeout(PATIENCE, sending).await, Ok(Ok(())))
-        };
-        self.stalled = !sent;
-        sent
-    }
-}
-
-impl ErrorType for Outgoing {
-    type Error = Infallible;
-}
-
-impl Write for Outgoing {
-    /// Takes all bytes, whatever becomes of them.
-    async fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
-        let resuming = self.stalled;
-        if resuming && !self.packet(&[0]).await {
-            DROPPED_BYTES.fetch_add(bytes.len() as u32, Ordering::Relaxed);
-            return Ok(bytes.len());
+    /// Sends a frame (not yet encoded); false when the host did not take it.
+    pub async fn send(&mut self, frame: &[u8]) -> bool {
+        if frame.len() > MAX_FRAME {
+            return false;
         }
-        let mut rest = bytes;
-        while !rest.is_empty() {
-            let (now, later) = rest.split_at(rest.len().min(PACKET - 1));
-            if !self.packet(now).await {
-                DROPPED_BYTES.fetch_add(rest.len() as u32, Ordering::Relaxed);
-                break;
+        let length = cobs::encode(frame, &mut self.wire);
+        self.wire[length] = 0;
+        if self.stalled && !packet(&mut self.sender, &mut self.stalled, &[0]).await {
+            return false;
+        }
+        // One byte less than a full packet, so that the last packet of a frame is always a short one and goes to the tool at once.
+        for piece in self.wire[..=length].chunks(PACKET - 1) {
+            if !packet(&mut self.sender, &mut self.stalled, piece).await {
+                return false;
             }
-            rest = later;
         }
-        Ok(bytes.len())
+        true
     }
+}
+
+/// Sends one packet; false when it was dropped.
+async fn packet(sender: &mut Sender<'static, UsbDriver>, stalled: &mut bool, bytes: &[u8]) -> bool {
+    let mut sending = pin!(sender.write_packet(bytes));
+    let sent = if *stalled {
+        // One look, no waiting.
+        poll_fn(|context| match sending.as_mut().poll(context) {
+            Poll::Ready(result) => Poll::Ready(result.is_ok()),
+            Poll::Pending => Poll::Ready(false),
+        })
+        .await
+    } else {
+        matches!(with_timeout(PATIENCE, sending).await, Ok(Ok(())))
+    };
+    *stalled = !sent;
+    sent
 }

@@ -1,15 +1,101 @@
 //! The control interrupt: at the crest of the carrier it samples, steps and writes the duties that apply at the next valley.
+//!
+//! It runs at every update of TIM1, crests and valleys, and does nothing at valleys. At every crest it takes at most one request
+//! from the tasks and runs the current loops; at every k-th crest (k = [`Carrier::divider`]) it runs the library's control step.
+//! Everything it shares with tasks is an atomic or a single-producer single-consumer queue, so nothing here waits and nothing is torn; a
+//! full queue drops and counts.
+//!
+//! Time bound: a step that reaches past the following crest is counted, and turns the motors off if they are on
+//! ([`Fault::ControlOverrun`]). One that only reaches past the valley applies half a carrier period later than usual.
 
 use core::cell::UnsafeCell;
-use core::sync::atomic::{AtomicU32, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
+use cortex_m::peripheral::DWT;
 use embassy_stm32::interrupt;
 use embassy_stm32::interrupt::InterruptExt;
 use embassy_stm32::pac;
 use embassy_stm32::pac::timer::vals::Dir;
+use haptic_bridge::carrier::Carrier;
+use haptic_bridge::guard::{Fault, State};
+use haptic_bridge::math::Minimax;
+use haptic_bridge::servo::{Command, Frame, Hardware, Program, Reply, Rules, Samples, Servo, Status};
+use heapless::spsc::{Consumer, Producer, Queue};
+use static_cell::StaticCell;
 
-use crate::board::Io;
+use crate::board::{AXES, Io};
 use crate::critical;
+
+/// The trigonometry that the board computes with.
+pub type Trig = Minimax;
+
+/// How a program is held: by the buffer it lies in, so handing it over moves a pointer.
+pub type Held = &'static mut Program<Trig>;
+
+/// What tasks ask of the control interrupt, one at a time.
+pub enum Request {
+    /// Something for the servo.
+    Command(Command<Held>),
+    /// Only the status.
+    Status,
+    /// Another carrier; motors off.
+    Retime(Carrier),
+}
+
+/// What came of it.
+pub struct Answer {
+    /// Of a command.
+    pub reply: Reply<Held>,
+    /// The servo's state after it.
+    pub status: Status,
+}
+
+/// Most requests and answers under way.
+const REQUESTS: usize = 2;
+
+/// Frames of telemetry on their way to the link: 3 ms at 20 kHz.
+const FRAMES: usize = 64;
+
+/// The tasks' ends of the queues.
+pub struct Link {
+    /// Requests to the control interrupt.
+    pub requests: Producer<'static, Request>,
+    /// Its answers, one each.
+    pub answers: Consumer<'static, Answer>,
+    /// Frames of the telemetry stream.
+    pub frames: Consumer<'static, Frame>,
+}
+
+/// Control steps since the start, wrapping.
+pub static STEPS: AtomicU32 = AtomicU32::new(0);
+/// Every how many control steps a frame is wanted; 0 for none.
+pub static STREAM_DIVIDER: AtomicU32 = AtomicU32::new(0);
+/// Frames that found the queue full since the stream started.
+pub static FRAMES_DROPPED: AtomicU32 = AtomicU32::new(0);
+/// Steps that reached past the next crest.
+pub static OVERRUNS: AtomicU32 = AtomicU32::new(0);
+/// Steps that reached past the valley, where their duty should have applied.
+pub static LATE: AtomicU32 = AtomicU32::new(0);
+/// Longest run of the interrupt, core cycles.
+pub static LONGEST_CYCLES: AtomicU32 = AtomicU32::new(0);
+/// The gate drivers are up and set: the bridges may be connected, and while they are not, no current flows.
+pub static GATE_READY: AtomicBool = AtomicBool::new(false);
+/// A flash operation is about to stall the program: missed crests are no overruns.
+pub static STALL_EXPECTED: AtomicBool = AtomicBool::new(false);
+
+struct Step {
+    io: Io,
+    servo: Servo<Held>,
+    requests: Consumer<'static, Request>,
+    answers: Producer<'static, Answer>,
+    frames: Producer<'static, Frame>,
+    /// Crests until the next control step.
+    countdown: u16,
+    /// The bridges are connected to the carrier.
+    driving: bool,
+    /// The last step overran.
+    overrun: bool,
+}
 
 /// A value that start-up hands to the control interrupt for good.
 struct Owned<T>(UnsafeCell<Option<T>>);
@@ -17,30 +103,33 @@ struct Owned<T>(UnsafeCell<Option<T>>);
 // SAFETY: written once by `start` before the interrupt is enabled, and touched by nothing but the interrupt from then on.
 unsafe impl<T> Sync for Owned<T> {}
 
-struct Step {
-    io: Io,
-    countdown: u16,
-}
-
 static STEP: Owned<Step> = Owned(UnsafeCell::new(None));
 
-/// Control steps since the start, wrapping.
-pub static STEPS: AtomicU32 = AtomicU32::new(0);
+/// Gives the board to the control interrupt and starts the carrier. Call once.
+pub fn start(mut io: Io, hardware: Hardware, rules: Rules) -> Link {
+    static REQUEST_QUEUE: StaticCell<Queue<Request, REQUESTS>> = StaticCell::new();
+    static ANSWER_QUEUE: StaticCell<Queue<Answer, REQUESTS>> = StaticCell::new();
+    static FRAME_QUEUE: StaticCell<Queue<Frame, FRAMES>> = StaticCell::new();
+    let (to_servo, requests) = REQUEST_QUEUE.init(Queue::new()).split();
+    let (answers, from_servo) = ANSWER_QUEUE.init(Queue::new()).split();
+    let (frames, from_steps) = FRAME_QUEUE.init(Queue::new()).split();
 
-/// Gives the board to the control interrupt and starts the carrier.
-pub fn start(mut io: Io) {
     io.start();
+    let servo = Servo::new(hardware, rules);
+    let step = Step { io, servo, requests, answers, frames, countdown: 1, driving: false, overrun: false };
     // SAFETY: the interrupt is not enabled yet.
-    unsafe { *STEP.0.get() = Some(Step { io, countdown: 1 }) };
+    unsafe { *STEP.0.get() = Some(step) };
     interrupt::TIM1_UP_TIM10.set_priority(critical::CONTROL);
     pac::TIM1.sr().write(|w| w.0 = 0);
     pac::TIM1.dier().modify(|w| w.set_uie(true));
     // SAFETY: the state it needs is in place.
     unsafe { interrupt::TIM1_UP_TIM10.enable() };
+    Link { requests: to_servo, answers: from_servo, frames: from_steps }
 }
 
 #[interrupt]
 fn TIM1_UP_TIM10() {
+    let began = DWT::cycle_count();
     pac::TIM1.sr().write(|w| {
         w.0 = !0;
         w.set_uif(false);
@@ -51,14 +140,126 @@ fn TIM1_UP_TIM10() {
     }
     // SAFETY: this interrupt is the only user since `start` enabled it, and it does not preempt itself.
     let Some(step) = (unsafe { (*STEP.0.get()).as_mut() }) else { return };
-    step.countdown -= 1;
-    if step.countdown != 0 {
-        return;
+    step.crest();
+    step.keep_time(DWT::cycle_count().wrapping_sub(began));
+}
+
+impl Step {
+    #[inline(always)]
+    fn crest(&mut self) {
+        // While the gate drivers are up and the bridges are not connected, what the amplifiers show is their offset.
+        let learn = !self.driving && GATE_READY.load(Ordering::Relaxed);
+        let analog = self.io.analog(learn);
+        if let Some(request) = self.requests.dequeue() {
+            self.take(request);
+        }
+        self.countdown -= 1;
+        if self.countdown == 0 {
+            self.countdown = self.io.carrier().divider;
+            let counts = self.io.counts();
+            let samples = Samples {
+                counts: padded(counts),
+                bus_voltage: analog.bus_v,
+                currents: padded(analog.current_a),
+                index: padded(self.io.index()),
+                fault: self.hardware_fault(analog.fresh),
+            };
+            let outputs = self.servo.control(&samples);
+            self.connect(outputs.bridges);
+            self.record();
+            STEPS.store(self.servo.frame().step, Ordering::Relaxed);
+        }
+        let duties = self.servo.duties(analog.bus_v, &padded(analog.current_a));
+        self.io.write(core::array::from_fn(|axis| duties[axis]));
     }
-    step.countdown = step.io.carrier().divider;
-    step.io.counts();
-    step.io.analog(false);
-    step.io.write([0.0; crate::board::AXES]);
-    step.io.drive(false);
-    STEPS.fetch_add(1, Ordering::Relaxed);
+
+    /// Carries out one request and answers it. The queue of answers has room: there is one answer to a request, and one
+    /// request at a time.
+    fn take(&mut self, request: Request) {
+        let reply = match request {
+            Request::Command(command) => self.servo.execute(command),
+            Request::Status => (Ok(()), None),
+            Request::Retime(carrier) => {
+                if !self.driving {
+                    self.io.set_carrier(carrier);
+                    self.countdown = 1;
+                }
+                (Ok(()), None)
+            }
+        };
+        let status = self.servo.status();
+        if !matches!(status.state, State::Armed | State::CheckingPolarity) {
+            self.connect(false);
+        }
+        let _ = self.answers.enqueue(Answer { reply, status });
+    }
+
+    /// Connects the bridges or lets them float. Floating drops the gate drivers as well; connecting needs them ready.
+    #[inline(always)]
+    fn connect(&mut self, on: bool) {
+        match (on, self.driving) {
+            (true, false) if GATE_READY.load(Ordering::Relaxed) => {
+                self.io.drive(true);
+                self.driving = true;
+            }
+            (false, true) => {
+                self.io.drive(false);
+                GATE_READY.store(false, Ordering::Relaxed);
+                self.driving = false;
+            }
+            _ => {}
+        }
+    }
+
+    /// What hardware or time say is wrong; only of interest while the motors are on.
+    #[inline(always)]
+    fn hardware_fault(&mut self, fresh: bool) -> Option<(Fault, Option<u8>, f32)> {
+        let overrun = core::mem::take(&mut self.overrun);
+        if !self.driving {
+            return None;
+        }
+        if overrun {
+            return Some((Fault::ControlOverrun, None, OVERRUNS.load(Ordering::Relaxed) as f32));
+        }
+        if !fresh {
+            return Some((Fault::SensorStale, None, 0.0));
+        }
+        self.io.fault().map(|fault| (fault, None, 0.0))
+    }
+
+    #[inline(always)]
+    fn record(&mut self) {
+        let frame = self.servo.frame();
+        let wanted = frame.step.checked_rem(STREAM_DIVIDER.load(Ordering::Relaxed)) == Some(0);
+        if wanted && self.frames.enqueue(*frame).is_err() {
+            // This interrupt is the only writer while a stream runs.
+            FRAMES_DROPPED.store(FRAMES_DROPPED.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
+        }
+    }
+
+    /// Counts runs that took too long: past the valley, or past the next crest.
+    #[inline(always)]
+    fn keep_time(&mut self, cycles: u32) {
+        if STALL_EXPECTED.load(Ordering::Relaxed) {
+            return;
+        }
+        if cycles > LONGEST_CYCLES.load(Ordering::Relaxed) {
+            LONGEST_CYCLES.store(cycles, Ordering::Relaxed);
+        }
+        let valley_passed = pac::TIM1.sr().read().uif();
+        let crest_passed = valley_passed && pac::TIM1.cr1().read().dir() == Dir::DOWN;
+        // Core and timer count at the same frequency.
+        if crest_passed || cycles > 2 * u32::from(self.io.carrier().top) {
+            self.overrun = true;
+            OVERRUNS.store(OVERRUNS.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
+        } else if valley_passed {
+            LATE.store(LATE.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
+        }
+    }
+}
+
+/// One value per axis, padded to three.
+#[inline(always)]
+fn padded<T: Copy + Default>(values: [T; AXES]) -> [T; 3] {
+    core::array::from_fn(|axis| if axis < AXES { values[axis.min(AXES - 1)] } else { T::default() })
 }

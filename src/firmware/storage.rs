@@ -103,9 +103,4 @@ impl Storage {
         self.map.store_item(self.buffer, &key, &value).await?;
         if self.read(key).await? == Some(value) { Ok(()) } else { Err(StorageError::NotKept) }
     }
-
-    /// Forgets everything. Stalls the program for up to a second; bridges off.
-    pub async fn erase(&mut self) -> Result<(), StorageError> {
-        Ok(self.map.erase_all().await?)
-    }
 }

@@ -20,11 +20,9 @@ const SILENCE_MAX_MS: u32 = 1000;
 pub enum Task {
     /// The one that answers the host.
     Link = 0,
-    /// The one that readies the gate drivers and saves settings.
-    Housekeeping = 1,
 }
 
-const TASKS: [Task; 2] = [Task::Link, Task::Housekeeping];
+const TASKS: [Task; 1] = [Task::Link];
 
 /// When each task was last heard, ms since the start.
 static LAST_HEARD_MS: [AtomicU32; TASKS.len()] = [const { AtomicU32::new(0) }; TASKS.len()];

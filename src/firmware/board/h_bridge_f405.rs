@@ -7,11 +7,14 @@ use embassy_stm32::gpio::{AfType, Flex, Level, Output, Pull, Speed};
 use embassy_stm32::pac;
 use embassy_stm32::pac::timer::TimGp16;
 use embassy_stm32::{Peripherals, peripherals, rcc};
+use haptic_bridge::carrier::{CARRIER_MIN_HZ, Carrier};
+use haptic_bridge::drive::Bridge;
+use haptic_bridge::guard::{Fault, Limits};
 
-use super::{Analog, Common, GateError};
+use super::{Analog, Common, GateError, Zeros, learn_zeros};
 use crate::adc;
 use crate::encoder::Encoder;
-use crate::pwm::{self, Carrier};
+use crate::pwm;
 
 /// Name of the board, as the host shows it.
 pub const NAME: &str = "h-bridge-f405";
@@ -23,14 +26,32 @@ pub const AXES: usize = 3;
 /// it costs a little voltage and distorts nothing.
 pub const DEAD_TIME_TICKS: u8 = 17;
 
+/// What the drive needs to know. The dead time here costs no voltage (see [`DEAD_TIME_TICKS`]), so none is compensated.
+pub const BRIDGE: Bridge =
+    Bridge { carrier_hz: CARRIER_MIN_HZ as f32, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true };
+
+/// What nobody can raise over USB: the range of the sensors, and of the bus divider.
+pub const LIMITS: Limits = Limits {
+    torque: [10.0; 3],
+    current: [12.0; 3],
+    continuous_current: [6.0; 3],
+    speed: [100.0; 3],
+    power: 40.0,
+    bus_min: 6.0,
+    bus_max: 34.0,
+};
+
+/// Faults that this board has no means to see.
+pub const UNSENSED: &[Fault] = &[Fault::EncoderIllegal, Fault::IndexMismatch, Fault::GateDriver];
+
 /// Amperes per volt at a current input, and the voltage of no current: a 185 mV/A Hall sensor behind a 5 V to 3.3 V divider.
 const AMPERES_PER_VOLT: f32 = 1.0 / (0.185 * 0.66);
 
 /// Bus divider: 10 kohm over 1 kohm.
 pub const BUS_DIVIDER: f32 = 11.0;
 
-/// Weight of one reading in the sensors' offset, learned while the bridges are off.
-const OFFSET_WEIGHT: f32 = 1.0 / 256.0;
+/// Bit of the break input in port B.
+const BREAK: usize = 12;
 
 /// Bit of the bridges' enable line in port C.
 const ENABLE: usize = 6;
@@ -45,7 +66,7 @@ pub fn off() {
 /// What the control interrupt owns.
 pub struct Io {
     encoders: [Encoder; AXES],
-    offsets: [f32; AXES],
+    zeros: Zeros<AXES>,
     carrier: Carrier,
 }
 
@@ -56,20 +77,19 @@ impl Io {
         [self.encoders[0].read(), self.encoders[1].read(), self.encoders[2].read()]
     }
 
+    /// Counts at the index pulses seen since the last call: index lines have no pins here.
+    #[inline]
+    pub fn index(&mut self) -> [Option<i32>; AXES] {
+        [None; AXES]
+    }
+
     /// The readings that the crest started; `learn` says that no current flows.
     #[inline]
     pub fn analog(&mut self, learn: bool) -> Analog {
         let fresh = adc::wait(pac::ADC1) & adc::wait(pac::ADC2);
         let raw = [adc::result(pac::ADC1, 0), adc::result(pac::ADC2, 0), adc::result(pac::ADC1, 1)];
-        let mut current_a = [0.0; AXES];
-        for axis in 0..AXES {
-            let counts = f32::from(raw[axis]);
-            let offset = &mut self.offsets[axis];
-            if learn && fresh {
-                *offset += (counts - *offset) * OFFSET_WEIGHT;
-            }
-            current_a[axis] = (counts - *offset) * (adc::REFERENCE_V / adc::FULL_SCALE * AMPERES_PER_VOLT);
-        }
+        let amperes_per_count = adc::REFERENCE_V / adc::FULL_SCALE * AMPERES_PER_VOLT;
+        let current_a = self.zeros.take(raw, learn && fresh).map(|counts| counts * amperes_per_count);
         let bus_v = f32::from(adc::result(pac::ADC2, 1)) * (adc::REFERENCE_V / adc::FULL_SCALE * BUS_DIVIDER);
         Analog { bus_v, current_a, fresh }
     }
@@ -93,10 +113,12 @@ impl Io {
         }
     }
 
-    /// The break input has cut the outputs, or still would.
+    /// What the power stage reports: the break input has cut the outputs, or still would.
     #[inline]
-    pub fn driver_fault(&self) -> bool {
-        pac::GPIOB.idr().read().idr(12) == pac::gpio::vals::Idr::LOW
+    pub fn fault(&self) -> Option<Fault> {
+        let low = pac::GPIOB.idr().read().idr(BREAK) == pac::gpio::vals::Idr::LOW;
+        let cut = !pac::TIM1.bdtr().read().moe();
+        (low || cut).then_some(Fault::BreakInput)
     }
 
     /// The carrier in use.
@@ -120,9 +142,9 @@ impl Io {
 pub struct Gate;
 
 impl Gate {
-    /// The bridges are ready as soon as the enable line rises, which the control interrupt does.
-    pub async fn raise(&mut self) -> Result<(), GateError> {
-        Ok(())
+    /// Learns the current sensors' zeros, 12 ms. The enable line rises when the control interrupt connects the bridges.
+    pub fn raise(&mut self) -> Result<(), GateError> {
+        learn_zeros()
     }
 }
 
@@ -158,7 +180,7 @@ pub fn split(p: Peripherals, carrier: Carrier) -> (Io, Gate, Common) {
             Encoder::new(pac::TIM3, Flex::new(p.PB4), Flex::new(p.PB5), 2),
             Encoder::new(pac::TIM4, Flex::new(p.PB6), Flex::new(p.PB7), 2),
         ],
-        offsets: [adc::FULL_SCALE / 2.0; AXES],
+        zeros: Zeros::new(),
         carrier,
     };
     (io, Gate, Common { usb: (p.USB_OTG_FS, p.PA12, p.PA11), flash: p.FLASH, watchdog: p.IWDG })

@@ -9,13 +9,16 @@ use embassy_stm32::pac::timer::TimAdv;
 use embassy_stm32::spi::{self, Spi};
 use embassy_stm32::time::Hertz;
 use embassy_stm32::{Peripherals, peripherals, rcc};
-use embassy_time::Timer;
+use embassy_time::{Duration, block_for};
+use haptic_bridge::carrier::{CARRIER_MIN_HZ, Carrier, TIMER_HZ};
+use haptic_bridge::drive::Bridge;
+use haptic_bridge::guard::{Fault, Limits};
 
-use super::{Analog, Common, GateError};
+use super::{Analog, Common, GateError, Zeros, learn_zeros};
 use crate::adc;
 use crate::drv8301::{self, Drv8301};
 use crate::encoder::Encoder;
-use crate::pwm::{self, Carrier};
+use crate::pwm;
 
 /// Name of the board, as the host shows it.
 pub const NAME: &str = "odrive-v3";
@@ -26,6 +29,30 @@ pub const AXES: usize = 2;
 /// Dead time between the switches of a half bridge: 20 ticks of 1/168 MHz, 119 ns, on top of what the driver inserts itself.
 pub const DEAD_TIME_TICKS: u8 = 20;
 
+/// What the drive needs to know. The current loop's bandwidth is a tenth of the slowest carrier over two pi, rounded down: with
+/// half a period of delay it keeps 60 degrees of phase margin at any carrier.
+pub const BRIDGE: Bridge = Bridge {
+    carrier_hz: CARRIER_MIN_HZ as f32,
+    dead_time: DEAD_TIME_TICKS as f32 / TIMER_HZ as f32,
+    bandwidth_hz: 1000.0,
+    current_sensed: true,
+};
+
+/// What nobody can raise over USB: half of the range of the shunts, and a bus voltage that is safe for a 24 V board too, whose
+/// divider makes it read 1.7 times too high.
+pub const LIMITS: Limits = Limits {
+    torque: [10.0; 3],
+    current: [20.0; 3],
+    continuous_current: [10.0; 3],
+    speed: [100.0; 3],
+    power: 40.0,
+    bus_min: 10.0,
+    bus_max: 50.0,
+};
+
+/// Faults that this board has no means to see.
+pub const UNSENSED: &[Fault] = &[Fault::EncoderIllegal, Fault::IndexMismatch, Fault::BreakInput];
+
 /// Low-side shunts under phases B and C, ohm.
 const SHUNT_OHM: f32 = 500e-6;
 
@@ -34,9 +61,6 @@ const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE / drv8301::AMP
 
 /// Bus divider of the 56 V boards, 18 kohm over 1 kohm; the 24 V ones have 10 kohm over 1 kohm (11).
 pub const BUS_DIVIDER: f32 = 19.0;
-
-/// Weight of one reading in the amplifiers' offset, learned while the bridges are off.
-const OFFSET_WEIGHT: f32 = 1.0 / 256.0;
 
 const TIMERS: [TimAdv; AXES] = [pac::TIM1, pac::TIM8];
 
@@ -57,7 +81,7 @@ pub fn off() {
 /// What the control interrupt owns.
 pub struct Io {
     encoders: [Encoder; AXES],
-    offsets: [[f32; 2]; AXES],
+    zeros: Zeros<4>,
     carrier: Carrier,
 }
 
@@ -68,28 +92,25 @@ impl Io {
         [self.encoders[0].read(), self.encoders[1].read()]
     }
 
+    /// Counts at the index pulses seen since the last call.
+    #[inline]
+    pub fn index(&mut self) -> [Option<i32>; AXES] {
+        [None; AXES]
+    }
+
     /// The readings that the crest started; `learn` says that no current flows and the amplifiers' supply is up.
     #[inline]
     pub fn analog(&mut self, learn: bool) -> Analog {
         let fresh = adc::wait(pac::ADC1) & adc::wait(pac::ADC2);
         let raw = [
-            [adc::result(pac::ADC1, 0), adc::result(pac::ADC2, 0)],
-            [adc::result(pac::ADC1, 1), adc::result(pac::ADC2, 1)],
+            adc::result(pac::ADC1, 0),
+            adc::result(pac::ADC2, 0),
+            adc::result(pac::ADC1, 1),
+            adc::result(pac::ADC2, 1),
         ];
-        let mut current_a = [0.0; AXES];
-        for axis in 0..AXES {
-            let mut phase = [0.0; 2];
-            for side in 0..2 {
-                let counts = f32::from(raw[axis][side]);
-                let offset = &mut self.offsets[axis][side];
-                if learn && fresh {
-                    *offset += (counts - *offset) * OFFSET_WEIGHT;
-                }
-                phase[side] = (counts - *offset) * AMPERES_PER_COUNT;
-            }
-            // What leaves phase B comes back through C.
-            current_a[axis] = 0.5 * (phase[0] - phase[1]);
-        }
+        let [b0, c0, b1, c1] = self.zeros.take(raw, learn && fresh);
+        // What leaves phase B comes back through C.
+        let current_a = [(b0 - c0) * (0.5 * AMPERES_PER_COUNT), (b1 - c1) * (0.5 * AMPERES_PER_COUNT)];
         let bus_v = f32::from(adc::result(pac::ADC1, 2)) * (adc::REFERENCE_V / adc::FULL_SCALE * BUS_DIVIDER);
         Analog { bus_v, current_a, fresh }
     }
@@ -116,10 +137,10 @@ impl Io {
         }
     }
 
-    /// A gate driver pulls the common fault line.
+    /// What the power stage reports: a gate driver pulls the common fault line. Only true to be asked while the drivers are up.
     #[inline]
-    pub fn driver_fault(&self) -> bool {
-        pac::GPIOD.idr().read().idr(N_FAULT) == pac::gpio::vals::Idr::LOW
+    pub fn fault(&self) -> Option<Fault> {
+        (pac::GPIOD.idr().read().idr(N_FAULT) == pac::gpio::vals::Idr::LOW).then_some(Fault::GateDriver)
     }
 
     /// The carrier in use.
@@ -148,18 +169,18 @@ pub struct Gate {
 }
 
 impl Gate {
-    /// Raises EN_GATE and sets both drivers up, which takes about 11 ms. On an error everything is off again.
-    pub async fn raise(&mut self) -> Result<(), GateError> {
+    /// Raises EN_GATE, sets both drivers up and learns the amplifiers' zeros: about 23 ms. On an error everything is off again.
+    pub fn raise(&mut self) -> Result<(), GateError> {
         pac::GPIOB.bsrr().write(|w| w.set_bs(EN_GATE, true));
         // SLOS719F 6.7: up to 10 ms until the driver answers.
-        Timer::after_millis(10).await;
+        block_for(Duration::from_millis(10));
         for driver in &mut self.drivers {
-            if let Err(error) = driver.configure(&mut self.bus).await {
+            if let Err(error) = driver.configure(&mut self.bus) {
                 off();
                 return Err(error);
             }
         }
-        Ok(())
+        learn_zeros()
     }
 }
 
@@ -199,7 +220,7 @@ pub fn split(p: Peripherals, carrier: Carrier) -> (Io, Gate, Common) {
             Encoder::new(pac::TIM3, Flex::new(p.PB4), Flex::new(p.PB5), 2),
             Encoder::new(pac::TIM4, Flex::new(p.PB6), Flex::new(p.PB7), 2),
         ],
-        offsets: [[adc::FULL_SCALE / 2.0; 2]; AXES],
+        zeros: Zeros::new(),
         carrier,
     };
 

@@ -1,0 +1,197 @@
+//! The board as the library's service sees it: programs are built in spare buffers and handed to the control interrupt,
+//! settings are in flash, and arming readies the gate drivers first.
+
+use core::sync::atomic::Ordering;
+
+use embassy_futures::block_on;
+use haptic_bridge::carrier::Carrier;
+use haptic_bridge::dispatch::Described;
+use haptic_bridge::guard::{Fault, FaultRecord, Refusal};
+use haptic_bridge::protocol::{Details, Info, PROTOCOL};
+use haptic_bridge::service::Machine;
+use haptic_bridge::servo::{Command, Frame, Program, Reply, Status};
+use haptic_bridge::settings::{Entry, Key};
+use heapless::spsc::{Consumer, Producer};
+use heapless::{String, Vec};
+use static_cell::StaticCell;
+
+use crate::board::{self, Gate};
+use crate::servo::{self, Answer, Held, Request, Trig};
+use crate::stack;
+use crate::storage::Storage;
+
+/// Programs that exist at most: the one that runs and the one that replaces it.
+const PROGRAMS: usize = 2;
+
+/// What the tasks own of the board.
+pub struct Panel {
+    requests: Producer<'static, Request>,
+    answers: Consumer<'static, Answer>,
+    /// Frames of the telemetry stream.
+    pub frames: Consumer<'static, Frame>,
+    gate: Gate,
+    storage: Storage,
+    serial: &'static str,
+    unused: Vec<&'static StaticCell<Program<Trig>>, PROGRAMS>,
+    spare: Vec<Held, PROGRAMS>,
+    carrier: Carrier,
+}
+
+impl Panel {
+    /// Call once.
+    pub fn new(link: servo::Link, gate: Gate, storage: Storage, serial: &'static str, carrier: Carrier) -> Self {
+        static BUFFERS: [StaticCell<Program<Trig>>; PROGRAMS] = [const { StaticCell::new() }; PROGRAMS];
+        Self {
+            requests: link.requests,
+            answers: link.answers,
+            frames: link.frames,
+            gate,
+            storage,
+            serial,
+            unused: BUFFERS.iter().collect(),
+            spare: Vec::new(),
+            carrier,
+        }
+    }
+
+    /// Hands a request to the control interrupt and waits for its answer: at most one carrier period, 50 us. An interrupt
+    /// that does not answer has stopped, and then the watchdog ends the wait.
+    fn ask(&mut self, request: Request) -> Answer {
+        let _ = self.requests.enqueue(request);
+        loop {
+            if let Some(answer) = self.answers.dequeue() {
+                return answer;
+            }
+        }
+    }
+
+    /// Readies the gate drivers; a driver that does not answer latches a fault.
+    fn raise_gate(&mut self) -> Result<(), Refusal> {
+        if servo::GATE_READY.load(Ordering::Relaxed) {
+            return Ok(());
+        }
+        match self.gate.raise() {
+            Ok(()) => Ok(()),
+            Err(error) => {
+                defmt::error!("the gate drivers cannot be readied: {}", error);
+                let record = FaultRecord { fault: Fault::GateDriver, axis: None, value: error.value(), step: 0 };
+                let _ = self.ask(Request::Command(Command::Fault(record)));
+                Err(Refusal::Faulted(Fault::GateDriver))
+            }
+        }
+    }
+}
+
+impl Machine for Panel {
+    type Math = Trig;
+    type Held = Held;
+
+    fn execute(&mut self, command: Command<Held>) -> Reply<Held> {
+        let powers_up = matches!(command, Command::Arm | Command::CheckPolarity);
+        if powers_up {
+            let status = self.status();
+            if let Some(record) = status.fault {
+                return (Err(Refusal::Faulted(record.fault)), None);
+            }
+            if let Err(refusal) = self.raise_gate() {
+                return (Err(refusal), None);
+            }
+        }
+        let reply = self.ask(Request::Command(command)).reply;
+        if powers_up && reply.0.is_err() {
+            servo::GATE_READY.store(false, Ordering::Relaxed);
+            board::off();
+        }
+        reply
+    }
+
+    fn status(&mut self) -> Status {
+        self.ask(Request::Status).status
+    }
+
+    fn place(&mut self, program: Program<Trig>) -> Result<Held, Refusal> {
+        if let Some(held) = self.spare.pop() {
+            *held = program;
+            return Ok(held);
+        }
+        match self.unused.pop() {
+            Some(buffer) => Ok(buffer.init(program)),
+            None => Err(Refusal::Busy),
+        }
+    }
+
+    fn release(&mut self, held: Held) {
+        // There are as many places as buffers.
+        let _ = self.spare.push(held);
+    }
+
+    fn retime(&mut self, rate_hz: f32) {
+        let carrier = Carrier::for_rate(rate_hz);
+        if carrier != self.carrier {
+            let _ = self.ask(Request::Retime(carrier));
+            self.carrier = carrier;
+        }
+    }
+
+    fn save(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
+        servo::STALL_EXPECTED.store(true, Ordering::Relaxed);
+        let result = block_on(self.storage.write(key as u8, entry));
+        servo::STALL_EXPECTED.store(false, Ordering::Relaxed);
+        result.map_err(|error| {
+            defmt::error!("setting {=u8} was not saved: {}", key as u8, error);
+            Refusal::Flash
+        })
+    }
+
+    fn load(&mut self, key: Key) -> Option<Entry> {
+        match block_on(self.storage.read(key as u8)) {
+            Ok(entry) => Entry::from_slice(entry?).ok(),
+            Err(error) => {
+                defmt::error!("setting {=u8} cannot be read: {}", key as u8, error);
+                None
+            }
+        }
+    }
+}
+
+impl Described for Panel {
+    fn info(&self) -> Info {
+        Info {
+            protocol: PROTOCOL,
+            firmware: text(env!("CARGO_PKG_VERSION")),
+            board: text(board::NAME),
+            serial: text(self.serial),
+        }
+    }
+
+    fn details(&mut self) -> Details {
+        let late = servo::LATE.load(Ordering::Relaxed) > 0;
+        let delay = self.carrier.delay_samples();
+        Details {
+            name: String::new(),
+            axes: board::AXES as u8,
+            real: true,
+            carrier_hz: self.carrier.carrier_hz(),
+            delay_samples: if late { 2.0 * delay } else { delay },
+            device: None,
+            rate_hz: self.carrier.rate_hz(),
+            walls: 0,
+            unsensed: board::UNSENSED.iter().map(|fault| fault.code()).collect(),
+            damage: Vec::new(),
+            overruns: servo::OVERRUNS.load(Ordering::Relaxed),
+            longest_cycles: servo::LONGEST_CYCLES.load(Ordering::Relaxed),
+            stack_free: stack::never_used(),
+        }
+    }
+}
+
+/// As much of a text as fits.
+fn text<const N: usize>(text: &str) -> String<N> {
+    let mut short = String::new();
+    for character in text.chars() {
+        if short.push(character).is_err() {
+            break;
+        }
+    }
+    short
+}
