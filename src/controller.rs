@@ -11,7 +11,7 @@
 use crate::device::Device;
 use crate::inertia::{Split, frame_rate, shaped_torque, shaped_torque_in_span};
 use crate::math::{Math, Real};
-use crate::mechanism::{Mechanism, Regularity, Shaping};
+use crate::mechanism::{Mechanism, Regularity, Shaping, pose_at_leisure};
 use crate::precomputed::MassModel;
 use crate::scene::{FeedForward, MAX_SPRINGS, MAX_WALLS, Scene, SceneError, Spring, Wall, task_vector};
 use crate::velocity::{Coefficients, LowPass, Velocity, Washout};
@@ -332,7 +332,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         match active.as_slice() {
             [only] => {
                 let shaping = self.mass.shaping(&self.mechanism, q, pose, &only.normal);
-                let b = self.bias(pose, place, qd, active, || only.normal);
+                let b = self.bias(pose, place, qd, active, &only.normal);
                 shaped_torque(&shaping, only.normal.dot(resultant), &b)
             }
             _ => {
@@ -349,7 +349,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
                     core::array::from_fn(|i| self.mass.shaping(&self.mechanism, q, pose, &split.direction(i)));
                 // One rendered direction, or two in space with one admissible across them.
                 let turning = if split.rendered == 1 { 0 } else { N - 1 };
-                let b = self.bias(pose, place, qd, active, || split.direction(turning));
+                let b = self.bias(pose, place, qd, active, &split.direction(turning));
                 shaped_torque_in_span(&split, &shapings, resultant, &b)
             }
         }
@@ -357,22 +357,21 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
     /// b without gravity: c - M J⁻¹(J̇ q̇ + κ), and B q̇ where a wall asks for it. Zero when the scene has no velocity
     /// terms. `line` is the direction that turns with curved walls (see [`frame_rate`]).
-    #[inline(always)]
+    #[inline]
     fn bias(
         &self,
         pose: &M::Pose,
         place: &SVector<T, N>,
         qd: &SVector<T, N>,
         active: &Vec<Active<T, N>, MAX_WALLS>,
-        line: impl Fn() -> SVector<T, N>,
+        line: &SVector<T, N>,
     ) -> SVector<T, N> {
         let mut b = SVector::zeros();
         if self.velocity_terms {
             let mut acceleration = SVector::zeros();
             if self.walls.iter().any(|running| running.wall.surface.curved()) {
                 let velocity = task_part::<T, M, N>(&self.mechanism.velocity(pose, qd));
-                let line = line();
-                acceleration = -frame_rate(&line, &self.line_rate(place, &velocity, active, &line), &velocity);
+                acceleration = -frame_rate(line, &self.line_rate(place, &velocity, active, line), &velocity);
             }
             b = self.mechanism.inverse_dynamics(pose, qd, &acceleration);
         }
@@ -505,7 +504,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// Whether a one-sided wall of this scene is touched at these counts: arming and scene changes are refused then.
     pub fn inside_a_wall(&self, counts: &[i32; N]) -> bool {
         let (_, turned) = self.angles(counts);
-        let pose = self.mechanism.pose::<K>(&turned);
+        let pose = pose_at_leisure::<T, K, M, N>(&self.mechanism, &turned);
         let place = task_part::<T, M, N>(&self.mechanism.tip(&pose));
         self.walls.iter().any(|running| {
             let wall = &running.wall;

@@ -25,6 +25,7 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+pub mod board_step;
 pub mod carrier;
 pub mod controller;
 pub mod description;

@@ -108,6 +108,7 @@ pub enum Damage {
 /// An entry: key, version, the value's postcard bytes, CRC-32 of all before.
 ///
 /// Errors: [`Damage::TooLong`] when the value takes more than [`MAX_ENTRY`] bytes.
+#[inline(never)]
 pub fn encode<S: Setting>(value: &S) -> Result<Entry, Damage> {
     let mut entry = Entry::new();
     entry.resize(MAX_ENTRY, 0).map_err(|_| Damage::TooLong)?;
@@ -122,6 +123,7 @@ pub fn encode<S: Setting>(value: &S) -> Result<Entry, Damage> {
 }
 
 /// The value of an entry. Errors say what is wrong with it.
+#[inline(never)]
 pub fn decode<S: Setting>(entry: &[u8]) -> Result<S, Damage> {
     let Some((body, sum)) = entry.split_last_chunk::<4>() else { return Err(Damage::Corrupt) };
     if crc32(body) != u32::from_le_bytes(*sum) {

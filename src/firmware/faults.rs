@@ -2,7 +2,6 @@
 //! that survives a reset, and resets. The next start reports it ([`Previous`]). A request for the USB boot loader travels
 //! the same way.
 
-use core::fmt::Write as _;
 use core::mem::MaybeUninit;
 use core::panic::PanicInfo;
 use core::ptr::{addr_of, addr_of_mut};
@@ -13,8 +12,8 @@ use haptic_bridge::guard::{Fault, FaultRecord};
 
 use crate::board;
 
-/// Length of the text of a cause: a panic's message and place, cut to this.
-pub const TEXT_LEN: usize = 96;
+/// Length of the text of a cause, bytes: the file of a panic, its end if it is longer.
+pub const TEXT_LEN: usize = 48;
 
 /// Says that a record was written and not that SRAM happens to hold something.
 const WRITTEN: u32 = 0x4C41_5354;
@@ -62,7 +61,7 @@ pub enum ResetCause {
 pub enum Previous {
     /// Nothing is on record.
     Clean,
-    /// A panic; `text` is its message and place.
+    /// A panic; `text` is its file and `pc` its line.
     Panic,
     /// A hard fault at `pc`.
     HardFault,
@@ -85,13 +84,13 @@ pub struct Start {
     pub status: u32,
     /// Length of `text` that is used.
     pub len: usize,
-    /// A panic's message and place.
+    /// A panic's file.
     pub text: [u8; TEXT_LEN],
 }
 
 impl Start {
-    /// The text of a panic, "" if there is none.
-    pub fn message(&self) -> &str {
+    /// The file of a panic, "" if there is none.
+    pub fn file(&self) -> &str {
         match core::str::from_utf8(&self.text[..self.len]) {
             Ok(text) => text,
             Err(error) => core::str::from_utf8(&self.text[..error.valid_up_to()]).unwrap_or(""),
@@ -192,20 +191,22 @@ pub fn enter_boot_loader_if_requested() {
     }
 }
 
+/// The end of a file's name.
 struct Text {
     bytes: [u8; TEXT_LEN],
     len: usize,
 }
 
-impl core::fmt::Write for Text {
-    fn write_str(&mut self, s: &str) -> core::fmt::Result {
-        for byte in s.bytes() {
-            if let Some(slot) = self.bytes.get_mut(self.len) {
-                *slot = byte;
-                self.len += 1;
-            }
+impl Text {
+    const NONE: Self = Self { bytes: [0; TEXT_LEN], len: 0 };
+
+    fn new(text: &str) -> Self {
+        let mut end = Self::NONE;
+        for (slot, byte) in end.bytes.iter_mut().zip(text.bytes().skip(text.len().saturating_sub(TEXT_LEN))) {
+            *slot = byte;
+            end.len += 1;
         }
-        Ok(())
+        end
     }
 }
 
@@ -229,21 +230,15 @@ fn write_down_and_reset(kind: u32, pc: u32, lr: u32, text: Text) -> ! {
     SCB::sys_reset()
 }
 
+/// Keeps the place and not the message: without a use for them, messages and their formatting stay out of the image.
 #[panic_handler]
 fn panic(info: &PanicInfo) -> ! {
     board::off();
     cortex_m::interrupt::disable();
-    let mut text = Text { bytes: [0; TEXT_LEN], len: 0 };
-    let mut line = 0;
-    if let Some(place) = info.location() {
-        line = place.line();
-        // A path is long and its end says more than its beginning.
-        let file = place.file();
-        let file = file.get(file.len().saturating_sub(32)..).unwrap_or(file);
-        let _ = write!(text, "{file}:{line}: ");
+    match info.location() {
+        Some(place) => write_down_and_reset(1, place.line(), 0, Text::new(place.file())),
+        None => write_down_and_reset(1, 0, 0, Text::NONE),
     }
-    let _ = write!(text, "{}", info.message());
-    write_down_and_reset(1, line, 0, text)
 }
 
 /// The entry of every hard fault: gives the handler the stack pointer of the fault and a fresh stack, because an overflow
@@ -277,12 +272,12 @@ extern "C" fn hard_fault(frame: *const u32) -> ! {
     } else {
         (0, 0)
     };
-    write_down_and_reset(if inside { 2 } else { 4 }, pc, lr, Text { bytes: [0; TEXT_LEN], len: 0 })
+    write_down_and_reset(if inside { 2 } else { 4 }, pc, lr, Text::NONE)
 }
 
 #[cortex_m_rt::exception]
 unsafe fn DefaultHandler(number: i16) {
     board::off();
     cortex_m::interrupt::disable();
-    write_down_and_reset(3, number as u32, 0, Text { bytes: [0; TEXT_LEN], len: 0 })
+    write_down_and_reset(3, number as u32, 0, Text::NONE)
 }

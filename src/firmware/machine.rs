@@ -4,19 +4,21 @@
 use core::sync::atomic::Ordering;
 
 use embassy_futures::block_on;
+use haptic_bridge::board_step::{BoardMath, BoardProgram};
 use haptic_bridge::carrier::Carrier;
 use haptic_bridge::dispatch::Described;
 use haptic_bridge::guard::{Fault, FaultRecord, Refusal};
+use haptic_bridge::program::Program;
 use haptic_bridge::protocol::{Details, Info, PROTOCOL};
 use haptic_bridge::service::Machine;
-use haptic_bridge::servo::{Command, Frame, Program, Reply, Status};
+use haptic_bridge::servo::{Command, Frame, Reply, Status};
 use haptic_bridge::settings::{Entry, Key};
 use heapless::spsc::{Consumer, Producer};
 use heapless::{String, Vec};
 use static_cell::StaticCell;
 
 use crate::board::{self, Gate};
-use crate::servo::{self, Answer, Held, Request, Trig};
+use crate::servo::{self, Answer, Request};
 use crate::stack;
 use crate::storage::Storage;
 
@@ -32,15 +34,15 @@ pub struct Panel {
     gate: Gate,
     storage: Storage,
     serial: &'static str,
-    unused: Vec<&'static StaticCell<Program<Trig>>, PROGRAMS>,
-    spare: Vec<Held, PROGRAMS>,
+    unused: Vec<&'static StaticCell<Program<BoardMath>>, PROGRAMS>,
+    spare: Vec<BoardProgram, PROGRAMS>,
     carrier: Carrier,
 }
 
 impl Panel {
     /// Call once.
     pub fn new(link: servo::Link, gate: Gate, storage: Storage, serial: &'static str, carrier: Carrier) -> Self {
-        static BUFFERS: [StaticCell<Program<Trig>>; PROGRAMS] = [const { StaticCell::new() }; PROGRAMS];
+        static BUFFERS: [StaticCell<Program<BoardMath>>; PROGRAMS] = [const { StaticCell::new() }; PROGRAMS];
         Self {
             requests: link.requests,
             answers: link.answers,
@@ -83,10 +85,10 @@ impl Panel {
 }
 
 impl Machine for Panel {
-    type Math = Trig;
-    type Held = Held;
+    type Math = BoardMath;
+    type Held = BoardProgram;
 
-    fn execute(&mut self, command: Command<Held>) -> Reply<Held> {
+    fn execute(&mut self, command: Command<BoardProgram>) -> Reply<BoardProgram> {
         let powers_up = matches!(command, Command::Arm | Command::CheckPolarity);
         if powers_up {
             let status = self.status();
@@ -109,7 +111,7 @@ impl Machine for Panel {
         self.ask(Request::Status).status
     }
 
-    fn place(&mut self, program: Program<Trig>) -> Result<Held, Refusal> {
+    fn place(&mut self, program: Program<BoardMath>) -> Result<BoardProgram, Refusal> {
         if let Some(held) = self.spare.pop() {
             *held = program;
             return Ok(held);
@@ -120,7 +122,7 @@ impl Machine for Panel {
         }
     }
 
-    fn release(&mut self, held: Held) {
+    fn release(&mut self, held: BoardProgram) {
         // There are as many places as buffers.
         let _ = self.spare.push(held);
     }

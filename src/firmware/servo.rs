@@ -16,26 +16,20 @@ use embassy_stm32::interrupt;
 use embassy_stm32::interrupt::InterruptExt;
 use embassy_stm32::pac;
 use embassy_stm32::pac::timer::vals::Dir;
+use haptic_bridge::board_step::{self, BoardProgram, BoardServo};
 use haptic_bridge::carrier::Carrier;
 use haptic_bridge::guard::{Fault, State};
-use haptic_bridge::math::Minimax;
-use haptic_bridge::servo::{Command, Frame, Hardware, Program, Reply, Rules, Samples, Servo, Status};
+use haptic_bridge::servo::{Command, Frame, Hardware, Reply, Rules, Samples, Status};
 use heapless::spsc::{Consumer, Producer, Queue};
 use static_cell::StaticCell;
 
 use crate::board::{AXES, Io};
 use crate::critical;
 
-/// The trigonometry that the board computes with.
-pub type Trig = Minimax;
-
-/// How a program is held: by the buffer it lies in, so handing it over moves a pointer.
-pub type Held = &'static mut Program<Trig>;
-
 /// What tasks ask of the control interrupt, one at a time.
 pub enum Request {
     /// Something for the servo.
-    Command(Command<Held>),
+    Command(Command<BoardProgram>),
     /// Only the status.
     Status,
     /// Another carrier; motors off.
@@ -45,7 +39,7 @@ pub enum Request {
 /// What came of it.
 pub struct Answer {
     /// Of a command.
-    pub reply: Reply<Held>,
+    pub reply: Reply<BoardProgram>,
     /// The servo's state after it.
     pub status: Status,
 }
@@ -85,7 +79,7 @@ pub static STALL_EXPECTED: AtomicBool = AtomicBool::new(false);
 
 struct Step {
     io: Io,
-    servo: Servo<Held>,
+    servo: BoardServo,
     requests: Consumer<'static, Request>,
     answers: Producer<'static, Answer>,
     frames: Producer<'static, Frame>,
@@ -115,7 +109,7 @@ pub fn start(mut io: Io, hardware: Hardware, rules: Rules) -> Link {
     let (frames, from_steps) = FRAME_QUEUE.init(Queue::new()).split();
 
     io.start();
-    let servo = Servo::new(hardware, rules);
+    let servo = BoardServo::new(hardware, rules);
     let step = Step { io, servo, requests, answers, frames, countdown: 1, driving: false, overrun: false };
     // SAFETY: the interrupt is not enabled yet.
     unsafe { *STEP.0.get() = Some(step) };
@@ -164,17 +158,18 @@ impl Step {
                 index: padded(self.io.index()),
                 fault: self.hardware_fault(analog.fresh),
             };
-            let outputs = self.servo.control(&samples);
+            let outputs = board_step::control(&mut self.servo, &samples);
             self.connect(outputs.bridges);
             self.record();
             STEPS.store(self.servo.frame().step, Ordering::Relaxed);
         }
-        let duties = self.servo.duties(analog.bus_v, &padded(analog.current_a));
+        let duties = board_step::duties(&mut self.servo, analog.bus_v, &padded(analog.current_a));
         self.io.write(core::array::from_fn(|axis| duties[axis]));
     }
 
-    /// Carries out one request and answers it. The queue of answers has room: there is one answer to a request, and one
+    /// Carries out one request and answers it. Not inlined: it is rare, and would only lengthen the way to the step. The queue of answers has room: there is one answer to a request, and one
     /// request at a time.
+    #[inline(never)]
     fn take(&mut self, request: Request) {
         let reply = match request {
             Request::Command(command) => self.servo.execute(command),

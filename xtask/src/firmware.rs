@@ -51,7 +51,8 @@ fn cargo(toolchain: Toolchain, purpose: Use, board: &str) -> Command {
 /// Builds one image and keeps it under its board's name; its path.
 pub fn build(board: &str, install: bool) -> Result<PathBuf> {
     let toolchain = Toolchain::find(Use::Build, install)?;
-    run(&mut cargo(toolchain, Use::Build, board))?;
+    // The binary for size; the library keeps its profile's optimisation for speed.
+    run(cargo(toolchain, Use::Build, board).args(["--", "-C", "opt-level=z"]))?;
     let directory = target_directory().join(TARGET).join("firmware");
     let image = directory.join(format!("{BINARY}-{board}.elf"));
     std::fs::copy(directory.join(BINARY), &image).with_context(|| format!("cannot write {}", image.display()))?;

@@ -8,7 +8,7 @@
 
 use std::env;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use anyhow::{Context as _, Result, bail};
@@ -73,7 +73,7 @@ impl Toolchain {
     /// A cargo call for the chip: `cargo SUBCOMMAND …` with the target and, where needed, the core library's source.
     pub fn cargo(self, purpose: Use) -> Command {
         let subcommand = match purpose {
-            Use::Build => "build",
+            Use::Build => "rustc",
             Use::Clippy => "clippy",
         };
         let mut command = match self {
@@ -94,8 +94,28 @@ impl Toolchain {
             }
         };
         command.args(["--target", TARGET]);
+        command.env("CARGO_ENCODED_RUSTFLAGS", rust_flags().join("\x1f"));
         command
     }
+}
+
+/// Flags of the caller, and paths of dependencies without the part that differs between computers: an image names the file
+/// of a panic, and shall be the same wherever it is built.
+fn rust_flags() -> Vec<String> {
+    let mut flags: Vec<String> = match env::var("CARGO_ENCODED_RUSTFLAGS") {
+        Ok(flags) => flags.split('\x1f').map(String::from).collect(),
+        Err(_) => env::var("RUSTFLAGS").unwrap_or_default().split_whitespace().map(String::from).collect(),
+    };
+    flags.retain(|flag| !flag.is_empty());
+    let home = env::var_os("CARGO_HOME")
+        .map(PathBuf::from)
+        .or_else(|| env::var_os("HOME").map(|home| PathBuf::from(home).join(".cargo")));
+    let indices = home.map(|home| home.join("registry/src")).and_then(|sources| fs::read_dir(sources).ok());
+    for index in indices.into_iter().flatten().flatten() {
+        flags.push(format!("--remap-path-prefix={}=", index.path().join("").display()));
+    }
+    flags.push("--remap-path-prefix=/usr/lib/rustlib/src/rust/library/=".into());
+    flags
 }
 
 fn rustup_has_target() -> bool {
