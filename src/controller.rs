@@ -11,7 +11,7 @@
 use crate::device::Device;
 use crate::inertia::{Split, frame_rate, shaped_torque, shaped_torque_in_span};
 use crate::math::{Math, Real};
-use crate::mechanism::{Mechanism, Regularity, Shaping, pose_at_leisure};
+use crate::mechanism::{Mechanism, Regularity, Shaping, shared_pose};
 use crate::precomputed::MassModel;
 use crate::scene::{FeedForward, MAX_SPRINGS, MAX_WALLS, Scene, SceneError, Spring, Wall, task_vector};
 use crate::velocity::{Coefficients, LowPass, Velocity, Washout};
@@ -56,6 +56,59 @@ struct RunningWall<T: Real> {
     velocity: Velocity<T>,
     washout: Washout<T>,
     passivity: Passivity<T>,
+}
+
+impl<T: Real> RunningWall<T> {
+    /// Not inlined: the same for every mechanism, and rare.
+    #[inline(never)]
+    fn set_gains(&mut self, gains: &Gains<T>, washout: &Washout<T>) {
+        if self.wall.feed_forward == FeedForward::Washout {
+            self.washout.retune(washout);
+        } else {
+            // It was not stepped, so what it remembers is no longer true.
+            self.washout = *washout;
+        }
+        self.wall.stiffness = gains.stiffness;
+        self.wall.damping = gains.damping;
+        self.wall.feed_forward = gains.feed_forward;
+        self.wall.washout_hz = gains.washout_hz;
+    }
+}
+
+/// What of a scene is the same for every mechanism of a task dimension: designed filters, walls that run.
+#[inline(never)]
+fn prepare<T: Real>(
+    scene: &Scene<T>,
+    task: usize,
+) -> Result<(Coefficients<T>, Vec<RunningWall<T>, MAX_WALLS>), SceneError> {
+    scene.check(task)?;
+    let rate = scene.rate_hz.to_f64();
+    let coefficients =
+        Coefficients::new(scene.estimator, rate, scene.cutoff_hz.to_f64()).map_err(|_| SceneError::Cutoff)?;
+    let mut walls = Vec::new();
+    for (index, wall) in scene.walls.iter().enumerate() {
+        let washout = match wall.feed_forward {
+            FeedForward::Washout => {
+                Washout::new(wall.washout_hz.to_f64(), rate).map_err(|_| SceneError::Washout(index as u8))?
+            }
+            _ => Washout::default(),
+        };
+        // The two vectors have the same capacity.
+        let _ = walls.push(RunningWall {
+            wall: *wall,
+            velocity: Velocity::default(),
+            washout,
+            passivity: Passivity::default(),
+        });
+    }
+    Ok((coefficients, walls))
+}
+
+/// Counts that make up an angle (rad) at so many radians per count; none when there is no scale.
+#[inline(never)]
+fn counts_of<T: Real>(angle: T, radians_per_count: T) -> i32 {
+    let scale = radians_per_count.to_f64();
+    if scale == 0.0 { 0 } else { libm::round(angle.to_f64() / scale) as i32 }
 }
 
 /// A wall's passivity observer and controller (Hannaford and Ryu 2002, in the form that is exact for a force held
@@ -171,26 +224,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     ///
     /// Errors: whatever [`Scene::check`] finds.
     pub fn new(mechanism: M, device: &Device<T>, scene: &Scene<T>, mass: MassModel<T, N>) -> Result<Self, SceneError> {
-        scene.check(M::SPEC.task)?;
-        let rate = scene.rate_hz.to_f64();
-        let coefficients =
-            Coefficients::new(scene.estimator, rate, scene.cutoff_hz.to_f64()).map_err(|_| SceneError::Cutoff)?;
-        let mut walls = Vec::new();
-        for (index, wall) in scene.walls.iter().enumerate() {
-            let washout = match wall.feed_forward {
-                FeedForward::Washout => {
-                    Washout::new(wall.washout_hz.to_f64(), rate).map_err(|_| SceneError::Washout(index as u8))?
-                }
-                _ => Washout::default(),
-            };
-            // The two vectors have the same capacity.
-            let _ = walls.push(RunningWall {
-                wall: *wall,
-                velocity: Velocity::default(),
-                washout,
-                passivity: Passivity::default(),
-            });
-        }
+        let (coefficients, walls) = prepare(scene, M::SPEC.task)?;
         Ok(Self {
             mechanism,
             mass,
@@ -223,7 +257,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     pub fn step(&mut self, counts: &[i32; N]) -> Step<T, N> {
         let (q, turned) = self.angles(counts);
         let qd = self.joint_velocities(counts);
-        let pose = self.mechanism.pose::<K>(&turned);
+        let pose = shared_pose::<T, K, M, N>(&self.mechanism, &turned);
         let tip = self.mechanism.tip(&pose);
         let place = task_part::<T, M, N>(&tip);
         let regularity = self.mechanism.regularity(&pose);
@@ -369,7 +403,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let mut b = SVector::zeros();
         if self.velocity_terms {
             let mut acceleration = SVector::zeros();
-            if self.walls.iter().any(|running| running.wall.surface.curved()) {
+            if M::SPEC.task > 1 && self.walls.iter().any(|running| running.wall.surface.curved()) {
                 let velocity = task_part::<T, M, N>(&self.mechanism.velocity(pose, qd));
                 acceleration = -frame_rate(line, &self.line_rate(place, &velocity, active, line), &velocity);
             }
@@ -421,10 +455,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     fn guidance(&self, place: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
         let mut force = velocity * -self.field_damping;
         for spring in &self.springs {
-            let direction = task_vector::<T, N>(&spring.direction);
-            let across = |v: SVector<T, N>| v - direction * direction.dot(&v);
-            let stretch = across(place - task_vector::<T, N>(&spring.point));
-            force -= stretch * spring.stiffness + across(*velocity) * spring.damping;
+            force += spring_force(spring, place, velocity);
         }
         force
     }
@@ -464,9 +495,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     pub fn home(&mut self, counts: &[i32; N], q: &[T; N]) {
         for i in 0..N {
             let joint = &self.joints[i];
-            let scale = joint.radians_per_count.to_f64();
-            let turns = if scale == 0.0 { 0.0 } else { (q[i] - joint.offset).to_f64() / scale };
-            self.zero[i] = counts[i].wrapping_sub(libm::round(turns) as i32);
+            self.zero[i] = counts[i].wrapping_sub(counts_of(q[i] - joint.offset, joint.radians_per_count));
         }
         self.forget();
     }
@@ -504,7 +533,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// Whether a one-sided wall of this scene is touched at these counts: arming and scene changes are refused then.
     pub fn inside_a_wall(&self, counts: &[i32; N]) -> bool {
         let (_, turned) = self.angles(counts);
-        let pose = pose_at_leisure::<T, K, M, N>(&self.mechanism, &turned);
+        let pose = shared_pose::<T, K, M, N>(&self.mechanism, &turned);
         let place = task_part::<T, M, N>(&self.mechanism.tip(&pose));
         self.walls.iter().any(|running| {
             let wall = &running.wall;
@@ -515,16 +544,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// Applies checked gains between two steps; estimators and the washout's state go on.
     pub fn set_gains(&mut self, gains: &Gains<T>, washout: &Washout<T>) {
         if let Some(running) = self.walls.get_mut(usize::from(gains.wall)) {
-            if running.wall.feed_forward == FeedForward::Washout {
-                running.washout.retune(washout);
-            } else {
-                // It was not stepped, so what it remembers is no longer true.
-                running.washout = *washout;
-            }
-            running.wall.stiffness = gains.stiffness;
-            running.wall.damping = gains.damping;
-            running.wall.feed_forward = gains.feed_forward;
-            running.wall.washout_hz = gains.washout_hz;
+            running.set_gains(gains, washout);
         }
     }
 
@@ -553,4 +573,17 @@ fn fade<T: Real>(regularity: T) -> T {
     }
     let s = ((regularity - low) * T::from_f64(1.0 / (FULL_REGULARITY - NO_REGULARITY))).greater(T::zero());
     s * s * (T::from_f64(3.0) - s - s)
+}
+
+/// The force (N) of one spring at the tip. Not inlined: few scenes have springs, and mechanisms share it.
+#[inline(never)]
+fn spring_force<T: Real, const N: usize>(
+    spring: &Spring<T>,
+    place: &SVector<T, N>,
+    velocity: &SVector<T, N>,
+) -> SVector<T, N> {
+    let direction = task_vector::<T, N>(&spring.direction);
+    let across = |v: SVector<T, N>| v - direction * direction.dot(&v);
+    let stretch = across(place - task_vector::<T, N>(&spring.point));
+    -(stretch * spring.stiffness + across(*velocity) * spring.damping)
 }

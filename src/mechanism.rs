@@ -229,9 +229,9 @@ pub(crate) fn reciprocal<T: Real>(x: T, floor: T) -> T {
     if x < T::zero() { -r } else { r }
 }
 
-/// A pose outside the control step. Not inlined: one copy for all such uses keeps the board's image small.
+/// [`Mechanism::pose`], compiled once: a copy at every use would fill the board's flash, and a call costs little beside it.
 #[inline(never)]
-pub(crate) fn pose_at_leisure<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
+pub(crate) fn shared_pose<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     mechanism: &M,
     q: &SVector<T, N>,
 ) -> M::Pose {
@@ -239,7 +239,7 @@ pub(crate) fn pose_at_leisure<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: 
 }
 
 fn finite_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M, q: &[f32; MAX_JOINTS]) -> bool {
-    let pose = pose_at_leisure::<f32, K, M, N>(mechanism, &SVector::from_fn(|i, _| q.get(i).copied().unwrap_or(0.0)));
+    let pose = shared_pose::<f32, K, M, N>(mechanism, &SVector::from_fn(|i, _| q.get(i).copied().unwrap_or(0.0)));
     let at_rest = [mechanism.tip(&pose), mechanism.gravity(&pose)];
     at_rest.iter().all(|v| v.iter().all(|x| x.is_finite())) && mechanism.mass(&pose).iter().all(|x| x.is_finite())
 }

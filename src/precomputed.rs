@@ -20,7 +20,7 @@ pub enum MassModel<T: Real, const N: usize> {
 impl<T: Real, const N: usize> MassModel<T, N> {
     /// What a unit tip motion along `n` takes and weighs. Shared by single walls and corners: a call costs less than a second
     /// copy of every mechanism in the board's flash.
-    #[inline]
+    #[inline(never)]
     pub fn shaping<M: Mechanism<T, N>>(
         &self,
         mechanism: &M,

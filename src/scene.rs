@@ -48,13 +48,22 @@ impl<T: Real> Surface<T> {
     pub fn contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N> {
         match self {
             Self::Plane(plane) => plane.contact(p),
+            curved => curved.curved_contact::<K, N>(p),
+        }
+    }
+
+    /// The contact of curved surfaces. Not inlined: mechanisms share it, and planes do not pay for it.
+    #[inline(never)]
+    fn curved_contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N> {
+        match self {
+            Self::Plane(plane) => plane.contact(p),
             Self::Sphere(sphere) => sphere.contact::<K, N>(p),
             Self::Cylinder(cylinder) => cylinder.contact::<K, N>(p),
         }
     }
 
-    /// ṅ (1/s) at the tip position `p` moving at `velocity` (m/s).
-    #[inline(always)]
+    /// ṅ (1/s) at the tip position `p` moving at `velocity` (m/s). Not inlined, as it is zero for planes.
+    #[inline(never)]
     pub fn normal_rate<K: Math<T>, const N: usize>(
         &self,
         p: &SVector<T, N>,

@@ -407,7 +407,7 @@ fn decoded<S: Setting>(entry: &[u8]) -> Result<S, Refusal> {
 }
 
 /// The checksum by which a checked device is known again.
-fn fingerprint(device: &Device<f32>) -> Option<u32> {
+fn fingerprint<S: Setting>(device: &S) -> Option<u32> {
     settings::encode(device).ok().map(|entry| settings::crc32(&entry))
 }
 

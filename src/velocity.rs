@@ -46,15 +46,15 @@ fn tangent(angle: f64) -> f64 {
         return 1.0 / tangent(complement);
     }
     let square = angle * angle;
-    // Horner's scheme from the last term that counts at π/4: x^18/18! is below 1e-18.
-    let (mut sine, mut cosine) = (1.0, 1.0);
-    let mut k = 18.0;
-    while k > 0.0 {
-        sine = 1.0 - sine * square / (k * (k + 1.0));
-        cosine = 1.0 - cosine * square / (k * (k - 1.0));
-        k -= 2.0;
+    let (mut sine, mut cosine) = (angle, 1.0);
+    let (mut term, mut n) = (1.0_f64, 1.0);
+    while term.abs() > 1.0e-20 {
+        term *= -square / (n * (n + 1.0));
+        cosine += term;
+        sine += term * angle / (n + 2.0);
+        n += 2.0;
     }
-    angle * sine / cosine
+    sine / cosine
 }
 
 /// An estimator's coefficients, made when a scene or its gains are set.

@@ -12,9 +12,6 @@ use haptic_bridge::guard::{Fault, FaultRecord};
 
 use crate::board;
 
-/// Length of the text of a cause, bytes: the file of a panic, its end if it is longer.
-pub const TEXT_LEN: usize = 48;
-
 /// Says that a record was written and not that SRAM happens to hold something.
 const WRITTEN: u32 = 0x4C41_5354;
 const BOOT_LOADER: u32 = 0x4446_5521;
@@ -32,8 +29,9 @@ struct LastWords {
     /// Configurable fault status and the address it names (RM0090 / ARMv7-M B3.2.15).
     status: u32,
     address: u32,
-    len: u32,
-    text: [u8; TEXT_LEN],
+    /// The name of a panic's file: where it lies in flash, and its length.
+    file: u32,
+    file_len: u32,
     check: u32,
 }
 
@@ -61,7 +59,7 @@ pub enum ResetCause {
 pub enum Previous {
     /// Nothing is on record.
     Clean,
-    /// A panic; `text` is its file and `pc` its line.
+    /// A panic; `file` is its file and `pc` its line.
     Panic,
     /// A hard fault at `pc`.
     HardFault,
@@ -82,20 +80,8 @@ pub struct Start {
     pub pc: u32,
     /// Fault status register of a hard fault.
     pub status: u32,
-    /// Length of `text` that is used.
-    pub len: usize,
-    /// A panic's file.
-    pub text: [u8; TEXT_LEN],
-}
-
-impl Start {
-    /// The file of a panic, "" if there is none.
-    pub fn file(&self) -> &str {
-        match core::str::from_utf8(&self.text[..self.len]) {
-            Ok(text) => text,
-            Err(error) => core::str::from_utf8(&self.text[..error.valid_up_to()]).unwrap_or(""),
-        }
-    }
+    /// The file of a panic, "" if there was none.
+    pub file: &'static str,
 }
 
 impl Start {
@@ -114,9 +100,20 @@ impl Start {
 
 impl LastWords {
     fn sum(&self) -> u32 {
-        let words = [self.mark, self.kind, self.pc, self.lr, self.status, self.address, self.len];
-        let sum = words.iter().fold(0x811C_9DC5_u32, |sum, word| (sum ^ word).wrapping_mul(0x0100_0193));
-        self.text.iter().fold(sum, |sum, byte| (sum ^ u32::from(*byte)).wrapping_mul(0x0100_0193))
+        let words = [self.mark, self.kind, self.pc, self.lr, self.status, self.address, self.file, self.file_len];
+        words.iter().fold(0x811C_9DC5_u32, |sum, word| (sum ^ word).wrapping_mul(0x0100_0193))
+    }
+
+    /// The name of the file, unless it is not where names lie.
+    fn file(&self) -> &'static str {
+        const FLASH: core::ops::Range<u32> = 0x0800_0000..0x0810_0000;
+        const LONGEST: u32 = 128;
+        if self.file_len > LONGEST || !FLASH.contains(&self.file) || !FLASH.contains(&(self.file + self.file_len)) {
+            return "";
+        }
+        // SAFETY: the bytes lie in flash, which nothing writes while names are read; whether they are text is checked.
+        let bytes = unsafe { core::slice::from_raw_parts(self.file as *const u8, self.file_len as usize) };
+        core::str::from_utf8(bytes).unwrap_or("")
     }
 }
 
@@ -153,8 +150,7 @@ pub fn take() -> Start {
         previous,
         pc: if known { words.pc } else { 0 },
         status: if known { words.status } else { 0 },
-        len: if known { (words.len as usize).min(TEXT_LEN) } else { 0 },
-        text: words.text,
+        file: if previous == Previous::Panic { words.file() } else { "" },
     }
 }
 
@@ -191,26 +187,7 @@ pub fn enter_boot_loader_if_requested() {
     }
 }
 
-/// The end of a file's name.
-struct Text {
-    bytes: [u8; TEXT_LEN],
-    len: usize,
-}
-
-impl Text {
-    const NONE: Self = Self { bytes: [0; TEXT_LEN], len: 0 };
-
-    fn new(text: &str) -> Self {
-        let mut end = Self::NONE;
-        for (slot, byte) in end.bytes.iter_mut().zip(text.bytes().skip(text.len().saturating_sub(TEXT_LEN))) {
-            *slot = byte;
-            end.len += 1;
-        }
-        end
-    }
-}
-
-fn write_down_and_reset(kind: u32, pc: u32, lr: u32, text: Text) -> ! {
+fn write_down_and_reset(kind: u32, pc: u32, lr: u32, file: (u32, u32)) -> ! {
     let mut words = LastWords {
         mark: WRITTEN,
         kind,
@@ -219,8 +196,8 @@ fn write_down_and_reset(kind: u32, pc: u32, lr: u32, text: Text) -> ! {
         // SAFETY: the system control block is always there; these registers are only read.
         status: unsafe { (*SCB::PTR).cfsr.read() },
         address: unsafe { (*SCB::PTR).bfar.read() },
-        len: text.len as u32,
-        text: text.bytes,
+        file: file.0,
+        file_len: file.1,
         check: 0,
     };
     words.check = words.sum();
@@ -235,10 +212,11 @@ fn write_down_and_reset(kind: u32, pc: u32, lr: u32, text: Text) -> ! {
 fn panic(info: &PanicInfo) -> ! {
     board::off();
     cortex_m::interrupt::disable();
-    match info.location() {
-        Some(place) => write_down_and_reset(1, place.line(), 0, Text::new(place.file())),
-        None => write_down_and_reset(1, 0, 0, Text::NONE),
-    }
+    // The place lives in the image for ever, whatever the lifetime of what tells of it.
+    let (line, file, len) = info
+        .location()
+        .map_or((0, 0, 0), |place| (place.line(), place.file().as_ptr() as u32, place.file().len() as u32));
+    write_down_and_reset(1, line, 0, (file, len))
 }
 
 /// The entry of every hard fault: gives the handler the stack pointer of the fault and a fresh stack, because an overflow
@@ -272,12 +250,12 @@ extern "C" fn hard_fault(frame: *const u32) -> ! {
     } else {
         (0, 0)
     };
-    write_down_and_reset(if inside { 2 } else { 4 }, pc, lr, Text::NONE)
+    write_down_and_reset(if inside { 2 } else { 4 }, pc, lr, (0, 0))
 }
 
 #[cortex_m_rt::exception]
 unsafe fn DefaultHandler(number: i16) {
     board::off();
     cortex_m::interrupt::disable();
-    write_down_and_reset(3, number as u32, 0, Text::NONE)
+    write_down_and_reset(3, number as u32, 0, (0, 0))
 }

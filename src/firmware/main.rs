@@ -49,7 +49,7 @@ async fn main(spawner: Spawner) {
         start.previous,
         start.pc,
         start.status,
-        start.file()
+        start.file
     );
 
     let hardware = Hardware { axes: board::AXES, real: true, bus_sensed: true, bridge: board::BRIDGE };
