@@ -207,15 +207,21 @@ fn write_down_and_reset(kind: u32, pc: u32, lr: u32, file: (u32, u32)) -> ! {
     SCB::sys_reset()
 }
 
-/// Keeps the place and not the message: without a use for them, messages and their formatting stay out of the image.
+/// Keeps the place and not the message: without a use for them, messages and their formatting stay out of the image. The
+/// optimiser sees that only while this function is small enough to be inlined.
 #[panic_handler]
 fn panic(info: &PanicInfo) -> ! {
+    // The place lives in the image for ever, whatever the lifetime of what tells of it.
+    match info.location() {
+        Some(place) => panicked(place.line(), place.file().as_ptr() as u32, place.file().len() as u32),
+        None => panicked(0, 0, 0),
+    }
+}
+
+#[inline(never)]
+fn panicked(line: u32, file: u32, len: u32) -> ! {
     board::off();
     cortex_m::interrupt::disable();
-    // The place lives in the image for ever, whatever the lifetime of what tells of it.
-    let (line, file, len) = info
-        .location()
-        .map_or((0, 0, 0), |place| (place.line(), place.file().as_ptr() as u32, place.file().len() as u32));
     write_down_and_reset(1, line, 0, (file, len))
 }
 
