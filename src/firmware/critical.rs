@@ -17,6 +17,18 @@ pub const OTHERS: Priority = Priority::P6;
 /// The highest priority that a critical section masks: level 1, in the upper four bits.
 const CEILING: u8 = 1 << 4;
 
+/// Gives every interrupt of the chip the lower priority, which after a reset all of them lack: an interrupt that keeps
+/// priority 0 would run inside critical sections. Call before anything enables an interrupt; the control interrupt takes its own afterwards.
+pub fn lower_all() {
+    // SAFETY: start-up code, no interrupt is enabled yet. The priority registers accept any value, also those of interrupts that
+    // this chip lacks (ARMv7-M B3.4.9).
+    let registers = unsafe { &(*cortex_m::peripheral::NVIC::PTR).ipr };
+    for priority in registers.iter().take(82) {
+        // SAFETY: as above; the upper four bits hold the priority.
+        unsafe { priority.write(OTHERS as u8) };
+    }
+}
+
 struct BasePriority;
 critical_section::set_impl!(BasePriority);
 

@@ -1,10 +1,9 @@
 //! The USB device, one serial port (CDC-ACM), and the task that serves the protocol over it.
 
 use embassy_futures::select::{Either, select};
-use embassy_stm32::interrupt::InterruptExt;
 use embassy_stm32::peripherals::{PA11, PA12, USB_OTG_FS};
 use embassy_stm32::usb::{self, Driver};
-use embassy_stm32::{Peri, bind_interrupts, interrupt};
+use embassy_stm32::{Peri, bind_interrupts};
 use embassy_time::{Duration, Instant, Timer};
 use embassy_usb::class::cdc_acm::{CdcAcmClass, State};
 use embassy_usb::{Builder, UsbDevice};
@@ -18,7 +17,7 @@ use static_cell::{ConstStaticCell, StaticCell};
 use crate::machine::Panel;
 use crate::serial::{Event, Incoming, Outgoing, PACKET};
 use crate::telemetry::TelemetryStream;
-use crate::{board, critical, faults, supervisor};
+use crate::{board, faults, supervisor};
 
 bind_interrupts!(struct Irqs {
     OTG_FS => usb::InterruptHandler<USB_OTG_FS>;
@@ -45,7 +44,6 @@ pub fn device(
     // PA9, where the bus voltage would be sensed, is a gate signal on these boards.
     hardware.vbus_detection = false;
     let driver = Driver::new_fs(peripheral, Irqs, dp, dm, OUT.take(), hardware);
-    interrupt::OTG_FS.set_priority(critical::OTHERS);
 
     let mut config = embassy_usb::Config::new(USB_VENDOR, USB_PRODUCT);
     config.manufacturer = Some(board::NAME);

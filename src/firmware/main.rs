@@ -39,6 +39,7 @@ async fn main(spawner: Spawner) {
     board::off();
     faults::enter_boot_loader_if_requested();
     let start = faults::take();
+    critical::lower_all();
     let chip = embassy_stm32::init(clock::config());
     freeze_carriers_when_halted();
     defmt::info!(
