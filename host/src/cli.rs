@@ -26,7 +26,9 @@ pub fn command() -> clap::Command {
     for (heading, names) in HEADINGS {
         listing.push_str(&format!("{heading}:\n"));
         for name in *names {
-            let about = command.find_subcommand(name).and_then(|found| found.get_about()).map(ToString::to_string);
+            // Modules are written with underscores, commands with hyphens.
+            let name = name.replace('_', "-");
+            let about = command.find_subcommand(&name).and_then(|found| found.get_about()).map(ToString::to_string);
             listing.push_str(&format!("  {name:width$}{}\n", about.unwrap_or_default()));
         }
         listing.push('\n');

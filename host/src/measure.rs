@@ -8,6 +8,7 @@
 //! trial pulls the tip aside by a small distance, lets it swing back, and hands it over to the tested gains in full motion. The
 //! holding walls are soft springs chosen from the inertia at the pose and the filter's cutoff, nothing else.
 
+pub mod campaign;
 pub mod progress;
 pub mod search;
 pub mod swing;
@@ -52,9 +53,23 @@ pub enum MeasureError {
     /// The scene is impossible.
     #[error("{0}")]
     Scene(String),
+    /// The progress cannot be kept.
+    #[error(transparent)]
+    Progress(#[from] progress::ProgressError),
     /// No bound was found.
     #[error("no oscillation up to {0} N/m: the motors saturate first; use a lower rate or cutoff, or another pose")]
     Unbounded(f64),
+}
+
+impl From<MeasureError> for crate::error::Failure {
+    fn from(error: MeasureError) -> Self {
+        match error {
+            MeasureError::Board(error) => error.into(),
+            MeasureError::Link(error) => error.into(),
+            MeasureError::Pose(error) => error.into(),
+            error => Self::impossible(error),
+        }
+    }
 }
 
 /// What is measured, and how gently.
@@ -79,6 +94,7 @@ pub struct Bench<'a> {
     board: &'a mut Board,
     setup: Setup,
     interrupted: &'a dyn Fn() -> bool,
+    q: Vec<f64>,
     tip: DVector<f64>,
     normal: DVector<f64>,
     /// Holding gains (N/m, N s/m), along the normal first, then across.
@@ -142,6 +158,7 @@ impl<'a> Bench<'a> {
         let mut bench = Self {
             board,
             interrupted,
+            q,
             tip,
             normal,
             force_limit: f64::from(strongest) / lever,
@@ -159,6 +176,11 @@ impl<'a> Bench<'a> {
         bench.wait(0.6)?;
         bench.rest(0.0, 0.0)?;
         Ok(bench)
+    }
+
+    /// Joint angles where the measurement takes place, rad.
+    pub fn pose(&self) -> &[f64] {
+        &self.q
     }
 
     /// The stiffness at which a search begins: the soft hold's own, N/m.

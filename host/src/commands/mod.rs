@@ -45,6 +45,7 @@ commands! {
         (Arm, arm)
         (Disarm, disarm)
         (Stream, stream)
+        (MeasureRange, measure_range)
         (Faults, faults)
         (Clear, clear)
         (Save, save)

@@ -53,6 +53,9 @@ impl Point {
 pub struct Progress {
     /// What is measured: device, pose, loop. A file of something else is not continued.
     pub what: String,
+    /// Dampings at which the range ends, N s/m, where they were measured.
+    #[serde(default)]
+    pub ends: Vec<(Mode, f64)>,
     /// The points with their repeats so far.
     pub points: Vec<Point>,
 }
@@ -85,6 +88,11 @@ impl From<ProgressError> for crate::error::Failure {
 }
 
 impl Progress {
+    /// Nothing measured yet.
+    pub fn new(what: &str) -> Self {
+        Self { what: what.into(), ends: Vec::new(), points: Vec::new() }
+    }
+
     /// Reads the file at `path` when it exists, else begins anew.
     pub fn open(path: &Path, what: &str) -> Result<Self, ProgressError> {
         let file = |reason: String| ProgressError::File { path: path.display().to_string(), reason };
@@ -96,9 +104,7 @@ impl Progress {
                 }
                 Ok(found)
             }
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-                Ok(Self { what: what.into(), points: Vec::new() })
-            }
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(Self::new(what)),
             Err(error) => Err(file(error.to_string())),
         }
     }
@@ -109,6 +115,18 @@ impl Progress {
         let text = serde_json::to_string_pretty(self).map_err(|e| file(e.to_string()))?;
         let beside = path.with_extension("part");
         std::fs::write(&beside, text).and_then(|()| std::fs::rename(&beside, path)).map_err(|e| file(e.to_string()))
+    }
+
+    /// Where the range of a mode ends, if that was measured.
+    pub fn end(&self, mode: Mode) -> Option<f64> {
+        self.ends.iter().find(|(measured, _)| *measured == mode).map(|(_, end)| *end)
+    }
+
+    /// The points of a mode, by damping.
+    pub fn of(&self, mode: Mode) -> Vec<&Point> {
+        let mut found: Vec<&Point> = self.points.iter().filter(|p| p.mode == mode && !p.repeats.is_empty()).collect();
+        found.sort_by(|a, b| a.kd.total_cmp(&b.kd));
+        found
     }
 
     /// The point of a mode at a damping, added when it is new.

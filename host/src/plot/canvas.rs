@@ -98,6 +98,12 @@ impl Canvas {
         self.push(format_args!(r#"<polygon points="{points}" fill="{fill}" fill-opacity="{opacity}"/>"#));
     }
 
+    /// A small filled area outlined in its own colour, so that no seam shows between neighbours.
+    pub fn cell(&mut self, points: &[(f64, f64)], fill: &str) {
+        let points = points.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect::<Vec<_>>().join(" ");
+        self.push(format_args!(r#"<polygon points="{points}" fill="{fill}" stroke="{fill}" stroke-width=".6"/>"#));
+    }
+
     /// A rectangle, filled and (with a width above zero) outlined.
     pub fn rectangle(&mut self, at: (f64, f64), size: (f64, f64), fill: &str, stroke: Stroke<'_>) {
         let style = if stroke.width > 0.0 { stroke.attributes() } else { String::new() };

@@ -98,12 +98,7 @@ fn plane_picture(
     frame.clipped(&mut canvas, |canvas| {
         for cell in cells {
             let corners: Vec<(f64, f64)> = cell.corners.iter().map(|&(x, y)| frame.pixel(x, y)).collect();
-            let fill = scale(cell.value / top);
-            canvas.polygon(&corners, &fill, 1.0);
-            // Outlined in its own colour, so that no seam shows between neighbours.
-            let mut outline = corners.clone();
-            outline.push(corners[0]);
-            canvas.polyline(&outline, Stroke::solid(&fill, 0.6));
+            canvas.cell(&corners, &scale(cell.value / top));
         }
         ellipses(canvas, &frame, points, span);
     });
