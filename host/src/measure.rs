@@ -16,7 +16,7 @@ pub mod swing;
 use std::time::Duration;
 
 use haptic_bridge::controller::Gains;
-use haptic_bridge::guard::State;
+use haptic_bridge::guard::{Fault, State};
 use haptic_bridge::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use nalgebra::DVector;
 use thiserror::Error;
@@ -41,7 +41,7 @@ pub enum MeasureError {
     Interrupted,
     /// The board tripped a fault.
     #[error("the board tripped a fault: {0}; see `haptic faults`, put the device back and run the same command again")]
-    Fault(String),
+    Fault(Fault),
     /// The tip could not be held still.
     #[error(
         "the tip does not come to rest when held softly; put the device at a pose away from stops and singularities, and check the device file's inertia"
@@ -208,7 +208,26 @@ impl<'a> Bench<'a> {
         let verdict = self.watch(feed_forward, kp, kd, pull);
         // Back off at once, whatever came out.
         self.hold(0.0)?;
-        Ok(verdict? == Verdict::Grows)
+        match verdict {
+            // The guard was quicker than the telemetry: an oscillation that violent is one.
+            Err(MeasureError::Fault(Fault::SpeedLimit | Fault::OverCurrent | Fault::PowerLimit)) => {
+                self.arm_again()?;
+                Ok(true)
+            }
+            verdict => Ok(verdict? == Verdict::Grows),
+        }
+    }
+
+    /// Clears the fault that a violent oscillation tripped, and arms with the soft hold.
+    fn arm_again(&mut self) -> Result<(), MeasureError> {
+        self.board.clear()?;
+        self.board.arm()?;
+        // Rows from before the fault was cleared still tell of it.
+        let until = self.board.now() + Duration::from_secs_f64(0.3);
+        while self.board.now() < until {
+            self.board.rows(Duration::from_millis(20))?;
+        }
+        self.wait(0.4)
     }
 
     /// Motors off.
@@ -343,7 +362,8 @@ impl<'a> Bench<'a> {
             // The tip has one column per joint, then come state and contacts.
             let state = row.values[row.values.len() - 2];
             if state == f64::from(State::Fault as u8) {
-                let fault = self.board.status()?.fault.map_or("unknown".into(), |f| f.fault.to_string());
+                // The record names it; without one the numbers themselves were no good.
+                let fault = self.board.status()?.fault.map_or(Fault::NotFinite, |record| record.fault);
                 return Err(MeasureError::Fault(fault));
             }
             let place = (0..task).map(|i| (row.values[i] - self.tip[i]) * self.normal[i]).sum();
