@@ -29,6 +29,7 @@ macro_rules! commands {
 
 commands! {
     "Without a board" {
+        (Demo, demo)
         (Check, check)
         (Model, model)
         (Map, map)

@@ -1,0 +1,69 @@
+//! The highest stable stiffness, found by raising it on the simulated board until the loop oscillates.
+//!
+//! Friction, hand and encoder steps are left out and the drive is ideal, which is what linear theory is about; with
+//! them the limit lies higher or lower, and comparing the two would compare apples with pears.
+
+use super::{Demo, DemoError};
+use crate::analysis::plant::{Drive, Linearised};
+use crate::analysis::range::domain;
+use crate::analysis::sampled::{self, Estimator, Loop};
+use crate::link::Board;
+use crate::measure::{Bench, Setup};
+use crate::sim::{BoardOptions, DriveModel, Options, SharedBoard, ready_board};
+use haptic_bridge::scene::FeedForward;
+
+/// Measured and predicted, N/m.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limit {
+    /// Where the simulated board began to oscillate.
+    pub measured: f64,
+    /// Where theory says that it does.
+    pub predicted: f64,
+}
+
+/// Measures and predicts the largest stable stiffness at the demo's damping.
+pub fn limit(demo: &Demo, feed_forward: FeedForward) -> Result<Limit, DemoError> {
+    let mut demo = demo.clone();
+    for joint in &mut demo.file.description.joints {
+        if let Some(encoder) = &mut joint.encoder {
+            encoder.counts_per_turn = f64::from(1 << 23);
+        }
+    }
+    let device =
+        Options { friction: false, start: Some(demo.pose), substep: 0.02 / demo.rate_hz, ..Options::default() };
+    let options = BoardOptions { device, drive: DriveModel::Ideal, ..BoardOptions::default() };
+    let shared = SharedBoard::new(ready_board(&demo.file, options)?);
+    let mut board = Board::over(shared.wire(), "sim")?;
+    let setup = Setup {
+        normal: demo.normal.to_vec(),
+        rate_hz: demo.rate_hz,
+        cutoff_hz: demo.cutoff_hz,
+        washout_hz: demo.washout_hz,
+        torque_limit: 2.0,
+        largest_pull: 1e-3,
+    };
+    let mut bench = Bench::new(&mut board, &demo.file, setup, &|| false)?;
+    let measured = bench.boundary(feed_forward, demo.damping, 0, None)?;
+    bench.finish()?;
+    // Predicted for the delay that the board itself reports.
+    let delay_samples = f64::from(board.details()?.delay_samples);
+    Ok(Limit { measured, predicted: predict(&demo, feed_forward, delay_samples)? })
+}
+
+fn predict(demo: &Demo, feed_forward: FeedForward, delay_samples: f64) -> Result<f64, DemoError> {
+    let device = Linearised::at(&demo.file.description, demo.q(), &demo.normal)?.undamped();
+    let around = Loop {
+        rate_hz: demo.rate_hz,
+        delay_samples,
+        estimator: Estimator::Butterworth(demo.cutoff_hz),
+        drive: Drive::Ideal,
+        damping_compensation: false,
+    };
+    let mode = match feed_forward {
+        FeedForward::Off => sampled::FeedForward::Off,
+        FeedForward::Full => sampled::FeedForward::Full,
+        FeedForward::Washout => sampled::FeedForward::Washout(demo.washout_hz),
+    };
+    let boundary = domain(&device, &around, mode, Some(&[demo.damping]))?.boundary;
+    Ok(boundary.first().map_or(0.0, |point| point.kp))
+}

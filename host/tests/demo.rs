@@ -1,0 +1,60 @@
+//! `haptic demo` says what its own runs show, and they are the same on every machine.
+
+use assert_cmd::Command;
+use haptic::demo::{Demo, crossing, stiffness};
+use haptic_bridge::scene::FeedForward;
+
+#[test]
+fn the_feed_forward_buys_stiffness_as_predicted() {
+    let demo = Demo::shipped(1).unwrap();
+    let inertia = demo.inertia().unwrap();
+    assert!(inertia.rendered > 1.2 * inertia.effective, "a device where the feed-forward matters: {inertia:?}");
+    let limits = [FeedForward::Off, FeedForward::Washout].map(|mode| stiffness::limit(&demo, mode).unwrap());
+    for limit in limits {
+        assert!((limit.measured / limit.predicted - 1.0).abs() < 0.01, "{limit:?}");
+    }
+    // The washout keeps most of what (4) gains: stiffness grows almost as the inertia does.
+    let gained = limits[1].measured / limits[0].measured - 1.0;
+    let most = inertia.rendered / inertia.effective - 1.0;
+    assert!(gained > 0.9 * most && gained < 1.05 * most, "{gained} of {most}");
+    assert!(limits[0].measured < demo.stiffness && demo.stiffness < limits[1].measured);
+}
+
+#[test]
+fn the_hand_feels_less_vibration_with_the_feed_forward_whatever_the_tremor() {
+    for seed in [1, 2, 3] {
+        let demo = Demo::shipped(seed).unwrap();
+        let run = |mode| crossing::run(&demo, mode, &mut |_| {}).unwrap();
+        let (without, with) = (run(FeedForward::Off), run(FeedForward::Washout));
+        assert!(with.ripple < without.ripple, "seed {seed}: {} {}", with.ripple, without.ripple);
+        for crossing in [&without, &with] {
+            assert_eq!((crossing.lost, &crossing.fault), (0, &None));
+            // About 5 N on 22 kN/m, three times over at the landing.
+            assert!((1e-4..1e-3).contains(&crossing.penetration), "{}", crossing.penetration);
+        }
+        assert_eq!(run(FeedForward::Off), without, "the same seed is the same run");
+    }
+}
+
+#[test]
+fn the_command_prints_its_table_and_draws_its_picture() {
+    let directory = tempfile::tempdir().unwrap();
+    let svg = directory.path().join("demo.svg");
+    let output = Command::cargo_bin("haptic")
+        .unwrap()
+        .arg("demo")
+        .arg("--svg")
+        .arg(&svg)
+        .assert()
+        .success()
+        .get_output()
+        .clone();
+    let said = String::from_utf8(output.stdout).unwrap();
+    for line in ["penetration, mm", "peak force, N", "highest stable stiffness", "predicted", "coupling", "bought"] {
+        assert!(said.contains(line), "{line} is missing in\n{said}");
+    }
+    assert!(said.contains(&format!("picture: {}", svg.display())));
+    let picture = std::fs::read_to_string(&svg).unwrap();
+    assert!(picture.starts_with("<svg") && picture.trim_end().ends_with("</svg>"));
+    assert_eq!(picture.matches("<polyline").count(), 6, "three panels of two runs");
+}
