@@ -151,13 +151,33 @@ fn a_wall_of_a_million_newtons_per_metre_is_held_to_the_last_digit_of_the_tips_p
     }
 }
 
+/// How many times larger or smaller a number on the page may be than what the code gives: errors are maxima over random
+/// poses in one digit, and a change that only rounds differently moves them by less.
+const SAME: f64 = 4.0;
+
+/// Whether two words of the page say the same: equal, or numbers within [`SAME`] of each other ("lost" is anything above
+/// a half).
+fn same(shown: &str, computed: &str) -> bool {
+    let number = |text: &str| if text == "lost" { Some(1.0) } else { text.parse::<f64>().ok() };
+    match (number(shown), number(computed)) {
+        (Some(a), Some(b)) => a == b || (a > 0.0 && b > 0.0 && a < SAME * b && b < SAME * a),
+        _ => shown == computed,
+    }
+}
+
 #[test]
 fn the_page_shows_what_the_code_gives() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/hard-cases.md");
     let page = std::fs::read_to_string(path).expect("docs/hard-cases.md is there");
     let computed = ROWS.markdown();
-    for (line, (shown, computed)) in page.lines().zip(computed.lines()).enumerate() {
-        assert_eq!(shown, computed, "line {} of docs/hard-cases.md; its first paragraph says how it is made", line + 1);
+    for (number, (shown, computed)) in page.lines().zip(computed.lines()).enumerate() {
+        let agree = shown.split_whitespace().count() == computed.split_whitespace().count()
+            && shown.split_whitespace().zip(computed.split_whitespace()).all(|(a, b)| same(a, b));
+        let line = number + 1;
+        assert!(
+            agree,
+            "line {line} of docs/hard-cases.md (its first paragraph says how it is made):\n{shown}\n{computed}"
+        );
     }
     assert_eq!(page.lines().count(), computed.lines().count());
 }

@@ -1,0 +1,328 @@
+//! What equation (4) promises, asked of the whole control step: with the feed-forward nothing accelerates but the rendered
+//! directions, on flat and on curved walls and in corners; with the washout a resting hand feels no sideways force.
+
+use haptic::device_file::DeviceFile;
+use haptic_bridge::controller::Controller;
+use haptic_bridge::description::{Description, Encoder};
+use haptic_bridge::device::Device;
+use haptic_bridge::math::{Libm, Math, Minimax, Real};
+use haptic_bridge::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::precomputed::MassModel;
+use haptic_bridge::scene::{Cylinder, FeedForward, Plane, Scene, Sphere, Surface, Wall};
+use haptic_bridge::with_mechanism;
+use nalgebra::SVector;
+
+/// Control rate, Hz.
+const RATE: f64 = 1_000.0;
+/// Counts per turn, so fine that differences of counts are velocities.
+const COUNTS: f64 = 1.0e9;
+
+fn shipped(name: &str) -> Description {
+    let path = format!("{}/devices/{name}.toml", env!("CARGO_MANIFEST_DIR"));
+    let mut device = DeviceFile::load(path).expect("a shipped device").description;
+    for joint in &mut device.joints {
+        joint.encoder = Some(Encoder { counts_per_turn: COUNTS, offset: 0.0, inverted: false });
+    }
+    device
+}
+
+fn counts<const N: usize>(q: &SVector<f64, N>) -> [i32; N] {
+    core::array::from_fn(|i| (q[i] * COUNTS / std::f64::consts::TAU).round() as i32)
+}
+
+fn wall<T: Real>(surface: Surface<T>, feed_forward: FeedForward) -> Wall<T> {
+    Wall {
+        surface,
+        stiffness: T::from_f64(100.0),
+        damping: T::zero(),
+        feed_forward,
+        washout_hz: T::from_f64(2.0),
+        damping_compensation: false,
+        bilateral: true,
+    }
+}
+
+fn controller<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
+    mechanism: M,
+    device: &Description,
+    walls: &[Wall<T>],
+) -> Controller<T, M, K, N> {
+    let scene = Scene {
+        task: M::SPEC.task as u8,
+        rate_hz: T::from_f64(RATE),
+        cutoff_hz: T::from_f64(100.0),
+        walls: walls.iter().copied().collect(),
+        ..Scene::default()
+    };
+    let device = Device::new("device", device).expect("a sound device");
+    Controller::new(mechanism, &device, &scene, MassModel::Exact).expect("a sound scene")
+}
+
+/// x with A x = y, by elimination.
+fn solve<const N: usize>(matrix: nalgebra::SMatrix<f64, N, N>, mut right: SVector<f64, N>) -> SVector<f64, N> {
+    let mut a = matrix;
+    for k in 0..N {
+        for i in k + 1..N {
+            let factor = a[(i, k)] / a[(k, k)];
+            for j in k..N {
+                a[(i, j)] -= factor * a[(k, j)];
+            }
+            right[i] -= factor * right[k];
+        }
+    }
+    for k in (0..N).rev() {
+        for j in k + 1..N {
+            right[k] -= a[(k, j)] * right[j];
+        }
+        right[k] /= a[(k, k)];
+    }
+    right
+}
+
+/// What the tip does under the torques of a step that follows a steady motion through `q` at `qd`.
+struct Outcome<const N: usize> {
+    place: SVector<f64, N>,
+    velocity: SVector<f64, N>,
+    acceleration: SVector<f64, N>,
+    force: f64,
+}
+
+fn outcome<M: Mechanism<f64, N>, const N: usize>(
+    m: M,
+    device: &Description,
+    walls: &[Wall<f64>],
+    q: &SVector<f64, N>,
+    qd: &SVector<f64, N>,
+) -> Outcome<N> {
+    let mut controller = controller::<f64, Libm, M, N>(m, device, walls);
+    // Steadily through the pose, long enough for the joint filters to know the velocity; they lag behind angles, not rates.
+    let last = (-60..=0).map(|k| controller.step(&counts(&(q + qd * (f64::from(k) / RATE))))).last();
+    let step = last.expect("there are steps");
+    let pose = m.pose::<Libm>(q);
+    let bias = m.coriolis(&pose, qd) + m.gravity(&pose);
+    let qdd = solve(m.mass(&pose), step.torque - bias);
+    Outcome {
+        place: m.tip(&pose),
+        velocity: m.velocity(&pose, qd),
+        acceleration: m.jacobian(&pose) * qdd + m.jacobian_rate(&pose, qd) * qd,
+        force: step.wall_force,
+    }
+}
+
+/// Where centres of round walls lie from the tip, m.
+const HERE: [f64; 3] = [0.03, -0.04, 0.02];
+const THERE: [f64; 3] = [0.04, 0.04, -0.01];
+
+/// A sphere or cylinder whose surface passes near `place`, seen from outside or inside.
+fn round<const N: usize>(place: &SVector<f64, N>, offset: [f64; 3], shape: u8, task: usize) -> Surface<f64> {
+    let point = core::array::from_fn(|i| if i < task.min(N) { place[i] + offset[i] } else { 0.0 });
+    let radius = 0.06;
+    match shape {
+        0 => Surface::Sphere(Sphere { center: point, radius, inside: false }),
+        1 => Surface::Sphere(Sphere { center: point, radius, inside: true }),
+        _ => Surface::Cylinder(Cylinder { point, axis: [0.36, 0.48, 0.8], radius, inside: shape == 3 }),
+    }
+}
+
+fn flat(task: usize) -> Surface<f64> {
+    let normal = if task == 2 { [0.8, 0.6, 0.0] } else { [0.36, 0.48, 0.8] };
+    Surface::Plane(Plane { point: [0.0; 3], normal })
+}
+
+fn point<const N: usize>(v: &SVector<f64, N>, task: usize) -> SVector<f64, N> {
+    SVector::from_fn(|i, _| if i < task { v[i] } else { 0.0 })
+}
+
+/// Unit vectors across `normal` (and the axes beyond the task), one by one.
+fn across<const N: usize>(normal: &SVector<f64, N>) -> Vec<SVector<f64, N>> {
+    let mut found: Vec<SVector<f64, N>> = vec![*normal];
+    for i in 0..N {
+        let mut v = SVector::<f64, N>::zeros();
+        v[i] = 1.0;
+        for unit in &found {
+            v -= unit * unit.dot(&v);
+        }
+        if v.norm() > 0.3 {
+            found.push(v.normalize());
+        }
+    }
+    found.split_off(1)
+}
+
+fn one_wall<M: Mechanism<f64, N>, const N: usize>(m: M, device: &Description, q: &[f64], qd: &[f64]) {
+    let task = M::SPEC.task;
+    let (q, qd) = (SVector::<f64, N>::from_column_slice(q), SVector::<f64, N>::from_column_slice(qd));
+    let place = m.tip(&m.pose::<Libm>(&q));
+    let shapes = if task == 3 { 0..5 } else { 0..3 };
+    for shape in shapes {
+        let surface = if shape == 0 { flat(task) } else { round(&place, HERE, shape - 1, task) };
+        let o = outcome(m, device, &[wall(surface, FeedForward::Full)], &q, &qd);
+        let (p, v) = (point(&o.place, task), point(&o.velocity, task));
+        let n = surface.contact::<Libm, N>(&p).normal;
+        let n_rate = surface.normal_rate::<Libm, N>(&p, &v);
+        assert!(o.force.abs() > 0.1 && v.norm() > 0.1, "{} N at {} m/s", o.force, v.norm());
+        assert!(shape == 0 || n_rate.norm() > 0.5, "the normal turns: {n_rate}");
+        for t in across(&n) {
+            // π̇a = t·p̈ + ṫ·ṗ, and t turns with n without spinning about it.
+            let admissible = t.dot(&o.acceleration) - t.dot(&n_rate) * n.dot(&v);
+            assert!(admissible.abs() < 2e-3, "{} shape {shape}: {admissible} m/s²", M::SPEC.name);
+        }
+        assert!(n.dot(&o.acceleration).abs() > 0.5, "the wall accelerates the tip");
+    }
+}
+
+#[test]
+fn at_flat_and_curved_walls_nothing_but_the_normal_accelerates() {
+    let device = shipped("haply-2diy");
+    with_five_bar(&device, |m| one_wall(m, &device, &[2.4, 0.7], &[1.5, -1.1]));
+    for (file, q, qd) in [
+        ("fictive-five-bar-turret", [0.3, 2.4, 1.1], [2.0, -1.0, 0.8]),
+        ("phantom-premium-1.5", [0.3, 0.9, -0.3], [1.5, -0.7, 1.2]),
+        ("serial-3r", [0.4, 0.9, 0.7], [1.0, -0.8, 1.3]),
+    ] {
+        let device = shipped(file);
+        match AnyMechanism::<f64>::new(&device).expect("a sound device") {
+            AnyMechanism::FiveBarTurret(m) => one_wall(m, &device, &q, &qd),
+            AnyMechanism::Parallelogram(m) => one_wall(m, &device, &q, &qd),
+            AnyMechanism::Serial3r(m) => one_wall(m, &device, &q, &qd),
+            other => panic!("{other:?} has not three joints"),
+        }
+    }
+}
+
+fn with_five_bar(device: &Description, f: impl Fn(haptic_bridge::mechanism::FiveBar<f64>)) {
+    let Ok(AnyMechanism::FiveBar(m)) = AnyMechanism::<f64>::new(device) else { panic!("a sound five-bar") };
+    f(m);
+}
+
+fn cross(a: &SVector<f64, 3>, b: &SVector<f64, 3>) -> SVector<f64, 3> {
+    a.cross(b)
+}
+
+/// A flat and a round wall, and two round ones: what is left is the line along both.
+fn edge<M: Mechanism<f64, 3>>(m: M, device: &Description, q: [f64; 3], qd: [f64; 3]) {
+    let (q, qd) = (SVector::from(q), SVector::from(qd));
+    let place = m.tip(&m.pose::<Libm>(&q));
+    for pair in [[flat(3), round(&place, HERE, 0, 3)], [round(&place, HERE, 1, 3), round(&place, THERE, 2, 3)]] {
+        let walls = pair.map(|surface| wall(surface, FeedForward::Full));
+        let o = outcome(m, device, &walls, &q, &qd);
+        let n = pair.map(|surface| surface.contact::<Libm, 3>(&o.place).normal);
+        let rate = pair.map(|surface| surface.normal_rate::<Libm, 3>(&o.place, &o.velocity));
+        // The line t = n₁ x n₂ / |n₁ x n₂| and its rate by the product rule.
+        let line = cross(&n[0], &n[1]);
+        let length = line.norm();
+        assert!(length > 0.2, "the walls cross");
+        let t = line / length;
+        let line_rate = cross(&rate[0], &n[1]) + cross(&n[0], &rate[1]);
+        let t_rate = (line_rate - t * t.dot(&line_rate)) / length;
+        let admissible = t.dot(&o.acceleration) + t_rate.dot(&o.velocity);
+        assert!(admissible.abs() < 2e-3, "{}: {admissible} m/s²", M::SPEC.name);
+        assert!(o.acceleration.norm() > 0.5, "the walls accelerate the tip");
+    }
+}
+
+#[test]
+fn along_an_edge_of_flat_and_curved_walls_nothing_accelerates() {
+    let device = shipped("fictive-five-bar-turret");
+    let Ok(AnyMechanism::FiveBarTurret(m)) = AnyMechanism::new(&device) else { panic!("a turreted five-bar") };
+    edge(m, &device, [0.3, 2.4, 1.1], [2.0, -1.0, 0.8]);
+    let device = shipped("phantom-premium-1.5");
+    let Ok(AnyMechanism::Parallelogram(m)) = AnyMechanism::new(&device) else { panic!("a parallelogram") };
+    edge(m, &device, [0.3, 0.9, -0.3], [1.5, -0.7, 1.2]);
+}
+
+/// The sideways force (N per N of wall force) of the board's torques at rest, so many seconds after contact.
+fn sideways<A, B, const N: usize>(
+    double: A,
+    board: B,
+    device: &Description,
+    q: &SVector<f64, N>,
+    n: &SVector<f64, N>,
+    feed_forward: FeedForward,
+    seconds: f64,
+) -> f64
+where
+    A: Mechanism<f64, N>,
+    B: Mechanism<f32, N>,
+{
+    let pose = double.pose::<Libm>(q);
+    let tip = point(&double.tip(&pose), A::SPEC.task) + n * 0.01;
+    let three = |v: &SVector<f64, N>| core::array::from_fn(|i| if i < A::SPEC.task { v[i] as f32 } else { 0.0 });
+    let mut plane = wall(Surface::Plane(Plane { point: three(&tip), normal: three(n) }), feed_forward);
+    plane.bilateral = false;
+    let mut controller = controller::<f32, Minimax, B, N>(board, device, &[plane]);
+    let mut step = controller.step(&counts(q));
+    for _ in 0..(seconds * RATE) as u32 {
+        step = controller.step(&counts(q));
+    }
+    let torque = step.torque.map(f64::from) - double.gravity(&pose);
+    let force = double.jacobian_inverse(&pose).tr_mul(&torque);
+    (force - n * n.dot(&force)).norm() / f64::from(step.wall_force)
+}
+
+#[test]
+fn a_hand_that_rests_on_a_wall_feels_no_sideways_force_with_the_washout() {
+    let device = shipped("phantom-premium-1.5");
+    let Ok(AnyMechanism::Parallelogram(double)) = AnyMechanism::<f64>::new(&device) else { panic!("a parallelogram") };
+    let Ok(AnyMechanism::Parallelogram(board)) = AnyMechanism::<f32>::new(&device) else { panic!("a parallelogram") };
+    let q = SVector::from([0.3, 0.9, -0.3]);
+    let mut worst_full = 0.0_f64;
+    for k in 0..24 {
+        let angle = f64::from(k) / 24.0 * std::f64::consts::TAU;
+        let n = SVector::from([0.8 * angle.cos(), angle.sin(), 0.6 * angle.cos()]);
+        let felt = |feed_forward, seconds| sideways(double, board, &device, &q, &n, feed_forward, seconds);
+        let (full, fresh) = (felt(FeedForward::Full, 3.0), felt(FeedForward::Washout, 0.0));
+        let (early, rested) = (felt(FeedForward::Washout, 0.01), felt(FeedForward::Washout, 3.0));
+        worst_full = worst_full.max(full);
+        // At contact the washout shapes like the full feed-forward, ten milliseconds later nearly so, and then it leaves.
+        assert!((fresh - full).abs() <= 0.02 * full + 1e-4, "{fresh} at contact, {full} in full");
+        assert!(early <= full + 1e-4 && early >= 0.8 * full - 1e-4, "{early} after 10 ms, {full} in full");
+        assert!(rested < 1e-4, "{rested} N per N at rest");
+        assert!(felt(FeedForward::Off, 0.0) < 1e-4);
+    }
+    assert!(worst_full > 0.2, "in full it pushes sideways at rest: {worst_full}");
+}
+
+#[test]
+fn a_wall_never_pulls() {
+    for file in ["hapkit-paddle", "haply-2diy", "fictive-five-bar-turret", "phantom-premium-1.5", "serial-3r"] {
+        let device = shipped(file);
+        let mechanism = AnyMechanism::<f32>::new(&device).expect("a sound device");
+        with_mechanism!(mechanism, m => shaken(m, &device));
+    }
+}
+
+/// A tip that is shaken in and out of a damped wall, and the force it feels.
+fn shaken<M: Mechanism<f32, N>, const N: usize>(m: M, device: &Description) {
+    let home = device.home.expect("shipped devices have a home");
+    let home = SVector::<f64, N>::from_fn(|i, _| home[i]);
+    let task = M::SPEC.task;
+    let tip = m.tip(&m.pose::<Minimax>(&home.map(|x| x as f32)));
+    let normal = match task {
+        1 => [1.0, 0.0, 0.0],
+        2 => [0.8, 0.6, 0.0],
+        _ => [0.36, 0.48, 0.8],
+    };
+    let at = core::array::from_fn(|i| if i < task { tip[i] } else { 0.0 });
+    for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
+        let mut wall = wall(Surface::Plane(Plane { point: at, normal }), feed_forward);
+        wall.damping = 50.0;
+        wall.bilateral = false;
+        let mut controller = controller::<f32, Minimax, M, N>(m, device, &[wall]);
+        let (mut touched, mut leaving) = (false, false);
+        for k in 0..4_000 {
+            let t = f64::from(k) / RATE;
+            let q = home.map(|x| x + 0.05 * (31.0 * t).sin() + 0.03 * (83.0 * t).cos());
+            let step = controller.step(&counts(&q));
+            assert!(step.wall_force >= 0.0, "{step:?}");
+            touched |= step.wall_force > 0.0;
+            // Inside, and leaving so fast that damping would pull.
+            let unclamped = -100.0 * step.distance - 50.0 * step.normal_velocity;
+            if step.distance < 0.0 && unclamped < 0.0 {
+                leaving = true;
+                assert_eq!(step.wall_force, 0.0);
+            }
+        }
+        assert!(touched && leaving, "{}: the wall is hit and left", M::SPEC.name);
+    }
+}
