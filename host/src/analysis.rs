@@ -6,7 +6,7 @@
 //! - [`passivity`]: the classical bounds of walls that no hand can make oscillate
 //! - [`plant`]: the device linearised at a pose, its joint damping and its drives, in continuous time
 //! - [`sampled`]: zero-order hold, fractional delay, velocity estimator and feed-forward around it, in delta form
-//! - [`spectrum`]: the small dense linear algebra this needs (matrix exponential, resolvent, eigenvalues)
+//! - [`spectrum`]: the small dense linear algebra this needs (matrix exponential, resolvent, growth), with its own eigenvalue iteration
 //! - [`boundary`]: the stiffness at which a mode leaves the unit circle, and every other stable interval
 //! - [`pose`]: from a device description and joint angles to the matrices all of this works on
 //! - [`range`]: boundary, area and islands of one device: what `haptic range` prints
@@ -15,6 +15,7 @@
 //! as in Åström and Wittenmark, *Computer-Controlled Systems*, chapters 2 and 3.
 
 pub mod boundary;
+mod eigenvalues;
 pub mod map;
 pub mod passivity;
 pub mod plant;

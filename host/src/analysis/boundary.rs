@@ -247,3 +247,89 @@ fn stable_between(
     }
     Ok(stable)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::analysis::plant::{Drive, Linearised, MotorElectrics};
+    use crate::analysis::sampled::{Estimator, FeedForward, Loop};
+    use crate::sim::Random;
+    use nalgebra::{DMatrix, DVector};
+
+    /// A device of random inertia, damping (sometimes none, sometimes on some joints only) and direction.
+    fn random_device(random: &mut Random, joints: usize) -> Linearised {
+        let factor = DMatrix::from_fn(joints, joints, |_, _| random.between(-1.0, 1.0));
+        let mass = (&factor * factor.transpose() + DMatrix::identity(joints, joints) * 0.05) * 1e-3;
+        let jacobian = DMatrix::from_fn(joints, joints, |i, j| {
+            if i == j { random.between(0.05, 0.2) } else { random.between(-0.05, 0.05) }
+        });
+        let n = DVector::from_fn(joints, |_, _| random.between(-1.0, 1.0)).normalize();
+        let scale = 10f64.powf(random.between(-5.0, -1.5));
+        let viscous = DVector::from_fn(joints, |_, _| {
+            if random.between(0.0, 1.0) < 0.25 { 0.0 } else { scale * random.between(0.1, 1.0) }
+        });
+        Linearised { row: jacobian.tr_mul(&n), unit_motion: jacobian.try_inverse().unwrap() * n, mass, viscous }
+    }
+
+    fn random_loop(random: &mut Random, joints: usize) -> Loop {
+        let rate_hz = 10f64.powf(random.between(200f64.log10(), 50_000f64.log10()));
+        let cutoff = 10f64.powf(random.between(1.0, (0.4 * rate_hz).log10()));
+        let estimator = match random.between(0.0, 4.0) as u32 {
+            0 => Estimator::FirstOrder(cutoff),
+            1 => Estimator::BackwardDifference,
+            _ => Estimator::Butterworth(cutoff),
+        };
+        let drive = match random.between(0.0, 4.0) as u32 {
+            0 => Drive::Current { bandwidth_hz: random.between(200.0, 3000.0) },
+            1 => {
+                let inductance = if random.between(0.0, 1.0) < 0.5 { 0.0 } else { 1e-4 };
+                let motor = MotorElectrics { torque_constant: 0.1, back_emf: 0.1, resistance: 2.0, inductance };
+                Drive::Voltage(vec![motor; joints])
+            }
+            _ => Drive::Ideal,
+        };
+        let delay_samples = [0.0, 0.5, 1.0, 1.37, 3.0][random.between(0.0, 4.99) as usize];
+        let damping_compensation = random.between(0.0, 1.0) < 0.2;
+        Loop { rate_hz, delay_samples, estimator, drive, damping_compensation }
+    }
+
+    #[test]
+    fn everything_below_the_boundary_is_stable_and_nothing_just_above() {
+        let mut random = Random::new(7);
+        let mut stable_somewhere = 0;
+        for case in 0..300 {
+            let joints = 1 + case % 3;
+            let device = random_device(&mut random, joints);
+            let around = random_loop(&mut random, joints);
+            let mode = [FeedForward::Off, FeedForward::Full, FeedForward::Washout(2.0)][(case / 3) % 3];
+            let open = OpenLoop::new(&device, &around, mode).unwrap();
+            let mut circle = Circle::new(&open, around.delay_samples);
+            let support = circle.damping_intervals().unwrap();
+            for interval in &support {
+                for share in [0.03, 0.3, 0.6, 0.9] {
+                    let kd = interval.low + share * (interval.high - interval.low);
+                    let stable = circle.stiffness_intervals(kd).unwrap();
+                    let Some(first) = stable.first().filter(|s| s.low <= SMALLEST_STIFFNESS) else {
+                        panic!("case {case}: {mode:?} {around:?}: kd {kd} lies in the support and is not stable");
+                    };
+                    stable_somewhere += 1;
+                    for i in 0..40 {
+                        let kp =
+                            SMALLEST_STIFFNESS * (first.high * 0.999 / SMALLEST_STIFFNESS).powf(f64::from(i) / 39.0);
+                        assert!(
+                            open.is_stable(kp, kd),
+                            "case {case}: {mode:?} {around:?}: unstable at {kp} of {first:?}, kd {kd}"
+                        );
+                    }
+                    let above = first.high * 1.001;
+                    let joined = stable.iter().skip(1).any(|s| s.low <= above);
+                    assert!(
+                        joined || !open.is_stable(above, kd),
+                        "case {case}: {mode:?} {around:?}: stable above {first:?}, kd {kd}"
+                    );
+                }
+            }
+        }
+        assert!(stable_somewhere > 600, "{stable_somewhere}");
+    }
+}

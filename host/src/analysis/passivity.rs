@@ -73,7 +73,8 @@ mod tests {
     fn a_paddle_has_the_textbook_bounds() {
         let file = DeviceFile::parse(
             "name = \"p\"\nmechanism = \"paddle\"\ngravity = [0.0]\n[geometry]\nlength = 0.1\n[[joint]]\ninertia = 1e-3\n\
-             viscous = 2e-3\ncoulomb = 5e-3\n[joint.encoder]\ncounts_per_turn = 62831.853071795864\n",
+             viscous = 2e-3\ncoulomb = 5e-3\n[joint.encoder]\ncounts_per_turn = 62831.853071795864\n\
+             offset = 0.0\ninverted = false\n",
             "p.toml",
         )
         .unwrap();
