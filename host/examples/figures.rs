@@ -55,8 +55,8 @@ const CASES: [Case; 7] = [
     Case { name: "range-10khz", rate_hz: 10_000.0, cutoff_hz: 200.0, world: World::Ideal },
     Case { name: "range-20khz", rate_hz: 20_000.0, cutoff_hz: 500.0, world: World::Ideal },
     Case { name: "range-50khz", rate_hz: 50_000.0, cutoff_hz: 1000.0, world: World::Ideal },
-    Case { name: "range-20khz-friction", rate_hz: 20_000.0, cutoff_hz: 500.0, world: World::Real },
-    Case { name: "range-20khz-hand", rate_hz: 20_000.0, cutoff_hz: 500.0, world: World::Held },
+    Case { name: "range-200hz-friction", rate_hz: 200.0, cutoff_hz: 20.0, world: World::Real },
+    Case { name: "range-200hz-hand", rate_hz: 200.0, cutoff_hz: 20.0, world: World::Held },
 ];
 
 /// Devices and normals of the maps.
@@ -133,7 +133,7 @@ fn measured(case: &Case) -> Result<Outcome, Box<dyn std::error::Error>> {
         friction: !ideal,
         start: Some(POSE),
         // The torque is held for a whole control period, so slow loops need no fine steps.
-        substep: if ideal { (0.01 / case.rate_hz).clamp(2e-6, 2.5e-5) } else { 5e-6 },
+        substep: (0.01 / case.rate_hz).clamp(2e-6, 2.5e-5),
         ..Options::default()
     };
     let drive = if ideal { DriveModel::Ideal } else { DriveModel::Electric };
@@ -152,7 +152,7 @@ fn measured(case: &Case) -> Result<Outcome, Box<dyn std::error::Error>> {
         cutoff_hz: case.cutoff_hz,
         washout_hz: 2.0,
         torque_limit: 2.0,
-        largest_pull: if ideal { 3e-4 } else { 1e-3 },
+        largest_pull: if ideal { 3e-4 } else { 2e-3 },
     };
     let plan = Plan { modes: vec![Mode::Off, Mode::Full], kd: None, points: POINTS, repeats: REPEATS };
     let mut progress = Progress::new(case.name);

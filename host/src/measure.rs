@@ -202,7 +202,9 @@ impl<'a> Bench<'a> {
         strength: f64,
     ) -> Result<bool, MeasureError> {
         let hardest = kp.max(kd * self.hold_frequency).max(self.gentle_stiffness());
-        let pull = strength * self.setup.largest_pull.min(0.15 * self.force_limit / hardest);
+        // Less than a few encoder steps would be no excitation; the motors then saturate, within the torque limit.
+        let pull = self.setup.largest_pull.min(0.15 * self.force_limit / hardest).max(6.0 * self.quantum);
+        let pull = strength * pull.min(0.5 * APART);
         let mut trips = 0;
         loop {
             match self.swing_from_rest(feed_forward, pull) {
