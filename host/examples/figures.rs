@@ -224,9 +224,17 @@ fn deviation(points: &[&Point], domain: &Domain) -> f64 {
 
 fn heading() -> String {
     let mut text = String::from(
-        "Deviation: the largest distance of a measured median from the line, in percent of the line's highest point.\n",
+        "Regenerate with `cargo run --release -p haptic --example figures`. The device is the shipped coupled-five-bar at\n\
+         q = (2.6, 1.75) rad, the wall along the normal of the largest Wrr/Weff there. Lines are the linear theory of\n\
+         `haptic range` with the board's own delay; dots are what `haptic measure-range` does, through the protocol of a\n\
+         simulated board: the median of 5 repeats at 12 dampings, bars from the lowest to the highest repeat.\n\n\
+         Deviation: the largest distance of a measured median from the line, in percent of the line's highest point. Area\n\
+         ratio: with the feed-forward over without. (Wrr/Weff)² is what an undamped device gains.\n\n\
+         The ideal cases hold the theory to account: no friction, no hand, torque at once, fine encoders. The others are no\n\
+         test of it: Coulomb friction takes energy out of every small swing, so a loop that the theory calls unstable still\n\
+         comes to rest, and the measured boundary lies above the line, more so where the swing is small. A hand adds its own\n\
+         mass and damping. Encoder steps and the torque limit end the growth of what does oscillate.\n\n",
     );
-    text.push_str("Area ratio: with the feed-forward over without; the last column is (Wrr/Weff)², what an undamped device gains.\n\n");
     text.push_str("| case | deviation off | deviation full | area ratio predicted | measured | (Wrr/Weff)² |\n");
     text.push_str("|---|---|---|---|---|---|\n");
     text
