@@ -223,6 +223,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// The run-time form of `scene` on this mechanism. Designs the filters, so not for use inside the step.
     ///
     /// Errors: whatever [`Scene::check`] finds.
+    #[inline(never)]
     pub fn new(mechanism: M, device: &Device<T>, scene: &Scene<T>, mass: MassModel<T, N>) -> Result<Self, SceneError> {
         let (coefficients, walls) = prepare(scene, M::SPEC.task)?;
         Ok(Self {
