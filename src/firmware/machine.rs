@@ -167,7 +167,8 @@ impl Described for Panel {
     }
 
     fn details(&mut self) -> Details {
-        let late = servo::LATE.load(Ordering::Relaxed) > 0;
+        // A few late steps (a new program, a change of gains) are no delay; many are.
+        let late = servo::LATE.load(Ordering::Relaxed) > servo::STEPS.load(Ordering::Relaxed) / 100;
         let delay = self.carrier.delay_samples();
         Details {
             name: String::new(),

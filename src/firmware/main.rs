@@ -40,6 +40,11 @@ async fn main(spawner: Spawner) {
     faults::enter_boot_loader_if_requested();
     let start = faults::take();
     critical::lower_all();
+    if let Some(mut core) = cortex_m::Peripherals::take() {
+        // The cycle counter times the control interrupt.
+        core.DCB.enable_trace();
+        core.DWT.enable_cycle_counter();
+    }
     let chip = embassy_stm32::init(clock::config());
     freeze_carriers_when_halted();
     defmt::info!(

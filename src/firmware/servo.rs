@@ -70,7 +70,7 @@ pub static FRAMES_DROPPED: AtomicU32 = AtomicU32::new(0);
 pub static OVERRUNS: AtomicU32 = AtomicU32::new(0);
 /// Steps that reached past the valley, where their duty should have applied.
 pub static LATE: AtomicU32 = AtomicU32::new(0);
-/// Longest run of the interrupt, core cycles.
+/// Longest run of the interrupt without a request, core cycles.
 pub static LONGEST_CYCLES: AtomicU32 = AtomicU32::new(0);
 /// The gate drivers are up and set: the bridges may be connected, and while they are not, no current flows.
 pub static GATE_READY: AtomicBool = AtomicBool::new(false);
@@ -134,17 +134,20 @@ fn TIM1_UP_TIM10() {
     }
     // SAFETY: this interrupt is the only user since `start` enabled it, and it does not preempt itself.
     let Some(step) = (unsafe { (*STEP.0.get()).as_mut() }) else { return };
-    step.crest();
-    step.keep_time(DWT::cycle_count().wrapping_sub(began));
+    let asked = step.crest();
+    step.keep_time(DWT::cycle_count().wrapping_sub(began), asked);
 }
 
 impl Step {
+    /// Everything there is to do at a crest; whether a request was among it.
     #[inline(always)]
-    fn crest(&mut self) {
+    fn crest(&mut self) -> bool {
         // While the gate drivers are up and the bridges are not connected, what the amplifiers show is their offset.
         let learn = !self.driving && GATE_READY.load(Ordering::Relaxed);
         let analog = self.io.analog(learn);
-        if let Some(request) = self.requests.dequeue() {
+        let request = self.requests.dequeue();
+        let asked = request.is_some();
+        if let Some(request) = request {
             self.take(request);
         }
         self.countdown -= 1;
@@ -165,6 +168,7 @@ impl Step {
         }
         let duties = board_step::duties(&mut self.servo, analog.bus_v, &padded(analog.current_a));
         self.io.write(core::array::from_fn(|axis| duties[axis]));
+        asked
     }
 
     /// Carries out one request and answers it. Not inlined: it is rare, and would only lengthen the way to the step. The queue of answers has room: there is one answer to a request, and one
@@ -234,11 +238,11 @@ impl Step {
 
     /// Counts runs that took too long: past the valley, or past the next crest.
     #[inline(always)]
-    fn keep_time(&mut self, cycles: u32) {
+    fn keep_time(&mut self, cycles: u32, asked: bool) {
         if STALL_EXPECTED.load(Ordering::Relaxed) {
             return;
         }
-        if cycles > LONGEST_CYCLES.load(Ordering::Relaxed) {
+        if !asked && cycles > LONGEST_CYCLES.load(Ordering::Relaxed) {
             LONGEST_CYCLES.store(cycles, Ordering::Relaxed);
         }
         let valley_passed = pac::TIM1.sr().read().uif();
