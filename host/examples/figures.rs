@@ -16,9 +16,7 @@ use haptic::measure::campaign::{self, Plan};
 use haptic::measure::progress::{Mode, Point, Progress};
 use haptic::measure::{Bench, Setup};
 use haptic::plot::range::{Contents, MeasuredPoint, draw};
-use haptic::sim::{
-    BoardOptions, DriveModel, Hand, HandSettings, Intent, Options, SHIPPED_DEVICE, SharedBoard, Waypoint,
-};
+use haptic::sim::{BoardOptions, DriveModel, Options, SHIPPED_DEVICE, SharedBoard};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -31,32 +29,18 @@ const REPEATS: usize = 5;
 const BEGIN: &str = "<!-- impedance range: begin, written by host/examples/figures.rs -->";
 const END: &str = "<!-- impedance range: end -->";
 
-/// What the simulated device is like.
-#[derive(Clone, Copy, PartialEq)]
-enum World {
-    /// No friction, torque at once, fine encoders: what the linear theory is about.
-    Ideal,
-    /// The device file's friction and encoders, bridges, windings and current loop.
-    Real,
-    /// The same with a hand holding the tip.
-    Held,
-}
-
 struct Case {
     name: &'static str,
     rate_hz: f64,
     cutoff_hz: f64,
-    world: World,
 }
 
-const CASES: [Case; 7] = [
-    Case { name: "range-200hz", rate_hz: 200.0, cutoff_hz: 20.0, world: World::Ideal },
-    Case { name: "range-1khz", rate_hz: 1000.0, cutoff_hz: 20.0, world: World::Ideal },
-    Case { name: "range-10khz", rate_hz: 10_000.0, cutoff_hz: 200.0, world: World::Ideal },
-    Case { name: "range-20khz", rate_hz: 20_000.0, cutoff_hz: 500.0, world: World::Ideal },
-    Case { name: "range-50khz", rate_hz: 50_000.0, cutoff_hz: 1000.0, world: World::Ideal },
-    Case { name: "range-200hz-friction", rate_hz: 200.0, cutoff_hz: 20.0, world: World::Real },
-    Case { name: "range-200hz-hand", rate_hz: 200.0, cutoff_hz: 20.0, world: World::Held },
+const CASES: [Case; 5] = [
+    Case { name: "range-200hz", rate_hz: 200.0, cutoff_hz: 20.0 },
+    Case { name: "range-1khz", rate_hz: 1000.0, cutoff_hz: 20.0 },
+    Case { name: "range-10khz", rate_hz: 10_000.0, cutoff_hz: 200.0 },
+    Case { name: "range-20khz", rate_hz: 20_000.0, cutoff_hz: 500.0 },
+    Case { name: "range-50khz", rate_hz: 50_000.0, cutoff_hz: 1000.0 },
 ];
 
 /// Devices and normals of the maps.
@@ -104,15 +88,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-fn device(world: World) -> Result<DeviceFile, Box<dyn std::error::Error>> {
+/// The shipped device without friction and with fine encoders: what the linear theory is about.
+fn device() -> Result<DeviceFile, Box<dyn std::error::Error>> {
     let mut file = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml")?;
-    if world == World::Ideal {
-        for joint in &mut file.description.joints[..2] {
-            joint.viscous = 0.0;
-            joint.coulomb = 0.0;
-            if let Some(encoder) = &mut joint.encoder {
-                encoder.counts_per_turn = f64::from(1 << 23);
-            }
+    for joint in &mut file.description.joints[..2] {
+        joint.viscous = 0.0;
+        joint.coulomb = 0.0;
+        if let Some(encoder) = &mut joint.encoder {
+            encoder.counts_per_turn = f64::from(1 << 23);
         }
     }
     Ok(file)
@@ -126,25 +109,17 @@ fn worst_normal(file: &DeviceFile) -> Result<Vec<f64>, Box<dyn std::error::Error
 }
 
 fn measured(case: &Case) -> Result<Outcome, Box<dyn std::error::Error>> {
-    let file = device(case.world)?;
+    let file = device()?;
     let normal = worst_normal(&file)?;
-    let ideal = case.world == World::Ideal;
     let options = Options {
-        friction: !ideal,
+        friction: false,
         start: Some(POSE),
         // The torque is held for a whole control period, so slow loops need no fine steps.
         substep: (0.01 / case.rate_hz).clamp(2e-6, 2.5e-5),
         ..Options::default()
     };
-    let drive = if ideal { DriveModel::Ideal } else { DriveModel::Electric };
-    let board_options = BoardOptions { device: options, drive, ..BoardOptions::default() };
+    let board_options = BoardOptions { device: options, drive: DriveModel::Ideal, ..BoardOptions::default() };
     let shared = SharedBoard::new(haptic::sim::ready_board(&file, board_options)?);
-    if case.world == World::Held {
-        let mut simulated = shared.lock();
-        let (tip, now) = (simulated.device().tip(), simulated.time());
-        let stay = Intent::Follow(vec![Waypoint { time: 0.0, value: tip }]);
-        simulated.device_mut().set_hand(Hand::new(HandSettings::default(), stay, tip, now));
-    }
     let mut board = Board::over(shared.wire(), "sim")?;
     let setup = Setup {
         normal: normal.clone(),
@@ -152,7 +127,7 @@ fn measured(case: &Case) -> Result<Outcome, Box<dyn std::error::Error>> {
         cutoff_hz: case.cutoff_hz,
         washout_hz: 2.0,
         torque_limit: 2.0,
-        largest_pull: if ideal { 3e-4 } else { 2e-3 },
+        largest_pull: 3e-4,
     };
     let plan = Plan { modes: vec![Mode::Off, Mode::Full], kd: None, points: POINTS, repeats: REPEATS };
     let mut progress = Progress::new(case.name);
@@ -185,14 +160,12 @@ fn dots(points: &[&Point]) -> Vec<MeasuredPoint> {
 
 fn drawn(case: &Case, outcome: &Outcome) -> haptic::plot::Picture {
     let (off, full) = (outcome.progress.of(Mode::Off), outcome.progress.of(Mode::Full));
-    let world = match case.world {
-        World::Ideal => "simulated board; no friction, no hand, ideal drive",
-        World::Real => "simulated board; friction, 20000-count encoders, current loop and bridges, no hand",
-        World::Held => "simulated board; friction, 20000-count encoders, current loop and bridges, held by a hand",
-    };
     draw(&Contents {
         title: format!("coupled-five-bar at {} Hz, cutoff {} Hz", case.rate_hz, case.cutoff_hz),
-        subtitle: ["lines: linear theory; dots: measured through the protocol".into(), world.into()],
+        subtitle: [
+            "lines: linear theory; dots: measured through the protocol".into(),
+            "simulated board; no friction, no hand, ideal drive".into(),
+        ],
         range: &outcome.range,
         passivity: None,
         measured_off: &dots(&off),
@@ -230,10 +203,7 @@ fn heading() -> String {
          simulated board: the median of 5 repeats at 12 dampings, bars from the lowest to the highest repeat.\n\n\
          Deviation: the largest distance of a measured median from the line, in percent of the line's highest point. Area\n\
          ratio: with the feed-forward over without. (Wrr/Weff)² is what an undamped device gains.\n\n\
-         The ideal cases hold the theory to account: no friction, no hand, torque at once, fine encoders. The others are no\n\
-         test of it: Coulomb friction takes energy out of every small swing, so a loop that the theory calls unstable still\n\
-         comes to rest, and the measured boundary lies above the line, more so where the swing is small. A hand adds its own\n\
-         mass and damping. Encoder steps and the torque limit end the growth of what does oscillate.\n\n",
+         These cases hold the theory to account: no friction, no hand, torque at once, fine encoders.\n\n",
     );
     text.push_str("| case | deviation off | deviation full | area ratio predicted | measured | (Wrr/Weff)² |\n");
     text.push_str("|---|---|---|---|---|---|\n");
@@ -242,13 +212,8 @@ fn heading() -> String {
 
 fn row(case: &Case, outcome: &Outcome) -> String {
     let (progress, range) = (&outcome.progress, &outcome.range);
-    let world = match case.world {
-        World::Ideal => "ideal",
-        World::Real => "friction, encoders, drive",
-        World::Held => "the same, held by a hand",
-    };
     format!(
-        "| {} Hz, cutoff {} Hz, {world} | {:.2} % | {:.2} % | {:.3} | {:.3} | {:.3} |",
+        "| {} Hz, cutoff {} Hz | {:.2} % | {:.2} % | {:.3} | {:.3} | {:.3} |",
         case.rate_hz,
         case.cutoff_hz,
         100.0 * deviation(&progress.of(Mode::Off), &range.off),
