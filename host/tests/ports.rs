@@ -1,9 +1,12 @@
 //! Boards behind real ports: a pseudo-terminal and TCP, a second tool, a board that goes away.
 
 use haptic::device_file::DeviceFile;
-use haptic::link::{Board, LinkError, PortSpec, fields};
+use haptic::link::{Board, Deframer, LinkError, PortSpec, Wire, encode, fields};
 use haptic::sim::server::{Door, Pace, serve, tcp};
 use haptic::sim::{BoardOptions, SHIPPED_DEVICE, ready_board};
+use haptic_bridge::protocol::{GetInfo, Info, PROTOCOL};
+use postcard_rpc::Endpoint;
+use postcard_rpc::header::{VarHeader, VarKey};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{JoinHandle, spawn};
@@ -151,6 +154,52 @@ fn something_that_is_no_board_does_not_hang_the_tool() {
     let error = Board::open(&port).map(|_| ()).unwrap_err();
     assert!(matches!(error, LinkError::Silent { .. }), "{error}");
     server.join().unwrap();
+}
+
+/// A board of another protocol version: answers whatever it is asked with its `Info`.
+struct OtherVersion {
+    protocol: u16,
+    out: Vec<u8>,
+    asked: u32,
+}
+
+impl Wire for OtherVersion {
+    fn send(&mut self, bytes: &[u8]) -> std::io::Result<()> {
+        let mut requests = Vec::new();
+        Deframer::default().feed(bytes, |frame| requests.push(frame));
+        for request in requests {
+            self.asked += 1;
+            assert_eq!(self.asked, 1, "nothing more is asked of a board of another version");
+            let info = Info {
+                protocol: self.protocol,
+                firmware: "9.9".chars().collect(),
+                board: "odrive-v3".chars().collect(),
+                serial: "A1".chars().collect(),
+            };
+            let header = VarHeader { key: VarKey::Key8(GetInfo::RESP_KEY), seq_no: request.header.seq_no };
+            self.out.extend(encode(&header, &postcard::to_stdvec(&info).unwrap()));
+        }
+        Ok(())
+    }
+    fn receive(&mut self, buffer: &mut [u8], _: Duration) -> std::io::Result<usize> {
+        let count = self.out.len().min(buffer.len());
+        buffer[..count].copy_from_slice(&self.out[..count]);
+        self.out.drain(..count);
+        Ok(count)
+    }
+    fn now(&self) -> Duration {
+        Duration::ZERO
+    }
+}
+
+#[test]
+fn a_board_of_another_protocol_version_is_named_and_left_alone() {
+    for (protocol, remedy) in [(PROTOCOL + 1, "install the tool"), (PROTOCOL - 1, "flash the firmware")] {
+        let wire = OtherVersion { protocol, out: Vec::new(), asked: 0 };
+        let error = Board::over(Box::new(wire), "test").map(|_| ()).unwrap_err();
+        assert!(matches!(error, LinkError::Version { board, tool: PROTOCOL } if board == protocol), "{error}");
+        assert!(error.to_string().contains(remedy), "{error}");
+    }
 }
 
 #[cfg(unix)]

@@ -18,13 +18,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if args.json {
         let boards: Vec<_> = boards
             .iter()
-            .map(|board| json!({ "port": board.path, "serial": board.serial, "product": board.product }))
+            .map(|board| json!({ "port": board.path, "serial": board.serial, "board": board.kind }))
             .collect();
         return print(&format!("{}\n", json!({ "boards": boards, "other_serial_ports": others })));
     }
     let mut report = String::new();
     for board in &boards {
-        report.push_str(&format!("{}  {}  serial number {}\n", board.path, board.product, board.serial));
+        report.push_str(&format!("{}  {}  serial number {}\n", board.path, board.kind, board.serial));
     }
     if boards.is_empty() {
         report.push_str("no boards found\n");

@@ -51,7 +51,7 @@ pub struct BoardPort {
     /// The board's serial number.
     pub serial: String,
     /// The board's kind, as it names itself.
-    pub product: String,
+    pub kind: String,
 }
 
 /// The boards that are connected, and the other serial ports.
@@ -75,7 +75,8 @@ fn sort(ports: Vec<serialport::SerialPortInfo>) -> (Vec<BoardPort>, Vec<String>)
                 boards.push(BoardPort {
                     path: port.port_name,
                     serial: usb.serial_number.unwrap_or_default(),
-                    product: usb.product.unwrap_or_default(),
+                    // The product string is the same for all of them; the kind of board is in the manufacturer's.
+                    kind: usb.manufacturer.unwrap_or_default(),
                 });
             }
             _ => others.push(port.port_name),
@@ -95,7 +96,7 @@ fn choose(asked: Option<&str>, boards: &[BoardPort], others: Vec<String>) -> Res
         (None, several) => Err(LinkError::SeveralBoards(
             several
                 .iter()
-                .map(|board| format!("{} ({}, serial number {})", board.path, board.product, board.serial))
+                .map(|board| format!("{} ({}, serial number {})", board.path, board.kind, board.serial))
                 .collect(),
         )),
     }
@@ -146,7 +147,7 @@ mod tests {
                 vid,
                 pid: USB_PRODUCT,
                 serial_number: Some(serial.into()),
-                manufacturer: None,
+                manufacturer: Some("odrive-v3".into()),
                 product: Some(product.into()),
             }),
         }
@@ -179,11 +180,8 @@ mod tests {
 
     #[test]
     fn one_board_is_found_several_are_named_and_a_serial_number_chooses() {
-        let board = |path: &str, serial: &str| BoardPort {
-            path: path.into(),
-            serial: serial.into(),
-            product: "odrive-v3".into(),
-        };
+        let board =
+            |path: &str, serial: &str| BoardPort { path: path.into(), serial: serial.into(), kind: "odrive-v3".into() };
         let one = [board("/dev/ttyACM0", "A1")];
         let two = [board("/dev/ttyACM0", "A1"), board("/dev/ttyACM1", "B2")];
         assert_eq!(choose(None, &one, vec![]).unwrap(), "/dev/ttyACM0");
