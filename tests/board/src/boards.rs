@@ -75,6 +75,8 @@ pub struct Wiring {
     pub drivers: &'static [Pin],
     /// The nominal bus voltage, V.
     pub bus_voltage: f64,
+    /// What each current sensor's zero is off by, V: a few millivolts at shunt amplifiers; Hall sensors are taken as trimmed.
+    pub sensor_offsets: [f64; 4],
     /// Dead time that costs voltage, s: both switches of a half bridge off. Zero where a half bridge is a module of its own.
     pub dead_time: f64,
 }
@@ -113,6 +115,7 @@ static ODRIVE_V3: Wiring = Wiring {
     bus: (6, 19.0),
     drivers: &[Pin('C', 13), Pin('C', 14)],
     bus_voltage: 24.0,
+    sensor_offsets: [0.008, -0.005, 0.003, -0.011],
     dead_time: 20.0 / 168e6,
 };
 
@@ -135,6 +138,7 @@ static H_BRIDGE_F405: Wiring = Wiring {
     bus: (13, 11.0),
     drivers: &[],
     bus_voltage: 24.0,
+    sensor_offsets: [0.0; 4],
     dead_time: 0.0,
 };
 

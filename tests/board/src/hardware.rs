@@ -41,8 +41,6 @@ const RAIL_MV: u32 = 3300;
 pub const REFERENCE_UV: u32 = 3_300_000;
 /// Where a current sensor stands at no current, V.
 const MID_SUPPLY: f64 = 1.65;
-/// What each current sensor's zero is off by, V: within the few millivolts of real amplifiers, and each another.
-const SENSOR_OFFSETS: [f64; 4] = [0.008, -0.005, 0.003, -0.011];
 /// SPI3 in rigless' order.
 const SPI3: usize = 2;
 
@@ -204,8 +202,9 @@ impl Hardware {
         for (axis, motor) in wiring.motors.iter().enumerate() {
             let gain = if wiring.drivers.is_empty() { Some(1.0) } else { self.driver(axis).gain() };
             for &(channel, volts_per_ampere) in motor.sensors {
-                let seen = gain
-                    .map_or(0.0, |gain| MID_SUPPLY + SENSOR_OFFSETS[nth] + gain * volts_per_ampere * currents[axis]);
+                let seen = gain.map_or(0.0, |gain| {
+                    MID_SUPPLY + wiring.sensor_offsets[nth] + gain * volts_per_ampere * currents[axis]
+                });
                 self.show_volts(channel, seen);
                 nth += 1;
             }

@@ -1,0 +1,61 @@
+//! From power-on to a configured serial port.
+
+use haptic_bridge::protocol::{USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR};
+use virtual_board::boards::BoardKind;
+use virtual_board::log::Decoder;
+use virtual_board::rig::{Rig, firmware};
+use virtual_board::run::{MILLISECOND, SECOND};
+use virtual_board::usb::Event;
+
+#[test]
+fn a_board_is_a_serial_port_right_after_enumeration() {
+    for kind in BoardKind::ALL {
+        let rig = Rig::empty(kind);
+        let (descriptors, log) = rig.with(|bench| (bench.usb().descriptors().clone(), bench.usb().log().to_vec()));
+        assert_eq!(descriptors.ids(), (USB_VENDOR, USB_PRODUCT));
+        assert!(descriptors.strings.iter().any(|text| text == USB_PRODUCT_NAME), "{:?}", descriptors.strings);
+        assert!(!log.iter().any(|(_, event)| matches!(event, Event::Stalled(_) | Event::Left)), "{log:?}");
+        let at = |wanted: &Event| log.iter().find(|(_, event)| event == wanted).map(|(at, _)| at.0);
+        let connected = at(&Event::Connected).expect("a pull-up");
+        let opened = at(&Event::Opened).expect("an open port");
+        assert!(connected < 20 * MILLISECOND, "the pull-up comes {connected} ns after power-on");
+        assert!(opened - connected < 200 * MILLISECOND, "enumeration takes {} ns", opened - connected);
+    }
+}
+
+#[test]
+fn every_register_the_firmware_touches_has_a_model() {
+    for kind in BoardKind::ALL {
+        let rig = Rig::empty(kind);
+        rig.run(SECOND / 10);
+        let gaps = rig.with(|bench| bench.gaps());
+        // At boot the bridges are switched off before their clocks run, which a chip ignores. SYSCFG and EXTI hold values that
+        // nothing here acts on.
+        let real: Vec<_> = gaps
+            .into_iter()
+            .filter(|gap| !["SYSCFG", "EXTI", "BDTR is gated", "BSRR is gated"].iter().any(|known| gap.contains(known)))
+            .collect();
+        assert!(real.is_empty(), "{real:#?}");
+    }
+}
+
+#[test]
+fn the_log_says_which_board_started() {
+    for kind in BoardKind::ALL {
+        let rig = Rig::empty(kind);
+        let raw = rig.with(|bench| bench.take_log());
+        let lines = Decoder::new(firmware(kind)).expect("the image logs").lines(&raw);
+        assert!(lines.iter().any(|line| line.contains(kind.wiring().name)), "{lines:?}");
+    }
+}
+
+#[test]
+fn two_runs_are_the_same_bit_for_bit() {
+    let run = || {
+        let rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
+        rig.run(SECOND / 5);
+        let board = rig.shared.board();
+        (board.now(), board.instructions())
+    };
+    assert_eq!(run(), run());
+}

@@ -1,0 +1,71 @@
+//! Faults forced on a running board: each turns the motors off and says what it was.
+
+use haptic::link::BoardError;
+use haptic::sim::Drive;
+use haptic_bridge::guard::{Fault, State};
+use virtual_board::boards::BoardKind;
+use virtual_board::rig::Rig;
+use virtual_board::run::{Bench, MILLISECOND, SECOND};
+
+use crate::session::WALL;
+
+/// A board that is armed, does something, and is then broken by `breaks`; what it says of it.
+fn after(kind: BoardKind, breaks: impl FnOnce(&mut Bench<'_>) + Send + 'static) -> (Rig, Option<Fault>) {
+    let mut rig = Rig::with_device(kind, "pantograph-mk2", |_| ());
+    rig.load(WALL);
+    rig.arm();
+    rig.with(breaks);
+    rig.run(50 * MILLISECOND);
+    let status = rig.tool.status().expect("the board answers");
+    assert_eq!(status.state, State::Fault, "{status:?}");
+    let drives = rig.with(|bench| bench.hardware().drives());
+    assert!(drives.iter().all(|drive| !matches!(drive, Drive::Duty(duty) if *duty != 0.0)), "{drives:?}");
+    (rig, status.fault.map(|record| record.fault))
+}
+
+#[test]
+fn a_gate_driver_that_pulls_its_fault_line_takes_both_axes_down() {
+    let (mut rig, fault) = after(BoardKind::OdriveV3, |bench| bench.hardware().driver(1).fail(1 << 2));
+    assert_eq!(fault, Some(Fault::GateDriver));
+    let drives = rig.with(|bench| bench.hardware().drives());
+    assert_eq!(drives, [Drive::Floating; 3]);
+    // The fault went with EN_GATE, and the board can be armed anew.
+    rig.tool.clear().expect("the fault clears");
+    rig.tool.arm().expect("the board arms");
+    rig.run(SECOND);
+    assert_eq!(rig.tool.status().expect("it answers").state, State::Armed);
+}
+
+#[test]
+fn too_much_bus_voltage_turns_the_motors_off() {
+    let (_, fault) = after(BoardKind::OdriveV3, |bench| {
+        bench.hardware().plant.device().expect("a device").set_bus_voltage(58.0);
+    });
+    assert_eq!(fault, Some(Fault::BusOverVoltage));
+}
+
+#[test]
+fn an_encoder_that_jumps_turns_the_motors_off() {
+    let (_, fault) = after(BoardKind::OdriveV3, |bench| {
+        let device = bench.hardware().plant.device().expect("a device");
+        let [a, b, c] = device.q();
+        device.place([a + 0.4, b, c]);
+    });
+    assert!(matches!(fault, Some(Fault::EncoderJump | Fault::SpeedLimit)), "{fault:?}");
+}
+
+#[test]
+fn a_gate_driver_that_forgets_its_settings_is_never_armed() {
+    let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
+    rig.load(WALL);
+    rig.tool.home().expect("homed");
+    rig.with(|bench| bench.hardware().driver(0).stick(true));
+    let outcome = rig.tool.check_polarity();
+    rig.run(SECOND / 2);
+    let status = rig.tool.status().expect("it answers");
+    let refused = matches!(outcome, Err(BoardError::Refused(_)));
+    assert!(refused || status.state == State::Fault, "{outcome:?} {status:?}");
+    assert!(!status.polarity);
+    let drives = rig.with(|bench| bench.hardware().drives());
+    assert_eq!(drives, [Drive::Floating; 3]);
+}

@@ -1,0 +1,9 @@
+//! The release firmware of both boards on the emulated chip, through the real protocol, with a simulated device.
+//!
+//! Virtual time stands still while a test looks, so every run sees the same bytes at the same instants.
+
+mod boot;
+mod faults;
+mod session;
+mod usb;
+mod wiring;

@@ -1,0 +1,87 @@
+//! What a person does with a board, from plugging it in to disarming.
+
+use std::time::Duration;
+
+use haptic_bridge::controller::Gains;
+use haptic_bridge::guard::{Refusal, State};
+use haptic_bridge::protocol::PROTOCOL;
+use haptic_bridge::scene::FeedForward;
+use haptic_bridge::telemetry::Fields;
+
+use haptic::link::BoardError;
+use virtual_board::boards::BoardKind;
+use virtual_board::rig::Rig;
+use virtual_board::run::{MILLISECOND, SECOND};
+
+/// A wall beyond the home pose of the pantograph, at 20 kHz.
+pub const WALL: &str = "[[wall]]\npoint = [0.0, 0.13]\nnormal = [0.0, -1.0]\nstiffness = 2000.0\ndamping = 4.0\n";
+
+#[test]
+fn a_session_from_info_to_disarm() {
+    let kind = BoardKind::OdriveV3;
+    let mut rig = Rig::with_device(kind, "pantograph-mk2", |_| ());
+    assert_eq!(rig.tool.info().protocol, PROTOCOL);
+    assert_eq!(rig.tool.info().board.as_str(), kind.wiring().name);
+    let details = rig.tool.details().expect("the board answers");
+    assert_eq!(usize::from(details.axes), kind.wiring().motors.len());
+    assert!(details.real && details.device.is_none());
+
+    assert_eq!(refusal(rig.tool.arm()), Refusal::NoDevice);
+    rig.load(WALL);
+    assert_eq!(refusal(rig.tool.arm()), Refusal::NotHomed);
+    rig.tool.home().expect("the device can be homed");
+    assert_eq!(refusal(rig.tool.arm()), Refusal::PolarityUnchecked);
+    rig.arm();
+
+    let gains = Gains { wall: 0, stiffness: 1500.0, damping: 3.0, feed_forward: FeedForward::Full, washout_hz: 2.0 };
+    rig.tool.set_wall_gains(gains).expect("gains change while armed");
+    rig.tool.start_stream(Fields::USUAL, 20).expect("a stream starts");
+    let mut rows = Vec::new();
+    while rows.len() < 200 {
+        rows.extend(rig.tool.rows(Duration::from_millis(500)).expect("rows come"));
+    }
+    assert!(rows.windows(2).all(|pair| pair[1].step == pair[0].step + 20), "every twentieth step");
+    assert_eq!(rig.tool.losses().missing, 0);
+    rig.tool.stop_stream().expect("the stream stops");
+
+    rig.tool.disarm().expect("the board disarms");
+    rig.run(10 * MILLISECOND);
+    assert_eq!(rig.tool.status().expect("the board answers").state, State::Disarmed);
+    let drives = rig.with(|bench| bench.hardware().drives());
+    assert!(drives.iter().all(|drive| *drive == haptic::sim::Drive::Floating), "{drives:?}");
+}
+
+#[test]
+fn settings_survive_a_reset() {
+    for kind in BoardKind::ALL {
+        let mut rig = Rig::with_device(kind, "pantograph-mk2", |_| ());
+        rig.load(WALL);
+        rig.tool.set_name(&"left hand".try_into().expect("a short name")).expect("the board takes a name");
+        let (device, scene) = (rig.tool.device().expect("it answers"), rig.tool.scene().expect("it answers"));
+        rig.tool.save().expect("the settings are written");
+
+        let mut rig = rig.restarted();
+        let details = rig.tool.details().expect("the board answers");
+        assert_eq!(details.name.as_str(), "left hand");
+        assert!(details.damage.is_empty(), "{:?}", details.damage);
+        assert_eq!(rig.tool.device().expect("it answers"), device);
+        assert_eq!(rig.tool.scene().expect("it answers"), scene);
+        assert!(!rig.tool.status().expect("it answers").homed, "encoders know nothing after a reset");
+    }
+}
+
+#[test]
+fn what_was_not_saved_is_gone_after_a_reset() {
+    let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
+    rig.load(WALL);
+    rig.run(SECOND / 10);
+    let mut rig = rig.restarted();
+    assert_eq!(rig.tool.device().expect("it answers"), None);
+}
+
+fn refusal(outcome: Result<(), BoardError>) -> Refusal {
+    match outcome {
+        Err(BoardError::Refused(refusal)) => refusal,
+        other => panic!("a refusal was expected, not {other:?}"),
+    }
+}

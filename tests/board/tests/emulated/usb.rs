@@ -1,0 +1,73 @@
+//! What a cable and a computer can do to a board.
+
+use haptic::link::Board;
+use virtual_board::boards::BoardKind;
+use virtual_board::rig::Rig;
+use virtual_board::run::{MILLISECOND, SECOND};
+use virtual_board::usb::Event;
+
+fn answers(rig: &Rig) -> bool {
+    Board::over(rig.shared.wire(), "again").is_ok()
+}
+
+fn wait_until_ready(rig: &Rig) {
+    let ready = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |bench| bench.usb().ready());
+    assert!(ready, "no port after two seconds: {:?}", rig.with(|bench| bench.usb().log().to_vec()));
+}
+
+#[test]
+fn a_board_that_is_plugged_in_again_answers_again() {
+    let rig = Rig::empty(BoardKind::OdriveV3);
+    for _ in 0..3 {
+        rig.with(|bench| bench.usb().plug(false));
+        rig.run(200 * MILLISECOND);
+        rig.with(|bench| bench.usb().plug(true));
+        wait_until_ready(&rig);
+        assert!(answers(&rig));
+    }
+    let resets = rig.with(|bench| bench.resets().len());
+    assert_eq!(resets, 0, "the chip itself never restarted");
+}
+
+#[test]
+fn a_board_wakes_up_with_its_computer() {
+    let rig = Rig::empty(BoardKind::OdriveV3);
+    rig.with(|bench| bench.usb().suspend(true));
+    rig.run(500 * MILLISECOND);
+    rig.with(|bench| bench.usb().suspend(false));
+    rig.run(100 * MILLISECOND);
+    assert!(answers(&rig));
+    let log = rig.with(|bench| bench.usb().log().to_vec());
+    assert!(log.iter().any(|(_, event)| *event == Event::Suspended), "{log:?}");
+    assert!(log.iter().any(|(_, event)| *event == Event::Resumed), "{log:?}");
+}
+
+#[test]
+fn garbage_is_answered_by_nothing_and_harms_nothing() {
+    let rig = Rig::empty(BoardKind::HBridgeF405);
+    let mut seed: u32 = 0x2F6E_2B1D;
+    println!("seed {seed:#x}");
+    for _ in 0..20 {
+        let noise: Vec<u8> = std::iter::repeat_with(|| {
+            seed ^= seed << 13;
+            seed ^= seed >> 17;
+            seed ^= seed << 5;
+            (seed >> 24) as u8
+        })
+        .take(3000)
+        .collect();
+        rig.with(move |bench| bench.usb().write(&noise));
+        rig.run(20 * MILLISECOND);
+    }
+    rig.with(|bench| bench.usb().take());
+    // Requests that no serial port knows are stalled, and the port goes on.
+    for setup in [[0xC0, 0x55, 0, 0, 0, 0, 64, 0], [0x80, 6, 9, 9, 0, 0, 255, 0], [0x21, 0x77, 1, 0, 0, 0, 0, 0]] {
+        rig.with(move |bench| bench.usb().ask(setup, &[]));
+        rig.run(5 * MILLISECOND);
+    }
+    let refused = rig.with(|bench| bench.usb().take_answers());
+    assert_eq!(refused.len(), 3);
+    assert!(refused.iter().all(Result::is_err), "{refused:?}");
+    assert!(answers(&rig));
+    assert_eq!(rig.with(|bench| bench.resets().len()), 0);
+}

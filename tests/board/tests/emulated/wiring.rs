@@ -1,0 +1,75 @@
+//! Which pin is which: every encoder, motor and sensor of both boards, one at a time.
+
+use std::time::Duration;
+
+use haptic::sim::Drive;
+use haptic_bridge::telemetry::{Field, Fields};
+use virtual_board::boards::BoardKind;
+use virtual_board::plant::Dummy;
+use virtual_board::rig::Rig;
+use virtual_board::run::MILLISECOND;
+
+use crate::session::WALL;
+
+/// The device that uses every axis of a board.
+fn device_of(kind: BoardKind) -> &'static str {
+    match kind {
+        BoardKind::OdriveV3 => "pantograph-mk2",
+        BoardKind::HBridgeF405 => "fictive-five-bar-turret",
+    }
+}
+
+fn latest(rig: &mut Rig, field: Field) -> Vec<f64> {
+    rig.tool.start_stream(Fields(field.bit()), 20).expect("a stream starts");
+    rig.run(5 * MILLISECOND);
+    let rows = rig.tool.rows(Duration::from_millis(100)).expect("rows come");
+    rig.tool.stop_stream().expect("the stream stops");
+    rows.last().expect("a row").values.clone()
+}
+
+#[test]
+fn each_encoder_counts_its_own_axis_up_and_down() {
+    for kind in BoardKind::ALL {
+        let mut rig = Rig::with_device(kind, device_of(kind), |_| ());
+        rig.load(if kind == BoardKind::OdriveV3 { WALL } else { "" });
+        let axes = kind.wiring().encoders.len();
+        let mut expected = vec![0.0; axes];
+        rig.with(|bench| bench.hardware().plant = Box::new(Dummy::default()));
+        for (axis, moved) in (0..axes).map(|axis| (axis, 137 - 200 * (axis as i32 % 2))) {
+            let counts: [i32; 3] = std::array::from_fn(|i| if i <= axis { 137 - 200 * (i as i32 % 2) } else { 0 });
+            rig.with(move |bench| {
+                bench.hardware().plant = Box::new(Dummy { counts, ..Dummy::default() });
+            });
+            expected[axis] = f64::from(moved);
+            rig.run(MILLISECOND);
+            assert_eq!(latest(&mut rig, Field::Counts), expected, "{} axis {axis}", kind.wiring().name);
+        }
+    }
+}
+
+#[test]
+fn the_bus_voltage_is_read_within_a_converter_step() {
+    for kind in BoardKind::ALL {
+        let mut rig = Rig::empty(kind);
+        let step = 3.3 / 4096.0 * kind.wiring().bus.1;
+        for volts in [12.0, 24.0, 27.5] {
+            rig.with(move |bench| {
+                bench.hardware().plant = Box::new(Dummy { bus_voltage: volts, ..Dummy::default() });
+            });
+            rig.run(2 * MILLISECOND);
+            let seen = f64::from(rig.tool.status().expect("it answers").bus_voltage);
+            assert!((seen - volts).abs() <= 1.5 * step, "{}: {seen} V for {volts} V", kind.wiring().name);
+        }
+    }
+}
+
+#[test]
+fn motors_float_until_the_board_is_armed() {
+    for kind in BoardKind::ALL {
+        let mut rig = Rig::with_device(kind, device_of(kind), |_| ());
+        rig.load(if kind == BoardKind::OdriveV3 { WALL } else { "" });
+        rig.run(20 * MILLISECOND);
+        let drives = rig.with(|bench| bench.hardware().drives());
+        assert_eq!(drives, [Drive::Floating; 3], "{}", kind.wiring().name);
+    }
+}
