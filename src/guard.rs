@@ -209,6 +209,8 @@ pub enum Refusal {
     Busy,
     /// Another tool holds the board.
     HeldByAnother,
+    /// The entry of a setting is damaged, or of another version.
+    BadEntry,
     /// Writing to flash failed.
     Flash,
     /// This board cannot do that.
@@ -251,6 +253,7 @@ impl core::fmt::Display for Refusal {
             Self::Singular => f.write_str("the linkage is in a singular pose: move it by hand"),
             Self::Busy => f.write_str("the board is busy with an earlier request: try again"),
             Self::HeldByAnother => f.write_str("another tool holds the board: close it first"),
+            Self::BadEntry => f.write_str("this setting is damaged or of another version: use the tool's own restore"),
             Self::Flash => f.write_str("writing to flash failed: try again; the old settings are kept"),
             Self::NotSupported => f.write_str("this board cannot do that"),
         }

@@ -43,5 +43,6 @@ pub mod scene;
 pub mod service;
 pub mod servo;
 pub mod settings;
+pub mod storage;
 pub mod telemetry;
 pub mod velocity;

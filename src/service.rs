@@ -90,9 +90,12 @@ impl Service {
         self.polarity = self.read::<Polarity>(machine).map(|Polarity(fingerprint)| fingerprint);
         let scene = self.read::<Scene<f32>>(machine);
         if let Some(device) = self.read::<Device<f32>>(machine)
-            && self.set_device_keeping_mass(machine, device).is_err()
+            && self.set_device_keeping_mass(machine, device.clone()).is_err()
         {
-            let _ = self.damage.push((Key::Device, Damage::Corrupt));
+            // A mass model that does not fit is no reason to be without a device.
+            let modelled = self.mass != MassModelData::Exact;
+            let key = if modelled && self.set_device(machine, device).is_ok() { Key::MassModel } else { Key::Device };
+            let _ = self.damage.push((key, Damage::Corrupt));
         }
         if let (Some(scene), true) = (scene, self.device.is_some())
             && self.set_scene(machine, scene).is_err()
@@ -155,11 +158,12 @@ impl Service {
         must_be_off(machine)?;
         check_device::<Mc::Math>(&device)?;
         let task = device.mechanism.kind().spec().task;
-        let kept = self.scene.take().filter(|scene| usize::from(scene.task) == task);
+        let fits = self.scene.as_ref().filter(|scene| usize::from(scene.task) == task);
         let empty = Scene { task: task as u8, ..Scene::default() };
-        let result = self.install(machine, &device, kept.as_ref().unwrap_or(&empty), false);
-        self.scene = kept;
-        result?;
+        self.install(machine, &device, fits.unwrap_or(&empty), false)?;
+        if fits.is_none() {
+            self.scene = None;
+        }
         let fingerprint = fingerprint(&device);
         if self.polarity.is_some() && self.polarity == fingerprint {
             machine.execute(Command::PolarityKnown).0?;
@@ -244,6 +248,9 @@ impl Service {
         }
         changed.check(device.mechanism.kind().spec().task).map_err(Refusal::Scene)?;
         let rate = f64::from(changed.rate_hz);
+        // Everything that can be refused comes before anything that acts.
+        let coefficients = Coefficients::new(changed.estimator, rate, f64::from(changed.cutoff_hz))
+            .map_err(|_| Refusal::Scene(SceneError::Cutoff))?;
         if let Some(gains) = request.wall {
             let washout = match gains.feed_forward {
                 FeedForward::Washout => Washout::new(f64::from(gains.washout_hz), rate)
@@ -253,8 +260,6 @@ impl Service {
             machine.execute(Command::Gains(gains, washout)).0?;
         }
         if request.estimator.is_some() {
-            let coefficients = Coefficients::new(changed.estimator, rate, f64::from(changed.cutoff_hz))
-                .map_err(|_| Refusal::Scene(SceneError::Cutoff))?;
             machine.execute(Command::Coefficients(coefficients)).0?;
         }
         *scene = changed;
@@ -268,11 +273,8 @@ impl Service {
             return Err(Refusal::BadLimits);
         }
         machine.execute(Command::Rules(rules)).0?;
-        let currents_changed = rules.limits.current != self.rules.limits.current
-            || rules.limits.continuous_current != self.rules.limits.continuous_current;
         self.rules = rules;
-        // Current limits live in the program's drives: built anew when the motors are off, and before the next arming.
-        if currents_changed && must_be_off(machine).is_ok() { self.reinstall(machine) } else { Ok(()) }
+        Ok(())
     }
 
     /// Declares the present pose to be the device's home.
@@ -347,6 +349,10 @@ impl Service {
         must_be_off(machine)?;
         let _ = self.poll(machine);
         if let Some(device) = &self.device {
+            // Should the power go between two entries, a new device must not meet the old one's mass model.
+            if stored(machine).as_ref() != Some(device) {
+                write(machine, &MassModelData::Exact)?;
+            }
             write(machine, device)?;
         }
         if let Some(scene) = &self.scene {
@@ -402,8 +408,12 @@ fn write<S: Setting>(machine: &mut impl Machine, value: &S) -> Result<(), Refusa
     machine.save(S::KEY, &entry)
 }
 
+fn stored<S: Setting>(machine: &mut impl Machine) -> Option<S> {
+    settings::decode(&machine.load(S::KEY)?).ok()
+}
+
 fn decoded<S: Setting>(entry: &[u8]) -> Result<S, Refusal> {
-    settings::decode(entry).map_err(|_| Refusal::BadDevice)
+    settings::decode(entry).map_err(|_| Refusal::BadEntry)
 }
 
 /// The checksum by which a checked device is known again.

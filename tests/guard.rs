@@ -177,6 +177,77 @@ fn origin(fault: Fault) -> Origin {
     }
 }
 
+/// How it is provoked and how soon the bridges are off, in words, for docs/safety.md.
+fn injection(fault: Fault) -> (&'static str, &'static str) {
+    let at_once = "the same period";
+    match fault {
+        Fault::ControlOverrun => ("a step made longer than its period", at_once),
+        Fault::EncoderJump => ("4000 counts between two samples", at_once),
+        Fault::EncoderStall => ("85 % of the motor's torque and not one count", "after 5 s of it"),
+        Fault::EncoderLoss => ("back-EMF without counts", "after 50 ms of it"),
+        Fault::EncoderIllegal => ("both lines change at once", at_once),
+        Fault::IndexMismatch => ("an index 12 counts beside the first", at_once),
+        Fault::JointLimit => ("a joint turned past its limit", at_once),
+        Fault::SpeedLimit => ("30 rad/s where 20 are allowed", "as the speed filter reports it"),
+        Fault::OverCurrent => ("6 A measured where 3 are allowed", at_once),
+        Fault::ThermalBudget => ("2.9 A where 1 A may flow for ever", "when the budget is spent"),
+        Fault::BusUnderVoltage => ("9.9 V where 10 are needed", at_once),
+        Fault::BusOverVoltage => ("28.1 V where 28 are allowed", at_once),
+        Fault::GateDriver => ("the driver's fault pin", at_once),
+        Fault::NotFinite => ("a current that is not a number", at_once),
+        Fault::Singularity => ("elbows turned until the distal links are in line", at_once),
+        Fault::HostLost => ("no heartbeat", "after the time in the rules"),
+        Fault::Watchdog => ("a task that stops", "by the reset"),
+        Fault::StackOverflow => ("a stack that reaches its guard", "by the exception"),
+        Fault::SettingsDamaged => ("entries with a wrong checksum at boot", "never on: seen before arming"),
+        Fault::HardFault => ("an access to nowhere", "by the exception"),
+        Fault::Panic => ("a panic in a task", "by the handler"),
+        Fault::BreakInput => ("the break pin", "by hardware"),
+        Fault::PowerLimit => ("3 W into the hand where 2 are allowed", "by a mean over 0.1 s"),
+        Fault::PolarityWrong => ("a joint that turns backward", at_once),
+        Fault::PolarityNoMotion => ("a joint that does not turn", "after 2 s of it"),
+        Fault::SensorStale => ("a converter that stops", at_once),
+    }
+}
+
+/// The table of docs/safety.md.
+fn table() -> String {
+    let mut table = String::from(
+        "| code | fault | what it says | provoked by | found by | motors off | remedy |\n|--:|---|---|---|---|---|---|\n",
+    );
+    for fault in Fault::ALL {
+        let by = match origin(*fault) {
+            Origin::Step(_) => "the control step",
+            Origin::Told => "the firmware",
+        };
+        let (cause, off) = injection(*fault);
+        table += &format!(
+            "| {} | {} | {} | {cause} | {by} | {off} | {} |\n",
+            fault.code(),
+            fault.name(),
+            fault.what(),
+            fault.remedy()
+        );
+    }
+    table
+}
+
+/// `UPDATE_DOCS=1 cargo test --test guard` writes it anew.
+#[test]
+fn the_table_in_the_documentation_is_the_table_of_the_code() {
+    const BEGIN: &str = "<!-- faults: written by tests/guard.rs -->\n";
+    const END: &str = "<!-- end of faults -->\n";
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/safety.md");
+    let text = std::fs::read_to_string(&path).expect("docs/safety.md is there");
+    let (head, rest) = text.split_once(BEGIN).expect("the table's begin");
+    let (committed, tail) = rest.split_once(END).expect("the table's end");
+    if std::env::var_os("UPDATE_DOCS").is_some() {
+        std::fs::write(&path, format!("{head}{BEGIN}{}{END}{tail}", table())).expect("docs/safety.md can be written");
+    } else {
+        assert_eq!(committed, table(), "run UPDATE_DOCS=1 cargo test --test guard");
+    }
+}
+
 /// A board with this fault, one step after its cause.
 fn provoked(fault: Fault) -> Rig {
     match origin(fault) {

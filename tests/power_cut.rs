@@ -1,0 +1,242 @@
+//! The power goes at every single flash operation of a save: afterwards each setting is the old or the new one, and the
+//! next save works.
+//!
+//! The flash is a model of the board's two 16 KB sectors: erasing sets a sector to ones, a write works word by word and can
+//! only clear bits. Two kinds of cut are tried at each operation: nothing of it happens (all of the one before did), or half
+//! of it happens (half a sector erased, half a word written).
+
+use embassy_futures::block_on;
+use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash};
+use haptic_bridge::storage::{ENTRY_MAX, Storage};
+use std::collections::BTreeMap;
+
+const SECTOR: usize = 16 * 1024;
+const START: usize = 0x4000;
+const RANGE: core::ops::Range<u32> = 0x4000..0xC000;
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Cut {
+    Before,
+    Within,
+}
+
+#[derive(Clone)]
+struct Sectors {
+    bytes: Vec<u8>,
+    operations: usize,
+    erases: usize,
+    cut: Option<(usize, Cut)>,
+    dead: bool,
+}
+
+#[derive(Debug)]
+struct PowerCut;
+
+impl NorFlashError for PowerCut {
+    fn kind(&self) -> NorFlashErrorKind {
+        NorFlashErrorKind::Other
+    }
+}
+
+impl Sectors {
+    fn new() -> Self {
+        Self { bytes: vec![0xFF; 2 * SECTOR], operations: 0, erases: 0, cut: None, dead: false }
+    }
+
+    /// Counts an operation; how much of it happens.
+    fn operate(&mut self) -> Option<Cut> {
+        let number = self.operations;
+        self.operations += 1;
+        if self.dead {
+            return Some(Cut::Before);
+        }
+        match self.cut {
+            Some((at, cut)) if at == number => {
+                self.dead = true;
+                Some(cut)
+            }
+            _ => None,
+        }
+    }
+
+    /// Power is back.
+    fn reboot(mut self) -> Self {
+        self.dead = false;
+        self.cut = None;
+        self.operations = 0;
+        self.erases = 0;
+        self
+    }
+}
+
+impl ErrorType for Sectors {
+    type Error = PowerCut;
+}
+
+impl ReadNorFlash for Sectors {
+    const READ_SIZE: usize = 1;
+
+    async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), PowerCut> {
+        if self.dead {
+            return Err(PowerCut);
+        }
+        let from = offset as usize - START;
+        bytes.copy_from_slice(&self.bytes[from..from + bytes.len()]);
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        RANGE.end as usize
+    }
+}
+
+impl NorFlash for Sectors {
+    const WRITE_SIZE: usize = 4;
+    const ERASE_SIZE: usize = SECTOR;
+
+    async fn erase(&mut self, from: u32, to: u32) -> Result<(), PowerCut> {
+        for sector in (from as usize - START..to as usize - START).step_by(SECTOR) {
+            let cut = self.operate();
+            self.erases += 1;
+            let erased = match cut {
+                Some(Cut::Before) => 0,
+                Some(Cut::Within) => SECTOR / 2,
+                None => SECTOR,
+            };
+            self.bytes[sector..sector + erased].fill(0xFF);
+            if cut.is_some() {
+                return Err(PowerCut);
+            }
+        }
+        Ok(())
+    }
+
+    async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), PowerCut> {
+        let from = offset as usize - START;
+        for (i, word) in bytes.chunks(4).enumerate() {
+            let at = from + 4 * i;
+            let cut = self.operate();
+            let written = match cut {
+                Some(Cut::Before) => 0,
+                Some(Cut::Within) => 2,
+                None => 4,
+            };
+            for (cell, byte) in self.bytes[at..].iter_mut().zip(&word[..written]) {
+                *cell &= byte;
+            }
+            if cut.is_some() {
+                return Err(PowerCut);
+            }
+        }
+        Ok(())
+    }
+}
+
+type Values = BTreeMap<u8, Vec<u8>>;
+
+/// Settings as large as the board's are, of this generation.
+fn values(generation: u8) -> Values {
+    let sizes = [(1, 420), (2, 760), (3, 100), (4, 40), (5, 12), (6, 24)];
+    sizes
+        .into_iter()
+        .map(|(key, size)| (key, (0..size).map(|i| generation.wrapping_mul(31) ^ i as u8).collect()))
+        .collect()
+}
+
+fn save(flash: Sectors, values: &Values) -> Sectors {
+    let mut buffer = [0; ENTRY_MAX];
+    let mut storage = Storage::new(flash, RANGE, &mut buffer);
+    for (key, value) in values {
+        if block_on(storage.write(*key, value)).is_err() {
+            break;
+        }
+    }
+    storage.into_flash()
+}
+
+fn read(flash: Sectors) -> (Values, Sectors) {
+    let mut buffer = [0; ENTRY_MAX];
+    let mut storage = Storage::new(flash, RANGE, &mut buffer);
+    let mut found = Values::new();
+    for key in 1..=6 {
+        if let Some(value) = block_on(storage.read(key)).expect("the board boots") {
+            found.insert(key, value.to_vec());
+        }
+    }
+    (found, storage.into_flash())
+}
+
+/// A flash with `generations` saves behind it.
+fn aged(generations: u8) -> Sectors {
+    (0..generations).fold(Sectors::new(), |flash, generation| save(flash, &values(generation))).reboot()
+}
+
+/// Cuts the power at every operation of the next save; returns how many there are, and how many of them erase.
+fn survives(flash: &Sectors, old: &Values, new: &Values) -> (usize, usize) {
+    let whole = save(flash.clone(), new);
+    let (operations, erases) = (whole.operations, whole.erases);
+    assert_eq!(read(whole.reboot()).0, *new);
+    for operation in 0..operations {
+        for cut in [Cut::Before, Cut::Within] {
+            let mut trial = flash.clone();
+            trial.cut = Some((operation, cut));
+            let (found, after) = read(save(trial, new).reboot());
+            for key in 1..=6 {
+                let value = found.get(&key);
+                assert!(
+                    value == old.get(&key) || value == new.get(&key),
+                    "operation {operation}, {cut:?}: setting {key} is neither the old nor the new one"
+                );
+            }
+            if cut == Cut::Within {
+                let (mended, _) = read(save(after.reboot(), new).reboot());
+                assert_eq!(mended, *new, "operation {operation}: the next save");
+            }
+        }
+    }
+    (operations, erases)
+}
+
+#[test]
+fn the_first_save_of_a_new_board_may_be_cut_anywhere() {
+    let (operations, _) = survives(&Sectors::new(), &Values::new(), &values(1));
+    assert!(operations > 300, "{operations}");
+}
+
+#[test]
+fn a_save_into_half_a_sector_may_be_cut_anywhere() {
+    survives(&aged(3), &values(2), &values(9));
+}
+
+#[test]
+fn a_save_that_moves_to_the_other_sector_may_be_cut_anywhere() {
+    // One setting is saved until its next save erases a sector and carries all the others over.
+    let (mut old, mut flash) = (values(1), aged(2));
+    for generation in 2..=255 {
+        let mut new = old.clone();
+        new.insert(2, values(generation)[&2].clone());
+        let next = save(flash.clone(), &new);
+        if next.erases > 0 {
+            let (operations, erases) = survives(&flash, &old, &new);
+            assert!(operations > 300 && erases > 0, "{operations} operations");
+            return;
+        }
+        (old, flash) = (new, next.reboot());
+    }
+    panic!("no save erased a sector");
+}
+
+#[test]
+fn two_hundred_saves_wear_both_sectors_alike_and_lose_nothing() {
+    let mut flash = Sectors::new();
+    for generation in 0..200_u32 {
+        let now = values(generation as u8);
+        flash = save(flash, &now);
+        if generation % 97 == 0 {
+            let (found, same) = read(flash);
+            assert_eq!(found, now, "{generation}");
+            flash = same;
+        }
+    }
+    assert!((14..28).contains(&flash.erases), "{} erases in two hundred saves", flash.erases);
+}

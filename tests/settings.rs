@@ -1,0 +1,173 @@
+//! Settings come back as they were, or are refused; a layout that changes without its version turns these tests red.
+
+mod rig;
+
+use haptic_bridge::device::Device;
+use haptic_bridge::precomputed::MassModelData;
+use haptic_bridge::scene::{Cylinder, FeedForward, Scene, Sphere, Spring, Surface};
+use haptic_bridge::servo::{HostAction, Rules};
+use haptic_bridge::settings::{BoardName, Damage, Key, MAX_ENTRY, Polarity, Setting, crc32, decode, encode};
+use std::fmt::Debug;
+use std::fmt::Write as _;
+use std::path::Path;
+
+fn full_scene() -> Scene<f32> {
+    let mut scene = rig::scene(3, &[]);
+    for i in 0..8 {
+        let mut wall = rig::wall(0.125 * i as f32, 500.0 + i as f32);
+        wall.surface = match i % 3 {
+            0 => Surface::Sphere(Sphere { center: [0.5, -0.25, 0.0], radius: 0.0625, inside: i > 3 }),
+            1 => Surface::Cylinder(Cylinder {
+                point: [0.0, 0.125, 1.0],
+                axis: [0.0, 1.0, 0.0],
+                radius: 0.03125,
+                inside: false,
+            }),
+            _ => wall.surface,
+        };
+        wall.feed_forward = [FeedForward::Off, FeedForward::Full, FeedForward::Washout][i % 3];
+        wall.bilateral = i == 7;
+        scene.walls.push(wall).unwrap();
+    }
+    for i in 0..4 {
+        let spring = Spring { point: [0.5 * i as f32; 3], direction: [0.0, 0.0, 1.0], stiffness: 250.0, damping: 2.5 };
+        scene.springs.push(spring).unwrap();
+    }
+    scene
+}
+
+fn full_rules() -> Rules {
+    Rules {
+        host_action: HostAction::Hold,
+        host_seconds: 0.25,
+        passivity: true,
+        index_period: [60_000, -1, 4_096],
+        ..rig::rules()
+    }
+}
+
+/// One value of every setting, under the name of its key.
+fn specimens() -> Vec<(Key, Vec<u8>)> {
+    fn entry<S: Setting>(value: &S) -> (Key, Vec<u8>) {
+        (S::KEY, encode(value).expect("it fits").to_vec())
+    }
+    vec![
+        entry(&rig::device(&rig::five_bar())),
+        entry(&full_scene()),
+        entry(&full_rules()),
+        entry(&MassModelData::Frozen([1.0, 0.25, 2.0, 0.125, 0.5, 4.0])),
+        entry(&Polarity(0xC0FF_EE01)),
+        entry(&BoardName("bench left".try_into().unwrap())),
+    ]
+}
+
+fn comes_back<S: Setting + PartialEq + Debug>(value: &S) {
+    assert_eq!(decode::<S>(&encode(value).unwrap()).as_ref(), Ok(value));
+}
+
+#[test]
+fn every_setting_comes_back_as_it_was() {
+    comes_back(&rig::device(&rig::five_bar()));
+    comes_back(&rig::device(&rig::paddle()));
+    comes_back(&full_scene());
+    comes_back(&full_rules());
+    comes_back(&MassModelData::Exact);
+    comes_back(&MassModelData::Frozen([1.0, 0.25, 2.0, 0.125, 0.5, 4.0]));
+    comes_back(&Polarity(7));
+    comes_back(&BoardName::default());
+}
+
+#[test]
+fn every_key_has_a_specimen() {
+    let keys: Vec<Key> = specimens().into_iter().map(|(key, _)| key).collect();
+    assert_eq!(keys, Key::ALL);
+}
+
+fn decoded(key: Key, entry: &[u8]) -> Result<(), Damage> {
+    match key {
+        Key::Device => decode::<Device<f32>>(entry).map(drop),
+        Key::Scene => decode::<Scene<f32>>(entry).map(drop),
+        Key::Rules => decode::<Rules>(entry).map(drop),
+        Key::MassModel => decode::<MassModelData>(entry).map(drop),
+        Key::Polarity => decode::<Polarity>(entry).map(drop),
+        Key::Name => decode::<BoardName>(entry).map(drop),
+    }
+}
+
+#[test]
+fn an_entry_with_any_bit_wrong_is_refused() {
+    for (key, entry) in specimens() {
+        for bit in 0..8 * entry.len() {
+            let mut damaged = entry.clone();
+            damaged[bit / 8] ^= 1 << (bit % 8);
+            assert_eq!(decoded(key, &damaged), Err(Damage::Corrupt), "{key:?}, bit {bit}");
+        }
+    }
+}
+
+#[test]
+fn an_entry_cut_short_or_grown_is_refused() {
+    for (key, entry) in specimens() {
+        for length in 0..entry.len() {
+            assert_eq!(decoded(key, &entry[..length]), Err(Damage::Corrupt), "{key:?}, {length} bytes");
+        }
+        let grown = [&entry[..], &[0]].concat();
+        assert_eq!(decoded(key, &grown), Err(Damage::Corrupt));
+    }
+}
+
+/// The entry with its body changed and a checksum that fits.
+fn resealed(entry: &[u8], change: impl Fn(&mut Vec<u8>)) -> Vec<u8> {
+    let mut body = entry[..entry.len() - 4].to_vec();
+    change(&mut body);
+    let sum = crc32(&body).to_le_bytes();
+    [&body[..], &sum].concat()
+}
+
+#[test]
+fn another_version_is_told_by_its_number() {
+    for (key, entry) in specimens() {
+        let newer = resealed(&entry, |body| body[1] = 9);
+        assert_eq!(decoded(key, &newer), Err(Damage::UnknownVersion(9)), "{key:?}");
+    }
+}
+
+#[test]
+fn an_entry_of_another_key_and_trailing_bytes_are_refused_although_the_checksum_fits() {
+    for (key, entry) in specimens() {
+        assert_eq!(decoded(key, &resealed(&entry, |body| body[0] ^= 0x40)), Err(Damage::OtherKey), "{key:?}");
+        assert_eq!(decoded(key, &resealed(&entry, |body| body.push(0))), Err(Damage::Corrupt), "{key:?}");
+        assert_eq!(decoded(key, &resealed(&entry, |body| body.truncate(1))), Err(Damage::Corrupt), "{key:?}");
+    }
+}
+
+#[test]
+fn the_largest_scene_fits_an_entry_with_room_to_spare() {
+    let length = encode(&full_scene()).unwrap().len();
+    assert!(length < MAX_ENTRY, "{length}");
+}
+
+#[test]
+fn the_checksum_is_the_published_crc_32() {
+    assert_eq!(crc32(b"123456789"), 0xCBF4_3926);
+}
+
+/// What boards in the field hold: these bytes were written once and must decode to the same values for ever, or their
+/// version must change. `UPDATE_GOLDEN=1 cargo test --test settings` rewrites them after a version was raised.
+#[test]
+fn entries_written_by_earlier_firmware_are_byte_for_byte_what_this_one_writes() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/settings.txt");
+    let mut now = String::from("# key version: the entry, in hexadecimal. See tests/settings.rs.\n");
+    for (key, entry) in specimens() {
+        let hex: String = entry.iter().map(|byte| format!("{byte:02x}")).collect();
+        writeln!(now, "{} {}: {hex}", key.name(), entry[1]).unwrap();
+    }
+    if std::env::var_os("UPDATE_GOLDEN").is_some() {
+        std::fs::write(&path, &now).unwrap();
+    }
+    let then = std::fs::read_to_string(&path).expect("the golden file is there");
+    for (then, now) in then.lines().zip(now.lines()) {
+        assert_eq!(then, now, "the layout of a setting changed: raise its VERSION, then update the golden file");
+    }
+    assert_eq!(then.lines().count(), now.lines().count());
+}

@@ -1,0 +1,134 @@
+//! Telemetry tells every step it holds, and what it does not hold can be counted exactly.
+
+use haptic_bridge::guard::State;
+use haptic_bridge::servo::Frame;
+use haptic_bridge::telemetry::{BATCH_VALUES, Batch, Field, Fields, Packer, StreamRequest};
+use proptest::prelude::*;
+
+fn frame(step: u32) -> Frame {
+    Frame {
+        step,
+        q: [step as f32, 0.5, -0.5],
+        counts: [-7, 16_777_217, 3],
+        contacts: 2,
+        state: State::Armed,
+        ..Frame::default()
+    }
+}
+
+fn width(batch: &Batch) -> usize {
+    Fields(batch.fields).width(usize::from(batch.axes))
+}
+
+fn rows(batch: &Batch) -> impl Iterator<Item = u32> + '_ {
+    (0..batch.values.len() / width(batch)).map(|row| batch.first_step.wrapping_add(row as u32 * batch.divider))
+}
+
+fn packer(fields: Fields, divider: u32, axes: usize) -> Packer {
+    let mut packer = Packer::default();
+    packer.start(&StreamRequest { fields, divider }, axes);
+    packer
+}
+
+#[test]
+fn a_row_holds_its_fields_in_their_order() {
+    let mut packer = packer(Fields(Field::Angle.bit() | Field::Counts.bit() | Field::State.bit()), 1, 2);
+    assert!(packer.push(&frame(9), 0).is_none());
+    let batch = packer.flush().unwrap();
+    assert_eq!((batch.first_step, batch.axes, width(&batch)), (9, 2, 5));
+    assert_eq!(batch.values[..2], [9.0, 0.5]);
+    assert_eq!(batch.values[2].to_bits() as i32, -7);
+    assert_eq!(batch.values[3].to_bits() as i32, 16_777_217, "more than a float could hold");
+    assert_eq!(batch.values[4], 1.0 + 32.0);
+}
+
+#[test]
+fn a_stream_keeps_every_so_many_steps_and_zero_stops_it() {
+    let packer_of_three = packer(Fields::USUAL, 3, 2);
+    let kept: Vec<u32> = (0..10).filter(|step| packer_of_three.wants(*step)).collect();
+    assert_eq!(kept, [0, 3, 6, 9]);
+    assert!(!packer(Fields::USUAL, 0, 2).wants(0));
+    assert!(!packer(Fields(0), 1, 2).wants(0));
+    assert!(!Packer::default().wants(0));
+}
+
+#[test]
+fn a_full_batch_leaves_at_once_and_nothing_is_cut_off() {
+    for axes in 1..=3 {
+        let mut packer = packer(Fields::ALL, 1, axes);
+        let mut step = 0;
+        let batch = loop {
+            step += 1;
+            if let Some(batch) = packer.push(&frame(step), 0) {
+                break batch;
+            }
+        };
+        assert_eq!(batch.values.len() % width(&batch), 0, "whole rows");
+        assert!(batch.values.len() + width(&batch) > BATCH_VALUES, "as many as fit");
+        assert_eq!(rows(&batch).last(), Some(step));
+    }
+}
+
+#[test]
+fn fields_that_do_not_exist_are_not_sent() {
+    let mut packer = packer(Fields(u32::MAX), 1, 7);
+    packer.push(&frame(1), 0);
+    let batch = packer.flush().unwrap();
+    assert_eq!((Fields(batch.fields), batch.axes), (Fields::ALL, 3));
+    assert_eq!(batch.values.len(), width(&batch));
+}
+
+proptest! {
+    #[test]
+    fn every_step_is_either_in_a_batch_or_counted_as_lost(
+        divider in 1_u32..5,
+        start in prop_oneof![Just(0_u32), Just(u32::MAX - 100), any::<u32>()],
+        fields in 1_u32..(1 << 15),
+        // For each row: whether the board had to drop it, and whether the link loses the batch that leaves there.
+        fate in proptest::collection::vec((0_u8..8, 0_u8..6), 1..300),
+    ) {
+        let mut packer = packer(Fields(fields), divider, 2);
+        let first = start - start % divider;
+        let (mut dropped, mut sent, mut arrived, mut lost_on_link) = (0_u32, 0_usize, Vec::new(), 0_usize);
+        let mut send = |batch: Batch, lose: bool| {
+            if lose {
+                lost_on_link += rows(&batch).count();
+            } else {
+                arrived.push(batch);
+            }
+        };
+        for (i, (drop, lose)) in fate.iter().enumerate() {
+            let step = first.wrapping_add(i as u32 * divider);
+            if *drop == 0 {
+                dropped += 1;
+                continue;
+            }
+            sent += 1;
+            if let Some(batch) = packer.push(&frame(step), dropped) {
+                send(batch, *lose == 0);
+            }
+        }
+        if let Some(batch) = packer.flush() {
+            send(batch, false);
+        }
+        let received: usize = arrived.iter().map(|batch| batch.values.len() / width(batch)).sum();
+        prop_assert_eq!(received + lost_on_link, sent);
+        prop_assert_eq!(sent + dropped as usize, fate.len());
+        // What a reader can tell: rows are where they say they are, and batches that the link lost leave a gap.
+        for batch in &arrived {
+            if Fields(fields).has(Field::Angle) {
+                for (row, step) in (0..).zip(0..batch.values.len() / width(batch)) {
+                    let expected = batch.first_step.wrapping_add(row * divider);
+                    prop_assert_eq!(batch.values[step * width(batch)], expected as f32);
+                }
+            }
+        }
+        for pair in arrived.windows(2) {
+            prop_assert!(pair[1].number > pair[0].number);
+            prop_assert!(pair[1].dropped >= pair[0].dropped);
+        }
+        if let Some(last) = arrived.last() {
+            prop_assert!(last.dropped <= dropped);
+        }
+    }
+}
