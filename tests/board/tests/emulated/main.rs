@@ -6,4 +6,5 @@ mod boot;
 mod faults;
 mod session;
 mod usb;
+mod walls;
 mod wiring;
