@@ -2,6 +2,7 @@
 #![forbid(unsafe_code)]
 
 pub mod analysis;
+pub mod backup;
 pub mod demo;
 pub mod device_file;
 pub mod error;

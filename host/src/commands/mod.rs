@@ -50,6 +50,8 @@ commands! {
         (Faults, faults)
         (Clear, clear)
         (Save, save)
+        (Backup, backup)
+        (Restore, restore)
         (Sim, sim)
     }
     "Shell" {

@@ -1,0 +1,219 @@
+//! Backups of a board's settings: one JSON file, readable by people and by later versions of this tool.
+//!
+//! Every setting stands in it twice: its bytes as the board keeps them, and its value with names. The bytes go back
+//! unchanged to a board of the same version; a board whose firmware keeps the setting in another version gets the value,
+//! encoded anew. Nothing is sent before the whole file has been understood.
+
+use crate::link::{Board, BoardError};
+use haptic_bridge::device::Device;
+use haptic_bridge::precomputed::MassModelData;
+use haptic_bridge::scene::Scene;
+use haptic_bridge::servo::Rules;
+use haptic_bridge::settings::{BoardName, Damage, Entry, Key, Polarity, Setting, decode, encode};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use std::collections::BTreeMap;
+
+/// Version of the file's own layout.
+pub const FORMAT: u32 = 1;
+
+/// What a backup file holds.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Backup {
+    /// [`FORMAT`].
+    #[serde(rename = "haptic-backup")]
+    pub format: u32,
+    /// Firmware it was read from.
+    pub firmware: String,
+    /// Kind of board.
+    pub board: String,
+    /// Its serial number: a polarity check is only good for the board it was made with.
+    pub serial: String,
+    /// The settings by name; those that were never saved are not there.
+    pub settings: BTreeMap<String, Kept>,
+}
+
+/// One setting.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Kept {
+    /// Version of its bytes.
+    pub version: u8,
+    /// What they mean; none when this tool could not read them.
+    pub value: Option<Value>,
+    /// The bytes, in hexadecimal.
+    pub bytes: String,
+}
+
+/// Why a backup cannot be used.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum BackupError {
+    /// Not JSON, or not of this shape.
+    #[error("this is not a backup of a board: {0}")]
+    NotABackup(String),
+    /// Of a later tool.
+    #[error("the backup has format {0}, and this tool knows {FORMAT}: update the tool")]
+    Format(u32),
+    /// A setting that nobody knows.
+    #[error("the backup holds a setting {0:?} that this tool does not know: update the tool")]
+    UnknownSetting(String),
+    /// Neither its bytes nor its value can be used.
+    #[error("the setting {0:?} in the backup is damaged: {1}")]
+    Damaged(&'static str, String),
+}
+
+/// What was done with one setting.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Restored {
+    /// The very bytes of the backup.
+    AsItWas,
+    /// Encoded anew from its value, because the backup's bytes are of another version.
+    Translated,
+    /// Left out: a polarity check is good only for the board it was made with.
+    OtherBoard,
+}
+
+/// A setting ready to be sent.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Ready {
+    /// Which.
+    pub key: Key,
+    /// Its bytes in this version.
+    pub entry: Entry,
+    /// How they came about.
+    pub how: Restored,
+}
+
+/// The order in which settings go back: a device resets what belongs to the one before.
+const ORDER: [Key; 6] = [Key::Rules, Key::Device, Key::MassModel, Key::Scene, Key::Name, Key::Polarity];
+
+impl Backup {
+    /// Reads everything that a board keeps in flash.
+    pub fn read(board: &mut Board) -> Result<Self, BoardError> {
+        let mut settings = BTreeMap::new();
+        for key in Key::ALL {
+            if let Some(entry) = board.read_entry(key)? {
+                settings.insert(key.name().to_string(), kept(key, &entry));
+            }
+        }
+        let info = board.info();
+        Ok(Self {
+            format: FORMAT,
+            firmware: info.firmware.to_string(),
+            board: info.board.to_string(),
+            serial: info.serial.to_string(),
+            settings,
+        })
+    }
+
+    /// The file's text.
+    pub fn to_text(&self) -> String {
+        // A map with names for keys always becomes JSON.
+        serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
+    }
+
+    /// Reads a file's text.
+    pub fn parse(text: &str) -> Result<Self, BackupError> {
+        let value: Value = serde_json::from_str(text).map_err(|error| BackupError::NotABackup(error.to_string()))?;
+        match value.get("haptic-backup").and_then(Value::as_u64) {
+            Some(format) if format == u64::from(FORMAT) => {}
+            Some(format) => return Err(BackupError::Format(format as u32)),
+            None => return Err(BackupError::NotABackup("it has no \"haptic-backup\"".into())),
+        }
+        serde_json::from_value(value).map_err(|error| BackupError::NotABackup(error.to_string()))
+    }
+
+    /// Every setting in this version's bytes, in the order to send them, for a board of this serial number.
+    pub fn ready(&self, serial: &str) -> Result<Vec<Ready>, BackupError> {
+        if let Some(unknown) = self.settings.keys().find(|name| Key::ALL.iter().all(|key| key.name() != **name)) {
+            return Err(BackupError::UnknownSetting(unknown.clone()));
+        }
+        let mut ready = Vec::new();
+        for key in ORDER {
+            match self.settings.get(key.name()) {
+                Some(kept) => {
+                    let (entry, mut how) = usable(key, kept)?;
+                    if key == Key::Polarity && self.serial != serial {
+                        how = Restored::OtherBoard;
+                    }
+                    ready.push(Ready { key, entry, how });
+                }
+                // A device must not meet the mass model that the board kept for another one.
+                None if key == Key::MassModel && self.settings.contains_key(Key::Device.name()) => {
+                    let entry = encode(&MassModelData::Exact).map_err(|error| damaged(key, error))?;
+                    ready.push(Ready { key, entry, how: Restored::AsItWas });
+                }
+                None => {}
+            }
+        }
+        Ok(ready)
+    }
+}
+
+/// Sends settings made ready to a board and keeps them there. Motors must be off.
+pub fn restore(board: &mut Board, ready: &[Ready]) -> Result<(), BoardError> {
+    for setting in ready.iter().filter(|setting| setting.how != Restored::OtherBoard) {
+        board.restore_entry(setting.key, setting.entry.clone())?;
+    }
+    Ok(())
+}
+
+fn damaged(key: Key, damage: Damage) -> BackupError {
+    let reason = match damage {
+        Damage::Corrupt => "its checksum or encoding is wrong".to_string(),
+        Damage::UnknownVersion(version) => format!("it is of version {version}, and its value is missing"),
+        Damage::OtherKey => "it belongs to another setting".to_string(),
+        Damage::TooLong => "it is too long".to_string(),
+    };
+    BackupError::Damaged(key.name(), reason)
+}
+
+fn kept(key: Key, entry: &[u8]) -> Kept {
+    fn value<S: Setting>(entry: &[u8]) -> Option<Value> {
+        serde_json::to_value(decode::<S>(entry).ok()?).ok()
+    }
+    let value = match key {
+        Key::Device => value::<Device<f32>>(entry),
+        Key::Scene => value::<Scene<f32>>(entry),
+        Key::Rules => value::<Rules>(entry),
+        Key::MassModel => value::<MassModelData>(entry),
+        Key::Polarity => value::<Polarity>(entry),
+        Key::Name => value::<BoardName>(entry),
+    };
+    let bytes = entry.iter().map(|byte| format!("{byte:02x}")).collect();
+    Kept { version: entry.get(1).copied().unwrap_or(0), value, bytes }
+}
+
+fn usable(key: Key, kept: &Kept) -> Result<(Entry, Restored), BackupError> {
+    match key {
+        Key::Device => usable_as::<Device<f32>>(kept),
+        Key::Scene => usable_as::<Scene<f32>>(kept),
+        Key::Rules => usable_as::<Rules>(kept),
+        Key::MassModel => usable_as::<MassModelData>(kept),
+        Key::Polarity => usable_as::<Polarity>(kept),
+        Key::Name => usable_as::<BoardName>(kept),
+    }
+}
+
+/// The bytes if this version understands them, else the value encoded anew.
+fn usable_as<S: Setting>(kept: &Kept) -> Result<(Entry, Restored), BackupError> {
+    let bytes = from_hex(&kept.bytes).ok_or_else(|| damaged(S::KEY, Damage::Corrupt))?;
+    match decode::<S>(&bytes) {
+        Ok(_) => {
+            let entry = Entry::from_slice(&bytes).map_err(|_| damaged(S::KEY, Damage::TooLong))?;
+            Ok((entry, Restored::AsItWas))
+        }
+        Err(Damage::UnknownVersion(version)) => {
+            let value = kept.value.clone().ok_or_else(|| damaged(S::KEY, Damage::UnknownVersion(version)))?;
+            let value: S = serde_json::from_value(value)
+                .map_err(|error| BackupError::Damaged(S::KEY.name(), error.to_string()))?;
+            Ok((encode(&value).map_err(|error| damaged(S::KEY, error))?, Restored::Translated))
+        }
+        Err(other) => Err(damaged(S::KEY, other)),
+    }
+}
+
+fn from_hex(text: &str) -> Option<Vec<u8>> {
+    let digits: Option<Vec<u32>> = text.chars().map(|c| c.to_digit(16)).collect();
+    let digits = digits.filter(|digits| digits.len() % 2 == 0)?;
+    Some(digits.chunks(2).map(|pair| (pair[0] * 16 + pair[1]) as u8).collect())
+}

@@ -1,0 +1,44 @@
+//! `haptic restore`: puts a backup back into a board.
+
+use super::port::Port;
+use haptic::backup::{Backup, Restored, restore};
+use haptic::error::{Failure, print};
+use std::path::PathBuf;
+
+/// Put a backup back into the board's flash
+///
+/// The motors must be off. The polarity check is restored only to the board that it was made with.
+#[derive(clap::Args)]
+pub struct Args {
+    /// A file that `haptic backup` wrote
+    file: PathBuf,
+    #[command(flatten)]
+    port: Port,
+}
+
+/// Understands the whole file, then writes the board.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let place = args.file.display();
+    let text = std::fs::read_to_string(&args.file).map_err(|error| Failure::wrong(format!("{place}: {error}")))?;
+    let wrong = |error| Failure::wrong(format!("{place}: {error}"));
+    let backup = Backup::parse(&text).map_err(wrong)?;
+    // Damage is found before a board is looked for.
+    backup.ready("").map_err(wrong)?;
+    let mut board = args.port.open()?;
+    let ready = backup.ready(&board.info().serial.clone()).map_err(wrong)?;
+    eprintln!("writing flash: the board pauses for up to a second");
+    restore(&mut board, &ready)?;
+    let mut report = String::new();
+    for setting in &ready {
+        report += &match setting.how {
+            Restored::AsItWas => format!("{}: restored\n", setting.key.name()),
+            Restored::Translated => format!("{}: restored, in this firmware's version\n", setting.key.name()),
+            Restored::OtherBoard => format!(
+                "{}: left out, because it belongs to board {}; run `haptic polarity`\n",
+                setting.key.name(),
+                backup.serial
+            ),
+        };
+    }
+    print(&report)
+}
