@@ -1,0 +1,71 @@
+//! The velocity estimators: the transfer function of the usual digital designs, in single precision as in double.
+
+use haptic_bridge::velocity::{Coefficients, Estimator, LowPass, Velocity, Washout};
+
+/// The direct-form coefficients (b0, b1, b2, a1, a2) of a 2nd-order digital Butterworth low-pass, from its definition:
+/// bilinear transform of 1/(s² + √2 s + 1), prewarped.
+fn butter(cutoff: f64, rate: f64) -> [f64; 5] {
+    let g = (std::f64::consts::PI * cutoff / rate).tan();
+    let norm = 1.0 / (1.0 + std::f64::consts::SQRT_2 * g + g * g);
+    let b = g * g * norm;
+    [b, 2.0 * b, b, 2.0 * (g * g - 1.0) * norm, (1.0 - std::f64::consts::SQRT_2 * g + g * g) * norm]
+}
+
+#[test]
+fn the_butterworth_is_the_usual_digital_one() {
+    for (rate, cutoff) in [(200.0, 20.0), (1000.0, 20.0), (20_000.0, 500.0), (50_000.0, 20_000.0)] {
+        let coefficients = Coefficients::<f64>::new(Estimator::Butterworth, rate, cutoff).unwrap();
+        let [b0, b1, b2, a1, a2] = butter(cutoff, rate);
+        let mut filter = LowPass::default();
+        let (mut x, mut y) = ([0.0; 2], [0.0; 2]);
+        for step in 0..2000 {
+            let input = ((step * step % 97) as f64) / 97.0 - 0.3;
+            let direct = b0 * input + b1 * x[0] + b2 * x[1] - a1 * y[0] - a2 * y[1];
+            (x, y) = ([input, x[0]], [direct, y[0]]);
+            let ours = filter.step(&coefficients, input);
+            assert!((ours - direct).abs() < 1e-9, "{rate} Hz, {cutoff} Hz, step {step}: {ours} and {direct}");
+        }
+    }
+}
+
+#[test]
+fn single_precision_keeps_the_gain_at_a_thousandth_of_the_rate() {
+    let coefficients = Coefficients::<f32>::new(Estimator::Butterworth, 20_000.0, 20.0).unwrap();
+    let mut filter = LowPass::default();
+    let output = (0..200_000).map(|_| filter.step(&coefficients, 0.7)).last().unwrap();
+    assert!((f64::from(output) / f64::from(0.7f32) - 1.0).abs() < 4e-6, "{output}");
+}
+
+#[test]
+fn a_ramp_has_its_slope_as_velocity_under_every_estimator() {
+    for kind in [Estimator::Butterworth, Estimator::FirstOrder, Estimator::BackwardDifference] {
+        let coefficients = Coefficients::<f64>::new(kind, 1000.0, 50.0).unwrap();
+        let mut velocity = Velocity::default();
+        let last = (0..2000).map(|step| velocity.step(&coefficients, 3.0 + 0.25e-3 * f64::from(step))).last().unwrap();
+        assert!((last - 0.25).abs() < 1e-9, "{kind:?}: {last}");
+    }
+}
+
+#[test]
+fn the_first_sample_is_not_a_motion() {
+    let coefficients = Coefficients::<f32>::new(Estimator::BackwardDifference, 1000.0, 50.0).unwrap();
+    let mut velocity = Velocity::default();
+    assert_eq!(velocity.step(&coefficients, 0.4), 0.0);
+}
+
+#[test]
+fn a_cutoff_at_or_above_half_the_rate_is_refused() {
+    for cutoff in [0.0, -1.0, 500.0, 501.0, f64::NAN, f64::INFINITY] {
+        assert!(Coefficients::<f32>::new(Estimator::Butterworth, 1000.0, cutoff).is_err(), "{cutoff}");
+        assert!(Washout::<f32>::new(cutoff, 1000.0).is_err(), "{cutoff}");
+    }
+}
+
+#[test]
+fn the_washout_forgets_a_constant_force_also_when_slow_and_in_single_precision() {
+    let mut washout = Washout::<f32>::new(0.2, 50_000.0).unwrap();
+    assert!((washout.step(5.0) - 5.0).abs() < 1e-3);
+    // Twelve time constants of 1/(2π 0.2 Hz) leave 6e-6 of it.
+    let left = (0..(12.0 * 0.8 * 50_000.0) as u32).map(|_| washout.step(5.0)).last().unwrap();
+    assert!(left.abs() < 1e-4, "{left}");
+}
