@@ -1,6 +1,7 @@
 //! The USB device, one serial port (CDC-ACM), and the task that serves the protocol over it.
 
 use embassy_futures::select::{Either, select};
+use embassy_futures::yield_now;
 use embassy_stm32::peripherals::{PA11, PA12, USB_OTG_FS};
 use embassy_stm32::usb::{self, Driver};
 use embassy_stm32::{Peri, bind_interrupts};
@@ -97,9 +98,18 @@ pub async fn serve(mut panel: Panel, hardware: Hardware, previous: Option<FaultR
     let mut stream = TelemetryStream::default();
     let mut sequence = 0;
     let mut watch = Instant::now();
+    let mut more = false;
     loop {
         supervisor::alive(supervisor::Task::Link);
-        let wake = if stream.runs() { Instant::now() + DRAIN } else { watch };
+        // One batch a turn: requests and the other tasks come in between, also where rows come faster than they leave.
+        if more {
+            yield_now().await;
+        }
+        let wake = match (more, stream.runs()) {
+            (true, _) => Instant::now(),
+            (false, true) => Instant::now() + DRAIN,
+            (false, false) => watch,
+        };
         match select(incoming.next(), Timer::at(wake)).await {
             Either::First(Event::Frame(request)) => {
                 let (answer, after) = dispatch::answer(&mut service, &mut panel, request, frame);
@@ -116,7 +126,9 @@ pub async fn serve(mut panel: Panel, hardware: Hardware, previous: Option<FaultR
             Either::First(Event::Disconnected) => stream.stop(),
             Either::Second(()) => {}
         }
-        while let Some(batch) = stream.batch(&mut panel) {
+        more = false;
+        if let Some(batch) = stream.batch(&mut panel) {
+            more = true;
             if let Some(message) = dispatch::publish::<Telemetry>(sequence, batch, frame) {
                 sequence = sequence.wrapping_add(1);
                 outgoing.send(message).await;
