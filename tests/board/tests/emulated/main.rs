@@ -3,6 +3,7 @@
 //! Virtual time stands still while a test looks, so every run sees the same bytes at the same instants.
 
 mod boot;
+mod equality;
 mod faults;
 mod session;
 mod usb;

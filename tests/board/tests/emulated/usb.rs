@@ -1,10 +1,15 @@
 //! What a cable and a computer can do to a board.
 
+use std::time::Duration;
+
 use haptic::link::Board;
+use haptic_bridge::telemetry::Fields;
 use virtual_board::boards::BoardKind;
 use virtual_board::rig::Rig;
 use virtual_board::run::{MILLISECOND, SECOND};
 use virtual_board::usb::Event;
+
+use crate::session::WALL;
 
 fn answers(rig: &Rig) -> bool {
     Board::over(rig.shared.wire(), "again").is_ok()
@@ -70,4 +75,26 @@ fn garbage_is_answered_by_nothing_and_harms_nothing() {
     assert!(refused.iter().all(Result::is_err), "{refused:?}");
     assert!(answers(&rig));
     assert_eq!(rig.with(|bench| bench.resets().len()), 0);
+}
+
+#[test]
+fn a_computer_that_stops_reading_stops_nothing_else() {
+    let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
+    rig.load(WALL);
+    rig.arm();
+    rig.tool.start_stream(Fields::ALL, 1).expect("a stream starts");
+    let before = rig.tool.rows(Duration::from_millis(50)).expect("rows come").last().expect("a row").step;
+    rig.with(|bench| bench.usb().read_port(false));
+    rig.run(SECOND);
+    rig.with(|bench| bench.usb().read_port(true));
+    rig.run(200 * MILLISECOND);
+    let status = rig.tool.status().expect("the board answers");
+    // 1.2 s and more at 20 kHz: the control step never waited.
+    assert!(status.step - before > 24_000, "{} steps", status.step - before);
+    assert_eq!(status.fault, None);
+    assert_eq!(rig.tool.details().expect("it answers").overruns, 0);
+    rig.tool.rows(Duration::from_millis(100)).expect("rows come again");
+    rig.tool.stop_stream().expect("the stream stops");
+    let losses = rig.tool.losses();
+    assert!(losses.missing > 0, "something had to be lost: {losses:?}");
 }

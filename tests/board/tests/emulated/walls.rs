@@ -1,6 +1,9 @@
-//! A hand against a wall: what the board renders is what the wall's law says.
+//! A hand against a wall: what the board renders is what the wall's law and the PC's simulation say.
+
+use std::time::Duration;
 
 use haptic::sim::{Hand, HandSettings, Intent, Waypoint};
+use haptic_bridge::telemetry::{Field, Fields};
 use virtual_board::boards::BoardKind;
 use virtual_board::rig::Rig;
 use virtual_board::run::SECOND;
@@ -39,4 +42,23 @@ fn a_wall_holds_a_hand_at_the_depth_of_its_stiffness() {
         // 2 N over 2000 N/m is 1 mm; what the current sensors and encoder steps leave uncertain is 8 %.
         assert!((depth - 0.001).abs() < 8e-5, "{feed_forward}: {depth} m deep, tip {tip:?} at {tip_velocity:?}");
     }
+}
+
+#[test]
+fn a_wall_never_pulls() {
+    let (mut rig, height) = armed_at_a_wall("washout", 0.003);
+    rig.tool.start_stream(Fields(Field::WallForce.bit() | Field::Distance.bit()), 1).expect("a stream starts");
+    push(&rig, 3.0);
+    rig.run(SECOND);
+    push(&rig, -3.0);
+    let mut rows = Vec::new();
+    while rows.len() < 25_000 {
+        rows.extend(rig.tool.rows(Duration::from_millis(200)).expect("rows come"));
+    }
+    // Columns: distance, force.
+    assert!(rows.iter().any(|row| row.values[1] > 1.0), "the wall was touched");
+    assert!(rows.iter().all(|row| row.values[1] >= 0.0), "no force pulls");
+    assert!(rows.iter().all(|row| row.values[0] < 0.0 || row.values[1] == 0.0), "no force outside the wall");
+    let tip = rig.with_simulated(|device| device.tip());
+    assert!(tip[1] < height, "the hand got away: {tip:?}");
 }

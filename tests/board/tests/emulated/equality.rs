@@ -1,0 +1,131 @@
+//! The board equals the library: the torques computed on the chip are those the same code computes on this computer.
+
+use std::time::Duration;
+
+use haptic::scene_file::SceneFile;
+use haptic::sim::{Hand, HandSettings, Intent, Waypoint};
+use haptic_bridge::device::Device;
+use haptic_bridge::drive::Bridge;
+use haptic_bridge::math::Minimax;
+use haptic_bridge::precomputed::MassModelData;
+use haptic_bridge::program::Program;
+use haptic_bridge::servo::{Command, Hardware, Samples, Servo};
+use haptic_bridge::telemetry::{Field, Fields};
+use virtual_board::boards::BoardKind;
+use virtual_board::rig::Rig;
+use virtual_board::run::SECOND;
+
+/// State, in the stream's first column of [`Field::State`].
+const ARMED: f64 = 1.0;
+
+#[test]
+fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
+    let cases = [(BoardKind::OdriveV3, "pantograph-mk2", [0.0, 0.004, 0.0])];
+    for (kind, name, offset) in cases {
+        let mut rig = Rig::with_device(kind, name, |_| ());
+        let file = rig.file.clone().expect("a device");
+        let task = file.spec().task;
+        let tip = rig.with_simulated(|device| device.tip());
+        let axes = |values: &[f64]| values.iter().take(task).map(f64::to_string).collect::<Vec<_>>().join(", ");
+        let point: Vec<f64> = tip.iter().zip(offset).map(|(tip, offset)| tip + offset).collect();
+        let scene = format!(
+            "rate_hz = 2000\ncutoff_hz = 200\n[[wall]]\npoint = [{}]\nnormal = [{}]\nstiffness = 1500.0\ndamping = 4.0\nfeed_forward = \"full\"\n",
+            axes(&point),
+            axes(&[0.0, -1.0, 0.0])
+        );
+        rig.load(&scene);
+        rig.tool.home().expect("homed");
+        rig.check_polarity();
+        // The device stands; its estimators have come to rest.
+        rig.run(SECOND / 2);
+        let fields =
+            [Field::Angle, Field::Speed, Field::Tip, Field::Torque, Field::Distance, Field::WallForce, Field::Shaping];
+        let traced = [Field::Counts, Field::BusVoltage, Field::Current, Field::State];
+        let set = fields.iter().chain(&traced).fold(0, |set, field| set | field.bit());
+        let columns = haptic::link::columns(Fields(set), file.spec().joints);
+        rig.tool.start_stream(Fields(set), 1).expect("a stream starts");
+        rig.tool.arm().expect("armed");
+        rig.with_simulated(move |device| {
+            let to = device.tip();
+            let path = vec![
+                Waypoint { time: 0.0, value: to },
+                Waypoint { time: 0.1, value: [to[0] + 0.002, to[1] + 0.006, to[2]] },
+            ];
+            device.set_hand(Hand::new(HandSettings::default(), Intent::Follow(path), to, device.time()));
+        });
+        let mut rows = Vec::new();
+        while rows.len() < 5_000 {
+            rows.extend(rig.tool.rows(Duration::from_millis(300)).expect("rows come"));
+        }
+        assert_eq!(rig.tool.losses().missing, 0, "{name}: every step is here");
+
+        let rules = rig.tool.rules().expect("it answers");
+        let bridge = Bridge { carrier_hz: 20_000.0, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true };
+        let hardware = Hardware { axes: kind.wiring().motors.len(), real: true, bus_sensed: true, bridge };
+        let device = Device::new(&file.name, &file.description).expect("a device");
+        let scene = SceneFile::parse(&scene, "scene", task).expect("a scene").scene().expect("it fits f32");
+        let program: Program<Minimax> =
+            Program::new(&hardware, &rules.limits, &device, &scene, &MassModelData::Exact, false).expect("a program");
+        let mut servo = Servo::new(hardware, rules);
+        let of = |row: &haptic::link::Row, field: Field| -> Vec<f64> {
+            columns
+                .iter()
+                .zip(&row.values)
+                .filter(|(column, _)| column.field == field)
+                .map(|(_, value)| *value)
+                .collect()
+        };
+        let three = |values: Vec<f64>| -> [f64; 3] { std::array::from_fn(|i| values.get(i).copied().unwrap_or(0.0)) };
+        servo.execute(Command::Program(Box::new(program))).0.expect("loaded");
+        // Homed where it stood at power-on, count 0; then at rest where the trace begins, until every estimator is at zero.
+        servo.control(&Samples { bus_voltage: 24.0, ..Samples::default() });
+        servo.execute(Command::Home).0.expect("homed");
+        servo.execute(Command::PolarityKnown).0.expect("known");
+        let start = three(of(&rows[0], Field::Counts)).map(|count| count as i32);
+        for _ in 0..20_000 {
+            servo.control(&Samples { counts: start, bus_voltage: 24.0, ..Samples::default() });
+        }
+        let mut compared = 0;
+        let mut touched = 0;
+        for row in &rows {
+            let samples = Samples {
+                counts: three(of(row, Field::Counts)).map(|count| count as i32),
+                bus_voltage: of(row, Field::BusVoltage)[0] as f32,
+                currents: three(of(row, Field::Current)).map(|current| current as f32),
+                ..Samples::default()
+            };
+            let state = of(row, Field::State)[0];
+            if state == ARMED && servo.status().state != haptic_bridge::guard::State::Armed {
+                servo.execute(Command::Arm).0.expect("armed");
+            }
+            servo.control(&samples);
+            if state != ARMED {
+                continue;
+            }
+            let frame = *servo.frame();
+            let here = |field| -> [f32; 3] {
+                match field {
+                    Field::Angle => frame.q,
+                    Field::Speed => frame.qd,
+                    Field::Tip => frame.tip,
+                    Field::Torque => frame.torque,
+                    Field::Distance => [frame.distance, 0.0, 0.0],
+                    Field::WallForce => [frame.wall_force, 0.0, 0.0],
+                    _ => [frame.shaping, 0.0, 0.0],
+                }
+            };
+            for field in fields {
+                // What is left on the chip of motions before the trace (the polarity check) has decayed below the normal
+                // numbers; it is no part of what is compared.
+                let settled = |value: f32| if value.abs() < f32::MIN_POSITIVE { 0 } else { value.to_bits() };
+                let chip = three(of(row, field)).map(|value| settled(value as f32));
+                let pc = here(field).map(settled);
+                assert_eq!(chip, pc, "{name}: {field:?} at step {} ({:?} here)", row.step, here(field));
+            }
+            compared += 1;
+            touched += usize::from(frame.wall_force > 0.0);
+        }
+        println!("{name}: {compared} steps compared, {touched} of them in the wall");
+        assert!(compared > 4_000 && touched > 500, "{name}: {compared} compared, {touched} in the wall");
+    }
+}
