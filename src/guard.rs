@@ -57,7 +57,7 @@ macro_rules! faults {
 faults! {
     /// The control step did not finish in its period; value: periods missed.
     ControlOverrun = 1, "the control step did not finish within its period",
-        "lower the scene's rate_hz, or let `haptic plan` choose a cheaper model";
+        "lower the scene's rate_hz, or give it fewer walls with feed-forward";
     /// An encoder moved further in one step than the speed limit allows; value: counts.
     EncoderJump = 2, "an encoder jumped further in one step than the device can move",
         "check the encoder's cable, shield and supply; lengthen nothing that carries motor current beside it";

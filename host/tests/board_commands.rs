@@ -148,3 +148,16 @@ fn wrong_ports_and_gains_are_refused_by_the_command_line() {
     haptic(&["info", "--port", "/dev/no-such-port"]).assert().code(1).stderr(contains("/dev/no-such-port"));
     haptic(&["list", "--json"]).assert().success();
 }
+
+#[test]
+fn rules_are_shown_lowered_and_never_raised_above_the_boards_own() {
+    let sim = Sim::start(&["--fast"]);
+    sim.run(&["rules"]).success().stdout(contains("a silent host is ignored"));
+    sim.run(&["rules", "--torque", "0.5,0.4", "--host", "disarm", "--passivity", "true"])
+        .success()
+        .stdout(contains("[0.5, 0.4, ").and(contains("turns the motors off")).and(contains("passivity control   on")));
+    sim.run(&["rules", "--power", "1e9"]).code(1).stderr(contains("limits must be"));
+    sim.run(&["rules", "--torque", "1,1,1,1"]).code(2).stderr(contains("4 numbers"));
+    sim.run(&["rules", "--power", "nan"]).code(2);
+    sim.run(&["rules"]).success().stdout(contains("[0.5, 0.4, "));
+}

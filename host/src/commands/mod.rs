@@ -49,9 +49,11 @@ commands! {
         (MeasureRange, measure_range)
         (Faults, faults)
         (Clear, clear)
+        (Rules, rules)
         (Save, save)
         (Backup, backup)
         (Restore, restore)
+        (Dfu, dfu)
         (Sim, sim)
     }
     "Shell" {

@@ -1,0 +1,122 @@
+//! `haptic rules`: shows or changes what the board enforces, whatever a tool asks for.
+
+use super::port::Port;
+use clap::ValueEnum;
+use haptic::error::{Failure, print};
+use haptic_bridge::guard::Limits;
+use haptic_bridge::servo::{HostAction, Rules};
+
+/// Show or change the limits and rules that the board enforces
+///
+/// What is not named stays as it is. Limits can be lowered at any time and raised only with the motors off, never above
+/// the board's own. `haptic save` keeps them over a power cycle.
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    port: Port,
+    /// Joint torques in N m, one per joint
+    #[arg(long, value_name = "N M,..", value_delimiter = ',', value_parser = limit)]
+    torque: Vec<f32>,
+    /// Motor currents in A, one per joint
+    #[arg(long, value_name = "A,..", value_delimiter = ',', value_parser = limit)]
+    current: Vec<f32>,
+    /// Motor currents that may flow for ever, in A, one per joint
+    #[arg(long, value_name = "A,..", value_delimiter = ',', value_parser = limit)]
+    continuous_current: Vec<f32>,
+    /// Joint speeds in rad/s, one per joint
+    #[arg(long, value_name = "RAD/S,..", value_delimiter = ',', value_parser = limit)]
+    speed: Vec<f32>,
+    /// Mean power into the hand in W
+    #[arg(long, value_name = "W", value_parser = limit)]
+    power: Option<f32>,
+    /// Lowest supply voltage in V
+    #[arg(long, value_name = "V", value_parser = limit)]
+    bus_min: Option<f32>,
+    /// Highest supply voltage in V
+    #[arg(long, value_name = "V", value_parser = limit)]
+    bus_max: Option<f32>,
+    /// What the board does when the host has been silent
+    #[arg(long, value_name = "ACTION")]
+    host: Option<Action>,
+    /// How long the host may be silent, in s
+    #[arg(long, value_name = "S", value_parser = limit)]
+    host_seconds: Option<f32>,
+    /// Damp the energy that a wall gives out (passivity controller)
+    #[arg(long, value_name = "BOOL", action = clap::ArgAction::Set)]
+    passivity: Option<bool>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Action {
+    /// Nothing
+    Ignore,
+    /// The scene goes on, and the fault is listed
+    Hold,
+    /// Motors off
+    Disarm,
+}
+
+fn limit(text: &str) -> Result<f32, String> {
+    match text.trim().parse::<f32>() {
+        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
+        Ok(_) => Err("must be finite and greater than zero".into()),
+        Err(_) => Err("not a number".into()),
+    }
+}
+
+/// Reads what is in force, changes what is named, reports what is in force then.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let mut board = args.port.open()?;
+    let before = board.rules()?;
+    let mut rules = before;
+    let limits = &mut rules.limits;
+    for (name, given, place) in [
+        ("torque", &args.torque, &mut limits.torque),
+        ("current", &args.current, &mut limits.current),
+        ("continuous-current", &args.continuous_current, &mut limits.continuous_current),
+        ("speed", &args.speed, &mut limits.speed),
+    ] {
+        if given.len() > place.len() {
+            let reason = format!("--{name} has {} numbers, and no device has more than {} joints", given.len(), place.len());
+            return Err(Failure::wrong(reason).remedy("give one number per joint"));
+        }
+        for (place, given) in place.iter_mut().zip(given) {
+            *place = *given;
+        }
+    }
+    limits.power = args.power.unwrap_or(limits.power);
+    limits.bus_min = args.bus_min.unwrap_or(limits.bus_min);
+    limits.bus_max = args.bus_max.unwrap_or(limits.bus_max);
+    rules.host_action = match args.host {
+        None => rules.host_action,
+        Some(Action::Ignore) => HostAction::Ignore,
+        Some(Action::Hold) => HostAction::Hold,
+        Some(Action::Disarm) => HostAction::Disarm,
+    };
+    rules.host_seconds = args.host_seconds.unwrap_or(rules.host_seconds);
+    rules.passivity = args.passivity.unwrap_or(rules.passivity);
+    if rules != before {
+        board.set_rules(&rules)?;
+    }
+    print(&in_words(&board.rules()?))
+}
+
+fn in_words(rules: &Rules) -> String {
+    let Limits { torque, current, continuous_current, speed, power, bus_min, bus_max } = &rules.limits;
+    let host = match rules.host_action {
+        HostAction::Ignore => "a silent host is ignored".into(),
+        HostAction::Hold => format!("a host silent for {} s is listed as a fault, the scene goes on", rules.host_seconds),
+        HostAction::Disarm => format!("a host silent for {} s turns the motors off", rules.host_seconds),
+    };
+    let passivity = if rules.passivity { "on" } else { "off" };
+    format!(
+        "torque              {torque:?} N m\n\
+         current             {current:?} A\n\
+         continuous current  {continuous_current:?} A\n\
+         speed               {speed:?} rad/s\n\
+         power into the hand {power} W\n\
+         supply              {bus_min} to {bus_max} V\n\
+         host                {host}\n\
+         passivity control   {passivity}\n"
+    )
+}
