@@ -151,12 +151,12 @@ impl<T: Real> Passivity<T> {
     }
 }
 
-/// A contact that is rendered in this step.
+/// A contact whose force goes through the feed-forward in this step.
 #[derive(Clone, Copy, Debug)]
 struct Active<T: Real, const N: usize> {
     wall: usize,
     normal: SVector<T, N>,
-    /// What of the wall's force goes through the feed-forward.
+    /// What of its force is shaped, N.
     shaped: T,
 }
 
@@ -194,7 +194,11 @@ pub struct Step<T: Real, const N: usize> {
 #[derive(Clone, Copy, Debug)]
 pub struct Encoding<T> {
     radians_per_count: T,
+    /// Angular velocity of one count per control period, rad/s.
+    speed_per_count: T,
     counts_per_turn: i32,
+    /// Counts from zero up to which no whole turn has to be taken off.
+    counts_unturned: u32,
     offset: T,
 }
 
@@ -210,11 +214,23 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     primed: bool,
     joint_filters: [LowPass<T>; N],
     coefficients: Coefficients<T>,
+    /// Gain of the joints' filters where only guard and telemetry look at them.
+    watch: T,
     walls: Vec<RunningWall<T>, MAX_WALLS>,
     springs: Vec<Spring<T>, MAX_SPRINGS>,
     field_damping: T,
     gravity: bool,
     velocity_terms: bool,
+    /// b of the shaped torque is not zero.
+    biased: bool,
+    /// Whether something is rendered or compensated with joint velocities.
+    moving: bool,
+    /// Some wall is curved.
+    curved: bool,
+    /// Some wall compensates joint damping.
+    damped: bool,
+    /// There are springs or a field.
+    guided: bool,
     passivity: bool,
     math: PhantomData<K>,
 }
@@ -231,9 +247,12 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             mass,
             joints: core::array::from_fn(|i| {
                 let joint = &device.joints[i];
+                let counts_per_turn = if M::SPEC.periodic { joint.counts_per_turn } else { 0 };
                 Encoding {
                     radians_per_count: joint.radians_per_count,
-                    counts_per_turn: if M::SPEC.periodic { joint.counts_per_turn } else { 0 },
+                    speed_per_count: joint.radians_per_count * scene.rate_hz,
+                    counts_per_turn,
+                    counts_unturned: if counts_per_turn > 0 { counts_per_turn.unsigned_abs() } else { u32::MAX },
                     offset: joint.offset,
                 }
             }),
@@ -243,11 +262,20 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             primed: false,
             joint_filters: [LowPass::default(); N],
             coefficients,
+            watch: coefficients.first_order_gain(),
             walls,
             springs: scene.springs.clone(),
             field_damping: scene.field_damping,
             gravity: scene.gravity_compensation && device.weight,
             velocity_terms: scene.velocity_terms,
+            biased: scene.velocity_terms || scene.walls.iter().any(|wall| wall.damping_compensation),
+            moving: scene.velocity_terms
+                || scene.walls.iter().any(|wall| wall.damping_compensation)
+                || !scene.springs.is_empty()
+                || scene.field_damping > T::zero(),
+            curved: scene.walls.iter().any(|wall| wall.surface.curved()),
+            damped: scene.walls.iter().any(|wall| wall.damping_compensation),
+            guided: !scene.springs.is_empty() || scene.field_damping > T::zero(),
             passivity: false,
             math: PhantomData,
         })
@@ -256,6 +284,12 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// Joint torques for these encoder counts. Call at the control rate.
     #[inline(always)]
     pub fn step(&mut self, counts: &[i32; N]) -> Step<T, N> {
+        self.step_with(counts, &[])
+    }
+
+    /// As [`Controller::step`], with the values of the table that a [`MassModel::Table`] looks into.
+    #[inline(always)]
+    pub fn step_with(&mut self, counts: &[i32; N], table: &[T]) -> Step<T, N> {
         let (q, turned) = self.angles(counts);
         let qd = self.joint_velocities(counts);
         let pose = shared_pose::<T, K, M, N>(&self.mechanism, &turned);
@@ -278,8 +312,12 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             shaping: T::one(),
             regularity,
         };
+        // What goes straight through Jᵀ, what is shaped, and the walls that shape it: the first by itself, because one
+        // wall is the usual case and need not go through memory.
         let mut plain = SVector::<T, N>::zeros();
-        let mut active: Vec<Active<T, N>, MAX_WALLS> = Vec::new();
+        let mut straight = false;
+        let mut first = None;
+        let mut more: Vec<Active<T, N>, MAX_WALLS> = Vec::new();
         for (index, running) in self.walls.iter_mut().enumerate() {
             let wall = &running.wall;
             let contact = wall.surface.contact::<K, N>(&place);
@@ -289,129 +327,164 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
                 step.distance = contact.distance;
                 step.normal_velocity = v;
             }
-            let touching = wall.bilateral || contact.distance < T::zero();
-            let mut force = T::zero();
-            if touching {
-                force = -wall.stiffness * contact.distance - wall.damping * v;
+            let inside = contact.distance < T::zero();
+            if !inside && !wall.bilateral {
                 if self.passivity {
-                    let extra = running.passivity.damping(moved, v, self.coefficients.rate());
-                    force -= extra * v;
-                    step.passivity_damping += extra;
+                    running.passivity.leave(moved);
                 }
-                // Written so that what is not a number stays one, and is found out.
-                if !wall.bilateral && force < T::zero() {
-                    force = T::zero();
+                if wall.feed_forward == FeedForward::Washout {
+                    running.washout.step(T::zero());
                 }
-                step.contacts += 1;
-                step.wall_force += force;
-                if self.passivity {
-                    running.passivity.hold(force);
-                    step.energy += running.passivity.energy;
-                }
-            } else {
-                running.passivity.leave(moved);
+                continue;
+            }
+            let mut force = -wall.stiffness * contact.distance - wall.damping * v;
+            let mut extra = T::zero();
+            if self.passivity {
+                extra = running.passivity.damping(moved, v, self.coefficients.rate());
+                force -= extra * v;
+            }
+            // Written so that what is not a number stays one, and is found out.
+            if !wall.bilateral && force < T::zero() {
+                force = T::zero();
+            }
+            step.contacts += 1;
+            step.wall_force += force;
+            if self.passivity {
+                step.passivity_damping += extra;
+                running.passivity.hold(force);
+                step.energy += running.passivity.energy;
             }
             let shaped = match wall.feed_forward {
                 FeedForward::Off => T::zero(),
                 FeedForward::Full => force,
                 FeedForward::Washout => running.washout.step(force),
             };
-            if touching {
-                if wall.feed_forward == FeedForward::Off {
-                    plain += contact.normal * force;
-                } else {
-                    plain += contact.normal * (force - shaped);
-                    let _ = active.push(Active { wall: index, normal: contact.normal, shaped });
+            if wall.feed_forward != FeedForward::Full {
+                plain += contact.normal * (force - shaped);
+                straight = true;
+            }
+            if wall.feed_forward != FeedForward::Off {
+                let active = Active { wall: index, normal: contact.normal, shaped };
+                match first {
+                    None => first = Some(active),
+                    Some(_) => {
+                        let _ = more.push(active);
+                    }
                 }
             }
         }
-        if !self.springs.is_empty() || self.field_damping > T::zero() {
+        if self.guided {
             plain += self.guidance(&place, &task_part::<T, M, N>(&self.mechanism.velocity(&pose, &qd)));
+            straight = true;
         }
 
         // (4): what is shaped goes through M E Wrr⁻¹, the rest straight through Jᵀ.
-        if !active.is_empty() {
+        if let Some(first) = first {
             let parallel = regularity.parallel * T::from_f64(1.0 / PARALLEL_REGULARITY);
-            step.shaping = fade(regularity.serial.lesser(parallel));
-            if step.shaping > T::zero() {
-                let resultant = active.iter().fold(SVector::<T, N>::zeros(), |sum, a| sum + a.normal * a.shaped);
-                let shaped = self.shaped(&turned, &pose, &place, &qd, &active, &resultant);
-                if step.shaping < T::one() {
-                    plain += resultant * (T::one() - step.shaping);
-                    step.torque = shaped * step.shaping;
-                } else {
-                    step.torque = shaped;
+            let share = fade(regularity.serial.lesser(parallel));
+            if share < T::one() || !more.is_empty() {
+                // Copies, so that the usual case need not keep these in memory.
+                let (pose, place, qd, turned, first) = (pose, place, qd, turned, first);
+                let resultant = more.iter().fold(first.normal * first.shaped, |sum, a| sum + a.normal * a.shaped);
+                if share > T::zero() {
+                    step.torque =
+                        self.shaped_by_several(table, &turned, &pose, &place, &qd, &first, &more, &resultant) * share;
                 }
+                step.shaping = share;
+                plain += resultant * (T::one() - share);
+                straight = true;
             } else {
-                plain = active.iter().fold(plain, |sum, a| sum + a.normal * a.shaped);
+                step.torque = self.shaped_by_one(table, &turned, &pose, &place, &qd, &first);
             }
         }
-        step.torque += self.mechanism.transpose(&pose, &plain);
+        if straight {
+            step.torque += self.mechanism.transpose(&pose, &plain);
+        }
         if self.gravity {
             step.torque += self.mechanism.gravity(&pose);
         }
         step
     }
 
-    /// The feed-forward torques of the active walls, without gravity.
+    /// The feed-forward torques of a single active wall, without gravity.
     #[inline(always)]
-    fn shaped(
+    fn shaped_by_one(
         &self,
+        table: &[T],
         q: &SVector<T, N>,
         pose: &M::Pose,
         place: &SVector<T, N>,
         qd: &SVector<T, N>,
-        active: &Vec<Active<T, N>, MAX_WALLS>,
+        only: &Active<T, N>,
+    ) -> SVector<T, N> {
+        let shaping = self.mass.shaping(&self.mechanism, table, q, pose, &only.normal);
+        if !self.biased {
+            return shaping.me * (only.shaped / shaping.w_rr);
+        }
+        let b = self.bias(pose, place, qd, core::slice::from_ref(only), &only.normal);
+        shaped_torque(&shaping, only.shaped, &b)
+    }
+
+    /// The feed-forward torques of one or several active walls, without gravity. Out of line: the usual single wall
+    /// away from singularities does not come here.
+    #[allow(clippy::too_many_arguments)]
+    #[inline(never)]
+    fn shaped_by_several(
+        &self,
+        table: &[T],
+        q: &SVector<T, N>,
+        pose: &M::Pose,
+        place: &SVector<T, N>,
+        qd: &SVector<T, N>,
+        first: &Active<T, N>,
+        more: &[Active<T, N>],
         resultant: &SVector<T, N>,
     ) -> SVector<T, N> {
-        match active.as_slice() {
-            [only] => {
-                let shaping = self.mass.shaping(&self.mechanism, q, pose, &only.normal);
-                let b = self.bias(pose, place, qd, active, &only.normal);
-                shaped_torque(&shaping, only.normal.dot(resultant), &b)
-            }
-            _ => {
-                let mut normals: Vec<SVector<T, N>, MAX_WALLS> = Vec::new();
-                for a in active {
-                    let _ = normals.push(a.normal);
-                }
-                let split = Split::new::<K>(&normals, M::SPEC.task);
-                if split.rendered == N {
-                    // Everything is rendered: nothing is admissible, and (4) adds nothing.
-                    return self.mechanism.transpose(pose, resultant);
-                }
-                let shapings: [Shaping<T, N>; N] =
-                    core::array::from_fn(|i| self.mass.shaping(&self.mechanism, q, pose, &split.direction(i)));
-                // One rendered direction, or two in space with one admissible across them.
-                let turning = if split.rendered == 1 { 0 } else { N - 1 };
-                let b = self.bias(pose, place, qd, active, &split.direction(turning));
-                shaped_torque_in_span(&split, &shapings, resultant, &b)
-            }
+        let mut active: Vec<Active<T, N>, MAX_WALLS> = Vec::new();
+        let mut normals: Vec<SVector<T, N>, MAX_WALLS> = Vec::new();
+        for a in core::iter::once(first).chain(more) {
+            let _ = active.push(*a);
+            let _ = normals.push(a.normal);
         }
+        if more.is_empty() {
+            let shaping = self.mass.shaping(&self.mechanism, table, q, pose, &first.normal);
+            return shaped_torque(&shaping, first.shaped, &self.bias(pose, place, qd, &active, &first.normal));
+        }
+        let split = Split::new::<K>(&normals, M::SPEC.task);
+        if split.rendered == N {
+            // Everything is rendered: nothing is admissible, and (4) adds nothing.
+            return self.mechanism.transpose(pose, resultant);
+        }
+        let shapings: [Shaping<T, N>; N] =
+            core::array::from_fn(|i| self.mass.shaping(&self.mechanism, table, q, pose, &split.direction(i)));
+        // One rendered direction, or two in space with one admissible across them.
+        let turning = if split.rendered == 1 { 0 } else { N - 1 };
+        let b = self.bias(pose, place, qd, &active, &split.direction(turning));
+        shaped_torque_in_span(&split, &shapings, resultant, &b)
     }
 
     /// b without gravity: c - M J⁻¹(J̇ q̇ + κ), and B q̇ where a wall asks for it. Zero when the scene has no velocity
     /// terms. `line` is the direction that turns with curved walls (see [`frame_rate`]).
-    #[inline]
+    #[inline(never)]
     fn bias(
         &self,
         pose: &M::Pose,
         place: &SVector<T, N>,
         qd: &SVector<T, N>,
-        active: &Vec<Active<T, N>, MAX_WALLS>,
+        active: &[Active<T, N>],
         line: &SVector<T, N>,
     ) -> SVector<T, N> {
         let mut b = SVector::zeros();
         if self.velocity_terms {
             let mut acceleration = SVector::zeros();
-            if M::SPEC.task > 1 && self.walls.iter().any(|running| running.wall.surface.curved()) {
+            if M::SPEC.task > 1 && self.curved {
                 let velocity = task_part::<T, M, N>(&self.mechanism.velocity(pose, qd));
                 acceleration = -frame_rate(line, &self.line_rate(place, &velocity, active, line), &velocity);
             }
             b = self.mechanism.inverse_dynamics(pose, qd, &acceleration);
         }
         let damped = |a: &Active<T, N>| self.walls.get(a.wall).is_some_and(|w| w.wall.damping_compensation);
-        if active.iter().any(damped) {
+        if self.damped && active.iter().any(damped) {
             b += self.viscous.component_mul(qd);
         }
         b
@@ -424,14 +497,14 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         &self,
         place: &SVector<T, N>,
         velocity: &SVector<T, N>,
-        active: &Vec<Active<T, N>, MAX_WALLS>,
+        active: &[Active<T, N>],
         line: &SVector<T, N>,
     ) -> SVector<T, N> {
         let rate = |a: &Active<T, N>| match self.walls.get(a.wall) {
             Some(running) => running.wall.surface.normal_rate::<K, N>(place, velocity),
             None => SVector::zeros(),
         };
-        match active.as_slice() {
+        match active {
             [only] => rate(only),
             [first, rest @ ..] => {
                 // The wall least parallel to the first spans the plane with it.
@@ -470,25 +543,34 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             let joint = &self.joints[i];
             let relative = counts[i].wrapping_sub(self.zero[i]);
             q[i] = T::from_i32(relative) * joint.radians_per_count + joint.offset;
-            let within = relative.checked_rem(joint.counts_per_turn).unwrap_or(relative);
-            turned[i] =
-                if within == relative { q[i] } else { T::from_i32(within) * joint.radians_per_count + joint.offset };
+            turned[i] = q[i];
+            if relative.unsigned_abs() > joint.counts_unturned {
+                let within = relative.checked_rem(joint.counts_per_turn).unwrap_or(relative);
+                turned[i] = T::from_i32(within) * joint.radians_per_count + joint.offset;
+            }
         }
         (q, turned)
     }
 
-    /// Filtered joint velocities from integer count differences, which wrap.
+    /// Filtered joint velocities from integer count differences, which wrap. Where nothing is rendered with them, only
+    /// guard and telemetry watch, and a first-order filter at the same cutoff is enough.
     #[inline(always)]
     fn joint_velocities(&mut self, counts: &[i32; N]) -> SVector<T, N> {
+        if !self.primed {
+            self.last_counts = *counts;
+            self.primed = true;
+        }
         let mut qd = SVector::zeros();
-        let rate = self.coefficients.rate();
         for i in 0..N {
-            let moved = if self.primed { counts[i].wrapping_sub(self.last_counts[i]) } else { 0 };
-            let raw = T::from_i32(moved) * self.joints[i].radians_per_count * rate;
-            qd[i] = self.joint_filters[i].step(&self.coefficients, raw);
+            let moved = counts[i].wrapping_sub(self.last_counts[i]);
+            let raw = T::from_i32(moved) * self.joints[i].speed_per_count;
+            qd[i] = if self.moving {
+                self.joint_filters[i].step(&self.coefficients, raw)
+            } else {
+                self.joint_filters[i].step_first_order(self.watch, raw)
+            };
         }
         self.last_counts = *counts;
-        self.primed = true;
         qd
     }
 
@@ -552,6 +634,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// Applies checked coefficients of the velocity estimators between two steps; their states go on.
     pub fn set_coefficients(&mut self, coefficients: &Coefficients<T>) {
         self.coefficients = *coefficients;
+        self.watch = coefficients.first_order_gain();
     }
 }
 

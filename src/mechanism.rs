@@ -55,6 +55,8 @@ pub struct Shaping<T: Real, const N: usize> {
 pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
     /// What a device file must hold.
     const SPEC: Spec;
+    /// Where the lower triangle of M holds something (row, column), row by row; every other entry of it is always zero.
+    const MASS_ENTRIES: &'static [(usize, usize)];
     /// What depends on the angles alone, computed once per step.
     type Pose: Copy + core::fmt::Debug;
 
@@ -191,6 +193,15 @@ macro_rules! define {
             }
         }
 
+        impl<T: Real> AnyMechanism<T> {
+            /// See [`Mechanism::MASS_ENTRIES`].
+            pub fn mass_entries(&self) -> &'static [(usize, usize)] {
+                match self {
+                    $(Self::$Variant(_) => <$Variant<T> as Mechanism<T, $n>>::MASS_ENTRIES,)*
+                }
+            }
+        }
+
         impl AnyMechanism<f32> {
             /// Whether everything computed at `q` (rad) is finite: a broken coefficient spoils at least one number.
             pub fn is_finite_at<K: Math<f32>>(&self, q: &[f32; MAX_JOINTS]) -> bool {
@@ -224,9 +235,11 @@ impl Kind {
 /// `1 / x`, with |x| kept at or above `floor` so that the result is always finite for finite `x`.
 #[inline(always)]
 pub(crate) fn reciprocal<T: Real>(x: T, floor: T) -> T {
-    let magnitude = x.abs().greater(floor);
-    let r = T::one() / magnitude;
-    if x < T::zero() { -r } else { r }
+    if x.abs() >= floor {
+        return T::one() / x;
+    }
+    let limit = T::one() / floor;
+    if x < T::zero() { -limit } else { limit }
 }
 
 /// [`Mechanism::pose`], compiled once: a copy at every use would fill the board's flash, and a call costs little beside it.

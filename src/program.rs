@@ -29,7 +29,7 @@ macro_rules! define {
             pub fn new(device: &Device<f32>, scene: &Scene<f32>, mass: &MassModelData) -> Result<Self, Refusal> {
                 match &device.mechanism {
                     $(crate::mechanism::AnyMechanism::$Variant(mechanism) => {
-                        let mass = MassModel::new(mass).ok_or(Refusal::BadTable)?;
+                        let mass = MassModel::new::<crate::mechanism::$Variant<f32>>(mass).ok_or(Refusal::BadTable)?;
                         Controller::new(*mechanism, device, scene, mass).map(Self::$Variant).map_err(Refusal::Scene)
                     })*
                 }
@@ -40,10 +40,18 @@ macro_rules! define {
                 match self { $(Self::$Variant(_) => Kind::$Variant,)* }
             }
 
-            /// One control step; fills what a frame records of it and returns the distances from singularities.
+            /// One control step with the values of the mass model's table, if it has one; fills what a frame records of
+            /// it and returns the distances from singularities.
             #[inline(always)]
-            pub(crate) fn step(&mut self, counts: &[i32; MAX_JOINTS], frame: &mut Frame) -> Regularity<f32> {
-                match self { $(Self::$Variant(controller) => record(controller.step(&head(counts)), frame),)* }
+            pub(crate) fn step(
+                &mut self,
+                counts: &[i32; MAX_JOINTS],
+                table: &[f32],
+                frame: &mut Frame,
+            ) -> Regularity<f32> {
+                match self {
+                    $(Self::$Variant(controller) => record(controller.step_with(&head(counts), table), frame),)*
+                }
             }
 
             /// See [`Controller::home`].

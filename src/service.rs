@@ -7,7 +7,7 @@
 use crate::device::Device;
 use crate::guard::{FaultRecord, Refusal, State};
 use crate::math::Math;
-use crate::precomputed::MassModelData;
+use crate::precomputed::{MassModelData, Receiving};
 use crate::protocol::{Details, FaultList, GainsRequest, Name, TableChunk, WriteEntry};
 use crate::scene::{FeedForward, Scene, SceneError};
 use crate::servo::{Command, Hardware, Program, Reply, Rules, Status};
@@ -47,6 +47,7 @@ pub struct Service {
     device: Option<Device<f32>>,
     scene: Option<Scene<f32>>,
     mass: MassModelData,
+    receiving: Receiving,
     rules: Rules,
     name: Name,
     polarity: Option<u32>,
@@ -64,6 +65,7 @@ impl Service {
             device: None,
             scene: None,
             mass: MassModelData::Exact,
+            receiving: Receiving::default(),
             rules: Rules { limits: most, ..Rules::default() },
             name: Name::new(),
             polarity: None,
@@ -84,7 +86,7 @@ impl Service {
         {
             let _ = self.damage.push((Key::Rules, Damage::Corrupt));
         }
-        if let Some(mass) = self.read(machine) {
+        if let Some(mass) = self.read(machine).filter(|mass| !matches!(mass, MassModelData::Table(..))) {
             self.mass = mass;
         }
         self.polarity = self.read::<Polarity>(machine).map(|Polarity(fingerprint)| fingerprint);
@@ -181,9 +183,15 @@ impl Service {
         Ok(())
     }
 
-    /// Chooses where the step takes its mass matrix from; motors must be off.
+    /// Chooses where the step takes its mass matrix from; motors must be off. A table's values must have been sent before.
     pub fn set_mass_model(&mut self, machine: &mut impl Machine, mass: MassModelData) -> Result<(), Refusal> {
         must_be_off(machine)?;
+        if let MassModelData::Table(grid, crc) = &mass {
+            let device = self.device.as_ref().ok_or(Refusal::NoDevice)?;
+            if !self.receiving.is_complete(grid.values(device.mechanism.mass_entries().len()), *crc) {
+                return Err(Refusal::BadTable);
+            }
+        }
         let old = core::mem::replace(&mut self.mass, mass);
         let result = self.reinstall(machine);
         if result.is_err() {
@@ -192,10 +200,17 @@ impl Service {
         result
     }
 
-    /// Takes a piece of a table; see [`MassModelData::receive`].
+    /// Takes a piece of a table, in order from offset 0; see [`Receiving::take`]. A table that is in use gives way to the
+    /// closed form first, so that no step ever looks into half a table.
     pub fn receive_table(&mut self, machine: &mut impl Machine, chunk: &TableChunk) -> Result<(), Refusal> {
         must_be_off(machine)?;
-        self.mass.receive(usize::from(chunk.offset), &chunk.values)
+        if matches!(self.mass, MassModelData::Table(..)) {
+            self.set_mass_model(machine, MassModelData::Exact)?;
+        }
+        if !self.receiving.take(usize::from(chunk.offset), &chunk.values) {
+            return Err(Refusal::BadTable);
+        }
+        machine.execute(Command::Table(chunk.clone())).0
     }
 
     fn reinstall(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
@@ -359,7 +374,11 @@ impl Service {
             write(machine, scene)?;
         }
         write(machine, &self.rules)?;
-        write(machine, &self.mass)?;
+        // A table is too long for a setting and not kept: a board that starts anew uses the closed form.
+        match &self.mass {
+            MassModelData::Table(..) => write(machine, &MassModelData::Exact)?,
+            kept => write(machine, kept)?,
+        }
         if let Some(fingerprint) = self.polarity {
             write(machine, &Polarity(fingerprint))?;
         }

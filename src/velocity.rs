@@ -66,30 +66,39 @@ pub struct Coefficients<T> {
     a1: T,
     a2: T,
     a3: T,
+    /// Of a first-order low-pass at the same cutoff (1 where there is none).
+    first: T,
 }
 
 impl<T: Real> Coefficients<T> {
     /// For a control rate and a cutoff in Hz. The cutoff must lie between 0 and half the rate, except for
     /// [`Estimator::BackwardDifference`], which has none.
     pub fn new(kind: Estimator, rate_hz: f64, cutoff_hz: f64) -> Result<Self, BadCutoff> {
+        let g = match kind {
+            Estimator::Butterworth | Estimator::FirstOrder => warped(cutoff_hz, rate_hz)?,
+            Estimator::BackwardDifference => 1.0,
+        };
+        let first = g / (1.0 + g);
         let (a1, a2, a3) = match kind {
             Estimator::Butterworth => {
-                let g = warped(cutoff_hz, rate_hz)?;
                 let a1 = 1.0 / (1.0 + g * (g + core::f64::consts::SQRT_2));
                 (a1, g * a1, g * g * a1)
             }
-            Estimator::FirstOrder => {
-                let g = warped(cutoff_hz, rate_hz)?;
-                (g / (1.0 + g), 0.0, 0.0)
-            }
+            Estimator::FirstOrder => (first, 0.0, 0.0),
             Estimator::BackwardDifference => (0.0, 0.0, 0.0),
         };
-        Ok(Self { rate: T::from_f64(rate_hz), kind, a1: T::from_f64(a1), a2: T::from_f64(a2), a3: T::from_f64(a3) })
+        let r = T::from_f64;
+        Ok(Self { rate: r(rate_hz), kind, a1: r(a1), a2: r(a2), a3: r(a3), first: r(first) })
     }
 
     /// Control rate, Hz.
     pub fn rate(&self) -> T {
         self.rate
+    }
+
+    /// The gain of [`LowPass::step_first_order`] at the same cutoff.
+    pub fn first_order_gain(&self) -> T {
+        self.first
     }
 }
 
@@ -114,14 +123,18 @@ impl<T: Real> LowPass<T> {
                 self.low = low + rise;
                 low
             }
-            Estimator::FirstOrder => {
-                let rise = coefficients.a1 * (input - self.low);
-                let low = self.low + rise;
-                self.low = low + rise;
-                low
-            }
+            Estimator::FirstOrder => self.step_first_order(coefficients.a1, input),
             Estimator::BackwardDifference => input,
         }
+    }
+
+    /// One step of a first-order low-pass.
+    #[inline(always)]
+    pub fn step_first_order(&mut self, gain: T, input: T) -> T {
+        let rise = gain * (input - self.low);
+        let low = self.low + rise;
+        self.low = low + rise;
+        low
     }
 }
 

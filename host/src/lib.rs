@@ -3,6 +3,7 @@
 
 pub mod analysis;
 pub mod backup;
+pub mod bench;
 pub mod demo;
 pub mod device_file;
 pub mod error;
@@ -11,6 +12,7 @@ pub mod interrupt;
 pub mod link;
 pub mod measure;
 pub mod model;
+pub mod plan;
 pub mod plot;
 pub mod recorder;
 pub mod scene_file;
