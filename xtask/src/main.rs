@@ -23,6 +23,7 @@ cargo xtask COMMAND
   no-panic          prove that the control step cannot panic, and bound its stack
   test              every test: this computer's, both images, the emulated board
   test-board        of these, the tests that run the images on the emulated board
+  timing            count the control interrupt's instructions, stage by stage, into docs/results/timing.md
   board [BOARD] [--device FILE] [--tcp PORT] [--fast]
                     the real firmware on an emulated board with a simulated device, to talk to
 
@@ -52,6 +53,7 @@ fn run(arguments: &[String], install: bool) -> Result<()> {
         ["no-panic"] => no_panic::prove(install),
         ["test"] => tests::all(install),
         ["test-board", rest @ ..] => tests::board(rest, install),
+        ["timing"] => tests::timing(install),
         ["board", rest @ ..] => tests::play(rest, install),
         [] | ["help" | "--help" | "-h"] => {
             println!("{HELP}");

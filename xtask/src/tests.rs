@@ -30,6 +30,11 @@ pub fn play(arguments: &[&str], install: bool) -> Result<()> {
     run(emulated("run", install)?.args(["--quiet", "--bin", "board", "--"]).args(arguments))
 }
 
+/// Measures the control interrupt on the emulated chip and writes the table.
+pub fn timing(install: bool) -> Result<()> {
+    run(emulated("run", install)?.args(["--quiet", "--bin", "timing"]))
+}
+
 /// A cargo call in the virtual board's workspace, which is one of its own because the emulator declares a newer compiler than
 /// it needs. Its tests and its program take the images from where this built them.
 fn emulated(call: &str, install: bool) -> Result<Command> {

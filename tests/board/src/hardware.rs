@@ -1,8 +1,10 @@
 //! The board around the chip: crystal, rail, power stages, sensors and encoders, wired as [`crate::boards`] says.
 //!
-//! Every [`PHYSICS_STEP`] the time that each switch was on since the last step becomes the motors' voltage, the plant
-//! moves on by that time, and what its sensors see is put on the chip's pins: quadrature edges one after another,
-//! microvolts at the converters, levels at the fault and index pins.
+//! At every crest and valley of the carrier the time that each switch was on since the last one becomes the motors'
+//! voltage, the plant moves on by that time, and what its sensors see is put on the chip's pins: quadrature edges one
+//! after another, microvolts at the converters, levels at the fault and index pins. From extreme to extreme the mean of
+//! a centre-aligned carrier is its duty, so a motor without inductance sees its duty and not the carrier; ripple is
+//! not simulated. A chip whose carrier stands still moves the plant every [`PHYSICS_STEP`].
 
 use std::num::{NonZeroU32, NonZeroU64};
 
@@ -28,11 +30,13 @@ use crate::plant::{Dummy, Plant};
 /// cycle estimate of a control step gives on a Cortex-M4F with flash wait states hidden.
 pub const INSTRUCTIONS_PER_SECOND: NonZeroU64 = NonZeroU64::new(84_000_000).expect("not zero");
 
-/// Time between two steps of the plant, ns: half a period of the slowest carrier.
+/// Time between two steps of the plant without a carrier, ns: half a period of the slowest one.
 pub const PHYSICS_STEP: u64 = 25_000;
 /// Time between two edges of one encoder, ns: more than the 95 ns its input filter needs.
 const EDGE_SPACING: u64 = 250;
 
+/// `ARR` of a timer.
+const AUTO_RELOAD: u32 = 0x2C;
 /// The 8 MHz crystal of both boards.
 const CRYSTAL_HZ: u64 = 8_000_000;
 /// The rail of both boards, in millivolts.
@@ -148,10 +152,21 @@ impl Hardware {
         }
         if at.0 >= self.next_step {
             self.advance_plant(wiring, at);
-            self.next_step = at.0 - at.0 % PHYSICS_STEP + PHYSICS_STEP;
+            self.next_step = self.next_extreme(at.0).unwrap_or(at.0 - at.0 % PHYSICS_STEP + PHYSICS_STEP);
         }
         let moving = self.drive_encoders(wiring, at);
         Some(VirtualNanos(if moving { at.0 + EDGE_SPACING } else { self.next_step }))
+    }
+
+    /// The first crest or valley of TIM1 after `at`, if it counts.
+    fn next_extreme(&self, at: u64) -> Option<u64> {
+        let crest = self.chip.advanced[0].hook.crest()?;
+        let top = self.chip.register("TIM1", AUTO_RELOAD);
+        // Ticks in 21/125 of a nanosecond: the timer counts at 168 MHz.
+        let passed = at.saturating_sub(crest) * 21 / (125 * top.max(1));
+        // After a crest that should have come again two slopes later the timer has stopped.
+        let next = crest + (((passed + 1) * top + 1) * 125).div_ceil(21);
+        (top > 0 && passed < 3 && next > at).then_some(next)
     }
 
     fn advance_plant(&mut self, wiring: &Wiring, at: VirtualNanos) {

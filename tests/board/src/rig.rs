@@ -11,9 +11,9 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use crate::boards::BoardKind;
+use crate::contact::hold;
 use crate::hardware::Hardware;
 use crate::image::Firmware;
-use crate::interrupt::Handler;
 use crate::plant::{Dummy, Plant};
 use crate::run::{Bench, MILLISECOND, SECOND, VirtualBoard};
 use crate::wire::Shared;
@@ -42,7 +42,7 @@ pub fn devices() -> PathBuf {
 /// When there is no such file.
 #[must_use]
 pub fn device_file(name: &str) -> DeviceFile {
-    let path = devices().join(name).with_extension("toml");
+    let path = devices().join(format!("{name}.toml"));
     let mut file = DeviceFile::load(&path).unwrap_or_else(|error| panic!("{error}"));
     for joint in &mut file.description.joints {
         if let Some(motor) = &mut joint.motor {
@@ -83,12 +83,24 @@ impl Rig {
     /// When there is no such device, or the firmware does not come up.
     #[must_use]
     pub fn with_device(kind: BoardKind, name: &str, change: impl FnOnce(&mut Options)) -> Self {
-        let file = device_file(name);
+        Self::with_file(kind, device_file(name), change)
+    }
+
+    /// Boots `kind` with the device of `file`, as [`Rig::with_device`].
+    ///
+    /// # Panics
+    ///
+    /// When the device cannot be simulated, or the firmware does not come up.
+    #[must_use]
+    pub fn with_file(kind: BoardKind, file: DeviceFile, change: impl FnOnce(&mut Options)) -> Self {
         let wiring = kind.wiring();
         let bridge = Bridge { bus_voltage: wiring.bus_voltage, dead_time: wiring.dead_time, carrier_hz: 20_000.0 };
         let mut options = Options { bridge, ..Options::default() };
         change(&mut options);
-        let device = Device::new(&file.description, &options).unwrap_or_else(|error| panic!("{error}"));
+        let mut device = Device::new(&file.description, &options).unwrap_or_else(|error| panic!("{error}"));
+        if file.description.gravity != [0.0; 3] {
+            hold(&mut device);
+        }
         Self::with_plant(kind, Box::new(device), Some(file))
     }
 
@@ -128,9 +140,18 @@ impl Rig {
     pub fn load(&mut self, scene: &str) {
         let file = self.file.as_ref().expect("a device at the connectors");
         let device = DeviceData::new(&file.name, &file.description).expect("a device of the board's size");
-        let task = file.spec().task;
-        let scene = SceneFile::parse(scene, "scene", task).unwrap_or_else(|error| panic!("{error}"));
         self.tool.set_device(&device).expect("the board takes the device");
+        self.set_scene(scene);
+    }
+
+    /// Loads a scene.
+    ///
+    /// # Panics
+    ///
+    /// When the board refuses it.
+    pub fn set_scene(&mut self, scene: &str) {
+        let task = self.file.as_ref().expect("a device at the connectors").spec().task;
+        let scene = SceneFile::parse(scene, "scene", task).unwrap_or_else(|error| panic!("{error}"));
         self.tool.set_scene(&scene.scene().expect("the scene fits f32")).expect("the board takes the scene");
     }
 
@@ -139,9 +160,18 @@ impl Rig {
     /// # Panics
     ///
     /// When the board refuses, or finds a fault.
-    pub fn arm(&mut self) {
+    pub fn ready(&mut self) {
         self.tool.home().expect("the device can be homed");
         self.check_polarity();
+        self.arm();
+    }
+
+    /// Arms and waits until torque has ramped up.
+    ///
+    /// # Panics
+    ///
+    /// When the board refuses, or finds a fault.
+    pub fn arm(&mut self) {
         self.tool.arm().expect("the board arms");
         self.run(SECOND);
         let status = self.tool.status().expect("the board answers");
@@ -184,58 +214,4 @@ impl Rig {
     pub fn with_simulated<T: Send + 'static>(&self, job: impl FnOnce(&mut Device) -> T + Send + 'static) -> T {
         self.with(|bench| job(bench.hardware().plant.device().expect("a simulated device")))
     }
-
-    /// Times the control interrupt over `span` virtual nanoseconds.
-    ///
-    /// # Panics
-    ///
-    /// When the image has no such handler, or it never runs.
-    #[must_use]
-    pub fn time_control(&self, span: u64) -> ControlTime {
-        let handler = Handler::find(firmware(self.kind), CONTROL_INTERRUPT).expect("the control interrupt");
-        let watched = handler.clone();
-        self.with(move |bench| watched.watch(bench));
-        // The first hand-back arms the watches; what they see before is not whole.
-        self.run(MILLISECOND);
-        self.with(|bench| bench.take_hits());
-        self.run(span);
-        let watched = handler.clone();
-        let hits = self.with(move |bench| {
-            watched.unwatch(bench);
-            bench.take_hits()
-        });
-        let (crests, valleys): (Vec<u64>, Vec<u64>) =
-            handler.runs(&hits).iter().map(|run| run.instructions).partition(|&count| count > VALLEY_MOST);
-        let worst = |counts: &[u64]| counts.iter().copied().max().unwrap_or(0);
-        ControlTime {
-            worst: worst(&crests),
-            least: crests.iter().copied().min().unwrap_or(0),
-            mean: crests.iter().sum::<u64>() as f64 / crests.len().max(1) as f64,
-            crests: crests.len(),
-            valleys: valleys.len(),
-            valley_worst: worst(&valleys),
-        }
-    }
-}
-
-/// The control interrupt's handler.
-const CONTROL_INTERRUPT: &str = "TIM1_UP_TIM10";
-/// A run at a valley does next to nothing; one at a crest samples, steps and writes duties.
-const VALLEY_MOST: u64 = 60;
-
-/// What the control interrupt takes, entry to exit, in instructions.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ControlTime {
-    /// The longest run at a crest.
-    pub worst: u64,
-    /// The shortest run at a crest.
-    pub least: u64,
-    /// The mean over the crests.
-    pub mean: f64,
-    /// Runs at a crest.
-    pub crests: usize,
-    /// Runs at a valley.
-    pub valleys: usize,
-    /// The longest run at a valley.
-    pub valley_worst: u64,
 }

@@ -15,6 +15,7 @@ use rigless::time::VirtualNanos;
 use crate::hardware::Hardware;
 use crate::image::{self, Firmware};
 use crate::rtt::Rtt;
+use crate::trace::{Code, Run, Tracer};
 use crate::usb;
 
 /// Nanoseconds in a microsecond and a millisecond of virtual time.
@@ -59,6 +60,7 @@ pub struct Bench<'a> {
     /// Instructions executed since power-on.
     pub instructions: u64,
     hits: &'a mut Vec<Hit>,
+    tracer: &'a mut Option<Tracer>,
     rtt: &'a mut Rtt,
 }
 
@@ -83,7 +85,7 @@ impl Bench<'_> {
         self.memory.write(address, Width::W32, u64::from(value)).is_ok()
     }
 
-    /// Stops counting nothing and starts noting every time the instruction at `address` is about to execute.
+    /// Starts noting every time the instruction at `address` is about to execute.
     pub fn watch(&mut self, address: u64) {
         self.session.watch(Watch::Instruction(address));
     }
@@ -96,6 +98,18 @@ impl Bench<'_> {
     /// Takes what the watches noted since the last call, in order.
     pub fn take_hits(&mut self) -> Vec<Hit> {
         std::mem::take(self.hits)
+    }
+
+    /// Starts noting every instruction of the handler that starts at `entry`. Slow: a virtual second takes minutes.
+    pub fn trace(&mut self, code: &Code, entry: u64) {
+        code.addresses().for_each(|address| self.watch(address));
+        *self.tracer = Some(Tracer::new(code.clone(), entry as u32));
+    }
+
+    /// Ends what [`Bench::trace`] began and takes the handler's whole runs.
+    pub fn take_trace(&mut self, code: &Code) -> Vec<Run> {
+        code.addresses().for_each(|address| self.unwatch(address));
+        self.tracer.take().map(Tracer::finish).unwrap_or_default()
     }
 
     /// Takes the raw log the firmware wrote since the last call (RTT up-channel 0), as a probe would.
@@ -167,7 +181,7 @@ impl VirtualBoard {
         let rtt = Rtt::new(firmware.find("_SEGGER_RTT").map(|symbol| symbol.address));
         let (commands, orders) = channel();
         let (answers, replies) = channel();
-        let runner = Runner { orders, answers, until: 0, waiting: false, hits: Vec::new(), rtt };
+        let runner = Runner { orders, answers, until: 0, waiting: false, hits: Vec::new(), tracer: None, rtt };
         let thread = std::thread::spawn(move || {
             emulator::run(session, &Start::new(&[image]), runner).map(|_| ()).map_err(|error| error.to_string())
         });
@@ -269,6 +283,7 @@ struct Runner {
     until: u64,
     waiting: bool,
     hits: Vec<Hit>,
+    tracer: Option<Tracer>,
     rtt: Rtt,
 }
 
@@ -282,9 +297,9 @@ impl Runner {
         loop {
             match self.orders.recv().ok()? {
                 Command::With(job) => {
-                    let Self { hits, rtt, .. } = self;
+                    let Self { hits, tracer, rtt, .. } = self;
                     let (at, instructions) = (stop.at.0, stop.instruction_count);
-                    job(&mut Bench { session, memory, at, instructions, hits, rtt });
+                    job(&mut Bench { session, memory, at, instructions, hits, tracer, rtt });
                     self.answers.send(Reply::Done).ok()?;
                 }
                 Command::RunUntil(until) => {
@@ -305,7 +320,10 @@ impl Runner {
 impl Driver<Hardware> for Runner {
     fn on_settled(&mut self, _: &mut Session<Hardware>, _: &mut dyn emulator::Host, settled: Settled) {
         if let Settled::Hit(hit) = settled {
-            self.hits.push(hit);
+            match &mut self.tracer {
+                Some(tracer) => tracer.feed(&hit),
+                None => self.hits.push(hit),
+            }
         }
     }
 

@@ -45,6 +45,7 @@ pub struct Outputs {
     level: Level,
     pulses: u64,
     channel4: Level,
+    crest: Option<u64>,
     references: [bool; 3],
     driven: bool,
     since: u64,
@@ -67,6 +68,12 @@ impl Outputs {
     pub fn take_span(&mut self, now: VirtualNanos) -> Span {
         self.account(now);
         std::mem::take(&mut self.span)
+    }
+
+    /// When channel 4's reference last rose, ns: on these boards a tick before the crest of the carrier.
+    #[must_use]
+    pub fn crest(&self) -> Option<u64> {
+        self.crest
     }
 
     /// Starts counting time at `at`: the timer came out of a reset then.
@@ -111,6 +118,9 @@ impl Hook<Tim<Advanced>> for Outputs {
         let channel4 = timer.reference(Channel::new(4).expect("a timer has four channels"));
         if channel4 != self.channel4 {
             self.channel4 = channel4;
+            if channel4 == Level::High {
+                self.crest = Some(context.now().0);
+            }
             context.request(CC4, channel4);
         }
     }

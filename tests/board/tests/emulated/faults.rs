@@ -13,7 +13,7 @@ use crate::session::WALL;
 fn after(kind: BoardKind, breaks: impl FnOnce(&mut Bench<'_>) + Send + 'static) -> (Rig, Option<Fault>) {
     let mut rig = Rig::with_device(kind, "pantograph-mk2", |_| ());
     rig.load(WALL);
-    rig.arm();
+    rig.ready();
     rig.with(breaks);
     rig.run(50 * MILLISECOND);
     let status = rig.tool.status().expect("the board answers");

@@ -6,6 +6,7 @@ mod boot;
 mod equality;
 mod faults;
 mod session;
+mod timing;
 mod usb;
 mod walls;
 mod wiring;

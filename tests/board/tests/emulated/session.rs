@@ -31,7 +31,7 @@ fn a_session_from_info_to_disarm() {
     assert_eq!(refusal(rig.tool.arm()), Refusal::NotHomed);
     rig.tool.home().expect("the device can be homed");
     assert_eq!(refusal(rig.tool.arm()), Refusal::PolarityUnchecked);
-    rig.arm();
+    rig.ready();
 
     let gains = Gains { wall: 0, stiffness: 1500.0, damping: 3.0, feed_forward: FeedForward::Full, washout_hz: 2.0 };
     rig.tool.set_wall_gains(gains).expect("gains change while armed");

@@ -81,7 +81,7 @@ fn garbage_is_answered_by_nothing_and_harms_nothing() {
 fn a_computer_that_stops_reading_stops_nothing_else() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
-    rig.arm();
+    rig.ready();
     rig.tool.start_stream(Fields::ALL, 1).expect("a stream starts");
     let before = rig.tool.rows(Duration::from_millis(50)).expect("rows come").last().expect("a row").step;
     rig.with(|bench| bench.usb().read_port(false));

@@ -16,7 +16,7 @@ fn armed_at_a_wall(feed_forward: &str, inside: f64) -> (Rig, f64) {
     rig.load(&format!(
         "[[wall]]\npoint = [0.0, {height}]\nnormal = [0.0, -1.0]\nstiffness = 2000.0\ndamping = 6.0\nfeed_forward = \"{feed_forward}\"\n"
     ));
-    rig.arm();
+    rig.ready();
     (rig, height)
 }
 

@@ -1,0 +1,25 @@
+//! `timing`: measures the control interrupt of both boards and writes docs/results/timing.md. `cargo xtask timing` calls it.
+//!
+//! Exit code 1: the table could not be written.
+
+use std::process::ExitCode;
+
+use virtual_board::timing::{CASES, document, table};
+
+fn main() -> ExitCode {
+    let timings: Vec<_> = CASES
+        .iter()
+        .map(|case| {
+            let timing = case.measure();
+            println!("{}: longest {}, with a request {}", case.name(), timing.longest, timing.with_request);
+            timing
+        })
+        .collect();
+    match std::fs::write(document(), table(&timings)) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("timing: {}: {error}", document().display());
+            ExitCode::from(1)
+        }
+    }
+}

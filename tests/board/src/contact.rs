@@ -1,0 +1,107 @@
+//! A device whose tip stands before walls, and a hand that pushes it into them.
+
+use haptic::device_file::DeviceFile;
+use haptic::sim::{Device, Hand, HandSettings, Intent, Waypoint};
+
+use crate::boards::BoardKind;
+use crate::rig::Rig;
+use crate::run::{MILLISECOND, SECOND};
+
+/// A plane before the tip, by where the tip starts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WallAt {
+    /// Unit normal, pointing to the free side.
+    pub normal: [f64; 3],
+    /// From the tip to the wall at the start, m.
+    pub gap: f64,
+    /// N/m
+    pub stiffness: f64,
+    /// N s/m
+    pub damping: f64,
+    /// `off`, `full` or `washout`.
+    pub feed_forward: &'static str,
+}
+
+impl WallAt {
+    /// A wall of 500 N/m with the feed-forward in full, 3 mm from the tip.
+    #[must_use]
+    pub fn facing(normal: [f64; 3]) -> Self {
+        Self { normal, gap: 0.003, stiffness: 500.0, damping: 1.0, feed_forward: "full" }
+    }
+}
+
+/// The scene file with `walls` before a tip at `tip` of a task of `task` dimensions; `head` comes first.
+#[must_use]
+pub fn scene(head: &str, tip: [f64; 3], task: usize, walls: &[WallAt]) -> String {
+    let list = |values: [f64; 3]| values.iter().take(task).map(|x| format!("{x:?}")).collect::<Vec<_>>().join(", ");
+    let mut text = head.to_owned();
+    for wall in walls {
+        let point = std::array::from_fn(|i| tip[i] - wall.gap * wall.normal[i]);
+        text += &format!(
+            "[[wall]]\npoint = [{}]\nnormal = [{}]\nstiffness = {:?}\ndamping = {:?}\nfeed_forward = \"{}\"\n",
+            list(point),
+            list(wall.normal),
+            wall.stiffness,
+            wall.damping,
+            wall.feed_forward
+        );
+    }
+    text
+}
+
+/// A firm hand that keeps the tip where it is, as a person does while homing a device that would fall.
+pub fn hold(device: &mut Device) {
+    let here = vec![Waypoint { time: 0.0, value: device.tip() }];
+    let firm =
+        HandSettings { grip_stiffness: 5000.0, grip_damping: 20.0, arm_stiffness: 5000.0, ..HandSettings::default() };
+    device.set_hand(Hand::new(firm, Intent::Follow(here), device.tip(), device.time()));
+}
+
+/// A hand that carries what the firm one carried and gives way to anything else: the polarity check can move the tip.
+pub fn carry(device: &mut Device) {
+    let weight = vec![Waypoint { time: 0.0, value: device.hand_force() }];
+    device.set_hand(Hand::new(HandSettings::default(), Intent::Push(weight), device.tip(), device.time()));
+}
+
+/// A trembling hand that pushes the tip with `force` (N), reached in `seconds`.
+pub fn push(device: &mut Device, force: [f64; 3], seconds: f64) {
+    let path = vec![Waypoint::default(), Waypoint { time: seconds, value: force }];
+    let settings = HandSettings { tremor: 2e-4, ..HandSettings::default() };
+    device.set_hand(Hand::new(settings, Intent::Push(path), device.tip(), device.time()));
+}
+
+impl Rig {
+    /// A board with a device that was homed, held, armed before `walls`, and is pushed into them by `newtons` along
+    /// each of their normals for half a second.
+    ///
+    /// # Panics
+    ///
+    /// When the board refuses anything.
+    #[must_use]
+    pub fn in_contact(kind: BoardKind, name: &str, head: &str, walls: &[WallAt], newtons: f64) -> Self {
+        let mut rig = Self::with_device(kind, name, |_| ());
+        rig.arm_before(head, walls);
+        let force = std::array::from_fn(|i| walls.iter().map(|wall| -newtons * wall.normal[i]).sum());
+        rig.with_simulated(move |device| push(device, force, 0.3));
+        rig.run(SECOND / 2);
+        rig
+    }
+
+    /// Homes the device and has its polarity checked, then loads `walls` before the tip, wherever that took it, and arms.
+    ///
+    /// # Panics
+    ///
+    /// When the board refuses anything.
+    pub fn arm_before(&mut self, head: &str, walls: &[WallAt]) {
+        self.load(head);
+        self.tool.home().expect("the device can be homed");
+        self.with_simulated(carry);
+        self.check_polarity();
+        self.with_simulated(hold);
+        self.run(300 * MILLISECOND);
+        let tip = self.with_simulated(|device| device.tip());
+        let task = self.file.as_ref().map_or(2, |file: &DeviceFile| file.spec().task);
+        self.set_scene(&scene(head, tip, task, walls));
+        self.arm();
+    }
+}

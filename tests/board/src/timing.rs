@@ -1,0 +1,237 @@
+//! What the control interrupt takes, entry to exit, in instructions of the unmodified image: by stage, mean, worst, jitter.
+//!
+//! `cargo xtask timing` measures every [`Case`] and writes the table that docs/results.md leads to; a test measures
+//! some of them again and compares.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use haptic_bridge::telemetry::Fields;
+
+use crate::boards::BoardKind;
+use crate::contact::WallAt;
+use crate::rig::{Rig, firmware};
+use crate::run::MILLISECOND;
+use crate::stages::{REQUEST, STAGES, Stages};
+use crate::trace::{Code, Run};
+
+/// The state of a row of telemetry.
+const ARMED: f64 = 1.0;
+/// The handler that the vector table names for the control interrupt.
+const CONTROL_INTERRUPT: &str = "TIM1_UP_TIM10";
+/// A run at a valley does next to nothing; one at a crest samples, steps and writes duties.
+const VALLEY_MOST: usize = 100;
+/// What is traced of each case, ns: 500 periods at 20 kHz, with a request of the tasks every 20 ms.
+pub const SPAN: u64 = 25 * MILLISECOND;
+
+/// A device in contact on a board, every wall with the feed-forward in full, telemetry of every step streaming.
+#[derive(Clone, Copy, Debug)]
+pub struct Case {
+    /// The board.
+    pub board: BoardKind,
+    /// The device file.
+    pub device: &'static str,
+    /// How many walls.
+    pub walls: usize,
+    /// Control rate, Hz.
+    pub rate_hz: u32,
+    /// The most instructions that the product aims at, where it aims at any.
+    pub target: Option<u64>,
+}
+
+/// What is measured and kept.
+pub const CASES: [Case; 5] = [
+    Case { board: BoardKind::OdriveV3, device: "pantograph-mk2", walls: 1, rate_hz: 20_000, target: Some(650) },
+    Case { board: BoardKind::OdriveV3, device: "pantograph-mk2", walls: 2, rate_hz: 20_000, target: None },
+    Case {
+        board: BoardKind::HBridgeF405,
+        device: "phantom-premium-1.5",
+        walls: 1,
+        rate_hz: 20_000,
+        target: Some(1100),
+    },
+    Case { board: BoardKind::HBridgeF405, device: "woodenhaptics", walls: 1, rate_hz: 20_000, target: Some(1100) },
+    Case {
+        board: BoardKind::HBridgeF405,
+        device: "fictive-five-bar-turret",
+        walls: 1,
+        rate_hz: 20_000,
+        target: Some(1100),
+    },
+];
+
+/// A measured case.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Timing {
+    /// Periods measured that had no request of the tasks in them.
+    pub periods: usize,
+    /// Their mean.
+    pub mean: f64,
+    /// The longest of them.
+    pub longest: u64,
+    /// The shortest of them.
+    pub shortest: u64,
+    /// The longest with a request: a few times in a second, or when a tool asks for something.
+    pub with_request: u64,
+    /// The longest run at a valley, where nothing is to be done.
+    pub valley: u64,
+    /// Mean of each of [`STAGES`] over [`Timing::periods`].
+    pub stages: Vec<f64>,
+}
+
+impl Case {
+    /// Its name in the table.
+    #[must_use]
+    pub fn name(&self) -> String {
+        let walls = if self.walls == 1 { "a wall" } else { "a corner" };
+        format!("{}, {}, {walls}, {} kHz", self.board.wiring().name, self.device, self.rate_hz / 1000)
+    }
+
+    /// A rig in contact with the walls of this case at `rate_hz`, telemetry of every step streaming.
+    ///
+    /// # Panics
+    ///
+    /// When the board refuses anything.
+    #[must_use]
+    pub fn rig(&self, rate_hz: u32) -> Rig {
+        let normals = [[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]];
+        let walls: Vec<WallAt> = normals.into_iter().take(self.walls).map(WallAt::facing).collect();
+        let mut rig = Rig::in_contact(
+            self.board,
+            self.device,
+            &format!("rate_hz = {rate_hz}\ngravity_compensation = true\n"),
+            &walls,
+            0.8,
+        );
+        rig.tool.start_stream(Fields::USUAL, 1).expect("a stream starts");
+        rig.run(20 * MILLISECOND);
+        rig
+    }
+
+    /// Measures [`SPAN`] of it at its rate.
+    ///
+    /// # Panics
+    ///
+    /// When the image lacks the handler or its debug information, or the device is not in contact all the time.
+    #[must_use]
+    pub fn measure(&self) -> Timing {
+        let mut rig = self.rig(self.rate_hz);
+        let runs = rig.trace_control(SPAN);
+        let rows = rig.tool.rows(std::time::Duration::from_millis(10)).expect("rows come");
+        // The last two columns are the state and the number of walls touched.
+        let in_contact = |row: &haptic::link::Row| row.values.ends_with(&[ARMED, self.walls as f64]);
+        let status = rig.tool.status();
+        assert!(!rows.is_empty() && rows.iter().all(in_contact), "{} is not in contact: {status:?}", self.name());
+        Timing::of(&runs, &mut Stages::of(firmware(self.board)).expect("debug information"))
+    }
+}
+
+impl Timing {
+    fn of(runs: &[Run], stages: &mut Stages<'_>) -> Self {
+        let request = STAGES.iter().position(|(name, _)| *name == REQUEST).unwrap_or(0);
+        let mut sums = vec![0; STAGES.len()];
+        let mut plain = Vec::new();
+        let (mut with_request, mut valley) = (0, 0);
+        for run in runs {
+            let length = run.path.len() as u64;
+            if run.path.len() <= VALLEY_MOST {
+                valley = valley.max(length);
+                continue;
+            }
+            let counts = stages.count(run);
+            if counts[request] > 0 {
+                with_request = with_request.max(length);
+                continue;
+            }
+            plain.push(length);
+            for (sum, count) in sums.iter_mut().zip(counts) {
+                *sum += count;
+            }
+        }
+        let periods = plain.len();
+        let mean = |sum: u64| sum as f64 / periods.max(1) as f64;
+        Self {
+            periods,
+            mean: mean(plain.iter().sum()),
+            longest: plain.iter().copied().max().unwrap_or(0),
+            shortest: plain.iter().copied().min().unwrap_or(0),
+            with_request,
+            valley,
+            stages: sums.into_iter().map(mean).collect(),
+        }
+    }
+}
+
+impl Rig {
+    /// Every whole run of the control interrupt over `span` ns.
+    ///
+    /// # Panics
+    ///
+    /// When the image has no such handler.
+    #[must_use]
+    pub fn trace_control(&self, span: u64) -> Vec<Run> {
+        let image = firmware(self.kind);
+        let entry = image.symbol(CONTROL_INTERRUPT).unwrap_or_else(|error| panic!("{error}")).address;
+        let code = Code::of(image).expect("an image with code");
+        let watched = code.clone();
+        self.with(move |bench| bench.trace(&watched, entry));
+        self.run(span);
+        self.with(move |bench| bench.take_trace(&code))
+    }
+}
+
+/// Where the table is kept.
+#[must_use]
+pub fn document() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/results/timing.md")
+}
+
+const LONGEST: &str = "longest";
+const WITH_REQUEST: &str = "longest with a request";
+
+/// The document for these timings of [`CASES`].
+#[must_use]
+pub fn table(timings: &[Timing]) -> String {
+    let mut text = "# The control interrupt in instructions\n\n\
+        Written by `cargo xtask timing`: the release images on the emulated chip, armed, in contact, every wall with the\n\
+        feed-forward in full, telemetry of every step streaming; 25 ms of each case, every instruction of the interrupt from\n\
+        its first to the one that returns, given to the function of the source that it came from (tests/board/src/stages.rs).\n\
+        Stages are means of periods without a request; a request of the tasks (at least 50 a second, for the status) comes on\n\
+        top. Jitter is the longest less the shortest. Waiting for the converters is time, not work: its count depends on the\n\
+        emulator's speed. Instructions are no cycles: on silicon expect 1.9 to 2.3 cycles each.\n\n"
+        .to_owned();
+    let mut row = |name: &str, cells: Vec<String>| {
+        let _ = writeln!(text, "| {name} | {} |", cells.join(" | "));
+    };
+    row("", CASES.iter().map(Case::name).collect());
+    row("---", CASES.iter().map(|_| "--:".to_owned()).collect());
+    for (nth, (stage, _)) in STAGES.iter().enumerate().filter(|(_, (stage, _))| *stage != REQUEST) {
+        row(stage, timings.iter().map(|timing| format!("{:.0}", timing.stages[nth])).collect());
+    }
+    let each = |value: fn(&Timing) -> u64| timings.iter().map(|timing| value(timing).to_string()).collect();
+    row("**mean**", timings.iter().map(|timing| format!("{:.0}", timing.mean)).collect());
+    row("shortest", each(|timing| timing.shortest));
+    row(LONGEST, each(|timing| timing.longest));
+    row("jitter", each(|timing| timing.longest - timing.shortest));
+    row(WITH_REQUEST, each(|timing| timing.with_request));
+    row("at a valley", each(|timing| timing.valley));
+    let target = |(case, timing): (&Case, &Timing)| match case.target {
+        Some(target) if timing.longest <= target => format!("{target}: met"),
+        Some(target) => format!("{target}: missed by {}", timing.longest - target),
+        None => "none".to_owned(),
+    };
+    row("target", CASES.iter().zip(timings).map(target).collect());
+    text
+}
+
+/// The longest periods of `case` that the table `text` records, without and with a request.
+#[must_use]
+pub fn recorded(text: &str, case: &Case) -> Option<(u64, u64)> {
+    let cells = |name: &str| -> Option<Vec<&str>> {
+        let line = text.lines().find(|line| line.starts_with(&format!("| {name} |")))?;
+        Some(line.trim_matches('|').split('|').map(str::trim).collect())
+    };
+    let column = cells("")?.iter().position(|cell| *cell == case.name())?;
+    let number = |name: &str| cells(name)?.get(column)?.parse().ok();
+    Some((number(LONGEST)?, number(WITH_REQUEST)?))
+}

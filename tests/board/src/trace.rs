@@ -1,0 +1,198 @@
+//! Every instruction of an interrupt handler, run by run, from its first to the one that returns from the exception.
+//!
+//! All of the code is watched and the handler's part is kept. Where it ends is seen, not assumed: a return at call depth
+//! zero that goes somewhere else. That covers handlers whose last instructions the compiler put into a shared function.
+//! Instructions of an interrupt that preempts the handler would count too; the control interrupt has the highest
+//! priority, so there are none.
+
+use std::sync::Arc;
+
+use rigless::emulator::Hit;
+
+use crate::image::Firmware;
+
+/// One run of a handler.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Run {
+    /// Virtual nanoseconds at its first instruction.
+    pub at: u64,
+    /// The address of every instruction, in order.
+    pub path: Vec<u32>,
+}
+
+/// The code of an image, to tell calls and returns from other instructions.
+#[derive(Clone, Debug)]
+pub struct Code {
+    base: u32,
+    bytes: Arc<[u8]>,
+}
+
+/// What matters of an instruction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    /// BL, BLX.
+    Call,
+    /// BX lr, or the program counter loaded from the stack.
+    Return,
+    Other,
+}
+
+impl Code {
+    /// The code of `firmware`, or `None` for an image without any.
+    #[must_use]
+    pub fn of(firmware: &Firmware) -> Option<Self> {
+        let (from, to) = firmware.text();
+        let symbol = crate::image::Symbol { address: from, size: to - from };
+        Some(Self { base: from as u32, bytes: firmware.code(symbol)?.into() })
+    }
+
+    /// Every address at which an instruction could start.
+    pub fn addresses(&self) -> impl Iterator<Item = u64> + use<> {
+        let (base, len) = (u64::from(self.base), self.bytes.len() as u64);
+        (base..base + len).step_by(2)
+    }
+
+    fn half(&self, at: u32) -> u16 {
+        let offset = at.wrapping_sub(self.base) as usize;
+        self.bytes.get(offset..offset + 2).map_or(0, |pair| u16::from_le_bytes([pair[0], pair[1]]))
+    }
+
+    /// Kind and length in bytes (ARMv7-M Architecture Reference Manual, chapter A5).
+    fn decode(&self, at: u32) -> (Kind, u32) {
+        let first = self.half(at);
+        if first >> 11 < 0b11101 {
+            let kind = match first {
+                0x4770 => Kind::Return,
+                _ if first & 0xFF80 == 0x4780 => Kind::Call,
+                _ if first & 0xFF00 == 0xBD00 => Kind::Return,
+                _ => Kind::Other,
+            };
+            return (kind, 2);
+        }
+        let second = self.half(at + 2);
+        let kind = match first {
+            _ if first & 0xF800 == 0xF000 && second & 0xD000 == 0xD000 => Kind::Call,
+            0xE8BD if second & 0x8000 != 0 => Kind::Return,
+            0xF85D if second & 0xF000 == 0xF000 => Kind::Return,
+            _ => Kind::Other,
+        };
+        (kind, 4)
+    }
+}
+
+/// What stepping from one instruction to the next did.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Move {
+    /// Went on, or jumped.
+    Within,
+    /// Called a function.
+    Called,
+    /// Returned from one.
+    Returned,
+    /// Returned from the first function: out of the handler.
+    Left,
+}
+
+/// Follows calls and returns along a path of instructions.
+#[derive(Clone, Debug)]
+pub struct Walker {
+    code: Code,
+    last: u32,
+    returns: Vec<u32>,
+}
+
+impl Walker {
+    /// A walk that has just executed nothing and stands at `entry`.
+    #[must_use]
+    pub fn new(code: Code, entry: u32) -> Self {
+        Self { code, last: entry, returns: Vec::new() }
+    }
+
+    /// Moves on to the instruction at `next`.
+    pub fn step(&mut self, next: u32) -> Move {
+        let (kind, length) = self.code.decode(self.last);
+        let following = self.last + length;
+        self.last = next;
+        match kind {
+            _ if next == following => Move::Within,
+            Kind::Call => {
+                self.returns.push(following);
+                Move::Called
+            }
+            Kind::Return if self.returns.last() == Some(&next) => {
+                self.returns.pop();
+                Move::Returned
+            }
+            Kind::Return if self.returns.is_empty() => Move::Left,
+            _ => Move::Within,
+        }
+    }
+}
+
+/// Collects the runs of a handler from the hits of watches on all code.
+#[derive(Debug)]
+pub struct Tracer {
+    code: Code,
+    entry: u32,
+    open: Option<(Run, Walker)>,
+    seen: u64,
+    runs: Vec<Run>,
+}
+
+impl Tracer {
+    /// For the handler that starts at `entry`.
+    #[must_use]
+    pub fn new(code: Code, entry: u32) -> Self {
+        Self { code, entry, open: None, seen: 0, runs: Vec::new() }
+    }
+
+    /// Takes a hit. A stop of the emulator may report an instruction twice; it counts once.
+    pub fn feed(&mut self, hit: &Hit) {
+        if std::mem::replace(&mut self.seen, hit.instruction_count) == hit.instruction_count {
+            return;
+        }
+        let at = hit.address as u32;
+        if let Some((run, walker)) = &mut self.open {
+            if walker.step(at) != Move::Left {
+                run.path.push(at);
+                return;
+            }
+            self.runs.extend(self.open.take().map(|(run, _)| run));
+        }
+        if at == self.entry {
+            let run = Run { at: hit.at.0, path: vec![at] };
+            self.open = Some((run, Walker::new(self.code.clone(), at)));
+        }
+    }
+
+    /// The whole runs so far; one under way is left out.
+    #[must_use]
+    pub fn finish(self) -> Vec<Run> {
+        self.runs
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn code(halves: &[u16]) -> Code {
+        Code { base: 0x1000, bytes: halves.iter().flat_map(|half| half.to_le_bytes()).collect() }
+    }
+
+    #[test]
+    fn a_walk_leaves_where_the_first_function_returns() {
+        // 1000: bl 1008; 1004: b.w 100A (a shared ending); 1008: bx lr; 100A: pop {pc}
+        let code = code(&[0xF000, 0xF802, 0xF000, 0xB801, 0x4770, 0xBD00]);
+        let mut walker = Walker::new(code, 0x1000);
+        let moves: Vec<Move> = [0x1008, 0x1004, 0x100A, 0x2000].into_iter().map(|at| walker.step(at)).collect();
+        assert_eq!(moves, [Move::Called, Move::Returned, Move::Within, Move::Left]);
+    }
+
+    #[test]
+    fn a_return_that_its_condition_skips_is_no_return() {
+        // 1000: bx lr, skipped in an IT block; 1002: nop
+        let code = code(&[0x4770, 0xBF00]);
+        assert_eq!(Walker::new(code, 0x1000).step(0x1002), Move::Within);
+    }
+}

@@ -1,0 +1,33 @@
+//! The control interrupt under the clock: docs/results/timing.md holds what it takes, and it takes no more.
+
+use virtual_board::timing::{CASES, document, recorded};
+
+/// How much longer than recorded a period may get before someone has to look at it and run `cargo xtask timing`.
+const GROWTH: f64 = 1.05;
+
+fn takes_what_is_recorded(nth: usize) {
+    let case = CASES[nth];
+    let text = std::fs::read_to_string(document()).expect("docs/results/timing.md is there");
+    let (longest, with_request) = recorded(&text, &case).expect("the case is in the table");
+    let timing = case.measure();
+    println!("{}: {timing:?}", case.name());
+    assert!(timing.periods > 200, "{timing:?}");
+    let allowed = |recorded: u64| (recorded as f64 * GROWTH) as u64;
+    assert!(timing.longest <= allowed(longest), "{}: {longest} recorded, {timing:?}", case.name());
+    assert!(timing.with_request <= allowed(with_request), "{}: {with_request} recorded, {timing:?}", case.name());
+}
+
+#[test]
+fn a_step_of_a_five_bar_in_contact_takes_no_more_than_is_recorded() {
+    takes_what_is_recorded(0);
+}
+
+#[test]
+fn a_step_of_three_joints_in_contact_takes_no_more_than_is_recorded() {
+    takes_what_is_recorded(2);
+}
+
+#[test]
+fn a_step_of_a_turret_in_contact_takes_no_more_than_is_recorded() {
+    takes_what_is_recorded(4);
+}
