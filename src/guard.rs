@@ -317,7 +317,9 @@ impl Limits {
 
     /// Whether no limit is higher than in `other`: such a change is safe at any time.
     pub fn no_higher_than(&self, other: &Self) -> bool {
-        let steady = self.continuous_current.iter().zip(&other.continuous_current).all(|(value, bound)| value <= bound);
-        steady && self.within(other)
+        let mut steady = self.continuous_current.iter().zip(&other.continuous_current);
+        // Held against itself alone: it may stand above a current limit that was lowered below it.
+        let rest = Self { continuous_current: self.current, ..*self };
+        steady.all(|(value, bound)| *value > 0.0 && value <= bound) && rest.within(other)
     }
 }

@@ -245,6 +245,19 @@ fn limits_are_raised_only_with_the_motors_off_and_lowered_at_any_time() {
 }
 
 #[test]
+fn limits_can_be_lowered_again_after_the_current_went_below_what_may_flow_for_ever() {
+    let mut rig = Rig::armed();
+    let mut lower = rules();
+    lower.limits.current[0] = 0.5 * lower.limits.continuous_current[0];
+    rig.execute(Command::Rules(lower)).unwrap();
+    assert_eq!(rig.execute(Command::Rules(lower)), Ok(()), "the same once more");
+    lower.limits.power *= 0.5;
+    assert_eq!(rig.execute(Command::Rules(lower)), Ok(()));
+    lower.limits.continuous_current[0] *= 1.01;
+    assert_eq!(rig.execute(Command::Rules(lower)), Err(Refusal::Armed));
+}
+
+#[test]
 fn a_lowered_current_limit_acts_at_the_next_step() {
     let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 250.0)]));
     rig.arm();

@@ -43,11 +43,16 @@ pub fn command() -> clap::Command {
 
 /// Parses the process's arguments; prints help or what is wrong with them and exits, as clap does.
 pub fn parse() -> Command {
-    let matches = command().get_matches_from(port_after_command(std::env::args_os().collect()));
-    match Cli::from_arg_matches(&matches) {
-        Ok(cli) => cli.command,
+    match read(std::env::args_os().collect()) {
+        Ok(command) => command,
         Err(error) => error.exit(),
     }
+}
+
+/// The command that these words, the program's own name first, ask for. Errors are clap's, and so are help and version.
+pub fn read(words: Vec<OsString>) -> Result<Command, clap::Error> {
+    let matches = command().try_get_matches_from(port_after_command(words))?;
+    Ok(Cli::from_arg_matches(&matches)?.command)
 }
 
 /// Lets `--port` stand before the command as well: `haptic --port sim info` is `haptic info --port sim`.

@@ -2,8 +2,11 @@
 
 mod dfu;
 mod firmware;
+mod fuzz;
 mod image;
 mod no_panic;
+mod report;
+mod soak;
 mod tests;
 mod thumb;
 mod toolchain;
@@ -24,6 +27,12 @@ cargo xtask COMMAND
   test              every test: this computer's, both images, the emulated board
   test-board        of these, the tests that run the images on the emulated board
   timing            count the control interrupt's instructions, stage by stage, into docs/results/timing.md
+  fuzz [TARGET] [--seconds N] [--record]
+                    wild input for everything that reads any, guided by coverage; N seconds a target (60),
+                    --record writes docs/results/fuzz.md
+  soak [--hours N] [--record]
+                    simulated hours (24) of contact with telemetry: nothing lost, no drift, no growth;
+                    --record writes docs/results/soak.md
   board [BOARD] [--device FILE] [--tcp PORT] [--fast]
                     the real firmware on an emulated board with a simulated device, to talk to
 
@@ -54,6 +63,8 @@ fn run(arguments: &[String], install: bool) -> Result<()> {
         ["test"] => tests::all(install),
         ["test-board", rest @ ..] => tests::board(rest, install),
         ["timing"] => tests::timing(install),
+        ["fuzz", rest @ ..] => fuzz::run(&fuzz::Options::parse(rest)?, install),
+        ["soak", rest @ ..] => soak::run(rest),
         ["board", rest @ ..] => tests::play(rest, install),
         [] | ["help" | "--help" | "-h"] => {
             println!("{HELP}");

@@ -1,4 +1,4 @@
-//! The whole test run: what plain `cargo test` covers, then the images, then the emulated board.
+//! The whole test run: what plain `cargo test` covers, a short round of fuzzing, then the images, then the emulated board.
 
 use std::env;
 use std::process::Command;
@@ -6,7 +6,10 @@ use std::process::Command;
 use anyhow::Result;
 
 use crate::toolchain::run;
-use crate::{firmware, no_panic};
+use crate::{firmware, fuzz, no_panic};
+
+/// Seconds of fuzzing that each target gets in the whole run.
+const FUZZ_SECONDS: u32 = 4;
 
 fn cargo() -> Command {
     Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
@@ -15,6 +18,7 @@ fn cargo() -> Command {
 /// Every test there is, cheapest first.
 pub fn all(install: bool) -> Result<()> {
     run(cargo().current_dir(firmware::root()).args(["test", "--locked", "--workspace"]))?;
+    fuzz::run(&fuzz::Options::short(FUZZ_SECONDS), install)?;
     firmware::size(install)?;
     no_panic::prove(install)?;
     board(&[], install)

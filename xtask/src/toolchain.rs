@@ -175,3 +175,13 @@ pub fn run(command: &mut Command) -> Result<()> {
 fn join(command: &Command) -> String {
     command.get_args().map(|a| a.to_string_lossy().into_owned()).collect::<Vec<_>>().join(" ")
 }
+
+/// Sees to it that a program of Debian's package of the same name is there, installing it where that is wanted.
+pub fn need_program(name: &str, install: bool) -> Result<()> {
+    let there = || Command::new(name).arg("--version").output().is_ok_and(|output| output.status.success());
+    let unattended = env::var_os("CI").is_some() && is_root();
+    if !there() && Path::new("/etc/debian_version").exists() && (install || unattended) {
+        apt_install(&[name.into()])?;
+    }
+    if there() { Ok(()) } else { bail!("{name} is missing; on Debian: apt-get install -y {name}") }
+}

@@ -1,0 +1,112 @@
+//! The tool's end of the link: a board that answers anything. Every call ends with a value or an error.
+
+use haptic::backup::Backup;
+use haptic::link::{Board, Deframer, Wire, encode, fields};
+use haptic_bridge::protocol::{ENDPOINTS, GetInfo, Info, PROTOCOL, TOPICS_OUT};
+use haptic_bridge::settings::Key;
+use postcard_rpc::Endpoint as _;
+use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
+use postcard_rpc::standard_icd::ERROR_KEY;
+use std::collections::VecDeque;
+use std::io;
+use std::time::Duration;
+
+/// What the board says: pieces, each an operation, a length and bytes.
+pub fn answers(data: &[u8]) {
+    let wire = Wild { rest: data.to_vec().into(), asked: VecDeque::new(), deframer: Deframer::default(), clock: 0 };
+    let Ok(mut board) = Board::over(Box::new(wire), "fuzz") else { return };
+    let _ = board.details();
+    let _ = board.status();
+    let _ = board.device();
+    let _ = board.scene();
+    let _ = board.rules();
+    let _ = board.faults();
+    let _ = board.read_entry(Key::Rules);
+    let _ = board.arm();
+    board.keep_alive();
+    let _ = board.start_stream(fields("all").expect("a set of fields"), 1);
+    for _ in 0..20 {
+        if board.rows(Duration::from_millis(50)).is_err() {
+            break;
+        }
+    }
+    let _ = board.stop_stream();
+    assert!(!board.losses().to_string().is_empty());
+    if let Ok(backup) = Backup::read(&mut board) {
+        let _ = backup.ready("SIM0001");
+    }
+}
+
+struct Wild {
+    rest: VecDeque<u8>,
+    asked: VecDeque<VarHeader>,
+    deframer: Deframer,
+    clock: u64,
+}
+
+impl Wild {
+    /// The next piece as bytes on the wire.
+    fn piece(&mut self) -> Option<Vec<u8>> {
+        let operation = self.rest.pop_front()?;
+        let length = usize::from(self.rest.pop_front().unwrap_or(0)) * if operation & 0x80 == 0 { 1 } else { 4 };
+        let body: Vec<u8> = self.rest.drain(..length.min(self.rest.len())).collect();
+        let asked = self.asked.pop_front();
+        Some(match operation & 0x7F {
+            // An answer to what was asked.
+            0..=63 => match asked {
+                Some(VarHeader { key, seq_no }) => {
+                    let answer = ENDPOINTS.endpoints.iter().find(|(_, request, _)| VarKey::Key8(*request) == key);
+                    let key = VarKey::Key8(answer.map_or(ERROR_KEY, |(_, _, answer)| *answer));
+                    encode(&VarHeader { key, seq_no }, &body)
+                }
+                None => body,
+            },
+            64..=71 => {
+                let seq_no = asked.map_or(VarSeq::Seq2(0), |asked| asked.seq_no);
+                encode(&VarHeader { key: VarKey::Key8(ERROR_KEY), seq_no }, &body)
+            }
+            72..=111 => {
+                let (_, key) = TOPICS_OUT.topics[usize::from(operation) % TOPICS_OUT.topics.len()];
+                encode(&VarHeader { key: VarKey::Key8(key), seq_no: VarSeq::Seq2(0) }, &body)
+            }
+            _ => body,
+        })
+    }
+}
+
+impl Wire for Wild {
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        let asked = &mut self.asked;
+        self.deframer.feed(bytes, |frame| asked.push_back(frame.header));
+        Ok(())
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
+        self.clock += timeout.as_micros() as u64 + 1;
+        // Most inputs get past the first question, whose answer would be too much to guess.
+        let first = self.asked.front().filter(|asked| asked.key == VarKey::Key8(GetInfo::REQ_KEY));
+        let bytes = match first.filter(|_| self.rest.front().is_some_and(|byte| byte & 1 == 0)) {
+            Some(asked) => {
+                let header = VarHeader { key: VarKey::Key8(GetInfo::RESP_KEY), seq_no: asked.seq_no };
+                self.asked.pop_front();
+                self.rest.pop_front();
+                let text = |text: &str| text.chars().collect();
+                let info = Info {
+                    protocol: PROTOCOL,
+                    firmware: text("1"),
+                    board: text("fuzz"),
+                    serial: "F".chars().collect(),
+                };
+                encode(&header, &postcard::to_stdvec(&info).unwrap_or_default())
+            }
+            None => self.piece().ok_or(io::ErrorKind::UnexpectedEof)?,
+        };
+        let count = bytes.len().min(buffer.len());
+        buffer[..count].copy_from_slice(&bytes[..count]);
+        Ok(count)
+    }
+
+    fn now(&self) -> Duration {
+        Duration::from_micros(self.clock)
+    }
+}

@@ -1,0 +1,66 @@
+//! What a person hands the tool: device and scene files, backups, recordings and campaigns, command lines. Read or refused,
+//! never a panic.
+
+use crate::cli;
+use haptic::backup::Backup;
+use haptic::device_file::DeviceFile;
+use haptic::measure::progress::{Mode, Progress};
+use haptic::recorder::Recording;
+use haptic::scene_file::SceneFile;
+use haptic_bridge::device::Device;
+
+/// A device file; what is accepted makes a device.
+pub fn device_file(data: &[u8]) {
+    let Ok(text) = core::str::from_utf8(data) else { return };
+    match DeviceFile::parse(text, "fuzz.toml") {
+        Ok(file) => {
+            drop(Device::<f32>::new(&file.name, &file.description).expect("an accepted file makes a device"));
+            let _ = file.lacks_for_a_board();
+        }
+        Err(error) => assert!(!error.to_string().is_empty()),
+    }
+}
+
+/// A scene file, for each task dimension; what is accepted makes a scene that the board accepts.
+pub fn scene_file(data: &[u8]) {
+    let Ok(text) = core::str::from_utf8(data) else { return };
+    for task in 1..=3 {
+        match SceneFile::parse(text, "fuzz.toml", task) {
+            Ok(file) => {
+                let scene = file.scene::<f32>().expect("an accepted file makes a scene");
+                assert_eq!(scene.check(task), Ok(()), "the board accepts what the tool accepted");
+            }
+            Err(error) => assert!(!error.to_string().is_empty()),
+        }
+    }
+}
+
+/// Files that the tool itself wrote and reads again.
+pub fn kept_file(data: &[u8]) {
+    let Ok(text) = core::str::from_utf8(data) else { return };
+    if let Ok(backup) = Backup::parse(text) {
+        let ready = backup.ready("SIM0001");
+        let again = Backup::parse(&backup.to_text()).expect("what was written is read");
+        assert_eq!(again.ready("SIM0001"), ready, "a backup changes by being copied");
+    }
+    if let Ok(recording) = Recording::parse(text) {
+        assert!(recording.rows.iter().all(|row| row.len() == recording.columns.len()));
+    }
+    if let Ok(progress) = serde_json::from_str::<Progress>(text) {
+        for mode in [Mode::Off, Mode::Full, Mode::Washout] {
+            let _ = progress.end(mode);
+            for point in progress.of(mode) {
+                let _ = (point.median(), point.bounds());
+            }
+        }
+    }
+}
+
+/// Arguments separated by zeros or line breaks.
+pub fn command_line(data: &[u8]) {
+    let Ok(text) = core::str::from_utf8(data) else { return };
+    let words = core::iter::once("haptic").chain(text.split(['\0', '\n'])).map(Into::into).collect();
+    if let Err(error) = cli::read(words) {
+        assert!(!error.to_string().is_empty());
+    }
+}

@@ -1,0 +1,246 @@
+//! The board's end of the link: any bytes, and any requests in any order, while anything happens to encoders, supply and
+//! motors. What must hold all along stands in tests/rig/board.rs.
+
+use crate::board::{Board, driving, frame};
+use crate::shipped::shipped;
+use haptic::link::Deframer;
+use haptic_bridge::description::MAX_JOINTS;
+use haptic_bridge::guard::Fault;
+use haptic_bridge::precomputed::MassModelData;
+use haptic_bridge::protocol::*;
+use haptic_bridge::servo::Rules;
+use haptic_bridge::settings::{BoardName, Key, Polarity, encode};
+use haptic_bridge::telemetry::{Fields, StreamRequest};
+use postcard_rpc::Endpoint;
+use serde::Serialize;
+
+/// Control periods that one input may take, so that long inputs stay fast.
+const MOST_TICKS: u32 = 4_000;
+
+/// Bytes as they come: a board with a device behind its deframer. The first byte chooses the device.
+pub fn bytes(data: &[u8]) {
+    let [which, data @ ..] = data else { return };
+    let mut board = a_board(*which);
+    let mut deframer = Deframer::default();
+    for packet in data.chunks(64) {
+        let mut frames = Vec::new();
+        deframer.feed_plain(packet, |frame| frames.push(frame.to_vec()));
+        for frame in frames {
+            board.answer(&frame);
+            board.tick();
+        }
+    }
+    // Whatever came before: after a zero the next request is understood.
+    let mut understood = false;
+    deframer.feed_plain(&[0], |_| ());
+    deframer.feed_plain(&haptic::link::envelope(&frame(GetStatus::REQ_KEY, &[])), |frame| {
+        understood = board.answer(frame).is_some();
+    });
+    assert!(understood, "the board still answers");
+}
+
+/// A script: each step is an operation and what it needs, read from the input until that ends.
+pub fn requests(data: &[u8]) {
+    let mut input = Input(data);
+    let mut board = a_board(input.byte());
+    let mut ticks = 0;
+    while !input.0.is_empty() && ticks < MOST_TICKS {
+        ticks += step(&mut board, &mut input);
+    }
+    // Whatever was asked: disarming works at once, and the board still says how it is.
+    board.ask::<Disarm>(&()).expect("it can be disarmed").expect("which is never refused");
+    assert!(!driving(board.state()));
+    board.tick();
+    assert!(!board.bridges);
+    board.ask::<GetStatus>(&()).expect("it has a state");
+    board.ask::<GetDetails>(&()).expect("it describes itself");
+}
+
+fn a_board(which: u8) -> Board {
+    let all = shipped();
+    let shipped = &all[usize::from(which & 0x7F) % all.len()];
+    Board::ready(which & 0x80 != 0, &shipped.device, &shipped.scenes[0])
+}
+
+/// One step of a script; the control periods that it took.
+fn step(board: &mut Board, input: &mut Input) -> u32 {
+    let operation = usize::from(input.byte());
+    let Some(extra) = operation.checked_sub(TEMPLATES.len()) else {
+        let body = patched(TEMPLATES[operation].1(input.byte()), input);
+        return send(board, TEMPLATES[operation].0, &body);
+    };
+    match extra % 8 {
+        0 => {
+            let axis = usize::from(input.byte()) % MAX_JOINTS;
+            let moved = i32::from(i16::from_le_bytes([input.byte(), input.byte()]));
+            board.samples.counts[axis] = board.samples.counts[axis].wrapping_add(moved);
+            board.tick();
+            1
+        }
+        1 => {
+            let count = 1 + 4 * u32::from(input.byte());
+            (0..count).for_each(|_| board.tick());
+            count
+        }
+        2 => {
+            board.samples.bus_voltage = input.float();
+            0
+        }
+        3 => {
+            board.samples.currents[usize::from(input.byte()) % MAX_JOINTS] = input.float();
+            0
+        }
+        4 => {
+            let fault = Fault::ALL[usize::from(input.byte()) % Fault::ALL.len()];
+            board.samples.fault = Some((fault, Some(input.byte()), 1.0));
+            board.tick();
+            assert!(!board.bridges, "bridges drive after {fault:?}");
+            1
+        }
+        5 => {
+            board.samples.index[usize::from(input.byte()) % MAX_JOINTS] = Some(i32::from(input.byte()));
+            board.tick();
+            1
+        }
+        6 => {
+            let _ = board.service.poll(&mut board.machine);
+            0
+        }
+        _ => {
+            board.machine.flash_broken = input.byte() & 1 == 1;
+            0
+        }
+    }
+}
+
+fn send(board: &mut Board, key: postcard_rpc::Key, body: &[u8]) -> u32 {
+    let before = driving(board.state());
+    let answer = board.answer(&frame(key, body));
+    assert!(answer.is_some(), "every frame with a header is answered");
+    let asked_to_move = key == Arm::REQ_KEY || key == CheckPolarity::REQ_KEY;
+    assert!(before || asked_to_move || !driving(board.state()), "motors on without being asked");
+    board.tick();
+    board.tick();
+    2
+}
+
+/// A message with some bytes of it changed: how many, and whether its end is cut off or something is appended, say the
+/// bits of one byte.
+fn patched(mut body: Vec<u8>, input: &mut Input) -> Vec<u8> {
+    let how = input.byte();
+    for _ in 0..how & 0x0F {
+        let at = usize::from(u16::from_le_bytes([input.byte(), input.byte()]));
+        let to = input.byte();
+        let length = body.len().max(1);
+        if let Some(byte) = body.get_mut(at % length) {
+            *byte = to;
+        }
+    }
+    if how & 0x10 != 0 {
+        body.truncate(usize::from(input.byte()));
+    }
+    if how & 0x20 != 0 {
+        let length = usize::from(input.byte());
+        body.extend((0..length).map(|_| input.byte()));
+    }
+    body
+}
+
+/// What is left of the input; zeros when it has ended.
+struct Input<'d>(&'d [u8]);
+
+impl Input<'_> {
+    fn byte(&mut self) -> u8 {
+        let Some((first, rest)) = self.0.split_first() else { return 0 };
+        self.0 = rest;
+        *first
+    }
+
+    fn float(&mut self) -> f32 {
+        f32::from_le_bytes([self.byte(), self.byte(), self.byte(), self.byte()])
+    }
+}
+
+type Template = (postcard_rpc::Key, fn(u8) -> Vec<u8>);
+
+fn bytes_of(message: &impl Serialize) -> Vec<u8> {
+    postcard::to_stdvec(message).unwrap_or_default()
+}
+
+fn nothing(_: u8) -> Vec<u8> {
+    Vec::new()
+}
+
+fn scene(which: u8) -> haptic_bridge::scene::Scene<f32> {
+    let shipped = &shipped()[usize::from(which) % shipped().len()];
+    shipped.scenes[usize::from(which / 8) % shipped.scenes.len()].clone()
+}
+
+fn device(which: u8) -> DeviceData {
+    shipped()[usize::from(which) % shipped().len()].device.clone()
+}
+
+/// A sound message for every endpoint, in several variants.
+const TEMPLATES: &[Template] = &[
+    (Arm::REQ_KEY, nothing),
+    (Disarm::REQ_KEY, nothing),
+    (Home::REQ_KEY, nothing),
+    (CheckPolarity::REQ_KEY, nothing),
+    (Clear::REQ_KEY, nothing),
+    (Heartbeat::REQ_KEY, nothing),
+    (Save::REQ_KEY, nothing),
+    (Restart::REQ_KEY, nothing),
+    (EnterDfu::REQ_KEY, nothing),
+    (GetInfo::REQ_KEY, nothing),
+    (GetDetails::REQ_KEY, nothing),
+    (GetStatus::REQ_KEY, nothing),
+    (GetDevice::REQ_KEY, nothing),
+    (GetScene::REQ_KEY, nothing),
+    (GetRules::REQ_KEY, nothing),
+    (GetFaults::REQ_KEY, nothing),
+    (SetDevice::REQ_KEY, |which| bytes_of(&device(which))),
+    (SetScene::REQ_KEY, |which| bytes_of(&scene(which))),
+    (SetMassModel::REQ_KEY, |which| match which % 2 {
+        0 => bytes_of(&MassModelData::Exact),
+        _ => bytes_of(&MassModelData::Frozen([2e-3, 1e-4, 2e-3, 1e-4, 1e-4, 2e-3])),
+    }),
+    (SendTable::REQ_KEY, |which| {
+        bytes_of(&TableChunk { offset: u16::from(which), values: (0..which % 65).map(f32::from).collect() })
+    }),
+    (SetGains::REQ_KEY, |which| {
+        let wall = scene(which).walls.first().map(|wall| haptic_bridge::controller::Gains {
+            wall: which % 4,
+            stiffness: wall.stiffness,
+            damping: wall.damping,
+            feed_forward: wall.feed_forward,
+            washout_hz: wall.washout_hz,
+        });
+        bytes_of(&GainsRequest { wall, estimator: Some((scene(which).estimator, 200.0)) })
+    }),
+    (SetRules::REQ_KEY, |which| {
+        let mut rules = Rules { passivity: which & 1 == 1, ..Rules::default() };
+        let share = 1.0 / f32::from(1 + (which >> 1) % 8);
+        rules.limits.torque = rules.limits.torque.map(|limit| limit * share);
+        rules.limits.current = rules.limits.current.map(|limit| limit * share);
+        rules.index_period = [i32::from(which >> 4) * 1000; MAX_JOINTS];
+        bytes_of(&rules)
+    }),
+    (Stream::REQ_KEY, |which| {
+        let fields = if which & 1 == 0 { Fields::ALL } else { Fields(u32::from(which)) };
+        bytes_of(&StreamRequest { fields, divider: u32::from(which >> 4) })
+    }),
+    (ReadEntry::REQ_KEY, |which| bytes_of(&Key::ALL[usize::from(which) % Key::ALL.len()])),
+    (RestoreEntry::REQ_KEY, |which| {
+        let key = Key::ALL[usize::from(which) % Key::ALL.len()];
+        let entry = match key {
+            Key::Device => encode(&device(which)),
+            Key::Scene => encode(&scene(which)),
+            Key::Rules => encode(&Rules::default()),
+            Key::MassModel => encode(&MassModelData::Exact),
+            Key::Polarity => encode(&Polarity(u32::from(which))),
+            Key::Name => encode(&BoardName("bench".chars().collect())),
+        };
+        bytes_of(&WriteEntry { key, entry: entry.unwrap_or_default() })
+    }),
+    (SetName::REQ_KEY, |which| bytes_of(&Name::from_iter(std::iter::repeat_n('n', usize::from(which % 33))))),
+];

@@ -1,0 +1,50 @@
+//! Devices and scenes that ship, read once: what the wild input starts from.
+
+use haptic::device_file::DeviceFile;
+use haptic::scene_file::SceneFile;
+use haptic_bridge::device::Device;
+use haptic_bridge::scene::Scene;
+use std::sync::OnceLock;
+
+/// A device, and scenes for it.
+pub struct Shipped {
+    pub device: Device<f32>,
+    pub scenes: Vec<Scene<f32>>,
+}
+
+macro_rules! shipped {
+    ($($device:literal: $($scene:literal)*;)*) => {
+        [$(Shipped::read(
+            include_str!(concat!("../../devices/", $device, ".toml")),
+            &[$(include_str!(concat!("../../devices/scenes/", $device, "/", $scene, ".toml"))),*],
+        )),*]
+    };
+}
+
+/// One of one, two and three joints, in series and in parallel.
+pub fn shipped() -> &'static [Shipped; 5] {
+    static SHIPPED: OnceLock<[Shipped; 5]> = OnceLock::new();
+    SHIPPED.get_or_init(|| {
+        shipped! {
+            "hapkit-paddle": "wall" "detent";
+            "coupled-five-bar": "wall" "wall-full";
+            "haply-2diy": "disc" "groove" "wall-stiff";
+            "phantom-premium-1.5": "edge" "table";
+            "serial-3r": "wall";
+        }
+    })
+}
+
+impl Shipped {
+    fn read(device: &str, scenes: &[&str]) -> Self {
+        let file = DeviceFile::parse(device, "device.toml").expect("a device that ships");
+        let scene = |text: &&str| {
+            let file = SceneFile::parse(text, "scene.toml", file.spec().task).expect("a scene that ships");
+            file.scene().expect("a scene that ships")
+        };
+        Self {
+            device: Device::new(&file.name, &file.description).expect("a device that ships"),
+            scenes: scenes.iter().map(scene).collect(),
+        }
+    }
+}

@@ -1,0 +1,223 @@
+//! A board that is the servo, the service and the dispatcher, and nothing else: frames in, frames out, one call a control
+//! period. What the safety tests and the fuzzer drive; after every call it holds itself to what no request may change.
+#![allow(dead_code, reason = "every test file uses its own part")]
+
+use haptic_bridge::description::MAX_JOINTS;
+use haptic_bridge::device::Device;
+use haptic_bridge::dispatch::{self, After, Described};
+use haptic_bridge::drive::{Bridge, MAX_DUTY};
+use haptic_bridge::guard::{Limits, Refusal, State};
+use haptic_bridge::math::Minimax;
+use haptic_bridge::program::Program;
+use haptic_bridge::protocol::{Details, Info, MAX_FRAME, PROTOCOL};
+use haptic_bridge::scene::Scene;
+use haptic_bridge::service::{Machine, Service};
+use haptic_bridge::servo::{Command, Hardware, Reply, Rules, Samples, Servo, Status};
+use haptic_bridge::settings::{Entry, Key};
+use haptic_bridge::telemetry::Packer;
+use postcard_rpc::Endpoint;
+use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
+use postcard_rpc::standard_icd::{ERROR_KEY, WireError};
+use serde::{Serialize, de::DeserializeOwned};
+use std::collections::BTreeMap;
+
+/// What the service may reach.
+pub struct Machinery {
+    pub servo: Servo<Box<Program<Minimax>>>,
+    pub flash: BTreeMap<u8, Entry>,
+    /// Flash operations are refused from now on.
+    pub flash_broken: bool,
+    /// Rates that the timer was set to, Hz.
+    pub retimed: Vec<f32>,
+}
+
+impl Machine for Machinery {
+    type Math = Minimax;
+    type Held = Box<Program<Minimax>>;
+
+    fn execute(&mut self, command: Command<Self::Held>) -> Reply<Self::Held> {
+        self.servo.execute(command)
+    }
+    fn status(&mut self) -> Status {
+        self.servo.status()
+    }
+    fn place(&mut self, program: Program<Minimax>) -> Result<Self::Held, Refusal> {
+        Ok(Box::new(program))
+    }
+    fn release(&mut self, _held: Self::Held) {}
+    fn retime(&mut self, rate_hz: f32) {
+        assert!(!driving(self.servo.status().state), "the timer is set while the motors are on");
+        self.retimed.push(rate_hz);
+    }
+    fn save(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
+        assert!(!driving(self.servo.status().state), "flash is written while the motors are on");
+        if self.flash_broken {
+            return Err(Refusal::Flash);
+        }
+        self.flash.insert(key as u8, Entry::from_slice(entry).map_err(|_| Refusal::Flash)?);
+        Ok(())
+    }
+    fn load(&mut self, key: Key) -> Option<Entry> {
+        self.flash.get(&(key as u8)).cloned()
+    }
+}
+
+impl Described for Machinery {
+    fn info(&self) -> Info {
+        let text = |text: &str| text.chars().collect();
+        Info { protocol: PROTOCOL, firmware: text("0.0.0"), board: text("bench"), serial: "B1".chars().collect() }
+    }
+
+    fn details(&mut self) -> Details {
+        Details {
+            name: Default::default(),
+            axes: 0,
+            real: false,
+            carrier_hz: 20_000.0,
+            delay_samples: 0.5,
+            device: None,
+            rate_hz: 0.0,
+            walls: 0,
+            unsensed: Default::default(),
+            damage: Default::default(),
+            overruns: 0,
+            longest_cycles: 0,
+            stack_free: 0,
+        }
+    }
+}
+
+/// Whether the bridges drive in this state.
+pub fn driving(state: State) -> bool {
+    matches!(state, State::Armed | State::CheckingPolarity)
+}
+
+/// The board.
+pub struct Board {
+    pub machine: Machinery,
+    pub service: Service,
+    pub samples: Samples,
+    pub bridges: bool,
+    pub duties: [f32; MAX_JOINTS],
+    pub packer: Packer,
+    hardware: Hardware,
+    most: Limits,
+}
+
+impl Board {
+    /// A board without settings. `real` motors ask for everything before they arm.
+    pub fn new(real: bool) -> Self {
+        Self::with_flash(real, BTreeMap::new())
+    }
+
+    /// A board that boots from these settings.
+    pub fn with_flash(real: bool, flash: BTreeMap<u8, Entry>) -> Self {
+        let bridge = Bridge { carrier_hz: 20_000.0, dead_time: 200e-9, bandwidth_hz: 1_000.0, current_sensed: true };
+        let hardware = Hardware { axes: MAX_JOINTS, real, bus_sensed: true, bridge };
+        let most = Limits::default();
+        let servo = Servo::new(hardware, Rules::default());
+        let mut board = Self {
+            machine: Machinery { servo, flash, flash_broken: false, retimed: Vec::new() },
+            service: Service::new(hardware, most),
+            samples: Samples { bus_voltage: 24.0, ..Samples::default() },
+            bridges: false,
+            duties: [0.0; MAX_JOINTS],
+            packer: Packer::default(),
+            hardware,
+            most,
+        };
+        board.service.boot(&mut board.machine);
+        board.tick();
+        board
+    }
+
+    /// With a device and a scene, not armed.
+    pub fn ready(real: bool, device: &Device<f32>, scene: &Scene<f32>) -> Self {
+        let mut board = Self::new(real);
+        board.service.set_device(&mut board.machine, device.clone()).expect("a device that fits");
+        board.service.set_scene(&mut board.machine, scene.clone()).expect("a scene that fits");
+        (0..20).for_each(|_| board.tick());
+        board
+    }
+
+    pub fn state(&self) -> State {
+        self.machine.servo.status().state
+    }
+
+    /// One control period.
+    pub fn tick(&mut self) {
+        self.bridges = self.machine.servo.control(&self.samples).bridges;
+        self.samples.fault = None;
+        self.samples.index = [None; MAX_JOINTS];
+        let frame = *self.machine.servo.frame();
+        if self.packer.wants(frame.step) {
+            let _ = self.packer.push(&frame, 0);
+        }
+        self.keeps_its_promises();
+    }
+
+    /// What holds after every control period and every request.
+    pub fn keeps_its_promises(&mut self) {
+        let state = self.state();
+        let limits = self.service.rules().limits;
+        assert!(limits.within(&self.most), "limits above the board's own: {limits:?}");
+        self.duties = self.machine.servo.duties(self.samples.bus_voltage, &self.samples.currents);
+        let duties = self.duties;
+        assert!(duties.iter().all(|duty| duty.abs() <= MAX_DUTY), "{duties:?} with {:?}", self.samples);
+        let torque = self.machine.servo.frame().torque;
+        let within = torque.iter().zip(&limits.torque).all(|(torque, limit)| torque.abs() <= limit * 1.000_01);
+        assert!(within, "torque {torque:?} above {limits:?}");
+        if !driving(state) {
+            assert_eq!(duties, [0.0; MAX_JOINTS], "duty while {state:?}");
+            assert_eq!(torque, [0.0; MAX_JOINTS], "torque while {state:?}");
+        }
+        if state == State::Fault {
+            assert!(self.machine.servo.status().fault.is_some(), "a fault has a cause");
+        }
+    }
+
+    /// Answers a frame, decoded from COBS, and carries out what is left to do.
+    pub fn answer(&mut self, frame: &[u8]) -> Option<Vec<u8>> {
+        let mut out = [0; MAX_FRAME];
+        let before = (self.state(), self.service.rules().limits);
+        let (answer, after) = dispatch::answer(&mut self.service, &mut self.machine, frame, &mut out);
+        let answer = answer.map(<[u8]>::to_vec);
+        if driving(before.0) && driving(self.state()) {
+            assert!(self.service.rules().limits.no_higher_than(&before.1), "limits raised while the motors are on");
+        }
+        self.keeps_its_promises();
+        match after {
+            After::Nothing => {}
+            After::Stream(request, axes) => self.packer.start(&request, axes),
+            After::BootLoader | After::Restart => {
+                assert!(!driving(self.state()), "the board leaves with its motors on");
+                *self = Self::with_flash(self.hardware.real, core::mem::take(&mut self.machine.flash));
+            }
+        }
+        answer
+    }
+
+    /// One request of the protocol, with its answer or the dispatcher's own error.
+    pub fn ask<E: Endpoint>(&mut self, request: &E::Request) -> Result<E::Response, WireError>
+    where
+        E::Request: Serialize + Sized,
+        E::Response: DeserializeOwned,
+    {
+        let body = postcard::to_stdvec(request).expect("a request has bytes");
+        let answer = self.answer(&frame(E::REQ_KEY, &body)).expect("every request is answered");
+        let (header, body) = VarHeader::take_from_slice(&answer).expect("an answer has a header");
+        if header.key == VarKey::Key8(ERROR_KEY) {
+            return Err(postcard::from_bytes(body).expect("an error says which"));
+        }
+        assert_eq!(header.key, VarKey::Key8(E::RESP_KEY));
+        Ok(postcard::from_bytes(body).expect("an answer that can be read"))
+    }
+}
+
+/// A frame with this key and body, not yet encoded.
+pub fn frame(key: postcard_rpc::Key, body: &[u8]) -> Vec<u8> {
+    let header = VarHeader { key: VarKey::Key8(key), seq_no: VarSeq::Seq2(7) };
+    let mut head = [0; 16];
+    let used = header.write_to_slice(&mut head).map_or(0, |(used, _)| used.len());
+    [&head[..used], body].concat()
+}

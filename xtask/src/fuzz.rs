@@ -1,0 +1,211 @@
+//! Fuzzing: the targets of fuzz/ under libFuzzer, guided by coverage. The instrumentation is a pass of the compiler that
+//! stable versions have too, so no other toolchain is needed; libFuzzer itself is C++, and needs a compiler for that.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::Mutex;
+use std::thread;
+
+use anyhow::{Context as _, Result, bail};
+
+use crate::firmware::{root, target_directory};
+use crate::report;
+use crate::toolchain::{need_program, run as run_command};
+
+/// The names in fuzz/src/main.rs.
+const TARGETS: [&str; 8] =
+    ["bytes", "requests", "answers", "settings", "device_file", "scene_file", "kept_file", "command_line"];
+
+/// Seconds a target gets when nothing else is said.
+const SECONDS: u32 = 60;
+
+/// What libFuzzer needs the compiler to put into the code (its documentation, "Advanced features"; as cargo-fuzz does).
+const INSTRUMENTATION: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
+    -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
+    -Cllvm-args=-sanitizer-coverage-trace-compares";
+
+/// What to run.
+#[derive(Debug, PartialEq)]
+pub struct Options {
+    targets: Vec<&'static str>,
+    seconds: u32,
+    record: bool,
+}
+
+impl Options {
+    /// Every target, for so many seconds, nothing recorded.
+    pub fn short(seconds: u32) -> Self {
+        Self { targets: TARGETS.to_vec(), seconds, record: false }
+    }
+
+    /// Reads `[TARGET] [--seconds N] [--record]`.
+    pub fn parse(arguments: &[&str]) -> Result<Self> {
+        let mut options = Self::short(SECONDS);
+        let mut rest = arguments.iter();
+        while let Some(argument) = rest.next() {
+            match *argument {
+                "--record" => options.record = true,
+                "--seconds" => {
+                    let number = rest.next().and_then(|number| number.parse().ok()).filter(|number| *number > 0);
+                    options.seconds = number.context("--seconds takes a number of seconds")?;
+                }
+                name => {
+                    let known = TARGETS.into_iter().find(|target| *target == name);
+                    options.targets =
+                        vec![known.with_context(|| format!("no target {name:?}; there are {}", TARGETS.join(", ")))?];
+                }
+            }
+        }
+        Ok(options)
+    }
+}
+
+/// What became of a target.
+struct Outcome {
+    executions: u64,
+    /// Edges of the program's flow that were reached.
+    covered: u64,
+    /// Inputs that each reached something that no other did.
+    corpus: u64,
+}
+
+/// Builds the targets and runs them, as many at a time as there are processors. A finding is an error, with its input kept.
+pub fn run(options: &Options, install: bool) -> Result<()> {
+    need_program("g++", install)?;
+    let out = target_directory().join("fuzz");
+    let program = build(&out)?;
+    let queue = Mutex::new(options.targets.clone());
+    let outcomes = Mutex::new(Vec::new());
+    let next = || queue.lock().ok().and_then(|mut queue| queue.pop());
+    let workers = thread::available_parallelism().map_or(1, Into::into);
+    thread::scope(|scope| {
+        for _ in 0..workers {
+            scope.spawn(|| {
+                while let Some(target) = next() {
+                    let outcome = fuzz(&program, target, &out, options.seconds);
+                    if let Ok(mut outcomes) = outcomes.lock() {
+                        outcomes.push((target, outcome));
+                    }
+                }
+            });
+        }
+    });
+    let mut table = String::from("| target | executions | edges reached | inputs kept |\n|---|--:|--:|--:|\n");
+    let mut outcomes = outcomes.into_inner().unwrap_or_default();
+    outcomes.sort_by_key(|(target, _)| TARGETS.iter().position(|known| known == target));
+    let mut found = Vec::new();
+    for (target, outcome) in outcomes {
+        match outcome {
+            Ok(Outcome { executions, covered, corpus }) => {
+                table += &format!("| {target} | {executions} | {covered} | {corpus} |\n");
+            }
+            Err(error) => found.push(format!("{target}: {error:#}")),
+        }
+    }
+    println!("{table}");
+    if !found.is_empty() {
+        bail!("{}", found.join("\n"));
+    }
+    if options.record {
+        let text = format!(
+            "# Fuzzing\n\n{}. `cargo xtask fuzz --seconds {} --record`: {} s a target, no finding. What the targets are and \
+             hold the code to: docs/safety.md.\n\n{table}",
+            report::occasion(),
+            options.seconds,
+            options.seconds
+        );
+        report::write("fuzz.md", &text)?;
+    }
+    Ok(())
+}
+
+/// Builds the targets' program; its path.
+fn build(out: &Path) -> Result<PathBuf> {
+    let host = host()?;
+    let mut build = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    build.current_dir(root().join("fuzz")).args(["build", "--locked", "--release", "--target", &host, "--target-dir"]);
+    // With a target named, the flags reach neither build scripts nor macros.
+    build.arg(out).env("RUSTFLAGS", INSTRUMENTATION).env_remove("CARGO_ENCODED_RUSTFLAGS");
+    run_command(&mut build)?;
+    Ok(out.join(host).join("release/haptic-fuzz"))
+}
+
+/// One target.
+fn fuzz(program: &Path, target: &str, out: &Path, seconds: u32) -> Result<Outcome> {
+    let corpus = out.join("corpus").join(target);
+    fs::create_dir_all(&corpus).with_context(|| format!("cannot make {}", corpus.display()))?;
+    let output = Command::new(program)
+        .env("HAPTIC_FUZZ", target)
+        .args(["-print_final_stats=1", "-max_len=4096", "-timeout=20", &format!("-max_total_time={seconds}")])
+        .arg(format!("-artifact_prefix={}/{target}-", out.display()))
+        .args([&corpus, &seeds(target)])
+        .output()
+        .with_context(|| format!("cannot run {}", program.display()))?;
+    let log = String::from_utf8_lossy(&output.stderr);
+    if !output.status.success() {
+        let told: Vec<&str> =
+            log.lines().filter(|line| line.contains("panicked") || !line.starts_with(['#', '\t'])).collect();
+        bail!("a finding\n{}", told[told.len().saturating_sub(60)..].join("\n"));
+    }
+    outcome(&log).with_context(|| format!("libFuzzer's report was not understood:\n{log}"))
+}
+
+/// What the fuzzer starts from: for files, those that ship.
+fn seeds(target: &str) -> PathBuf {
+    match target {
+        "device_file" | "scene_file" => root().join("devices"),
+        _ => root().join("fuzz/seeds").join(target),
+    }
+}
+
+/// Reads libFuzzer's log: its last `cov:` and `corp:`, and its final statistics.
+fn outcome(log: &str) -> Option<Outcome> {
+    let after = |line: &str, name: &str| -> Option<u64> {
+        let rest = line.split_once(name)?.1.trim_start();
+        rest.split(|c: char| !c.is_ascii_digit()).next()?.parse().ok()
+    };
+    let last = log.lines().rfind(|line| line.starts_with('#') && line.contains("cov:"))?;
+    let executions = log.lines().find_map(|line| after(line, "stat::number_of_executed_units:"))?;
+    Some(Outcome { executions, covered: after(last, "cov:")?, corpus: after(last, "corp:")? })
+}
+
+/// The triple of this computer.
+fn host() -> Result<String> {
+    let rustc = std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
+    let output = Command::new(rustc).arg("-vV").output().context("cannot run rustc")?;
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    let line = text.lines().find_map(|line| line.strip_prefix("host: "));
+    Ok(line.context("rustc does not say what it runs on")?.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn arguments_name_known_targets() {
+        assert_eq!(Options::parse(&[]).unwrap(), Options::short(SECONDS));
+        let one = Options::parse(&["requests", "--seconds", "5"]).unwrap();
+        assert_eq!(one, Options { targets: vec!["requests"], seconds: 5, record: false });
+        assert!(Options::parse(&["request"]).unwrap_err().to_string().contains("scene_file"));
+        assert!(Options::parse(&["--seconds", "soon"]).is_err());
+    }
+
+    #[test]
+    fn libfuzzers_report_is_read() {
+        let log = "#2\tINITED cov: 10 ft: 12 corp: 1/2b\n#900\tDONE   cov: 345 ft: 678 corp: 9/10Kb lim: 4 exec/s: 1\n\
+                   stat::number_of_executed_units: 900\n";
+        let outcome = outcome(log).unwrap();
+        assert_eq!((outcome.executions, outcome.covered, outcome.corpus), (900, 345, 9));
+    }
+
+    #[test]
+    fn every_target_is_known_to_the_program_and_has_seeds() {
+        let program = fs::read_to_string(root().join("fuzz/src/main.rs")).unwrap();
+        for target in TARGETS {
+            assert!(program.contains(&format!("(\"{target}\",")), "{target}");
+            assert!(fs::read_dir(seeds(target)).is_ok_and(|mut seeds| seeds.next().is_some()), "{target}");
+        }
+    }
+}

@@ -1,0 +1,49 @@
+//! What dated reports share: the date, the commit, and where they go.
+
+use std::fs;
+use std::process::Command;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use anyhow::{Context as _, Result};
+
+use crate::firmware::root;
+
+/// Writes `docs/results/NAME` and says so.
+pub fn write(name: &str, text: &str) -> Result<()> {
+    let path = root().join("docs/results").join(name);
+    fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
+    println!("docs/results/{name} is written");
+    Ok(())
+}
+
+/// Today and the commit that is checked out, as in "2026-01-31, commit 0123abc".
+pub fn occasion() -> String {
+    let seconds = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
+    let (year, month, day) = civil(seconds / 86_400);
+    let commit = Command::new("git").current_dir(root()).args(["describe", "--always", "--dirty=, changed"]).output();
+    let commit = commit.ok().filter(|output| output.status.success());
+    let commit =
+        commit.map_or_else(|| "unknown".into(), |output| String::from_utf8_lossy(&output.stdout).trim().to_string());
+    format!("{year}-{month:02}-{day:02}, commit {commit}")
+}
+
+/// Year, month and day of a day since 1970-01-01 (Hinnant, "chrono-compatible low-level date algorithms").
+fn civil(day: u64) -> (u64, u64, u64) {
+    let shifted = day + 719_468;
+    let (era, of_era) = (shifted / 146_097, shifted % 146_097);
+    let year_of_era = (of_era - of_era / 1460 + of_era / 36_524 - of_era / 146_096) / 365;
+    let of_year = of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let from_march = (5 * of_year + 2) / 153;
+    let month = if from_march < 10 { from_march + 3 } else { from_march - 9 };
+    (400 * era + year_of_era + u64::from(month <= 2), month, of_year - (153 * from_march + 2) / 5 + 1)
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn days_are_counted_as_the_calendar_does() {
+        assert_eq!(super::civil(0), (1970, 1, 1));
+        assert_eq!(super::civil(19_782), (2024, 2, 29));
+        assert_eq!(super::civil(20_513), (2026, 3, 1));
+    }
+}
