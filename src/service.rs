@@ -268,7 +268,8 @@ impl Service {
 
     /// Sets limits and rules; never above what the board can do, and not higher while the motors are on.
     pub fn set_rules(&mut self, machine: &mut impl Machine, rules: Rules) -> Result<(), Refusal> {
-        let seconds = rules.host_seconds.is_finite() && rules.host_seconds >= 0.01;
+        // A silence is summed up in single steps, which beyond a minute are too small for an f32 to take in.
+        let seconds = (0.01..=60.0).contains(&rules.host_seconds);
         if !rules.limits.within(&self.most) || !seconds || rules.index_period.iter().any(|period| *period < 0) {
             return Err(Refusal::BadLimits);
         }

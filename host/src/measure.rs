@@ -18,6 +18,7 @@ use std::time::Duration;
 use haptic_bridge::controller::Gains;
 use haptic_bridge::guard::{Fault, State};
 use haptic_bridge::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::servo::{HostAction, Rules};
 use nalgebra::DVector;
 use thiserror::Error;
 
@@ -89,7 +90,8 @@ pub struct Setup {
     pub largest_pull: f64,
 }
 
-/// A board made ready to measure; disarms itself when dropped.
+/// A board made ready to measure. While it measures, a tool that is killed or unplugged takes the motors with it; when
+/// dropped it disarms the board and puts its rules back.
 pub struct Bench<'a> {
     board: &'a mut Board,
     setup: Setup,
@@ -106,7 +108,12 @@ pub struct Bench<'a> {
     /// Smallest step of the tip along the normal, m.
     quantum: f64,
     divider: u32,
+    /// The board's rules as they were.
+    before: Rules,
 }
+
+/// How long the board goes on without this tool, s: a measurement must not outlive the one who watches it.
+const HOST_SECONDS: f32 = 1.0;
 
 /// Distance between the tested wall and the one that pulls aside, m: more than any pull.
 const APART: f64 = 0.01;
@@ -147,7 +154,11 @@ impl<'a> Bench<'a> {
             .map(|(j, e)| device.row[j].abs() * std::f64::consts::TAU / e.counts_per_turn.abs())
             .sum();
 
-        let mut rules = board.rules()?;
+        let before = board.rules()?;
+        let mut rules = before;
+        if before.host_action != HostAction::Disarm || before.host_seconds > HOST_SECONDS {
+            (rules.host_action, rules.host_seconds) = (HostAction::Disarm, HOST_SECONDS);
+        }
         for limit in &mut rules.limits.torque {
             *limit = limit.min(setup.torque_limit as f32);
         }
@@ -167,7 +178,9 @@ impl<'a> Bench<'a> {
             quantum,
             divider: (setup.rate_hz / 10_000.0).ceil().max(1.0) as u32,
             setup,
+            before,
         };
+        bench.board.keep_alive();
         bench.hold(0.0)?;
         bench.board.arm()?;
         let request = fields("tip,state").map_err(MeasureError::Scene)?;
@@ -391,8 +404,9 @@ impl<'a> Bench<'a> {
 
 impl Drop for Bench<'_> {
     fn drop(&mut self) {
-        // The board may be gone; its own rules then take the motors off.
+        // The board may be gone; the rules set for the measurement then take the motors off.
         let _ = self.board.disarm();
+        let _ = self.board.set_rules(&self.before);
     }
 }
 

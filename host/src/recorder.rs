@@ -21,7 +21,9 @@ pub struct Recorder {
     /// Length of the file in whole lines, bytes; `None` when it cannot be cut (a pipe).
     whole: Option<u64>,
     columns: usize,
+    /// Rows in the file, and in the block.
     rows: u64,
+    gathered: u64,
 }
 
 impl Recorder {
@@ -30,7 +32,7 @@ impl Recorder {
         let file = File::create(path).map_err(|error| cannot_write(path, &error))?;
         let whole = file.metadata().ok().filter(|about| about.is_file()).map(|_| 0);
         let mut recorder =
-            Self { file, path: path.into(), block: String::new(), whole, columns: columns.len(), rows: 0 };
+            Self { file, path: path.into(), block: String::new(), whole, columns: columns.len(), rows: 0, gathered: 0 };
         for line in about.lines() {
             recorder.block.push_str("# ");
             recorder.block.push_str(line);
@@ -54,15 +56,17 @@ impl Recorder {
             }
         }
         self.block.push('\n');
-        self.rows += 1;
+        self.gathered += 1;
         if self.block.len() >= BLOCK { self.flush() } else { Ok(()) }
     }
 
     /// Writes what was gathered. On an error the file is cut back to its last whole line.
     pub fn flush(&mut self) -> Result<(), Failure> {
         let written = self.file.write_all(self.block.as_bytes());
+        let gathered = std::mem::take(&mut self.gathered);
         match written {
             Ok(()) => {
+                self.rows += gathered;
                 if let Some(whole) = &mut self.whole {
                     *whole += self.block.len() as u64;
                 }
@@ -79,7 +83,7 @@ impl Recorder {
         }
     }
 
-    /// Rows taken so far.
+    /// Rows that are in the file.
     pub fn rows(&self) -> u64 {
         self.rows
     }

@@ -1,53 +1,11 @@
 //! The commands that talk to a board, as a person types them, against a simulated board in another process.
 
-use assert_cmd::Command;
-use assert_cmd::cargo::CommandCargoExt;
+mod sim;
+
 use haptic::recorder::Recording;
 use predicates::prelude::*;
 use predicates::str::contains;
-use std::io::{BufRead, BufReader};
-use std::path::PathBuf;
-use std::process::{Child, Stdio};
-
-fn file(name: &str) -> String {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../devices").join(name).display().to_string()
-}
-
-fn haptic(arguments: &[&str]) -> Command {
-    let mut command = Command::cargo_bin("haptic").unwrap();
-    command.args(arguments);
-    command
-}
-
-/// `haptic sim …` in a process of its own.
-struct Sim {
-    child: Child,
-    port: String,
-}
-
-impl Sim {
-    fn start(arguments: &[&str]) -> Self {
-        let mut command = std::process::Command::cargo_bin("haptic").unwrap();
-        let mut child = command.args(["sim", "--tcp", "0"]).args(arguments).stdout(Stdio::piped()).spawn().unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        let port = line.trim().rsplit(' ').next().unwrap().to_string();
-        assert!(port.starts_with("tcp:127.0.0.1:"), "{line}");
-        Self { child, port }
-    }
-
-    fn run(&self, arguments: &[&str]) -> assert_cmd::assert::Assert {
-        let mut command = haptic(arguments);
-        command.args(["--port", &self.port]).assert()
-    }
-}
-
-impl Drop for Sim {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
+use sim::{Sim, file, haptic};
 
 #[test]
 fn a_session_from_a_bare_board_to_a_recording() {
@@ -109,12 +67,7 @@ fn a_board_that_dies_while_streaming_leaves_a_whole_recording() {
     let mut sim = Sim::start(&[]);
     let directory = tempfile::tempdir().unwrap();
     let csv = directory.path().join("cut.csv");
-    let mut command = std::process::Command::cargo_bin("haptic").unwrap();
-    let mut stream = command
-        .args(["stream", "--rate", "20000", "--csv", csv.to_str().unwrap(), "--port", &sim.port])
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
+    let mut stream = sim.spawn(&["stream", "--rate", "20000", "--csv", csv.to_str().unwrap()]);
     // Pull the plug once there is something on disk.
     while std::fs::metadata(&csv).map_or(0, |about| about.len()) < 100_000 {
         std::thread::sleep(std::time::Duration::from_millis(10));

@@ -4,7 +4,10 @@ use haptic::device_file::DeviceFile;
 use haptic::link::{Board, Deframer, LinkError, PortSpec, Wire, encode, fields};
 use haptic::sim::server::{Door, Pace, serve, tcp};
 use haptic::sim::{BoardOptions, SHIPPED_DEVICE, ready_board};
+use haptic_bridge::guard::{Fault, State};
 use haptic_bridge::protocol::{GetInfo, Info, PROTOCOL};
+use haptic_bridge::scene::Scene;
+use haptic_bridge::servo::{HostAction, Rules};
 use postcard_rpc::Endpoint;
 use postcard_rpc::header::{VarHeader, VarKey};
 use std::sync::Arc;
@@ -99,6 +102,34 @@ fn a_second_tool_is_told_that_the_board_is_taken() {
     first.status().unwrap();
     drop(first);
     served.reopen().status().unwrap();
+}
+
+#[test]
+fn a_hundred_replugs_armed_or_not_leave_a_board_that_arms_again() {
+    let served = Served::on_tcp(Pace::RealTime);
+    let mut board = served.open().unwrap();
+    board.set_scene(&Scene { task: 2, ..Scene::default() }).unwrap();
+    board.set_rules(&Rules { host_action: HostAction::Disarm, host_seconds: 1.0, ..Rules::default() }).unwrap();
+    drop(board);
+    for round in 0..100 {
+        let mut board = served.reopen();
+        board.keep_alive();
+        // A tool that left without disarming took the motors with it, or takes them now.
+        if board.status().unwrap().state != State::Disarmed {
+            board.disarm().unwrap();
+            board.clear().unwrap();
+        }
+        board.arm().unwrap();
+        let rows = stream(&mut board, 50);
+        assert_eq!((board.losses().received, board.losses().missing), (rows as u64, 0), "round {round}");
+        assert_eq!(board.status().unwrap().state, State::Armed, "round {round}");
+        if round % 2 == 0 {
+            board.disarm().unwrap();
+        }
+    }
+    let mut board = served.reopen();
+    let seen = board.faults().unwrap();
+    assert!(seen.iter().all(|record| record.fault == Fault::HostLost), "{seen:?}");
 }
 
 #[test]

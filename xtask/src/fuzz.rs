@@ -73,6 +73,7 @@ struct Outcome {
 /// Builds the targets and runs them, as many at a time as there are processors. A finding is an error, with its input kept.
 pub fn run(options: &Options, install: bool) -> Result<()> {
     need_program("g++", install)?;
+    let occasion = report::occasion();
     let out = target_directory().join("fuzz");
     let program = build(&out)?;
     let queue = Mutex::new(options.targets.clone());
@@ -111,9 +112,7 @@ pub fn run(options: &Options, install: bool) -> Result<()> {
         let text = format!(
             "# Fuzzing\n\n{}. `cargo xtask fuzz --seconds {} --record`: {} s a target, no finding. What the targets are and \
              hold the code to: docs/safety.md.\n\n{table}",
-            report::occasion(),
-            options.seconds,
-            options.seconds
+            occasion, options.seconds, options.seconds
         );
         report::write("fuzz.md", &text)?;
     }

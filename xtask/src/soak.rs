@@ -15,6 +15,7 @@ const HOURS: f64 = 24.0;
 /// Runs `[--hours N] [--record]`.
 pub fn run(arguments: &[&str]) -> Result<()> {
     let (hours, record) = parse(arguments)?;
+    let occasion = report::occasion();
     let figures = target_directory().join("soak.md");
     run_command(
         Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
@@ -26,7 +27,7 @@ pub fn run(arguments: &[&str]) -> Result<()> {
     let text = fs::read_to_string(&figures).with_context(|| format!("cannot read {}", figures.display()))?;
     println!("{text}");
     if record {
-        let heading = format!("# Soak\n\n{}. `cargo xtask soak --hours {hours} --record`\n\n", report::occasion());
+        let heading = format!("# Soak\n\n{}. `cargo xtask soak --hours {hours} --record`\n\n", occasion);
         report::write("soak.md", &(heading + &text))?;
     }
     Ok(())

@@ -76,22 +76,31 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut follow = Follow { rate_hz, first_step: None, shown: Losses::default(), last_note: board.now() };
     let ended = loop {
         if stop.is_set() {
-            break Ok(());
+            break Ended::AsAsked;
         }
         match board.rows(Duration::from_millis(200)) {
-            Err(error) => break Err(error),
+            Err(error) => break Ended::BoardLost(error),
             Ok(rows) => {
                 for record in board.take_reported_faults() {
                     eprintln!("fault: {}", fault_in_words(&record, details.rate_hz));
                 }
-                if follow.take(&rows, &mut sink, args.seconds)? {
-                    break Ok(());
+                let over = follow.take(&rows, &mut sink, args.seconds);
+                match over.and_then(|over| follow.note(&board, &mut sink).map(|()| over)) {
+                    Ok(false) => {}
+                    Ok(true) => break Ended::AsAsked,
+                    Err(failure) => break Ended::NoRoom(failure),
                 }
-                follow.note(&board, &mut sink)?;
             }
         }
     };
     finish(ended, board, sink, args.csv)
+}
+
+/// How the stream came to its end.
+enum Ended {
+    AsAsked,
+    BoardLost(LinkError),
+    NoRoom(Failure),
 }
 
 /// The stream as it goes by.
@@ -175,19 +184,16 @@ impl Sink {
 }
 
 /// Stops the stream and says what came of it.
-fn finish(
-    ended: Result<(), LinkError>,
-    mut board: Board,
-    sink: Sink,
-    csv: Option<PathBuf>,
-) -> Result<(), Failure> {
-    if ended.is_ok() {
-        board.stop_stream()?;
-    }
+fn finish(ended: Ended, mut board: Board, sink: Sink, csv: Option<PathBuf>) -> Result<(), Failure> {
+    let stopped = match ended {
+        Ended::BoardLost(_) => Ok(()),
+        _ => board.stop_stream(),
+    };
     let losses = board.losses();
     let mut kept = String::new();
+    let mut written = Ok(());
     if let (Sink::File(mut recorder), Some(path)) = (sink, csv) {
-        recorder.flush()?;
+        written = recorder.flush();
         kept = format!("{} rows are in {}", recorder.rows(), path.display());
         if std::io::stderr().is_terminal() {
             eprintln!();
@@ -196,8 +202,9 @@ fn finish(
     }
     eprintln!("received {losses}");
     match ended {
-        Ok(()) => Ok(()),
-        Err(error) if kept.is_empty() => Err(error.into()),
-        Err(error) => Err(Failure::impossible(error).remedy(kept)),
+        Ended::NoRoom(failure) => Err(failure),
+        Ended::BoardLost(error) if kept.is_empty() => Err(error.into()),
+        Ended::BoardLost(error) => Err(Failure::impossible(error).remedy(kept)),
+        Ended::AsAsked => written.and(stopped.map_err(Failure::from)),
     }
 }

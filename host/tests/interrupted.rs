@@ -1,0 +1,251 @@
+//! What is cut short: tools that are killed, stopped or interrupted, disks that are full, boards that two tools want. What was
+//! recorded is whole, what was lost is counted, and motors that a tool turned on do not stay on without it.
+#![cfg(unix)]
+
+mod sim;
+
+use haptic::device_file::DeviceFile;
+use haptic::link::Board;
+use haptic::measure::{Bench, Setup};
+use haptic::recorder::Recording;
+use haptic::sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, ready_board};
+use haptic_bridge::guard::{Fault, State};
+use haptic_bridge::scene::FeedForward;
+use predicates::prelude::*;
+use predicates::str::contains;
+use sim::{Sim, file};
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command};
+use std::thread::sleep;
+use std::time::Duration;
+
+fn signal(child: &Child, name: &str) {
+    let sent = Command::new("sh").args(["-c", &format!("kill -{name} {}", child.id())]).status().unwrap();
+    assert!(sent.success());
+}
+
+/// Waits until a file holds so many bytes.
+fn grown(path: &Path, bytes: u64) {
+    for _ in 0..6_000 {
+        if std::fs::metadata(path).is_ok_and(|about| about.len() >= bytes) {
+            return;
+        }
+        sleep(Duration::from_millis(10));
+    }
+    panic!("{} never held {bytes} bytes", path.display());
+}
+
+fn said(child: &mut Child) -> String {
+    let mut text = String::new();
+    child.stderr.take().unwrap().read_to_string(&mut text).unwrap();
+    text
+}
+
+fn recording(path: &Path) -> Recording {
+    Recording::parse(&std::fs::read_to_string(path).unwrap()).unwrap()
+}
+
+/// Rows that are missing between the first and the last of a recording of every step.
+fn gaps(recording: &Recording) -> u64 {
+    recording.rows.windows(2).map(|pair| (pair[1][0] - pair[0][0]) as u64 - 1).sum()
+}
+
+/// The number before this word.
+fn number_before(text: &str, word: &str) -> u64 {
+    let before = text.split(word).next().unwrap().trim_end();
+    before.rsplit(|c: char| !c.is_ascii_digit()).next().unwrap().parse().unwrap_or_else(|_| panic!("{word} in {text}"))
+}
+
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+}
+
+#[test]
+fn a_recording_whose_tool_is_killed_is_readable_to_its_last_full_row() {
+    let sim = Sim::start(&["--fast"]);
+    let folder = Folder::new();
+    for (round, bytes) in [10_000, 300_000, 700_000].into_iter().enumerate() {
+        let csv = folder.path(&format!("{round}.csv"));
+        let mut tool = sim.spawn(&["stream", "--rate", "20000", "--csv", csv.to_str().unwrap()]);
+        grown(&csv, bytes);
+        tool.kill().unwrap();
+        tool.wait().unwrap();
+        let recording = recording(&csv);
+        assert!(recording.rows.len() > 50, "{}", recording.rows.len());
+        assert_eq!(gaps(&recording), 0);
+        // The board has noticed, and takes the next tool.
+        sleep(Duration::from_millis(200));
+        sim.run(&["info"]).success();
+    }
+}
+
+#[test]
+fn a_disk_that_fills_up_ends_the_recording_with_whole_rows_and_says_how_many() {
+    let sim = Sim::start(&["--fast"]);
+    let folder = Folder::new();
+    let csv = folder.path("full.csv");
+    let program = assert_cmd::cargo::cargo_bin("haptic");
+    // A limit on the size of files is a disk that is full, once its signal is ignored. Blocks of 512 bytes: 300 KB.
+    let line = "trap '' XFSZ; ulimit -f 600; exec \"$0\" \"$@\"";
+    let output = Command::new("sh")
+        .args(["-c", line, program.to_str().unwrap(), "stream", "--rate", "20000", "--csv", csv.to_str().unwrap()])
+        .args(["--port", &sim.port])
+        .output()
+        .unwrap();
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("full.csv cannot be written"), "{text}");
+    let recording = recording(&csv);
+    assert!(!recording.torn && recording.rows.len() > 500);
+    assert_eq!(number_before(&text, "rows are in"), recording.rows.len() as u64);
+    assert_eq!(gaps(&recording), 0);
+    sim.run(&["info"]).success();
+}
+
+#[test]
+fn rows_that_a_stopped_tool_did_not_take_are_counted_exactly() {
+    let sim = Sim::on_pseudo_terminal(&[]);
+    let folder = Folder::new();
+    let csv = folder.path("gaps.csv");
+    let mut tool = sim.spawn(&["stream", "--rate", "20000", "--fields", "all", "--csv", csv.to_str().unwrap()]);
+    grown(&csv, 100_000);
+    signal(&tool, "STOP");
+    sleep(Duration::from_secs(2));
+    let before = std::fs::metadata(&csv).unwrap().len();
+    signal(&tool, "CONT");
+    grown(&csv, before + 3_000_000);
+    signal(&tool, "INT");
+    let text = said(&mut tool);
+    assert_eq!(tool.wait().unwrap().code(), Some(0), "{text}");
+    let recording = recording(&csv);
+    assert!(gaps(&recording) > 0, "two seconds fit into no buffer");
+    assert_eq!(number_before(&text, "lost ("), gaps(&recording), "{text}");
+    assert_eq!(number_before(&text, "rows are in"), recording.rows.len() as u64, "{text}");
+    assert_eq!(
+        number_before(&text, "dropped by the board"),
+        gaps(&recording),
+        "the board says that it was the board: {text}"
+    );
+}
+
+#[test]
+fn an_interrupted_stream_ends_in_order_and_its_motors_go_off_where_the_rules_say_so() {
+    let sim = Sim::start(&[]);
+    sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success();
+    let folder = Folder::new();
+    for (rule, state) in [("ignore", "Armed"), ("disarm", "Fault")] {
+        sim.run(&["disarm"]).success();
+        sim.run(&["rules", "--host", rule, "--host-seconds", "0.5"]).success();
+        sim.run(&["arm"]).success();
+        let csv = folder.path(rule);
+        let mut tool = sim.spawn(&["stream", "--csv", csv.to_str().unwrap()]);
+        grown(&csv, 5_000);
+        signal(&tool, "INT");
+        let text = said(&mut tool);
+        assert_eq!(tool.wait().unwrap().code(), Some(0), "{text}");
+        assert!(!recording(&csv).torn && text.contains("rows are in"), "{text}");
+        sleep(Duration::from_secs(2));
+        sim.run(&["info", "--json"]).success().stdout(contains(format!("\"{state}\"")));
+    }
+    sim.run(&["faults"]).success().stdout(contains("host"));
+}
+
+#[test]
+fn an_interrupted_measurement_says_that_motors_are_off_and_they_are() {
+    let sim = Sim::start(&[]);
+    let rules = sim.run(&["rules"]).success().get_output().stdout.clone();
+    let folder = Folder::new();
+    let progress = folder.path("progress.json");
+    let mut tool = sim.spawn(&[
+        "measure-range",
+        &file("coupled-five-bar.toml"),
+        "--normal=0.6,0.8",
+        "--kd=15",
+        "--rate=1000",
+        "--cutoff=20",
+        "--torque-limit=0.9",
+        "--progress",
+        progress.to_str().unwrap(),
+    ]);
+    sleep(Duration::from_secs(3));
+    signal(&tool, "INT");
+    let text = said(&mut tool);
+    assert_eq!(tool.wait().unwrap().code(), Some(1), "{text}");
+    assert!(text.contains("motors are off"), "{text}");
+    sim.run(&["info", "--json"]).success().stdout(contains("\"Disarmed\""));
+    assert_eq!(sim.run(&["rules"]).success().get_output().stdout, rules, "and the rules are as they were");
+}
+
+fn setup() -> Setup {
+    Setup {
+        normal: vec![0.6, 0.8],
+        rate_hz: 1_000.0,
+        cutoff_hz: 20.0,
+        washout_hz: 2.0,
+        torque_limit: 1.0,
+        largest_pull: 2e-3,
+    }
+}
+
+fn simulated() -> (DeviceFile, SharedBoard, Board) {
+    let device = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
+    let shared = SharedBoard::new(ready_board(&device, BoardOptions::default()).unwrap());
+    let board = Board::over(shared.wire(), "sim").unwrap();
+    (device, shared, board)
+}
+
+#[test]
+fn a_measurement_that_ends_anywhere_has_its_motors_off_and_the_rules_as_they_were() {
+    let (device, shared, mut board) = simulated();
+    let before = board.rules().unwrap();
+    for most in [1, 30, 300, 1000] {
+        let asked = std::cell::Cell::new(0);
+        let stop = || {
+            asked.set(asked.get() + 1);
+            asked.get() > most
+        };
+        let ended = Bench::new(&mut board, &device, setup(), &stop)
+            .and_then(|mut bench| bench.oscillates(FeedForward::Off, 100.0, 1.0, 1.0).map(drop));
+        assert_eq!(ended.is_err(), asked.get() > most, "{ended:?}");
+        assert_eq!(shared.lock().status().state, State::Disarmed, "after {most}");
+        assert_eq!(board.rules().unwrap(), before);
+    }
+}
+
+#[test]
+fn a_measurement_whose_tool_dies_takes_its_motors_with_it() {
+    let (device, shared, mut board) = simulated();
+    let bench = Bench::new(&mut board, &device, setup(), &|| false).unwrap();
+    // What a killed process does: nothing more, not even dropping.
+    std::mem::forget(bench);
+    assert_eq!(shared.lock().status().state, State::Armed);
+    shared.lock().run(1.1);
+    let status = shared.lock().status();
+    assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::HostLost)));
+}
+
+#[test]
+fn the_second_of_two_tools_is_told_that_the_board_is_taken() {
+    let folder = Folder::new();
+    for (name, sim, told) in
+        [("tcp", Sim::start(&[]), "another tool"), ("pseudo-terminal", Sim::on_pseudo_terminal(&[]), "another")]
+    {
+        let csv = folder.path(name);
+        let mut first = sim.spawn(&["stream", "--csv", csv.to_str().unwrap()]);
+        grown(&csv, 5_000);
+        sim.run(&["arm"]).code(1).stderr(contains(told).and(contains(&sim.port)));
+        // The first one did not even notice.
+        signal(&first, "INT");
+        let text = said(&mut first);
+        assert_eq!(first.wait().unwrap().code(), Some(0), "{text}");
+        assert!(text.contains("none lost"), "{text}");
+    }
+}

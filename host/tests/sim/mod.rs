@@ -1,0 +1,69 @@
+//! `haptic` and `haptic sim`, as a person types them.
+#![allow(dead_code, reason = "every test file uses its own part")]
+
+use assert_cmd::Command;
+use assert_cmd::cargo::CommandCargoExt;
+use std::io::{BufRead, BufReader};
+use std::path::PathBuf;
+use std::process::{Child, Stdio};
+
+/// A file that ships.
+pub fn file(name: &str) -> String {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../devices").join(name).display().to_string()
+}
+
+/// The tool, with these arguments.
+pub fn haptic(arguments: &[&str]) -> Command {
+    let mut command = Command::cargo_bin("haptic").unwrap();
+    command.args(arguments);
+    command
+}
+
+/// `haptic sim …` in a process of its own.
+pub struct Sim {
+    pub child: Child,
+    pub port: String,
+}
+
+impl Sim {
+    /// Behind a TCP port.
+    pub fn start(arguments: &[&str]) -> Self {
+        let sim = Self::launch(&[&["--tcp", "0"], arguments].concat());
+        assert!(sim.port.starts_with("tcp:127.0.0.1:"), "{}", sim.port);
+        sim
+    }
+
+    /// Behind a pseudo-terminal.
+    pub fn on_pseudo_terminal(arguments: &[&str]) -> Self {
+        Self::launch(arguments)
+    }
+
+    fn launch(arguments: &[&str]) -> Self {
+        let mut command = std::process::Command::cargo_bin("haptic").unwrap();
+        let mut child = command.arg("sim").args(arguments).stdout(Stdio::piped()).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let port = line.trim().rsplit(' ').next().unwrap().to_string();
+        Self { child, port }
+    }
+
+    /// Runs the tool on this board.
+    pub fn run(&self, arguments: &[&str]) -> assert_cmd::assert::Assert {
+        let mut command = haptic(arguments);
+        command.args(["--port", &self.port]).assert()
+    }
+
+    /// Starts the tool on this board in the background.
+    pub fn spawn(&self, arguments: &[&str]) -> Child {
+        let mut command = std::process::Command::cargo_bin("haptic").unwrap();
+        command.args(arguments).args(["--port", &self.port]).stdout(Stdio::null()).stderr(Stdio::piped());
+        command.spawn().unwrap()
+    }
+}
+
+impl Drop for Sim {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
