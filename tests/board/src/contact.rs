@@ -52,8 +52,13 @@ pub fn scene(head: &str, tip: [f64; 3], task: usize, walls: &[WallAt]) -> String
 /// A firm hand that keeps the tip where it is, as a person does while homing a device that would fall.
 pub fn hold(device: &mut Device) {
     let here = vec![Waypoint { time: 0.0, value: device.tip() }];
-    let firm =
-        HandSettings { grip_stiffness: 5000.0, grip_damping: 20.0, arm_stiffness: 5000.0, ..HandSettings::default() };
+    let firm = HandSettings {
+        grip_stiffness: 50_000.0,
+        grip_damping: 100.0,
+        arm_stiffness: 50_000.0,
+        arm_damping: 100.0,
+        ..HandSettings::default()
+    };
     device.set_hand(Hand::new(firm, Intent::Follow(here), device.tip(), device.time()));
 }
 
@@ -87,21 +92,32 @@ impl Rig {
         rig
     }
 
-    /// Homes the device and has its polarity checked, then loads `walls` before the tip, wherever that took it, and arms.
+    /// Loads the device with a scene without walls, homes it and has its polarity checked; a firm hand holds it after that.
     ///
     /// # Panics
     ///
     /// When the board refuses anything.
-    pub fn arm_before(&mut self, head: &str, walls: &[WallAt]) {
+    pub fn prepare(&mut self, head: &str) {
         self.load(head);
         self.tool.home().expect("the device can be homed");
         self.with_simulated(carry);
         self.check_polarity();
         self.with_simulated(hold);
         self.run(300 * MILLISECOND);
+    }
+
+    /// Prepares the device, loads `walls` before the tip, wherever the polarity check took it, and arms. The scene's text.
+    ///
+    /// # Panics
+    ///
+    /// When the board refuses anything.
+    pub fn arm_before(&mut self, head: &str, walls: &[WallAt]) -> String {
+        self.prepare(head);
         let tip = self.with_simulated(|device| device.tip());
         let task = self.file.as_ref().map_or(2, |file: &DeviceFile| file.spec().task);
-        self.set_scene(&scene(head, tip, task, walls));
+        let scene = scene(head, tip, task, walls);
+        self.set_scene(&scene);
         self.arm();
+        scene
     }
 }

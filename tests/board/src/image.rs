@@ -139,6 +139,16 @@ impl Firmware {
         self.symbols.get(name).copied()
     }
 
+    /// The one symbol whose name ends with `ending`: a static of the firmware by its mangled path, `5servo5STEPS`.
+    #[must_use]
+    pub fn find_ending(&self, ending: &str) -> Option<Symbol> {
+        // A static that the compiler took apart has the number of the part behind its name.
+        let plain =
+            |name: &str| name.trim_end_matches(|letter: char| letter.is_ascii_digit()).ends_with(&format!("{ending}."));
+        let mut found = self.symbols.iter().filter(|(name, _)| name.ends_with(ending) || plain(name));
+        found.next().map(|(_, symbol)| *symbol).filter(|_| found.next().is_none())
+    }
+
     /// The code of the function `symbol`, or `None` where the image has no such code.
     #[must_use]
     pub fn code(&self, symbol: Symbol) -> Option<Vec<u8>> {

@@ -214,4 +214,21 @@ impl Rig {
     pub fn with_simulated<T: Send + 'static>(&self, job: impl FnOnce(&mut Device) -> T + Send + 'static) -> T {
         self.with(|bench| job(bench.hardware().plant.device().expect("a simulated device")))
     }
+
+    /// Virtual nanoseconds since power-on.
+    #[must_use]
+    pub fn now(&self) -> u64 {
+        self.shared.board().now()
+    }
+
+    /// Control steps since boot, read from the chip's memory with the board standing still.
+    ///
+    /// # Panics
+    ///
+    /// When the image keeps no such count.
+    #[must_use]
+    pub fn steps(&self) -> u32 {
+        let address = firmware(self.kind).find_ending("5servo5STEPS").expect("the count of steps").address;
+        self.with(move |bench| bench.word(address)).expect("RAM")
+    }
 }

@@ -13,29 +13,34 @@ use haptic_bridge::servo::{Command, Hardware, Samples, Servo};
 use haptic_bridge::telemetry::{Field, Fields};
 use virtual_board::boards::BoardKind;
 use virtual_board::rig::Rig;
-use virtual_board::run::SECOND;
+use virtual_board::run::{MILLISECOND, SECOND};
 
 /// State, in the stream's first column of [`Field::State`].
 const ARMED: f64 = 1.0;
 
 #[test]
 fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
-    let cases = [(BoardKind::OdriveV3, "pantograph-mk2", [0.0, 0.004, 0.0])];
+    let cases = [
+        (BoardKind::OdriveV3, "pantograph-mk2", [0.0, 0.004, 0.0]),
+        (BoardKind::HBridgeF405, "phantom-premium-1.5", [0.0, 0.004, 0.0]),
+    ];
     for (kind, name, offset) in cases {
         let mut rig = Rig::with_device(kind, name, |_| ());
         let file = rig.file.clone().expect("a device");
         let task = file.spec().task;
+        let head = "rate_hz = 2000\ncutoff_hz = 200\ngravity_compensation = true\n";
+        rig.run(300 * MILLISECOND);
+        let home = rig.with_simulated(|device| device.counts());
+        rig.prepare(head);
         let tip = rig.with_simulated(|device| device.tip());
         let axes = |values: &[f64]| values.iter().take(task).map(f64::to_string).collect::<Vec<_>>().join(", ");
         let point: Vec<f64> = tip.iter().zip(offset).map(|(tip, offset)| tip + offset).collect();
         let scene = format!(
-            "rate_hz = 2000\ncutoff_hz = 200\n[[wall]]\npoint = [{}]\nnormal = [{}]\nstiffness = 1500.0\ndamping = 4.0\nfeed_forward = \"full\"\n",
+            "{head}[[wall]]\npoint = [{}]\nnormal = [{}]\nstiffness = 800.0\ndamping = 2.0\nfeed_forward = \"full\"\n",
             axes(&point),
             axes(&[0.0, -1.0, 0.0])
         );
-        rig.load(&scene);
-        rig.tool.home().expect("homed");
-        rig.check_polarity();
+        rig.set_scene(&scene);
         // The device stands; its estimators have come to rest.
         rig.run(SECOND / 2);
         let fields =
@@ -77,8 +82,8 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
         };
         let three = |values: Vec<f64>| -> [f64; 3] { std::array::from_fn(|i| values.get(i).copied().unwrap_or(0.0)) };
         servo.execute(Command::Program(Box::new(program))).0.expect("loaded");
-        // Homed where it stood at power-on, count 0; then at rest where the trace begins, until every estimator is at zero.
-        servo.control(&Samples { bus_voltage: 24.0, ..Samples::default() });
+        // Homed where it stood; then at rest where the trace begins, until every estimator is at zero.
+        servo.control(&Samples { counts: home, bus_voltage: 24.0, ..Samples::default() });
         servo.execute(Command::Home).0.expect("homed");
         servo.execute(Command::PolarityKnown).0.expect("known");
         let start = three(of(&rows[0], Field::Counts)).map(|count| count as i32);

@@ -2,11 +2,18 @@
 
 use std::time::Duration;
 
+use haptic::analysis::plant::Linearised;
+use haptic::link::Board;
+use haptic::scene_file::SceneFile;
+use haptic::sim::{BoardOptions, Options, SharedBoard, SimulatedBoard};
 use haptic::sim::{Hand, HandSettings, Intent, Waypoint};
+use haptic_bridge::controller::Gains;
+use haptic_bridge::scene::FeedForward;
 use haptic_bridge::telemetry::{Field, Fields};
 use virtual_board::boards::BoardKind;
+use virtual_board::contact::{WallAt, hold, push as push_into};
 use virtual_board::rig::Rig;
-use virtual_board::run::SECOND;
+use virtual_board::run::{MILLISECOND, SECOND};
 
 /// Friction off: the wall alone holds the hand.
 fn armed_at_a_wall(feed_forward: &str, inside: f64) -> (Rig, f64) {
@@ -61,4 +68,145 @@ fn a_wall_never_pulls() {
     assert!(rows.iter().all(|row| row.values[0] < 0.0 || row.values[1] == 0.0), "no force outside the wall");
     let tip = rig.with_simulated(|device| device.tip());
     assert!(tip[1] < height, "the hand got away: {tip:?}");
+}
+
+/// How deep the tip is in each of `walls`, m, before which it stood at `start`.
+fn depths(walls: &[WallAt], start: [f64; 3], tip: [f64; 3]) -> Vec<f64> {
+    let depth =
+        |wall: &WallAt| -> f64 { (0..3).map(|i| -wall.normal[i] * (tip[i] - start[i])).sum::<f64>() - wall.gap };
+    walls.iter().map(depth).collect()
+}
+
+/// Depths every 10 ms while the same hand pushes the same device into the same walls: on the emulated chip and in the
+/// PC's simulation.
+fn pushed(kind: BoardKind, name: &str, walls: &[WallAt], newtons: f64) -> [Vec<Vec<f64>>; 2] {
+    const LOOKS: usize = 120;
+    let force: [f64; 3] = std::array::from_fn(|i| walls.iter().map(|wall| -newtons * wall.normal[i]).sum());
+    let mut rig = Rig::with_device(kind, name, |options| options.friction = false);
+    let scene = rig.arm_before("gravity_compensation = true\n", walls);
+    let (start, q) = rig.with_simulated(move |device| (device.tip(), device.q()));
+    // Where the tip stood when the walls were placed is where a firm hand still holds it.
+    rig.with_simulated(move |device| push_into(device, force, 0.3));
+    let mut chip = Vec::new();
+    for _ in 0..LOOKS {
+        rig.run(10 * MILLISECOND);
+        chip.push(depths(walls, start, rig.with_simulated(|device| device.tip())));
+    }
+    let status = rig.tool.status().expect("the board answers");
+    assert_eq!(status.fault, None, "{name}");
+
+    let file = rig.file.as_ref().expect("a device");
+    let device = Options { friction: false, start: Some(q), absolute_encoders: true, ..Options::default() };
+    let mut board = SimulatedBoard::new(&file.description, BoardOptions { device, ..BoardOptions::default() })
+        .expect("it can be simulated");
+    let scene = SceneFile::parse(&scene, "scene", file.spec().task).expect("a scene").scene().expect("it fits f32");
+    board.load(&file.name, &file.description, Some(scene)).expect("loaded");
+    hold(board.device_mut());
+    let shared = SharedBoard::new(board);
+    Board::over(shared.wire(), "simulated").expect("it answers").arm().expect("it arms");
+    let mut board = shared.lock();
+    board.run(1.0);
+    push_into(board.device_mut(), force, 0.3);
+    let mut pc = Vec::new();
+    for _ in 0..LOOKS {
+        board.run(0.01);
+        pc.push(depths(walls, start, board.device().tip()));
+    }
+    [chip, pc]
+}
+
+/// The chip's depths follow the PC's: within `share` of the deepest the tip ever is, at every look.
+fn agree(kind: BoardKind, name: &str, walls: &[WallAt], newtons: f64, share: f64) {
+    let [chip, pc] = pushed(kind, name, walls, newtons);
+    for wall in 0..walls.len() {
+        let deepest = pc.iter().map(|look| look[wall]).fold(0.0, f64::max);
+        let apart = chip.iter().zip(&pc).map(|(chip, pc)| (chip[wall] - pc[wall]).abs()).fold(0.0, f64::max);
+        println!("{name}, wall {wall}: {deepest:.6} m deep on the PC, the chip at most {apart:.6} m apart");
+        // The force that the hand ends with, over the stiffness.
+        assert!(deepest > 0.5 * newtons / walls[wall].stiffness, "{name}: {deepest} m is no contact");
+        assert!(apart < share * deepest, "{name}, wall {wall}: {apart} m apart, {deepest} m deep");
+    }
+}
+
+#[test]
+fn a_wall_before_three_joints_is_as_deep_as_the_pc_simulation_says() {
+    for feed_forward in ["off", "full"] {
+        let wall = WallAt { feed_forward, damping: 3.0, ..WallAt::facing([0.0, -1.0, 0.0]) };
+        agree(BoardKind::HBridgeF405, "phantom-premium-1.5", &[wall], 0.8, 0.05);
+    }
+}
+
+#[test]
+fn a_corner_with_the_feed_forward_is_as_deep_as_the_pc_simulation_says() {
+    let walls = [[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]].map(|normal| WallAt { damping: 3.0, ..WallAt::facing(normal) });
+    agree(BoardKind::OdriveV3, "pantograph-mk2", &walls, 0.8, 0.08);
+}
+
+#[test]
+fn gains_that_change_in_contact_step_the_torque_by_what_they_explain() {
+    let wall = WallAt { feed_forward: "full", ..WallAt::facing([0.0, -1.0, 0.0]) };
+    let mut rig = Rig::in_contact(BoardKind::OdriveV3, "pantograph-mk2", "", &[wall], 0.8);
+    let fields =
+        Fields(Field::Torque.bit() | Field::Distance.bit() | Field::NormalVelocity.bit() | Field::WallForce.bit());
+    rig.tool.start_stream(fields, 4).expect("a stream starts");
+    let mut rows = Vec::new();
+    for stiffness in [500.0, 800.0, 400.0, 600.0] {
+        let gains = Gains { wall: 0, stiffness, damping: 1.0, feed_forward: FeedForward::Full, washout_hz: 2.0 };
+        rig.tool.set_wall_gains(gains).expect("gains change in contact");
+        let until = rows.len() + 400;
+        while rows.len() < until {
+            rows.extend(rig.tool.rows(Duration::from_millis(20)).expect("rows come"));
+        }
+    }
+    assert_eq!(rig.tool.losses().missing, 0);
+    // Columns: torques, distance, velocity, force. Each force is that of one of the stiffnesses, and the torque follows it.
+    let mut steps = 0;
+    for pair in rows.windows(2) {
+        let [a, b] = [&pair[0].values, &pair[1].values];
+        let (before, after) = (a[4], b[4]);
+        steps += usize::from((after - before).abs() > 0.1);
+        for joint in 0..2 {
+            let explained = a[joint] * after / before;
+            let error = (b[joint] - explained).abs();
+            assert!(error < 0.02 * b[joint].abs() + 2e-5, "step {}: {a:?} then {b:?}", pair[1].step);
+        }
+    }
+    assert_eq!(steps, 3, "three changes of the gains are seen in the force");
+}
+
+#[test]
+fn the_feed_forward_on_the_chip_is_the_torque_that_the_analysis_asks_for() {
+    for (kind, name) in [(BoardKind::OdriveV3, "pantograph-mk2"), (BoardKind::HBridgeF405, "phantom-premium-1.5")] {
+        for feed_forward in ["off", "full"] {
+            let normal = [-0.6, -0.8, 0.0];
+            let wall = WallAt { feed_forward, ..WallAt::facing(normal) };
+            // The hand carries the weight too.
+            let mut rig = Rig::in_contact(kind, name, "gravity_compensation = false\n", &[wall], 1.6);
+            let file = rig.file.clone().expect("a device");
+            let (joints, task) = (file.spec().joints, file.spec().task);
+            rig.tool
+                .start_stream(Fields(Field::Angle.bit() | Field::Torque.bit() | Field::WallForce.bit()), 20)
+                .expect("a stream");
+            let rows = rig.tool.rows(Duration::from_millis(300)).expect("rows come");
+            let row = &rows.last().expect("a row").values;
+            let (q, torque, force) = (&row[..joints], &row[joints..2 * joints], row[2 * joints]);
+            let device = Linearised::at(&file.description, q, &normal[..task]).expect("a regular pose");
+            let shaped = device.shaped_torque();
+            let expected = if feed_forward == "full" { &shaped } else { &device.row };
+            let apart = (shaped.clone() - &device.row).amax();
+            assert!(apart > 0.05 * device.row.amax(), "{name}: here the feed-forward changes nothing");
+            for joint in 0..joints {
+                let error = (torque[joint] / force - expected[joint]).abs();
+                println!(
+                    "{name}, {feed_forward}, joint {joint}: {} N m/N, {} expected",
+                    torque[joint] / force,
+                    expected[joint]
+                );
+                assert!(
+                    force > 0.2 && error < 0.02 * apart,
+                    "{name}, {feed_forward}, joint {joint}: {row:?}, {expected:?}"
+                );
+            }
+        }
+    }
 }

@@ -1,0 +1,42 @@
+//! Full load: every step's telemetry, settings that change, a link that cannot carry everything.
+
+use haptic_bridge::telemetry::Fields;
+use virtual_board::load::run;
+use virtual_board::timing::CASES;
+
+/// Every how many steps a row comes without a loss, see docs/results/timing.md.
+const WHOLE: u32 = 4;
+
+#[test]
+fn no_period_is_missed_and_no_frame_lost_at_20_khz_while_gains_change() {
+    let mut rig = CASES[0].rig(20_000);
+    let load = run(&mut rig, (Fields::USUAL, WHOLE), 20_000, 3_000);
+    println!("{load:?}");
+    assert!(load.in_time(), "{load:?}");
+    assert_eq!((load.losses.missing, load.losses.garbled), (0, 0), "{load:?}");
+    assert_eq!(load.losses.received, load.due, "{load:?}");
+    // The stack was painted at start: of its 20 KB at least these have never been touched.
+    assert!(load.stack_free >= 4 * 1024, "{load:?}");
+}
+
+#[test]
+fn frames_that_the_link_cannot_carry_are_counted_one_by_one_and_the_loop_does_not_wait() {
+    let mut rig = CASES[0].rig(20_000);
+    let load = run(&mut rig, (Fields::ALL, 1), 20_000, 1_000);
+    println!("{load:?}");
+    assert!(load.in_time(), "{load:?}");
+    assert!(load.losses.missing > 1_000, "nothing was lost: {load:?}");
+    assert_eq!(load.losses.received + load.losses.missing, load.due, "{load:?}");
+    assert_eq!(load.losses.batches_lost, 0, "what was numbered was sent: {load:?}");
+    // Every loss is one that the board told of, beside what it dropped before the first row came.
+    assert!(load.losses.missing <= load.losses.dropped_by_board, "{load:?}");
+}
+
+#[test]
+fn three_joints_miss_no_period_at_20_khz_whatever_is_lost() {
+    let mut rig = CASES[2].rig(20_000);
+    let load = run(&mut rig, (Fields::USUAL, 1), 20_000, 1_000);
+    println!("{load:?}");
+    assert!(load.in_time(), "{load:?}");
+    assert_eq!(load.losses.received + load.losses.missing, load.due, "{load:?}");
+}
