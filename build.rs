@@ -1,4 +1,4 @@
-//! Link arguments of the firmware binary. They are emitted for the chip alone, so that tests and tools on a PC link as ever.
+//! Link arguments of the two images. They are emitted for the chip alone, so that tests and tools on a PC link as ever.
 
 use std::{env, fs, path::PathBuf};
 
@@ -14,5 +14,10 @@ fn main() {
     // --nmagic: sections are not aligned to pages, which flash does not have. link.x is cortex-m-rt's, defmt.x defmt's.
     for argument in ["--nmagic", "-Tlink.x", "-Tdefmt.x"] {
         println!("cargo::rustc-link-arg-bin=haptic-bridge-firmware={argument}");
+    }
+    if env::var_os("CARGO_FEATURE_COUNTING_IMAGE").is_some() {
+        for argument in ["--nmagic", "-Tlink.x"] {
+            println!("cargo::rustc-link-arg-bin=haptic-bridge-counting={argument}");
+        }
     }
 }

@@ -9,17 +9,22 @@
 //! Coriolis forces, one without springs no tip velocity; the choices are made once, in [`Controller::new`].
 
 use crate::device::Device;
-use crate::inertia::{Split, frame_rate, shaped_torque, shaped_torque_in_span};
+use crate::inertia::{Split, shaped_torque, shaped_torque_in_span};
 use crate::math::{Math, Real};
 use crate::mechanism::{Mechanism, Regularity, Shaping, shared_pose};
 use crate::precomputed::MassModel;
-use crate::scene::{FeedForward, MAX_SPRINGS, MAX_WALLS, Scene, SceneError, Spring, Wall, task_vector};
-use crate::velocity::{Coefficients, LowPass, Velocity, Washout};
+use crate::scene::{FeedForward, MAX_SPRINGS, MAX_WALLS, Scene, SceneError, Spring, task_vector};
+use crate::velocity::{Coefficients, Washout};
 use core::marker::PhantomData;
+use encoders::Encoders;
 use heapless::Vec;
 use nalgebra::SVector;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
+use walls::{Active, Walls};
+
+mod encoders;
+mod walls;
 
 /// Sine of a serial singularity at and above which the feed-forward acts in full.
 ///
@@ -47,117 +52,6 @@ pub struct Gains<T> {
     pub feed_forward: FeedForward,
     /// Corner of its washout, Hz.
     pub washout_hz: T,
-}
-
-/// One wall at run time.
-#[derive(Clone, Copy, Debug)]
-struct RunningWall<T: Real> {
-    wall: Wall<T>,
-    velocity: Velocity<T>,
-    washout: Washout<T>,
-    passivity: Passivity<T>,
-}
-
-impl<T: Real> RunningWall<T> {
-    /// Not inlined: the same for every mechanism, and rare.
-    #[inline(never)]
-    fn set_gains(&mut self, gains: &Gains<T>, washout: &Washout<T>) {
-        if self.wall.feed_forward == FeedForward::Washout {
-            self.washout.retune(washout);
-        } else {
-            // It was not stepped, so what it remembers is no longer true.
-            self.washout = *washout;
-        }
-        self.wall.stiffness = gains.stiffness;
-        self.wall.damping = gains.damping;
-        self.wall.feed_forward = gains.feed_forward;
-        self.wall.washout_hz = gains.washout_hz;
-    }
-}
-
-/// What of a scene is the same for every mechanism of a task dimension: designed filters, walls that run.
-#[inline(never)]
-fn prepare<T: Real>(
-    scene: &Scene<T>,
-    task: usize,
-) -> Result<(Coefficients<T>, Vec<RunningWall<T>, MAX_WALLS>), SceneError> {
-    scene.check(task)?;
-    let rate = scene.rate_hz.to_f64();
-    let coefficients =
-        Coefficients::new(scene.estimator, rate, scene.cutoff_hz.to_f64()).map_err(|_| SceneError::Cutoff)?;
-    let mut walls = Vec::new();
-    for (index, wall) in scene.walls.iter().enumerate() {
-        let washout = match wall.feed_forward {
-            FeedForward::Washout => {
-                Washout::new(wall.washout_hz.to_f64(), rate).map_err(|_| SceneError::Washout(index as u8))?
-            }
-            _ => Washout::default(),
-        };
-        // The two vectors have the same capacity.
-        let _ = walls.push(RunningWall {
-            wall: *wall,
-            velocity: Velocity::default(),
-            washout,
-            passivity: Passivity::default(),
-        });
-    }
-    Ok((coefficients, walls))
-}
-
-/// Counts that make up an angle (rad) at so many radians per count; none when there is no scale.
-#[inline(never)]
-fn counts_of<T: Real>(angle: T, radians_per_count: T) -> i32 {
-    let scale = radians_per_count.to_f64();
-    if scale == 0.0 { 0 } else { libm::round(angle.to_f64() / scale) as i32 }
-}
-
-/// A wall's passivity observer and controller (Hannaford and Ryu 2002, in the form that is exact for a force held
-/// between two samples): energy taken up = -Σ f(k-1) (x(k) - x(k-1)); when it falls below zero, damping is added that
-/// takes up the missing part in one step.
-#[derive(Clone, Copy, Debug, Default)]
-struct Passivity<T> {
-    /// J
-    energy: T,
-    /// Force held since the last step, N.
-    held: T,
-}
-
-/// Most damping the passivity controller adds, as a share of the damping at which a mass of 1 kg would stop in a step:
-/// beyond it the controller itself would be the instability.
-const PASSIVITY_SHARE: f64 = 0.01;
-
-impl<T: Real> Passivity<T> {
-    /// Counts the energy of the last period, in which the tip moved by `moved` (m), and returns the damping (N s/m)
-    /// that pays back what the wall has given out. `v` in m/s, `rate` in Hz.
-    #[inline(always)]
-    fn damping(&mut self, moved: T, v: T, rate: T) -> T {
-        self.energy -= self.held * moved;
-        if self.energy >= T::zero() || v == T::zero() {
-            return T::zero();
-        }
-        let most = rate * T::from_f64(PASSIVITY_SHARE);
-        (-self.energy * rate / (v * v).greater(T::from_f64(1.0e-12))).lesser(most)
-    }
-
-    fn hold(&mut self, force: T) {
-        self.held = force;
-    }
-
-    /// The tip has left the wall: counts the last period's energy and keeps what the wall still owes for its next touch.
-    #[inline(always)]
-    fn leave(&mut self, moved: T) {
-        self.energy = (self.energy - self.held * moved).lesser(T::zero());
-        self.held = T::zero();
-    }
-}
-
-/// A contact that is rendered in this step.
-#[derive(Clone, Copy, Debug)]
-struct Active<T: Real, const N: usize> {
-    wall: usize,
-    normal: SVector<T, N>,
-    /// What of the wall's force goes through the feed-forward.
-    shaped: T,
 }
 
 /// What one step found and decided.
@@ -190,33 +84,50 @@ pub struct Step<T: Real, const N: usize> {
     pub regularity: Regularity<T>,
 }
 
-/// A mechanism in a scene.
-#[derive(Clone, Copy, Debug)]
-pub struct Encoding<T> {
-    radians_per_count: T,
-    counts_per_turn: i32,
-    offset: T,
-}
-
 /// The control step of one mechanism with N joints, its scene, and its memory between steps.
 #[derive(Clone, Debug)]
 pub struct Controller<T: Real, M, K, const N: usize> {
     mechanism: M,
     mass: MassModel<T, N>,
-    joints: [Encoding<T>; N],
-    viscous: SVector<T, N>,
-    zero: [i32; N],
-    last_counts: [i32; N],
-    primed: bool,
-    joint_filters: [LowPass<T>; N],
+    encoders: Encoders<T, N>,
     coefficients: Coefficients<T>,
-    walls: Vec<RunningWall<T>, MAX_WALLS>,
-    springs: Vec<Spring<T>, MAX_SPRINGS>,
-    field_damping: T,
+    walls: Walls<T>,
+    guidance: Guidance<T>,
+    viscous: SVector<T, N>,
     gravity: bool,
     velocity_terms: bool,
-    passivity: bool,
+    /// b of the shaped torque is not zero.
+    biased: bool,
     math: PhantomData<K>,
+}
+
+/// Springs and fields.
+#[derive(Clone, Debug)]
+struct Guidance<T> {
+    springs: Vec<Spring<T>, MAX_SPRINGS>,
+    field_damping: T,
+    any: bool,
+}
+
+/// What of a scene is the same for every mechanism.
+struct Prepared<T: Real> {
+    coefficients: Coefficients<T>,
+    walls: Walls<T>,
+    guidance: Guidance<T>,
+}
+
+/// Checks a scene and designs its filters. Not inlined: the mechanisms share it.
+#[inline(never)]
+fn prepare<T: Real>(scene: &Scene<T>, task: usize) -> Result<Prepared<T>, SceneError> {
+    scene.check(task)?;
+    let coefficients =
+        Coefficients::new(scene.estimator, scene.rate_hz, scene.cutoff_hz).map_err(|_| SceneError::Cutoff)?;
+    let guidance = Guidance {
+        springs: scene.springs.clone(),
+        field_damping: scene.field_damping,
+        any: !scene.springs.is_empty() || scene.field_damping > T::zero(),
+    };
+    Ok(Prepared { coefficients, walls: Walls::new(scene)?, guidance })
 }
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
@@ -225,30 +136,20 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// Errors: whatever [`Scene::check`] finds.
     #[inline(never)]
     pub fn new(mechanism: M, device: &Device<T>, scene: &Scene<T>, mass: MassModel<T, N>) -> Result<Self, SceneError> {
-        let (coefficients, walls) = prepare(scene, M::SPEC.task)?;
+        let Prepared { coefficients, walls, guidance } = prepare(scene, M::SPEC.task)?;
+        let biased = scene.velocity_terms || walls.damped;
+        let moving = biased || guidance.any;
         Ok(Self {
             mechanism,
             mass,
-            joints: core::array::from_fn(|i| {
-                let joint = &device.joints[i];
-                Encoding {
-                    radians_per_count: joint.radians_per_count,
-                    counts_per_turn: if M::SPEC.periodic { joint.counts_per_turn } else { 0 },
-                    offset: joint.offset,
-                }
-            }),
-            viscous: SVector::from_fn(|i, _| device.joints[i].viscous),
-            zero: [0; N],
-            last_counts: [0; N],
-            primed: false,
-            joint_filters: [LowPass::default(); N],
+            encoders: Encoders::new(device, &coefficients, M::SPEC.periodic, moving),
             coefficients,
             walls,
-            springs: scene.springs.clone(),
-            field_damping: scene.field_damping,
+            guidance,
+            viscous: SVector::from_fn(|i, _| device.joints[i].viscous),
             gravity: scene.gravity_compensation && device.weight,
             velocity_terms: scene.velocity_terms,
-            passivity: false,
+            biased,
             math: PhantomData,
         })
     }
@@ -256,302 +157,216 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// Joint torques for these encoder counts. Call at the control rate.
     #[inline(always)]
     pub fn step(&mut self, counts: &[i32; N]) -> Step<T, N> {
-        let (q, turned) = self.angles(counts);
-        let qd = self.joint_velocities(counts);
-        let pose = shared_pose::<T, K, M, N>(&self.mechanism, &turned);
+        self.step_with(counts, &[])
+    }
+
+    /// As [`Controller::step`], with the values of the table that a [`MassModel::Table`] looks into.
+    #[inline(always)]
+    pub fn step_with(&mut self, counts: &[i32; N], table: &[T]) -> Step<T, N> {
+        let (q, turned) = self.encoders.angles(counts);
+        let qd = self.encoders.velocities(&self.coefficients, counts);
+        // In line where that takes no more than one copy, see `shared_pose`.
+        let pose = if N <= 2 {
+            self.mechanism.pose::<K>(&turned)
+        } else {
+            shared_pose::<T, K, M, N>(&self.mechanism, &turned)
+        };
         let tip = self.mechanism.tip(&pose);
         let place = task_part::<T, M, N>(&tip);
         let regularity = self.mechanism.regularity(&pose);
 
-        // Contacts and wall forces; every estimator runs at every step, so contact never starts it from zero.
+        let mut more: Vec<Active<T, N>, MAX_WALLS> = Vec::new();
+        let touch = self.walls.touch::<K, N>(&self.coefficients, &place, &mut more);
         let mut step = Step {
             q,
             qd,
             tip,
             torque: SVector::zeros(),
-            distance: T::zero(),
-            normal_velocity: T::zero(),
-            wall_force: T::zero(),
-            contacts: 0,
-            energy: T::zero(),
-            passivity_damping: T::zero(),
+            distance: touch.distance,
+            normal_velocity: touch.normal_velocity,
+            wall_force: touch.wall_force,
+            contacts: touch.contacts,
+            energy: touch.energy,
+            passivity_damping: touch.passivity_damping,
             shaping: T::one(),
             regularity,
         };
-        let mut plain = SVector::<T, N>::zeros();
-        let mut active: Vec<Active<T, N>, MAX_WALLS> = Vec::new();
-        for (index, running) in self.walls.iter_mut().enumerate() {
-            let wall = &running.wall;
-            let contact = wall.surface.contact::<K, N>(&place);
-            let moved = running.velocity.moved(contact.distance);
-            let v = running.velocity.step(&self.coefficients, contact.distance);
-            if index == 0 || contact.distance < step.distance {
-                step.distance = contact.distance;
-                step.normal_velocity = v;
-            }
-            let touching = wall.bilateral || contact.distance < T::zero();
-            let mut force = T::zero();
-            if touching {
-                force = -wall.stiffness * contact.distance - wall.damping * v;
-                if self.passivity {
-                    let extra = running.passivity.damping(moved, v, self.coefficients.rate());
-                    force -= extra * v;
-                    step.passivity_damping += extra;
-                }
-                // Written so that what is not a number stays one, and is found out.
-                if !wall.bilateral && force < T::zero() {
-                    force = T::zero();
-                }
-                step.contacts += 1;
-                step.wall_force += force;
-                if self.passivity {
-                    running.passivity.hold(force);
-                    step.energy += running.passivity.energy;
-                }
-            } else {
-                running.passivity.leave(moved);
-            }
-            let shaped = match wall.feed_forward {
-                FeedForward::Off => T::zero(),
-                FeedForward::Full => force,
-                FeedForward::Washout => running.washout.step(force),
-            };
-            if touching {
-                if wall.feed_forward == FeedForward::Off {
-                    plain += contact.normal * force;
-                } else {
-                    plain += contact.normal * (force - shaped);
-                    let _ = active.push(Active { wall: index, normal: contact.normal, shaped });
-                }
-            }
-        }
-        if !self.springs.is_empty() || self.field_damping > T::zero() {
-            plain += self.guidance(&place, &task_part::<T, M, N>(&self.mechanism.velocity(&pose, &qd)));
+        let (mut plain, mut straight) = (touch.plain, touch.straight);
+        if self.guidance.any {
+            plain += self.guidance.force(&place, &task_part::<T, M, N>(&self.mechanism.velocity(&pose, &qd)));
+            straight = true;
         }
 
         // (4): what is shaped goes through M E Wrr⁻¹, the rest straight through Jᵀ.
-        if !active.is_empty() {
+        if let Some(first) = touch.first {
             let parallel = regularity.parallel * T::from_f64(1.0 / PARALLEL_REGULARITY);
-            step.shaping = fade(regularity.serial.lesser(parallel));
-            if step.shaping > T::zero() {
-                let resultant = active.iter().fold(SVector::<T, N>::zeros(), |sum, a| sum + a.normal * a.shaped);
-                let shaped = self.shaped(&turned, &pose, &place, &qd, &active, &resultant);
-                if step.shaping < T::one() {
-                    plain += resultant * (T::one() - step.shaping);
-                    step.torque = shaped * step.shaping;
-                } else {
-                    step.torque = shaped;
+            let share = fade(regularity.serial.lesser(parallel));
+            if share < T::one() || !more.is_empty() {
+                // Copies, so that the usual case need not keep these in memory.
+                let (pose, place, qd, turned, first) = (pose, place, qd, turned, first);
+                let resultant = more.iter().fold(first.normal * first.shaped, |sum, a| sum + a.normal * a.shaped);
+                if share > T::zero() {
+                    step.torque =
+                        self.shaped_by_several(table, &turned, &pose, &place, &qd, &first, &more, &resultant) * share;
                 }
+                step.shaping = share;
+                plain += resultant * (T::one() - share);
+                straight = true;
             } else {
-                plain = active.iter().fold(plain, |sum, a| sum + a.normal * a.shaped);
+                step.torque = self.shaped_by_one(table, &turned, &pose, &place, &qd, &first);
             }
         }
-        step.torque += self.mechanism.transpose(&pose, &plain);
+        if straight {
+            step.torque += self.mechanism.transpose(&pose, &plain);
+        }
         if self.gravity {
             step.torque += self.mechanism.gravity(&pose);
         }
         step
     }
 
-    /// The feed-forward torques of the active walls, without gravity.
+    /// The feed-forward torques of a single active wall, without gravity.
     #[inline(always)]
-    fn shaped(
+    fn shaped_by_one(
         &self,
+        table: &[T],
         q: &SVector<T, N>,
         pose: &M::Pose,
         place: &SVector<T, N>,
         qd: &SVector<T, N>,
-        active: &Vec<Active<T, N>, MAX_WALLS>,
+        only: &Active<T, N>,
+    ) -> SVector<T, N> {
+        let shaping = match &self.mass {
+            MassModel::Exact => self.mechanism.shaping(pose, &only.normal),
+            MassModel::Frozen(mass) if N <= 2 => Shaping::of(mass, self.mechanism.inverse(pose, &only.normal)),
+            mass => mass.shaping(&self.mechanism, table, q, pose, &only.normal),
+        };
+        if !self.biased {
+            return shaping.me * (only.shaped / shaping.w_rr);
+        }
+        let b = self.bias(pose, place, qd, core::slice::from_ref(only), &only.normal);
+        shaped_torque(&shaping, only.shaped, &b)
+    }
+
+    /// The feed-forward torques of one or several active walls, without gravity. Out of line: the usual single wall
+    /// away from singularities does not come here.
+    #[allow(clippy::too_many_arguments)]
+    #[inline(never)]
+    fn shaped_by_several(
+        &self,
+        table: &[T],
+        q: &SVector<T, N>,
+        pose: &M::Pose,
+        place: &SVector<T, N>,
+        qd: &SVector<T, N>,
+        first: &Active<T, N>,
+        more: &[Active<T, N>],
         resultant: &SVector<T, N>,
     ) -> SVector<T, N> {
-        match active.as_slice() {
-            [only] => {
-                let shaping = self.mass.shaping(&self.mechanism, q, pose, &only.normal);
-                let b = self.bias(pose, place, qd, active, &only.normal);
-                shaped_torque(&shaping, only.normal.dot(resultant), &b)
-            }
-            _ => {
-                let mut normals: Vec<SVector<T, N>, MAX_WALLS> = Vec::new();
-                for a in active {
-                    let _ = normals.push(a.normal);
-                }
-                let split = Split::new::<K>(&normals, M::SPEC.task);
-                if split.rendered == N {
-                    // Everything is rendered: nothing is admissible, and (4) adds nothing.
-                    return self.mechanism.transpose(pose, resultant);
-                }
-                let shapings: [Shaping<T, N>; N] =
-                    core::array::from_fn(|i| self.mass.shaping(&self.mechanism, q, pose, &split.direction(i)));
-                // One rendered direction, or two in space with one admissible across them.
-                let turning = if split.rendered == 1 { 0 } else { N - 1 };
-                let b = self.bias(pose, place, qd, active, &split.direction(turning));
-                shaped_torque_in_span(&split, &shapings, resultant, &b)
-            }
+        let mut active: Vec<Active<T, N>, MAX_WALLS> = Vec::new();
+        let mut normals: Vec<SVector<T, N>, MAX_WALLS> = Vec::new();
+        for a in core::iter::once(first).chain(more) {
+            let _ = active.push(*a);
+            let _ = normals.push(a.normal);
         }
+        if more.is_empty() {
+            let shaping = self.mass.shaping(&self.mechanism, table, q, pose, &first.normal);
+            return shaped_torque(&shaping, first.shaped, &self.bias(pose, place, qd, &active, &first.normal));
+        }
+        let split = Split::new::<K>(&normals, M::SPEC.task);
+        if split.rendered == N {
+            // Everything is rendered: nothing is admissible, and (4) adds nothing.
+            return self.mechanism.transpose(pose, resultant);
+        }
+        let shapings: [Shaping<T, N>; N] =
+            core::array::from_fn(|i| self.mass.shaping(&self.mechanism, table, q, pose, &split.direction(i)));
+        // One rendered direction, or two in space with one admissible across them.
+        let turning = if split.rendered == 1 { 0 } else { N - 1 };
+        let b = self.bias(pose, place, qd, &active, &split.direction(turning));
+        shaped_torque_in_span(&split, &shapings, resultant, &b)
     }
 
     /// b without gravity: c - M J⁻¹(J̇ q̇ + κ), and B q̇ where a wall asks for it. Zero when the scene has no velocity
-    /// terms. `line` is the direction that turns with curved walls (see [`frame_rate`]).
-    #[inline]
+    /// terms. `line` is the direction that turns with curved walls (see [`frame_rate`](crate::inertia::frame_rate)).
+    #[inline(never)]
     fn bias(
         &self,
         pose: &M::Pose,
         place: &SVector<T, N>,
         qd: &SVector<T, N>,
-        active: &Vec<Active<T, N>, MAX_WALLS>,
+        active: &[Active<T, N>],
         line: &SVector<T, N>,
     ) -> SVector<T, N> {
         let mut b = SVector::zeros();
         if self.velocity_terms {
             let mut acceleration = SVector::zeros();
-            if M::SPEC.task > 1 && self.walls.iter().any(|running| running.wall.surface.curved()) {
+            if M::SPEC.task > 1 && self.walls.curved {
                 let velocity = task_part::<T, M, N>(&self.mechanism.velocity(pose, qd));
-                acceleration = -frame_rate(line, &self.line_rate(place, &velocity, active, line), &velocity);
+                acceleration = self.walls.turning::<K, N>(place, &velocity, active, line);
             }
             b = self.mechanism.inverse_dynamics(pose, qd, &acceleration);
         }
-        let damped = |a: &Active<T, N>| self.walls.get(a.wall).is_some_and(|w| w.wall.damping_compensation);
-        if active.iter().any(damped) {
+        if self.walls.damps(active) {
             b += self.viscous.component_mul(qd);
         }
         b
     }
 
-    /// The rate of the turning direction: ṅ itself for one wall; for the admissible line t across several, the rate
-    /// that keeps it across all of them, ṫ = -Σ (t·ṅᵢ) nᵢ', with n' the reciprocal basis of the first two normals.
-    #[inline(always)]
-    fn line_rate(
-        &self,
-        place: &SVector<T, N>,
-        velocity: &SVector<T, N>,
-        active: &Vec<Active<T, N>, MAX_WALLS>,
-        line: &SVector<T, N>,
-    ) -> SVector<T, N> {
-        let rate = |a: &Active<T, N>| match self.walls.get(a.wall) {
-            Some(running) => running.wall.surface.normal_rate::<K, N>(place, velocity),
-            None => SVector::zeros(),
-        };
-        match active.as_slice() {
-            [only] => rate(only),
-            [first, rest @ ..] => {
-                // The wall least parallel to the first spans the plane with it.
-                let aligned = |a: &Active<T, N>| a.normal.dot(&first.normal).abs();
-                let Some(second) = rest.iter().reduce(|x, y| if aligned(y) < aligned(x) { y } else { x }) else {
-                    return SVector::zeros();
-                };
-                if line.dot(&first.normal).abs() > T::from_f64(0.5) {
-                    return rate(first);
-                }
-                let cosine = first.normal.dot(&second.normal);
-                let sine_squared = (T::one() - cosine * cosine).greater(T::EPSILON);
-                let (r1, r2) = (line.dot(&rate(first)), line.dot(&rate(second)));
-                -(first.normal * (r1 - cosine * r2) + second.normal * (r2 - cosine * r1)) / sine_squared
-            }
-            [] => SVector::zeros(),
-        }
-    }
-
-    /// The force of springs and fields at the tip.
-    #[inline(always)]
-    fn guidance(&self, place: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
-        let mut force = velocity * -self.field_damping;
-        for spring in &self.springs {
-            force += spring_force(spring, place, velocity);
-        }
-        force
-    }
-
-    /// Joint angles (rad), and the same wrapped to within a turn for the mechanism's sines.
-    #[inline(always)]
-    fn angles(&self, counts: &[i32; N]) -> (SVector<T, N>, SVector<T, N>) {
-        let mut q = SVector::zeros();
-        let mut turned = SVector::zeros();
-        for i in 0..N {
-            let joint = &self.joints[i];
-            let relative = counts[i].wrapping_sub(self.zero[i]);
-            q[i] = T::from_i32(relative) * joint.radians_per_count + joint.offset;
-            let within = relative.checked_rem(joint.counts_per_turn).unwrap_or(relative);
-            turned[i] =
-                if within == relative { q[i] } else { T::from_i32(within) * joint.radians_per_count + joint.offset };
-        }
-        (q, turned)
-    }
-
-    /// Filtered joint velocities from integer count differences, which wrap.
-    #[inline(always)]
-    fn joint_velocities(&mut self, counts: &[i32; N]) -> SVector<T, N> {
-        let mut qd = SVector::zeros();
-        let rate = self.coefficients.rate();
-        for i in 0..N {
-            let moved = if self.primed { counts[i].wrapping_sub(self.last_counts[i]) } else { 0 };
-            let raw = T::from_i32(moved) * self.joints[i].radians_per_count * rate;
-            qd[i] = self.joint_filters[i].step(&self.coefficients, raw);
-        }
-        self.last_counts = *counts;
-        self.primed = true;
-        qd
-    }
-
     /// Declares the joints to be at `q` (rad) for these counts. Estimators start anew.
     pub fn home(&mut self, counts: &[i32; N], q: &[T; N]) {
-        for i in 0..N {
-            let joint = &self.joints[i];
-            self.zero[i] = counts[i].wrapping_sub(counts_of(q[i] - joint.offset, joint.radians_per_count));
-        }
-        self.forget();
+        self.encoders.home(counts, q);
+        self.walls.forget();
     }
 
     /// Counts that homing has subtracted.
     pub fn zero(&self) -> [i32; N] {
-        self.zero
+        self.encoders.zero()
     }
 
     /// Takes over homing from the controller this one replaces.
     pub fn set_zero(&mut self, zero: [i32; N]) {
-        self.zero = zero;
+        self.encoders.set_zero(zero);
     }
 
     /// Starts all estimators anew, so that what happened before is not a motion.
     pub fn forget(&mut self) {
-        self.primed = false;
-        self.joint_filters = [LowPass::default(); N];
-        for running in &mut self.walls {
-            running.velocity.forget();
-            let mut fresh = Washout::default();
-            fresh.retune(&running.washout);
-            running.washout = fresh;
-        }
+        self.encoders.forget();
+        self.walls.forget();
     }
 
     /// Turns the passivity controller on or off.
     pub fn set_passivity(&mut self, on: bool) {
-        if self.passivity != on {
-            self.walls.iter_mut().for_each(|running| running.passivity = Passivity::default());
-        }
-        self.passivity = on;
+        self.walls.set_passivity(on);
     }
 
     /// Whether a one-sided wall of this scene is touched at these counts: arming and scene changes are refused then.
     pub fn inside_a_wall(&self, counts: &[i32; N]) -> bool {
-        let (_, turned) = self.angles(counts);
+        let (_, turned) = self.encoders.angles(counts);
         let pose = shared_pose::<T, K, M, N>(&self.mechanism, &turned);
-        let place = task_part::<T, M, N>(&self.mechanism.tip(&pose));
-        self.walls.iter().any(|running| {
-            let wall = &running.wall;
-            !wall.bilateral && wall.surface.contact::<K, N>(&place).distance < T::zero()
-        })
+        self.walls.any_touched::<K, N>(&task_part::<T, M, N>(&self.mechanism.tip(&pose)))
     }
 
     /// Applies checked gains between two steps; estimators and the washout's state go on.
     pub fn set_gains(&mut self, gains: &Gains<T>, washout: &Washout<T>) {
-        if let Some(running) = self.walls.get_mut(usize::from(gains.wall)) {
-            running.set_gains(gains, washout);
-        }
+        self.walls.set_gains(gains, washout);
     }
 
     /// Applies checked coefficients of the velocity estimators between two steps; their states go on.
     pub fn set_coefficients(&mut self, coefficients: &Coefficients<T>) {
         self.coefficients = *coefficients;
+        self.encoders.retune(coefficients);
+    }
+}
+
+impl<T: Real> Guidance<T> {
+    /// The force (N) at the tip.
+    #[inline(always)]
+    fn force<const N: usize>(&self, place: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
+        let mut force = velocity * -self.field_damping;
+        for spring in &self.springs {
+            force += spring_force(spring, place, velocity);
+        }
+        force
     }
 }
 

@@ -138,7 +138,9 @@ pub fn shaped_torque_in_span<T: Real, const N: usize>(
     for i in 0..rank {
         right[i] = split.basis.column(i).dot(force) - shapings[i].e.dot(b);
         for j in 0..rank {
-            w_rr[(i, j)] = shapings[i].e.dot(&shapings[j].me);
+            if let Some(entry) = w_rr.get_mut((i, j)) {
+                *entry = shapings[i].e.dot(&shapings[j].me);
+            }
         }
     }
     let y = solve_symmetric(&w_rr, &right);

@@ -17,6 +17,8 @@ pub trait Real:
     fn to_f64(self) -> f64;
     /// The nearest representable number.
     fn from_i32(value: i32) -> Self;
+    /// The whole part; limited to what fits, 0 for NaN.
+    fn whole(self) -> i32;
     /// Absolute value.
     fn abs(self) -> Self;
     /// Neither infinite nor NaN.
@@ -53,6 +55,10 @@ macro_rules! real {
             #[inline(always)]
             fn from_i32(value: i32) -> Self {
                 value as $float
+            }
+            #[inline(always)]
+            fn whole(self) -> i32 {
+                self as i32
             }
             #[inline(always)]
             fn abs(self) -> Self {
@@ -124,10 +130,11 @@ pub fn minimax_sin_cos(angle: f32) -> (f32, f32) {
     // π/2 split so that a quadrant count of up to 16 bits times the head is exact in f32.
     const HALF_PI_HEAD: f32 = 1.570_312_5;
     const HALF_PI_TAIL: f32 = 4.838_268e-4;
-    let scaled = angle * TWO_OVER_PI;
-    let half = if scaled < 0.0 { -0.5 } else { 0.5 };
-    let quadrant = (scaled + half) as i32; // saturating, NaN gives 0
-    let turns = quadrant as f32;
+    // 1.5 · 2²³: adding it rounds to a whole number, which then stands in the low bits. Good for |angle| < 6e6.
+    const ROUNDER: f32 = 12_582_912.0;
+    let rounded = angle * TWO_OVER_PI + ROUNDER;
+    let quadrant = rounded.to_bits();
+    let turns = rounded - ROUNDER;
     let r = (angle - turns * HALF_PI_HEAD) - turns * HALF_PI_TAIL;
     let z = r * r;
     let sine = r + r * z * (-0.166_666_55 + z * (8.332_174e-3 + z * -1.951_665_6e-4));

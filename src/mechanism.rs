@@ -10,6 +10,7 @@
 
 use crate::description::{Description, DescriptionError, MAX_JOINTS};
 use crate::math::{Math, Real};
+use crate::precomputed::MassModel;
 use nalgebra::{SMatrix, SVector};
 
 /// What a device file must hold for a mechanism.
@@ -49,12 +50,23 @@ pub struct Shaping<T: Real, const N: usize> {
     pub w_rr: T,
 }
 
+impl<T: Real, const N: usize> Shaping<T, N> {
+    /// What the joint velocities `e` (rad/m) weigh with a mass matrix (N x N, kg m²).
+    #[inline(always)]
+    pub fn of(mass: &SMatrix<T, N, N>, e: SVector<T, N>) -> Self {
+        let me = mass * e;
+        Self { e, me, w_rr: e.dot(&me) }
+    }
+}
+
 /// The equations of motion of one mechanism with N joints, M q̈ + c(q, q̇) + g(q) = τ (friction is the joint's own).
 ///
 /// All methods accept any finite input; near a singularity results grow but stay finite where a clamp is documented.
 pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
     /// What a device file must hold.
     const SPEC: Spec;
+    /// Where the lower triangle of M holds something (row, column), row by row; every other entry of it is always zero.
+    const MASS_ENTRIES: &'static [(usize, usize)];
     /// What depends on the angles alone, computed once per step.
     type Pose: Copy + core::fmt::Debug;
 
@@ -100,9 +112,7 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
     }
     /// What a unit task motion along `n` takes and weighs.
     fn shaping(&self, pose: &Self::Pose, n: &SVector<T, N>) -> Shaping<T, N> {
-        let e = self.inverse(pose, n);
-        let me = self.mass(pose) * e;
-        Shaping { e, me, w_rr: e.dot(&me) }
+        Shaping::of(&self.mass(pose), self.inverse(pose, n))
     }
     /// M q̈ + c with the joint accelerations that give the tip the acceleration `tip_acceleration` (m/s²):
     /// M J⁻¹(a - J̇ q̇) + c, N m. With a = 0 this is the velocity part of `b` in docs/model.md section 2.
@@ -191,6 +201,15 @@ macro_rules! define {
             }
         }
 
+        impl<T: Real> AnyMechanism<T> {
+            /// See [`Mechanism::MASS_ENTRIES`].
+            pub fn mass_entries(&self) -> &'static [(usize, usize)] {
+                match self {
+                    $(Self::$Variant(_) => <$Variant<T> as Mechanism<T, $n>>::MASS_ENTRIES,)*
+                }
+            }
+        }
+
         impl AnyMechanism<f32> {
             /// Whether everything computed at `q` (rad) is finite: a broken coefficient spoils at least one number.
             pub fn is_finite_at<K: Math<f32>>(&self, q: &[f32; MAX_JOINTS]) -> bool {
@@ -224,9 +243,11 @@ impl Kind {
 /// `1 / x`, with |x| kept at or above `floor` so that the result is always finite for finite `x`.
 #[inline(always)]
 pub(crate) fn reciprocal<T: Real>(x: T, floor: T) -> T {
-    let magnitude = x.abs().greater(floor);
-    let r = T::one() / magnitude;
-    if x < T::zero() { -r } else { r }
+    if x.abs() >= floor {
+        return T::one() / x;
+    }
+    let limit = T::one() / floor;
+    if x < T::zero() { -limit } else { limit }
 }
 
 /// [`Mechanism::pose`], compiled once: a copy at every use would fill the board's flash, and a call costs little beside it.
@@ -239,7 +260,11 @@ pub(crate) fn shared_pose<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usiz
 }
 
 fn finite_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M, q: &[f32; MAX_JOINTS]) -> bool {
-    let pose = shared_pose::<f32, K, M, N>(mechanism, &SVector::from_fn(|i, _| q.get(i).copied().unwrap_or(0.0)));
-    let at_rest = [mechanism.tip(&pose), mechanism.gravity(&pose)];
-    at_rest.iter().all(|v| v.iter().all(|x| x.is_finite())) && mechanism.mass(&pose).iter().all(|x| x.is_finite())
+    let q = SVector::from_fn(|i, _| q.get(i).copied().unwrap_or(0.0));
+    let pose = shared_pose::<f32, K, M, N>(mechanism, &q);
+    // A direction in which every coefficient of the mass matrix counts, through the copy of this code that is there anyway.
+    let askew = SVector::from_fn(|i, _| 0.5 + 0.1 * i as f32);
+    let shaping = MassModel::Exact.shaping(mechanism, &[], &q, &pose, &askew);
+    let found = [mechanism.tip(&pose), mechanism.gravity(&pose), shaping.e, shaping.me];
+    found.iter().all(|v| v.iter().all(|x| x.is_finite())) && shaping.w_rr.is_finite()
 }

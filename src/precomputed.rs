@@ -1,11 +1,237 @@
-//! Mass matrices that are not computed in the step: frozen at a pose, or none but the exact one.
+//! Mass matrices that are not computed in the step: frozen at a pose, or looked up in a table over the joint angles.
+//!
+//! M depends on two joint coordinates at most ([`Mechanism::shape`]), so a table is a grid over these two. It holds the
+//! distinct entries of M alone ([`Mechanism::MASS_ENTRIES`]), and has a fixed size: [`TABLE_VALUES`] numbers, under 3 KB of the
+//! board's memory, which the servo keeps beside the program. Outside its grid the closed form is used, so a table is
+//! never wrong by more than its interpolation.
+//!
+//! The velocity terms z are the mechanism's own in every case: they are forces, not a mass matrix.
 
-use crate::guard::Refusal;
-use crate::math::Real;
+use crate::math::{Math, Real};
 use crate::mechanism::{Mechanism, Shaping};
+use crate::settings::Crc32;
+use heapless::Vec;
 use nalgebra::{SMatrix, SVector};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
+
+/// Most numbers a table holds: 2 800 bytes. 15 x 15 points of a five-bar, 13 x 13 of a device on a turret, 10 x 10 of a
+/// redundant arm.
+/// The image of h-bridge-f405, with the code of every mechanism, has no room for them within its 128 KB of flash and refuses
+/// them; the closed form is cheaper than any table there (docs/results/speed-against-error.md).
+pub const TABLE_VALUES: usize = if cfg!(all(target_os = "none", not(feature = "tables"))) { 0 } else { 700 };
+
+/// Most distinct entries of any mechanism's M.
+const MOST_ENTRIES: usize = 6;
+
+/// How a table's values are joined.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub enum Interpolation {
+    /// Linear in both coordinates: continuous, error of second order in the spacing.
+    Bilinear,
+    /// Catmull-Rom in both coordinates: continuous with its slope, error of third order. Its outermost points only carry
+    /// slopes.
+    Bicubic,
+}
+
+impl Interpolation {
+    /// Points on each side of the grid that lie outside of what can be looked up.
+    const fn margin(self) -> u8 {
+        match self {
+            Self::Bilinear => 0,
+            Self::Bicubic => 1,
+        }
+    }
+}
+
+/// The grid of a table; its values are kept elsewhere, point by point, the second coordinate running fastest, each
+/// point's entries in the order of [`Mechanism::MASS_ENTRIES`], kg m².
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Grid<T> {
+    /// How values are joined.
+    pub interpolation: Interpolation,
+    /// Number of points along each coordinate.
+    pub points: [u8; 2],
+    /// The first point, rad.
+    pub low: [T; 2],
+    /// Distance between points, rad.
+    pub spacing: [T; 2],
+}
+
+impl<T: Real> Grid<T> {
+    /// A grid that can be looked up from `low` to `high` (rad), with `points` points along each coordinate.
+    ///
+    /// `None` when it would hold more than [`TABLE_VALUES`] numbers for a mechanism with `entries` of them a point, when
+    /// there are too few points to interpolate, or when the range is empty.
+    pub fn new(
+        interpolation: Interpolation,
+        points: [u8; 2],
+        low: [T; 2],
+        high: [T; 2],
+        entries: usize,
+    ) -> Option<Self> {
+        let margin = interpolation.margin();
+        if points.iter().any(|count| *count < 2 + 2 * margin) {
+            return None;
+        }
+        let cells = points.map(|count| T::from_i32(i32::from(count - 1 - 2 * margin)));
+        let spacing: [T; 2] = core::array::from_fn(|i| (high[i] - low[i]) / cells[i]);
+        let grid = Self {
+            interpolation,
+            points,
+            low: core::array::from_fn(|i| low[i] - spacing[i] * T::from_i32(i32::from(margin))),
+            spacing,
+        };
+        grid.usable(entries).then_some(grid)
+    }
+
+    /// Number of values for a mechanism with this many entries.
+    pub fn values(&self, entries: usize) -> usize {
+        usize::from(self.points[0]) * usize::from(self.points[1]) * entries
+    }
+
+    /// The joint coordinates of a grid point, rad.
+    pub fn at(&self, i: usize, j: usize) -> [T; 2] {
+        let along = |k: usize, index: usize| self.low[k] + self.spacing[k] * T::from_i32(index as i32);
+        [along(0, i), along(1, j)]
+    }
+
+    fn usable(&self, entries: usize) -> bool {
+        let least = 2 + 2 * self.interpolation.margin();
+        self.points.iter().all(|count| *count >= least)
+            && self.values(entries) <= TABLE_VALUES
+            && self.spacing.iter().all(|step| step.is_finite() && *step > T::zero())
+            && self.low.iter().all(|low| low.is_finite())
+    }
+}
+
+/// Computes the values of a table for `mechanism` and hands each on with its index.
+pub fn tabulate<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
+    mechanism: &M,
+    grid: &Grid<T>,
+    mut put: impl FnMut(usize, T),
+) {
+    let mut index = 0;
+    for i in 0..usize::from(grid.points[0]) {
+        for j in 0..usize::from(grid.points[1]) {
+            let mass = mechanism.mass(&mechanism.pose::<K>(&joints(mechanism, &grid.at(i, j))));
+            for (row, column) in M::MASS_ENTRIES {
+                put(index, mass[(*row, *column)]);
+                index += 1;
+            }
+        }
+    }
+}
+
+/// Joint angles with these shape coordinates; the joints that M does not depend on at zero.
+pub fn joints<T: Real, M: Mechanism<T, N>, const N: usize>(mechanism: &M, shape: &[T; 2]) -> SVector<T, N> {
+    SVector::from_fn(|joint, _| {
+        let mut unit = SVector::<T, N>::zeros();
+        unit[joint] = T::one();
+        let [first, second] = mechanism.shape(&unit);
+        first * shape[0] + second * shape[1]
+    })
+}
+
+/// A grid made ready for the step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lookup<T> {
+    interpolation: Interpolation,
+    low: [T; 2],
+    /// 1/rad
+    inverse_spacing: [T; 2],
+    /// First cell that can be looked up, and the last.
+    first: i32,
+    last: [i32; 2],
+    /// Points of the second coordinate.
+    row: usize,
+    values: usize,
+}
+
+impl<T: Real> Lookup<T> {
+    fn new(grid: &Grid<T>, entries: usize) -> Self {
+        let margin = i32::from(grid.interpolation.margin());
+        Self {
+            interpolation: grid.interpolation,
+            low: grid.low,
+            inverse_spacing: grid.spacing.map(|step| T::one() / step),
+            first: margin,
+            last: grid.points.map(|count| i32::from(count) - 2 - margin),
+            row: usize::from(grid.points[1]),
+            values: grid.values(entries),
+        }
+    }
+
+    /// The cell and the position in it, each in [0, 1], of joint coordinates; `None` outside the grid.
+    #[inline(always)]
+    fn cell(&self, shape: &[T; 2]) -> Option<([usize; 2], [T; 2])> {
+        let mut cell = [0; 2];
+        let mut within = [T::zero(); 2];
+        for k in 0..2 {
+            let u = (shape[k] - self.low[k]) * self.inverse_spacing[k];
+            let whole = u.whole();
+            // The far edge belongs to the last cell.
+            let last = self.last[k];
+            let whole = if whole == last + 1 && u == T::from_i32(whole) { last } else { whole };
+            if !(u >= T::zero() && whole >= self.first && whole <= last) {
+                return None;
+            }
+            cell[k] = whole as usize;
+            within[k] = u - T::from_i32(whole);
+        }
+        Some((cell, within))
+    }
+
+    /// M at joint coordinates; `None` outside the grid, or without its values.
+    fn mass<M: Mechanism<T, N>, const N: usize>(&self, values: &[T], shape: &[T; 2]) -> Option<SMatrix<T, N, N>> {
+        let entries = self.entries(values, shape, M::MASS_ENTRIES.len())?;
+        let mut mass = SMatrix::<T, N, N>::zeros();
+        for ((row, column), value) in M::MASS_ENTRIES.iter().zip(entries) {
+            for place in [(*row, *column), (*column, *row)] {
+                if let Some(entry) = mass.get_mut(place) {
+                    *entry = value;
+                }
+            }
+        }
+        Some(mass)
+    }
+
+    /// The first `count` entries at joint coordinates. Not inlined: all mechanisms share it.
+    #[inline(never)]
+    fn entries(&self, values: &[T], shape: &[T; 2], count: usize) -> Option<[T; MOST_ENTRIES]> {
+        let values = values.get(..self.values)?;
+        let (cell, within) = self.cell(shape)?;
+        let one = T::one();
+        let linear = [[one - within[0], within[0]], [one - within[1], within[1]]];
+        let cubic = [catmull_rom(within[0]), catmull_rom(within[1])];
+        // One neighbour before the cell where the curve needs it.
+        let (along, across, before): (&[T], &[T], usize) = match self.interpolation {
+            Interpolation::Bilinear => (&linear[0], &linear[1], 0),
+            Interpolation::Bicubic => (&cubic[0], &cubic[1], 1),
+        };
+        let mut entries = [T::zero(); MOST_ENTRIES];
+        for (i, first) in along.iter().enumerate() {
+            let start = ((cell[0] + i).wrapping_sub(before) * self.row + cell[1].wrapping_sub(before)) * count;
+            let mut line = values.get(start..)?.chunks_exact(count.max(1));
+            for second in across {
+                let weight = *first * *second;
+                for (entry, value) in entries.iter_mut().zip(line.next()?) {
+                    *entry += weight * *value;
+                }
+            }
+        }
+        Some(entries)
+    }
+}
+
+/// Weights of four neighbours at `t` in [0, 1] between the middle two (Catmull and Rom 1974, tension 1/2).
+fn catmull_rom<T: Real>(t: T) -> [T; 4] {
+    let half = T::from_f64(0.5);
+    let s = T::one() - t;
+    let (before, after) = (-half * t * s * s, -half * t * t * s);
+    let smooth = t * t * (T::from_f64(3.0) - t - t);
+    [before, T::one() - smooth - after, smooth - before, after]
+}
 
 /// Where the step takes the mass matrix from.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -15,27 +241,56 @@ pub enum MassModel<T: Real, const N: usize> {
     Exact,
     /// One matrix for the whole workspace, kg m².
     Frozen(SMatrix<T, N, N>),
+    /// A table, whose values are handed to the step.
+    Table(Lookup<T>),
 }
 
 impl<T: Real, const N: usize> MassModel<T, N> {
-    /// What a unit tip motion along `n` takes and weighs. Shared by single walls and corners: a call costs less than a second
-    /// copy of every mechanism in the board's flash.
+    /// The run-time form of a grid for the mechanism `M`; `None` when it does not fit.
+    pub fn table<M: Mechanism<T, N>>(grid: &Grid<T>) -> Option<Self> {
+        let entries = M::MASS_ENTRIES.len();
+        grid.usable(entries).then(|| Self::Table(Lookup::new(grid, entries)))
+    }
+
+    /// What a unit tip motion along `n` takes and weighs. `values` are the table's. Shared by single walls and corners: a call
+    /// costs less than a second copy of every mechanism in the board's flash.
     #[inline(never)]
     pub fn shaping<M: Mechanism<T, N>>(
         &self,
         mechanism: &M,
-        _q: &SVector<T, N>,
+        values: &[T],
+        q: &SVector<T, N>,
         pose: &M::Pose,
         n: &SVector<T, N>,
     ) -> Shaping<T, N> {
         match self {
             Self::Exact => mechanism.shaping(pose, n),
-            Self::Frozen(mass) => with_mass(mechanism, pose, n, mass),
+            prepared => prepared.with_prepared(mechanism, values, q, pose, n),
         }
+    }
+
+    #[inline(always)]
+    fn with_prepared<M: Mechanism<T, N>>(
+        &self,
+        mechanism: &M,
+        values: &[T],
+        q: &SVector<T, N>,
+        pose: &M::Pose,
+        n: &SVector<T, N>,
+    ) -> Shaping<T, N> {
+        let found = match self {
+            Self::Exact => None,
+            Self::Frozen(mass) => Some(*mass),
+            Self::Table(lookup) if TABLE_VALUES > 0 => lookup.mass::<M, N>(values, &mechanism.shape(q)),
+            Self::Table(_) => None,
+        };
+        let mass = found.unwrap_or_else(|| mechanism.mass(pose));
+        Shaping::of(&mass, mechanism.inverse(pose, n))
     }
 }
 
-/// A mass model as it is sent and stored.
+/// A mass model as it is sent. Only what fits one setting is kept in flash: a table is sent again by the tool, and until
+/// then the board uses the closed form.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
 pub enum MassModelData {
     /// The mechanism's closed form.
@@ -43,18 +298,13 @@ pub enum MassModelData {
     Exact,
     /// The lower triangle of one matrix, row by row, kg m².
     Frozen([f32; 6]),
-}
-
-impl MassModelData {
-    /// Puts `values` of a table at `offset`. Refused for a model that has no table.
-    pub fn receive(&mut self, _offset: usize, _values: &[f32]) -> Result<(), Refusal> {
-        Err(Refusal::BadTable)
-    }
+    /// A table whose values have been sent before, with their CRC-32.
+    Table(Grid<f32>, u32),
 }
 
 impl<const N: usize> MassModel<f32, N> {
-    /// The run-time form; `None` when the data do not fit N joints or are not a mass matrix.
-    pub fn new(data: &MassModelData) -> Option<Self> {
+    /// The run-time form; `None` when the data do not fit the mechanism or are not a mass matrix.
+    pub fn new<M: Mechanism<f32, N>>(data: &MassModelData) -> Option<Self> {
         match data {
             MassModelData::Exact => Some(Self::Exact),
             MassModelData::Frozen(triangle) => {
@@ -65,18 +315,57 @@ impl<const N: usize> MassModel<f32, N> {
                 let usable = (0..N).all(|i| mass[(i, i)] > 0.0) && mass.iter().all(|entry| entry.is_finite());
                 usable.then_some(Self::Frozen(mass))
             }
+            MassModelData::Table(..) if TABLE_VALUES == 0 => None,
+            MassModelData::Table(grid, _) => Self::table::<M>(grid),
         }
     }
 }
 
-#[inline(always)]
-fn with_mass<T: Real, M: Mechanism<T, N>, const N: usize>(
-    mechanism: &M,
-    pose: &M::Pose,
-    n: &SVector<T, N>,
-    mass: &SMatrix<T, N, N>,
-) -> Shaping<T, N> {
-    let e = mechanism.inverse(pose, n);
-    let me = mass * e;
-    Shaping { e, me, w_rr: e.dot(&me) }
+/// A piece of a table on its way to the board.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct TableChunk {
+    /// Index of the first value.
+    pub offset: u16,
+    /// Values.
+    pub values: Vec<f32, 64>,
+}
+
+/// The values of a table on their way to the board: chunks come in order, and their checksum grows with them.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Receiving {
+    values: usize,
+    crc: Crc32,
+}
+
+impl Receiving {
+    /// Takes a chunk that begins at value `offset`: 0 starts anew, anything else must continue. False when it does not,
+    /// when the table would be too long, or when a value is not finite.
+    pub fn take(&mut self, offset: usize, chunk: &[f32]) -> bool {
+        if offset == 0 {
+            *self = Self::default();
+        }
+        let fits = offset == self.values && offset + chunk.len() <= TABLE_VALUES;
+        if !fits || chunk.iter().any(|value| !value.is_finite()) {
+            return false;
+        }
+        for value in chunk {
+            self.crc.take(&value.to_le_bytes());
+        }
+        self.values += chunk.len();
+        true
+    }
+
+    /// Whether what came is all of a table of this many values with this checksum.
+    pub fn is_complete(&self, values: usize, crc: u32) -> bool {
+        self.values == values && self.crc.sum() == crc
+    }
+}
+
+/// The checksum by which a table's values are known: CRC-32 of their little-endian bytes.
+pub fn checksum(values: &[f32]) -> u32 {
+    let mut crc = Crc32::new();
+    for value in values {
+        crc.take(&value.to_le_bytes());
+    }
+    crc.sum()
 }

@@ -13,6 +13,9 @@ use crate::scene::Scene;
 use crate::servo::{Frame, Hardware};
 use crate::velocity::{Coefficients, Washout};
 
+/// Joints of the largest mechanism that this build controls: the image of a board with two axes holds no code for three.
+pub const MOST_JOINTS: usize = if cfg!(feature = "odrive-v3") { 2 } else { MAX_JOINTS };
+
 macro_rules! define {
     ($(($Variant:ident, $module:ident, $n:literal))*) => {
         /// The controller of whichever mechanism is loaded, in the board's precision.
@@ -29,7 +32,10 @@ macro_rules! define {
             pub fn new(device: &Device<f32>, scene: &Scene<f32>, mass: &MassModelData) -> Result<Self, Refusal> {
                 match &device.mechanism {
                     $(crate::mechanism::AnyMechanism::$Variant(mechanism) => {
-                        let mass = MassModel::new(mass).ok_or(Refusal::BadTable)?;
+                        if $n > MOST_JOINTS {
+                            return Err(Refusal::TooManyJoints { joints: $n, axes: MOST_JOINTS as u8 });
+                        }
+                        let mass = MassModel::new::<crate::mechanism::$Variant<f32>>(mass).ok_or(Refusal::BadTable)?;
                         Controller::new(*mechanism, device, scene, mass).map(Self::$Variant).map_err(Refusal::Scene)
                     })*
                 }
@@ -40,10 +46,21 @@ macro_rules! define {
                 match self { $(Self::$Variant(_) => Kind::$Variant,)* }
             }
 
-            /// One control step; fills what a frame records of it and returns the distances from singularities.
+            /// One control step with the values of the mass model's table, if it has one; fills what a frame records of
+            /// it and returns the distances from singularities.
             #[inline(always)]
-            pub(crate) fn step(&mut self, counts: &[i32; MAX_JOINTS], frame: &mut Frame) -> Regularity<f32> {
-                match self { $(Self::$Variant(controller) => record(controller.step(&head(counts)), frame),)* }
+            pub(crate) fn step(
+                &mut self,
+                counts: &[i32; MAX_JOINTS],
+                table: &[f32],
+                frame: &mut Frame,
+            ) -> Regularity<f32> {
+                match self {
+                    $(Self::$Variant(controller) if $n <= MOST_JOINTS => {
+                        record(controller.step_with(&head(counts), table), frame)
+                    })*
+                    _ => Regularity::default(),
+                }
             }
 
             /// See [`Controller::home`].
@@ -63,7 +80,10 @@ macro_rules! define {
 
             /// See [`Controller::inside_a_wall`].
             pub fn inside_a_wall(&self, counts: &[i32; MAX_JOINTS]) -> bool {
-                match self { $(Self::$Variant(controller) => controller.inside_a_wall(&head(counts)),)* }
+                match self {
+                    $(Self::$Variant(controller) if $n <= MOST_JOINTS => controller.inside_a_wall(&head(counts)),)*
+                    _ => true,
+                }
             }
 
             /// See [`Controller::set_gains`].

@@ -9,6 +9,7 @@ use crate::controller::Gains;
 use crate::device::Device;
 use crate::guard::{FaultRecord, Refusal};
 use crate::precomputed::MassModelData;
+pub use crate::precomputed::TableChunk;
 use crate::scene::Scene;
 use crate::servo::{Rules, Status};
 use crate::settings::{Damage, Entry, Key};
@@ -20,7 +21,7 @@ use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 /// Version of this table. Raised by any change to it.
-pub const PROTOCOL: u16 = 1;
+pub const PROTOCOL: u16 = 2;
 
 /// USB vendor identifier: pid.codes, for open hardware and firmware.
 pub const USB_VENDOR: u16 = 0x1209;
@@ -89,15 +90,6 @@ pub struct GainsRequest {
     pub wall: Option<Gains<f32>>,
     /// Kind and cutoff (Hz) of the velocity estimators.
     pub estimator: Option<(Estimator, f32)>,
-}
-
-/// A piece of a precomputed table on its way to the board.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
-pub struct TableChunk {
-    /// Index of the first value.
-    pub offset: u16,
-    /// Values.
-    pub values: Vec<f32, 64>,
 }
 
 /// A setting's bytes, to restore.

@@ -223,11 +223,12 @@ impl<T: Real> Scene<T> {
         if usize::from(self.task) != task {
             return Err(SceneError::Dimension);
         }
-        let rate = self.rate_hz.to_f64();
-        if !(MIN_RATE_HZ..=MAX_RATE_HZ).contains(&rate) {
+        let rate = self.rate_hz;
+        if !(T::from_f64(MIN_RATE_HZ)..=T::from_f64(MAX_RATE_HZ)).contains(&rate) {
             return Err(SceneError::Rate);
         }
-        let below_half = |hz: T| hz > T::zero() && hz.to_f64() < 0.5 * rate;
+        let half_rate = rate * T::from_f64(0.5);
+        let below_half = |hz: T| hz > T::zero() && hz < half_rate;
         if !below_half(self.cutoff_hz) {
             return Err(SceneError::Cutoff);
         }

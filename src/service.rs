@@ -7,7 +7,7 @@
 use crate::device::Device;
 use crate::guard::{FaultRecord, Refusal, State};
 use crate::math::Math;
-use crate::precomputed::MassModelData;
+use crate::precomputed::{MassModelData, Receiving, TABLE_VALUES};
 use crate::protocol::{Details, FaultList, GainsRequest, Name, TableChunk, WriteEntry};
 use crate::scene::{FeedForward, Scene, SceneError};
 use crate::servo::{Command, Hardware, Program, Reply, Rules, Status};
@@ -47,6 +47,7 @@ pub struct Service {
     device: Option<Device<f32>>,
     scene: Option<Scene<f32>>,
     mass: MassModelData,
+    receiving: Receiving,
     rules: Rules,
     name: Name,
     polarity: Option<u32>,
@@ -64,6 +65,7 @@ impl Service {
             device: None,
             scene: None,
             mass: MassModelData::Exact,
+            receiving: Receiving::default(),
             rules: Rules { limits: most, ..Rules::default() },
             name: Name::new(),
             polarity: None,
@@ -84,7 +86,7 @@ impl Service {
         {
             let _ = self.damage.push((Key::Rules, Damage::Corrupt));
         }
-        if let Some(mass) = self.read(machine) {
+        if let Some(mass) = self.read(machine).filter(|mass| !matches!(mass, MassModelData::Table(..))) {
             self.mass = mass;
         }
         self.polarity = self.read::<Polarity>(machine).map(|Polarity(fingerprint)| fingerprint);
@@ -172,18 +174,32 @@ impl Service {
         Ok(())
     }
 
-    /// Loads a scene for the device. With the motors on it must keep the control rate and must not be touched.
+    /// Loads a scene for the device, with the closed form of the mass matrix: a prepared one is for the walls it was made
+    /// for. With the motors on it must keep the control rate and must not be touched.
     pub fn set_scene(&mut self, machine: &mut impl Machine, scene: Scene<f32>) -> Result<(), Refusal> {
         let device = self.device.as_ref().ok_or(Refusal::NoDevice)?;
         scene.check(device.mechanism.kind().spec().task).map_err(Refusal::Scene)?;
-        self.install(machine, device, &scene, true)?;
+        let old = core::mem::take(&mut self.mass);
+        if let Err(refusal) = self.install(machine, device, &scene, true) {
+            self.mass = old;
+            return Err(refusal);
+        }
         self.scene = Some(scene);
         Ok(())
     }
 
-    /// Chooses where the step takes its mass matrix from; motors must be off.
+    /// Chooses where the step takes its mass matrix from; motors must be off. A table's values must have been sent before.
     pub fn set_mass_model(&mut self, machine: &mut impl Machine, mass: MassModelData) -> Result<(), Refusal> {
         must_be_off(machine)?;
+        if let MassModelData::Table(grid, crc) = &mass {
+            if TABLE_VALUES == 0 {
+                return Err(Refusal::BadTable);
+            }
+            let device = self.device.as_ref().ok_or(Refusal::NoDevice)?;
+            if !self.receiving.is_complete(grid.values(device.mechanism.mass_entries().len()), *crc) {
+                return Err(Refusal::BadTable);
+            }
+        }
         let old = core::mem::replace(&mut self.mass, mass);
         let result = self.reinstall(machine);
         if result.is_err() {
@@ -192,10 +208,20 @@ impl Service {
         result
     }
 
-    /// Takes a piece of a table; see [`MassModelData::receive`].
+    /// Takes a piece of a table, in order from offset 0; see [`Receiving::take`]. A table that is in use gives way to the
+    /// closed form first, so that no step ever looks into half a table.
     pub fn receive_table(&mut self, machine: &mut impl Machine, chunk: &TableChunk) -> Result<(), Refusal> {
         must_be_off(machine)?;
-        self.mass.receive(usize::from(chunk.offset), &chunk.values)
+        if TABLE_VALUES == 0 {
+            return Err(Refusal::BadTable);
+        }
+        if matches!(self.mass, MassModelData::Table(..)) {
+            self.set_mass_model(machine, MassModelData::Exact)?;
+        }
+        if !self.receiving.take(usize::from(chunk.offset), &chunk.values) {
+            return Err(Refusal::BadTable);
+        }
+        machine.execute(Command::Table(chunk.clone())).0
     }
 
     fn reinstall(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
@@ -247,14 +273,15 @@ impl Service {
             changed.cutoff_hz = cutoff_hz;
         }
         changed.check(device.mechanism.kind().spec().task).map_err(Refusal::Scene)?;
-        let rate = f64::from(changed.rate_hz);
+        let rate = changed.rate_hz;
         // Everything that can be refused comes before anything that acts.
-        let coefficients = Coefficients::new(changed.estimator, rate, f64::from(changed.cutoff_hz))
+        let coefficients = Coefficients::new(changed.estimator, rate, changed.cutoff_hz)
             .map_err(|_| Refusal::Scene(SceneError::Cutoff))?;
         if let Some(gains) = request.wall {
             let washout = match gains.feed_forward {
-                FeedForward::Washout => Washout::new(f64::from(gains.washout_hz), rate)
-                    .map_err(|_| Refusal::Scene(SceneError::Washout(gains.wall)))?,
+                FeedForward::Washout => {
+                    Washout::new(gains.washout_hz, rate).map_err(|_| Refusal::Scene(SceneError::Washout(gains.wall)))?
+                }
                 _ => Washout::default(),
             };
             machine.execute(Command::Gains(gains, washout)).0?;
@@ -360,7 +387,11 @@ impl Service {
             write(machine, scene)?;
         }
         write(machine, &self.rules)?;
-        write(machine, &self.mass)?;
+        // A table is too long for a setting and not kept: a board that starts anew uses the closed form.
+        match &self.mass {
+            MassModelData::Table(..) => write(machine, &MassModelData::Exact)?,
+            kept => write(machine, kept)?,
+        }
         if let Some(fingerprint) = self.polarity {
             write(machine, &Polarity(fingerprint))?;
         }

@@ -13,6 +13,7 @@ use crate::description::MAX_JOINTS;
 use crate::drive::{Axis, Bridge};
 use crate::guard::{Fault, FaultRecord, Limits, Refusal, State};
 use crate::math::Math;
+use crate::precomputed::{TABLE_VALUES, TableChunk};
 pub use crate::program::{AnyController, Program};
 use crate::velocity::{Coefficients, Washout};
 use core::ops::DerefMut;
@@ -148,6 +149,8 @@ pub enum Command<P> {
     Coefficients(Coefficients<f32>),
     /// Rules and limits.
     Rules(Rules),
+    /// Values of a precomputed table.
+    Table(TableChunk),
     /// The present pose is the home pose.
     Home,
     /// Motors on.
@@ -215,6 +218,8 @@ pub struct Servo<P> {
     primed: bool,
     first_index: [Option<i32>; MAX_JOINTS],
     power: f32,
+    /// Values of the mass model's table, beside the program because one copy of them is all the memory that they get.
+    table: [f32; TABLE_VALUES],
 }
 
 impl<P, K> Servo<P>
@@ -245,6 +250,7 @@ where
             primed: false,
             first_index: [None; MAX_JOINTS],
             power: 0.0,
+            table: [0.0; TABLE_VALUES],
         }
     }
 
@@ -289,6 +295,7 @@ where
             Command::Gains(gains, washout) => self.with_program(|p| p.controller.set_gains(&gains, &washout)),
             Command::Coefficients(coefficients) => self.with_program(|p| p.controller.set_coefficients(&coefficients)),
             Command::Rules(rules) => self.set_rules(rules),
+            Command::Table(chunk) => self.set_table(&chunk),
             Command::Home => self.home(),
             Command::Arm => self.arm(),
             Command::Disarm => {
@@ -324,6 +331,19 @@ where
         (result, returned)
     }
 
+    /// Puts values where a table's are. The service sees to it that no program looks into the table meanwhile.
+    fn set_table(&mut self, chunk: &TableChunk) -> Result<(), Refusal> {
+        if matches!(self.state, State::Armed | State::CheckingPolarity) {
+            return Err(Refusal::Armed);
+        }
+        let start = usize::from(chunk.offset);
+        let place = self.table.get_mut(start..start + chunk.values.len()).ok_or(Refusal::BadTable)?;
+        for (old, new) in place.iter_mut().zip(&chunk.values) {
+            *old = *new;
+        }
+        Ok(())
+    }
+
     /// One control period: reads the samples, steps the controller, guards, and sets what each motor shall do.
     #[inline(always)]
     pub fn control(&mut self, samples: &Samples) -> Outputs {
@@ -336,7 +356,7 @@ where
         self.host_silent += self.period;
         if let Some(program) = self.program.as_mut() {
             let acted = self.frame.torque;
-            let regularity = program.controller.step(&samples.counts, &mut self.frame);
+            let regularity = program.controller.step(&samples.counts, &self.table, &mut self.frame);
             self.parallel = regularity.parallel;
             self.watch(samples, &acted, &regularity);
             self.drive();

@@ -61,7 +61,8 @@ pub trait Setting: Serialize + DeserializeOwned {
 
 impl Setting for Device<f32> {
     const KEY: Key = Key::Device;
-    const VERSION: u8 = 1;
+    /// 2: a five-bar carries the scale of its rods.
+    const VERSION: u8 = 2;
 }
 impl Setting for Scene<f32> {
     const KEY: Key = Key::Scene;
@@ -140,15 +141,42 @@ pub fn decode<S: Setting>(entry: &[u8]) -> Result<S, Damage> {
     }
 }
 
-/// CRC-32 (IEEE 802.3, reflected), bit by bit: entries are small and written rarely.
+/// CRC-32 (IEEE 802.3, reflected) of these bytes.
 pub fn crc32(bytes: &[u8]) -> u32 {
-    let mut crc = u32::MAX;
-    for byte in bytes {
-        crc ^= u32::from(*byte);
-        for _ in 0..8 {
-            let carry = if crc & 1 == 1 { 0xEDB8_8320 } else { 0 };
-            crc = (crc >> 1) ^ carry;
+    let mut crc = Crc32::new();
+    crc.take(bytes);
+    crc.sum()
+}
+
+/// A CRC-32 that grows, bit by bit: what is summed is small and comes rarely.
+#[derive(Clone, Copy, Debug)]
+pub struct Crc32(u32);
+
+impl Crc32 {
+    /// Of nothing.
+    pub const fn new() -> Self {
+        Self(u32::MAX)
+    }
+
+    /// Adds bytes.
+    pub fn take(&mut self, bytes: &[u8]) {
+        for byte in bytes {
+            self.0 ^= u32::from(*byte);
+            for _ in 0..8 {
+                let carry = if self.0 & 1 == 1 { 0xEDB8_8320 } else { 0 };
+                self.0 = (self.0 >> 1) ^ carry;
+            }
         }
     }
-    !crc
+
+    /// The checksum of what has come so far.
+    pub const fn sum(&self) -> u32 {
+        !self.0
+    }
+}
+
+impl Default for Crc32 {
+    fn default() -> Self {
+        Self::new()
+    }
 }

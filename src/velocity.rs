@@ -33,26 +33,28 @@ impl core::fmt::Display for BadCutoff {
 impl core::error::Error for BadCutoff {}
 
 /// The prewarped gain tan(π cutoff/rate).
-fn warped(cutoff_hz: f64, rate_hz: f64) -> Result<f64, BadCutoff> {
-    let valid = rate_hz.is_finite() && cutoff_hz > 0.0 && cutoff_hz < 0.5 * rate_hz;
-    if valid { Ok(tangent(core::f64::consts::PI * (cutoff_hz / rate_hz))) } else { Err(BadCutoff) }
+fn warped<T: Real>(cutoff_hz: T, rate_hz: T) -> Result<T, BadCutoff> {
+    let ratio = cutoff_hz / rate_hz;
+    let valid = rate_hz.is_finite() && ratio > T::zero() && ratio < T::from_f64(0.5);
+    if valid { Ok(tangent(ratio)) } else { Err(BadCutoff) }
 }
 
-/// The tangent of an angle from 0 to π/2, to a few units in the last place: the quotient of the two power series, above
-/// π/4 that of the complement. Small, because the board designs its filters itself.
-fn tangent(angle: f64) -> f64 {
-    let complement = core::f64::consts::FRAC_PI_2 - angle;
-    if angle > complement {
-        return 1.0 / tangent(complement);
+/// The tangent of π times a ratio from 0 to 1/2, to a few units in the last place: the quotient of the two power series,
+/// above π/4 that of the complement. Small, because the board designs its filters itself, in its own precision.
+fn tangent<T: Real>(ratio: T) -> T {
+    let complement = T::from_f64(0.5) - ratio;
+    if ratio > complement {
+        return T::one() / tangent(complement);
     }
+    let angle = ratio * T::from_f64(core::f64::consts::PI);
     let square = angle * angle;
-    let (mut sine, mut cosine) = (angle, 1.0);
-    let (mut term, mut n) = (1.0_f64, 1.0);
-    while term.abs() > 1.0e-20 {
-        term *= -square / (n * (n + 1.0));
+    let (mut sine, mut cosine) = (angle, T::one());
+    let (mut term, mut n) = (T::one(), T::one());
+    while term.abs() > T::EPSILON * T::EPSILON {
+        term *= -square / (n * (n + T::one()));
         cosine += term;
-        sine += term * angle / (n + 2.0);
-        n += 2.0;
+        n += T::one() + T::one();
+        sine += term * angle / n;
     }
     sine / cosine
 }
@@ -63,33 +65,37 @@ pub struct Coefficients<T> {
     /// Control rate, Hz.
     rate: T,
     kind: Estimator,
-    a1: T,
+    /// What the band-pass state loses in half a step, 1 - a₁: small where the cutoff is, so it keeps its digits there.
+    loss: T,
     a2: T,
     a3: T,
+    /// Of a first-order low-pass at the same cutoff (1 where there is none).
+    first: T,
 }
 
 impl<T: Real> Coefficients<T> {
     /// For a control rate and a cutoff in Hz. The cutoff must lie between 0 and half the rate, except for
     /// [`Estimator::BackwardDifference`], which has none.
-    pub fn new(kind: Estimator, rate_hz: f64, cutoff_hz: f64) -> Result<Self, BadCutoff> {
-        let (a1, a2, a3) = match kind {
-            Estimator::Butterworth => {
-                let g = warped(cutoff_hz, rate_hz)?;
-                let a1 = 1.0 / (1.0 + g * (g + core::f64::consts::SQRT_2));
-                (a1, g * a1, g * g * a1)
-            }
-            Estimator::FirstOrder => {
-                let g = warped(cutoff_hz, rate_hz)?;
-                (g / (1.0 + g), 0.0, 0.0)
-            }
-            Estimator::BackwardDifference => (0.0, 0.0, 0.0),
+    pub fn new(kind: Estimator, rate_hz: T, cutoff_hz: T) -> Result<Self, BadCutoff> {
+        let one = T::one();
+        let g = match kind {
+            Estimator::Butterworth | Estimator::FirstOrder => warped(cutoff_hz, rate_hz)?,
+            Estimator::BackwardDifference => one,
         };
-        Ok(Self { rate: T::from_f64(rate_hz), kind, a1: T::from_f64(a1), a2: T::from_f64(a2), a3: T::from_f64(a3) })
+        let first = g / (one + g);
+        let damped = g * (g + T::from_f64(core::f64::consts::SQRT_2));
+        let a1 = one / (one + damped);
+        Ok(Self { rate: rate_hz, kind, loss: damped * a1, a2: g * a1, a3: g * g * a1, first })
     }
 
     /// Control rate, Hz.
     pub fn rate(&self) -> T {
         self.rate
+    }
+
+    /// The gain of [`LowPass::step_first_order`] at the same cutoff.
+    pub fn first_order_gain(&self) -> T {
+        self.first
     }
 }
 
@@ -107,21 +113,25 @@ impl<T: Real> LowPass<T> {
         match coefficients.kind {
             Estimator::Butterworth => {
                 let high = input - self.low;
-                let band = coefficients.a1 * self.band + coefficients.a2 * high;
+                let gain = coefficients.a2 * high - coefficients.loss * self.band;
                 let rise = coefficients.a2 * self.band + coefficients.a3 * high;
                 let low = self.low + rise;
-                self.band = band + band - self.band;
+                self.band += gain + gain;
                 self.low = low + rise;
                 low
             }
-            Estimator::FirstOrder => {
-                let rise = coefficients.a1 * (input - self.low);
-                let low = self.low + rise;
-                self.low = low + rise;
-                low
-            }
+            Estimator::FirstOrder => self.step_first_order(coefficients.first, input),
             Estimator::BackwardDifference => input,
         }
+    }
+
+    /// One step of a first-order low-pass.
+    #[inline(always)]
+    pub fn step_first_order(&mut self, gain: T, input: T) -> T {
+        let rise = gain * (input - self.low);
+        let low = self.low + rise;
+        self.low = low + rise;
+        low
     }
 }
 
@@ -166,9 +176,9 @@ pub struct Washout<T> {
 
 impl<T: Real> Washout<T> {
     /// Bilinear, prewarped at `washout_hz` (between zero and half the rate), started at zero.
-    pub fn new(washout_hz: f64, rate_hz: f64) -> Result<Self, BadCutoff> {
+    pub fn new(washout_hz: T, rate_hz: T) -> Result<Self, BadCutoff> {
         let g = warped(washout_hz, rate_hz)?;
-        Ok(Self { gain: T::from_f64(g / (1.0 + g)), low: T::zero(), rest: T::zero() })
+        Ok(Self { gain: g / (T::one() + g), low: T::zero(), rest: T::zero() })
     }
 
     /// The high-passed force.
@@ -195,11 +205,13 @@ mod tests {
 
     #[test]
     fn the_tangent_is_that_of_libm_up_to_a_quarter_turn() {
-        for i in 0..1571 {
-            let angle = f64::from(i) * 1.0e-3;
-            let exact = libm::tan(angle);
+        for i in 0..500 {
+            let ratio = f64::from(i) * 1.0e-3;
+            let exact = libm::tan(core::f64::consts::PI * ratio);
             // The complement's own rounding counts where the tangent is steep.
-            assert!((tangent(angle) - exact).abs() <= 4.0e-16 * exact * (4.0 + exact), "{angle}");
+            assert!((tangent(ratio) - exact).abs() <= 4.0e-16 * exact * (4.0 + exact), "{ratio}");
+            let single = f64::from(tangent(ratio as f32));
+            assert!((single - exact).abs() <= 2.0e-7 * exact * (4.0 + exact), "{ratio} in single precision");
         }
     }
 }

@@ -10,7 +10,7 @@ use haptic_bridge::velocity::Washout;
 use rig::{RATE, Rig, five_bar, hardware, limits, paddle, rules, scene, wall};
 
 fn gains(stiffness: f32, damping: f32, feed_forward: FeedForward) -> Command<rig::Held> {
-    let washout = Washout::new(2.0, f64::from(RATE)).unwrap();
+    let washout = Washout::new(2.0, RATE).unwrap();
     Command::Gains(Gains { wall: 0, stiffness, damping, feed_forward, washout_hz: 2.0 }, washout)
 }
 

@@ -3,6 +3,7 @@
 
 pub mod analysis;
 pub mod backup;
+pub mod bench;
 pub mod demo;
 pub mod device_file;
 pub mod error;
@@ -11,7 +12,9 @@ pub mod interrupt;
 pub mod link;
 pub mod measure;
 pub mod model;
+pub mod plan;
 pub mod plot;
+pub mod precision;
 pub mod recorder;
 pub mod scene_file;
 pub mod sim;

@@ -43,6 +43,8 @@ pub struct SceneFile {
     pub path: PathBuf,
     /// The scene in double precision.
     pub scene: Scene<f64>,
+    /// How fast a hand moves in it, m/s: what [`crate::plan`] reckons with.
+    pub hand_speed: Option<f64>,
 }
 
 impl SceneFile {
@@ -74,8 +76,9 @@ impl SceneFile {
 
     /// Checks a document.
     pub fn read(document: &Document, task: usize) -> Result<Self, FileError> {
-        let scene = document.read(|top| scene(top, task))?;
-        Ok(Self { path: document.path().into(), scene })
+        let (scene, hand_speed) =
+            document.read(|top| Ok((scene(top, task)?, top.number("hand_speed", Must::BePositive)?)))?;
+        Ok(Self { path: document.path().into(), scene, hand_speed })
     }
 
     /// The scene in the precision it is to run in: f32 on a board.
@@ -88,7 +91,16 @@ impl SceneFile {
 }
 
 fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
-    top.refuse_unknown_keys(&["rate_hz", "cutoff_hz", "estimator", "gravity_compensation", "wall", "spring", "field"])?;
+    top.refuse_unknown_keys(&[
+        "rate_hz",
+        "cutoff_hz",
+        "estimator",
+        "gravity_compensation",
+        "hand_speed",
+        "wall",
+        "spring",
+        "field",
+    ])?;
     let rate_hz = top.number("rate_hz", Must::BePositive)?.unwrap_or(DEFAULT_RATE_HZ);
     if !(MIN_RATE_HZ..=MAX_RATE_HZ).contains(&rate_hz) {
         return Err(out_of_range(top, "rate_hz", rate_hz, "from 200 to 50000 Hz"));
@@ -236,7 +248,8 @@ fn direction(table: &Table<'_>, key: &str, task: usize) -> Result<[f64; 3], File
     Ok(scaled.map(|value| value / length))
 }
 
-fn rounded<T: Real>(scene: &Scene<f64>) -> Scene<T> {
+/// A scene in another precision.
+pub fn rounded<T: Real>(scene: &Scene<f64>) -> Scene<T> {
     let r = T::from_f64;
     let v = |values: [f64; 3]| values.map(T::from_f64);
     let surface = |surface: &Surface<f64>| match surface {

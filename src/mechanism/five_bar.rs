@@ -34,6 +34,10 @@ pub struct FiveBar<T> {
     assembly: T,
     /// Smallest |kᵢ| divided by, m².
     elbow_floor: T,
+    /// 1/(r₁ r₂), 1/m²: turns u₁ x u₂ into the sine of the angle between the rods.
+    rods_scale: T,
+    /// Smallest |u₁ x u₂| divided by, m².
+    rods_floor: T,
     /// Rotor, proximal link and the rod's α lᵢ² about each motor, kg m².
     arm_inertia: [T; 2],
     /// The rods' β, kg.
@@ -128,6 +132,8 @@ impl<T: Real> FiveBar<T> {
             elbow_scale: reals([1.0 / (l1 * r1), 1.0 / (l2 * r2)]),
             assembly: T::from_f64(assembly),
             elbow_floor: T::from_f64(SINE_FLOOR * (l1 * r1).min(l2 * r2)),
+            rods_scale: T::from_f64(1.0 / (r1 * r2)),
+            rods_floor: T::from_f64(SINE_FLOOR * r1 * r2),
             arm_inertia: reals([a1, a2]),
             rod_coupling: reals([b1, b2]),
             tip_mass: T::from_f64(tip_mass),
@@ -210,6 +216,7 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
         geometry: &[("base", 1), ("proximal", 2), ("distal", 2), ("assembly", 1)],
         periodic: true,
     };
+    const MASS_ENTRIES: &'static [(usize, usize)] = &[(0, 0), (1, 0), (1, 1)];
     type Pose = Pose<T>;
 
     fn new(description: &Description) -> Result<Self, DescriptionError> {
@@ -241,10 +248,8 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
         let rod2 = rod1 - span;
         let k1 = rod1.dot(&left(&arm1));
         let k2 = rod2.dot(&left(&arm2));
-        // u₁ x u₂ = r₁ r₂ sin(angle between the rods), and (reach₀ - reach₁) = 4 r₁ r₂.
-        let rods_product = T::from_f64(0.25) * (self.reach[0] - self.reach[1]);
-        let floor = rods_product * T::from_f64(SINE_FLOOR);
-        let inverse_det = reciprocal(det, floor);
+        // u₁ x u₂ = r₁ r₂ sin(angle between the rods).
+        let inverse_det = reciprocal(det, self.rods_floor);
         Pose {
             tip: Vector2::new(arm1[0] + rod1[0] - half * self.base, arm1[1] + rod1[1]),
             arm: [arm1, arm2],
@@ -252,7 +257,7 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
             k: [k1, k2],
             inverse_k: [reciprocal(k1, self.elbow_floor), reciprocal(k2, self.elbow_floor)],
             inverse_det,
-            parallel: det.abs() / rods_product,
+            parallel: (det * self.rods_scale).abs(),
         }
     }
 

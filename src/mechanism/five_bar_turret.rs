@@ -130,6 +130,7 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
         geometry: &[("base", 1), ("proximal", 2), ("distal", 2), ("assembly", 1)],
         periodic: true,
     };
+    const MASS_ENTRIES: &'static [(usize, usize)] = &[(0, 0), (1, 1), (2, 1), (2, 2)];
     type Pose = Pose<T>;
 
     fn new(description: &Description) -> Result<Self, DescriptionError> {

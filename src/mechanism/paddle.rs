@@ -20,6 +20,7 @@ pub struct Paddle<T> {
 impl<T: Real> Mechanism<T, 1> for Paddle<T> {
     const SPEC: Spec =
         Spec { name: "paddle", joints: 1, task: 1, links: &[], geometry: &[("length", 1)], periodic: false };
+    const MASS_ENTRIES: &'static [(usize, usize)] = &[(0, 0)];
     /// The handle's arc length, m.
     type Pose = T;
 

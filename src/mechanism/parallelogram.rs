@@ -135,6 +135,7 @@ impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
         geometry: &[("upper", 1), ("fore", 1), ("crank", 1)],
         periodic: true,
     };
+    const MASS_ENTRIES: &'static [(usize, usize)] = &[(0, 0), (1, 1), (2, 1), (2, 2)];
     type Pose = Pose<T>;
 
     fn new(description: &Description) -> Result<Self, DescriptionError> {

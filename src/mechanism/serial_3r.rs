@@ -130,6 +130,7 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
         geometry: &[("lengths", 3)],
         periodic: true,
     };
+    const MASS_ENTRIES: &'static [(usize, usize)] = &[(0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)];
     type Pose = Pose<T>;
 
     fn new(description: &Description) -> Result<Self, DescriptionError> {

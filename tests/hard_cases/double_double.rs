@@ -158,6 +158,9 @@ impl Real for DoubleDouble {
     fn from_i32(value: i32) -> Self {
         f64::from(value).into()
     }
+    fn whole(self) -> i32 {
+        self.high as i32
+    }
     fn abs(self) -> Self {
         if self.high < 0.0 { -self } else { self }
     }

@@ -64,8 +64,10 @@ fn errors(ratio: f64, motion: impl Fn(f64) -> f64) -> [f64; 3] {
     let steps = (20.0 / ratio).clamp(4_000.0, 100_000.0) as u32;
     let kind = Estimator::Butterworth;
     let valid = "a cutoff below half the rate";
-    let board = Coefficients::<f32>::new(kind, RATE, ratio * RATE).expect(valid);
-    let exact = Coefficients::<DoubleDouble>::new(kind, RATE, ratio * RATE).expect(valid);
+    let board = Coefficients::<f32>::new(kind, RATE as f32, (ratio * RATE) as f32).expect(valid);
+    let exact =
+        Coefficients::<DoubleDouble>::new(kind, DoubleDouble::from_f64(RATE), DoubleDouble::from_f64(ratio * RATE))
+            .expect(valid);
     let (mut v, mut check) = (Velocity::<f32>::default(), Velocity::<DoubleDouble>::default());
     let (mut direct, mut reference) = (Direct::<f32>::new(ratio), Direct::<DoubleDouble>::new(ratio));
     let (mut worst, mut largest) = ([0.0_f64; 3], 0.0_f64);

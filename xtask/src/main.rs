@@ -1,5 +1,6 @@
 //! Entry points that need more than one cargo call. `cargo xtask help` lists them.
 
+mod bench;
 mod dfu;
 mod firmware;
 mod fuzz;
@@ -24,6 +25,8 @@ cargo xtask COMMAND
   flash BOARD       build and flash with probe-rs; also `cargo flash-BOARD`
   dfu BOARD         build and write a .dfu update file that leaves the settings alone
   no-panic          prove that the control step cannot panic, and bound its stack
+  bench             count instructions of every variant of the control step, remake the report
+  bench --check     fail when a variant's instructions grew by more than 5 % over the kept figures
   test              every test: this computer's, both images, the emulated board
   test-board        of these, the tests that run the images on the emulated board
   timing            count the control interrupt's instructions, stage by stage, into docs/results/timing.md
@@ -60,6 +63,8 @@ fn run(arguments: &[String], install: bool) -> Result<()> {
         ["flash", board] => firmware::flash(firmware::board(board)?, install),
         ["dfu", board] => firmware::dfu(firmware::board(board)?, install),
         ["no-panic"] => no_panic::prove(install),
+        ["bench"] => bench::refresh(install),
+        ["bench", "--check"] => bench::check(install),
         ["test"] => tests::all(install),
         ["test-board", rest @ ..] => tests::board(rest, install),
         ["timing"] => tests::timing(install),

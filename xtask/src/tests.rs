@@ -1,4 +1,5 @@
-//! The whole test run: what plain `cargo test` covers, a short round of fuzzing, then the images, then the emulated board.
+//! The whole test run: what plain `cargo test` covers, a short round of fuzzing, then the images, the step's
+//! instructions, and the emulated board.
 
 use std::env;
 use std::process::Command;
@@ -6,7 +7,7 @@ use std::process::Command;
 use anyhow::Result;
 
 use crate::toolchain::run;
-use crate::{firmware, fuzz, no_panic};
+use crate::{bench, firmware, fuzz, no_panic};
 
 /// Seconds of fuzzing that each target gets in the whole run.
 const FUZZ_SECONDS: u32 = 4;
@@ -21,6 +22,7 @@ pub fn all(install: bool) -> Result<()> {
     fuzz::run(&fuzz::Options::short(FUZZ_SECONDS), install)?;
     firmware::size(install)?;
     no_panic::prove(install)?;
+    bench::check(install)?;
     board(&[], install)
 }
 

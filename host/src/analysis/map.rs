@@ -9,6 +9,7 @@
 //! searched, and the axes are those of the tip's inertia (J M⁻¹ Jᵀ)⁻¹.
 
 use haptic_bridge::description::Description;
+use haptic_bridge::device::Device;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use serde::Serialize;
 
@@ -156,8 +157,8 @@ fn searched(value: impl Fn(&DVector<f64>) -> f64) -> Worst {
 }
 
 /// Whether a pose may be walked through, and on which side of the singularities it lies.
-fn side(description: &Description, q: &[f64]) -> Result<Option<bool>, PoseError> {
-    let pose = TaskPose::at(description, q)?;
+fn side(device: &Device<f64>, q: &[f64]) -> Result<Option<bool>, PoseError> {
+    let pose = TaskPose::of(&device.mechanism, q)?;
     let regular = pose.regularity.serial >= WALKABLE_SINE && pose.regularity.parallel >= WALKABLE_SINE;
     Ok(regular.then(|| pose.jacobian.determinant() > 0.0))
 }
@@ -170,11 +171,16 @@ impl Reachable {
         per_joint: usize,
         held: Option<(usize, f64)>,
     ) -> Result<Self, PoseError> {
-        let spec = description.kind.spec();
+        Self::of(&Device::new("", description)?, per_joint, held)
+    }
+
+    /// As [`Reachable::from_home`], of a device that is lumped already.
+    pub fn of(device: &Device<f64>, per_joint: usize, held: Option<(usize, f64)>) -> Result<Self, PoseError> {
+        let spec = device.mechanism.kind().spec();
         let mut axes = Vec::new();
         let mut wraps = Vec::new();
         for joint in 0..spec.joints {
-            match (held, description.joints[joint].limits) {
+            match (held, device.joints[joint].limits) {
                 (Some((at, angle)), _) if at == joint => {
                     axes.push(vec![angle]);
                     wraps.push(false);
@@ -193,16 +199,15 @@ impl Reachable {
             }
         }
         let mut grid = Self { axes, wraps, reached: Vec::new() };
-        grid.flood(description)?;
+        grid.flood(device)?;
         Ok(grid)
     }
 
-    fn flood(&mut self, description: &Description) -> Result<(), PoseError> {
+    fn flood(&mut self, device: &Device<f64>) -> Result<(), PoseError> {
         let count: usize = self.axes.iter().map(Vec::len).product();
-        let sides: Vec<Option<bool>> =
-            (0..count).map(|i| side(description, &self.angles(i))).collect::<Result<_, _>>()?;
+        let sides: Vec<Option<bool>> = (0..count).map(|i| side(device, &self.angles(i))).collect::<Result<_, _>>()?;
         self.reached = vec![false; count];
-        let home = description.home.unwrap_or_default();
+        let home = device.home.unwrap_or_default();
         let far = |index: usize| -> f64 {
             self.angles(index)
                 .iter()

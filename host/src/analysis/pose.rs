@@ -81,8 +81,12 @@ pub struct TaskPose {
 impl TaskPose {
     /// Computes it; errors on wrong lengths, not on singular poses (see [`TaskPose::regular`]).
     pub fn at(description: &Description, q: &[f64]) -> Result<Self, PoseError> {
-        let mechanism = AnyMechanism::<f64>::new(description)?;
-        with_mechanism!(&mechanism, m => evaluate(m, q))
+        Self::of(&AnyMechanism::new(description)?, q)
+    }
+
+    /// As [`TaskPose::at`], of a mechanism that is lumped already.
+    pub fn of(mechanism: &AnyMechanism<f64>, q: &[f64]) -> Result<Self, PoseError> {
+        with_mechanism!(mechanism, m => evaluate(m, q))
     }
 
     /// The pose, unless it is singular.

@@ -33,6 +33,9 @@ commands! {
         (Check, check)
         (Model, model)
         (Map, map)
+        (Plan, plan)
+        (Precompute, precompute)
+        (Bench, bench)
         (Range, range)
     }
     "With a board" {

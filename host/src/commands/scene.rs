@@ -1,41 +1,91 @@
-//! `haptic scene`: loads a scene file onto a board.
+//! `haptic scene`: loads a scene file onto a board, computed the cheapest way that is good enough.
 
+use super::plan::{budget, readable, speed};
 use super::port::Port;
+use clap::builder::NonEmptyStringValueParser;
+use haptic::bench::precompute::Precomputed;
 use haptic::error::{Failure, print};
-use haptic::link::BoardError;
-use haptic::scene_file::SceneFile;
-use haptic_bridge::guard::Refusal;
+use haptic::link::{Board, BoardError};
+use haptic::plan::plan;
+use haptic::precision::widened;
+use haptic::scene_file::{SceneFile, rounded};
+use haptic_bridge::guard::{Refusal, State};
+use haptic_bridge::precomputed::{MassModelData, TableChunk};
+use haptic_bridge::scene::Scene;
 use std::path::PathBuf;
 
 /// Load a scene (walls, springs, fields) onto a board
 ///
-/// While the motors are armed a scene is taken only if it has the same control rate and its walls are not touched.
+/// What the board computes is chosen as `haptic plan` does: no mass matrix where no wall is shaped, no velocity terms where they
+/// do not count, a prepared mass matrix where it is cheaper and good enough. While the motors are armed a scene is taken
+/// as the file has it, and only if it has the same control rate and its walls are not touched.
 #[derive(clap::Args)]
 pub struct Args {
     /// Scene file (TOML)
     file: PathBuf,
+    /// Load what the file says, with the closed form of the mass matrix, and plan nothing
+    #[arg(long)]
+    as_written: bool,
+    /// Allowed error: percent of the torque of the motors' whole force, or `one-duty-step` [default: 1]
+    #[arg(long, value_name = "PERCENT|one-duty-step", value_parser = NonEmptyStringValueParser::new())]
+    error: Option<String>,
+    /// Fastest motion of the hand, m/s [default: the scene's hand_speed, or 0.5]
+    #[arg(long, value_name = "M/S")]
+    speed: Option<f64>,
     #[command(flatten)]
     port: Port,
 }
 
-/// Checks the file against the board's device, then loads it.
+/// Checks the file against the board's device, plans, loads.
 pub fn run(args: Args) -> Result<(), Failure> {
     // What is wrong in any dimension is said without a board.
     let text = std::fs::read_to_string(&args.file)
         .map_err(|error| Failure::wrong(format!("{}: {error}", args.file.display())))?;
+    let budget = budget(args.error.as_deref())?;
     let mut board = args.port.open()?;
     let device = board.device()?.ok_or(BoardError::Refused(Refusal::NoDevice))?;
-    let task = device.mechanism.kind().spec().task;
-    let file = SceneFile::parse(&text, &args.file, task)?;
-    let scene =
+    let file = SceneFile::parse(&text, &args.file, device.mechanism.kind().spec().task)?;
+    let written =
         file.scene::<f32>().map_err(|error| Failure::wrong(format!("{}: {error}", args.file.display())))?;
+    let name = args.file.display();
+    if args.as_written || board.status()?.state == State::Armed {
+        board.set_scene(&written)?;
+        return print(&loaded(&name.to_string(), &board, &written));
+    }
+    let device = widened(&device)?;
+    let plan = plan(&device, &file.scene, budget, speed(args.speed, &file)?)?;
+    let scene = rounded(&plan.scene);
     board.set_scene(&scene)?;
-    print(&format!(
-        "{} is loaded on {}: {} walls, {} springs, {} Hz control\n",
-        args.file.display(),
+    send(&mut board, &plan.mass)?;
+    print(&format!("{}{}", loaded(&name.to_string(), &board, &scene), readable(&device, &plan)))
+}
+
+/// Sends a prepared mass matrix; the closed form is what a scene comes with, and what it keeps on a board without room.
+fn send(board: &mut Board, mass: &Precomputed) -> Result<(), Failure> {
+    if mass.data == MassModelData::Exact {
+        return Ok(());
+    }
+    let mut offset = 0_u16;
+    for values in mass.values.chunks(64) {
+        let values = values.iter().copied().collect();
+        match board.send_table(&TableChunk { offset, values }) {
+            Err(BoardError::Refused(Refusal::BadTable)) => {
+                eprintln!("this board has no room for tables: it computes the mass matrix at every step");
+                return Ok(());
+            }
+            sent => sent?,
+        }
+        offset += 64;
+    }
+    Ok(board.set_mass_model(&mass.data)?)
+}
+
+fn loaded(file: &str, board: &Board, scene: &Scene<f32>) -> String {
+    format!(
+        "{file} is loaded on {}: {} walls, {} springs, {} Hz control\n",
         board.port(),
         scene.walls.len(),
         scene.springs.len(),
         scene.rate_hz
-    ))
+    )
 }

@@ -1,0 +1,107 @@
+//! The devices that the counting image steps: one shipped device file per mechanism, as numbers.
+//!
+//! The image has no TOML reader, so the numbers stand here again; `host/tests/speed.rs` reads the device files and holds
+//! these to them.
+
+use haptic_bridge::description::{Description, Encoder, Joint, Link, MAX_JOINTS, MAX_LINKS};
+use haptic_bridge::mechanism::Kind;
+
+const fn link(mass: f64, com: f64, inertia: f64, inertia_axial: f64, inertia_transverse: f64) -> Link {
+    Link { mass, com, inertia, inertia_axial, inertia_transverse }
+}
+
+const NO_LINK: Link = link(0.0, 0.0, 0.0, 0.0, 0.0);
+
+const fn joint(inertia: f64, viscous: f64, coulomb: f64, counts_per_turn: f64) -> Joint {
+    let encoder = Some(Encoder { counts_per_turn, offset: 0.0, inverted: false });
+    Joint { inertia, viscous, coulomb, limits: None, encoder, motor: None }
+}
+
+const NO_JOINT: Joint = Joint { inertia: 0.0, viscous: 0.0, coulomb: 0.0, limits: None, encoder: None, motor: None };
+
+/// `devices/hapkit-paddle.toml`
+pub const PADDLE: Description = Description {
+    kind: Kind::Paddle,
+    gravity: [0.0; 3],
+    geometry: [0.07, 0.0, 0.0, 0.0, 0.0, 0.0],
+    links: [NO_LINK; MAX_LINKS],
+    joints: [joint(0.0008, 0.0008, 0.004, 60_000.0), NO_JOINT, NO_JOINT],
+    handle_mass: 0.0,
+    home: Some([0.0; MAX_JOINTS]),
+};
+
+/// `devices/haply-2diy.toml`
+pub const FIVE_BAR: Description = Description {
+    kind: Kind::FiveBar,
+    gravity: [0.0; 3],
+    geometry: [0.038, 0.07, 0.07, 0.09, 0.09, 1.0],
+    links: [
+        link(0.018, 0.03, 9.0e-6, 0.0, 9.0e-6),
+        link(0.018, 0.03, 9.0e-6, 0.0, 9.0e-6),
+        link(0.012, 0.045, 9.0e-6, 0.0, 9.0e-6),
+        link(0.012, 0.045, 9.0e-6, 0.0, 9.0e-6),
+    ],
+    joints: [joint(1.4e-6, 0.0003, 0.002, 10_752.0), joint(1.4e-6, 0.0003, 0.002, 10_752.0), NO_JOINT],
+    handle_mass: 0.02,
+    home: Some([2.3, 0.84159265358979, 0.0]),
+};
+
+/// `devices/fictive-five-bar-turret.toml`
+pub const FIVE_BAR_TURRET: Description = Description {
+    kind: Kind::FiveBarTurret,
+    gravity: [0.0, 0.0, -9.81],
+    geometry: [0.04, 0.09, 0.085, 0.12, 0.125, 1.0],
+    links: [
+        link(0.04, 0.035, 3.0e-5, 3.0e-6, 2.8e-5),
+        link(0.038, 0.034, 2.7e-5, 2.8e-6, 2.5e-5),
+        link(0.03, 0.06, 4.0e-5, 1.5e-6, 3.9e-5),
+        link(0.031, 0.062, 4.3e-5, 1.5e-6, 4.2e-5),
+    ],
+    joints: [
+        joint(0.0004, 0.001, 0.005, 40_000.0),
+        joint(8.0e-5, 0.0008, 0.004, 40_000.0),
+        joint(7.0e-5, 0.0008, 0.004, 40_000.0),
+    ],
+    handle_mass: 0.03,
+    home: Some([0.0, 2.2, 0.94159265358979]),
+};
+
+/// `devices/phantom-premium-1.5.toml`
+pub const PARALLELOGRAM: Description = Description {
+    kind: Kind::Parallelogram,
+    gravity: [0.0, -9.80665, 0.0],
+    geometry: [0.20955, 0.169545, 0.03175, 0.0, 0.0, 0.0],
+    links: [
+        link(0.26784, -0.03518875, 0.00091667, 0.0001133, 0.00082222),
+        link(0.02622, 0.05237892, 6.029e-5, 5.7e-7, 6.004e-5),
+        link(0.21542, 0.05153541, 0.00026133, 0.0001214, 0.00015823),
+        link(0.026146, 0.10477739, 0.00013177, 8.9e-7, 0.00013138),
+    ],
+    joints: [
+        joint(0.001411, 0.0005, 0.01, 53_200.0),
+        joint(0.00013548, 0.0005, 0.01, 44_800.0),
+        joint(0.00013548, 0.0005, 0.01, 44_800.0),
+    ],
+    handle_mass: 0.0,
+    home: Some([0.0, 1.2, -0.1]),
+};
+
+/// `devices/serial-3r.toml`
+pub const SERIAL_3R: Description = Description {
+    kind: Kind::Serial3r,
+    gravity: [0.0, -9.81, 0.0],
+    geometry: [0.15, 0.12, 0.08, 0.0, 0.0, 0.0],
+    links: [
+        link(0.1, 0.07, 0.0002, 0.0, 0.0002),
+        link(0.07, 0.06, 9.0e-5, 0.0, 9.0e-5),
+        link(0.04, 0.04, 2.5e-5, 0.0, 2.5e-5),
+        NO_LINK,
+    ],
+    joints: [
+        joint(5.0e-5, 0.001, 0.005, 40_000.0),
+        joint(2.0e-5, 0.0008, 0.004, 40_000.0),
+        joint(1.0e-5, 0.0005, 0.003, 40_000.0),
+    ],
+    handle_mass: 0.03,
+    home: Some([0.3, 1.2, 0.8]),
+};

@@ -1,0 +1,254 @@
+//! The counting image: every variant of the control step on the chip, between the markers of tests/board's `count`.
+//!
+//! Nothing but the core runs: no board, no clock set-up, no interrupt. `cargo xtask bench` builds it, has it counted on
+//! the emulated chip and keeps the figures in benches/counts.json. A variant's name is
+//! `mechanism/trigonometry/mass model/terms`; each is called at several poses with the tip inside the walls, after a few
+//! steps of motion.
+#![no_std]
+#![no_main]
+
+mod devices;
+mod fpu;
+
+use core::hint::black_box;
+use core::panic::PanicInfo;
+use core::ptr::{addr_of_mut, write_volatile};
+use fpu::Fpu;
+use haptic_bridge::controller::Controller;
+use haptic_bridge::description::{Description, MAX_JOINTS};
+use haptic_bridge::device::Device;
+use haptic_bridge::math::{Libm, Math, Micromath, Minimax};
+use haptic_bridge::mechanism::Mechanism;
+use haptic_bridge::precomputed::{Grid, Interpolation, MassModel, TABLE_VALUES, tabulate};
+use haptic_bridge::scene::{FeedForward, Plane, Scene, Sphere, Surface, Wall};
+use haptic_bridge::with_mechanism;
+use heapless::String;
+use nalgebra::SVector;
+
+#[unsafe(no_mangle)]
+static mut BENCH_NAME: [u32; 2] = [0; 2];
+
+#[unsafe(no_mangle)]
+#[inline(never)]
+extern "C" fn bench_begin() {
+    // SAFETY: nothing but an instruction that does nothing; it keeps the three markers different functions.
+    unsafe { core::arch::asm!("nop") };
+}
+
+#[unsafe(no_mangle)]
+#[inline(never)]
+extern "C" fn bench_end() {
+    // SAFETY: see `bench_begin`.
+    unsafe { core::arch::asm!("nop", "nop") };
+}
+
+#[unsafe(no_mangle)]
+#[inline(never)]
+extern "C" fn bench_done() {
+    // SAFETY: see `bench_begin`.
+    unsafe { core::arch::asm!("nop", "nop", "nop") };
+}
+
+#[panic_handler]
+fn panic(_: &PanicInfo<'_>) -> ! {
+    loop {
+        core::hint::spin_loop();
+    }
+}
+
+/// Where a pose lies from home, rad; every pose of every device below is regular.
+const POSES: [[f32; MAX_JOINTS]; 6] =
+    [[0.0; 3], [0.15, 0.2, -0.1], [-0.2, -0.15, 0.25], [0.3, 0.1, 0.2], [-0.1, 0.25, -0.2], [0.1, -0.2, -0.15]];
+/// What stands in the scene.
+#[derive(Clone, Copy, PartialEq)]
+enum Walls {
+    None,
+    One,
+    /// Two planes across each other, both touched.
+    Two,
+    Ball,
+}
+
+/// The terms, by name: what stands in the scene, whether it is shaped, whether with velocity terms.
+const TERMS: &[(&str, Walls, FeedForward, bool)] = &[
+    ("none", Walls::One, FeedForward::Off, false),
+    ("feed-forward", Walls::One, FeedForward::Full, false),
+    ("feed-forward+z", Walls::One, FeedForward::Full, true),
+    ("washout", Walls::One, FeedForward::Washout, false),
+    ("washout+z", Walls::One, FeedForward::Washout, true),
+    ("free", Walls::None, FeedForward::Off, false),
+    ("edge, none", Walls::Two, FeedForward::Off, false),
+    ("edge, washout", Walls::Two, FeedForward::Washout, false),
+    ("edge, washout+z", Walls::Two, FeedForward::Washout, true),
+    ("ball, washout", Walls::Ball, FeedForward::Washout, false),
+    ("ball, washout+z", Walls::Ball, FeedForward::Washout, true),
+];
+/// A table's points along each coordinate, and how far it reaches from home, rad.
+const POINTS: u8 = 10;
+const RANGE: f32 = 0.6;
+static mut TABLE: [f32; TABLE_VALUES] = [0.0; TABLE_VALUES];
+/// Steps before the one that is counted: the joints come from a few counts away, so velocities are not zero.
+const RUN_UP: i32 = 3;
+
+#[cortex_m_rt::entry]
+fn main() -> ! {
+    // Every variant is set up on the stack, several controllers at once, so it gets the free end of the memory.
+    // SAFETY: nothing of this function is used again, and nothing else lies there (memory.x).
+    unsafe { core::arch::asm!("mov sp, {top}", "b {all}", top = in(reg) 0x2002_0000, all = sym all, options(noreturn)) }
+}
+
+extern "C" fn all() -> ! {
+    name("empty");
+    bench_begin();
+    bench_end();
+    for description in
+        [devices::PADDLE, devices::FIVE_BAR, devices::FIVE_BAR_TURRET, devices::PARALLELOGRAM, devices::SERIAL_3R]
+    {
+        let Ok(device) = Device::<f32>::new("bench", &description) else { panic!() };
+        every_math(&device, &description);
+    }
+    bench_done();
+    loop {
+        core::hint::spin_loop();
+    }
+}
+
+#[inline(never)]
+fn every_math(device: &Device<f32>, description: &Description) {
+    with_mechanism!(&device.mechanism, mechanism => {
+        variants::<_, Fpu, _>(mechanism, device, description);
+        variants::<_, Minimax, _>(mechanism, device, description);
+        variants::<_, Micromath, _>(mechanism, device, description);
+        variants::<_, Libm, _>(mechanism, device, description);
+    });
+}
+
+#[inline(never)]
+fn variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
+    mechanism: &M,
+    device: &Device<f32>,
+    description: &Description,
+) {
+    let home = description.home.unwrap_or_default();
+    let pose = mechanism.pose::<K>(&SVector::from_fn(|i, _| home[i] as f32));
+    let tip = mechanism.tip(&pose);
+    let entries = M::MASS_ENTRIES.len();
+    let [first, second] = mechanism.shape(&SVector::from_fn(|i, _| home[i] as f32));
+    let grid = |interpolation| {
+        let (low, high) = ([first - RANGE, second - RANGE], [first + RANGE, second + RANGE]);
+        Grid::new(interpolation, [POINTS; 2], low, high, entries)
+    };
+    for kind in ["exact", "bilinear", "bicubic", "frozen"] {
+        let interpolation = if kind == "bilinear" { Interpolation::Bilinear } else { Interpolation::Bicubic };
+        let Some(grid) = grid(interpolation) else { panic!() };
+        // SAFETY: one thread, and no other reference to the table is alive.
+        let table = unsafe { &mut *addr_of_mut!(TABLE) };
+        tabulate::<f32, K, M, N>(mechanism, &grid, |index, value| table[index] = value);
+        let mass = match kind {
+            "exact" => MassModel::Exact,
+            "frozen" => MassModel::Frozen(mechanism.mass(&pose)),
+            _ => MassModel::table::<M>(&grid).unwrap_or_default(),
+        };
+        for (term, walls, feed_forward, velocity_terms) in TERMS {
+            // What else a scene may hold is counted with the board's own functions and the closed form alone.
+            if *walls != Walls::One && (kind != "exact" || K::NAME != Minimax::NAME) {
+                continue;
+            }
+            let scene = scene::<M, N>(&tip, *walls, *feed_forward, *velocity_terms);
+            let Ok(mut controller) = Controller::<f32, M, K, N>::new(*mechanism, device, &scene, mass.clone()) else {
+                panic!()
+            };
+            let mut text = String::<96>::new();
+            for part in [M::SPEC.name, "/", K::NAME, "/", kind, "/", term] {
+                let _ = text.push_str(part);
+            }
+            name(&text);
+            for offset in POSES {
+                step_at::<M, K, N>(&mut controller, table, device, &home, &offset);
+            }
+        }
+    }
+}
+
+#[inline(never)]
+fn step_at<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
+    controller: &mut Controller<f32, M, K, N>,
+    table: &[f32],
+    device: &Device<f32>,
+    home: &[f64; MAX_JOINTS],
+    offset: &[f32; MAX_JOINTS],
+) {
+    let mut counts: [i32; N] =
+        core::array::from_fn(|i| ((home[i] as f32 + offset[i]) / device.joints[i].radians_per_count) as i32);
+    let controller = black_box(controller);
+    for step in 0..=RUN_UP {
+        for (i, count) in counts.iter_mut().enumerate() {
+            *count += 1 + i as i32;
+        }
+        let counts = black_box(&counts);
+        let counted = step == RUN_UP;
+        if counted {
+            bench_begin();
+        }
+        control::<M, K, N>(controller, counts, table);
+        if counted {
+            bench_end();
+        }
+    }
+}
+
+/// The control step with nothing but its torque kept, out of line as the interrupt has it.
+#[inline(never)]
+fn control<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
+    controller: &mut Controller<f32, M, K, N>,
+    counts: &[i32; N],
+    table: &[f32],
+) {
+    let torque = controller.step_with(counts, table).torque;
+    black_box(&torque);
+}
+
+/// A scene whose walls are far enough out that every pose is inside them.
+fn scene<M: Mechanism<f32, N>, const N: usize>(
+    tip: &SVector<f32, N>,
+    walls: Walls,
+    feed_forward: FeedForward,
+    velocity_terms: bool,
+) -> Scene<f32> {
+    let task = M::SPEC.task;
+    let directions = match task {
+        1 => [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]],
+        2 => [[0.6, 0.8, 0.0], [0.8, -0.6, 0.0]],
+        _ => [[0.36, 0.48, 0.8], [0.8, -0.6, 0.0]],
+    };
+    let at =
+        |direction: &[f32; 3]| core::array::from_fn(|i| if i < task { tip[i.min(N - 1)] + direction[i] } else { 0.0 });
+    let plane = |direction: &[f32; 3]| Surface::Plane(Plane { point: at(direction), normal: *direction });
+    let surfaces = match walls {
+        Walls::None => [None, None],
+        Walls::One => [Some(plane(&directions[0])), None],
+        Walls::Two => [Some(plane(&directions[0])), Some(plane(&directions[1]))],
+        Walls::Ball => {
+            let ball = Sphere { center: at(&directions[0]), radius: 2.0, inside: false };
+            [Some(Surface::Sphere(ball)), None]
+        }
+    };
+    let mut scene = Scene { task: task as u8, velocity_terms, ..Scene::default() };
+    for surface in surfaces.into_iter().flatten() {
+        let _ = scene.walls.push(Wall {
+            surface,
+            stiffness: 1000.0,
+            damping: 2.0,
+            feed_forward,
+            washout_hz: 2.0,
+            damping_compensation: false,
+            bilateral: false,
+        });
+    }
+    scene
+}
+
+fn name(text: &str) {
+    // SAFETY: one thread; written volatile because it is read from outside.
+    unsafe { write_volatile(addr_of_mut!(BENCH_NAME), [text.as_ptr() as u32, text.len() as u32]) };
+}

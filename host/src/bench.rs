@@ -1,0 +1,15 @@
+//! Speed against error: what each way of computing the control step costs on the chip, and what error it leaves.
+//!
+//! - [`counts`]: instructions on the Cortex-M4F, counted on the emulated chip and kept in benches/counts.json
+//! - [`precompute`]: frozen matrices and tables of a device, made here and sent ready to use
+//! - [`probe`]: where errors are looked at: poses, normals, forces and hand motions over the workspace or along a wall
+//! - [`report`]: every variant of every mechanism with both, its Pareto front, and the page and picture made of them
+//! - [`error`]: the torque a variant renders, in the board's precision, against f64 and the closed form
+//!
+//! Error is always against the whole of equation (4) with its velocity terms: what a variant leaves out counts.
+
+pub mod counts;
+pub mod error;
+pub mod precompute;
+pub mod probe;
+pub mod report;

@@ -1,0 +1,112 @@
+//! Mass matrices made before the step: the closed form, a frozen matrix, or a table that fits the board's memory.
+
+use crate::bench::probe::Probe;
+use haptic_bridge::description::MAX_JOINTS;
+use haptic_bridge::device::Device;
+use haptic_bridge::math::Libm;
+use haptic_bridge::mechanism::Mechanism;
+use haptic_bridge::precomputed::{Grid, Interpolation, MassModelData, TABLE_VALUES, checksum, tabulate};
+use haptic_bridge::with_mechanism;
+use nalgebra::SVector;
+
+/// A mass model ready to be sent, with the values of its table.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Precomputed {
+    /// What the board is told.
+    pub data: MassModelData,
+    /// The table's values, to be sent before; empty for other models.
+    pub values: Vec<f32>,
+}
+
+impl Precomputed {
+    /// The name its instruction counts go by.
+    pub fn name(&self) -> &'static str {
+        match &self.data {
+            MassModelData::Exact => "exact",
+            MassModelData::Frozen(_) => "frozen",
+            MassModelData::Table(grid, _) => match grid.interpolation {
+                Interpolation::Bilinear => "bilinear",
+                Interpolation::Bicubic => "bicubic",
+            },
+        }
+    }
+
+    /// Bytes it takes on the board beside the program.
+    pub fn bytes(&self) -> usize {
+        4 * self.values.len()
+    }
+}
+
+/// One matrix for everything: the mean of M over the poses of `probes`.
+pub fn frozen(device: &Device<f64>, probes: &[Probe]) -> Precomputed {
+    fn mean<M: Mechanism<f64, N>, const N: usize>(m: &M, probes: &[Probe]) -> [f32; 6] {
+        let mut triangle = [0.0; 6];
+        for probe in probes {
+            let mass = m.mass(&m.pose::<Libm>(&SVector::<f64, N>::from_fn(|i, _| probe.q[i])));
+            for (row, column) in M::MASS_ENTRIES {
+                triangle[row * (row + 1) / 2 + column] += mass[(*row, *column)] / probes.len() as f64;
+            }
+        }
+        triangle.map(|entry| entry as f32)
+    }
+    let triangle = with_mechanism!(&device.mechanism, m => mean(m, probes));
+    Precomputed { data: MassModelData::Frozen(triangle), values: Vec::new() }
+}
+
+/// The most points along each coordinate of a square grid that the board's memory holds.
+pub fn most_points(device: &Device<f64>) -> u8 {
+    let entries = device.mechanism.mass_entries().len();
+    ((TABLE_VALUES / entries) as f64).sqrt().floor().min(255.0) as u8
+}
+
+/// The range of the two coordinates that M depends on, over the poses of `probes`, widened by a hundredth; rad.
+pub fn range(device: &Device<f64>, probes: &[Probe]) -> [[f64; 2]; 2] {
+    let [mut low, mut high] = [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]];
+    for probe in probes {
+        for (k, angle) in shape(device, &probe.q).into_iter().enumerate() {
+            low[k] = low[k].min(angle);
+            high[k] = high[k].max(angle);
+        }
+    }
+    for (low, high) in low.iter_mut().zip(&mut high) {
+        let slack = 0.01 * (*high - *low).max(0.1);
+        *low -= slack;
+        *high += slack;
+    }
+    [low, high]
+}
+
+fn shape(device: &Device<f64>, q: &[f64; MAX_JOINTS]) -> [f64; 2] {
+    fn of<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &[f64; MAX_JOINTS]) -> [f64; 2] {
+        m.shape(&SVector::from_fn(|i, _| q[i]))
+    }
+    with_mechanism!(&device.mechanism, m => of(m, q))
+}
+
+/// A table over a range of the two shape coordinates (lowest, highest; rad). `None` when it does not fit the board.
+pub fn table(
+    device: &Device<f64>,
+    interpolation: Interpolation,
+    points: [u8; 2],
+    range: [[f64; 2]; 2],
+) -> Option<Precomputed> {
+    fn filled<M: Mechanism<f64, N>, const N: usize>(m: &M, grid: &Grid<f64>) -> Vec<f32> {
+        let mut values = vec![0.0; grid.values(M::MASS_ENTRIES.len())];
+        tabulate::<f64, Libm, M, N>(m, grid, |index, value| values[index] = value as f32);
+        values
+    }
+    let entries = device.mechanism.mass_entries().len();
+    let grid = Grid::<f64>::new(interpolation, points, range[0], range[1], entries)?;
+    let values = with_mechanism!(&device.mechanism, m => filled(m, &grid));
+    if values.iter().any(|value| !value.is_finite()) {
+        return None;
+    }
+    let grid = Grid::<f32> {
+        interpolation,
+        points,
+        low: grid.low.map(|low| low as f32),
+        spacing: grid.spacing.map(|spacing| spacing as f32),
+    };
+    let crc = checksum(&values);
+    Some(Precomputed { data: MassModelData::Table(grid, crc), values })
+}

@@ -1,0 +1,264 @@
+//! Every variant of every mechanism with its cost and its error; the page and the picture made of them.
+
+use crate::bench::counts;
+use crate::bench::error::{Errors, Terms, Trigonometry, errors};
+use crate::bench::precompute::{Precomputed, frozen, most_points, range, table};
+use crate::bench::probe::{Probe, workspace};
+use crate::device_file::DeviceFile;
+use crate::error::Failure;
+use crate::plan::HAND_SPEED;
+use crate::plot::Picture;
+use crate::plot::axes::{Axis, Frame, Mark};
+use crate::plot::canvas::{Anchor, Canvas, Stroke};
+use crate::precision::rounded;
+use haptic_bridge::description::MAX_JOINTS;
+use haptic_bridge::device::Device;
+use haptic_bridge::math::{Libm, Math, Micromath, Minimax};
+use haptic_bridge::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::precomputed::{Interpolation, MassModel};
+use serde::Serialize;
+use std::fmt::Write;
+use std::hint::black_box;
+use std::time::Instant;
+
+/// The device of each mechanism that the figures are of: the same that the counting image steps.
+const DEVICES: [&str; 5] = [
+    include_str!("../../../devices/hapkit-paddle.toml"),
+    include_str!("../../../devices/haply-2diy.toml"),
+    include_str!("../../../devices/fictive-five-bar-turret.toml"),
+    include_str!("../../../devices/phantom-premium-1.5.toml"),
+    include_str!("../../../devices/serial-3r.toml"),
+];
+
+/// The devices of the report.
+pub fn devices() -> Result<Vec<Device<f64>>, Failure> {
+    let read = |text| DeviceFile::parse(text, "a shipped device")?.device().map_err(Failure::wrong);
+    DEVICES.iter().copied().map(read).collect()
+}
+
+/// One variant on one target.
+#[derive(Clone, Debug, Serialize)]
+pub struct Variant {
+    /// `mechanism/trigonometry/mass model/terms`
+    pub name: String,
+    /// Its mechanism.
+    pub mechanism: &'static str,
+    /// `cortex-m4f` or `host`.
+    pub target: &'static str,
+    /// Of a whole control step in contact with one wall; counted on the emulated chip, null elsewhere.
+    pub instructions: Option<u32>,
+    /// Of the torque alone; measured on this computer, null elsewhere.
+    pub nanoseconds: Option<f64>,
+    /// Largest torque error, N m.
+    pub error_max: f64,
+    /// Root mean square of the torque error, N m.
+    pub error_rms: f64,
+    /// All errors.
+    pub errors: Errors,
+    /// Nothing of the same mechanism is both cheaper and better.
+    pub pareto: bool,
+}
+
+/// Angles per joint of the grid over the workspace.
+fn density(joints: usize) -> usize {
+    match joints {
+        1 => 41,
+        2 => 25,
+        _ => 9,
+    }
+}
+
+/// Every variant of `device`; `timed` adds what this computer takes.
+pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failure> {
+    let spec = device.mechanism.kind().spec();
+    let probes = workspace(device, density(spec.joints), HAND_SPEED)?;
+    let (points, range) = (most_points(device), range(device, &probes));
+    let mut models = vec![Precomputed::default(), frozen(device, &probes)];
+    models.extend(table(device, Interpolation::Bilinear, [points; 2], range));
+    models.extend(table(device, Interpolation::Bicubic, [points; 2], range));
+    let back_ends = [
+        (Trigonometry::Minimax, &["minimax+vsqrt", "minimax"][..]),
+        (Trigonometry::Micromath, &["micromath"][..]),
+        (Trigonometry::Libm, &["libm"][..]),
+    ];
+    let mut found = Vec::new();
+    for (trigonometry, names) in back_ends {
+        for model in &models {
+            for terms in Terms::ALL {
+                if terms == Terms::None && model.name() != "exact" {
+                    continue;
+                }
+                let errors = errors(device, &probes, model, terms, trigonometry)?;
+                let variant = |trig: &str, target, instructions, nanoseconds| Variant {
+                    name: format!("{}/{trig}/{}/{}", spec.name, model.name(), terms.name()),
+                    mechanism: spec.name,
+                    target,
+                    instructions,
+                    nanoseconds,
+                    error_max: errors.torque.max,
+                    error_rms: errors.torque.rms,
+                    errors,
+                    pareto: false,
+                };
+                for name in names {
+                    let count = counts::instructions(spec.name, name, model.name(), terms.name());
+                    found.push(variant(name, "cortex-m4f", count, None));
+                }
+                if timed {
+                    let time = nanoseconds(device, &probes, model, terms, trigonometry)?;
+                    found.push(variant(names[names.len() - 1], "host", None, Some(time)));
+                }
+            }
+        }
+    }
+    mark_front(&mut found);
+    Ok(found)
+}
+
+fn mark_front(variants: &mut [Variant]) {
+    let cost: Vec<Option<(u32, f64)>> =
+        variants.iter().map(|variant| variant.instructions.map(|count| (count, variant.error_max))).collect();
+    for (index, variant) in variants.iter_mut().enumerate() {
+        let Some((count, error)) = cost[index] else { continue };
+        variant.pareto = !cost
+            .iter()
+            .flatten()
+            .any(|(other, with)| (*other < count && *with <= error) || (*other <= count && *with < error));
+    }
+}
+
+macro_rules! define {
+    ($(($Variant:ident, $module:ident, $n:literal))*) => {
+        /// What one torque takes on this computer, ns: the best of several runs over the probes.
+        fn nanoseconds(
+            device: &Device<f64>,
+            probes: &[Probe],
+            model: &Precomputed,
+            terms: Terms,
+            trigonometry: Trigonometry,
+        ) -> Result<f64, Failure> {
+            Ok(match rounded(&device.mechanism)? {
+                $(AnyMechanism::$Variant(m) => match trigonometry {
+                    Trigonometry::Minimax => time::<Minimax, _, $n>(&m, probes, model, terms),
+                    Trigonometry::Micromath => time::<Micromath, _, $n>(&m, probes, model, terms),
+                    Trigonometry::Libm => time::<Libm, _, $n>(&m, probes, model, terms),
+                },)*
+            })
+        }
+    };
+}
+haptic_bridge::mechanisms!(define);
+
+fn time<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
+    m: &M,
+    probes: &[Probe],
+    model: &Precomputed,
+    terms: Terms,
+) -> f64 {
+    let Some(mass) = MassModel::<f32, N>::new::<M>(&model.data) else { return f64::NAN };
+    let some = &probes[..probes.len().min(1000)];
+    let run = || {
+        let start = Instant::now();
+        for probe in some {
+            let torque: [f64; MAX_JOINTS] =
+                crate::bench::error::torque::<f32, K, M, N>(m, (&mass, &model.values), terms, black_box(probe));
+            black_box(torque);
+        }
+        start.elapsed().as_secs_f64() * 1.0e9 / some.len() as f64
+    };
+    (0..5).map(|_| run()).fold(f64::INFINITY, f64::min)
+}
+
+/// The page: one table per mechanism, of the variants on the chip.
+pub fn page(every: &[(Device<f64>, Vec<Variant>)]) -> String {
+    let mut text = String::from(
+        "# Speed against error\n\n\
+         Made by `cargo xtask bench`; do not edit. What each way of computing the control step costs on the chip, and what error\n\
+         it leaves in the rendered torque.\n\n\
+         - **Cost**: executed instructions of one whole `Controller::step` on the Cortex-M4F (slowest of six poses in contact with\n\
+         \x20 one wall): counts to angles, joint and wall filters, kinematics, contact, feed-forward, gravity where the device has\n\
+         \x20 weight. Counted on the emulated chip, the same on every run; benches/counts.json holds the figures and CI fails when\n\
+         \x20 one grows by more than 5 %.\n\
+         - **Error**: torque of the variant in f32 against equation (4) with its velocity terms in f64, over the reachable workspace,\n\
+         \x20 normals in every direction, the largest force that the motors give at each pose, the hand moving at 0.5 m/s. In N m at\n\
+         \x20 the worst joint, and in steps of the duty (4200 at 20 kHz, 24 V bus, the device's own motors): below one step is free.\n\
+         - **F** marks the Pareto front of each mechanism: nothing there is both cheaper and better.\n\n\
+         `minimax` is what the firmware runs. ![Instructions over error](speed-against-error.svg)\n",
+    );
+    for (device, variants) in every {
+        let _ = writeln!(text, "\n## {} ({})\n", device.mechanism.kind().spec().name, device.name);
+        let _ = writeln!(
+            text,
+            "| trigonometry | mass matrix | terms | instructions | max N m | 99 % | RMS | max duty steps | RMS | |"
+        );
+        let _ = writeln!(text, "|---|---|---|---:|---:|---:|---:|---:|---:|---|");
+        let mut rows: Vec<&Variant> = variants.iter().filter(|variant| variant.target == "cortex-m4f").collect();
+        rows.sort_by_key(|variant| variant.instructions);
+        for variant in rows {
+            let mut parts = variant.name.split('/').skip(1);
+            let mut part = || parts.next().unwrap_or_default();
+            let (trigonometry, model, terms) = (part(), part(), part());
+            let count = variant.instructions.map_or("-".into(), |count| count.to_string());
+            let (torque, duty) = (&variant.errors.torque, &variant.errors.duty);
+            let _ = writeln!(
+                text,
+                "| {trigonometry} | {model} | {terms} | {count} | {:.1e} | {:.1e} | {:.1e} | {} | {} | {} |",
+                torque.max,
+                torque.most,
+                torque.rms,
+                steps(duty.max),
+                steps(duty.rms),
+                if variant.pareto { "F" } else { "" }
+            );
+        }
+    }
+    text
+}
+
+fn steps(value: f64) -> String {
+    if value < 0.1 { format!("{value:.1e}") } else { format!("{value:.1}") }
+}
+
+const COLOURS: [&str; 5] = ["#7f7f7f", "#0072b2", "#d55e00", "#009e73", "#cc79a7"];
+
+/// The picture: instructions over the largest error in duty steps, each mechanism's Pareto front as a line.
+pub fn picture(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
+    let shown = |variant: &&Variant| variant.instructions.is_some_and(|count| count <= 1400);
+    let decades = |value: f64| value.max(1.0e-6).log10();
+    let mut canvas = Canvas::new(760.0, 500.0);
+    let frame = Frame {
+        at: (80.0, 70.0),
+        size: (660.0, 370.0),
+        x: Axis { name: "largest error, log10 of duty steps".into(), unit: String::new(), low: -4.0, high: 4.0 },
+        y: Axis { name: "instructions".into(), unit: String::new(), low: 0.0, high: 1400.0 },
+    };
+    let mut entries = Vec::new();
+    frame.clipped(&mut canvas, |canvas| {
+        let free = Stroke { colour: "#999999", width: 1.2, dash: "4 3" };
+        frame.curve(canvas, &[(0.0, 0.0), (0.0, 1400.0)], free);
+        entries.push((Mark::Line(free), "one duty step".to_string()));
+        for ((device, variants), colour) in every.iter().zip(COLOURS) {
+            let mut front: Vec<(f64, f64)> = variants
+                .iter()
+                .filter(shown)
+                .filter(|variant| variant.pareto)
+                .map(|variant| (decades(variant.errors.duty.max), f64::from(variant.instructions.unwrap_or(0))))
+                .collect();
+            front.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let stroke = Stroke { colour, width: 1.8, dash: "" };
+            frame.curve(canvas, &front, stroke);
+            entries.push((Mark::Line(stroke), device.mechanism.kind().spec().name.to_string()));
+            for variant in variants.iter().filter(shown) {
+                let y = f64::from(variant.instructions.unwrap_or(0));
+                frame.dot(canvas, decades(variant.errors.duty.max), y, y, y, colour);
+            }
+        }
+    });
+    frame.draw(&mut canvas, "");
+    let title = "Speed against error: every variant of the control step, fronts as lines";
+    canvas.text((frame.at.0, 28.0), 15.0, Anchor::Start, false, title);
+    let subtitle = "Instructions on the Cortex-M4F; libm (thousands of instructions) is beyond the frame.";
+    canvas.text((frame.at.0, 48.0), 12.0, Anchor::Start, false, subtitle);
+    Frame::legend(&mut canvas, frame.at.0 + frame.size.0 - 10.0, frame.at.1 + 10.0, &entries);
+    canvas.finish(title, "Instructions of each variant over its largest torque error in duty steps.")
+}

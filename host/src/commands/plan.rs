@@ -1,0 +1,112 @@
+//! `haptic plan`: the cheapest model of a device that a scene needs.
+
+use clap::builder::NonEmptyStringValueParser;
+use haptic::device_file::DeviceFile;
+use haptic_bridge::device::Device;
+use haptic::error::{Failure, print};
+use haptic::plan::{Budget, DEFAULT_PERCENT, HAND_SPEED, Plan, plan};
+use haptic::scene_file::SceneFile;
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// Choose the cheapest model of a device that a scene needs
+///
+/// Looks at which walls can be touched where, how hard the motors push there and how fast a hand moves, and picks the way
+/// of computing the control step that takes the fewest instructions within the error budget. `haptic scene` does the same
+/// before it sends a scene.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Device file (TOML)
+    device: PathBuf,
+    /// Scene file (TOML)
+    scene: PathBuf,
+    /// Allowed error: percent of the torque of the motors' whole force, or `one-duty-step` [default: 1]
+    #[arg(long, value_name = "PERCENT|one-duty-step", value_parser = NonEmptyStringValueParser::new())]
+    error: Option<String>,
+    /// Fastest motion of the hand, m/s [default: the scene's hand_speed, or 0.5]
+    #[arg(long, value_name = "M/S")]
+    speed: Option<f64>,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+/// Reads a budget: a percentage or `one-duty-step`.
+pub fn budget(text: Option<&str>) -> Result<Budget, Failure> {
+    match text {
+        None => Ok(Budget::Percent(DEFAULT_PERCENT)),
+        Some("one-duty-step") => Ok(Budget::OneDutyStep),
+        Some(text) => match text.trim_end_matches('%').trim().parse::<f64>() {
+            Ok(percent) if percent > 0.0 && percent.is_finite() => Ok(Budget::Percent(percent)),
+            _ => Err(Failure::wrong(format!("--error {text} is neither a percentage above zero nor one-duty-step"))
+                .remedy("write a number such as 0.5, or one-duty-step")),
+        },
+    }
+}
+
+/// How fast the hand is taken to move, m/s: as asked for, else as the scene says.
+pub fn speed(asked: Option<f64>, scene: &SceneFile) -> Result<f64, Failure> {
+    let speed = asked.or(scene.hand_speed).unwrap_or(HAND_SPEED);
+    if !(speed >= 0.0 && speed.is_finite()) {
+        return Err(Failure::wrong(format!("--speed {speed} is not a speed")).remedy("write m/s, 0 or more"));
+    }
+    Ok(speed)
+}
+
+/// Plans and prints.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let file = DeviceFile::load(&args.device)?;
+    let device = file.device().map_err(Failure::wrong)?;
+    let scene = SceneFile::load(&args.scene, file.spec().task)?;
+    let plan = plan(&device, &scene.scene, budget(args.error.as_deref())?, speed(args.speed, &scene)?)?;
+    if args.json {
+        let json = serde_json::json!({
+            "device": device.name,
+            "model": plan.mass.name(),
+            "terms": plan.terms.name(),
+            "instructions": plan.instructions,
+            "table_bytes": plan.mass.bytes(),
+            "errors": plan.errors,
+            "reasons": plan.reasons,
+            "candidates": plan.candidates,
+        });
+        return print(&format!("{json}\n"));
+    }
+    print(&readable(&device, &plan))
+}
+
+/// What was chosen, what it costs, what error it leaves, and why.
+pub fn readable(device: &Device<f64>, plan: &Plan) -> String {
+    let mut text = String::new();
+    let _ = writeln!(text, "{}: {}, mass matrix {}", device.name, plan.terms.name(), plan.mass.name());
+    let _ = writeln!(text, "  {} instructions a control step on the Cortex-M4F (slowest pose)", plan.instructions);
+    if plan.mass.bytes() > 0 {
+        let _ = writeln!(text, "  {} bytes of table", plan.mass.bytes());
+    }
+    let _ = writeln!(
+        text,
+        "  error left: {:.4} % of the torque of the whole force at most, {:.3} duty steps",
+        100.0 * plan.errors.share.max,
+        plan.errors.duty.max
+    );
+    for reason in &plan.reasons {
+        let _ = writeln!(text, "  - {reason}");
+    }
+    if !plan.candidates.is_empty() {
+        let _ = writeln!(text, "\n  {:<12}{:<18}{:>14}{:>12}{:>14}", "matrix", "terms", "instructions", "error", "duty steps");
+        for way in &plan.candidates {
+            let chosen = way.model == plan.mass.name() && way.terms == plan.terms.name();
+            let _ = writeln!(
+                text,
+                "{} {:<12}{:<18}{:>14}{:>11.4}%{:>14.3}",
+                if chosen { ">" } else { " " },
+                way.model,
+                way.terms,
+                way.instructions,
+                100.0 * way.errors.share.max,
+                way.errors.duty.max
+            );
+        }
+    }
+    text
+}

@@ -1,0 +1,237 @@
+//! Only what a scene needs: the cheapest way to compute the control step that stays inside an error budget.
+//!
+//! The planner looks at where the scene's walls can be touched, with which normals, how hard the motors can push there and
+//! how fast a hand can move; it tries every mass model with and without velocity terms from the cheapest on, in the board's
+//! own precision, and takes the first whose error stays inside [`MARGIN`] of the budget. What it decides is a scene (with
+//! `velocity_terms` and `feed_forward` set) and a mass model, and the board runs exactly that.
+
+use crate::bench::counts;
+use crate::bench::error::{Errors, Terms, Trigonometry, errors};
+use crate::bench::precompute::{Precomputed, frozen, most_points, range, table};
+use crate::bench::probe::{Probe, on_surface};
+use crate::error::Failure;
+use haptic_bridge::device::Device;
+use haptic_bridge::precomputed::Interpolation;
+use haptic_bridge::scene::{FeedForward, Scene};
+use serde::Serialize;
+
+/// Share of the budget that the poses looked at may use up: between them the error may be larger.
+pub const MARGIN: f64 = 0.6;
+/// How fast a hand is taken to move when nothing is said, m/s.
+pub const HAND_SPEED: f64 = 0.5;
+/// The budget when nothing is said, percent.
+pub const DEFAULT_PERCENT: f64 = 1.0;
+/// Trigonometry of the firmware.
+const SHIPPED: &str = "minimax";
+
+/// How much error a plan may leave.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Budget {
+    /// Percent of the largest joint torque that the motors' whole force takes at the same pose.
+    Percent(f64),
+    /// What the duty's resolution hides anyway.
+    OneDutyStep,
+}
+
+impl Budget {
+    /// The error of a variant as a share of this budget.
+    pub fn used(self, errors: &Errors) -> f64 {
+        match self {
+            Budget::Percent(percent) => 100.0 * errors.share.max / percent,
+            Budget::OneDutyStep => errors.duty.max,
+        }
+    }
+}
+
+/// One way that was looked at.
+#[derive(Clone, Debug, Serialize)]
+pub struct Candidate {
+    /// Mass model.
+    pub model: &'static str,
+    /// Terms.
+    pub terms: &'static str,
+    /// Instructions of the slowest control step on the Cortex-M4F.
+    pub instructions: u32,
+    /// Its error; none was needed for what could not be cheaper.
+    pub errors: Errors,
+    /// That error as a share of the budget.
+    pub used: f64,
+}
+
+/// What the board shall run.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// The scene with its feed-forward and velocity terms as decided.
+    pub scene: Scene<f64>,
+    /// Where the mass matrix comes from.
+    pub mass: Precomputed,
+    /// The terms of the walls' feed-forward.
+    pub terms: Terms,
+    /// Instructions of the slowest control step on the Cortex-M4F.
+    pub instructions: u32,
+    /// Error left, at the poses looked at.
+    pub errors: Errors,
+    /// Everything that was looked at, from the cheapest.
+    pub candidates: Vec<Candidate>,
+    /// Why, in sentences.
+    pub reasons: Vec<String>,
+}
+
+/// Angles per joint of the grid that is looked at.
+fn density(joints: usize) -> usize {
+    match joints {
+        1 => 41,
+        2 => 161,
+        _ => 25,
+    }
+}
+
+/// Plans `scene` on `device` for hands of up to `speed` m/s.
+///
+/// Errors: a device that cannot be analysed; or no way stays inside the budget, which names the best there is.
+pub fn plan(device: &Device<f64>, scene: &Scene<f64>, budget: Budget, speed: f64) -> Result<Plan, Failure> {
+    plan_on(device, scene, budget, speed, density(device.mechanism.kind().spec().joints))
+}
+
+/// As [`plan`], looking at `per_joint` angles per joint.
+fn plan_on(
+    device: &Device<f64>,
+    scene: &Scene<f64>,
+    budget: Budget,
+    speed: f64,
+    per_joint: usize,
+) -> Result<Plan, Failure> {
+    let spec = device.mechanism.kind().spec();
+    let mut scene = scene.clone();
+    let mut reasons = Vec::new();
+    let shaped = scene.walls.iter().filter(|wall| wall.feed_forward != FeedForward::Off).count();
+    if shaped == 0 {
+        reasons.push("no wall asks for the feed-forward, so no mass matrix and no velocity terms".into());
+    } else if spec.joints == 1 {
+        reasons.push(
+            "with one joint nothing is left to move freely, so the feed-forward changes nothing and is left out".into(),
+        );
+    }
+    let probes = if shaped == 0 || spec.joints == 1 { Vec::new() } else { touched(device, &scene, per_joint, speed)? };
+    if probes.is_empty() && shaped > 0 && spec.joints > 1 {
+        reasons.push("no wall with feed-forward can be reached, so none is computed".into());
+    }
+    if probes.is_empty() {
+        scene.walls.iter_mut().for_each(|wall| wall.feed_forward = FeedForward::Off);
+        scene.velocity_terms = false;
+        let instructions = cost(device, &scene, "exact");
+        let (mass, errors) = (Precomputed::default(), Errors::default());
+        return Ok(Plan { scene, mass, terms: Terms::None, instructions, errors, candidates: Vec::new(), reasons });
+    }
+
+    let mut ways = Vec::new();
+    for mass in models(device, &probes) {
+        for terms in [Terms::FeedForward, Terms::FeedForwardZ] {
+            let with = Scene { velocity_terms: terms == Terms::FeedForwardZ, ..scene.clone() };
+            ways.push((cost(device, &with, mass.name()), terms, mass.clone()));
+        }
+    }
+    ways.sort_by_key(|(instructions, _, mass)| (*instructions, mass.bytes()));
+
+    let mut candidates: Vec<Candidate> = Vec::new();
+    let mut chosen = None;
+    for (instructions, terms, mass) in ways {
+        let errors = errors(device, &probes, &mass, terms, Trigonometry::Minimax)?;
+        let used = budget.used(&errors);
+        candidates.push(Candidate { model: mass.name(), terms: terms.name(), instructions, errors, used });
+        if chosen.is_none() && used <= MARGIN {
+            chosen = Some((instructions, terms, mass, errors));
+        }
+    }
+    let Some((instructions, terms, mass, errors)) = chosen else {
+        let best = candidates.iter().min_by(|a, b| a.used.total_cmp(&b.used));
+        let least = best.map_or(f64::NAN, |best| match budget {
+            Budget::Percent(_) => 100.0 * best.errors.share.max / MARGIN,
+            Budget::OneDutyStep => best.errors.duty.max / MARGIN,
+        });
+        let (wanted, unit) = match budget {
+            Budget::Percent(percent) => (percent, "percent"),
+            Budget::OneDutyStep => (1.0, "duty steps"),
+        };
+        return Err(Failure::impossible(format!(
+            "no model stays below {wanted} {unit} over the reachable walls; the best leaves {least:.3} {unit}"
+        ))
+        .remedy(format!("allow more with --error {:.2}", least * 1.1)));
+    };
+    scene.velocity_terms = terms == Terms::FeedForwardZ;
+    reasons.extend(explain(&candidates, terms, &mass, budget, speed));
+    Ok(Plan { scene, mass, terms, instructions, errors, candidates, reasons })
+}
+
+/// Situations at every wall with feed-forward.
+pub fn touched(device: &Device<f64>, scene: &Scene<f64>, per_joint: usize, speed: f64) -> Result<Vec<Probe>, Failure> {
+    let mut probes = Vec::new();
+    for wall in scene.walls.iter().filter(|wall| wall.feed_forward != FeedForward::Off) {
+        probes.extend(on_surface(device, &wall.surface, per_joint, speed)?);
+    }
+    Ok(probes)
+}
+
+fn models(device: &Device<f64>, probes: &[Probe]) -> Vec<Precomputed> {
+    let (points, range) = (most_points(device), range(device, probes));
+    let mut models = vec![Precomputed::default(), frozen(device, probes)];
+    models.extend(table(device, Interpolation::Bilinear, [points; 2], range));
+    models.extend(table(device, Interpolation::Bicubic, [points; 2], range));
+    models
+}
+
+/// Instructions of the slowest control step of a scene: counted for one wall, a pair of walls, a ball and nothing;
+/// what a scene holds beyond that adds as one of its kind does.
+pub fn cost(device: &Device<f64>, scene: &Scene<f64>, model: &str) -> u32 {
+    let name = device.mechanism.kind().spec().name;
+    let counted = |model: &str, terms: &str| counts::instructions(name, SHIPPED, model, terms).unwrap_or(0);
+    let free = counted("exact", "free");
+    let z = if scene.velocity_terms { "+z" } else { "" };
+    let per_wall = counted("exact", "none").saturating_sub(free);
+    let walls = scene.walls.len() as u32;
+    let shaped: Vec<_> = scene.walls.iter().filter(|wall| wall.feed_forward != FeedForward::Off).collect();
+    let curved = scene.walls.iter().any(|wall| wall.surface.curved());
+    let Some(first) = shaped.first() else { return free + walls * per_wall };
+    let washout = counted("exact", &format!("washout{z}"));
+    let one = match first.feed_forward {
+        FeedForward::Full if shaped.len() == 1 => counted(model, &format!("feed-forward{z}")),
+        _ => counted(model, &format!("washout{z}")),
+    };
+    let plain = walls - shaped.len() as u32;
+    let more = match shaped.len() as u32 {
+        1 => 0,
+        count => counted("exact", &format!("edge, washout{z}")).saturating_sub(washout) + (count - 2) * per_wall,
+    };
+    let round = if curved { counted("exact", &format!("ball, washout{z}")).saturating_sub(washout) } else { 0 };
+    one + more + round + plain * per_wall
+}
+
+fn explain(candidates: &[Candidate], terms: Terms, mass: &Precomputed, budget: Budget, speed: f64) -> Vec<String> {
+    let find = |model: &str, terms: Terms| candidates.iter().find(|c| c.model == model && c.terms == terms.name());
+    let size = |candidate: &Candidate| match budget {
+        Budget::Percent(_) => format!("{:.3} %", 100.0 * candidate.errors.share.max),
+        Budget::OneDutyStep => format!("{:.3} duty steps", candidate.errors.duty.max),
+    };
+    let mut reasons = Vec::new();
+    if let Some(without) = find("exact", Terms::FeedForward) {
+        let verdict = if terms == Terms::FeedForward { "so they are left out" } else { "so they are computed" };
+        let size = size(without);
+        reasons.push(format!("leaving out the velocity terms costs {size} at {speed} m/s, {verdict}"));
+    }
+    if let Some(one) = find("frozen", terms) {
+        let verdict = match mass.name() {
+            "frozen" => "so one matrix does",
+            _ => "so the matrix has to follow the pose",
+        };
+        reasons.push(format!("one matrix for all of the walls leaves {}, {verdict}", size(one)));
+    }
+    if let (Some(exact), Some(table), false) = (find("exact", terms), find("bilinear", terms), mass.name() == "frozen")
+    {
+        let verdict = if mass.name() == "exact" { "so the closed form is used" } else { "so the table is used" };
+        reasons.push(format!(
+            "the closed form takes {} instructions, a table {}, {verdict}",
+            exact.instructions, table.instructions
+        ));
+    }
+    reasons
+}

@@ -1,0 +1,318 @@
+//! The walls of a scene at run time: contacts, forces, and what each wall remembers between two steps.
+//!
+//! Nothing here knows a mechanism, so devices with as many joints share the code.
+
+use super::Gains;
+use crate::inertia::frame_rate;
+use crate::math::{Math, Real};
+use crate::scene::{FeedForward, MAX_WALLS, Scene, SceneError, Wall};
+use crate::velocity::{Coefficients, Velocity, Washout};
+use heapless::Vec;
+use nalgebra::SVector;
+
+/// One wall.
+#[derive(Clone, Copy, Debug)]
+struct Running<T: Real> {
+    wall: Wall<T>,
+    velocity: Velocity<T>,
+    washout: Washout<T>,
+    passivity: Passivity<T>,
+}
+
+impl<T: Real> Running<T> {
+    /// Not inlined: the same for every mechanism, and rare.
+    #[inline(never)]
+    fn set_gains(&mut self, gains: &Gains<T>, washout: &Washout<T>) {
+        if self.wall.feed_forward == FeedForward::Washout {
+            self.washout.retune(washout);
+        } else {
+            // It was not stepped, so what it remembers is no longer true.
+            self.washout = *washout;
+        }
+        self.wall.stiffness = gains.stiffness;
+        self.wall.damping = gains.damping;
+        self.wall.feed_forward = gains.feed_forward;
+        self.wall.washout_hz = gains.washout_hz;
+    }
+}
+
+/// A wall's passivity observer and controller (Hannaford and Ryu 2002, in the form that is exact for a force held
+/// between two samples): energy taken up = -Σ f(k-1) (x(k) - x(k-1)); when it falls below zero, damping is added that
+/// takes up the missing part in one step.
+#[derive(Clone, Copy, Debug, Default)]
+struct Passivity<T> {
+    /// J
+    energy: T,
+    /// Force held since the last step, N.
+    held: T,
+}
+
+/// Most damping the passivity controller adds, as a share of the damping at which a mass of 1 kg would stop in a step:
+/// beyond it the controller itself would be the instability.
+const PASSIVITY_SHARE: f64 = 0.01;
+
+impl<T: Real> Passivity<T> {
+    /// Counts the energy of the last period, in which the tip moved by `moved` (m), and returns the damping (N s/m)
+    /// that pays back what the wall has given out. `v` in m/s, `rate` in Hz.
+    #[inline(always)]
+    fn damping(&mut self, moved: T, v: T, rate: T) -> T {
+        self.energy -= self.held * moved;
+        if self.energy >= T::zero() || v == T::zero() {
+            return T::zero();
+        }
+        let most = rate * T::from_f64(PASSIVITY_SHARE);
+        (-self.energy * rate / (v * v).greater(T::from_f64(1.0e-12))).lesser(most)
+    }
+
+    fn hold(&mut self, force: T) {
+        self.held = force;
+    }
+
+    /// The tip has left the wall: counts the last period's energy and keeps what the wall still owes for its next touch.
+    #[inline(always)]
+    fn leave(&mut self, moved: T) {
+        self.energy = (self.energy - self.held * moved).lesser(T::zero());
+        self.held = T::zero();
+    }
+}
+
+/// A contact whose force goes through the feed-forward in this step.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Active<T: Real, const N: usize> {
+    /// Which wall.
+    pub wall: usize,
+    /// Its unit normal here.
+    pub normal: SVector<T, N>,
+    /// What of its force is shaped, N.
+    pub shaped: T,
+}
+
+/// All walls of a scene.
+#[derive(Clone, Debug)]
+pub(super) struct Walls<T: Real> {
+    running: Vec<Running<T>, MAX_WALLS>,
+    /// Whether the passivity controller is on.
+    passivity: bool,
+    /// Some wall is curved.
+    pub curved: bool,
+    /// Some wall compensates joint damping.
+    pub damped: bool,
+}
+
+/// What the walls do at one tip position.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Touch<T: Real, const N: usize> {
+    /// Distance to the deepest wall, m, and the velocity along its normal, m/s.
+    pub distance: T,
+    pub normal_velocity: T,
+    /// Sum of all forces, N.
+    pub wall_force: T,
+    /// Number of walls touched.
+    pub contacts: u8,
+    /// Energy they have taken up, J, and the damping added to make them take up more, N s/m.
+    pub energy: T,
+    pub passivity_damping: T,
+    /// The force that goes straight through Jᵀ (N), if there is one.
+    pub plain: SVector<T, N>,
+    pub straight: bool,
+    /// The first wall whose force is shaped: by itself, because one is the usual case and need not go through memory.
+    pub first: Option<Active<T, N>>,
+}
+
+impl<T: Real> Walls<T> {
+    /// The walls of a checked scene, with their filters designed.
+    #[inline(never)]
+    pub fn new(scene: &Scene<T>) -> Result<Self, SceneError> {
+        let mut running = Vec::new();
+        for (index, wall) in scene.walls.iter().enumerate() {
+            let washout = match wall.feed_forward {
+                FeedForward::Washout => {
+                    Washout::new(wall.washout_hz, scene.rate_hz).map_err(|_| SceneError::Washout(index as u8))?
+                }
+                _ => Washout::default(),
+            };
+            // The two vectors have the same capacity.
+            let _ = running.push(Running {
+                wall: *wall,
+                velocity: Velocity::default(),
+                washout,
+                passivity: Passivity::default(),
+            });
+        }
+        Ok(Self {
+            running,
+            passivity: false,
+            curved: scene.walls.iter().any(|wall| wall.surface.curved()),
+            damped: scene.walls.iter().any(|wall| wall.damping_compensation),
+        })
+    }
+
+    /// Contacts and forces at the tip position `place` (m); walls beyond the first whose force is shaped go to `more`.
+    /// Every estimator runs at every step, so contact never starts it from zero.
+    #[inline(always)]
+    pub fn touch<K: Math<T>, const N: usize>(
+        &mut self,
+        coefficients: &Coefficients<T>,
+        place: &SVector<T, N>,
+        more: &mut Vec<Active<T, N>, MAX_WALLS>,
+    ) -> Touch<T, N> {
+        let mut touch = Touch {
+            distance: T::zero(),
+            normal_velocity: T::zero(),
+            wall_force: T::zero(),
+            contacts: 0,
+            energy: T::zero(),
+            passivity_damping: T::zero(),
+            plain: SVector::zeros(),
+            straight: false,
+            first: None,
+        };
+        let passivity = self.passivity;
+        for (index, running) in self.running.iter_mut().enumerate() {
+            let wall = &running.wall;
+            let feed_forward = wall.feed_forward;
+            let contact = wall.surface.contact::<K, N>(place);
+            let moved = running.velocity.moved(contact.distance);
+            let v = running.velocity.step(coefficients, contact.distance);
+            if index == 0 || contact.distance < touch.distance {
+                touch.distance = contact.distance;
+                touch.normal_velocity = v;
+            }
+            let inside = contact.distance < T::zero();
+            if !inside && !wall.bilateral {
+                if passivity {
+                    running.passivity.leave(moved);
+                }
+                if feed_forward == FeedForward::Washout {
+                    running.washout.step(T::zero());
+                }
+                continue;
+            }
+            let mut force = -wall.stiffness * contact.distance - wall.damping * v;
+            let mut extra = T::zero();
+            if passivity {
+                extra = running.passivity.damping(moved, v, coefficients.rate());
+                force -= extra * v;
+            }
+            // Written so that what is not a number stays one, and is found out.
+            if !wall.bilateral && force < T::zero() {
+                force = T::zero();
+            }
+            touch.contacts += 1;
+            touch.wall_force += force;
+            if passivity {
+                touch.passivity_damping += extra;
+                running.passivity.hold(force);
+                touch.energy += running.passivity.energy;
+            }
+            let shaped = match feed_forward {
+                FeedForward::Off => T::zero(),
+                FeedForward::Full => force,
+                FeedForward::Washout => running.washout.step(force),
+            };
+            if feed_forward != FeedForward::Full {
+                touch.plain += contact.normal * (force - shaped);
+                touch.straight = true;
+            }
+            if feed_forward != FeedForward::Off {
+                let active = Active { wall: index, normal: contact.normal, shaped };
+                match touch.first {
+                    None => touch.first = Some(active),
+                    Some(_) => {
+                        let _ = more.push(active);
+                    }
+                }
+            }
+        }
+        touch
+    }
+
+    /// Whether some of these walls compensates joint damping.
+    pub fn damps<const N: usize>(&self, active: &[Active<T, N>]) -> bool {
+        let damped = |a: &Active<T, N>| self.running.get(a.wall).is_some_and(|r| r.wall.damping_compensation);
+        self.damped && active.iter().any(damped)
+    }
+
+    /// The tip acceleration (m/s²) by which the turning of curved walls' normals differs from none, -κ of
+    /// [`frame_rate`]. `line` is the direction that turns.
+    #[inline(never)]
+    pub fn turning<K: Math<T>, const N: usize>(
+        &self,
+        place: &SVector<T, N>,
+        velocity: &SVector<T, N>,
+        active: &[Active<T, N>],
+        line: &SVector<T, N>,
+    ) -> SVector<T, N> {
+        -frame_rate(line, &self.line_rate::<K, N>(place, velocity, active, line), velocity)
+    }
+
+    /// The rate of the turning direction: ṅ itself for one wall; for the admissible line t across several, the rate
+    /// that keeps it across all of them, ṫ = -Σ (t·ṅᵢ) nᵢ', with n' the reciprocal basis of the first two normals.
+    #[inline(always)]
+    fn line_rate<K: Math<T>, const N: usize>(
+        &self,
+        place: &SVector<T, N>,
+        velocity: &SVector<T, N>,
+        active: &[Active<T, N>],
+        line: &SVector<T, N>,
+    ) -> SVector<T, N> {
+        let rate = |a: &Active<T, N>| match self.running.get(a.wall) {
+            Some(running) => running.wall.surface.normal_rate::<K, N>(place, velocity),
+            None => SVector::zeros(),
+        };
+        match active {
+            [only] => rate(only),
+            [first, rest @ ..] => {
+                // The wall least parallel to the first spans the plane with it.
+                let aligned = |a: &Active<T, N>| a.normal.dot(&first.normal).abs();
+                let Some(second) = rest.iter().reduce(|x, y| if aligned(y) < aligned(x) { y } else { x }) else {
+                    return SVector::zeros();
+                };
+                if line.dot(&first.normal).abs() > T::from_f64(0.5) {
+                    return rate(first);
+                }
+                let cosine = first.normal.dot(&second.normal);
+                let sine_squared = (T::one() - cosine * cosine).greater(T::EPSILON);
+                let (r1, r2) = (line.dot(&rate(first)), line.dot(&rate(second)));
+                -(first.normal * (r1 - cosine * r2) + second.normal * (r2 - cosine * r1)) / sine_squared
+            }
+            [] => SVector::zeros(),
+        }
+    }
+
+    /// Whether a one-sided wall is touched at the tip position `place`.
+    #[inline(never)]
+    pub fn any_touched<K: Math<T>, const N: usize>(&self, place: &SVector<T, N>) -> bool {
+        self.running.iter().any(|running| {
+            let wall = &running.wall;
+            !wall.bilateral && wall.surface.contact::<K, N>(place).distance < T::zero()
+        })
+    }
+
+    /// See [`Controller::set_gains`](super::Controller::set_gains).
+    pub fn set_gains(&mut self, gains: &Gains<T>, washout: &Washout<T>) {
+        if let Some(running) = self.running.get_mut(usize::from(gains.wall)) {
+            running.set_gains(gains, washout);
+        }
+    }
+
+    /// Starts all estimators anew.
+    #[inline(never)]
+    pub fn forget(&mut self) {
+        for running in &mut self.running {
+            running.velocity.forget();
+            let mut fresh = Washout::default();
+            fresh.retune(&running.washout);
+            running.washout = fresh;
+        }
+    }
+
+    /// Turns the passivity controller on or off; what it counted is forgotten.
+    #[inline(never)]
+    pub fn set_passivity(&mut self, on: bool) {
+        if self.passivity != on {
+            self.running.iter_mut().for_each(|running| running.passivity = Passivity::default());
+        }
+        self.passivity = on;
+    }
+}

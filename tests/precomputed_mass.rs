@@ -1,0 +1,209 @@
+//! Frozen and tabulated mass matrices: what they are worth against the closed form, and what a damaged one is refused for.
+
+use haptic::device_file::DeviceFile;
+use haptic_bridge::math::{Libm, Minimax};
+use haptic_bridge::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::precomputed::{
+    Grid, Interpolation, MassModel, MassModelData, Receiving, TABLE_VALUES, checksum, tabulate,
+};
+use haptic_bridge::with_mechanism;
+use nalgebra::SVector;
+
+const DEVICES: [&str; 4] = ["haply-2diy", "fictive-five-bar-turret", "phantom-premium-1.5", "serial-3r"];
+
+fn device(name: &str) -> DeviceFile {
+    DeviceFile::load(format!("{}/devices/{name}.toml", env!("CARGO_MANIFEST_DIR"))).unwrap()
+}
+
+/// Largest difference of M E, relative to the largest entry, between a table and the closed form on a fine net
+/// of poses around home that does not contain the grid's points.
+fn worst<M: Mechanism<f64, N>, const N: usize>(
+    mechanism: &M,
+    home: &[f64; 3],
+    interpolation: Interpolation,
+    points: u8,
+) -> f64 {
+    let q0 = SVector::<f64, N>::from_fn(|i, _| home[i]);
+    let shape = mechanism.shape(&q0);
+    let (low, high) = (shape.map(|s| s - 0.3), shape.map(|s| s + 0.3));
+    let grid = Grid::new(interpolation, [points; 2], low, high, M::MASS_ENTRIES.len()).unwrap();
+    let mut values = vec![0.0; grid.values(M::MASS_ENTRIES.len())];
+    tabulate::<f64, Libm, M, N>(mechanism, &grid, |index, value| values[index] = value);
+    let table = MassModel::table::<M>(&grid).unwrap();
+    let n = SVector::<f64, N>::from_fn(|i, _| {
+        if i == 0 {
+            0.6
+        } else if i == 1 {
+            0.8
+        } else {
+            0.0
+        }
+    });
+    let mut worst = 0.0_f64;
+    for i in 0..23 {
+        for j in 0..23 {
+            let mut q = q0;
+            let first = if N == 2 { 0 } else { N - 2 };
+            q[first] += -0.299 + 0.598 * f64::from(i) / 22.0;
+            q[N - 1] += -0.299 + 0.598 * f64::from(j) / 22.0;
+            let pose = mechanism.pose::<Libm>(&q);
+            let exact = mechanism.shaping(&pose, &n).me;
+            let looked_up = table.shaping(mechanism, &values, &q, &pose, &n).me;
+            worst = worst.max((looked_up - exact).amax() / exact.amax());
+        }
+    }
+    worst
+}
+
+fn every(interpolation: Interpolation, points: u8) -> Vec<f64> {
+    DEVICES
+        .iter()
+        .map(|name| {
+            let device = device(name);
+            let home = device.description.home.unwrap();
+            with_mechanism!(&device.mechanism, m => {
+                // A paddle has no shape to tabulate over.
+                if let AnyMechanism::Paddle(_) = device.mechanism { 0.0 } else { worst(m, &home, interpolation, points) }
+            })
+        })
+        .collect()
+}
+
+#[test]
+fn a_finer_bilinear_table_is_better_in_the_square_of_its_spacing() {
+    for (coarse, fine) in every(Interpolation::Bilinear, 5).into_iter().zip(every(Interpolation::Bilinear, 9)) {
+        assert!(fine > 0.0 && (2.5..6.0).contains(&(coarse / fine)), "{coarse} against {fine}");
+    }
+}
+
+#[test]
+fn a_bicubic_table_is_better_than_a_bilinear_one_with_as_many_cells() {
+    for (linear, cubic) in every(Interpolation::Bilinear, 8).into_iter().zip(every(Interpolation::Bicubic, 10)) {
+        assert!(cubic < 0.2 * linear, "{cubic} against {linear}");
+    }
+}
+
+#[test]
+fn a_table_within_the_memory_keeps_the_torque_of_every_device_within_a_thousandth() {
+    // What a mechanism with six distinct entries has room for.
+    for error in every(Interpolation::Bicubic, 10) {
+        assert!(error < 1.0e-3, "{error}");
+    }
+}
+
+#[test]
+fn outside_its_grid_a_table_is_the_closed_form() {
+    let device = device("haply-2diy");
+    let AnyMechanism::FiveBar(m) = device.mechanism else { panic!() };
+    let grid = Grid::new(Interpolation::Bilinear, [4, 4], [2.0, 0.6], [2.5, 1.0], 3).unwrap();
+    let values = vec![f64::NAN; grid.values(3)];
+    let table = MassModel::table::<haptic_bridge::mechanism::FiveBar<f64>>(&grid).unwrap();
+    let n = SVector::from([0.6, 0.8]);
+    for q in [[1.99, 0.8], [2.51, 0.8], [2.3, 0.59], [2.3, 1.01]] {
+        let q = SVector::from(q);
+        let pose = m.pose::<Libm>(&q);
+        let (found, exact) = (table.shaping(&m, &values, &q, &pose, &n).me, m.shaping(&pose, &n).me);
+        assert!((found - exact).amax() < 1.0e-12 * exact.amax(), "{found} against {exact}");
+    }
+    // Without its values too, and for angles that are no numbers there is no panic.
+    let q = SVector::from([2.3, 0.8]);
+    let pose = m.pose::<Libm>(&q);
+    let (found, exact) = (table.shaping(&m, &[], &q, &pose, &n).me, m.shaping(&pose, &n).me);
+    assert!((found - exact).amax() < 1.0e-12 * exact.amax(), "{found} against {exact}");
+    for broken in [f64::NAN, f64::INFINITY, -1.0e300] {
+        table.shaping(&m, &values, &SVector::from([broken, 0.8]), &pose, &n);
+    }
+}
+
+#[test]
+fn the_edges_of_the_grid_belong_to_it() {
+    let device = device("haply-2diy");
+    let AnyMechanism::FiveBar(m) = device.mechanism else { panic!() };
+    for interpolation in [Interpolation::Bilinear, Interpolation::Bicubic] {
+        // Spacing and corners are exact in binary.
+        let grid = Grid::new(interpolation, [6, 6], [2.0, 0.5], [2.5, 1.0], 3).unwrap();
+        let grid = Grid { spacing: [0.125; 2], low: grid.low.map(|x: f64| (x * 8.0).round() / 8.0), ..grid };
+        let mut values = vec![0.0; grid.values(3)];
+        tabulate::<f64, Libm, _, 2>(&m, &grid, |index, value| values[index] = value);
+        let table = MassModel::table::<haptic_bridge::mechanism::FiveBar<f64>>(&grid).unwrap();
+        let margin = if interpolation == Interpolation::Bicubic { 1 } else { 0 };
+        for corner in [[margin, margin], [5 - margin, 5 - margin], [margin, 5 - margin]] {
+            let at = grid.at(corner[0], corner[1]);
+            let pose = m.pose::<Libm>(&SVector::from(at));
+            let n = SVector::from([0.6, 0.8]);
+            let exact = m.shaping(&pose, &n).me;
+            // Values moved by a tenth show that it is the table that answered.
+            let moved: Vec<f64> = values.iter().map(|value| value * 1.1).collect();
+            let found = table.shaping(&m, &moved, &SVector::from(at), &pose, &n).me;
+            assert!((found - exact * 1.1).amax() < 1.0e-12 * exact.amax(), "{interpolation:?} {corner:?}");
+        }
+    }
+}
+
+#[test]
+fn a_table_that_does_not_fit_the_boards_memory_or_has_no_cells_is_refused() {
+    let make = |points, entries| Grid::<f32>::new(Interpolation::Bilinear, points, [0.0; 2], [1.0; 2], entries);
+    assert!(make([15, 15], 3).is_some());
+    assert!(make([16, 15], 3).is_none(), "720 values are more than {TABLE_VALUES}");
+    assert!(make([1, 15], 3).is_none());
+    assert!(Grid::<f32>::new(Interpolation::Bicubic, [3, 15], [0.0; 2], [1.0; 2], 3).is_none());
+    assert!(Grid::<f32>::new(Interpolation::Bilinear, [4, 4], [0.0; 2], [0.0, 1.0], 3).is_none());
+    assert!(Grid::<f32>::new(Interpolation::Bilinear, [4, 4], [f32::NAN; 2], [1.0; 2], 3).is_none());
+}
+
+#[test]
+fn a_frozen_matrix_must_be_one() {
+    type FiveBar = haptic_bridge::mechanism::FiveBar<f32>;
+    let model = |triangle| MassModel::<f32, 2>::new::<FiveBar>(&MassModelData::Frozen(triangle));
+    assert!(model([1.0, 0.1, 1.0, 0.0, 0.0, 0.0]).is_some());
+    assert!(model([0.0, 0.1, 1.0, 0.0, 0.0, 0.0]).is_none());
+    assert!(model([1.0, f32::NAN, 1.0, 0.0, 0.0, 0.0]).is_none());
+}
+
+#[test]
+fn a_table_is_complete_only_when_every_chunk_came_in_order_and_unchanged() {
+    let values: Vec<f32> = (0..150).map(|n| n as f32 * 0.1).collect();
+    let crc = checksum(&values);
+    let mut receiving = Receiving::default();
+    for (index, chunk) in values.chunks(64).enumerate() {
+        assert!(!receiving.is_complete(150, crc));
+        assert!(receiving.take(64 * index, chunk));
+    }
+    assert!(receiving.is_complete(150, crc));
+    assert!(!receiving.is_complete(149, crc));
+
+    let mut gap = Receiving::default();
+    assert!(gap.take(0, &values[..64]));
+    assert!(!gap.take(128, &values[128..]));
+    let mut changed = Receiving::default();
+    assert!(changed.take(0, &values[..149]));
+    assert!(changed.take(149, &[15.0]));
+    assert!(!changed.is_complete(150, crc));
+    assert!(!Receiving::default().take(0, &[f32::NAN]));
+    assert!(!Receiving::default().take(0, &vec![0.0; TABLE_VALUES + 1]));
+    // A transfer that begins anew forgets the old one.
+    assert!(receiving.take(0, &values[..64]));
+    assert!(!receiving.is_complete(150, crc));
+}
+
+#[test]
+fn the_boards_precision_costs_a_table_nothing() {
+    let device = device("haply-2diy");
+    let AnyMechanism::FiveBar(m) = haptic_bridge::mechanism::AnyMechanism::<f32>::new(&device.description).unwrap()
+    else {
+        panic!()
+    };
+    let AnyMechanism::FiveBar(exact) = device.mechanism else { panic!() };
+    let grid = Grid::<f32>::new(Interpolation::Bicubic, [15, 15], [2.0, 0.5], [2.6, 1.1], 3).unwrap();
+    let mut values = vec![0.0; grid.values(3)];
+    tabulate::<f32, Minimax, _, 2>(&m, &grid, |index, value| values[index] = value);
+    let table = MassModel::table::<haptic_bridge::mechanism::FiveBar<f32>>(&grid).unwrap();
+    for (a, b) in [(2.1, 0.6), (2.33, 0.87), (2.59, 1.09)] {
+        let q = SVector::from([a as f32, b as f32]);
+        let found = table.shaping(&m, &values, &q, &m.pose::<Minimax>(&q), &SVector::from([0.6, 0.8])).me;
+        let q = SVector::from([a, b]);
+        let right = exact.shaping(&exact.pose::<Libm>(&q), &SVector::from([0.6, 0.8])).me;
+        let error = (found.map(f64::from) - right).amax() / right.amax();
+        assert!(error < 1.0e-4, "{error}");
+    }
+}

@@ -1,0 +1,106 @@
+//! Instructions of every variant of the control step: counted on the emulated chip, kept in benches/counts.json, held there.
+
+use std::collections::BTreeMap;
+use std::env;
+use std::fs;
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+
+use anyhow::{Context as _, Result, bail, ensure};
+use serde_json::{Value, json};
+
+use crate::firmware::{root, target_directory};
+use crate::toolchain::{TARGET, Toolchain, Use, run};
+
+const BINARY: &str = "haptic-bridge-counting";
+/// By how much a variant may grow over the committed figure.
+const GROWTH: f64 = 1.05;
+
+fn kept() -> PathBuf {
+    root().join("benches/counts.json")
+}
+
+fn cargo() -> Command {
+    let mut command = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    command.current_dir(root());
+    command
+}
+
+/// Builds the counting image; its path.
+fn image(install: bool) -> Result<PathBuf> {
+    let mut command = Toolchain::find(Use::Build, install)?.cargo(Use::Build);
+    command.current_dir(root()).args(["--locked", "--package", "haptic-bridge", "--bin", BINARY]);
+    run(command.args(["--profile", "firmware", "--features", "counting-image"]))?;
+    Ok(target_directory().join(TARGET).join("firmware").join(BINARY))
+}
+
+/// Instructions by variant, as the emulated chip counts them, in the image's order.
+fn count(install: bool) -> Result<Vec<(String, u64)>> {
+    let image = image(install)?;
+    let output = cargo()
+        .current_dir(root().join("tests/board"))
+        .args(["run", "--quiet", "--locked", "--ignore-rust-version", "--bin", "count", "--"])
+        .arg(image)
+        .stderr(Stdio::inherit())
+        .output()
+        .context("cannot run the counter")?;
+    ensure!(output.status.success(), "the counter failed ({})", output.status);
+    let counted: Value = serde_json::from_slice(&output.stdout).context("the counter's output is not JSON")?;
+    let variants = counted["variants"].as_array().context("the counter lists no variants")?;
+    variants
+        .iter()
+        .filter(|variant| variant["name"] != "empty")
+        .map(|variant| {
+            let name = variant["name"].as_str().context("a variant without a name")?;
+            Ok((name.to_string(), variant["instructions"].as_u64().context("a variant without a count")?))
+        })
+        .collect()
+}
+
+/// Counts everything, keeps the figures, and makes the report from them.
+pub fn refresh(install: bool) -> Result<()> {
+    let counted = count(install)?;
+    let variants: Vec<String> = counted
+        .iter()
+        .map(|(name, instructions)| format!("    {}", json!({"name": name, "instructions": instructions})))
+        .collect();
+    let text = format!("{{\n  \"target\": \"cortex-m4f\",\n  \"variants\": [\n{}\n  ]\n}}\n", variants.join(",\n"));
+    fs::write(kept(), text).with_context(|| format!("cannot write {}", kept().display()))?;
+    println!("{}: {} variants", kept().display(), counted.len());
+    run(cargo().args(["run", "--quiet", "--locked", "--package", "haptic", "--", "bench", "--report", "docs/results"]))
+}
+
+/// Counts everything again and fails when a variant has grown by more than a twentieth over the kept figure.
+pub fn check(install: bool) -> Result<()> {
+    let kept: Value = serde_json::from_str(&fs::read_to_string(kept()).context("benches/counts.json cannot be read")?)?;
+    let kept: BTreeMap<&str, u64> = kept["variants"]
+        .as_array()
+        .context("benches/counts.json lists no variants")?
+        .iter()
+        .filter_map(|variant| Some((variant["name"].as_str()?, variant["instructions"].as_u64()?)))
+        .collect();
+    let counted = count(install)?;
+    let mut wrong = Vec::new();
+    let mut less = 0;
+    for (name, now) in &counted {
+        match kept.get(name.as_str()) {
+            None => wrong.push(format!("{name}: not in benches/counts.json")),
+            Some(then) if *now as f64 > *then as f64 * GROWTH => {
+                wrong.push(format!("{name}: {then} have become {now}"))
+            }
+            Some(then) => less += usize::from(now < then),
+        }
+    }
+    for name in kept.keys().filter(|name| counted.iter().all(|(there, _)| there != *name)) {
+        wrong.push(format!("{name}: no longer counted"));
+    }
+    if !wrong.is_empty() {
+        bail!(
+            "instructions of the control step grew by more than 5 %, or the variants changed:\n  {}\n\
+             if that is meant, `cargo xtask bench` keeps the new figures",
+            wrong.join("\n  ")
+        );
+    }
+    println!("{} variants within 5 % of benches/counts.json, {less} of them below", counted.len());
+    Ok(())
+}
