@@ -13,6 +13,8 @@ use std::process::Command;
 
 use anyhow::{Context as _, Result, bail};
 
+use crate::firmware::target_directory;
+
 /// The target triple of the chip.
 pub const TARGET: &str = "thumbv7em-none-eabihf";
 
@@ -115,6 +117,8 @@ fn rust_flags() -> Vec<String> {
         flags.push(format!("--remap-path-prefix={}=", index.path().join("").display()));
     }
     flags.push("--remap-path-prefix=/usr/lib/rustlib/src/rust/library/=".into());
+    // Code that build scripts write lies below the target directory.
+    flags.push(format!("--remap-path-prefix={}=target", target_directory().display()));
     flags
 }
 

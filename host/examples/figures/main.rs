@@ -1,9 +1,11 @@
-//! Regenerates the impedance-range and map figures and their section of docs/results.md:
+//! Regenerates the impedance-range and map figures, the washout's table, and their section of docs/results.md:
 //! `cargo run --release -p haptic --example figures`.
 //!
 //! A strongly coupled five-bar, at a pose and along the normal where its coupling is worst, on the simulated board; theory as
 //! lines, what `haptic::measure` found through the protocol as dots. Everything is deterministic: the same numbers on every
 //! machine. It takes some minutes.
+
+mod washout;
 
 use haptic::analysis::map;
 use haptic::analysis::plant::{Drive, Linearised};
@@ -26,7 +28,7 @@ const POSE: [f64; 3] = [2.6, 1.75, 0.0];
 const POINTS: usize = 12;
 const REPEATS: usize = 5;
 /// Where the generated section of docs/results.md begins and ends.
-const BEGIN: &str = "<!-- impedance range: begin, written by host/examples/figures.rs -->";
+const BEGIN: &str = "<!-- impedance range: begin, written by host/examples/figures/main.rs -->";
 const END: &str = "<!-- impedance range: end -->";
 
 struct Case {
@@ -42,6 +44,9 @@ const CASES: [Case; 5] = [
     Case { name: "range-20khz", rate_hz: 20_000.0, cutoff_hz: 500.0 },
     Case { name: "range-50khz", rate_hz: 50_000.0, cutoff_hz: 1000.0 },
 ];
+
+/// The modes of every figure.
+const FULL: [Mode; 2] = [Mode::Off, Mode::Full];
 
 /// Devices and normals of the maps.
 const MAPS: [(&str, &[f64]); 2] = [("coupled-five-bar", &[1.0, 0.0]), ("phantom-premium-1.5", &[1.0, 1.0, 0.0])];
@@ -61,7 +66,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let running: Vec<_> = CASES
             .iter()
             .filter(|case| wanted.is_empty() || wanted.iter().any(|w| w == case.name))
-            .map(|case| (case, scope.spawn(|| measured(case).map_err(|error| error.to_string()))))
+            .map(|case| (case, scope.spawn(|| measured(case, &FULL, 2.0, REPEATS).map_err(|error| error.to_string()))))
             .collect();
         running.into_iter().map(|(case, thread)| (case, thread.join())).collect::<Vec<_>>()
     });
@@ -81,8 +86,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let picture = haptic::plot::map::draw(&file.description, &file.name, normal)?;
         picture.save_png(&folder.join(format!("map-{device}.png")))?;
     }
+    if wanted.iter().any(|name| name == "washout") {
+        println!("{}", washout::section()?);
+    }
     if wanted.is_empty() {
         section.push_str(&pictures());
+        section.push_str(&washout::section()?);
         write_section(&root.join("docs/results.md"), &section)?;
     }
     Ok(())
@@ -108,7 +117,13 @@ fn worst_normal(file: &DeviceFile) -> Result<Vec<f64>, Box<dyn std::error::Error
     Ok(point.worst_ratio.normal)
 }
 
-fn measured(case: &Case) -> Result<Outcome, Box<dyn std::error::Error>> {
+/// Measures a case in these modes, the washout at `washout_hz`, and predicts it.
+fn measured(
+    case: &Case,
+    modes: &[Mode],
+    washout_hz: f64,
+    repeats: usize,
+) -> Result<Outcome, Box<dyn std::error::Error>> {
     let file = device()?;
     let normal = worst_normal(&file)?;
     let options = Options {
@@ -125,11 +140,11 @@ fn measured(case: &Case) -> Result<Outcome, Box<dyn std::error::Error>> {
         normal: normal.clone(),
         rate_hz: case.rate_hz,
         cutoff_hz: case.cutoff_hz,
-        washout_hz: 2.0,
+        washout_hz,
         torque_limit: 2.0,
         largest_pull: 3e-4,
     };
-    let plan = Plan { modes: vec![Mode::Off, Mode::Full], kd: None, points: POINTS, repeats: REPEATS };
+    let plan = Plan { modes: modes.to_vec(), kd: None, points: POINTS, repeats };
     let mut progress = Progress::new(case.name);
     let mut bench = Bench::new(&mut board, &file, setup, &|| false)?;
     campaign::run(&mut bench, &plan, &mut progress, |_, done| {
@@ -139,15 +154,22 @@ fn measured(case: &Case) -> Result<Outcome, Box<dyn std::error::Error>> {
         Ok(())
     })?;
     bench.finish()?;
+    let range = predicted(case, f64::from(board.details()?.delay_samples), Some(washout_hz))?;
+    Ok(Outcome { range, progress })
+}
+
+/// The linear theory of a case.
+fn predicted(case: &Case, delay_samples: f64, washout_hz: Option<f64>) -> Result<Range, Box<dyn std::error::Error>> {
+    let file = device()?;
     let around = Loop {
         rate_hz: case.rate_hz,
-        delay_samples: f64::from(board.details()?.delay_samples),
+        delay_samples,
         estimator: Estimator::Butterworth(case.cutoff_hz),
         drive: Drive::Ideal,
         damping_compensation: false,
     };
-    let linear = Linearised::at(&file.description, &POSE[..2], &normal)?;
-    Ok(Outcome { range: predict(&linear, &around, None, None)?, progress })
+    let linear = Linearised::at(&file.description, &POSE[..2], &worst_normal(&file)?)?;
+    Ok(predict(&linear, &around, None, washout_hz)?)
 }
 
 fn dots(points: &[&Point]) -> Vec<MeasuredPoint> {

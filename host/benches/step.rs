@@ -1,0 +1,52 @@
+//! Time of one shaped torque on this computer, by mass-matrix model and terms: `cargo bench -p haptic --bench step`.
+//!
+//! What it takes on the chip is counted, not timed: `cargo xtask bench`.
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use haptic::bench::error::{Terms, torque};
+use haptic::bench::precompute::{Precomputed, frozen, most_points, range, table};
+use haptic::bench::probe::workspace;
+use haptic::bench::report::devices;
+use haptic::plan::HAND_SPEED;
+use haptic::precision::rounded;
+use haptic_bridge::math::Minimax;
+use haptic_bridge::mechanism::Mechanism;
+use haptic_bridge::precomputed::{Interpolation, MassModel};
+use haptic_bridge::with_mechanism;
+use std::hint::black_box;
+
+fn torques<M: Mechanism<f32, N>, const N: usize>(
+    criterion: &mut Criterion,
+    mechanism: &M,
+    model: &Precomputed,
+    probes: &[haptic::bench::probe::Probe],
+) {
+    let mass = MassModel::<f32, N>::new::<M>(&model.data).expect("a model of this mechanism");
+    for terms in Terms::ALL {
+        let name = format!("{}, {}, {}", M::SPEC.name, model.name(), terms.name());
+        let mut next = probes.iter().cycle();
+        criterion.bench_function(&name, |bench| {
+            bench.iter(|| {
+                let probe = next.next().expect("a cycle does not end");
+                torque::<f32, Minimax, M, N>(mechanism, (&mass, &model.values), terms, black_box(probe))
+            });
+        });
+    }
+}
+
+fn every_variant(criterion: &mut Criterion) {
+    for device in devices().expect("the shipped devices") {
+        let probes = workspace(&device, 9, HAND_SPEED).expect("a device with a workspace");
+        let (points, range) = (most_points(&device), range(&device, &probes));
+        let mut models = vec![Precomputed::default(), frozen(&device, &probes)];
+        models.extend(table(&device, Interpolation::Bilinear, [points; 2], range));
+        models.extend(table(&device, Interpolation::Bicubic, [points; 2], range));
+        let board = rounded(&device.mechanism).expect("finite coefficients");
+        for model in &models {
+            with_mechanism!(&board, mechanism => torques(criterion, mechanism, model, &probes));
+        }
+    }
+}
+
+criterion_group!(benches, every_variant);
+criterion_main!(benches);
