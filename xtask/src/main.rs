@@ -36,6 +36,7 @@ cargo xtask COMMAND
   soak [--hours N] [--record]
                     simulated hours (24) of contact with telemetry: nothing lost, no drift, no growth;
                     --record writes docs/results/soak.md
+  faults            bring every fault about on the emulated board, into docs/results/faults.md
   board [BOARD] [--device FILE] [--tcp PORT] [--fast]
                     the real firmware on an emulated board with a simulated device, to talk to
 
@@ -67,7 +68,8 @@ fn run(arguments: &[String], install: bool) -> Result<()> {
         ["bench", "--check"] => bench::check(install),
         ["test"] => tests::all(install),
         ["test-board", rest @ ..] => tests::board(rest, install),
-        ["timing"] => tests::timing(install),
+        ["faults"] => tests::measure("faults", install),
+        ["timing"] => tests::measure("timing", install),
         ["fuzz", rest @ ..] => fuzz::run(&fuzz::Options::parse(rest)?, install),
         ["soak", rest @ ..] => soak::run(rest),
         ["board", rest @ ..] => tests::play(rest, install),

@@ -36,9 +36,9 @@ pub fn play(arguments: &[&str], install: bool) -> Result<()> {
     run(emulated("run", install)?.args(["--quiet", "--bin", "board", "--"]).args(arguments))
 }
 
-/// Measures the control interrupt on the emulated chip and writes the table.
-pub fn timing(install: bool) -> Result<()> {
-    run(emulated("run", install)?.args(["--quiet", "--bin", "timing"]))
+/// A program of the virtual board's that measures on the emulated chip and writes a document.
+pub fn measure(program: &str, install: bool) -> Result<()> {
+    run(emulated("run", install)?.args(["--quiet", "--bin", program]))
 }
 
 /// A cargo call in the virtual board's workspace, which is one of its own because the emulator declares a newer compiler than

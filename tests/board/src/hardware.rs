@@ -63,6 +63,10 @@ pub struct Hardware {
     pub plant: Box<dyn Plant>,
     /// The fault line is held down from outside, whatever the drivers say.
     pub fault_line_shorted: bool,
+    /// Encoders whose plugs are pulled: their lines stand still.
+    pub encoders_unplugged: [bool; 3],
+    /// What the current sensors show on top of the currents, A.
+    pub sensed_extra: [f64; 3],
     encoders: [EncoderDrive; 3],
     next_step: u64,
     drives: [Drive; 3],
@@ -94,6 +98,8 @@ impl Hardware {
             wiring: None,
             plant: Box::new(Dummy::default()),
             fault_line_shorted: false,
+            encoders_unplugged: [false; 3],
+            sensed_extra: [0.0; 3],
             encoders: [EncoderDrive::default(); 3],
             next_step: 0,
             drives: [Drive::Floating; 3],
@@ -218,7 +224,9 @@ impl Hardware {
             let gain = if wiring.drivers.is_empty() { Some(1.0) } else { self.driver(axis).gain() };
             for &(channel, volts_per_ampere) in motor.sensors {
                 let seen = gain.map_or(0.0, |gain| {
-                    MID_SUPPLY + wiring.sensor_offsets[nth] + gain * volts_per_ampere * currents[axis]
+                    MID_SUPPLY
+                        + wiring.sensor_offsets[nth]
+                        + gain * volts_per_ampere * (currents[axis] + self.sensed_extra[axis])
                 });
                 self.show_volts(channel, seen);
                 nth += 1;
@@ -277,7 +285,9 @@ impl Hardware {
             }
             encoder.shown += step;
             moving |= encoder.shown != encoder.wanted;
-            if wires.pins.iter().all(|&pin| self.function(pin) == Some(wires.function)) {
+            if !self.encoders_unplugged[axis]
+                && wires.pins.iter().all(|&pin| self.function(pin) == Some(wires.function))
+            {
                 self.show_phase(at, axis, wires);
             }
         }

@@ -11,6 +11,7 @@ pub mod count;
 pub mod drv8301;
 pub mod hardware;
 pub mod image;
+pub mod inject;
 pub mod load;
 pub mod log;
 pub mod plant;

@@ -85,6 +85,11 @@ impl Bench<'_> {
         self.memory.write(address, Width::W32, u64::from(value)).is_ok()
     }
 
+    /// Holds the core: it executes nothing while time goes on. Or lets it go on.
+    pub fn hold(&mut self, held: bool) {
+        self.memory.hold(held);
+    }
+
     /// Starts noting every time the instruction at `address` is about to execute.
     pub fn watch(&mut self, address: u64) {
         self.session.watch(Watch::Instruction(address));

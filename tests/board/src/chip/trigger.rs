@@ -35,7 +35,7 @@ pub fn timer(nth: usize) -> MasterTimer {
 pub fn converter(nth: usize) -> Converter {
     let mut inner = Adc::with_clock(HSI_HZ / 2);
     inner.set_reference(crate::hardware::REFERENCE_UV);
-    Hooked { inner, hook: ExternalTrigger { instance: CONVERTERS[nth] } }
+    Hooked { inner, hook: ExternalTrigger { instance: CONVERTERS[nth], stopped: false } }
 }
 
 /// What a timer last drove, and how long.
@@ -142,6 +142,8 @@ impl Hook<Tim<Advanced>> for Outputs {
 #[derive(Debug)]
 pub struct ExternalTrigger {
     instance: &'static str,
+    /// Triggers no longer come.
+    pub stopped: bool,
 }
 
 /// `JSWSTART` and `SWSTART`, which start a group as its trigger does.
@@ -156,7 +158,7 @@ impl Hook<Adc> for ExternalTrigger {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
-        if change.instance == self.instance {
+        if change.instance == self.instance || self.stopped {
             return;
         }
         let control = registers.get(Register::Cr2);

@@ -5,6 +5,7 @@
 mod boot;
 mod equality;
 mod faults;
+mod injection;
 mod load;
 mod session;
 mod timing;

@@ -1,0 +1,26 @@
+//! `faults`: brings every fault about on the emulated chip and writes docs/results/faults.md. `cargo xtask faults` calls it.
+//!
+//! Exit code 1: the table could not be written.
+
+use std::process::ExitCode;
+
+use haptic_bridge::guard::Fault;
+use virtual_board::inject::{document, provoke, table};
+
+fn main() -> ExitCode {
+    let outcomes: Vec<_> = Fault::ALL
+        .iter()
+        .map(|fault| {
+            let outcome = provoke(*fault);
+            println!("{}: {outcome:?}", fault.name());
+            (*fault, outcome)
+        })
+        .collect();
+    match std::fs::write(document(), table(&outcomes)) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("faults: {}: {error}", document().display());
+            ExitCode::from(1)
+        }
+    }
+}

