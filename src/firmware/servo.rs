@@ -1,7 +1,7 @@
 //! The control interrupt: at the crest of the carrier it samples, steps and writes the duties that apply at the next valley.
 //!
-//! It runs at every update of TIM1, crests and valleys, and does nothing at valleys. At every crest it takes at most one request
-//! from the tasks and runs the current loops; at every k-th crest (k = [`Carrier::divider`]) it runs the library's control step.
+//! It runs at every update of TIM1, crests and valleys. At a valley it takes at most one request from the tasks, so that a request
+//! never lengthens a step. At every crest it runs the current loops; at every k-th crest (k = [`Carrier::divider`]) it runs the library's control step.
 //! Everything it shares with tasks is an atomic or a single-producer single-consumer queue, so nothing here waits and nothing is torn; a
 //! full queue drops and counts.
 //!
@@ -70,7 +70,7 @@ pub static FRAMES_DROPPED: AtomicU32 = AtomicU32::new(0);
 pub static OVERRUNS: AtomicU32 = AtomicU32::new(0);
 /// Steps that reached past the valley, where their duty should have applied.
 pub static LATE: AtomicU32 = AtomicU32::new(0);
-/// Longest run of the interrupt without a request, core cycles.
+/// Longest run of the interrupt at a crest, core cycles.
 pub static LONGEST_CYCLES: AtomicU32 = AtomicU32::new(0);
 /// The gate drivers are up and set: the bridges may be connected, and while they are not, no current flows.
 pub static GATE_READY: AtomicBool = AtomicBool::new(false);
@@ -128,28 +128,27 @@ fn TIM1_UP_TIM10() {
         w.0 = !0;
         w.set_uif(false);
     });
-    // At the valley the duties of the last step have just been taken over; there is nothing to do.
-    if pac::TIM1.cr1().read().dir() == Dir::UP {
-        return;
-    }
+    let valley = pac::TIM1.cr1().read().dir() == Dir::UP;
     // SAFETY: this interrupt is the only user since `start` enabled it, and it does not preempt itself.
     let Some(step) = (unsafe { (*STEP.0.get()).as_mut() }) else { return };
-    let asked = step.crest();
-    step.keep_time(DWT::cycle_count().wrapping_sub(began), asked);
+    if valley {
+        // The duties of the last step have just been taken over.
+        if let Some(request) = step.requests.dequeue() {
+            step.take(request);
+        }
+    } else {
+        step.crest();
+        step.keep_time(DWT::cycle_count().wrapping_sub(began));
+    }
 }
 
 impl Step {
-    /// Everything there is to do at a crest; whether a request was among it.
+    /// Everything there is to do at a crest.
     #[inline(always)]
-    fn crest(&mut self) -> bool {
+    fn crest(&mut self) {
         // While the gate drivers are up and the bridges are not connected, what the amplifiers show is their offset.
         let learn = !self.driving && GATE_READY.load(Ordering::Relaxed);
         let analog = self.io.analog(learn);
-        let request = self.requests.dequeue();
-        let asked = request.is_some();
-        if let Some(request) = request {
-            self.take(request);
-        }
         self.countdown -= 1;
         if self.countdown == 0 {
             self.countdown = self.io.carrier().divider;
@@ -168,7 +167,6 @@ impl Step {
         }
         let duties = board_step::duties(&mut self.servo, analog.bus_v, &padded(analog.current_a));
         self.io.write(core::array::from_fn(|axis| duties[axis]));
-        asked
     }
 
     /// Carries out one request and answers it. Not inlined: it is rare, and would only lengthen the way to the step. The queue of answers has room: there is one answer to a request, and one
@@ -238,11 +236,11 @@ impl Step {
 
     /// Counts runs that took too long: past the valley, or past the next crest.
     #[inline(always)]
-    fn keep_time(&mut self, cycles: u32, asked: bool) {
+    fn keep_time(&mut self, cycles: u32) {
         if STALL_EXPECTED.load(Ordering::Relaxed) {
             return;
         }
-        if !asked && cycles > LONGEST_CYCLES.load(Ordering::Relaxed) {
+        if cycles > LONGEST_CYCLES.load(Ordering::Relaxed) {
             LONGEST_CYCLES.store(cycles, Ordering::Relaxed);
         }
         let valley_passed = pac::TIM1.sr().read().uif();

@@ -17,21 +17,24 @@ use crate::trace::{Code, Move, Run, Walker};
 /// The stage that runs only where a task asked for something.
 pub const REQUEST: &str = "a request";
 
+/// The stage that every step goes through and no valley.
+pub const SAMPLING: &str = "waiting for the converters";
+
 /// The stages of a run, in the order in which it goes through them, and the functions each consists of: parts of
 /// their paths without generic arguments.
 pub const STAGES: &[(&str, &[&str])] = &[
     ("entry, exit, overrun check", &["::TIM1_UP_TIM10", "Step::keep_time"]),
-    ("waiting for the converters", &["adc::wait"]),
+    (SAMPLING, &["adc::wait"]),
     ("currents and bus voltage", &["Io::analog", "Zeros::take"]),
-    ("order of a crest, looking for a request", &["Step::crest"]),
+    ("order of a crest", &["Step::crest"]),
     (REQUEST, &["Step::take"]),
     ("encoders", &["Io::counts", "Encoder::read", "Io::index"]),
     ("samples, fault lines", &["Step::hardware_fault", "servo::padded"]),
     ("servo", &["Servo::control", "board_step::control"]),
-    ("step: angles, speeds", &["Controller::angles", "Controller::joint_velocities"]),
+    ("step: angles, speeds", &["Encoders::angles", "Encoders::velocities"]),
     ("step: pose, tip", &["mechanism::shared_pose", "::pose", "::tip", "::regularity"]),
-    ("step: walls", &["Controller::step", "AnyController::step"]),
-    ("step: feed-forward", &["Controller::shaped", "Controller::bias"]),
+    ("step: walls", &["Controller::step", "Controller::step_with", "AnyController::step", "Walls::touch"]),
+    ("step: feed-forward", &["Controller::shaped_by_one", "Controller::shaped_by_several", "Controller::bias"]),
     ("guard", &["Servo::watch"]),
     ("drive: torque to current", &["Servo::drive"]),
     ("bridges", &["Step::connect"]),

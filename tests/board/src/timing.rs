@@ -13,15 +13,13 @@ use crate::contact::WallAt;
 use crate::load::{highest_rate, rows_without_loss};
 use crate::rig::{Rig, firmware};
 use crate::run::MILLISECOND;
-use crate::stages::{REQUEST, STAGES, Stages};
+use crate::stages::{REQUEST, SAMPLING, STAGES, Stages};
 use crate::trace::{Code, Run};
 
 /// The state of a row of telemetry.
 const ARMED: f64 = 1.0;
 /// The handler that the vector table names for the control interrupt.
 const CONTROL_INTERRUPT: &str = "TIM1_UP_TIM10";
-/// A run at a valley does next to nothing; one at a crest samples, steps and writes duties.
-const VALLEY_MOST: usize = 100;
 /// What is traced of each case, ns: 500 periods at 20 kHz, with a request of the tasks every 20 ms.
 pub const SPAN: u64 = 25 * MILLISECOND;
 
@@ -64,7 +62,7 @@ pub const CASES: [Case; 5] = [
 /// A measured case.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Timing {
-    /// Periods measured that had no request of the tasks in them.
+    /// Steps measured.
     pub periods: usize,
     /// Their mean.
     pub mean: f64,
@@ -72,9 +70,7 @@ pub struct Timing {
     pub longest: u64,
     /// The shortest of them.
     pub shortest: u64,
-    /// The longest with a request: a few times in a second, or when a tool asks for something.
-    pub with_request: u64,
-    /// The longest run at a valley, where nothing is to be done.
+    /// The longest run at a valley: it carries out a request of the tasks, if there is one.
     pub valley: u64,
     /// Mean of each of [`STAGES`] over [`Timing::periods`].
     pub stages: Vec<f64>,
@@ -123,19 +119,15 @@ impl Case {
 
 impl Timing {
     fn of(runs: &[Run], stages: &mut Stages<'_>) -> Self {
-        let request = STAGES.iter().position(|(name, _)| *name == REQUEST).unwrap_or(0);
+        let sampled = STAGES.iter().position(|(name, _)| *name == SAMPLING).unwrap_or(0);
         let mut sums = vec![0; STAGES.len()];
         let mut plain = Vec::new();
-        let (mut with_request, mut valley) = (0, 0);
+        let mut valley = 0;
         for run in runs {
             let length = run.path.len() as u64;
-            if run.path.len() <= VALLEY_MOST {
-                valley = valley.max(length);
-                continue;
-            }
             let counts = stages.count(run);
-            if counts[request] > 0 {
-                with_request = with_request.max(length);
+            if counts[sampled] == 0 {
+                valley = valley.max(length);
                 continue;
             }
             plain.push(length);
@@ -150,7 +142,6 @@ impl Timing {
             mean: mean(plain.iter().sum()),
             longest: plain.iter().copied().max().unwrap_or(0),
             shortest: plain.iter().copied().min().unwrap_or(0),
-            with_request,
             valley,
             stages: sums.into_iter().map(mean).collect(),
         }
@@ -182,7 +173,7 @@ pub fn document() -> PathBuf {
 }
 
 const LONGEST: &str = "longest";
-const WITH_REQUEST: &str = "longest with a request";
+const VALLEY: &str = "longest at a valley, a request";
 
 /// The document for these timings of [`CASES`].
 #[must_use]
@@ -191,8 +182,8 @@ pub fn table(timings: &[Timing]) -> String {
         Written by `cargo xtask timing`: the release images on the emulated chip, armed, in contact, every wall with the\n\
         feed-forward in full, telemetry of every step streaming; 25 ms of each case, every instruction of the interrupt from\n\
         its first to the one that returns, given to the function of the source that it came from (tests/board/src/stages.rs).\n\
-        Stages are means of periods without a request; a request of the tasks (at least 50 a second, for the status) comes on\n\
-        top. Jitter is the longest less the shortest. Waiting for the converters is time, not work: its count depends on the\n\
+        Stages are means over the steps, which run at the carrier's crests. Requests of the tasks (at least 50 a second, for\n\
+        the status) are carried out at its valleys. Jitter is the longest less the shortest. Waiting for the converters is time, not work: its count depends on the\n\
         emulator's speed. Instructions are no cycles: on silicon expect 1.9 to 2.3 cycles each.\n\n"
         .to_owned();
     let mut row = |name: &str, cells: Vec<String>| {
@@ -208,8 +199,7 @@ pub fn table(timings: &[Timing]) -> String {
     row("shortest", each(|timing| timing.shortest));
     row(LONGEST, each(|timing| timing.longest));
     row("jitter", each(|timing| timing.longest - timing.shortest));
-    row(WITH_REQUEST, each(|timing| timing.with_request));
-    row("at a valley", each(|timing| timing.valley));
+    row(VALLEY, each(|timing| timing.valley));
     let target = |(case, timing): (&Case, &Timing)| match case.target {
         Some(target) if timing.longest <= target => format!("{target}: met"),
         Some(target) => format!("{target}: missed by {}", timing.longest - target),
@@ -236,7 +226,7 @@ pub fn rates() -> String {
     text
 }
 
-/// The longest periods of `case` that the table `text` records, without and with a request.
+/// The longest step of `case` that the table `text` records, and the longest run at a valley.
 #[must_use]
 pub fn recorded(text: &str, case: &Case) -> Option<(u64, u64)> {
     let cells = |name: &str| -> Option<Vec<&str>> {
@@ -245,5 +235,5 @@ pub fn recorded(text: &str, case: &Case) -> Option<(u64, u64)> {
     };
     let column = cells("")?.iter().position(|cell| *cell == case.name())?;
     let number = |name: &str| cells(name)?.get(column)?.parse().ok();
-    Some((number(LONGEST)?, number(WITH_REQUEST)?))
+    Some((number(LONGEST)?, number(VALLEY)?))
 }

@@ -11,7 +11,7 @@ fn main() -> ExitCode {
         .iter()
         .map(|case| {
             let timing = case.measure();
-            println!("{}: longest {}, with a request {}", case.name(), timing.longest, timing.with_request);
+            println!("{}: longest {}, at a valley {}", case.name(), timing.longest, timing.valley);
             timing
         })
         .collect();
