@@ -11,7 +11,7 @@ use anyhow::{Context as _, Result, bail};
 
 use crate::firmware::{root, target_directory};
 use crate::report;
-use crate::toolchain::{need_program, run as run_command};
+use crate::toolchain::{host, need_program, run as run_command};
 
 /// The names in fuzz/src/main.rs.
 const TARGETS: [&str; 8] =
@@ -167,15 +167,6 @@ fn outcome(log: &str) -> Option<Outcome> {
     let last = log.lines().rfind(|line| line.starts_with('#') && line.contains("cov:"))?;
     let executions = log.lines().find_map(|line| after(line, "stat::number_of_executed_units:"))?;
     Some(Outcome { executions, covered: after(last, "cov:")?, corpus: after(last, "corp:")? })
-}
-
-/// The triple of this computer.
-fn host() -> Result<String> {
-    let rustc = std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
-    let output = Command::new(rustc).arg("-vV").output().context("cannot run rustc")?;
-    let text = String::from_utf8_lossy(&output.stdout).into_owned();
-    let line = text.lines().find_map(|line| line.strip_prefix("host: "));
-    Ok(line.context("rustc does not say what it runs on")?.to_string())
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! Entry points that need more than one cargo call. `cargo xtask help` lists them.
 
 mod bench;
+mod deny;
 mod dfu;
 mod firmware;
 mod fuzz;
@@ -33,6 +34,8 @@ cargo xtask COMMAND
   fuzz [TARGET] [--seconds N] [--record]
                     wild input for everything that reads any, guided by coverage; N seconds a target (60),
                     --record writes docs/results/fuzz.md
+  sanitize          the library's tests under the address sanitizer
+  deny              licences and sources of everything that is linked; with cargo-deny, advisories as well
   soak [--hours N] [--record]
                     simulated hours (24) of contact with telemetry: nothing lost, no drift, no growth;
                     --record writes docs/results/soak.md
@@ -71,6 +74,8 @@ fn run(arguments: &[String], install: bool) -> Result<()> {
         ["faults"] => tests::measure("faults", install),
         ["timing"] => tests::measure("timing", install),
         ["fuzz", rest @ ..] => fuzz::run(&fuzz::Options::parse(rest)?, install),
+        ["sanitize", rest @ ..] => tests::sanitize(rest),
+        ["deny"] => deny::run(),
         ["soak", rest @ ..] => soak::run(rest),
         ["board", rest @ ..] => tests::play(rest, install),
         [] | ["help" | "--help" | "-h"] => {

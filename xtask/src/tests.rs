@@ -6,8 +6,8 @@ use std::process::Command;
 
 use anyhow::Result;
 
-use crate::toolchain::run;
-use crate::{bench, firmware, fuzz, no_panic};
+use crate::toolchain::{host, run};
+use crate::{bench, deny, firmware, fuzz, no_panic};
 
 /// Seconds of fuzzing that each target gets in the whole run.
 const FUZZ_SECONDS: u32 = 4;
@@ -19,11 +19,23 @@ fn cargo() -> Command {
 /// Every test there is, cheapest first.
 pub fn all(install: bool) -> Result<()> {
     run(cargo().current_dir(firmware::root()).args(["test", "--locked", "--workspace"]))?;
+    deny::check()?;
     fuzz::run(&fuzz::Options::short(FUZZ_SECONDS), install)?;
     firmware::size(install)?;
     no_panic::prove(install)?;
     bench::check(install)?;
     board(&[], install)
+}
+
+/// The library's tests under the address sanitizer: it watches what the dependencies do in their `unsafe`, of which there is none
+/// here. The switch is one of the compiler's unstable ones. Further arguments go to `cargo test`.
+pub fn sanitize(arguments: &[&str]) -> Result<()> {
+    let mut test = cargo();
+    test.current_dir(firmware::root()).args(["test", "--locked", "--package", "haptic-bridge", "--lib", "--tests"]);
+    // Of its own, because everything is compiled anew; with a target named, the flag does not reach build scripts.
+    test.args(["--target", &host()?, "--target-dir"]).arg(firmware::target_directory().join("sanitize"));
+    test.env("RUSTC_BOOTSTRAP", "1").env("RUSTFLAGS", "-Zsanitizer=address").env_remove("CARGO_ENCODED_RUSTFLAGS");
+    run(test.args(arguments))
 }
 
 /// The tests of the real images on the emulated chip. Further arguments go to `cargo test`.

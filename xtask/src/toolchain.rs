@@ -189,3 +189,12 @@ pub fn need_program(name: &str, install: bool) -> Result<()> {
     }
     if there() { Ok(()) } else { bail!("{name} is missing; on Debian: apt-get install -y {name}") }
 }
+
+/// The triple of this computer.
+pub fn host() -> Result<String> {
+    let rustc = env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
+    let output = Command::new(rustc).arg("-vV").output().context("cannot run rustc")?;
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    let line = text.lines().find_map(|line| line.strip_prefix("host: "));
+    Ok(line.context("rustc does not say what it runs on")?.to_string())
+}
