@@ -310,9 +310,11 @@ impl Service {
         machine.execute(Command::Home).0
     }
 
-    /// Starts the polarity check; [`Service::poll`] notes its success.
+    /// Starts the polarity check; [`Service::poll`] notes its success. Whatever an earlier one found is forgotten.
     pub fn check_polarity(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
-        machine.execute(Command::CheckPolarity).0
+        machine.execute(Command::CheckPolarity).0?;
+        self.polarity = None;
+        Ok(())
     }
 
     /// Motors on.
@@ -392,8 +394,9 @@ impl Service {
             MassModelData::Table(..) => write(machine, &MassModelData::Exact)?,
             kept => write(machine, kept)?,
         }
-        if let Some(fingerprint) = self.polarity {
-            write(machine, &Polarity(fingerprint))?;
+        // The fingerprint of no device takes the place of a check that is no longer true.
+        if self.polarity.is_some() || machine.load(Key::Polarity).is_some() {
+            write(machine, &Polarity(self.polarity.unwrap_or_default()))?;
         }
         write(machine, &BoardName(self.name.clone()))
     }

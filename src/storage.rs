@@ -12,17 +12,18 @@ use sequential_storage::map::{MapConfig, MapStorage};
 /// Longest entry, bytes, its key included.
 pub const ENTRY_MAX: usize = 2048;
 
-/// What can go wrong with a setting.
+/// What can go wrong with a setting; the chip's log names it by its number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
 pub enum StorageError {
     /// The flash refused to erase or to write.
-    Flash,
+    Flash = 1,
     /// The entry does not fit.
-    Full,
+    Full = 2,
     /// What was written does not read back: worn flash, or an emulated one.
-    NotKept,
+    NotKept = 3,
     /// The region holds nothing that makes sense, and could not be repaired.
-    Damaged,
+    Damaged = 4,
 }
 
 impl core::fmt::Display for StorageError {

@@ -140,7 +140,7 @@ impl Machine for Panel {
         let result = block_on(self.storage.write(key as u8, entry));
         servo::STALL_EXPECTED.store(false, Ordering::Relaxed);
         result.map_err(|error| {
-            defmt::error!("setting {=u8} was not saved: {}", key as u8, error);
+            defmt::error!("setting {=u8} was not saved: error {=u8}", key as u8, error as u8);
             Refusal::Flash
         })
     }
@@ -149,7 +149,7 @@ impl Machine for Panel {
         match block_on(self.storage.read(key as u8)) {
             Ok(entry) => Entry::from_slice(entry?).ok(),
             Err(error) => {
-                defmt::error!("setting {=u8} cannot be read: {}", key as u8, error);
+                defmt::error!("setting {=u8} cannot be read: error {=u8}", key as u8, error as u8);
                 None
             }
         }

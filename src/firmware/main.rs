@@ -32,7 +32,6 @@ use haptic_bridge::carrier::{CARRIER_MIN_HZ, Carrier};
 use haptic_bridge::servo::{Hardware, Rules};
 
 use crate::machine::Panel;
-use crate::storage::Storage;
 
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
@@ -63,7 +62,7 @@ async fn main(spawner: Spawner) {
     let carrier = Carrier::for_rate(CARRIER_MIN_HZ as f32);
     let (io, gate, common) = board::split(chip, carrier);
     let servo = servo::start(io, hardware, rules);
-    let storage = Storage::new(common.flash);
+    let storage = storage::open(common.flash);
     let serial_number = link::serial_number();
     let panel = Panel::new(servo, gate, storage, serial_number, carrier);
     let (usb, serial) = link::device(common.usb, serial_number);

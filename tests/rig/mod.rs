@@ -12,6 +12,8 @@ use haptic_bridge::program::Program;
 use haptic_bridge::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use haptic_bridge::servo::{Command, Hardware, Outputs, Rules, Samples, Servo};
 
+pub mod board;
+
 pub type Held = Box<Program<Minimax>>;
 
 /// Control rate of the scenes here, Hz.

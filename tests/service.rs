@@ -1,0 +1,357 @@
+//! Every request of the protocol in every state of a board, through the dispatcher as the link calls it: what is answered,
+//! what is refused and with which words, and that a refused request changes nothing.
+//!
+//! The board of tests/rig/board.rs checks after each of them what no request may change: no torque but when armed, limits kept,
+//! none raised while the motors are on, no flash written and no timer set while they are.
+
+#[allow(dead_code, reason = "every test file uses its own part")]
+mod rig;
+
+use haptic_bridge::controller::Gains;
+use haptic_bridge::guard::{Fault, Limits, Refusal, State};
+use haptic_bridge::precomputed::MassModelData;
+use haptic_bridge::protocol::*;
+use haptic_bridge::scene::{FeedForward, Scene};
+use haptic_bridge::servo::Rules;
+use haptic_bridge::settings::{self, BoardName, Key};
+use haptic_bridge::telemetry::{Fields, StreamRequest};
+use postcard_rpc::Endpoint;
+use postcard_rpc::header::VarHeader;
+use postcard_rpc::standard_icd::WireError;
+use rig::board::{Board, driving, frame};
+
+/// The states a board can be in, as a tool meets them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Now {
+    /// Fresh from the factory.
+    Bare,
+    /// Device and scene, motors that are not real.
+    Ready,
+    /// Real motors, not homed yet.
+    Unhomed,
+    Armed,
+    Checking,
+    Faulty,
+}
+
+const STATES: [Now; 6] = [Now::Bare, Now::Ready, Now::Unhomed, Now::Armed, Now::Checking, Now::Faulty];
+
+fn quiet() -> Scene<f32> {
+    rig::scene(1, &[rig::wall(-0.05, 500.0)])
+}
+
+fn board(now: Now) -> Board {
+    let device = rig::device(&rig::paddle());
+    let mut board = match now {
+        Now::Bare => return Board::new(true),
+        Now::Unhomed => return Board::ready(true, &device, &quiet()),
+        _ => Board::ready(false, &device, &quiet()),
+    };
+    match now {
+        Now::Armed => board.ask::<Arm>(&()).unwrap().unwrap(),
+        Now::Checking => board.ask::<CheckPolarity>(&()).unwrap().unwrap(),
+        Now::Faulty => board.samples.fault = Some((Fault::GateDriver, None, 1.0)),
+        _ => {}
+    }
+    board.tick();
+    board
+}
+
+/// Rules with every limit at this share of the board's own.
+fn rules(share: f32) -> Rules {
+    let most = Limits::default();
+    let limits = Limits {
+        torque: most.torque.map(|limit| share * limit),
+        current: most.current.map(|limit| share * limit),
+        continuous_current: most.continuous_current.map(|limit| share * limit),
+        speed: most.speed.map(|limit| share * limit),
+        power: share * most.power,
+        ..most
+    };
+    Rules { limits, ..Rules::default() }
+}
+
+fn gains(wall: u8, stiffness: f32) -> GainsRequest {
+    let gains = Gains { wall, stiffness, damping: 1.0, feed_forward: FeedForward::Off, washout_hz: 2.0 };
+    GainsRequest { wall: Some(gains), estimator: None }
+}
+
+/// A request as the board is asked it.
+type Ask = fn(&mut Board) -> Result<(), Refusal>;
+
+macro_rules! ask {
+    ($Endpoint:ident) => {
+        ask!($Endpoint, ())
+    };
+    ($Endpoint:ident, $request:expr) => {
+        |board| board.ask::<$Endpoint>(&$request).expect("understood")
+    };
+}
+
+/// The request, and the answer in each of [`STATES`].
+fn table() -> Vec<(&'static str, Ask, [Result<(), Refusal>; 6])> {
+    use Refusal::{Armed as On, BadLimits, BadTable, NoDevice, NotHomed};
+    let ok = Ok(());
+    let fault = Err(Refusal::Faulted(Fault::GateDriver));
+    let always = [ok; 6];
+    let while_off = [ok, ok, ok, Err(On), Err(On), ok];
+    vec![
+        ("arm", ask!(Arm), [Err(NoDevice), ok, Err(NotHomed), Err(On), Err(On), fault]),
+        ("check polarity", ask!(CheckPolarity), [Err(NoDevice), ok, Err(NotHomed), Err(On), Err(On), fault]),
+        ("home", ask!(Home), [Err(NoDevice), ok, ok, Err(On), Err(On), fault]),
+        ("disarm", ask!(Disarm), always),
+        ("clear", ask!(Clear), always),
+        ("device", ask!(SetDevice, rig::device(&rig::paddle())), while_off),
+        ("scene", ask!(SetScene, quiet()), [Err(NoDevice), ok, ok, ok, Err(On), ok]),
+        (
+            "scene of another rate",
+            ask!(SetScene, Scene { rate_hz: 4_000.0, ..quiet() }),
+            [Err(NoDevice), ok, ok, Err(On), Err(On), ok],
+        ),
+        ("mass model", ask!(SetMassModel, MassModelData::Exact), while_off),
+        (
+            "table",
+            ask!(SendTable, TableChunk { offset: 0, values: [1.0].into_iter().collect() }),
+            [Err(BadTable), Err(BadTable), Err(BadTable), Err(On), Err(On), Err(BadTable)],
+        ),
+        ("gains", ask!(SetGains, gains(0, 300.0)), [Err(NoDevice), ok, ok, ok, ok, ok]),
+        ("rules as they are", ask!(SetRules, rules(1.0)), always),
+        ("lower limits", ask!(SetRules, rules(0.5)), always),
+        ("limits above the board's", ask!(SetRules, rules(1.01)), [Err(BadLimits); 6]),
+        ("save", ask!(Save), while_off),
+        (
+            "restore",
+            ask!(RestoreEntry, WriteEntry { key: Key::Rules, entry: settings::encode(&rules(0.5)).unwrap() }),
+            while_off,
+        ),
+        (
+            "restore what is damaged",
+            ask!(RestoreEntry, WriteEntry { key: Key::Rules, entry: [1, 2, 3].into_iter().collect() }),
+            [Refusal::BadEntry, Refusal::BadEntry, Refusal::BadEntry, On, On, Refusal::BadEntry].map(Err),
+        ),
+        ("name", ask!(SetName, "paddle".chars().collect::<Name>()), always),
+        ("stream", ask!(Stream, StreamRequest { fields: Fields::ALL, divider: 1 }), always),
+        ("boot loader", ask!(EnterDfu), always),
+        ("restart", ask!(Restart), always),
+    ]
+}
+
+/// Everything that a tool can read back.
+fn configuration(board: &mut Board) -> (Option<DeviceData>, Option<SceneData>, Rules, Vec<MaybeEntry>) {
+    let entries = Key::ALL.map(|key| board.ask::<ReadEntry>(&key).unwrap()).to_vec();
+    let device = board.ask::<GetDevice>(&()).unwrap();
+    (device, board.ask::<GetScene>(&()).unwrap(), board.ask::<GetRules>(&()).unwrap(), entries)
+}
+
+#[test]
+fn every_request_in_every_state_is_done_or_refused_for_the_right_reason() {
+    for (name, ask, answers) in table() {
+        for (now, expected) in STATES.into_iter().zip(answers) {
+            let mut board = board(now);
+            let before = (configuration(&mut board), board.state());
+            let answer = ask(&mut board);
+            assert_eq!(answer, expected, "{name} while {now:?}");
+            if answer.is_err() {
+                assert_eq!((configuration(&mut board), board.state()), before, "{name}, refused while {now:?}");
+                assert!(!expected.unwrap_err().to_string().is_empty());
+            }
+            board.tick();
+            assert_eq!(board.bridges, driving(board.state()), "{name} while {now:?}");
+        }
+    }
+}
+
+#[test]
+fn what_only_asks_is_answered_in_every_state_and_changes_none() {
+    for now in STATES {
+        let mut board = board(now);
+        let before = (configuration(&mut board), board.state());
+        board.ask::<GetInfo>(&()).unwrap();
+        board.ask::<GetDetails>(&()).unwrap();
+        board.ask::<GetFaults>(&()).unwrap();
+        board.ask::<Heartbeat>(&()).unwrap();
+        assert_eq!(board.ask::<GetStatus>(&()).unwrap().state, before.1);
+        assert_eq!((configuration(&mut board), board.state()), before, "{now:?}");
+    }
+}
+
+/// The endpoints of this board; the list also holds those that postcard-rpc brings and this board does not serve.
+fn own_endpoints() -> impl Iterator<Item = (&'static str, postcard_rpc::Key)> {
+    ENDPOINTS.endpoints.iter().map(|(path, key, _)| (*path, *key)).filter(|(path, _)| path.starts_with("haptic/"))
+}
+
+#[test]
+fn the_table_above_leaves_no_endpoint_out() {
+    // Those of the two tests before: 17 that change something, 9 that ask.
+    assert_eq!(own_endpoints().count(), 26, "an endpoint was added: add it to the tests of this file");
+}
+
+#[test]
+fn no_limit_beyond_the_boards_own_and_no_wild_number_passes() {
+    type Set = fn(&mut Limits, usize, f32);
+    let sets: [(&str, f32, Set); 5] = [
+        ("torque", 5.0, |limits, axis, to| limits.torque[axis] = to),
+        ("current", 10.0, |limits, axis, to| limits.current[axis] = to),
+        ("continuous current", 10.0, |limits, axis, to| limits.continuous_current[axis] = to),
+        ("speed", 60.0, |limits, axis, to| limits.speed[axis] = to),
+        ("power", 20.0, |limits, _, to| limits.power = to),
+    ];
+    let mut board = board(Now::Ready);
+    for (name, most, set) in sets {
+        for axis in 0..3 {
+            for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, 0.0, -0.0, -1.0, 1.000_001 * most] {
+                let mut wild = rules(0.5);
+                set(&mut wild.limits, axis, bad);
+                assert_eq!(board.ask::<SetRules>(&wild).unwrap(), Err(Refusal::BadLimits), "{name} {bad}");
+            }
+            let mut edge = rules(0.5);
+            set(&mut edge.limits, axis, most);
+            assert_eq!(board.ask::<SetRules>(&edge).unwrap(), Ok(()), "{name} at the board's own");
+        }
+    }
+    for (low, high) in [(7.9, 24.0), (10.0, 28.1), (20.0, 20.0), (f32::NAN, 24.0), (10.0, f32::NAN)] {
+        let mut wild = rules(0.5);
+        (wild.limits.bus_min, wild.limits.bus_max) = (low, high);
+        assert_eq!(board.ask::<SetRules>(&wild).unwrap(), Err(Refusal::BadLimits), "{low} to {high} V");
+    }
+    for host_seconds in [f32::NAN, f32::INFINITY, 0.0, -1.0, 0.009, 60.1] {
+        let wild = Rules { host_seconds, ..rules(0.5) };
+        assert_eq!(board.ask::<SetRules>(&wild).unwrap(), Err(Refusal::BadLimits), "{host_seconds} s");
+    }
+}
+
+/// What no sender should send.
+const POISON: [f32; 7] =
+    [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::MIN_POSITIVE / 8.0, -1.0e-45, -0.0];
+
+/// Sends a message to a ready board and to an armed one with each number in turn made wild, at every place of its bytes, arms
+/// where that is not refused, and pushes through the wall. The board checks itself. How often it was accepted and refused.
+fn spoilt<E: Endpoint>(message: &E::Request) -> (usize, usize)
+where
+    E::Request: serde::Serialize + Sized,
+{
+    let sound = postcard::to_stdvec(message).unwrap();
+    let outcome = |answer: &[u8]| {
+        let (_, body) = VarHeader::take_from_slice(answer).unwrap();
+        postcard::from_bytes::<Outcome>(body).unwrap_or(Err(Refusal::NotSupported)).is_ok()
+    };
+    let (mut accepted, mut refused) = (0, 0);
+    for now in [Now::Ready, Now::Armed] {
+        for poison in POISON {
+            for place in 0..=sound.len().saturating_sub(4) {
+                let mut bytes = sound.clone();
+                bytes[place..place + 4].copy_from_slice(&poison.to_le_bytes());
+                let mut board = board(now);
+                match outcome(&board.answer(&frame(E::REQ_KEY, &bytes)).unwrap()) {
+                    true => accepted += 1,
+                    false => refused += 1,
+                }
+                let _ = board.ask::<Arm>(&());
+                for k in 0..60 {
+                    board.samples.counts[0] = -150 * (k % 40);
+                    board.tick();
+                }
+            }
+        }
+    }
+    (accepted, refused)
+}
+
+#[test]
+fn a_message_with_any_number_spoilt_is_refused_or_harmless() {
+    let scene = spoilt::<SetScene>(&quiet());
+    let gains = spoilt::<SetGains>(&gains(0, 300.0));
+    let rules = spoilt::<SetRules>(&rules(0.5));
+    let mass = spoilt::<SetMassModel>(&MassModelData::Frozen([1e-3; 6]));
+    for (accepted, refused) in [scene, gains, rules, mass] {
+        assert!(accepted > 10 && refused > 10, "{accepted} accepted, {refused} refused");
+    }
+}
+
+#[test]
+fn what_is_no_request_is_answered_with_the_reason_or_not_at_all() {
+    let mut board = board(Now::Ready);
+    let error = |answer: Option<Vec<u8>>| {
+        let answer = answer.expect("an answer");
+        let (_, body) = VarHeader::take_from_slice(&answer).unwrap();
+        postcard::from_bytes::<WireError>(body).unwrap()
+    };
+    assert_eq!(board.answer(&[]), None);
+    assert_eq!(board.answer(&[0xFF]), None);
+    let unknown = postcard_rpc::Key::for_path::<()>("haptic/unheard-of");
+    assert_eq!(error(board.answer(&frame(unknown, &[]))), WireError::UnknownKey);
+    // Too much for a request without a body, nonsense for the others.
+    for (path, key) in own_endpoints() {
+        let before = board.state();
+        assert_eq!(error(board.answer(&frame(key, &[0xFF; 700]))), WireError::DeserFailed, "{path}");
+        assert_eq!(board.state(), before);
+    }
+    // A header with a key of one byte: understood, and told that this is not enough.
+    assert_eq!(error(board.answer(&[0x00, 0x12, 0x01])), WireError::KeyTooSmall);
+}
+
+#[test]
+fn a_flash_that_fails_is_reported_and_leaves_what_is_in_force() {
+    let mut board = board(Now::Ready);
+    let before = configuration(&mut board);
+    board.machine.flash_broken = true;
+    assert_eq!(board.ask::<Save>(&()).unwrap(), Err(Refusal::Flash));
+    assert_eq!(configuration(&mut board), before);
+    board.machine.flash_broken = false;
+    assert_eq!(board.ask::<Save>(&()).unwrap(), Ok(()));
+    assert!(board.machine.flash.len() >= 4);
+}
+
+#[test]
+fn what_is_saved_is_in_force_after_a_restart_with_the_motors_off() {
+    let mut board = board(Now::Ready);
+    board.ask::<SetName>(&"left hand".chars().collect::<Name>()).unwrap().unwrap();
+    board.ask::<SetRules>(&rules(0.25)).unwrap().unwrap();
+    board.ask::<Save>(&()).unwrap().unwrap();
+    board.ask::<Arm>(&()).unwrap().unwrap();
+    let before = configuration(&mut board);
+    board.ask::<Restart>(&()).unwrap().unwrap();
+    assert_eq!(board.state(), State::Disarmed);
+    assert_eq!(configuration(&mut board), before);
+    assert_eq!(board.ask::<GetDetails>(&()).unwrap().name.as_str(), "left hand");
+    assert_eq!(settings::decode::<BoardName>(before.3[5].as_ref().unwrap()).unwrap().0.as_str(), "left hand");
+}
+
+/// Real motors, homed, and a joint that turns `way` under the test torque.
+fn polarity_check(board: &mut Board, way: i32) {
+    board.ask::<Home>(&()).unwrap().unwrap();
+    board.ask::<CheckPolarity>(&()).unwrap().unwrap();
+    for _ in 0..8_000 {
+        if !driving(board.state()) {
+            break;
+        }
+        board.samples.counts[0] += way;
+        board.tick();
+    }
+    let _ = board.service.poll(&mut board.machine);
+}
+
+#[test]
+fn a_polarity_check_that_failed_is_not_undone_by_an_older_one_that_passed() {
+    let device = rig::device(&rig::paddle());
+    let mut board = Board::ready(true, &device, &quiet());
+    polarity_check(&mut board, 1);
+    assert_eq!((board.state(), board.ask::<GetStatus>(&()).unwrap().polarity), (State::Disarmed, true));
+    // Someone swaps the motor's wires, and the next check finds it.
+    (0..200).for_each(|_| board.tick());
+    polarity_check(&mut board, -1);
+    let fault = board.ask::<GetStatus>(&()).unwrap().fault.map(|record| record.fault);
+    assert_eq!(fault, Some(Fault::PolarityWrong));
+    board.ask::<Clear>(&()).unwrap().unwrap();
+    // The same device again: what was known of it is not true any more, now or after a restart.
+    board.ask::<SetDevice>(&device).unwrap().unwrap();
+    board.ask::<SetScene>(&quiet()).unwrap().unwrap();
+    (0..20).for_each(|_| board.tick());
+    board.ask::<Home>(&()).unwrap().unwrap();
+    assert_eq!(board.ask::<Arm>(&()).unwrap(), Err(Refusal::PolarityUnchecked));
+    board.ask::<Save>(&()).unwrap().unwrap();
+    board.ask::<Restart>(&()).unwrap().unwrap();
+    (0..20).for_each(|_| board.tick());
+    board.ask::<Home>(&()).unwrap().unwrap();
+    assert_eq!(board.ask::<Arm>(&()).unwrap(), Err(Refusal::PolarityUnchecked));
+}
