@@ -15,7 +15,7 @@ use postcard_rpc::Endpoint;
 use serde::Serialize;
 
 /// Control periods that one input may take, so that long inputs stay fast.
-const MOST_TICKS: u32 = 4_000;
+const MOST_TICKS: u32 = 1_000;
 
 /// Bytes as they come: a board with a device behind its deframer. The first byte chooses the device.
 pub fn bytes(data: &[u8]) {
