@@ -4,7 +4,6 @@
 //! The board of tests/rig/board.rs checks after each of them what no request may change: no torque but when armed, limits kept,
 //! none raised while the motors are on, no flash written and no timer set while they are.
 
-#[allow(dead_code, reason = "every test file uses its own part")]
 mod rig;
 
 use haptic_bridge::controller::Gains;
@@ -88,8 +87,10 @@ macro_rules! ask {
     };
 }
 
-/// The request, and the answer in each of [`STATES`].
-fn table() -> Vec<(&'static str, Ask, [Result<(), Refusal>; 6])> {
+/// A request by name, and its answer in each of [`STATES`].
+type Line = (&'static str, Ask, [Result<(), Refusal>; 6]);
+
+fn table() -> Vec<Line> {
     use Refusal::{Armed as On, BadLimits, BadTable, NoDevice, NotHomed};
     let ok = Ok(());
     let fault = Err(Refusal::Faulted(Fault::GateDriver));
