@@ -110,9 +110,10 @@ fn table() -> Vec<Line> {
             [Err(NoDevice), ok, ok, Err(On), Err(On), ok],
         ),
         ("mass model", ask!(SetMassModel, MassModelData::Exact), while_off),
+        ("table", ask!(SendTable, TableChunk { offset: 0, values: [1.0].into_iter().collect() }), while_off),
         (
-            "table",
-            ask!(SendTable, TableChunk { offset: 0, values: [1.0].into_iter().collect() }),
+            "table that does not go on from here",
+            ask!(SendTable, TableChunk { offset: 1, values: [1.0].into_iter().collect() }),
             [Err(BadTable), Err(BadTable), Err(BadTable), Err(On), Err(On), Err(BadTable)],
         ),
         ("gains", ask!(SetGains, gains(0, 300.0)), [Err(NoDevice), ok, ok, ok, ok, ok]),

@@ -6,7 +6,7 @@ use crate::shipped::shipped;
 use haptic::link::Deframer;
 use haptic_bridge::description::MAX_JOINTS;
 use haptic_bridge::guard::Fault;
-use haptic_bridge::precomputed::MassModelData;
+use haptic_bridge::precomputed::{Grid, Interpolation, MassModelData, checksum};
 use haptic_bridge::protocol::*;
 use haptic_bridge::servo::Rules;
 use haptic_bridge::settings::{BoardName, Key, Polarity, encode};
@@ -180,6 +180,10 @@ fn device(which: u8) -> DeviceData {
     shipped()[usize::from(which) % shipped().len()].device.clone()
 }
 
+fn table(count: usize) -> Vec<f32> {
+    (0..count).map(|place| if place % 3 == 1 { 1e-4 } else { 2e-3 }).collect()
+}
+
 /// A sound message for every endpoint, in several variants.
 const TEMPLATES: &[Template] = &[
     (Arm::REQ_KEY, nothing),
@@ -200,12 +204,18 @@ const TEMPLATES: &[Template] = &[
     (GetFaults::REQ_KEY, nothing),
     (SetDevice::REQ_KEY, |which| bytes_of(&device(which))),
     (SetScene::REQ_KEY, |which| bytes_of(&scene(which))),
-    (SetMassModel::REQ_KEY, |which| match which % 2 {
-        0 => bytes_of(&MassModelData::Exact),
-        _ => bytes_of(&MassModelData::Frozen([2e-3, 1e-4, 2e-3, 1e-4, 1e-4, 2e-3])),
+    (SetMassModel::REQ_KEY, |which| {
+        let grid = Grid { interpolation: Interpolation::Bilinear, points: [4; 2], low: [-3.0; 2], spacing: [2.0; 2] };
+        bytes_of(&match which % 4 {
+            0 => MassModelData::Exact,
+            1 => MassModelData::Frozen([2e-3, 1e-4, 2e-3, 1e-4, 1e-4, 2e-3]),
+            // Of as many values a point as there are devices for; their values are those of the template below.
+            entries => MassModelData::Table(grid, checksum(&table(16 * usize::from(entries)))),
+        })
     }),
     (SendTable::REQ_KEY, |which| {
-        bytes_of(&TableChunk { offset: u16::from(which), values: (0..which % 65).map(f32::from).collect() })
+        let values = table(16 * usize::from(which % 5)).into_iter().collect();
+        bytes_of(&TableChunk { offset: 16 * u16::from(which / 5), values })
     }),
     (SetGains::REQ_KEY, |which| {
         let wall = scene(which).walls.first().map(|wall| haptic_bridge::controller::Gains {
