@@ -128,7 +128,7 @@ pub fn tcp(address: SocketAddr) -> io::Result<Door> {
         let taken = Arc::new(AtomicBool::new(false));
         for stream in listener.incoming() {
             let Ok(stream) = stream else { continue };
-            if taken.swap(true, Ordering::SeqCst) {
+            if !becomes_free(&taken) {
                 turn_away(stream);
             } else if admit(stream, &send, &taken).is_err() {
                 taken.store(false, Ordering::SeqCst);
@@ -136,6 +136,17 @@ pub fn tcp(address: SocketAddr) -> io::Result<Door> {
         }
     });
     Ok(Door { port, events })
+}
+
+/// Takes the board, giving a tool that is about to leave a moment: one command after another is not two at once.
+fn becomes_free(taken: &AtomicBool) -> bool {
+    (0..50).any(|_| {
+        let free = !taken.swap(true, Ordering::SeqCst);
+        if !free {
+            thread::sleep(Duration::from_millis(10));
+        }
+        free
+    })
 }
 
 fn admit(mut stream: TcpStream, send: &Sender<Event>, taken: &Arc<AtomicBool>) -> io::Result<()> {
