@@ -34,7 +34,7 @@ pub struct Samples {
     pub bus_voltage: f32,
     /// Motor currents, A; ignored where they are not sensed.
     pub currents: [f32; MAX_JOINTS],
-    /// Count at the last index pulse seen since the last step.
+    /// Count at the index pulse seen since the last step, late by at most what the joint moved in it.
     pub index: [Option<i32>; MAX_JOINTS],
     /// A fault that hardware or another part of the firmware reports.
     pub fault: Option<(Fault, Option<u8>, f32)>,

@@ -234,6 +234,32 @@ fn table() -> String {
 
 /// `UPDATE_DOCS=1 cargo test --test guard` writes it anew.
 #[test]
+fn an_index_may_come_late_by_what_the_joint_moved_and_is_learned_only_at_rest() {
+    let shown = |first: (i32, i32), second: (i32, i32)| {
+        let mut rig = with_rules(|rules| rules.index_period[0] = 60_000);
+        let mut counts = 0;
+        for (moved, index) in [first, second] {
+            for seen in [None, Some(index)] {
+                counts += moved;
+                rig.samples.counts[0] = counts;
+                rig.samples.index[0] = seen;
+                rig.step();
+            }
+        }
+        rig.fault()
+    };
+    // 8 counts beside the first are the width of two pulses, 20 more are what the joint moved since the pulse.
+    assert_eq!(shown((0, 1_000), (0, 1_008)), None);
+    assert_eq!(shown((0, 1_000), (0, 1_009)), Some(Fault::IndexMismatch));
+    assert_eq!(shown((0, 1_000), (20, 1_028)), None);
+    assert_eq!(shown((0, 1_000), (20, 1_029)), Some(Fault::IndexMismatch));
+    // A first pulse that was passed fast may itself be wrong by as much.
+    assert_eq!(shown((20, 1_000), (0, 1_100)), None);
+    // A whole turn further is the same place.
+    assert_eq!(shown((0, 1_000), (0, 61_003)), None);
+}
+
+#[test]
 fn the_table_in_the_documentation_is_the_table_of_the_code() {
     const BEGIN: &str = "<!-- faults: written by tests/guard.rs -->\n";
     const END: &str = "<!-- end of faults -->\n";

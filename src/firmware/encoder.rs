@@ -42,4 +42,10 @@ impl Encoder {
         self.total = self.total.wrapping_add(i32::from(moved));
         self.total
     }
+
+    /// What was last read, if there is something to say about it.
+    #[inline]
+    pub fn last(&self, if_so: bool) -> Option<i32> {
+        if_so.then_some(self.total)
+    }
 }

@@ -14,6 +14,7 @@ mod critical;
 mod drv8301;
 mod encoder;
 mod faults;
+mod index;
 mod link;
 mod machine;
 mod pwm;

@@ -10,6 +10,8 @@ use core::ops::DerefMut;
 
 /// Regularity of a closed loop below which its tip force is no longer defined well enough to act.
 pub const SINGULAR_SINE: f32 = 2.0e-3;
+/// Width of an index pulse, counts; the first one counts only if it was passed no faster than this in a step.
+pub const INDEX_WIDTH: u32 = 4;
 /// How long torque near its limit without any encoder motion is believed, s.
 pub const STALL_SECONDS: f32 = 5.0;
 /// How long an encoder may stand still while the back-EMF says the joint turns, s.
@@ -90,12 +92,13 @@ where
             let period = self.rules.index_period[i];
             if let (Some(count), true) = (samples.index[i], period > 0) {
                 match self.first_index[i] {
-                    None => self.first_index[i] = Some(count),
+                    None if moved.unsigned_abs() <= INDEX_WIDTH => self.first_index[i] = Some(count),
+                    None => {}
                     Some(first) => {
-                        let off = count.wrapping_sub(first).checked_rem(period).unwrap_or(0);
-                        let off = off.abs().min(period - off.abs());
-                        // An index pulse is up to four counts wide.
-                        if off > 4 {
+                        let off = count.wrapping_sub(first).checked_rem(period).unwrap_or(0).unsigned_abs();
+                        let off = off.min(period.unsigned_abs() - off);
+                        // Each of the two may be late: the first by the width, this one by what the joint moved.
+                        if off > 2 * INDEX_WIDTH + moved.unsigned_abs() {
                             note(Fault::IndexMismatch, Some(i), off as f32);
                         }
                     }

@@ -44,6 +44,9 @@ pub struct Args {
     /// Damp the energy that a wall gives out (passivity controller)
     #[arg(long, value_name = "BOOL", action = clap::ArgAction::Set)]
     passivity: Option<bool>,
+    /// Counts between two index pulses of each encoder, one per joint; 0 where it has none
+    #[arg(long, value_name = "COUNTS,..", value_delimiter = ',', value_parser = clap::value_parser!(i32).range(0..))]
+    index_period: Vec<i32>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -70,20 +73,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let before = board.rules()?;
     let mut rules = before;
     let limits = &mut rules.limits;
-    for (name, given, place) in [
-        ("torque", &args.torque, &mut limits.torque),
-        ("current", &args.current, &mut limits.current),
-        ("continuous-current", &args.continuous_current, &mut limits.continuous_current),
-        ("speed", &args.speed, &mut limits.speed),
-    ] {
-        if given.len() > place.len() {
-            let reason = format!("--{name} has {} numbers, and no device has more than {} joints", given.len(), place.len());
-            return Err(Failure::wrong(reason).remedy("give one number per joint"));
-        }
-        for (place, given) in place.iter_mut().zip(given) {
-            *place = *given;
-        }
-    }
+    per_joint("torque", &args.torque, &mut limits.torque)?;
+    per_joint("current", &args.current, &mut limits.current)?;
+    per_joint("continuous-current", &args.continuous_current, &mut limits.continuous_current)?;
+    per_joint("speed", &args.speed, &mut limits.speed)?;
+    per_joint("index-period", &args.index_period, &mut rules.index_period)?;
     limits.power = args.power.unwrap_or(limits.power);
     limits.bus_min = args.bus_min.unwrap_or(limits.bus_min);
     limits.bus_max = args.bus_max.unwrap_or(limits.bus_max);
@@ -101,6 +95,18 @@ pub fn run(args: Args) -> Result<(), Failure> {
     print(&in_words(&board.rules()?))
 }
 
+/// Puts what was given for the first joints in its place.
+fn per_joint<T: Copy>(name: &str, given: &[T], place: &mut [T]) -> Result<(), Failure> {
+    if given.len() > place.len() {
+        let reason = format!("--{name} has {} numbers, and no device has more than {} joints", given.len(), place.len());
+        return Err(Failure::wrong(reason).remedy("give one number per joint"));
+    }
+    for (place, given) in place.iter_mut().zip(given) {
+        *place = *given;
+    }
+    Ok(())
+}
+
 fn in_words(rules: &Rules) -> String {
     let Limits { torque, current, continuous_current, speed, power, bus_min, bus_max } = &rules.limits;
     let host = match rules.host_action {
@@ -109,6 +115,10 @@ fn in_words(rules: &Rules) -> String {
         HostAction::Disarm => format!("a host silent for {} s turns the motors off", rules.host_seconds),
     };
     let passivity = if rules.passivity { "on" } else { "off" };
+    let index = match rules.index_period {
+        [0, 0, 0] => "not watched".into(),
+        periods => format!("every {periods:?} counts, 0 where none is watched"),
+    };
     format!(
         "torque              {torque:?} N m\n\
          current             {current:?} A\n\
@@ -117,6 +127,7 @@ fn in_words(rules: &Rules) -> String {
          power into the hand {power} W\n\
          supply              {bus_min} to {bus_max} V\n\
          host                {host}\n\
-         passivity control   {passivity}\n"
+         passivity control   {passivity}\n\
+         index pulses        {index}\n"
     )
 }

@@ -14,6 +14,7 @@ use haptic_bridge::guard::{Fault, Limits};
 use super::{Analog, Common, GateError, Zeros, learn_zeros};
 use crate::adc;
 use crate::encoder::Encoder;
+use crate::index;
 use crate::pwm;
 
 /// Name of the board, as the host shows it.
@@ -42,13 +43,16 @@ pub const LIMITS: Limits = Limits {
 };
 
 /// Faults that this board has no means to see.
-pub const UNSENSED: &[Fault] = &[Fault::EncoderIllegal, Fault::IndexMismatch, Fault::GateDriver];
+pub const UNSENSED: &[Fault] = &[Fault::EncoderIllegal, Fault::GateDriver];
 
 /// Amperes per volt at a current input, and the voltage of no current: a 185 mV/A Hall sensor behind a 5 V to 3.3 V divider.
 const AMPERES_PER_VOLT: f32 = 1.0 / (0.185 * 0.66);
 
 /// Bus divider: 10 kohm over 1 kohm.
 pub const BUS_DIVIDER: f32 = 11.0;
+
+/// Bits of the index inputs in port C.
+const INDEX_LINES: [u32; AXES] = [1 << 7, 1 << 8, 1 << 9];
 
 /// Bit of the break input in port B.
 const BREAK: usize = 12;
@@ -77,10 +81,11 @@ impl Io {
         [self.encoders[0].read(), self.encoders[1].read(), self.encoders[2].read()]
     }
 
-    /// Counts at the index pulses seen since the last call: index lines have no pins here.
+    /// The counts last read, of encoders whose index pulse was seen since the last call.
     #[inline]
     pub fn index(&mut self) -> [Option<i32>; AXES] {
-        [None; AXES]
+        let seen = index::take();
+        core::array::from_fn(|axis| self.encoders[axis].last(seen & INDEX_LINES[axis] != 0))
     }
 
     /// The readings that the crest started; `learn` says that no current flows.
@@ -172,6 +177,7 @@ pub fn split(p: Peripherals, carrier: Carrier) -> (Io, Gate, Common) {
     adc::configure(pac::ADC1, &[10, 12]);
     adc::configure(pac::ADC2, &[11, 13]);
 
+    index::latch(INDEX_LINES[0] | INDEX_LINES[1] | INDEX_LINES[2]);
     // SAFETY: TIM2 is 32 bits wide and has the registers of a 16-bit timer at the same places; `Encoder` lets it count to 65 535.
     let tim2 = unsafe { TimGp16::from_ptr(pac::TIM2.as_ptr()) };
     let io = Io {

@@ -18,6 +18,7 @@ use super::{Analog, Common, GateError, Zeros, learn_zeros};
 use crate::adc;
 use crate::drv8301::{self, Drv8301};
 use crate::encoder::Encoder;
+use crate::index;
 use crate::pwm;
 
 /// Name of the board, as the host shows it.
@@ -51,7 +52,7 @@ pub const LIMITS: Limits = Limits {
 };
 
 /// Faults that this board has no means to see.
-pub const UNSENSED: &[Fault] = &[Fault::EncoderIllegal, Fault::IndexMismatch, Fault::BreakInput];
+pub const UNSENSED: &[Fault] = &[Fault::EncoderIllegal, Fault::BreakInput];
 
 /// Low-side shunts under phases B and C, ohm.
 const SHUNT_OHM: f32 = 500e-6;
@@ -64,6 +65,8 @@ pub const BUS_DIVIDER: f32 = 19.0;
 
 const TIMERS: [TimAdv; AXES] = [pac::TIM1, pac::TIM8];
 
+/// Bits of the index inputs in port C.
+const INDEX_LINES: [u32; AXES] = [1 << 9, 1 << 15];
 /// Bit of EN_GATE in port B.
 const EN_GATE: usize = 12;
 /// Bit of nFAULT in port D.
@@ -92,10 +95,11 @@ impl Io {
         [self.encoders[0].read(), self.encoders[1].read()]
     }
 
-    /// Counts at the index pulses seen since the last call.
+    /// The counts last read, of encoders whose index pulse was seen since the last call.
     #[inline]
     pub fn index(&mut self) -> [Option<i32>; AXES] {
-        [None; AXES]
+        let seen = index::take();
+        core::array::from_fn(|axis| self.encoders[axis].last(seen & INDEX_LINES[axis] != 0))
     }
 
     /// The readings that the crest started; `learn` says that no current flows and the amplifiers' supply is up.
@@ -215,6 +219,7 @@ pub fn split(p: Peripherals, carrier: Carrier) -> (Io, Gate, Common) {
     adc::configure(pac::ADC1, &[10, 13, 6]);
     adc::configure(pac::ADC2, &[11, 12]);
 
+    index::latch(INDEX_LINES[0] | INDEX_LINES[1]);
     let io = Io {
         encoders: [
             Encoder::new(pac::TIM3, Flex::new(p.PB4), Flex::new(p.PB5), 2),

@@ -23,8 +23,8 @@ pub struct EncoderWires {
     pub pins: [Pin; 2],
     /// The alternate function that joins the pins to the timer.
     pub function: u8,
-    /// The index mark's pin, where the board has one.
-    pub index: Option<Pin>,
+    /// The index mark's pin.
+    pub index: Pin,
 }
 
 /// One side of a motor: a switched half bridge.
@@ -89,8 +89,8 @@ const HALL: f64 = 0.185 * 0.66;
 static ODRIVE_V3: Wiring = Wiring {
     name: "odrive-v3",
     encoders: &[
-        EncoderWires { timer: 3, pins: [Pin('B', 4), Pin('B', 5)], function: 2, index: Some(Pin('C', 9)) },
-        EncoderWires { timer: 4, pins: [Pin('B', 6), Pin('B', 7)], function: 2, index: Some(Pin('C', 15)) },
+        EncoderWires { timer: 3, pins: [Pin('B', 4), Pin('B', 5)], function: 2, index: Pin('C', 9) },
+        EncoderWires { timer: 4, pins: [Pin('B', 6), Pin('B', 7)], function: 2, index: Pin('C', 15) },
     ],
     motors: &[
         MotorWires {
@@ -122,9 +122,9 @@ static ODRIVE_V3: Wiring = Wiring {
 static H_BRIDGE_F405: Wiring = Wiring {
     name: "h-bridge-f405",
     encoders: &[
-        EncoderWires { timer: 2, pins: [Pin('A', 15), Pin('B', 3)], function: 1, index: None },
-        EncoderWires { timer: 3, pins: [Pin('B', 4), Pin('B', 5)], function: 2, index: None },
-        EncoderWires { timer: 4, pins: [Pin('B', 6), Pin('B', 7)], function: 2, index: None },
+        EncoderWires { timer: 2, pins: [Pin('A', 15), Pin('B', 3)], function: 1, index: Pin('C', 7) },
+        EncoderWires { timer: 3, pins: [Pin('B', 4), Pin('B', 5)], function: 2, index: Pin('C', 8) },
+        EncoderWires { timer: 4, pins: [Pin('B', 6), Pin('B', 7)], function: 2, index: Pin('C', 9) },
     ],
     motors: &[
         h_bridge(1, [Pin('A', 8), Pin('B', 13)], &[(10, HALL)]),

@@ -18,6 +18,7 @@ use std::ops::{Deref, DerefMut};
 use rigless::device::{ErasedDevice, ResetCause};
 use rigless::mcu::{Mcu, Operate};
 use rigless::soc::stm32f427::Stm32f427;
+use rigless::soc::stm32f427::generated::exti::Register as ExtiRegister;
 use rigless::soc::stm32f427::peripherals::{ADVANCED_TIMERS, CONVERTERS};
 use rigless::soc::{Bus, Error};
 use rigless::time::VirtualNanos;
@@ -35,6 +36,8 @@ enum Ours {
     None,
     Otg(usize),
     Flash,
+    /// A table of ours without a model.
+    Exti,
     Advanced(usize),
     Converter(usize),
 }
@@ -104,7 +107,7 @@ impl Chip {
     fn exchange(&mut self) {
         let Self { part, parked, ours, .. } = self;
         for (index, owner) in ours.iter().enumerate() {
-            if !matches!(owner, Ours::Otg(_)) {
+            if !matches!(owner, Ours::Otg(_) | Ours::Exti) {
                 std::mem::swap(parked.slot_mut(index), part.bus_mut().slot_mut(index));
             }
         }
@@ -114,6 +117,22 @@ impl Chip {
     /// The bus and the advanced timers, apart, to drive a timer's input.
     pub fn bus_and_timers(&mut self) -> (&mut Bus, &mut [MasterTimer]) {
         (self.part.bus_mut(), &mut self.advanced)
+    }
+
+    /// A rising edge at pin `line` of port `port` (0 for A): latched where the firmware selected the port for the line (SYSCFG),
+    /// its rising edges and its request (RM0090 section 12.3). No model of rigless does this.
+    ///
+    /// # Panics
+    ///
+    /// When the part has no such controller, which is a bug here.
+    pub fn rising_edge(&mut self, at: VirtualNanos, port: usize, line: u32) {
+        let selected = self.register("SYSCFG", 0x08 + 4 * (line / 4)) >> (4 * (line % 4)) & 0xF;
+        let enabled = self.register("EXTI", map::exti::RISING) & self.register("EXTI", map::exti::MASK) & (1 << line);
+        if selected == port as u64 && enabled != 0 {
+            let slot = self.bus().slot_of("EXTI").expect("the part has EXTI");
+            let (registers, _) = self.part.bus_mut().drive(at, slot);
+            registers.set(ExtiRegister::Pr, registers.get(ExtiRegister::Pr) | enabled);
+        }
     }
 
     /// The registers of the instance called `name`.
@@ -142,7 +161,11 @@ fn owner(instance: &str) -> Ours {
     if let Some(nth) = CONVERTERS.iter().position(|&name| name == instance) {
         return Ours::Converter(nth);
     }
-    if instance == "FLASH" { Ours::Flash } else { Ours::None }
+    match instance {
+        "FLASH" => Ours::Flash,
+        "EXTI" => Ours::Exti,
+        _ => Ours::None,
+    }
 }
 
 impl Mcu for Chip {
@@ -185,7 +208,7 @@ impl Mcu for Chip {
     fn split(&mut self, slot: usize) -> (&mut Bus, Option<&mut dyn ErasedDevice>) {
         let Self { part, ours, otg, flash, advanced, converters, .. } = self;
         let model: &mut dyn ErasedDevice = match ours.get(slot) {
-            None | Some(Ours::None) => return part.split(slot),
+            None | Some(Ours::None | Ours::Exti) => return part.split(slot),
             Some(&Ours::Otg(block)) => otg.answering_for(block),
             Some(Ours::Flash) => flash,
             Some(&Ours::Advanced(nth)) => &mut advanced[nth],

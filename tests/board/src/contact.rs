@@ -49,17 +49,22 @@ pub fn scene(head: &str, tip: [f64; 3], task: usize, walls: &[WallAt]) -> String
     text
 }
 
-/// A firm hand that keeps the tip where it is, as a person does while homing a device that would fall.
-pub fn hold(device: &mut Device) {
-    let here = vec![Waypoint { time: 0.0, value: device.tip() }];
-    let firm = HandSettings {
+/// A hand that gives way to nothing.
+#[must_use]
+pub fn firm() -> HandSettings {
+    HandSettings {
         grip_stiffness: 50_000.0,
         grip_damping: 100.0,
         arm_stiffness: 50_000.0,
         arm_damping: 100.0,
         ..HandSettings::default()
-    };
-    device.set_hand(Hand::new(firm, Intent::Follow(here), device.tip(), device.time()));
+    }
+}
+
+/// A firm hand that keeps the tip where it is, as a person does while homing a device that would fall.
+pub fn hold(device: &mut Device) {
+    let here = vec![Waypoint { time: 0.0, value: device.tip() }];
+    device.set_hand(Hand::new(firm(), Intent::Follow(here), device.tip(), device.time()));
 }
 
 /// A hand that carries what the firm one carried and gives way to anything else: the polarity check can move the tip.

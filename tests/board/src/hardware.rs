@@ -65,6 +65,8 @@ pub struct Hardware {
     pub fault_line_shorted: bool,
     /// Encoders whose plugs are pulled: their lines stand still.
     pub encoders_unplugged: [bool; 3],
+    /// Edges of each encoder that its timer will still miss.
+    pub edges_lost: [u32; 3],
     /// What the current sensors show on top of the currents, A.
     pub sensed_extra: [f64; 3],
     encoders: [EncoderDrive; 3],
@@ -99,6 +101,7 @@ impl Hardware {
             plant: Box::new(Dummy::default()),
             fault_line_shorted: false,
             encoders_unplugged: [false; 3],
+            edges_lost: [0; 3],
             sensed_extra: [0.0; 3],
             encoders: [EncoderDrive::default(); 3],
             next_step: 0,
@@ -261,8 +264,11 @@ impl Hardware {
         }
         let index = self.plant.index();
         for (encoder, mark) in wiring.encoders.iter().zip(index) {
-            if let Some(pin) = encoder.index {
-                self.put(pin, Level::from(mark), at);
+            let rises = mark && self.level(encoder.index) == Level::Low;
+            self.put(encoder.index, Level::from(mark), at);
+            if rises {
+                let (port, line) = place(encoder.index);
+                self.chip.rising_edge(at, port, line.bit());
             }
         }
     }
@@ -285,6 +291,10 @@ impl Hardware {
             }
             encoder.shown += step;
             moving |= encoder.shown != encoder.wanted;
+            if self.edges_lost[axis] > 0 {
+                self.edges_lost[axis] -= 1;
+                continue;
+            }
             if !self.encoders_unplugged[axis]
                 && wires.pins.iter().all(|&pin| self.function(pin) == Some(wires.function))
             {

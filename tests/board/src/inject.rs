@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use haptic::link::{Board, BoardError};
-use haptic::sim::{Drive, Hand};
+use haptic::sim::{Device, Drive, Hand, Intent, Waypoint};
 use haptic_bridge::controller::Gains;
 use haptic_bridge::guard::{Fault, FaultRecord, Refusal, State};
 use haptic_bridge::scene::FeedForward;
@@ -15,7 +15,7 @@ use haptic_bridge::servo::{HostAction, Rules};
 use rigless::device::Level;
 
 use crate::boards::BoardKind;
-use crate::contact::{WallAt, hold, push};
+use crate::contact::{WallAt, firm, hold, push};
 use crate::rig::{Rig, device_file, firmware};
 use crate::run::{MICROSECOND, MILLISECOND, SECOND};
 
@@ -152,7 +152,15 @@ pub fn injection(fault: Fault) -> Injection {
             2_000,
         ),
         Fault::EncoderIllegal => Unseen("the timers' encoder inputs do not report it"),
-        Fault::IndexMismatch => Unseen("index pulses are not read"),
+        Fault::IndexMismatch => chip(
+            "20 encoder edges lost between two passes of the index mark",
+            marked,
+            |rig| {
+                rig.with(|bench| bench.hardware().edges_lost[0] = 20);
+                rig.with_simulated(|device| sweep(device, -SWEEP, SWEEP));
+            },
+            2_000,
+        ),
         Fault::JointLimit => {
             chip("a hand turns a joint past its limit", narrow, |rig| pushed_by(rig, [3.0, 0.0, 0.0]), 2_000)
         }
@@ -324,6 +332,37 @@ fn narrow() -> Rig {
     let mut rig = Rig::with_file(BoardKind::OdriveV3, file, |_| ());
     rig.arm_before("", &[WallAt { gap: 0.2, ..WallAt::facing([0.0, -1.0, 0.0]) }]);
     rig.with_simulated(|device| device.set_hand(Hand::none()));
+    rig
+}
+
+/// Half of what a hand moves the tip to take a joint over its index mark, m.
+const SWEEP: f64 = 0.015;
+
+/// A firm hand that takes the tip sideways, from `from` to `to` (m) of where it stands between the two.
+fn sweep(device: &mut Device, from: f64, to: f64) {
+    let [x, y, z] = device.tip();
+    let path = [(0.0, x), (0.5, x + to - from)].map(|(time, x)| Waypoint { time, value: [x, y, z] });
+    device.set_hand(Hand::new(firm(), Intent::Follow(path.to_vec()), device.tip(), device.time()));
+}
+
+/// An armed device whose hand has taken its first joint over its index mark once.
+fn marked() -> Rig {
+    let mut file = device_file(FIVE_BAR);
+    let home = file.description.home.expect("a home pose");
+    let mut period = 0;
+    for (joint, home) in file.description.joints.iter_mut().zip(home) {
+        if let Some(encoder) = &mut joint.encoder {
+            encoder.offset = home;
+            period = encoder.counts_per_turn as i32;
+        }
+    }
+    let mut rig = Rig::with_file(BoardKind::OdriveV3, file, |_| ());
+    rig.arm_before("", &[WallAt { gap: 0.2, ..WallAt::facing([0.0, -1.0, 0.0]) }]);
+    rules(&mut rig, |rules| rules.index_period = [period, period, 0]);
+    rig.with_simulated(|device| sweep(device, 0.0, SWEEP));
+    rig.run(SECOND);
+    rig.with_simulated(|device| sweep(device, SWEEP, -SWEEP));
+    rig.run(SECOND);
     rig
 }
 

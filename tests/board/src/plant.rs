@@ -48,6 +48,8 @@ impl Plant for Device {
 pub struct Dummy {
     /// Where the encoders stand, counts.
     pub counts: [i32; 3],
+    /// Whether each encoder's index mark is under its sensor.
+    pub index: [bool; 3],
     /// The currents the sensors see, A.
     pub currents: [f64; 3],
     /// The bus voltage, V.
@@ -58,7 +60,7 @@ pub struct Dummy {
 
 impl Default for Dummy {
     fn default() -> Self {
-        Self { counts: [0; 3], currents: [0.0; 3], bus_voltage: 24.0, drives: [Drive::Floating; 3] }
+        Self { counts: [0; 3], index: [false; 3], currents: [0.0; 3], bus_voltage: 24.0, drives: [Drive::Floating; 3] }
     }
 }
 
@@ -70,7 +72,7 @@ impl Plant for Dummy {
         self.counts
     }
     fn index(&self) -> [bool; 3] {
-        [false; 3]
+        self.index
     }
     fn currents(&self) -> [f64; 3] {
         self.currents

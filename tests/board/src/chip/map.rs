@@ -88,6 +88,9 @@ pub fn bus(stock: &Bus) -> Result<Bus, Error> {
 }
 
 fn with_our_tables(stock: &Peripheral) -> Peripheral {
+    if stock.name == "EXTI" {
+        return Peripheral { registers: &exti::TABLE, ..*stock };
+    }
     match OTG_BLOCKS.iter().position(|&name| name == stock.name) {
         Some(block) => Peripheral { registers: otg_table(block), interrupts: &[OTG_LINE], ..*stock },
         None => *stock,
@@ -133,6 +136,30 @@ const fn words<const N: usize>() -> [RegisterSpec; N] {
         row += 1;
     }
     table
+}
+
+/// The external interrupt controller, whose flags are cleared by writing 1: the vendor's file does not say so.
+pub mod exti {
+    use super::{Access, ReadAction, RegisterSpec, Width, WriteModify};
+
+    /// IMR: lines whose request is let through.
+    pub const MASK: u32 = 0x00;
+    /// RTSR: lines that pend at a rising edge.
+    pub const RISING: u32 = 0x08;
+
+    pub(super) static TABLE: [RegisterSpec; 6] = [
+        register("IMR", MASK, WriteModify::None),
+        register("EMR", 0x04, WriteModify::None),
+        register("RTSR", RISING, WriteModify::None),
+        register("FTSR", 0x0C, WriteModify::None),
+        register("SWIER", 0x10, WriteModify::None),
+        register("PR", 0x14, WriteModify::OneToClear),
+    ];
+
+    const fn register(name: &'static str, offset: u32, write: WriteModify) -> RegisterSpec {
+        let (width, access, read) = (Width::W32, Access::ReadWrite, ReadAction::None);
+        RegisterSpec { name, offset, width, reset: 0, access, read, write, fields: &[] }
+    }
 }
 
 /// The power and clock gating register, and the first word of each endpoint's FIFO window.

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use haptic::sim::Drive;
+use haptic_bridge::guard::Fault;
 use haptic_bridge::telemetry::{Field, Fields};
 use virtual_board::boards::BoardKind;
 use virtual_board::plant::Dummy;
@@ -43,6 +44,38 @@ fn each_encoder_counts_its_own_axis_up_and_down() {
             expected[axis] = f64::from(moved);
             rig.run(MILLISECOND);
             assert_eq!(latest(&mut rig, Field::Counts), expected, "{} axis {axis}", kind.wiring().name);
+        }
+    }
+}
+
+#[test]
+fn each_index_pulse_reaches_its_own_axis() {
+    for kind in BoardKind::ALL {
+        let mut rig = Rig::with_device(kind, device_of(kind), |_| ());
+        rig.load(if kind == BoardKind::OdriveV3 { WALL } else { "" });
+        for axis in 0..kind.wiring().encoders.len() {
+            let mut rules = rig.tool.rules().expect("the board answers");
+            rules.index_period = [4_096; 3];
+            rig.tool.set_rules(&rules).expect("rules change");
+            rig.tool.home().expect("the device is homed");
+            let mut pass = |count: i32| {
+                for index in [false, true] {
+                    let mut dummy = Dummy::default();
+                    dummy.counts[axis] = count;
+                    dummy.index[axis] = index;
+                    rig.with(move |bench| bench.hardware().plant = Box::new(dummy));
+                    rig.run(MILLISECOND);
+                }
+                let record = rig.tool.status().expect("it answers").fault;
+                record.map(|record| (record.fault, record.axis, record.value))
+            };
+            let place = format!("{} axis {axis}", kind.wiring().name);
+            assert_eq!(pass(0), None, "{place}: the first pulse is where it is");
+            assert_eq!(pass(40), Some((Fault::IndexMismatch, Some(axis as u8), 40.0)), "{place}");
+            rig.tool.clear().expect("the fault clears");
+            rig.with(|bench| bench.hardware().plant = Box::new(Dummy::default()));
+            // At rest again, or it could not be homed.
+            rig.run(100 * MILLISECOND);
         }
     }
 }
