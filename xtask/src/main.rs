@@ -39,6 +39,7 @@ cargo xtask COMMAND
   soak [--hours N] [--record]
                     simulated hours (24) of contact with telemetry: nothing lost, no drift, no growth;
                     --record writes docs/results/soak.md
+  range             measure the range of stable walls on the emulated board (half an hour), into docs/results.md
   faults            bring every fault about on the emulated board, into docs/results/faults.md
   board [BOARD] [--device FILE] [--tcp PORT] [--fast]
                     the real firmware on an emulated board with a simulated device, to talk to
@@ -72,6 +73,7 @@ fn run(arguments: &[String], install: bool) -> Result<()> {
         ["test"] => tests::all(install),
         ["test-board", rest @ ..] => tests::board(rest, install),
         ["faults"] => tests::measure("faults", install),
+        ["range"] => tests::measure("range", install),
         ["timing"] => tests::measure("timing", install),
         ["fuzz", rest @ ..] => fuzz::run(&fuzz::Options::parse(rest)?, install),
         ["sanitize", rest @ ..] => tests::sanitize(rest),

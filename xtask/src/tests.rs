@@ -7,7 +7,7 @@ use std::process::Command;
 use anyhow::Result;
 
 use crate::toolchain::{host, run};
-use crate::{bench, deny, firmware, fuzz, no_panic};
+use crate::{bench, deny, firmware, fuzz, no_panic, report};
 
 /// Seconds of fuzzing that each target gets in the whole run.
 const FUZZ_SECONDS: u32 = 4;
@@ -50,7 +50,7 @@ pub fn play(arguments: &[&str], install: bool) -> Result<()> {
 
 /// A program of the virtual board's that measures on the emulated chip and writes a document.
 pub fn measure(program: &str, install: bool) -> Result<()> {
-    run(emulated("run", install)?.args(["--quiet", "--bin", program]))
+    run(emulated("run", install)?.args(["--quiet", "--bin", program]).env("HAPTIC_OCCASION", report::occasion()))
 }
 
 /// A cargo call in the virtual board's workspace, which is one of its own because the emulator declares a newer compiler than

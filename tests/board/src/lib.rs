@@ -15,6 +15,7 @@ pub mod inject;
 pub mod load;
 pub mod log;
 pub mod plant;
+pub mod range;
 pub mod rig;
 pub mod rtt;
 pub mod run;

@@ -1,0 +1,265 @@
+//! The paper's experiment on the emulated chip: which walls stay stable on the unmodified image, by `haptic::measure`
+//! through the protocol, beside what the sampled-data theory of `haptic range` says with the delay that the board reports.
+//!
+//! The device is the shipped coupled-five-bar without friction and with fine encoders, at a pose and along the normal where
+//! its coupling is worst, no hand on it. Motors, current sensors and the board's current loops are there.
+
+use std::fmt::Write as _;
+
+use haptic::analysis::map;
+use haptic::analysis::plant::{Drive, Linearised};
+use haptic::analysis::pose::unit_normal;
+use haptic::analysis::range::{Domain, Range, predict};
+use haptic::analysis::sampled::{Estimator, Loop};
+use haptic::device_file::DeviceFile;
+use haptic::measure::campaign::{self, Plan};
+use haptic::measure::progress::{Mode, Progress};
+use haptic::measure::{Bench, MeasureError, Setup};
+use haptic::plot::Picture;
+use haptic::plot::range::{Contents, MeasuredPoint, draw};
+use haptic::sim::Hand;
+use haptic_bridge::description::Motor;
+use haptic_bridge::scene::FeedForward;
+
+use crate::boards::BoardKind;
+use crate::rig::{Rig, device_file};
+
+/// Where the wall is touched, rad: the pose of the figures in docs/results.md.
+pub const POSE: [f64; 3] = [2.6, 1.75, 0.0];
+/// Edges of an encoder in a turn: so many that their steps are no part of what is measured.
+const COUNTS_PER_TURN: f64 = (1 << 20) as f64;
+/// A direct drive in place of the shipped file's placeholder. A step of the board's current sensors, 7 mA, is then 0.4 mN m
+/// and not 4, which would keep the softly held tip moving.
+const MOTOR: Motor = Motor {
+    torque_constant: 0.067,
+    resistance: 0.5,
+    inductance: 0.0,
+    back_emf: 0.067,
+    max_current: 12.0,
+    verified: true,
+};
+/// What 12 A make, N m.
+const TORQUE_LIMIT: f64 = 0.8;
+/// Its half bridges cost no dead time, which acts on a small swing as friction does.
+const BOARD: BoardKind = BoardKind::HBridgeF405;
+
+/// Control rate and the cutoff of the velocity filter, Hz.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rate {
+    /// Control rate, Hz.
+    pub rate_hz: f64,
+    /// Cutoff of the Butterworth filter of the velocity, Hz.
+    pub cutoff_hz: f64,
+}
+
+/// What is measured at. The loop around the motor's current leads by up to half a carrier period where the theory has a lag
+/// of as much (docs/results.md), and here that is little against a sample.
+pub const RATE: Rate = Rate { rate_hz: 500.0, cutoff_hz: 20.0 };
+
+/// The device on the bench.
+///
+/// # Panics
+///
+/// When the shipped file is gone.
+#[must_use]
+pub fn device() -> DeviceFile {
+    let mut file = device_file("coupled-five-bar");
+    file.description.home = Some(POSE);
+    for joint in &mut file.description.joints[..2] {
+        joint.viscous = 0.0;
+        joint.coulomb = 0.0;
+        if let Some(encoder) = &mut joint.encoder {
+            encoder.counts_per_turn = COUNTS_PER_TURN;
+        }
+        joint.motor = Some(MOTOR);
+    }
+    file
+}
+
+/// The unit normal of the largest Wrr/Weff at the pose.
+///
+/// # Panics
+///
+/// When the pose is singular.
+#[must_use]
+pub fn normal() -> Vec<f64> {
+    let any = unit_normal(&[1.0, 0.0], 2, 2).expect("a unit vector");
+    let point = map::at(&device().description, &POSE[..2], &any).expect("a sound device").expect("a regular pose");
+    point.worst_ratio.normal
+}
+
+/// The board with the device at its connectors, homed at the pose, its polarity checked, and a hand that holds it there.
+///
+/// # Panics
+///
+/// When the board refuses anything.
+#[must_use]
+pub fn bench() -> Rig {
+    let mut rig = Rig::with_file(BOARD, device(), |options| {
+        options.friction = false;
+        options.substep = 25e-6;
+        options.start = Some(POSE);
+    });
+    rig.prepare("");
+    let mut rules = rig.tool.rules().expect("the board answers");
+    rules.limits.current = [12.0; 3];
+    rig.tool.set_rules(&rules).expect("limits are raised while disarmed");
+    rig
+}
+
+/// Measures on `rig`: `job` is handed a bench whose device is free, the wall's motors alone holding it.
+///
+/// # Errors
+///
+/// What ends a measurement early.
+pub fn on<T>(
+    rig: &mut Rig,
+    rate: Rate,
+    job: impl FnOnce(&mut Bench<'_>) -> Result<T, MeasureError>,
+) -> Result<T, MeasureError> {
+    let setup = Setup {
+        normal: normal(),
+        rate_hz: rate.rate_hz,
+        cutoff_hz: rate.cutoff_hz,
+        washout_hz: 2.0,
+        torque_limit: TORQUE_LIMIT,
+        largest_pull: 2e-3,
+    };
+    let (file, shared) = (device(), rig.shared.clone());
+    let mut bench = Bench::new(&mut rig.tool, &file, setup, &|| false)?;
+    shared.board().with(|bench| {
+        bench.hardware().plant.device().expect("a simulated device").set_hand(Hand::none());
+    });
+    let outcome = job(&mut bench)?;
+    bench.finish()?;
+    Ok(outcome)
+}
+
+/// What the theory says of the same loop at the dampings `kd` (N s/m), or of all of it; `delay_samples` is the board's own.
+///
+/// # Panics
+///
+/// When the theory refuses the loop.
+#[must_use]
+pub fn predicted(rate: Rate, delay_samples: f64, kd: Option<&[f64]>) -> Range {
+    let around = Loop {
+        rate_hz: rate.rate_hz,
+        delay_samples,
+        estimator: Estimator::Butterworth(rate.cutoff_hz),
+        // The board's current loop feeds the voltage forward: it lags by less than a carrier period.
+        drive: Drive::Ideal,
+        damping_compensation: false,
+    };
+    let linear = Linearised::at(&device().description, &POSE[..2], &normal()).expect("a regular pose");
+    predict(&linear, &around, kd, None).expect("the loop can be analysed")
+}
+
+/// The domain of `range` for this feed-forward.
+#[must_use]
+pub fn domain(range: &Range, feed_forward: FeedForward) -> &Domain {
+    if feed_forward == FeedForward::Off { &range.off } else { &range.full }
+}
+
+/// Dampings and repeats of the whole measurement.
+pub const POINTS: usize = 12;
+/// See [`POINTS`].
+pub const REPEATS: usize = 5;
+
+/// Delay in samples that the board reports at `rate`.
+///
+/// # Panics
+///
+/// When the board does not answer.
+#[must_use]
+pub fn delay_samples(rig: &mut Rig, rate: Rate) -> f64 {
+    rig.set_scene(&format!("rate_hz = {}\n", rate.rate_hz));
+    f64::from(rig.tool.details().expect("the board answers").delay_samples)
+}
+
+/// The whole range with this feed-forward, [`POINTS`] dampings up to where it ends, [`REPEATS`] times each, and the
+/// delay that the board reports. `told` hears how many boundaries are done.
+///
+/// # Errors
+///
+/// What ends a measurement early.
+pub fn whole(mode: Mode, mut told: impl FnMut(usize)) -> Result<(Progress, f64), MeasureError> {
+    let mut rig = bench();
+    let delay = delay_samples(&mut rig, RATE);
+    let plan = Plan { modes: vec![mode], kd: None, points: POINTS, repeats: REPEATS };
+    let mut progress = Progress::new("the emulated chip");
+    on(&mut rig, RATE, |bench| {
+        campaign::run(bench, &plan, &mut progress, |_, done| {
+            told(done);
+            Ok(())
+        })
+    })?;
+    Ok((progress, delay))
+}
+
+/// ∫ kp dkd of medians at the middles of even cells, N² s/m².
+fn area(progress: &Progress, mode: Mode) -> f64 {
+    let cell = progress.end(mode).unwrap_or(0.0) / POINTS as f64;
+    progress.of(mode).iter().map(|point| point.median() * cell).sum()
+}
+
+/// The section of docs/results.md for a whole measurement, and its picture.
+#[must_use]
+pub fn section(progress: &Progress, delay: f64, occasion: &str) -> (String, Picture) {
+    let range = predicted(RATE, delay, None);
+    let mut rows = String::new();
+    let mut furthest: f64 = 0.0;
+    for mode in [Mode::Off, Mode::Full] {
+        let points = progress.of(mode);
+        let kd: Vec<f64> = points.iter().map(|point| point.kd).collect();
+        let at = predicted(RATE, delay, Some(&kd));
+        let top = domain(&range, mode.into()).boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
+        for (point, theory) in points.iter().zip(&domain(&at, mode.into()).boundary) {
+            let (low, high) = point.bounds();
+            let apart = 100.0 * (point.median() - theory.kp) / top;
+            furthest = furthest.max(apart.abs());
+            let _ = writeln!(
+                rows,
+                "| {} | {:.2} | {:.1} | {low:.1} | {high:.1} | {:.1} | {apart:+.1} % |",
+                if mode == Mode::Off { "off" } else { "full" },
+                point.kd,
+                point.median(),
+                theory.kp
+            );
+        }
+    }
+    let measured = area(progress, Mode::Full) / area(progress, Mode::Off);
+    let inertias = (range.w_rr / range.w_eff).powi(2);
+    let text = format!(
+        "{occasion}. `cargo xtask range`: the unmodified release image of `{}` on the emulated chip, {} Hz, cutoff {} Hz,\n\
+         the shipped coupled-five-bar with direct drives at q = (2.6, 1.75), along the normal of the largest Wrr/Weff, no\n\
+         friction, no hand, 2^20 edges a turn; `haptic::measure` through the board's own protocol, the median of {REPEATS} repeats.\n\
+         Apart: median less theory, in percent of the theory's highest stiffness. A test asks in every run whether walls at\n\
+         95 % of the theory are stable and at 105 % are not.\n\n\
+         Area with the feed-forward over without: **{measured:.3}** measured, {:.3} predicted, (Wrr/Weff)² = {inertias:.3}.\n\
+         Furthest apart: {furthest:.1} %.\n\n\
+         | feed-forward | kd (N s/m) | median kp (N/m) | lowest | highest | theory | apart |\n|---|--:|--:|--:|--:|--:|--:|\n{rows}",
+        BOARD.wiring().name,
+        RATE.rate_hz,
+        RATE.cutoff_hz,
+        range.area_ratio,
+    );
+    let dots = |mode| -> Vec<MeasuredPoint> {
+        let dot = |point: &haptic::measure::progress::Point| {
+            let (low, high) = point.bounds();
+            MeasuredPoint { kd: point.kd, kp: point.median(), low, high }
+        };
+        progress.of(mode).into_iter().map(dot).collect()
+    };
+    let picture = draw(&Contents {
+        title: format!("coupled-five-bar on the emulated chip at {} Hz, cutoff {} Hz", RATE.rate_hz, RATE.cutoff_hz),
+        subtitle: [
+            "lines: linear theory; dots: measured through the protocol".into(),
+            "the release image; no friction, no hand".into(),
+        ],
+        range: &range,
+        passivity: None,
+        measured_off: &dots(Mode::Off),
+        measured_full: &dots(Mode::Full),
+    });
+    (text, picture)
+}

@@ -1,0 +1,39 @@
+//! The paper's experiment on the release image: the range of stable walls is the one that theory predicts, and the
+//! feed-forward enlarges it. docs/results.md holds the whole measurement, see `cargo xtask range`.
+
+use haptic_bridge::scene::FeedForward;
+use virtual_board::range::{RATE, bench, delay_samples, domain, on, predicted};
+
+/// How far the boundary may lie from the theory's.
+const AGREEMENT: f64 = 0.05;
+/// Where on the boundary it is looked for: shares of the damping at which the range ends.
+const SHARES: [f64; 4] = [0.2, 0.4, 0.6, 0.8];
+
+fn lies_where_theory_says(feed_forward: FeedForward) {
+    let mut rig = bench();
+    let delay = delay_samples(&mut rig, RATE);
+    let end = domain(&predicted(RATE, delay, None), feed_forward).kd_max;
+    let kd = SHARES.map(|share| share * end);
+    let theory = predicted(RATE, delay, Some(&kd));
+    on(&mut rig, RATE, |bench| {
+        for point in &domain(&theory, feed_forward).boundary {
+            for strength in [1.0, -1.0] {
+                let below = bench.oscillates(feed_forward, point.kp * (1.0 - AGREEMENT), point.kd, strength)?;
+                let above = bench.oscillates(feed_forward, point.kp * (1.0 + AGREEMENT), point.kd, strength)?;
+                assert_eq!((below, above), (false, true), "{feed_forward:?}, {point:?}");
+            }
+        }
+        Ok(())
+    })
+    .expect("measured");
+}
+
+#[test]
+fn without_feed_forward_walls_are_stable_up_to_where_theory_says() {
+    lies_where_theory_says(FeedForward::Off);
+}
+
+#[test]
+fn with_the_feed_forward_walls_are_stable_up_to_where_theory_says() {
+    lies_where_theory_says(FeedForward::Full);
+}
