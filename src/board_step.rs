@@ -1,12 +1,14 @@
 //! The servo as the board runs it: in its precision, with its trigonometry, and compiled once, here.
 //!
 //! The firmware's image is built for size, but this crate for speed; what is generic would be compiled where it is used.
-//! These two functions are what the control interrupt calls, and the only ones of the servo whose time counts.
+//! These functions are what the control interrupt calls, and the only ones of the servo whose time counts.
 
+use crate::carrier::Carrier;
 use crate::description::MAX_JOINTS;
 use crate::math::Minimax;
-use crate::program::Program;
-use crate::servo::{Outputs, Samples, Servo};
+use crate::program::{MOST_JOINTS, Program};
+use crate::servo::{Frame, Outputs, Samples, Servo};
+use heapless::spsc::Producer;
 
 /// The trigonometry that the board computes with.
 pub type BoardMath = Minimax;
@@ -23,8 +25,20 @@ pub fn control(servo: &mut BoardServo, samples: &Samples) -> Outputs {
     servo.control(samples)
 }
 
-/// Duties for the next carrier period, see [`Servo::duties`].
+/// Compare values for the legs of every bridge over the next carrier period, see [`Servo::duties`] and [`Carrier::legs`].
 #[inline(never)]
-pub fn duties(servo: &mut BoardServo, bus_voltage: f32, currents: &[f32; MAX_JOINTS]) -> [f32; MAX_JOINTS] {
-    servo.duties(bus_voltage, currents)
+pub fn legs(
+    servo: &mut BoardServo,
+    bus_voltage: f32,
+    currents: &[f32; MAX_JOINTS],
+    carrier: &Carrier,
+) -> [[u16; 2]; MOST_JOINTS] {
+    let duties = servo.duties(bus_voltage, currents);
+    core::array::from_fn(|axis| carrier.legs(duties[axis]))
+}
+
+/// Puts the last step's frame into the queue; false when it is full.
+#[inline(never)]
+pub fn record(servo: &BoardServo, frames: &mut Producer<'static, Frame>) -> bool {
+    frames.enqueue(servo.snapshot()).is_ok()
 }

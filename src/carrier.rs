@@ -4,6 +4,8 @@
 //! The carrier is centre-aligned: a timer counts up to a crest and back down to a valley. Encoders and currents are
 //! sampled at the crest, and a duty written then applies at the next valley, half a carrier period later.
 
+use crate::drive::limited;
+
 /// Frequency that the PWM timers count at, Hz.
 pub const TIMER_HZ: u32 = 168_000_000;
 
@@ -45,6 +47,14 @@ impl Carrier {
         self.carrier_hz() / f32::from(self.divider)
     }
 
+    /// Compare values of the two legs of a bridge that put a duty (-1..1) across it; what is no number puts nothing there.
+    #[inline(always)]
+    pub fn legs(&self, duty: f32) -> [u16; 2] {
+        let half = 0.5 * limited(duty, 1.0);
+        let top = f32::from(self.top);
+        [((0.5 + half) * top + 0.5) as u16, ((0.5 - half) * top + 0.5) as u16]
+    }
+
     /// Delay from sampling to the duty that answers it, in control samples: half a carrier period.
     pub fn delay_samples(&self) -> f32 {
         0.5 / f32::from(self.divider)
@@ -71,6 +81,17 @@ mod tests {
             let carrier = Carrier::for_rate(rate as f32);
             assert!((19_990.0..=50_000.0).contains(&carrier.carrier_hz()), "{rate} Hz: {carrier:?}");
             assert!((carrier.rate_hz() / rate as f32 - 1.0).abs() < 5.0e-4, "{rate} Hz: {carrier:?}");
+        }
+    }
+
+    #[test]
+    fn legs_stand_apart_by_the_duty_and_together_for_nonsense() {
+        let carrier = Carrier { top: 4200, divider: 1 };
+        for (duty, legs) in [(0.0, [2100, 2100]), (0.5, [3150, 1050]), (-1.0, [0, 4200]), (9.0, [4200, 0])] {
+            assert_eq!(carrier.legs(duty), legs, "{duty}");
+        }
+        for nonsense in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            assert_eq!(carrier.legs(nonsense), [2100, 2100]);
         }
     }
 

@@ -52,13 +52,17 @@ pub struct Axis {
     integrator: f32,
     /// What the controller asked for, A.
     target: f32,
-    /// Back-EMF at the present speed, V.
-    emf: f32,
+    /// Voltage that the target and the present speed need, V.
+    feed: f32,
+    /// Duty that makes up for the dead time.
+    regained: f32,
     /// I²t accumulator, A² s above what the motor stands for ever.
     heat: f32,
     /// What rounding has kept out of `heat` so far: a step's share can be less than its last digit.
     heat_rest: f32,
     continuous_squared: f32,
+    /// A² s; infinite where the maximum current may flow for ever.
+    heat_budget: f32,
 }
 
 /// Time a motor stands its maximum current before the thermal budget trips, s.
@@ -92,15 +96,18 @@ impl Axis {
         self.max_current = self.motor_current.min(max_current).max(0.0);
         let continuous = continuous_current.min(self.max_current).max(0.0);
         self.continuous_squared = continuous * continuous;
+        let budget = (self.max_current * self.max_current - self.continuous_squared) * PEAK_SECONDS;
+        self.heat_budget = if budget > 0.0 { budget } else { f32::INFINITY };
     }
 
     /// Takes the joint torque (N m) and speed (rad/s) of this control step and returns the current that will be asked
     /// for (A), after the limit. What is not finite asks for nothing.
     #[inline(always)]
     pub fn command(&mut self, torque: f32, speed: f32) -> f32 {
-        let current = torque * self.amps_per_torque;
-        self.target = if current.is_finite() { limited(current, self.max_current) } else { 0.0 };
-        self.emf = if speed.is_finite() { self.back_emf * speed } else { 0.0 };
+        self.target = limited(torque * self.amps_per_torque, self.max_current);
+        self.feed = self.resistance * self.target + limited(self.back_emf * speed, f32::MAX);
+        // Both legs lose dead time against the current: give it back, fading where the current's sign is unsure.
+        self.regained = self.dead_time_share * (self.target / (self.target.abs() + DEAD_TIME_KNEE));
         self.target
     }
 
@@ -112,41 +119,38 @@ impl Axis {
             self.integrator = 0.0;
             return 0.0;
         }
-        let available = MAX_DUTY * bus_voltage;
-        let mut voltage = self.resistance * self.target + self.emf;
+        let mut voltage = self.feed;
         if self.sensed {
+            let available = MAX_DUTY * bus_voltage;
             let error = self.target - current;
-            let wanted = voltage + self.proportional * error + self.integrator;
+            voltage += self.proportional * error + self.integrator;
             // Conditional integration: not further into a voltage that is not there.
-            if wanted.abs() < available || wanted * error < 0.0 {
+            if voltage.abs() < available || voltage * error < 0.0 {
                 self.integrator = limited(self.integrator + self.integral * error, available);
             }
-            voltage = wanted;
         }
-        // Both legs lose dead time against the current: give it back, fading where the current's sign is unsure.
-        let share = self.target / (self.target.abs() + DEAD_TIME_KNEE);
-        let duty = voltage / bus_voltage + self.dead_time_share * share;
-        if duty.is_finite() { limited(duty, MAX_DUTY) } else { 0.0 }
+        // One division for all motors: the compiler takes it out of the caller's loop.
+        limited(voltage * (1.0 / bus_voltage) + self.regained, MAX_DUTY)
     }
 
-    /// Heats the motor model by the present current (A) for `dt` (s); true when its budget is spent: the accumulator
-    /// of i² above what it stands for ever has passed what [`PEAK_SECONDS`] at the maximum current put there.
+    /// Warms the motor model by `squares`, the integral of i² (A² s) over the last `dt` (s); true when its budget is spent: the
+    /// accumulator of i² above what it stands for ever has passed what [`PEAK_SECONDS`] at the maximum current put there.
     #[inline(always)]
-    pub fn heat(&mut self, current: f32, dt: f32) -> bool {
-        let excess = current * current - self.continuous_squared;
-        let share = excess * dt + self.heat_rest;
+    pub fn heat(&mut self, squares: f32, dt: f32) -> bool {
+        let share = squares - self.continuous_squared * dt + self.heat_rest;
         let heat = self.heat + share;
-        self.heat_rest = if heat > 0.0 { share - (heat - self.heat) } else { 0.0 };
-        self.heat = heat.max(0.0);
-        let budget = (self.max_current * self.max_current - self.continuous_squared) * PEAK_SECONDS;
-        self.heat > budget && self.max_current > 0.0 && budget > 0.0
+        let warm = heat > 0.0;
+        self.heat_rest = if warm { share - (heat - self.heat) } else { 0.0 };
+        self.heat = if warm { heat } else { 0.0 };
+        self.heat > self.heat_budget
     }
 
     /// Forgets the loop's state when the bridge goes off; the motor stays as warm as it is.
     pub fn rest(&mut self) {
         self.integrator = 0.0;
         self.target = 0.0;
-        self.emf = 0.0;
+        self.feed = 0.0;
+        self.regained = 0.0;
     }
 
     /// Keeps the heat of the drive this one replaces, so that loading a scene does not cool a motor.
@@ -184,8 +188,14 @@ impl Axis {
     }
 }
 
-/// `value` within ±`bound`; unlike `clamp` it has no way to panic.
+/// `value` within ±`bound`, which is not negative; 0 for what is not finite.
 #[inline(always)]
-fn limited(value: f32, bound: f32) -> f32 {
-    value.min(bound).max(-bound)
+pub(crate) fn limited(value: f32, bound: f32) -> f32 {
+    if value.abs() <= bound {
+        value
+    } else if value.is_finite() {
+        bound.copysign(value)
+    } else {
+        0.0
+    }
 }

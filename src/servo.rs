@@ -10,10 +10,11 @@ mod watch;
 
 use crate::controller::Gains;
 use crate::description::MAX_JOINTS;
-use crate::drive::{Axis, Bridge};
+use crate::drive::{Axis, Bridge, limited};
 use crate::guard::{Fault, FaultRecord, Limits, Refusal, State};
 use crate::math::Math;
 use crate::precomputed::{TABLE_VALUES, TableChunk};
+use crate::program::MOST_JOINTS;
 pub use crate::program::{AnyController, Program};
 use crate::velocity::{Coefficients, Washout};
 use core::ops::DerefMut;
@@ -212,12 +213,11 @@ pub struct Servo<P> {
     /// Regularity of the closed loop at the last step.
     parallel: f32,
     host_silent: f32,
-    still: [f32; MAX_JOINTS],
-    lost: [f32; MAX_JOINTS],
     last_counts: [i32; MAX_JOINTS],
     primed: bool,
     first_index: [Option<i32>; MAX_JOINTS],
-    power: f32,
+    bounds: watch::Bounds,
+    budgets: watch::Budgets,
     /// Values of the mass model's table, beside the program because one copy of them is all the memory that they get.
     table: [f32; TABLE_VALUES],
 }
@@ -244,12 +244,11 @@ where
             from: [0.0; MAX_JOINTS],
             parallel: 1.0,
             host_silent: 0.0,
-            still: [0.0; MAX_JOINTS],
-            lost: [0.0; MAX_JOINTS],
             last_counts: [0; MAX_JOINTS],
             primed: false,
             first_index: [None; MAX_JOINTS],
-            power: 0.0,
+            bounds: watch::Bounds::default(),
+            budgets: watch::Budgets::default(),
             table: [0.0; TABLE_VALUES],
         }
     }
@@ -257,6 +256,12 @@ where
     /// The last step's frame.
     pub fn frame(&self) -> &Frame {
         &self.frame
+    }
+
+    /// The last step's frame with the present state, field by field: a copy of the whole would be a call of memcpy.
+    #[inline(always)]
+    pub fn snapshot(&self) -> Frame {
+        Frame { state: self.state, ..self.frame }
     }
 
     /// The state as a tool sees it.
@@ -354,6 +359,10 @@ where
             self.trip(fault, axis, value);
         }
         self.host_silent += self.period;
+        if !self.primed {
+            self.last_counts = samples.counts;
+            self.primed = true;
+        }
         if let Some(program) = self.program.as_mut() {
             let acted = self.frame.torque;
             let regularity = program.controller.step(&samples.counts, &self.table, &mut self.frame);
@@ -362,7 +371,6 @@ where
             self.drive();
         }
         self.last_counts = samples.counts;
-        self.primed = true;
         self.frame.state = self.state;
         Outputs { bridges: matches!(self.state, State::Armed | State::CheckingPolarity) }
     }
@@ -374,7 +382,7 @@ where
         if matches!(self.state, State::Armed | State::CheckingPolarity)
             && let Some(program) = self.program.as_mut()
         {
-            let joints = program.joints;
+            let joints = program.joints.min(MOST_JOINTS);
             for ((duty, axis), current) in duties.iter_mut().zip(&mut program.axes).zip(currents).take(joints) {
                 *duty = axis.duty(bus_voltage, *current);
             }
@@ -450,7 +458,9 @@ where
         // What acts now fades into what the new scene asks for.
         self.from = self.frame.torque;
         self.ramp = 0.0;
-        self.program.replace(program)
+        let old = self.program.replace(program);
+        self.set_bounds();
+        old
     }
 
     /// Puts the rules' currents in force; the motors' own limits still count.
@@ -473,6 +483,7 @@ where
             self.limit_currents(&mut program);
             self.program = Some(program);
         }
+        self.set_bounds();
         Ok(())
     }
 
@@ -541,10 +552,8 @@ where
 
     /// Starts everything that is summed up while the motors are on.
     fn watch_anew(&mut self) {
-        self.power = 0.0;
         self.host_silent = 0.0;
-        self.still = [0.0; MAX_JOINTS];
-        self.lost = [0.0; MAX_JOINTS];
+        self.budgets.anew();
     }
 
     /// Sets each motor's current from the step's torques.
@@ -553,22 +562,31 @@ where
         match self.state {
             State::Armed => {
                 self.ramp = (self.ramp + self.period * (1.0 / ARM_SECONDS)).min(1.0);
-                let (ramp, from) = (self.ramp, self.from);
-                self.command(|i, torque| from[i] + (torque - from[i]) * ramp);
+                for (torque, from) in self.frame.torque.iter_mut().zip(&self.from) {
+                    *torque = from + (*torque - from) * self.ramp;
+                }
             }
-            State::CheckingPolarity => self.check_polarity(),
-            State::Disarmed | State::Fault => self.frame.torque = [0.0; MAX_JOINTS],
+            State::CheckingPolarity => {
+                self.check_polarity();
+                if self.state != State::CheckingPolarity {
+                    return;
+                }
+            }
+            State::Disarmed | State::Fault => {
+                self.frame.torque = [0.0; MAX_JOINTS];
+                return;
+            }
         }
+        self.command();
     }
 
-    /// Commands `torque(axis, what the controller wants)` within limits, and records what is left of it.
+    /// Commands the frame's torques within limits, and records there what is left of them.
     #[inline(always)]
-    fn command(&mut self, torque: impl Fn(usize, f32) -> f32) {
+    fn command(&mut self) {
         let Some(program) = self.program.as_mut() else { return };
-        let joints = program.joints;
+        let joints = program.joints.min(MOST_JOINTS);
         for (i, axis) in program.axes.iter_mut().enumerate().take(joints) {
-            let bound = self.rules.limits.torque[i];
-            let wanted = torque(i, self.frame.torque[i]).max(-bound).min(bound);
+            let wanted = limited(self.frame.torque[i], self.rules.limits.torque[i]);
             let current = axis.command(wanted, self.frame.qd[i]);
             self.frame.torque[i] = axis.torque_of(current);
             if !self.hardware.bridge.current_sensed {

@@ -216,12 +216,12 @@ fn a_motor_stands_its_peak_for_four_seconds_and_its_continuous_current_for_ever(
     let mut axis = Axis::new(&motor(), &bridge(true), 4.0, 1.0);
     let dt = 1.0 / 20_000.0;
     let mut seconds = 0.0;
-    while !axis.heat(4.0, dt) && seconds < 10.0 {
+    while !axis.heat(4.0 * 4.0 * dt, dt) && seconds < 10.0 {
         seconds += dt;
     }
     assert!((seconds - 4.0).abs() < 0.01, "{seconds}");
     let mut axis = Axis::new(&motor(), &bridge(true), 4.0, 1.0);
-    assert!((0..4_000_000).all(|_| !axis.heat(0.999, dt)));
+    assert!((0..4_000_000).all(|_| !axis.heat(0.999 * 0.999 * dt, dt)));
 }
 
 #[test]
@@ -231,10 +231,10 @@ fn the_heat_of_a_step_is_counted_however_small_it_is() {
     let mut axis = Axis::new(&motor(), &bridge(true), 4.0, 1.0);
     let dt = 1.0 / 50_000.0;
     for _ in 0..(59.0_f32 / 15.0 / dt) as u32 {
-        axis.heat(4.0, dt);
+        axis.heat(4.0 * 4.0 * dt, dt);
     }
     let mut seconds = 0.0_f64;
-    while !axis.heat(1.01, dt) && seconds < 100.0 {
+    while !axis.heat(1.01 * 1.01 * dt, dt) && seconds < 100.0 {
         seconds += f64::from(dt);
     }
     assert!((seconds - 50.0).abs() < 2.0, "{seconds}");

@@ -26,6 +26,7 @@ use core::sync::atomic::{AtomicU16, Ordering};
 use embassy_stm32::Peri;
 use embassy_stm32::peripherals::{FLASH, IWDG, PA11, PA12, USB_OTG_FS};
 use embassy_time::{Duration, block_for};
+use haptic_bridge::description::MAX_JOINTS;
 
 use crate::{adc, servo};
 
@@ -35,7 +36,7 @@ pub struct Analog {
     /// Bus voltage, V.
     pub bus_v: f32,
     /// Current of each axis, A, positive for positive duty.
-    pub current_a: [f32; AXES],
+    pub current_a: [f32; MAX_JOINTS],
     /// Whether the conversions came.
     pub fresh: bool,
 }
@@ -98,22 +99,22 @@ impl<const N: usize> Zeros<N> {
         Self([adc::FULL_SCALE / 2.0; N])
     }
 
-    /// Readings less their zeros, counts. Learns the zeros if asked to.
+    /// A sensor's reading less its zero, counts.
     #[inline(always)]
-    fn take(&mut self, raw: [u16; N], learn: bool) -> [f32; N] {
-        let mut counts = raw.map(f32::from);
+    fn less(&self, sensor: usize, raw: u16) -> f32 {
+        f32::from(raw) - self.0[sensor]
+    }
+
+    /// Takes readings without current for zeros.
+    #[cold]
+    #[inline(never)]
+    fn learn(&mut self, raw: [u16; N]) {
         let mut worst = 0.0_f32;
-        for (counts, zero) in counts.iter_mut().zip(&mut self.0) {
-            if learn {
-                *zero += (*counts - *zero) * ZERO_WEIGHT;
-                worst = worst.max((*zero - adc::FULL_SCALE / 2.0).abs());
-            }
-            *counts -= *zero;
+        for (raw, zero) in raw.into_iter().zip(&mut self.0) {
+            *zero += (f32::from(raw) - *zero) * ZERO_WEIGHT;
+            worst = worst.max((*zero - adc::FULL_SCALE / 2.0).abs());
         }
-        if learn {
-            ZERO_WORST.store(worst as u16, Ordering::Relaxed);
-        }
-        counts
+        ZERO_WORST.store(worst as u16, Ordering::Relaxed);
     }
 }
 

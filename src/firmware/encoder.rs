@@ -34,7 +34,7 @@ impl Encoder {
     }
 
     /// Counts since the start, wrapping at the ends of `i32`.
-    #[inline]
+    #[inline(always)]
     pub fn read(&mut self) -> i32 {
         let now = self.timer.cnt().read().cnt();
         let moved = now.wrapping_sub(self.last) as i16;
@@ -44,7 +44,7 @@ impl Encoder {
     }
 
     /// What was last read, if there is something to say about it.
-    #[inline]
+    #[inline(always)]
     pub fn last(&self, if_so: bool) -> Option<i32> {
         if_so.then_some(self.total)
     }

@@ -93,12 +93,6 @@ pub fn start(follower: Option<TimAdv>) {
     leader.cr2().modify(|w| w.set_mms(vals::Mms::COMPARE_OC4));
 }
 
-/// Compare value of a duty in 0..1; anything else, NaN included, is one half (no voltage).
-#[inline]
-pub fn compare(duty: f32, top: u16) -> u16 {
-    if (0.0..=1.0).contains(&duty) { (duty * f32::from(top) + 0.5) as u16 } else { top / 2 }
-}
-
 /// Connects (true) or cuts (false) a timer's outputs.
 #[inline]
 pub fn drive(timer: TimAdv, on: bool) {

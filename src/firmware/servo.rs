@@ -23,7 +23,7 @@ use haptic_bridge::servo::{Command, Frame, Hardware, Reply, Rules, Samples, Stat
 use heapless::spsc::{Consumer, Producer, Queue};
 use static_cell::StaticCell;
 
-use crate::board::{AXES, Io};
+use crate::board::Io;
 use crate::critical;
 
 /// What tasks ask of the control interrupt, one at a time.
@@ -155,10 +155,10 @@ impl Step {
             self.countdown = self.io.carrier().divider;
             let counts = self.io.counts();
             let samples = Samples {
-                counts: padded(counts),
+                counts,
                 bus_voltage: analog.bus_v,
-                currents: padded(analog.current_a),
-                index: padded(self.io.index()),
+                currents: analog.current_a,
+                index: self.io.index(),
                 fault: self.hardware_fault(analog.fresh),
             };
             let outputs = board_step::control(&mut self.servo, &samples);
@@ -166,8 +166,8 @@ impl Step {
             self.record();
             STEPS.store(self.servo.frame().step, Ordering::Relaxed);
         }
-        let duties = board_step::duties(&mut self.servo, analog.bus_v, &padded(analog.current_a));
-        self.io.write(core::array::from_fn(|axis| duties[axis]));
+        let legs = board_step::legs(&mut self.servo, analog.bus_v, &analog.current_a, self.io.carrier());
+        self.io.write(legs);
     }
 
     /// Carries out one request and answers it. Not inlined: it is rare, and would only lengthen the way to the step. The queue of answers has room: there is one answer to a request, and one
@@ -227,9 +227,8 @@ impl Step {
 
     #[inline(always)]
     fn record(&mut self) {
-        let frame = self.servo.frame();
-        let wanted = frame.step.checked_rem(STREAM_DIVIDER.load(Ordering::Relaxed)) == Some(0);
-        if wanted && self.frames.enqueue(*frame).is_err() {
+        let wanted = self.servo.frame().step.checked_rem(STREAM_DIVIDER.load(Ordering::Relaxed)) == Some(0);
+        if wanted && !board_step::record(&self.servo, &mut self.frames) {
             // This interrupt is the only writer while a stream runs.
             FRAMES_DROPPED.store(FRAMES_DROPPED.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
         }
@@ -254,10 +253,4 @@ impl Step {
             LATE.store(LATE.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
         }
     }
-}
-
-/// One value per axis, padded to three.
-#[inline(always)]
-fn padded<T: Copy + Default>(values: [T; AXES]) -> [T; 3] {
-    core::array::from_fn(|axis| if axis < AXES { values[axis.min(AXES - 1)] } else { T::default() })
 }

@@ -35,12 +35,15 @@ where
         self.state = State::CheckingPolarity;
         Ok(())
     }
+
+    /// One step of the check: sets the frame's torques, none when it has ended.
+    #[cold]
+    #[inline(never)]
     pub(super) fn check_polarity(&mut self) {
-        let Some((joints, most)) = self.program.as_ref().map(|p| (p.joints, p.axes.map(|axis| axis.max_torque())))
-        else {
-            return;
-        };
+        self.frame.torque = [0.0; MAX_JOINTS];
+        let Some(program) = self.program.as_ref() else { return };
         let i = self.polarity.axis.min(MAX_JOINTS - 1);
+        let (joints, most) = (program.joints, program.axes[i].max_torque());
         let moved = self.frame.q[i] - self.polarity.from;
         if moved > POLARITY_MOTION {
             if i + 1 >= joints {
@@ -50,7 +53,6 @@ where
             } else {
                 let next = (i + 1).min(MAX_JOINTS - 1);
                 self.polarity = Polarity { axis: next, seconds: 0.0, from: self.frame.q[next] };
-                self.command(|_, _| 0.0);
             }
             return;
         }
@@ -62,6 +64,6 @@ where
             return self.trip(Fault::PolarityNoMotion, Some(i as u8), moved);
         }
         let share = POLARITY_SHARE * (self.polarity.seconds * (1.0 / POLARITY_SECONDS)).min(1.0);
-        self.command(|axis, _| if axis == i { share * most[i] } else { 0.0 });
+        self.frame.torque[i] = share * most;
     }
 }

@@ -8,6 +8,7 @@ use embassy_stm32::pac;
 use embassy_stm32::pac::timer::TimGp16;
 use embassy_stm32::{Peripherals, peripherals, rcc};
 use haptic_bridge::carrier::{CARRIER_MIN_HZ, Carrier};
+use haptic_bridge::description::MAX_JOINTS;
 use haptic_bridge::drive::Bridge;
 use haptic_bridge::guard::{Fault, Limits};
 
@@ -76,35 +77,39 @@ pub struct Io {
 
 impl Io {
     /// Encoder counts since power-on, one per axis.
-    #[inline]
-    pub fn counts(&mut self) -> [i32; AXES] {
+    #[inline(always)]
+    pub fn counts(&mut self) -> [i32; MAX_JOINTS] {
         [self.encoders[0].read(), self.encoders[1].read(), self.encoders[2].read()]
     }
 
     /// The counts last read, of encoders whose index pulse was seen since the last call.
-    #[inline]
-    pub fn index(&mut self) -> [Option<i32>; AXES] {
+    #[inline(always)]
+    pub fn index(&mut self) -> [Option<i32>; MAX_JOINTS] {
         let seen = index::take();
-        core::array::from_fn(|axis| self.encoders[axis].last(seen & INDEX_LINES[axis] != 0))
+        let at = |axis: usize| self.encoders[axis].last(seen & INDEX_LINES[axis] != 0);
+        [at(0), at(1), at(2)]
     }
 
     /// The readings that the crest started; `learn` says that no current flows.
-    #[inline]
+    #[inline(always)]
     pub fn analog(&mut self, learn: bool) -> Analog {
         let fresh = adc::wait(pac::ADC1) & adc::wait(pac::ADC2);
         let raw = [adc::result(pac::ADC1, 0), adc::result(pac::ADC2, 0), adc::result(pac::ADC1, 1)];
-        let amperes_per_count = adc::REFERENCE_V / adc::FULL_SCALE * AMPERES_PER_VOLT;
-        let current_a = self.zeros.take(raw, learn && fresh).map(|counts| counts * amperes_per_count);
+        if learn && fresh {
+            self.zeros.learn(raw);
+        }
+        let current = |axis| self.zeros.less(axis, raw[axis]) * (adc::REFERENCE_V / adc::FULL_SCALE * AMPERES_PER_VOLT);
+        let current_a = [current(0), current(1), current(2)];
         let bus_v = f32::from(adc::result(pac::ADC2, 1)) * (adc::REFERENCE_V / adc::FULL_SCALE * BUS_DIVIDER);
         Analog { bus_v, current_a, fresh }
     }
 
-    /// Duties in -1..1, applied at the next valley. NaN is no voltage.
-    #[inline]
-    pub fn write(&mut self, duty: [f32; AXES]) {
-        for (channel, duty) in duty.into_iter().enumerate() {
-            pac::TIM1.ccr(channel).write(|w| w.set_ccr(pwm::compare(0.5 + 0.5 * duty, self.carrier.top)));
-        }
+    /// Compare values of each axis's two legs, applied at the next valley: the second leg is the first one's complement here.
+    #[inline(always)]
+    pub fn write(&mut self, legs: [[u16; 2]; AXES]) {
+        pac::TIM1.ccr(0).write(|w| w.set_ccr(legs[0][0]));
+        pac::TIM1.ccr(1).write(|w| w.set_ccr(legs[1][0]));
+        pac::TIM1.ccr(2).write(|w| w.set_ccr(legs[2][0]));
     }
 
     /// Connects the bridges to the carrier, or lets them float. Off also drops the enable line.
@@ -127,8 +132,9 @@ impl Io {
     }
 
     /// The carrier in use.
-    pub fn carrier(&self) -> Carrier {
-        self.carrier
+    #[inline(always)]
+    pub fn carrier(&self) -> &Carrier {
+        &self.carrier
     }
 
     /// Changes the carrier; all axes take it at the same extreme.

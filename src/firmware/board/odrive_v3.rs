@@ -11,6 +11,7 @@ use embassy_stm32::time::Hertz;
 use embassy_stm32::{Peripherals, peripherals, rcc};
 use embassy_time::{Duration, block_for};
 use haptic_bridge::carrier::{CARRIER_MIN_HZ, Carrier, TIMER_HZ};
+use haptic_bridge::description::MAX_JOINTS;
 use haptic_bridge::drive::Bridge;
 use haptic_bridge::guard::{Fault, Limits};
 
@@ -90,20 +91,21 @@ pub struct Io {
 
 impl Io {
     /// Encoder counts since power-on, one per axis.
-    #[inline]
-    pub fn counts(&mut self) -> [i32; AXES] {
-        [self.encoders[0].read(), self.encoders[1].read()]
+    #[inline(always)]
+    pub fn counts(&mut self) -> [i32; MAX_JOINTS] {
+        [self.encoders[0].read(), self.encoders[1].read(), 0]
     }
 
     /// The counts last read, of encoders whose index pulse was seen since the last call.
-    #[inline]
-    pub fn index(&mut self) -> [Option<i32>; AXES] {
+    #[inline(always)]
+    pub fn index(&mut self) -> [Option<i32>; MAX_JOINTS] {
         let seen = index::take();
-        core::array::from_fn(|axis| self.encoders[axis].last(seen & INDEX_LINES[axis] != 0))
+        let at = |axis: usize| self.encoders[axis].last(seen & INDEX_LINES[axis] != 0);
+        [at(0), at(1), None]
     }
 
     /// The readings that the crest started; `learn` says that no current flows and the amplifiers' supply is up.
-    #[inline]
+    #[inline(always)]
     pub fn analog(&mut self, learn: bool) -> Analog {
         let fresh = adc::wait(pac::ADC1) & adc::wait(pac::ADC2);
         let raw = [
@@ -112,21 +114,24 @@ impl Io {
             adc::result(pac::ADC1, 1),
             adc::result(pac::ADC2, 1),
         ];
-        let [b0, c0, b1, c1] = self.zeros.take(raw, learn && fresh);
+        if learn && fresh {
+            self.zeros.learn(raw);
+        }
         // What leaves phase B comes back through C.
-        let current_a = [(b0 - c0) * (0.5 * AMPERES_PER_COUNT), (b1 - c1) * (0.5 * AMPERES_PER_COUNT)];
+        let first = self.zeros.less(0, raw[0]) - self.zeros.less(1, raw[1]);
+        let second = self.zeros.less(2, raw[2]) - self.zeros.less(3, raw[3]);
+        let current_a = [first * (0.5 * AMPERES_PER_COUNT), second * (0.5 * AMPERES_PER_COUNT), 0.0];
         let bus_v = f32::from(adc::result(pac::ADC1, 2)) * (adc::REFERENCE_V / adc::FULL_SCALE * BUS_DIVIDER);
         Analog { bus_v, current_a, fresh }
     }
 
-    /// Duties in -1..1, applied at the next valley. NaN is no voltage.
-    #[inline]
-    pub fn write(&mut self, duty: [f32; AXES]) {
-        for (timer, duty) in TIMERS.into_iter().zip(duty) {
-            let half = 0.5 * duty;
-            timer.ccr(1).write(|w| w.set_ccr(pwm::compare(0.5 + half, self.carrier.top)));
-            timer.ccr(2).write(|w| w.set_ccr(pwm::compare(0.5 - half, self.carrier.top)));
-        }
+    /// Compare values of each axis's two legs, applied at the next valley.
+    #[inline(always)]
+    pub fn write(&mut self, legs: [[u16; 2]; AXES]) {
+        pac::TIM1.ccr(1).write(|w| w.set_ccr(legs[0][0]));
+        pac::TIM1.ccr(2).write(|w| w.set_ccr(legs[0][1]));
+        pac::TIM8.ccr(1).write(|w| w.set_ccr(legs[1][0]));
+        pac::TIM8.ccr(2).write(|w| w.set_ccr(legs[1][1]));
     }
 
     /// Connects the bridges to the carrier, or lets them float. Off also drops EN_GATE.
@@ -148,8 +153,9 @@ impl Io {
     }
 
     /// The carrier in use.
-    pub fn carrier(&self) -> Carrier {
-        self.carrier
+    #[inline(always)]
+    pub fn carrier(&self) -> &Carrier {
+        &self.carrier
     }
 
     /// Changes the carrier; both axes take it at the same extreme.

@@ -29,18 +29,18 @@ pub const STAGES: &[(&str, &[&str])] = &[
     ("order of a crest", &["Step::crest"]),
     (REQUEST, &["Step::take"]),
     ("encoders", &["Io::counts", "Encoder::read", "Io::index"]),
-    ("samples, fault lines", &["Step::hardware_fault", "servo::padded"]),
+    ("samples, fault lines", &["Step::hardware_fault"]),
     ("servo", &["Servo::control", "board_step::control"]),
     ("step: angles, speeds", &["Encoders::angles", "Encoders::velocities"]),
     ("step: pose, tip", &["mechanism::shared_pose", "::pose", "::tip", "::regularity"]),
     ("step: walls", &["Controller::step", "Controller::step_with", "AnyController::step", "Walls::touch"]),
     ("step: feed-forward", &["Controller::shaped_by_one", "Controller::shaped_by_several", "Controller::bias"]),
-    ("guard", &["Servo::watch"]),
+    ("guard", &["Servo::watch", "Servo::watch_budgets", "Servo::find", "Servo::index_agrees"]),
     ("drive: torque to current", &["Servo::drive"]),
     ("bridges", &["Step::connect"]),
-    ("current loops", &["board_step::duties", "Servo::duties"]),
+    ("current loops", &["board_step::legs", "Servo::duties"]),
     ("duties to the timers", &["Io::write"]),
-    ("telemetry", &["Step::record"]),
+    ("telemetry", &["Step::record", "board_step::record"]),
 ];
 
 type Reader<'a> = EndianSlice<'a, LittleEndian>;
