@@ -35,7 +35,7 @@ pub trait Machine {
     fn retime(&mut self, rate_hz: f32);
     /// Writes a setting so that a power cut leaves the old or the new value.
     fn save(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal>;
-    /// Reads a setting.
+    /// Reads a setting; an entry without a byte for one that was stored and is damaged.
     fn load(&mut self, key: Key) -> Option<Entry>;
 }
 

@@ -3,7 +3,6 @@
 
 use core::sync::atomic::Ordering;
 
-use embassy_futures::block_on;
 use haptic_bridge::board_step::{BoardMath, BoardProgram};
 use haptic_bridge::carrier::Carrier;
 use haptic_bridge::dispatch::Described;
@@ -137,7 +136,7 @@ impl Machine for Panel {
 
     fn save(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
         servo::STALL_EXPECTED.store(true, Ordering::Relaxed);
-        let result = block_on(self.storage.write(key as u8, entry));
+        let result = self.storage.write(key as u8, entry);
         servo::STALL_EXPECTED.store(false, Ordering::Relaxed);
         result.map_err(|error| {
             defmt::error!("setting {=u8} was not saved: error {=u8}", key as u8, error as u8);
@@ -146,11 +145,11 @@ impl Machine for Panel {
     }
 
     fn load(&mut self, key: Key) -> Option<Entry> {
-        match block_on(self.storage.read(key as u8)) {
+        match self.storage.read(key as u8) {
             Ok(entry) => Entry::from_slice(entry?).ok(),
             Err(error) => {
                 defmt::error!("setting {=u8} cannot be read: error {=u8}", key as u8, error as u8);
-                None
+                Some(Entry::new())
             }
         }
     }

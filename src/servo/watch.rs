@@ -111,6 +111,7 @@ where
         let mut worst = 0;
         let mut power = 0.0;
         let mut sum = self.frame.wall_force + self.frame.normal_velocity + self.frame.bus_voltage;
+        #[allow(clippy::needless_range_loop, reason = "one number for ten arrays")]
         for i in 0..joints {
             if sensed {
                 self.frame.current[i] = samples.currents[i];

@@ -20,7 +20,7 @@ use rigless::mcu::{Mcu, Operate};
 use rigless::soc::stm32f427::Stm32f427;
 use rigless::soc::stm32f427::generated::exti::Register as ExtiRegister;
 use rigless::soc::stm32f427::peripherals::{ADVANCED_TIMERS, CONVERTERS};
-use rigless::soc::{Bus, Error};
+use rigless::soc::{Bus, Error, Width};
 use rigless::time::VirtualNanos;
 
 use flash::FlashUnit;
@@ -133,6 +133,17 @@ impl Chip {
             let (registers, _) = self.part.bus_mut().drive(at, slot);
             registers.set(ExtiRegister::Pr, registers.get(ExtiRegister::Pr) | enabled);
         }
+    }
+
+    /// Changes a word of the flash as age or radiation would, without the interface; in force when the run goes on.
+    ///
+    /// # Panics
+    ///
+    /// When the part has no flash interface, which is a bug here.
+    pub fn spoil_flash(&mut self, at: VirtualNanos, address: u64, word: u32) {
+        let slot = self.bus().slot_of("FLASH").expect("the part has a flash interface");
+        let (_, mut context) = self.part.bus_mut().drive(at, slot);
+        context.program(address, Width::W32, u64::from(word), flash::WRITTEN);
     }
 
     /// The registers of the instance called `name`.

@@ -3,6 +3,7 @@
 //! The match over all faults is exhaustive: a fault without an injector does not build. Faults that neither board has a
 //! means to see say so.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -12,6 +13,7 @@ use haptic_bridge::controller::Gains;
 use haptic_bridge::guard::{Fault, FaultRecord, Refusal, State};
 use haptic_bridge::scene::FeedForward;
 use haptic_bridge::servo::{HostAction, Rules};
+use haptic_bridge::settings::{Damage, Key};
 use rigless::device::Level;
 
 use crate::boards::BoardKind;
@@ -50,6 +52,8 @@ pub struct Outcome {
 const FIVE_BAR: &str = "pantograph-mk2";
 /// A stiffness, N/m, that no other word of the RAM looks like.
 const MARK: f32 = 517.25;
+/// The flash sectors that hold the settings.
+const SETTINGS: Range<u64> = 0x0800_4000..0x0800_C000;
 /// Where a stub of code can be put: above everything that the firmware keeps in RAM.
 const FREE_RAM: u64 = 0x2001_F000;
 
@@ -272,9 +276,25 @@ pub fn injection(fault: Fault) -> Injection {
             },
             500,
         ),
-        Fault::SettingsDamaged => {
-            Unseen("the flash map's own checksum skips a damaged entry before the firmware could tell of it")
-        }
+        Fault::SettingsDamaged => chip(
+            "one bit of a saved setting in flash flipped, then a reset",
+            || {
+                let mut rig = Rig::with_device(BoardKind::OdriveV3, FIVE_BAR, |_| ());
+                rig.load("");
+                for name in ["first name", "second name"] {
+                    rig.tool.set_name(&name.try_into().expect("a short name")).expect("the board takes a name");
+                    rig.tool.save().expect("the settings are written");
+                }
+                rig.ready();
+                rig
+            },
+            |rig| {
+                rig.with(|bench| bench.flip_in_flash(SETTINGS, b"second name"));
+                rig.run(MICROSECOND);
+                rig.with(|bench| bench.reset());
+            },
+            500,
+        ),
         Fault::BreakInput => chip(
             "the break line pulled down",
             || free_on(BoardKind::HBridgeF405),
@@ -435,6 +455,12 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     let status = rig.tool.status().expect("the board answers");
     let record = status.fault.unwrap_or_else(|| panic!("{name}: no fault is latched: {status:?}"));
     assert_eq!((record.fault, status.state), (fault, State::Fault), "{name}: {status:?}");
+    if fault == Fault::SettingsDamaged {
+        // The name, and not the one of before, is at its default; the other settings are kept.
+        let details = rig.tool.details().expect("the board answers");
+        assert_eq!(details.damage.as_slice(), [(Key::Name, Damage::Corrupt)]);
+        assert_eq!((details.name.as_str(), details.device.is_some()), ("", true), "{details:?}");
+    }
     let listed = rig.tool.faults().expect("the board answers");
     assert!(listed.iter().any(|listed| listed.fault == fault), "{name}: not listed: {listed:?}");
     // Latched: it stays, the bridges stay off, and arming is refused.

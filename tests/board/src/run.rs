@@ -4,6 +4,7 @@
 //! bytes at the same virtual instants on every machine, however fast the machine is.
 
 use std::fmt;
+use std::ops::Range;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 
@@ -83,6 +84,21 @@ impl Bench<'_> {
     /// Overwrites the word at `address` of the chip's RAM. Answers whether there is RAM.
     pub fn poke(&mut self, address: u64, value: u32) -> bool {
         self.memory.write(address, Width::W32, u64::from(value)).is_ok()
+    }
+
+    /// Flips a bit of the first byte of the last `text` in a `place` of the flash. In force when the run goes on.
+    ///
+    /// # Panics
+    ///
+    /// When the text is not there.
+    pub fn flip_in_flash(&mut self, place: Range<u64>, text: &[u8]) {
+        let bytes: Vec<u8> =
+            place.clone().step_by(4).flat_map(|at| self.word(at).expect("there is flash").to_le_bytes()).collect();
+        let found = bytes.windows(text.len()).rposition(|window| window == text).expect("the text is in flash");
+        let word = place.start + found as u64 / 4 * 4;
+        let flipped = self.word(word).expect("there is flash") ^ 1 << (8 * (found % 4));
+        let at = VirtualNanos(self.at);
+        self.hardware().chip.spoil_flash(at, word, flipped);
     }
 
     /// Holds the core: it executes nothing while time goes on. Or lets it go on.

@@ -20,7 +20,7 @@ const LOCK: u64 = 1 << 31;
 const BUSY: u64 = 1 << 16;
 /// The answers to our own accesses, apart from any the model asks for.
 const READ: u64 = 1 << 62;
-const WRITTEN: u64 = READ + 1;
+pub(super) const WRITTEN: u64 = READ + 1;
 
 /// The interface and the array.
 pub type FlashUnit = Hooked<Flash, Array>;
