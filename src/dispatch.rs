@@ -6,7 +6,7 @@
 
 use crate::protocol::*;
 use crate::service::{Machine, Service};
-use crate::telemetry::StreamRequest;
+use crate::telemetry::{Batch, StreamRequest};
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use postcard_rpc::standard_icd::{ERROR_KEY, WireError};
 use postcard_rpc::{Endpoint, Topic};
@@ -56,6 +56,12 @@ where
     let header = VarHeader { key: VarKey::Key8(T::TOPIC_KEY), seq_no: VarSeq::Seq2(sequence) };
     let length = encode(&header, message, out)?;
     out.get(..length)
+}
+
+/// Writes a batch of telemetry as a frame: compiled here, with this crate's optimisation for speed.
+#[inline(never)]
+pub fn telemetry<'o>(sequence: u16, batch: &Batch, out: &'o mut [u8]) -> Option<&'o [u8]> {
+    publish::<Telemetry>(sequence, batch, out)
 }
 
 struct Request<'f> {

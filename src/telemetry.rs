@@ -7,6 +7,7 @@
 use crate::description::MAX_JOINTS;
 use crate::servo::Frame;
 use heapless::Vec;
+use heapless::spsc::Consumer;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
@@ -136,10 +137,11 @@ pub struct Batch {
     pub values: Vec<f32, BATCH_VALUES>,
 }
 
-/// Packs frames into batches.
+/// Packs frames into batches: one is filled while the other is on its way.
 #[derive(Clone, Debug, Default)]
 pub struct Packer {
-    batch: Batch,
+    batches: [Batch; 2],
+    filling: usize,
     sent: u32,
     width: usize,
 }
@@ -148,54 +150,87 @@ impl Packer {
     /// Starts a stream for a device of `axes` joints.
     pub fn start(&mut self, request: &StreamRequest, axes: usize) {
         let axes = axes.min(MAX_JOINTS);
-        *self = Self::default();
-        self.batch.divider = request.divider;
-        self.batch.fields = request.fields.0 & Fields::ALL.0;
-        self.batch.axes = axes as u8;
-        self.width = Fields(self.batch.fields).width(axes);
+        let fields = request.fields.0 & Fields::ALL.0;
+        for batch in &mut self.batches {
+            batch.divider = request.divider;
+            batch.fields = fields;
+            batch.axes = axes as u8;
+            batch.values.clear();
+        }
+        self.sent = 0;
+        self.width = Fields(fields).width(axes);
+    }
+
+    /// Ends it.
+    pub fn stop(&mut self) {
+        self.width = 0;
+        self.batches.iter_mut().for_each(|batch| batch.values.clear());
     }
 
     /// Whether a stream is on and wants this step.
     #[inline(always)]
     pub fn wants(&self, step: u32) -> bool {
-        self.width > 0 && step.checked_rem(self.batch.divider) == Some(0)
+        self.width > 0 && step.checked_rem(self.batches[0].divider) == Some(0)
     }
 
     /// Adds a frame that [`Packer::wants`]. `dropped` counts rows lost on the board so far. Returns a batch when this
     /// frame does not continue the one under way, or fills it.
-    pub fn push(&mut self, frame: &Frame, dropped: u32) -> Option<Batch> {
-        let rows = self.batch.values.len().checked_div(self.width).unwrap_or(0) as u32;
-        let due = self.batch.first_step.wrapping_add(rows.wrapping_mul(self.batch.divider));
+    pub fn push(&mut self, frame: &Frame, dropped: u32) -> Option<&Batch> {
+        let batch = &self.batches[self.filling & 1];
+        let rows = batch.values.len().checked_div(self.width).unwrap_or(0) as u32;
+        let due = batch.first_step.wrapping_add(rows.wrapping_mul(batch.divider));
         let mut full = None;
         if rows > 0 && frame.step != due {
-            full = Some(self.take());
+            full = Some(self.turn());
         }
-        if self.batch.values.is_empty() {
-            self.batch.first_step = frame.step;
+        let batch = &mut self.batches[self.filling & 1];
+        if batch.values.is_empty() {
+            batch.first_step = frame.step;
         }
-        self.batch.dropped = dropped;
-        let fields = Fields(self.batch.fields);
+        batch.dropped = dropped;
+        let fields = Fields(batch.fields);
         for field in Field::ALL.iter().filter(|field| fields.has(**field)) {
-            let numbers = if field.is_vector() { usize::from(self.batch.axes) } else { 1 };
+            let numbers = if field.is_vector() { usize::from(batch.axes) } else { 1 };
             for i in 0..numbers.min(MAX_JOINTS) {
-                let _ = self.batch.values.push(field.value(frame, i));
+                let _ = batch.values.push(field.value(frame, i));
             }
         }
-        if full.is_none() && self.batch.values.len() + self.width > BATCH_VALUES {
-            full = Some(self.take());
+        if full.is_none() && batch.values.len() + self.width > BATCH_VALUES {
+            full = Some(self.turn());
         }
-        full
+        full.map(|full| &self.batches[full & 1])
+    }
+
+    /// Packs what frames wait in a queue, up to the first full batch, which is returned; the batch under way instead, if none
+    /// is full and rows have waited too long (`late`).
+    pub fn drain(&mut self, frames: &mut Consumer<'_, Frame>, dropped: u32, late: bool) -> Option<&Batch> {
+        let mut full = false;
+        while !full && let Some(frame) = frames.peek() {
+            full = self.wants(frame.step) && self.push(frame, dropped).is_some();
+            let _ = frames.dequeue();
+        }
+        if late && !full {
+            return self.flush();
+        }
+        full.then(|| &self.batches[!self.filling & 1])
     }
 
     /// The batch under way, if it holds any row: call when the stream is slow, so that rows do not wait.
-    pub fn flush(&mut self) -> Option<Batch> {
-        if self.batch.values.is_empty() { None } else { Some(self.take()) }
+    pub fn flush(&mut self) -> Option<&Batch> {
+        if self.batches[self.filling & 1].values.is_empty() {
+            return None;
+        }
+        let full = self.turn();
+        Some(&self.batches[full & 1])
     }
 
-    fn take(&mut self) -> Batch {
-        let full = Batch { number: self.sent, ..self.batch.clone() };
+    /// Ends the batch under way, numbers it, and goes on with the other one; which one was ended.
+    fn turn(&mut self) -> usize {
+        let full = self.filling & 1;
+        self.batches[full].number = self.sent;
         self.sent = self.sent.wrapping_add(1);
-        self.batch.values.clear();
+        self.filling = full ^ 1;
+        self.batches[full ^ 1].values.clear();
         full
     }
 }

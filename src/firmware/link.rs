@@ -10,7 +10,7 @@ use embassy_usb::class::cdc_acm::{CdcAcmClass, State};
 use embassy_usb::{Builder, UsbDevice};
 use haptic_bridge::dispatch::{self, After};
 use haptic_bridge::guard::FaultRecord;
-use haptic_bridge::protocol::{FaultSeen, MAX_FRAME, Telemetry, USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR};
+use haptic_bridge::protocol::{FaultSeen, MAX_FRAME, USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR};
 use haptic_bridge::service::{Machine as _, Service};
 use haptic_bridge::servo::{Command, Hardware};
 use static_cell::{ConstStaticCell, StaticCell};
@@ -129,7 +129,7 @@ pub async fn serve(mut panel: Panel, hardware: Hardware, previous: Option<FaultR
         more = false;
         if let Some(batch) = stream.batch(&mut panel) {
             more = true;
-            if let Some(message) = dispatch::publish::<Telemetry>(sequence, batch, frame) {
+            if let Some(message) = dispatch::telemetry(sequence, batch, frame) {
                 sequence = sequence.wrapping_add(1);
                 outgoing.send(message).await;
             }

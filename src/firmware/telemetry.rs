@@ -15,7 +15,6 @@ const PATIENCE: Duration = Duration::from_millis(40);
 #[derive(Default)]
 pub struct TelemetryStream {
     packer: Packer,
-    batch: Batch,
     last: Option<Instant>,
 }
 
@@ -33,6 +32,7 @@ impl TelemetryStream {
     /// Ends it.
     pub fn stop(&mut self) {
         servo::STREAM_DIVIDER.store(0, Ordering::Relaxed);
+        self.packer.stop();
         self.last = None;
     }
 
@@ -43,20 +43,10 @@ impl TelemetryStream {
 
     /// Packs what frames there are; a batch that is full or has waited long enough.
     pub fn batch(&mut self, panel: &mut Panel) -> Option<&Batch> {
-        let last = self.last?;
+        let late = self.last?.elapsed() > PATIENCE;
         let dropped = servo::FRAMES_DROPPED.load(Ordering::Relaxed);
-        let mut ready = None;
-        while ready.is_none() {
-            let Some(frame) = panel.frames.dequeue() else { break };
-            if self.packer.wants(frame.step) {
-                ready = self.packer.push(&frame, dropped);
-            }
-        }
-        if ready.is_none() && last.elapsed() > PATIENCE {
-            ready = self.packer.flush();
-        }
-        self.batch = ready?;
+        let batch = self.packer.drain(&mut panel.frames, dropped, late)?;
         self.last = Some(Instant::now());
-        Some(&self.batch)
+        Some(batch)
     }
 }

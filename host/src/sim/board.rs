@@ -267,7 +267,7 @@ impl SimulatedBoard {
         if !self.link.has_room() {
             self.dropped = self.dropped.wrapping_add(1);
         } else if let Some(batch) = self.packer.push(&frame, self.dropped) {
-            self.link.publish::<Telemetry>(&batch);
+            self.link.publish::<Telemetry>(batch);
         }
     }
 
@@ -276,7 +276,7 @@ impl SimulatedBoard {
             self.link.publish::<FaultSeen>(&record);
         }
         if let Some(batch) = self.packer.flush() {
-            self.link.publish::<Telemetry>(&batch);
+            self.link.publish::<Telemetry>(batch);
         }
     }
 
@@ -347,7 +347,7 @@ impl SimulatedBoard {
         if matches!(after, After::Stream(..))
             && let Some(batch) = self.packer.flush()
         {
-            self.link.publish::<Telemetry>(&batch);
+            self.link.publish::<Telemetry>(batch);
         }
         if let Some(answer) = answer {
             self.link.send(answer);
