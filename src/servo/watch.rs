@@ -102,7 +102,6 @@ where
 
     /// Looks for everything that must turn the motors off. `acted` are the torques (N m) of the period that ended.
     #[inline(always)]
-    #[expect(clippy::needless_range_loop, reason = "a dozen arrays side by side")]
     pub(super) fn watch(&mut self, samples: &Samples, acted: &[f32; MAX_JOINTS], regularity: &Regularity<f32>) {
         let Some(program) = self.program.as_ref() else { return };
         let joints = program.joints.min(MOST_JOINTS);
