@@ -34,7 +34,7 @@ fn packer(fields: Fields, divider: u32, axes: usize) -> Packer {
 fn a_row_holds_its_fields_in_their_order() {
     let mut packer = packer(Fields(Field::Angle.bit() | Field::Counts.bit() | Field::State.bit()), 1, 2);
     assert!(packer.push(&frame(9), 0).is_none());
-    let batch = packer.flush().unwrap();
+    let batch = packer.flush().unwrap().clone();
     assert_eq!((batch.first_step, batch.axes, width(&batch)), (9, 2, 5));
     assert_eq!(batch.values[..2], [9.0, 0.5]);
     assert_eq!(batch.values[2].to_bits() as i32, -7);
@@ -59,7 +59,7 @@ fn a_full_batch_leaves_at_once_and_nothing_is_cut_off() {
         let mut step = 0;
         let batch = loop {
             step += 1;
-            if let Some(batch) = packer.push(&frame(step), 0) {
+            if let Some(batch) = packer.push(&frame(step), 0).cloned() {
                 break batch;
             }
         };
@@ -73,7 +73,7 @@ fn a_full_batch_leaves_at_once_and_nothing_is_cut_off() {
 fn fields_that_do_not_exist_are_not_sent() {
     let mut packer = packer(Fields(u32::MAX), 1, 7);
     packer.push(&frame(1), 0);
-    let batch = packer.flush().unwrap();
+    let batch = packer.flush().unwrap().clone();
     assert_eq!((Fields(batch.fields), batch.axes), (Fields::ALL, 3));
     assert_eq!(batch.values.len(), width(&batch));
 }
@@ -90,11 +90,11 @@ proptest! {
         let mut packer = packer(Fields(fields), divider, 2);
         let first = start - start % divider;
         let (mut dropped, mut sent, mut arrived, mut lost_on_link) = (0_u32, 0_usize, Vec::new(), 0_usize);
-        let mut send = |batch: Batch, lose: bool| {
+        let mut send = |batch: &Batch, lose: bool| {
             if lose {
-                lost_on_link += rows(&batch).count();
+                lost_on_link += rows(batch).count();
             } else {
-                arrived.push(batch);
+                arrived.push(batch.clone());
             }
         };
         for (i, (drop, lose)) in fate.iter().enumerate() {
@@ -131,4 +131,22 @@ proptest! {
             prop_assert!(last.dropped <= dropped);
         }
     }
+}
+
+#[test]
+fn what_waits_in_a_queue_leaves_in_order_and_the_rest_when_it_is_late() {
+    let mut packer = packer(Fields(Field::Angle.bit()), 2, 1);
+    let mut queue = heapless::spsc::Queue::<Frame, 512>::new();
+    let (mut producer, mut consumer) = queue.split();
+    for step in 0..500 {
+        producer.enqueue(frame(step)).unwrap();
+    }
+    let full = packer.drain(&mut consumer, 7, false).expect("250 rows are more than a batch").clone();
+    assert_eq!((full.number, full.first_step, full.values.len(), full.dropped), (0, 0, BATCH_VALUES, 7));
+    assert!(packer.drain(&mut consumer, 7, false).is_none());
+    assert_eq!(consumer.len(), 0);
+    let rest = packer.drain(&mut consumer, 7, true).expect("late").clone();
+    assert_eq!((rest.number, rest.first_step), (1, 2 * BATCH_VALUES as u32));
+    assert!(rows(&full).chain(rows(&rest)).eq((0..500).step_by(2)));
+    assert!(packer.drain(&mut consumer, 7, true).is_none());
 }
