@@ -19,7 +19,7 @@ use rigless::device::Level;
 use crate::boards::BoardKind;
 use crate::contact::{WallAt, firm, hold, push};
 use crate::rig::{Rig, device_file, firmware};
-use crate::run::{MICROSECOND, MILLISECOND, SECOND};
+use crate::run::{Bench, MICROSECOND, MILLISECOND, SECOND};
 
 /// How a fault is brought about.
 pub enum Injection {
@@ -89,19 +89,33 @@ fn pushed_by(rig: &Rig, force: [f64; 3]) {
     rig.with_simulated(move |device| push(device, force, 0.05));
 }
 
-/// Puts `code` into free RAM and has the supervisor's task enter it the next time it is polled.
-fn run_instead(rig: &Rig, code: u32) {
+/// Puts code into free RAM and has the task in `pool` enter it the next time it is polled. `code` is told where the task
+/// itself begins.
+///
+/// # Panics
+///
+/// When the image has no such task.
+pub fn run_instead(rig: &Rig, pool: &str, code: impl FnOnce(u32) -> Vec<u32>) {
     let image = firmware(rig.kind);
-    let pool = image.find_ending("10supervisor9supervise4POOL").expect("the supervisor's task");
+    let pool = image.find_ending(pool).expect("the task");
     let (from, to) = image.text();
-    rig.with(move |bench| {
-        assert!(bench.poke(FREE_RAM, code), "there is RAM");
+    let place = rig.with(move |bench| {
         let is_code = |word: u32| word & 1 == 1 && (from..to).contains(&u64::from(word));
-        let found =
-            (0..pool.size / 4).map(|nth| pool.address + 4 * nth).find(|at| bench.word(*at).is_some_and(is_code));
-        bench.poke(found.expect("the task's poll function"), FREE_RAM as u32 | 1);
+        let mut words = (0..pool.size / 4).map(|nth| pool.address + 4 * nth);
+        words.find_map(|at| bench.word(at).filter(|word| is_code(*word)).map(|word| (at, word)))
+    });
+    let (at, task) = place.expect("the task's poll function");
+    let code = code(task);
+    rig.with(move |bench| {
+        for (to, word) in (FREE_RAM..).step_by(4).zip(code) {
+            assert!(bench.poke(to, word), "there is RAM");
+        }
+        bench.poke(at, FREE_RAM as u32 | 1);
     });
 }
+
+/// The supervisor, which feeds the watchdog.
+const SUPERVISOR: &str = "10supervisor9supervise4POOL";
 
 /// How `fault` is brought about.
 #[must_use]
@@ -257,13 +271,24 @@ pub fn injection(fault: Fault) -> Injection {
             },
             500,
         ),
-        Fault::Watchdog => chip("a task that never returns", in_contact, |rig| run_instead(rig, 0xE7FE_E7FE), 500),
-        Fault::StackOverflow => {
-            chip("a task that pushes for ever", in_contact, |rig| run_instead(rig, 0xE7FD_B4FF), 500)
-        }
-        Fault::HardFault => {
-            chip("a task that runs into an undefined instruction", in_contact, |rig| run_instead(rig, 0xDE00_DE00), 500)
-        }
+        Fault::Watchdog => chip(
+            "a task that never returns",
+            in_contact,
+            |rig| run_instead(rig, SUPERVISOR, |_| vec![0xE7FE_E7FE]),
+            500,
+        ),
+        Fault::StackOverflow => chip(
+            "a task that pushes for ever",
+            in_contact,
+            |rig| run_instead(rig, SUPERVISOR, |_| vec![0xE7FD_B4FF]),
+            500,
+        ),
+        Fault::HardFault => chip(
+            "a task that runs into an undefined instruction",
+            in_contact,
+            |rig| run_instead(rig, SUPERVISOR, |_| vec![0xDE00_DE00]),
+            500,
+        ),
         Fault::Panic => chip(
             "a task that jumps into the panic handler",
             in_contact,
@@ -271,8 +296,7 @@ pub fn injection(fault: Fault) -> Injection {
                 let handler =
                     firmware(rig.kind).find_ending("6faults8panicked").expect("the panic handler").address as u32;
                 // ldr.w pc, [pc, #0], and the address.
-                rig.with(move |bench| bench.poke(FREE_RAM + 4, handler | 1));
-                run_instead(rig, 0xF000_F8DF);
+                run_instead(rig, SUPERVISOR, |_| vec![0xF000_F8DF, handler | 1]);
             },
             500,
         ),
@@ -411,12 +435,10 @@ fn after_crest(rig: &Rig, microseconds: u64) {
 }
 
 /// Whether every bridge floats and the power stages are disabled.
-fn off(rig: &Rig) -> bool {
-    rig.with(|bench| {
-        let hardware = bench.hardware();
-        let enable = hardware.wiring.map(|wiring| wiring.enable);
-        hardware.drives() == [Drive::Floating; 3] && enable.is_none_or(|enable| hardware.level(enable) == Level::Low)
-    })
+pub fn off(bench: &mut Bench<'_>) -> bool {
+    let hardware = bench.hardware();
+    let enable = hardware.wiring.map(|wiring| wiring.enable);
+    hardware.drives() == [Drive::Floating; 3] && enable.is_none_or(|enable| hardware.level(enable) == Level::Low)
 }
 
 /// Brings `fault` about and watches what comes of it: latched, bridges off, arming refused, cleared only when asked for.
@@ -436,7 +458,7 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     cause(&mut rig);
     let mut seen = None;
     while rig.now() < began + within * MILLISECOND {
-        if off(&rig) {
+        if rig.with(off) {
             seen = Some((rig.now(), rig.steps()));
             break;
         }
@@ -470,7 +492,7 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     // A chip that restarted has forgotten its device as well, and names that.
     let refused_after_restart = restarted && matches!(refused, Err(BoardError::Refused(_)));
     assert!(named || refused_after_restart, "{name}: {refused:?}");
-    assert!(off(&rig), "{name}: bridges came on again");
+    assert!(rig.with(off), "{name}: bridges came on again");
     if fault == Fault::NotFinite {
         // The number is still there: only a new scene is a cure.
         rig.set_scene("");
@@ -479,7 +501,7 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     rig.run(MILLISECOND);
     let status = rig.tool.status().expect("the board answers");
     assert_eq!((status.state, status.fault), (State::Disarmed, None), "{name} is not cleared");
-    assert!(off(&rig), "{name}: clearing turned the bridges on");
+    assert!(rig.with(off), "{name}: clearing turned the bridges on");
     let from_cause = ((at - began) / (50 * MICROSECOND)) as u32;
     let from_seen = (!restarted).then(|| steps.wrapping_sub(record.step));
     assert!(before <= steps || restarted, "{name}: steps went back");

@@ -7,6 +7,7 @@ mod equality;
 mod faults;
 mod injection;
 mod load;
+mod promises;
 mod range;
 mod session;
 mod timing;

@@ -1,0 +1,131 @@
+//! What docs/safety.md promises of the chip itself: off until asked, off without the processor's help, and a watchdog that no
+//! half of the firmware can feed alone.
+
+use std::time::Duration;
+
+use haptic_bridge::guard::{Fault, State};
+use virtual_board::boards::BoardKind;
+use virtual_board::hardware::Hardware;
+use virtual_board::inject::{off, run_instead};
+use virtual_board::plant::Dummy;
+use virtual_board::rig::{Rig, firmware};
+use virtual_board::run::{MICROSECOND, MILLISECOND, SECOND, VirtualBoard};
+
+use crate::session::WALL;
+
+fn armed(kind: BoardKind) -> Rig {
+    let mut rig = Rig::with_device(kind, "pantograph-mk2", |_| ());
+    rig.load(WALL);
+    rig.ready();
+    rig
+}
+
+#[test]
+fn from_power_on_to_usb_the_bridges_are_off_at_every_instant() {
+    for kind in BoardKind::ALL {
+        let hardware = Hardware::new(kind, Box::new(Dummy::default())).expect("a board");
+        let mut board = VirtualBoard::start(firmware(kind), hardware).expect("the board starts");
+        let mut ready = false;
+        while !ready {
+            board.run(20 * MICROSECOND);
+            let is_off;
+            (is_off, ready) = board.with(|bench| (off(bench), bench.usb().ready()));
+            assert!(is_off, "{} after {} ns", kind.wiring().name, board.now());
+            assert!(board.now() < 2 * SECOND, "no USB after two seconds");
+        }
+    }
+}
+
+#[test]
+fn a_reset_of_an_armed_board_turns_the_bridges_off_and_leaves_them_off() {
+    for kind in BoardKind::ALL {
+        let rig = armed(kind);
+        assert!(!rig.with(off), "the board was armed");
+        rig.with(|bench| bench.reset());
+        for instant in 0..2_000 {
+            rig.run(20 * MICROSECOND);
+            assert!(rig.with(off) || instant == 0, "{}: {instant} x 20 us after the reset", kind.wiring().name);
+        }
+    }
+}
+
+/// DBGMCU's freeze registers for the two peripheral buses, and their bits (RM0090 section 38.16.4 and 38.16.5).
+const APB1_FREEZE: u32 = 0x08;
+const APB2_FREEZE: u32 = 0x0C;
+const WATCHDOG_STOPS: u64 = 1 << 12;
+const CARRIERS_STOP: u64 = 0b11;
+
+#[test]
+fn a_debugger_that_halts_the_core_stops_the_carriers_and_the_watchdog() {
+    for kind in BoardKind::ALL {
+        let rig = Rig::empty(kind);
+        let (first, second) = rig.with(|bench| {
+            let chip = &bench.hardware().chip;
+            (chip.register("DBG", APB1_FREEZE), chip.register("DBG", APB2_FREEZE))
+        });
+        assert_eq!(first & WATCHDOG_STOPS, WATCHDOG_STOPS, "{}", kind.wiring().name);
+        assert_eq!(second & CARRIERS_STOP, CARRIERS_STOP, "{}", kind.wiring().name);
+    }
+}
+
+/// TIM1's break and dead-time register, and its main output enable.
+const BREAK_AND_DEAD_TIME: u32 = 0x44;
+const OUTPUTS: u64 = 1 << 15;
+
+#[test]
+fn the_break_input_cuts_the_outputs_without_the_processor() {
+    let rig = armed(BoardKind::HBridgeF405);
+    let outputs = || rig.with(|bench| bench.hardware().chip.register("TIM1", BREAK_AND_DEAD_TIME) & OUTPUTS);
+    let executed = || rig.shared.board().instructions();
+    assert_eq!(outputs(), OUTPUTS);
+    rig.with(|bench| bench.hold(true));
+    rig.run(MICROSECOND);
+    let before = executed();
+    rig.with(|bench| bench.hardware().fault_line_shorted = true);
+    rig.run(100 * MICROSECOND);
+    assert_eq!(outputs(), 0, "the outputs are on");
+    assert_eq!(executed(), before, "the processor stood still");
+}
+
+/// A board that is armed and whose task is replaced: the watchdog resets it, not before `least` ms and before `most`, and says so.
+fn bitten(task: &'static str, code: impl FnOnce(u32) -> Vec<u32>, least: u64, most: u64) {
+    let mut rig = armed(BoardKind::OdriveV3);
+    run_instead(&rig, task, code);
+    let began = rig.now();
+    let resets = rig.with(|bench| bench.resets().len());
+    while rig.with(|bench| bench.resets().len()) == resets {
+        rig.run(MILLISECOND);
+        assert!(rig.now() < began + most * MILLISECOND, "no reset after {most} ms");
+    }
+    assert!(rig.now() > began + least * MILLISECOND, "a reset after {} ns", rig.now() - began);
+    rig.run(MILLISECOND);
+    assert!(rig.with(off), "bridges are on after the reset");
+    let ready = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |bench| bench.usb().ready());
+    assert!(ready, "the port is gone");
+    rig.tool = haptic::link::Board::over(rig.shared.wire(), "again").expect("the board answers");
+    let status = rig.tool.status().expect("the board answers");
+    assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::Watchdog)));
+}
+
+#[test]
+fn the_watchdog_bites_when_the_control_interrupt_stops_though_every_task_goes_on() {
+    // Disables interrupt 25 of the controller (TIM1's update, RM0090 table 61), then goes on where the task begins:
+    // ldr r2, [pc, #8]; ldr r3, [pc, #12]; str r2, [r3]; nop; ldr.w pc, [pc, #8].
+    let stub = |task| vec![0x4B03_4A02, 0xBF00_601A, 0xF008_F8DF, 1 << 25, 0xE000_E180, task];
+    bitten("10supervisor9supervise4POOL", stub, 40, 300);
+}
+
+#[test]
+fn the_watchdog_bites_when_the_link_is_silent_though_the_control_interrupt_goes_on() {
+    // bx lr: the task returns and is never heard again. It may be silent for a second.
+    bitten("4link5serve4POOL", |_| vec![0x4770_4770], 900, 2_000);
+}
+
+#[test]
+fn a_board_that_is_left_alone_is_not_bitten() {
+    let mut rig = armed(BoardKind::OdriveV3);
+    let _ = rig.tool.rows(Duration::from_millis(10));
+    rig.run(2 * SECOND);
+    assert_eq!(rig.with(|bench| bench.resets().len()), 0);
+    assert_eq!(rig.tool.status().expect("the board answers").state, State::Armed);
+}
