@@ -30,7 +30,7 @@ fn a_session_from_a_bare_board_to_a_recording() {
     assert!(recording.rows.windows(2).all(|pair| pair[1][0] - pair[0][0] == 4.0), "every fourth step");
 
     sim.run(&["disarm"]).success();
-    sim.run(&["save"]).success();
+    sim.run(&["save"]).success().stderr(contains("the board pauses"));
     let info = sim.run(&["info", "--json"]).success();
     let info: serde_json::Value = serde_json::from_slice(&info.get_output().stdout).unwrap();
     assert_eq!(info["device"], "coupled-five-bar");
@@ -112,5 +112,43 @@ fn rules_are_shown_lowered_and_never_raised_above_the_boards_own() {
     sim.run(&["rules", "--power", "1e9"]).code(1).stderr(contains("limits must be"));
     sim.run(&["rules", "--torque", "1,1,1,1"]).code(2).stderr(contains("4 numbers"));
     sim.run(&["rules", "--power", "nan"]).code(2);
-    sim.run(&["rules"]).success().stdout(contains("[0.5, 0.4, "));
+    sim.run(&["rules", "--host-seconds", "61"]).code(2).stderr(contains("between 0.01 and 60"));
+    sim.run(&["rules"]).success().stdout(contains("[0.5, 0.4, ").and(contains("index pulses        not watched")));
+    sim.run(&["rules", "--index-period", "4096,0"]).success().stdout(contains("every [4096, 0, 0] counts"));
+    sim.run(&["rules", "--index-period=-1"]).code(2).stderr(contains("-1"));
+}
+
+#[test]
+fn a_file_that_is_none_is_refused_by_name_with_what_to_do() {
+    let directory = tempfile::tempdir().unwrap();
+    let folder = directory.path().to_str().unwrap();
+    let binary = directory.path().join("binary");
+    std::fs::write(&binary, b"\xFF\xFE").unwrap();
+    let (binary, absent) = (binary.to_str().unwrap(), directory.path().join("absent"));
+    let sim = Sim::start(&["--fast"]);
+    for command in ["device", "scene", "restore"] {
+        for (path, reason, remedy) in [
+            (folder, "Is a directory", "check the path"),
+            (binary, "not UTF-8 text", "save the file as UTF-8"),
+            (absent.to_str().unwrap(), "No such file", "check the path"),
+        ] {
+            sim.run(&[command, path])
+                .code(2)
+                .stderr(contains(path).and(contains(reason)).and(contains(remedy)).and(contains("haptic:").count(1)));
+        }
+    }
+    sim.run(&["stream", "--csv", folder]).code(1).stderr(contains(folder).and(contains("choose another file")));
+    sim.run(&["info"]).success().stdout(contains("none; load one with `haptic scene FILE`"));
+}
+
+#[test]
+fn a_tip_inside_a_wall_is_not_armed() {
+    let sim = Sim::start(&["--fast"]);
+    let directory = tempfile::tempdir().unwrap();
+    let scene = directory.path().join("inside.toml");
+    std::fs::write(&scene, "[[wall]]\npoint = [0.0, 5.0]\nnormal = [0.0, 1.0]\nstiffness = 100.0\ndamping = 1.0\n")
+        .unwrap();
+    sim.run(&["scene", scene.to_str().unwrap()]).success();
+    sim.run(&["arm"]).code(1).stderr(contains("the tip is inside a wall: move it out by hand"));
+    sim.run(&["info"]).success().stdout(contains("disarmed"));
 }

@@ -272,3 +272,38 @@ fn two_runs_are_the_same_bit_for_bit() {
     };
     assert_eq!(run(), run());
 }
+
+/// A second of contact with a wall too stiff for its rate, in telemetry: least energy (J), most added damping (N s/m), and the
+/// root mean square of the velocity (m/s) in the second half.
+fn unstable_contact(passivity: bool) -> (f64, f64, f64) {
+    let (shared, mut board) = connect(BoardOptions::default());
+    let mut scene = wall_below(&shared, 0.001, FeedForward::Off);
+    scene.rate_hz = 1_000.0;
+    scene.cutoff_hz = 100.0;
+    scene.walls[0].stiffness = 40_000.0;
+    scene.walls[0].damping = 0.0;
+    board.set_scene(&scene).unwrap();
+    let rules = board.rules().unwrap();
+    board.set_rules(&Rules { passivity, ..rules }).unwrap();
+    board.arm().unwrap();
+    push_down(&shared, 2.0);
+    board.start_stream(fields("velocity,energy,passivity").unwrap(), 1).unwrap();
+    let mut rows = Vec::new();
+    while rows.len() < 1_000 {
+        rows.extend(board.rows(Duration::from_millis(100)).unwrap());
+    }
+    let least = rows.iter().map(|row| row.values[1]).fold(0.0, f64::min);
+    let most = rows.iter().map(|row| row.values[2]).fold(0.0, f64::max);
+    let squares: f64 = rows[500..1_000].iter().map(|row| row.values[0].powi(2)).sum();
+    (least, most, (squares / 500.0).sqrt())
+}
+
+#[test]
+fn the_energy_that_a_wall_gives_out_is_seen_in_telemetry_and_damped_where_the_rules_ask_for_it() {
+    let (unobserved, undamped, free) = unstable_contact(false);
+    let (given_out, damping, damped) = unstable_contact(true);
+    assert_eq!((unobserved, undamped), (0.0, 0.0), "nobody asked");
+    assert!(given_out < -1e-3, "the wall gave out {given_out} J");
+    assert!(damping > 1.0, "{damping} N s/m");
+    assert!(damped < 0.95 * free, "{damped} m/s with damping, {free} m/s without");
+}

@@ -3,6 +3,7 @@
 use super::port::Port;
 use haptic::backup::{Backup, Restored, restore};
 use haptic::error::{Failure, print};
+use haptic::toml_file::Document;
 use std::path::PathBuf;
 
 /// Put a backup back into the board's flash
@@ -19,9 +20,9 @@ pub struct Args {
 /// Understands the whole file, then writes the board.
 pub fn run(args: Args) -> Result<(), Failure> {
     let place = args.file.display();
-    let text = std::fs::read_to_string(&args.file).map_err(|error| Failure::wrong(format!("{place}: {error}")))?;
+    let document = Document::load(&args.file)?;
     let wrong = |error| Failure::wrong(format!("{place}: {error}"));
-    let backup = Backup::parse(&text).map_err(wrong)?;
+    let backup = Backup::parse(document.text()).map_err(wrong)?;
     // Damage is found before a board is looked for.
     backup.ready("").map_err(wrong)?;
     let mut board = args.port.open()?;

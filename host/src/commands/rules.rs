@@ -38,8 +38,8 @@ pub struct Args {
     /// What the board does when the host has been silent
     #[arg(long, value_name = "ACTION")]
     host: Option<Action>,
-    /// How long the host may be silent, in s
-    #[arg(long, value_name = "S", value_parser = limit)]
+    /// How long the host may be silent, in s: 0.01 to 60
+    #[arg(long, value_name = "S", value_parser = seconds)]
     host_seconds: Option<f32>,
     /// Damp the energy that a wall gives out (passivity controller)
     #[arg(long, value_name = "BOOL", action = clap::ArgAction::Set)]
@@ -65,6 +65,12 @@ fn limit(text: &str) -> Result<f32, String> {
         Ok(_) => Err("must be finite and greater than zero".into()),
         Err(_) => Err("not a number".into()),
     }
+}
+
+fn seconds(text: &str) -> Result<f32, String> {
+    limit(text).and_then(|value| {
+        if (0.01..=60.0).contains(&value) { Ok(value) } else { Err("must be between 0.01 and 60".into()) }
+    })
 }
 
 /// Reads what is in force, changes what is named, reports what is in force then.

@@ -9,6 +9,7 @@ use haptic::link::{Board, BoardError};
 use haptic::plan::plan;
 use haptic::precision::widened;
 use haptic::scene_file::{SceneFile, rounded};
+use haptic::toml_file::Document;
 use haptic_bridge::guard::{Refusal, State};
 use haptic_bridge::precomputed::{MassModelData, TableChunk};
 use haptic_bridge::scene::Scene;
@@ -39,12 +40,12 @@ pub struct Args {
 /// Checks the file against the board's device, plans, loads.
 pub fn run(args: Args) -> Result<(), Failure> {
     // What is wrong in any dimension is said without a board.
-    let text = std::fs::read_to_string(&args.file)
-        .map_err(|error| Failure::wrong(format!("{}: {error}", args.file.display())))?;
+    let document = Document::load(&args.file)?;
+    let text = document.text();
     let budget = budget(args.error.as_deref())?;
     let mut board = args.port.open()?;
     let device = board.device()?.ok_or(BoardError::Refused(Refusal::NoDevice))?;
-    let file = SceneFile::parse(&text, &args.file, device.mechanism.kind().spec().task)?;
+    let file = SceneFile::parse(text, &args.file, device.mechanism.kind().spec().task)?;
     let written =
         file.scene::<f32>().map_err(|error| Failure::wrong(format!("{}: {error}", args.file.display())))?;
     let name = args.file.display();
