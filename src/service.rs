@@ -358,7 +358,8 @@ impl Service {
             self.polarity = fingerprint(device);
         }
         let fault = status.fault?;
-        if self.last_fault == Some(fault) {
+        // Not by their values: one that is no number equals nothing, and would be news at every look.
+        if self.last_fault.is_some_and(|last| (last.fault, last.step) == (fault.fault, fault.step)) {
             return None;
         }
         self.note_fault(fault);

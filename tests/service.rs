@@ -357,3 +357,13 @@ fn a_polarity_check_that_failed_is_not_undone_by_an_older_one_that_passed() {
     board.ask::<Home>(&()).unwrap().unwrap();
     assert_eq!(board.ask::<Arm>(&()).unwrap(), Err(Refusal::PolarityUnchecked));
 }
+
+#[test]
+fn a_fault_is_news_once_even_if_its_value_is_no_number() {
+    let mut board = board(Now::Ready);
+    board.samples.fault = Some((Fault::NotFinite, None, f32::NAN));
+    board.tick();
+    board.samples.fault = None;
+    let news = (0..5).filter(|_| board.service.poll(&mut board.machine).is_some()).count();
+    assert_eq!((news, board.service.faults().len()), (1, 1));
+}
