@@ -303,7 +303,7 @@ impl<'a> Bench<'a> {
         Ok(())
     }
 
-    /// Waits until the tip rests near `pull`; returns where it rests.
+    /// Waits until the tip rests near `pull`, along the normal and across it; returns where it rests.
     fn rest(&mut self, pull: f64, tolerance: f64) -> Result<f64, MeasureError> {
         self.hold(pull)?;
         let period = std::f64::consts::TAU / self.hold_frequency;
@@ -312,15 +312,16 @@ impl<'a> Bench<'a> {
         let started = self.board.now();
         // Friction may hold the tip off its place: then it rests, but elsewhere.
         while (self.board.now() - started).as_secs_f64() < (60.0 * period).max(0.5) {
-            for (_, place) in self.places(period / 4.0)? {
-                quiet.push(place);
+            for at in self.places(period / 4.0)? {
+                quiet.push(at);
             }
             let window = self.samples_in(0.5 * period);
             if quiet.len() > 4 * window {
                 let recent = &quiet[quiet.len() - window..];
-                let low = recent.iter().copied().fold(f64::INFINITY, f64::min);
-                let high = recent.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-                if high - low <= tolerance {
+                let (low, high) = span(recent.iter().map(|at| at.place));
+                let (near, far) = span(recent.iter().map(|at| at.aside));
+                // What slides across when the trial lets go of it would go on sliding.
+                if high - low <= tolerance && far - near <= tolerance {
                     return Ok((high + low) / 2.0);
                 }
             }
@@ -341,7 +342,7 @@ impl<'a> Bench<'a> {
         let aim = 0.5 * rested;
         while (self.board.now() - started).as_secs_f64() < quarter {
             let latest = self.places(quarter / 8.0)?;
-            if latest.iter().any(|&(_, place)| (place - aim) * pull.signum() < 0.0) {
+            if latest.iter().any(|at| (at.place - aim) * pull.signum() < 0.0) {
                 break;
             }
         }
@@ -355,12 +356,12 @@ impl<'a> Bench<'a> {
         let mut swing = Swing::new(row_seconds, self.quantum, pull.abs());
         let first = self.board.status()?.step;
         loop {
-            for (step, place) in self.places(0.02)? {
+            for at in self.places(0.02)? {
                 // Rows from before the hand-over were still on their way.
-                if step.wrapping_sub(first) > u32::MAX / 2 {
+                if at.step.wrapping_sub(first) > u32::MAX / 2 {
                     continue;
                 }
-                if let Some(verdict) = swing.take(place) {
+                if let Some(verdict) = swing.take(at.place) {
                     return Ok(verdict);
                 }
             }
@@ -379,8 +380,8 @@ impl<'a> Bench<'a> {
         Ok(())
     }
 
-    /// Steps and distances along the normal that have come, waiting at most `seconds` for the first.
-    fn places(&mut self, seconds: f64) -> Result<Vec<(u32, f64)>, MeasureError> {
+    /// Where the tip was, as far as rows have come, waiting at most `seconds` for the first.
+    fn places(&mut self, seconds: f64) -> Result<Vec<Place>, MeasureError> {
         if (self.interrupted)() {
             return Err(MeasureError::Interrupted);
         }
@@ -395,8 +396,9 @@ impl<'a> Bench<'a> {
                 let fault = self.board.status()?.fault.map_or(Fault::NotFinite, |record| record.fault);
                 return Err(MeasureError::Fault(fault));
             }
-            let place = (0..task).map(|i| (row.values[i] - self.tip[i]) * self.normal[i]).sum();
-            places.push((row.step, place));
+            let off = DVector::from_fn(task, |i, _| row.values[i] - self.tip[i]);
+            let place = off.dot(&self.normal);
+            places.push(Place { step: row.step, place, aside: (off - &self.normal * place).norm() });
         }
         Ok(places)
     }
@@ -408,6 +410,18 @@ impl Drop for Bench<'_> {
         let _ = self.board.disarm();
         let _ = self.board.set_rules(&self.before);
     }
+}
+
+/// Where the tip was at a step: along the normal and how far beside it, m.
+struct Place {
+    step: u32,
+    place: f64,
+    aside: f64,
+}
+
+/// Smallest and largest.
+fn span(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)))
 }
 
 /// Faults that an oscillation trips and that pass with it.
