@@ -36,9 +36,10 @@ cargo xtask COMMAND
                     --record writes docs/results/fuzz.md
   sanitize          the library's tests under the address sanitizer
   deny              licences and sources of everything that is linked; with cargo-deny, advisories as well
-  soak [--hours N] [--record]
-                    simulated hours (24) of contact with telemetry: nothing lost, no drift, no growth;
-                    --record writes docs/results/soak.md
+  soak [--chip] [--hours N] [--record]
+                    simulated hours (24) of contact with telemetry: nothing lost, no drift, no growth; with --chip (1 hour) on
+                    the emulated chip, random bytes into another one beside it; --record writes docs/results/soak.md, or
+                    soak-chip.md
   range             measure the range of stable walls on the emulated board (half an hour), into docs/results.md
   faults            bring every fault about on the emulated board, into docs/results/faults.md
   board [BOARD] [--device FILE] [--tcp PORT] [--fast]
@@ -72,13 +73,13 @@ fn run(arguments: &[String], install: bool) -> Result<()> {
         ["bench", "--check"] => bench::check(install),
         ["test"] => tests::all(install),
         ["test-board", rest @ ..] => tests::board(rest, install),
-        ["faults"] => tests::measure("faults", install),
-        ["range"] => tests::measure("range", install),
-        ["timing"] => tests::measure("timing", install),
+        ["faults"] => tests::measure("faults", &[], install),
+        ["range"] => tests::measure("range", &[], install),
+        ["timing"] => tests::measure("timing", &[], install),
         ["fuzz", rest @ ..] => fuzz::run(&fuzz::Options::parse(rest)?, install),
         ["sanitize", rest @ ..] => tests::sanitize(rest),
         ["deny"] => deny::run(),
-        ["soak", rest @ ..] => soak::run(rest),
+        ["soak", rest @ ..] => soak::run(rest, install),
         ["board", rest @ ..] => tests::play(rest, install),
         [] | ["help" | "--help" | "-h"] => {
             println!("{HELP}");

@@ -49,8 +49,10 @@ pub fn play(arguments: &[&str], install: bool) -> Result<()> {
 }
 
 /// A program of the virtual board's that measures on the emulated chip and writes a document.
-pub fn measure(program: &str, install: bool) -> Result<()> {
-    run(emulated("run", install)?.args(["--quiet", "--bin", program]).env("HAPTIC_OCCASION", report::occasion()))
+pub fn measure(program: &str, arguments: &[&str], install: bool) -> Result<()> {
+    let mut command = emulated("run", install)?;
+    command.args(["--quiet", "--bin", program, "--"]).args(arguments);
+    run(command.env("HAPTIC_OCCASION", report::occasion()))
 }
 
 /// A cargo call in the virtual board's workspace, which is one of its own because the emulator declares a newer compiler than

@@ -1,4 +1,4 @@
-//! A board under full load: in contact, telemetry of every step streaming, gains changing. What must not happen is a
+//! A board under full load: in contact, telemetry streaming, settings changing. What must not happen is a
 //! period that is missed.
 
 use std::time::Duration;
@@ -8,6 +8,7 @@ use haptic_bridge::controller::Gains;
 use haptic_bridge::guard::State;
 use haptic_bridge::scene::FeedForward;
 use haptic_bridge::telemetry::Fields;
+use haptic_bridge::velocity::Estimator;
 
 use crate::rig::Rig;
 use crate::run::MILLISECOND;
@@ -46,7 +47,26 @@ fn gains(nth: u64) -> Gains<f32> {
     Gains { wall: 0, stiffness, damping: 1.0, feed_forward: FeedForward::Full, washout_hz: 2.0 }
 }
 
-/// Runs a rig that stands in contact for `milliseconds` with every `divider`th step's `fields` streaming and new gains ten times a second.
+/// The nth change of a setting: gains, the rules, the filters of the velocity, in turn.
+fn change(rig: &mut Rig, nth: u64) {
+    let odd = !(nth / 3).is_multiple_of(2);
+    match nth % 3 {
+        0 => rig.tool.set_wall_gains(gains(nth / 3)).expect("gains change in contact"),
+        1 => {
+            let mut rules = rig.tool.rules().expect("the board answers");
+            rules.passivity = odd;
+            rules.host_seconds = if odd { 0.6 } else { 0.5 };
+            rig.tool.set_rules(&rules).expect("rules change in contact");
+        }
+        _ => {
+            let cutoff_hz = if odd { 400.0 } else { 500.0 };
+            rig.tool.set_estimator(Estimator::Butterworth, cutoff_hz).expect("filters change in contact");
+        }
+    }
+}
+
+/// Runs a rig that stands in contact for `milliseconds` with every `divider`th step's `fields` streaming and a setting changed ten times
+/// a second.
 ///
 /// # Panics
 ///
@@ -63,7 +83,7 @@ pub fn run(rig: &mut Rig, (fields, divider): (Fields, u32), rate_hz: u32, millis
     while rig.now() < end {
         let now = rig.now();
         if now >= began + changes * 100 * MILLISECOND {
-            rig.tool.set_wall_gains(gains(changes)).expect("gains change in contact");
+            change(rig, changes);
             changes += 1;
         }
         let rows = rig.tool.rows(Duration::from_millis(10)).expect("rows come");

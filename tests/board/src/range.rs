@@ -28,18 +28,18 @@ use crate::rig::{Rig, device_file};
 pub const POSE: [f64; 3] = [2.6, 1.75, 0.0];
 /// Edges of an encoder in a turn: so many that their steps are no part of what is measured.
 const COUNTS_PER_TURN: f64 = (1 << 20) as f64;
-/// A direct drive in place of the shipped file's placeholder. A step of the board's current sensors, 7 mA, is then 0.4 mN m
+/// A direct drive in place of the shipped file's placeholder. A step of the board's current sensors, 7 mA, is then 0.2 mN m
 /// and not 4, which would keep the softly held tip moving.
 const MOTOR: Motor = Motor {
-    torque_constant: 0.067,
+    torque_constant: 0.033,
     resistance: 0.5,
     inductance: 0.0,
-    back_emf: 0.067,
+    back_emf: 0.033,
     max_current: 12.0,
     verified: true,
 };
 /// What 12 A make, N m.
-const TORQUE_LIMIT: f64 = 0.8;
+const TORQUE_LIMIT: f64 = 0.4;
 /// Its half bridges cost no dead time, which acts on a small swing as friction does.
 const BOARD: BoardKind = BoardKind::HBridgeF405;
 
@@ -54,7 +54,7 @@ pub struct Rate {
 
 /// What is measured at. The loop around the motor's current leads by up to half a carrier period where the theory has a lag
 /// of as much (docs/results.md), and here that is little against a sample.
-pub const RATE: Rate = Rate { rate_hz: 500.0, cutoff_hz: 20.0 };
+pub const RATE: Rate = Rate { rate_hz: 1000.0, cutoff_hz: 20.0 };
 
 /// The device on the bench.
 ///
@@ -123,7 +123,7 @@ pub fn on<T>(
         cutoff_hz: rate.cutoff_hz,
         washout_hz: 2.0,
         torque_limit: TORQUE_LIMIT,
-        largest_pull: 2e-3,
+        largest_pull: 1e-3,
     };
     let (file, shared) = (device(), rig.shared.clone());
     let mut bench = Bench::new(&mut rig.tool, &file, setup, &|| false)?;

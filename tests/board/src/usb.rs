@@ -241,10 +241,9 @@ impl Host {
         self.to_device.extend(bytes);
     }
 
-    /// Bytes written to the port that have not left yet.
-    #[must_use]
-    pub fn unsent(&self) -> usize {
-        self.to_device.len()
+    /// Forgets bytes written to the port that have not left yet.
+    pub fn discard(&mut self) {
+        self.to_device.clear();
     }
 
     /// Takes what the device has sent since the last call.

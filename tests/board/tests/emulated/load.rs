@@ -8,9 +8,9 @@ use virtual_board::timing::CASES;
 const WHOLE: u32 = 4;
 
 #[test]
-fn no_period_is_missed_and_no_frame_lost_at_20_khz_while_gains_change() {
+fn in_a_minute_at_20_khz_no_period_is_missed_and_no_frame_lost_while_settings_change() {
     let mut rig = CASES[0].rig(20_000);
-    let load = run(&mut rig, (Fields::USUAL, WHOLE), 20_000, 3_000);
+    let load = run(&mut rig, (Fields::USUAL, WHOLE), 20_000, 60_000);
     println!("{load:?}");
     assert!(load.in_time(), "{load:?}");
     assert_eq!((load.losses.missing, load.losses.garbled), (0, 0), "{load:?}");

@@ -5,6 +5,7 @@ use std::time::Duration;
 use haptic::link::Board;
 use haptic_bridge::telemetry::Fields;
 use virtual_board::boards::BoardKind;
+use virtual_board::noise;
 use virtual_board::rig::Rig;
 use virtual_board::run::{MILLISECOND, SECOND};
 use virtual_board::usb::Event;
@@ -97,4 +98,15 @@ fn a_computer_that_stops_reading_stops_nothing_else() {
     rig.tool.stop_stream().expect("the stream stops");
     let losses = rig.tool.losses();
     assert!(losses.missing > 0, "something had to be lost: {losses:?}");
+}
+
+#[test]
+fn a_minute_of_random_bytes_moves_nothing_and_the_next_session_works() {
+    let seed = 0x2F6E_2B1D;
+    println!("seed {seed:#x}");
+    let (mut rig, noise) = noise::run(seed, 60, |_| ());
+    println!("{noise:?}");
+    assert!(noise.bytes > 1_000_000 && noise.answered > 10_000, "the board took it and answered some: {noise:?}");
+    assert!(noise.harmless(), "{noise:?}");
+    noise::session_after(&mut rig);
 }

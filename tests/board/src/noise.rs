@@ -1,0 +1,194 @@
+//! Bytes that no tool sends, for as long as is wanted: pure noise, noise in frames, and requests with bytes changed, cut
+//! off and run together. A disarmed board must do nothing with them, and the session after them must work.
+
+use std::io;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use haptic::link::{Board, Wire};
+use haptic::sim::Drive;
+use haptic_bridge::controller::Gains;
+use haptic_bridge::guard::{Fault, State};
+use haptic_bridge::scene::FeedForward;
+use haptic_bridge::telemetry::Fields;
+
+use crate::boards::BoardKind;
+use crate::rig::Rig;
+use crate::run::{MILLISECOND, SECOND};
+
+/// A wall beyond the home pose of the pantograph.
+const SCENE: &str = "[[wall]]\npoint = [0.0, 0.13]\nnormal = [0.0, -1.0]\nstiffness = 2000.0\ndamping = 4.0\n";
+/// Time between two bursts, ns, and the most bytes of one: more than the port takes in that time.
+const BURST: u64 = 10 * MILLISECOND;
+const LONGEST: usize = 3000;
+
+/// What a stretch of noise came to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Noise {
+    /// Bursts written.
+    pub bursts: u64,
+    /// Bytes written.
+    pub bytes: u64,
+    /// Bytes that came back.
+    pub answered: u64,
+    /// Bursts after which some bridge did not float.
+    pub driven: u64,
+    /// Restarts of the chip.
+    pub restarts: usize,
+    /// Bursts in which the control step did not run.
+    pub stalled: u64,
+    /// Faults that came, but for numbers too large to reckon with in a scene whose bytes were changed.
+    pub faults: usize,
+}
+
+impl Noise {
+    /// Whether no motor moved, nothing stopped and nothing broke.
+    #[must_use]
+    pub fn harmless(&self) -> bool {
+        (self.driven, self.restarts, self.stalled, self.faults) == (0, 0, 0, 0)
+    }
+}
+
+/// A wire that keeps what is sent over it.
+struct Tapped {
+    wire: Box<dyn Wire>,
+    sent: Arc<Mutex<Vec<u8>>>,
+}
+
+impl Wire for Tapped {
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.sent.lock().expect("nobody panicked").extend(bytes);
+        self.wire.send(bytes)
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
+        self.wire.receive(buffer, timeout)
+    }
+
+    fn now(&self) -> Duration {
+        self.wire.now()
+    }
+}
+
+/// Frames of requests that a tool makes of a disarmed board, as they go over the wire. None of them moves a motor or writes flash.
+fn requests(rig: &mut Rig) -> Vec<Vec<u8>> {
+    let sent = Arc::new(Mutex::new(Vec::new()));
+    let tapped = Tapped { wire: rig.shared.wire(), sent: sent.clone() };
+    rig.tool = Board::over(Box::new(tapped), "tapped").expect("the board answers");
+    rig.load(SCENE);
+    rig.tool.details().expect("the board answers");
+    rig.tool.status().expect("the board answers");
+    let gains = Gains { wall: 0, stiffness: 500.0, damping: 1.0, feed_forward: FeedForward::Full, washout_hz: 2.0 };
+    rig.tool.set_wall_gains(gains).expect("gains change");
+    let rules = rig.tool.rules().expect("the board answers");
+    rig.tool.set_rules(&rules).expect("rules change");
+    rig.tool.faults().expect("the board answers");
+    rig.tool.start_stream(Fields::USUAL, 20).expect("a stream starts");
+    rig.tool.stop_stream().expect("the stream stops");
+    let sent = sent.lock().expect("nobody panicked");
+    sent.split_inclusive(|byte| *byte == 0).filter(|frame| frame.len() > 1).map(<[u8]>::to_vec).collect()
+}
+
+/// Numbers that look random (Marsaglia's xorshift).
+struct Numbers(u32);
+
+impl Numbers {
+    fn next(&mut self) -> u32 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 17;
+        self.0 ^= self.0 << 5;
+        self.0
+    }
+
+    fn below(&mut self, end: usize) -> usize {
+        self.next() as usize % end.max(1)
+    }
+
+    /// One burst: a fifth each of silence, noise, noise in frames, changed requests, whole requests among noise.
+    fn burst(&mut self, requests: &[Vec<u8>]) -> Vec<u8> {
+        let length = self.below(LONGEST);
+        let mut bytes = Vec::new();
+        match self.below(5) {
+            0 => {}
+            1 => bytes.extend((0..length).map(|_| (self.next() >> 24) as u8)),
+            2 => bytes.extend((0..length).map(|_| if self.below(24) == 0 { 0 } else { (self.next() >> 24) as u8 })),
+            kind => {
+                while bytes.len() < length {
+                    let mut frame = requests[self.below(requests.len())].clone();
+                    if kind == 3 || self.below(2) == 0 {
+                        // Not the key at the front every time, or nothing would get past it.
+                        for _ in 0..1 + self.below(4) {
+                            let at = self.below(frame.len());
+                            frame[at] ^= 1 << self.below(8);
+                        }
+                        frame.truncate(1 + self.below(2 * frame.len()));
+                    }
+                    bytes.extend(frame);
+                }
+            }
+        }
+        bytes
+    }
+}
+
+/// Writes bursts made from `seed` to a board with a device for `seconds` of virtual time, looking at it after each; `told`
+/// hears of every minute.
+///
+/// # Panics
+///
+/// When the board does not come up, or does not answer afterwards.
+pub fn run(seed: u32, seconds: u64, mut told: impl FnMut(u64)) -> (Rig, Noise) {
+    let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |options| options.substep = 25e-6);
+    let rules = rig.tool.rules().expect("the board answers");
+    let requests = requests(&mut rig);
+    let mut numbers = Numbers(seed);
+    let mut noise = Noise::default();
+    let mut steps = rig.steps();
+    let began = rig.now();
+    while rig.now() < began + seconds * SECOND {
+        let burst = numbers.burst(&requests);
+        noise.bursts += 1;
+        noise.bytes += burst.len() as u64;
+        rig.with(move |bench| {
+            // What the port has not taken of the last burst is dropped: the next one may begin in the middle of a frame.
+            bench.usb().discard();
+            bench.usb().write(&burst);
+        });
+        rig.run(BURST);
+        let (answered, drives) = rig.with(|bench| (bench.usb().take().len(), bench.hardware().drives()));
+        noise.answered += answered as u64;
+        noise.driven += u64::from(drives != [Drive::Floating; 3]);
+        // At the lowest rate there is, which a changed scene may have, two steps fall into a burst.
+        let now = rig.steps();
+        noise.stalled += u64::from(now == std::mem::replace(&mut steps, now));
+        if noise.bursts.is_multiple_of(60 * SECOND / BURST) {
+            told(noise.bursts * BURST / (60 * SECOND));
+        }
+    }
+    rig.with(|bench| bench.usb().discard());
+    rig.run(200 * MILLISECOND);
+    noise.restarts = rig.with(|bench| {
+        bench.usb().take();
+        bench.resets().len()
+    });
+    rig.tool = Board::over(rig.shared.wire(), "after the noise").expect("the board answers after the noise");
+    let faults = rig.tool.faults().expect("the board answers");
+    noise.faults = faults.iter().filter(|record| record.fault != Fault::NotFinite).count();
+    let state = rig.tool.status().expect("the board answers").state;
+    noise.driven += u64::from(!matches!(state, State::Disarmed | State::Fault));
+    // A request with a changed byte may have been a sound one that lowers a limit.
+    rig.tool.set_rules(&rules).expect("rules change");
+    (rig, noise)
+}
+
+/// A whole session after the noise, up to armed and disarmed again.
+///
+/// # Panics
+///
+/// When anything is refused.
+pub fn session_after(rig: &mut Rig) {
+    rig.load(SCENE);
+    rig.tool.clear().expect("what is latched is cleared");
+    rig.ready();
+    rig.tool.disarm().expect("the board disarms");
+}
