@@ -14,6 +14,7 @@ use crate::boards::BoardKind;
 use crate::contact::hold;
 use crate::hardware::Hardware;
 use crate::image::Firmware;
+use crate::log::Decoder;
 use crate::plant::{Dummy, Plant};
 use crate::run::{Bench, MILLISECOND, SECOND, VirtualBoard};
 use crate::wire::Shared;
@@ -213,6 +214,15 @@ impl Rig {
     /// On a rig without one.
     pub fn with_simulated<T: Send + 'static>(&self, job: impl FnOnce(&mut Device) -> T + Send + 'static) -> T {
         self.with(|bench| job(bench.hardware().plant.device().expect("a simulated device")))
+    }
+
+    /// What there is to know of a board that does not answer any more: its port's history, restarts and log.
+    #[must_use]
+    pub fn post_mortem(&self) -> String {
+        let (at, port, restarts, raw) =
+            self.with(|bench| (bench.at, bench.usb().log().to_vec(), bench.resets().to_vec(), bench.take_log()));
+        let log = Decoder::new(firmware(self.kind)).map_or_else(Vec::new, |decoder| decoder.lines(&raw));
+        format!("at {at} ns\nport: {port:?}\nrestarts: {restarts:?}\nlog: {log:#?}")
     }
 
     /// Virtual nanoseconds since power-on.

@@ -62,7 +62,9 @@ pub fn contact(seconds: u64, mut told: impl FnMut(u64)) -> String {
     let steps_before = rig.steps();
     let measured_from = rig.now();
     while rig.now() < began + seconds * SECOND {
-        for row in rig.tool.rows(Duration::from_millis(500)).expect("rows come") {
+        let came = rig.tool.rows(Duration::from_millis(500));
+        let came = came.unwrap_or_else(|error| panic!("{error}\n{}", rig.post_mortem()));
+        for row in came {
             assert_eq!(*next.get_or_insert(row.step), row.step, "a row is missing or came twice");
             next = Some(row.step.wrapping_add(1));
             assert_eq!(row.values[state], f64::from(State::Armed as u8), "step {}", row.step);
