@@ -87,11 +87,11 @@ pub struct Ready {
 const ORDER: [Key; 6] = [Key::Rules, Key::Device, Key::MassModel, Key::Scene, Key::Name, Key::Polarity];
 
 impl Backup {
-    /// Reads everything that a board keeps in flash.
+    /// Reads everything that a board keeps in flash. A setting of which only damage is left is left out.
     pub fn read(board: &mut Board) -> Result<Self, BoardError> {
         let mut settings = BTreeMap::new();
         for key in Key::ALL {
-            if let Some(entry) = board.read_entry(key)? {
+            if let Some(entry) = board.read_entry(key)?.filter(|entry| !entry.is_empty()) {
                 settings.insert(key.name().to_string(), kept(key, &entry));
             }
         }

@@ -137,6 +137,9 @@ fn a_file_that_is_none_is_refused_by_name_with_what_to_do() {
                 .stderr(contains(path).and(contains(reason)).and(contains(remedy)).and(contains("haptic:").count(1)));
         }
     }
+    sim.run(&["save"]).success();
+    sim.run(&["backup", folder]).code(1).stderr(contains(folder).and(contains("check the path")));
+    assert!(!directory.path().with_extension("partial").exists(), "what was begun is cleared away");
     sim.run(&["stream", "--csv", folder]).code(1).stderr(contains(folder).and(contains("choose another file")));
     sim.run(&["info"]).success().stdout(contains("none; load one with `haptic scene FILE`"));
 }

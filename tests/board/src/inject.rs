@@ -7,6 +7,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use haptic::backup::Backup;
 use haptic::link::{Board, BoardError};
 use haptic::sim::{Device, Drive, Hand, Intent, Waypoint};
 use haptic_bridge::controller::Gains;
@@ -482,6 +483,10 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
         let details = rig.tool.details().expect("the board answers");
         assert_eq!(details.damage.as_slice(), [(Key::Name, Damage::Corrupt)]);
         assert_eq!((details.name.as_str(), details.device.is_some()), ("", true), "{details:?}");
+        let backup = Backup::read(&mut rig.tool).expect("the board answers");
+        let kept = |key: Key| backup.settings.contains_key(key.name());
+        assert!(kept(Key::Device) && !kept(Key::Name), "{:?}", backup.settings.keys());
+        assert!(backup.ready("").is_ok(), "what is left can be restored");
     }
     let listed = rig.tool.faults().expect("the board answers");
     assert!(listed.iter().any(|listed| listed.fault == fault), "{name}: not listed: {listed:?}");

@@ -3,7 +3,9 @@
 
 use std::time::Duration;
 
-use haptic_bridge::guard::{Fault, State};
+use haptic::link::BoardError;
+use haptic_bridge::guard::{Fault, Refusal, State};
+use haptic_bridge::telemetry::{Field, Fields};
 use virtual_board::boards::BoardKind;
 use virtual_board::hardware::Hardware;
 use virtual_board::inject::{off, run_instead};
@@ -128,4 +130,52 @@ fn a_board_that_is_left_alone_is_not_bitten() {
     rig.run(2 * SECOND);
     assert_eq!(rig.with(|bench| bench.resets().len()), 0);
     assert_eq!(rig.tool.status().expect("the board answers").state, State::Armed);
+}
+
+#[test]
+fn limits_are_lowered_at_any_time_and_raised_only_with_the_motors_off() {
+    let mut rig = armed(BoardKind::OdriveV3);
+    let own = rig.tool.rules().expect("the board answers");
+    let with_torque = |factor: f32| {
+        let mut rules = own;
+        rules.limits.torque = rules.limits.torque.map(|torque| factor * torque);
+        rules
+    };
+    rig.tool.set_rules(&with_torque(0.5)).expect("lowered while armed");
+    assert_eq!(refused(rig.tool.set_rules(&own)), Refusal::Armed);
+    assert_eq!(rig.tool.rules().expect("the board answers"), with_torque(0.5), "a refused change changes nothing");
+    rig.tool.disarm().expect("the board disarms");
+    rig.tool.set_rules(&own).expect("raised with the motors off");
+    assert_eq!(refused(rig.tool.set_rules(&with_torque(1.01))), Refusal::BadLimits, "never above the board's own");
+}
+
+fn refused(outcome: Result<(), BoardError>) -> Refusal {
+    match outcome {
+        Err(BoardError::Refused(refusal)) => refusal,
+        other => panic!("a refusal was expected, not {other:?}"),
+    }
+}
+
+#[test]
+fn torque_rises_over_half_a_second_after_arming() {
+    let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
+    rig.prepare("");
+    // A spring to a point 2 cm away from a tip that is held: its torque is constant but for the ramp.
+    let [x, y, _] = rig.with_simulated(|device| device.tip());
+    rig.set_scene(&format!("[[spring]]\npoint = [{:?}, {y:?}]\nstiffness = 20.0\ndamping = 0.0\n", x + 0.02));
+    rig.tool.start_stream(Fields(Field::Torque.bit()), 20).expect("a stream starts");
+    rig.tool.arm().expect("the board arms");
+    let mut rows = Vec::new();
+    while rows.len() < 700 {
+        rows.extend(rig.tool.rows(Duration::from_millis(100)).expect("rows come"));
+    }
+    let torques: Vec<f64> = rows.iter().map(|row| row.values[0].abs()).collect();
+    let armed = torques.iter().position(|torque| *torque > 0.0).expect("torque after arming");
+    let full = torques[armed + 600];
+    assert!(full > 1e-3, "{full} N m");
+    // A row each millisecond.
+    for (after, share) in [(5, 0.01), (50, 0.1), (250, 0.5), (450, 0.9), (550, 1.0)] {
+        let found = torques[armed + after] / full;
+        assert!((found - share).abs() < 0.02, "{found} of the torque after {after} ms");
+    }
 }
