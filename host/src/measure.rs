@@ -58,7 +58,9 @@ pub enum MeasureError {
     #[error(transparent)]
     Progress(#[from] progress::ProgressError),
     /// No bound was found.
-    #[error("no oscillation up to {0} N/m: the motors saturate first; use a lower rate or cutoff, or another pose")]
+    #[error(
+        "no oscillation up to {0:.0} N/m: the motors saturate first, or friction and hands damp it; use a lower rate or cutoff, or another pose"
+    )]
     Unbounded(f64),
 }
 

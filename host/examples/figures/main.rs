@@ -6,6 +6,7 @@
 //! machine. It takes some minutes.
 
 mod washout;
+mod world;
 
 use haptic::analysis::map;
 use haptic::analysis::plant::{Drive, Linearised};
@@ -18,9 +19,12 @@ use haptic::measure::campaign::{self, Plan};
 use haptic::measure::progress::{Mode, Point, Progress};
 use haptic::measure::{Bench, Setup};
 use haptic::plot::range::{Contents, MeasuredPoint, draw};
-use haptic::sim::{BoardOptions, DriveModel, Options, SHIPPED_DEVICE, SharedBoard};
+use haptic::sim::{
+    BoardOptions, DriveModel, Hand, HandSettings, Intent, Options, SHIPPED_DEVICE, SharedBoard, Waypoint, ready_board,
+};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
+use world::World;
 
 /// Where the wall is touched, rad.
 const POSE: [f64; 3] = [2.6, 1.75, 0.0];
@@ -89,15 +93,37 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     if wanted.iter().any(|name| name == "washout") {
         println!("{}", washout::section()?);
     }
+    if wanted.iter().any(|name| name == "world") {
+        println!("{}", world::section(&folder)?);
+    }
     if wanted.is_empty() {
         section.push_str(&pictures());
         section.push_str(&washout::section()?);
+        section.push_str(&world::section(&folder)?);
         write_section(&root.join("docs/results.md"), &section)?;
     }
     Ok(())
 }
 
-/// The shipped device without friction and with fine encoders: what the linear theory is about.
+/// The shipped device without friction and with fine encoders: what the linear theory is about. A `world` may add either.
+fn device_in(world: &World) -> Result<DeviceFile, Box<dyn std::error::Error>> {
+    let mut file = device()?;
+    let shipped = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml")?;
+    for (joint, shipped) in file.description.joints[..2].iter_mut().zip(shipped.description.joints) {
+        if world.viscous {
+            joint.viscous = shipped.viscous;
+        }
+        if world.coulomb {
+            joint.coulomb = shipped.coulomb;
+        }
+        if world.encoders {
+            joint.encoder = shipped.encoder;
+        }
+    }
+    Ok(file)
+}
+
+/// The device that the theory is about.
 fn device() -> Result<DeviceFile, Box<dyn std::error::Error>> {
     let mut file = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml")?;
     for joint in &mut file.description.joints[..2] {
@@ -124,25 +150,42 @@ fn measured(
     washout_hz: f64,
     repeats: usize,
 ) -> Result<Outcome, Box<dyn std::error::Error>> {
-    let file = device()?;
+    measured_in(case, modes, washout_hz, repeats, &world::NOTHING)
+}
+
+/// Measures a case in a `world`.
+fn measured_in(
+    case: &Case,
+    modes: &[Mode],
+    washout_hz: f64,
+    repeats: usize,
+    world: &World,
+) -> Result<Outcome, Box<dyn std::error::Error>> {
+    let file = device_in(world)?;
     let normal = worst_normal(&file)?;
     let options = Options {
-        friction: false,
+        friction: true,
         start: Some(POSE),
         // The torque is held for a whole control period, so slow loops need no fine steps.
         substep: (0.01 / case.rate_hz).clamp(2e-6, 2.5e-5),
         ..Options::default()
     };
-    let board_options = BoardOptions { device: options, drive: DriveModel::Ideal, ..BoardOptions::default() };
-    let shared = SharedBoard::new(haptic::sim::ready_board(&file, board_options)?);
+    let drive = if world.electric { DriveModel::Electric } else { DriveModel::Ideal };
+    let mut simulated = ready_board(&file, BoardOptions { device: options, drive, ..BoardOptions::default() })?;
+    if world.hand {
+        let tip = simulated.device_mut().tip();
+        let rest = Intent::Follow(vec![Waypoint { time: 0.0, value: tip }]);
+        simulated.device_mut().set_hand(Hand::new(HandSettings::default(), rest, tip, 0.0));
+    }
+    let shared = SharedBoard::new(simulated);
     let mut board = Board::over(shared.wire(), "sim")?;
     let setup = Setup {
         normal: normal.clone(),
         rate_hz: case.rate_hz,
         cutoff_hz: case.cutoff_hz,
         washout_hz,
-        torque_limit: 2.0,
-        largest_pull: 3e-4,
+        torque_limit: world.torque_limit,
+        largest_pull: world.pull,
     };
     let plan = Plan { modes: modes.to_vec(), kd: None, points: POINTS, repeats };
     let mut progress = Progress::new(case.name);
@@ -181,13 +224,14 @@ fn dots(points: &[&Point]) -> Vec<MeasuredPoint> {
 }
 
 fn drawn(case: &Case, outcome: &Outcome) -> haptic::plot::Picture {
+    drawn_as(case, outcome, "simulated board; no friction, no hand, ideal drive")
+}
+
+fn drawn_as(case: &Case, outcome: &Outcome, world: &str) -> haptic::plot::Picture {
     let (off, full) = (outcome.progress.of(Mode::Off), outcome.progress.of(Mode::Full));
     draw(&Contents {
         title: format!("coupled-five-bar at {} Hz, cutoff {} Hz", case.rate_hz, case.cutoff_hz),
-        subtitle: [
-            "lines: linear theory; dots: measured through the protocol".into(),
-            "simulated board; no friction, no hand, ideal drive".into(),
-        ],
+        subtitle: ["lines: linear theory; dots: measured through the protocol".into(), world.into()],
         range: &outcome.range,
         passivity: None,
         measured_off: &dots(&off),
