@@ -171,7 +171,7 @@ fn admit(mut stream: TcpStream, send: &Sender<Event>, taken: &Arc<AtomicBool>) -
 
 /// Tells a second tool that the board is taken. It is given time to send its first request, whose bytes, unread, would
 /// make the system throw away what was written.
-fn turn_away(mut stream: TcpStream) {
+pub fn turn_away(mut stream: TcpStream) {
     thread::spawn(move || {
         let header = VarHeader { key: VarKey::Key8(Occupied::TOPIC_KEY), seq_no: VarSeq::Seq2(0) };
         let _ = stream.set_read_timeout(Some(Duration::from_millis(500)));

@@ -4,6 +4,12 @@
 
 use std::io::{self, Read, Write};
 use std::net::{TcpListener, TcpStream};
+use std::time::{Duration, Instant};
+
+use haptic::sim::server::turn_away;
+
+/// How long a second tool waits for the first to be gone: one command after another is not two at once.
+const GRACE: Duration = Duration::from_millis(500);
 
 /// A program's end of the board's serial port.
 pub trait Outlet {
@@ -15,11 +21,12 @@ pub trait Outlet {
     fn write(&mut self, bytes: &[u8]);
 }
 
-/// A TCP port that one program at a time connects to.
+/// A TCP port that one program at a time connects to. A second one is told so.
 #[derive(Debug)]
 pub struct TcpOutlet {
     listener: TcpListener,
     stream: Option<TcpStream>,
+    waiting: Option<(TcpStream, Instant)>,
 }
 
 impl TcpOutlet {
@@ -31,7 +38,7 @@ impl TcpOutlet {
     pub fn listen(port: u16) -> io::Result<Self> {
         let listener = TcpListener::bind(("127.0.0.1", port))?;
         listener.set_nonblocking(true)?;
-        Ok(Self { listener, stream: None })
+        Ok(Self { listener, stream: None, waiting: None })
     }
 
     /// The port it listens on.
@@ -46,12 +53,20 @@ impl TcpOutlet {
 
 impl Outlet for TcpOutlet {
     fn open(&mut self) -> bool {
-        if self.stream.is_none()
-            && let Ok((stream, _)) = self.listener.accept()
-            && stream.set_nonblocking(true).is_ok()
-            && stream.set_nodelay(true).is_ok()
-        {
-            self.stream = Some(stream);
+        if self.waiting.is_none() {
+            self.waiting = self.listener.accept().ok().map(|(stream, _)| (stream, Instant::now()));
+        }
+        match self.waiting.take() {
+            Some((stream, _)) if self.stream.is_none() => {
+                let usable = stream.set_nonblocking(true).is_ok() && stream.set_nodelay(true).is_ok();
+                self.stream = usable.then_some(stream);
+            }
+            Some((stream, since)) if since.elapsed() > GRACE => {
+                if stream.set_nonblocking(false).is_ok() {
+                    turn_away(stream);
+                }
+            }
+            waiting => self.waiting = waiting,
         }
         self.stream.is_some()
     }
@@ -141,6 +156,48 @@ mod terminal {
         fn write(&mut self, bytes: &[u8]) {
             // A full terminal means that nobody reads: the bytes go, as on a serial line.
             let _ = rustix::io::write(&self.master, bytes);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_second_program_is_told_and_the_first_goes_on() {
+        let mut outlet = TcpOutlet::listen(0).expect("a free port");
+        let port = outlet.port().expect("it listens");
+        let mut first = TcpStream::connect(("127.0.0.1", port)).expect("it listens");
+        while !outlet.open() {}
+        let mut second = TcpStream::connect(("127.0.0.1", port)).expect("it listens");
+        second.set_nonblocking(true).expect("a socket");
+        let mut told = [0; 64];
+        let length = loop {
+            assert!(outlet.open());
+            match second.read(&mut told) {
+                Ok(length) => break length,
+                Err(error) => assert_eq!(error.kind(), io::ErrorKind::WouldBlock),
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        };
+        assert!(length > 8 && told[length - 1] == 0, "a whole frame: {:?}", &told[..length]);
+        first.write_all(b"still here").expect("the first is connected");
+        let mut heard = Vec::new();
+        while heard.len() < 10 {
+            heard.extend(outlet.read());
+        }
+        assert_eq!(heard, b"still here");
+        // And when the first leaves, the next one has the port.
+        drop(first);
+        let mut third = TcpStream::connect(("127.0.0.1", port)).expect("it listens");
+        third.write_all(b"!").expect("it is connected");
+        while {
+            outlet.open();
+            outlet.read()
+        } != b"!"
+        {
+            std::thread::sleep(Duration::from_millis(5));
         }
     }
 }

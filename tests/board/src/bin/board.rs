@@ -5,7 +5,7 @@
 //! `--fast` lets virtual time run as fast as the emulator goes instead of following the clock.
 //! Exit code 1: it could not be started; 2: the command is wrong.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
@@ -54,6 +54,31 @@ fn parse(mut words: impl Iterator<Item = String>) -> Option<Arguments> {
     Some(arguments)
 }
 
+/// A copy of the device file at `path` that a real board arms: motor data verified, and limits where it has none. Nobody can
+/// be hurt here.
+fn ready_to_arm(path: &Path, file: &DeviceFile) -> std::io::Result<PathBuf> {
+    let text = std::fs::read_to_string(path)?;
+    let mut joints = file.description.joints.iter();
+    let mut copy = String::new();
+    for line in text.lines().filter(|line| !line.trim_start().starts_with("verified")) {
+        copy += line;
+        copy.push('\n');
+        match line.split('#').next().unwrap_or("").trim() {
+            "[[joint]]" => {
+                let joint = joints.next();
+                if joint.is_some_and(|joint| joint.limits.is_none()) {
+                    copy += "limits = [-3.14, 3.14]\n";
+                }
+            }
+            "[joint.motor]" => copy += "verified = true\n",
+            _ => {}
+        }
+    }
+    let place = std::env::temp_dir().join(format!("haptic-virtual-{}.toml", file.name));
+    std::fs::write(&place, copy)?;
+    Ok(place)
+}
+
 fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let wiring = arguments.board.wiring();
     let file = DeviceFile::load(&arguments.device)?;
@@ -65,6 +90,7 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let mut board = VirtualBoard::start(&firmware, Hardware::new(arguments.board, Box::new(device))?)?;
 
     println!("{} with {}, firmware {}", wiring.name, file.name, firmware.path().display());
+    let ready = ready_to_arm(&arguments.device, &file)?;
     let mut outlets: Vec<Box<dyn Outlet>> = Vec::new();
     let tcp = TcpOutlet::listen(arguments.port)?;
     println!("port: tcp:127.0.0.1:{}", tcp.port()?);
@@ -75,6 +101,13 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
         println!("port: {}", terminal.path());
         outlets.push(Box::new(terminal));
     }
+
+    println!("\nIn another terminal, with one of these ports:");
+    let device = ready.display();
+    println!("  haptic info --port PORT");
+    println!("  haptic device {device} --port PORT    # as shipped, but vouched for: limits, verified = true");
+    println!("  haptic scene SCENE.toml --port PORT   # devices/scenes has some for {}", file.name);
+    println!("  haptic home, polarity, arm, stream, disarm (--port PORT)\nCtrl-C ends the board. Its log:\n");
 
     let began = Instant::now();
     loop {

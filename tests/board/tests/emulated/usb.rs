@@ -3,6 +3,8 @@
 use std::time::Duration;
 
 use haptic::link::Board;
+use haptic::sim::Drive;
+use haptic_bridge::guard::State;
 use haptic_bridge::telemetry::Fields;
 use virtual_board::boards::BoardKind;
 use virtual_board::noise;
@@ -109,4 +111,33 @@ fn a_minute_of_random_bytes_moves_nothing_and_the_next_session_works() {
     assert!(noise.bytes > 1_000_000 && noise.answered > 10_000, "the board took it and answered some: {noise:?}");
     assert!(noise.harmless(), "{noise:?}");
     noise::session_after(&mut rig);
+}
+
+#[test]
+fn arming_disarming_and_replugging_over_and_over_leaves_a_board_that_works() {
+    let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
+    rig.load(WALL);
+    rig.ready();
+    for cycle in 0..24 {
+        rig.tool.disarm().expect("the board disarms");
+        rig.tool.arm().expect("the board arms");
+        rig.run(cycle * 3 * MILLISECOND);
+        if cycle % 6 == 5 {
+            rig.with(|bench| bench.usb().plug(false));
+            rig.run((1 + cycle) * 5 * MILLISECOND);
+            rig.with(|bench| bench.usb().plug(true));
+            wait_until_ready(&rig);
+            rig.with(|bench| bench.usb().take());
+            rig.tool = Board::over(rig.shared.wire(), "again").expect("the board answers again");
+            // Nothing was said of a silent host in the rules, so the wall is still there.
+            assert_eq!(rig.tool.status().expect("it answers").state, State::Armed, "cycle {cycle}");
+        }
+    }
+    let status = rig.tool.status().expect("it answers");
+    assert_eq!((status.state, status.fault), (State::Armed, None));
+    assert_eq!(rig.tool.details().expect("it answers").overruns, 0);
+    rig.tool.disarm().expect("the board disarms");
+    rig.run(MILLISECOND);
+    let (drives, resets) = rig.with(|bench| (bench.hardware().drives(), bench.resets().len()));
+    assert_eq!((drives, resets), ([Drive::Floating; 3], 0));
 }
