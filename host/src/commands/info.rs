@@ -91,7 +91,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         line("overruns", details.overruns.to_string());
     }
     if details.longest_cycles > 0 {
-        line("longest step", format!("{} cycles", details.longest_cycles));
+        line("longest", format!("{} cycles", details.longest_cycles));
     }
     if details.stack_free > 0 {
         line("stack free", format!("{} bytes", details.stack_free));
