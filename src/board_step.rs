@@ -1,7 +1,7 @@
 //! The servo as the board runs it: in its precision, with its trigonometry, and compiled once, here.
 //!
-//! The firmware's image is built for size, but this crate for speed; what is generic would be compiled where it is used.
-//! These functions are what the control interrupt calls, and the only ones of the servo whose time counts.
+//! The firmware's image is built for size, but this crate for speed; what is generic would be compiled where it is
+//! used. These functions are what the control interrupt calls, and the only ones of the servo whose time counts.
 
 use crate::carrier::Carrier;
 use crate::description::MAX_JOINTS;
@@ -25,7 +25,8 @@ pub fn control(servo: &mut BoardServo, samples: &Samples) -> Outputs {
     servo.control(samples)
 }
 
-/// Compare values for the legs of every bridge over the next carrier period, see [`Servo::duties`] and [`Carrier::legs`].
+/// Compare values for the legs of every bridge over the next carrier period, see [`Servo::duties`] and
+/// [`Carrier::legs`].
 #[inline(never)]
 pub fn legs(
     servo: &mut BoardServo,

@@ -25,7 +25,8 @@ pub struct Carrier {
 }
 
 impl Carrier {
-    /// The carrier for a control rate in Hz; rates outside [`RATE_HZ`], and what is no number, are moved to the nearer end.
+    /// The carrier for a control rate in Hz; rates outside [`RATE_HZ`], and what is no number, are moved to the nearer
+    /// end.
     ///
     /// It is the smallest multiple of the rate from 20 kHz up, so it lies between 20 and 50 kHz and a duty has at
     /// least 1680 steps.
@@ -47,7 +48,8 @@ impl Carrier {
         self.carrier_hz() / f32::from(self.divider)
     }
 
-    /// Compare values of the two legs of a bridge that put a duty (-1..1) across it; what is no number puts nothing there.
+    /// Compare values of the two legs of a bridge that put a duty (-1..1) across it; what is no number puts nothing
+    /// there.
     #[inline(always)]
     pub fn legs(&self, duty: f32) -> [u16; 2] {
         let half = 0.5 * limited(duty, 1.0);

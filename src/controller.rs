@@ -1,9 +1,9 @@
 //! One control step: encoder counts in, joint torques out.
 //!
 //! [`Controller::step`] is the whole of it, in the order the data flows:
-//! counts → angles → pose → contacts → wall forces → the feed-forward → torques. It owns no hardware, allocates nothing,
-//! and cannot panic: every index is bounded by a constant, every division is by something clamped. It is generic over
-//! the float and the trigonometry, so the board's f32 step and the analysis' f64 are the same code.
+//! counts → angles → pose → contacts → wall forces → the feed-forward → torques. It owns no hardware, allocates
+//! nothing, and cannot panic: every index is bounded by a constant, every division is by something clamped. It is
+//! generic over the float and the trigonometry, so the board's f32 step and the analysis' f64 are the same code.
 //!
 //! "Model only what a scene needs": a scene without feed-forward computes no mass matrix, one without velocity terms no
 //! Coriolis forces, one without springs no tip velocity; the choices are made once, in [`Controller::new`].

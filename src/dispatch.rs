@@ -1,8 +1,8 @@
 //! From a frame that came over the link to the frame that answers it: decodes a request, has the [`Service`] do it,
 //! encodes the answer. The same on every board, real, simulated or emulated.
 //!
-//! A frame is a postcard-rpc header (key, sequence number) and a postcard body. What cannot be understood is answered by
-//! postcard-rpc's own error message; nothing that comes in can do more than that.
+//! A frame is a postcard-rpc header (key, sequence number) and a postcard body. What cannot be understood is answered
+//! by postcard-rpc's own error message; nothing that comes in can do more than that.
 
 use crate::protocol::*;
 use crate::service::{Machine, Service};

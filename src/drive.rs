@@ -133,8 +133,9 @@ impl Axis {
         limited(voltage * (1.0 / bus_voltage) + self.regained, MAX_DUTY)
     }
 
-    /// Warms the motor model by `squares`, the integral of i² (A² s) over the last `dt` (s); true when its budget is spent: the
-    /// accumulator of i² above what it stands for ever has passed what [`PEAK_SECONDS`] at the maximum current put there.
+    /// Warms the motor model by `squares`, the integral of i² (A² s) over the last `dt` (s); true when its budget is
+    /// spent: the accumulator of i² above what it stands for ever has passed what [`PEAK_SECONDS`] at the maximum
+    /// current put there.
     #[inline(always)]
     pub fn heat(&mut self, squares: f32, dt: f32) -> bool {
         let share = squares - self.continuous_squared * dt + self.heat_rest;

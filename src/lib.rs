@@ -1,7 +1,7 @@
 //! haptic-bridge: the control code that board and host share.
 //!
-//! Encoder counts go in, motor duty comes out, and between the two the board renders a wall on a device whose inertia it
-//! knows and shapes. One control period, in the order the data flows:
+//! Encoder counts go in, motor duty comes out, and between the two the board renders a wall on a device whose inertia
+//! it knows and shapes. One control period, in the order the data flows:
 //!
 //! ```text
 //!  encoder counts                                                     servo::Servo::control
@@ -17,8 +17,9 @@
 //!             └─► current ► voltage ► duty (drive)  ◄── servo::Servo::duties
 //! ```
 //!
-//! Everything around that path configures it ([`service`], [`settings`], [`protocol`], [`dispatch`]) or watches it ([`telemetry`]).
-//! Nothing here knows a chip, a host or a file: the firmware (`src/firmware`) and the tool (`host`) bring those.
+//! Everything around that path configures it ([`service`], [`settings`], [`protocol`], [`dispatch`]) or watches it
+//! ([`telemetry`]). Nothing here knows a chip, a host or a file: the firmware (`src/firmware`) and the tool (`host`)
+//! bring those.
 //!
 //! The code is generic over the float and its trigonometry ([`math`]): the board runs `f32`, the analysis runs the same
 //! lines in `f64`, and the difference between the two is how error is measured. All quantities are in SI units.

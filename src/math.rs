@@ -143,8 +143,8 @@ pub fn minimax_sin_cos(angle: f32) -> (f32, f32) {
     if quadrant & 2 == 0 { (sine, cosine) } else { (-sine, -cosine) }
 }
 
-/// Square root: 1/√x from its exponent, three Newton steps, and one of Heron's on the product. NaN for a negative number,
-/// and for an infinite one.
+/// Square root: 1/√x from its exponent, three Newton steps, and one of Heron's on the product. NaN for a negative
+/// number, and for an infinite one.
 #[inline(never)]
 pub fn newton_sqrt(value: f32) -> f32 {
     if value > 0.0 {

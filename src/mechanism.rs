@@ -6,7 +6,8 @@
 //!
 //! Every mechanism has as many *task* coordinates as joints: the tip's `d` coordinates and, on the redundant arm, the
 //! orientation φ as the third. So its Jacobian J is always square, N x N, and a unit motion of the tip along `n` with
-//! no other motion is E = J⁻¹ n (docs/model.md section 2). Directions in which the tip is rendered have zeros beyond `d`.
+//! no other motion is E = J⁻¹ n (docs/model.md section 2). Directions in which the tip is rendered have zeros beyond
+//! `d`.
 
 use crate::description::{Description, DescriptionError, MAX_JOINTS};
 use crate::math::{Math, Real};
@@ -250,7 +251,8 @@ pub(crate) fn reciprocal<T: Real>(x: T, floor: T) -> T {
     if x < T::zero() { -limit } else { limit }
 }
 
-/// [`Mechanism::pose`], compiled once: a copy at every use would fill the board's flash, and a call costs little beside it.
+/// [`Mechanism::pose`], compiled once: a copy at every use would fill the board's flash, and a call costs little beside
+/// it.
 #[inline(never)]
 pub(crate) fn shared_pose<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     mechanism: &M,
@@ -262,7 +264,8 @@ pub(crate) fn shared_pose<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usiz
 fn finite_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M, q: &[f32; MAX_JOINTS]) -> bool {
     let q = SVector::from_fn(|i, _| q.get(i).copied().unwrap_or(0.0));
     let pose = shared_pose::<f32, K, M, N>(mechanism, &q);
-    // A direction in which every coefficient of the mass matrix counts, through the copy of this code that is there anyway.
+    // A direction in which every coefficient of the mass matrix counts, through the copy of this code that is there
+    // anyway.
     let askew = SVector::from_fn(|i, _| 0.5 + 0.1 * i as f32);
     let shaping = MassModel::Exact.shaping(mechanism, &[], &q, &pose, &askew);
     let found = [mechanism.tip(&pose), mechanism.gravity(&pose), shaping.e, shaping.me];

@@ -1,9 +1,9 @@
 //! Mass matrices that are not computed in the step: frozen at a pose, or looked up in a table over the joint angles.
 //!
 //! M depends on two joint coordinates at most ([`Mechanism::shape`]), so a table is a grid over these two. It holds the
-//! distinct entries of M alone ([`Mechanism::MASS_ENTRIES`]), and has a fixed size: [`TABLE_VALUES`] numbers, under 3 KB of the
-//! board's memory, which the servo keeps beside the program. Outside its grid the closed form is used, so a table is
-//! never wrong by more than its interpolation.
+//! distinct entries of M alone ([`Mechanism::MASS_ENTRIES`]), and has a fixed size: [`TABLE_VALUES`] numbers, under 3
+//! KB of the board's memory, which the servo keeps beside the program. Outside its grid the closed form is used, so a
+//! table is never wrong by more than its interpolation.
 //!
 //! The velocity terms z are the mechanism's own in every case: they are forces, not a mass matrix.
 
@@ -20,8 +20,8 @@ use serde::{Deserialize, Serialize};
 
 /// Most numbers a table holds: 2 800 bytes. 15 x 15 points of a five-bar, 13 x 13 of a device on a turret, 10 x 10 of a
 /// redundant arm.
-/// The image of h-bridge-f405, with the code of every mechanism, has no room for them within its 128 KB of flash and refuses
-/// them; the closed form is cheaper than any table there (docs/results/speed-against-error.md).
+/// The image of h-bridge-f405, with the code of every mechanism, has no room for them within its 128 KB of flash and
+/// refuses them; the closed form is cheaper than any table there (docs/results/speed-against-error.md).
 pub const TABLE_VALUES: usize = if cfg!(all(target_os = "none", not(feature = "tables"))) { 0 } else { 700 };
 
 /// Most distinct entries of any mechanism's M.
@@ -32,8 +32,8 @@ const MOST_ENTRIES: usize = 6;
 pub enum Interpolation {
     /// Linear in both coordinates: continuous, error of second order in the spacing.
     Bilinear,
-    /// Catmull-Rom in both coordinates: continuous with its slope, error of third order. Its outermost points only carry
-    /// slopes.
+    /// Catmull-Rom in both coordinates: continuous with its slope, error of third order. Its outermost points only
+    /// carry slopes.
     Bicubic,
 }
 
@@ -64,8 +64,8 @@ pub struct Grid<T> {
 impl<T: Real> Grid<T> {
     /// A grid that can be looked up from `low` to `high` (rad), with `points` points along each coordinate.
     ///
-    /// `None` when it would hold more than [`TABLE_VALUES`] numbers for a mechanism with `entries` of them a point, when
-    /// there are too few points to interpolate, or when the range is empty.
+    /// `None` when it would hold more than [`TABLE_VALUES`] numbers for a mechanism with `entries` of them a point,
+    /// when there are too few points to interpolate, or when the range is empty.
     pub fn new(
         interpolation: Interpolation,
         points: [u8; 2],
@@ -255,8 +255,8 @@ impl<T: Real, const N: usize> MassModel<T, N> {
         grid.usable(entries).then(|| Self::Table(Lookup::new(grid, entries)))
     }
 
-    /// What a unit tip motion along `n` takes and weighs. `values` are the table's. Shared by single walls and corners: a call
-    /// costs less than a second copy of every mechanism in the board's flash.
+    /// What a unit tip motion along `n` takes and weighs. `values` are the table's. Shared by single walls and corners:
+    /// a call costs less than a second copy of every mechanism in the board's flash.
     #[inline(never)]
     pub fn shaping<M: Mechanism<T, N>>(
         &self,
@@ -292,8 +292,8 @@ impl<T: Real, const N: usize> MassModel<T, N> {
     }
 }
 
-/// A mass model as it is sent. Only what fits one setting is kept in flash: a table is sent again by the tool, and until
-/// then the board uses the closed form.
+/// A mass model as it is sent. Only what fits one setting is kept in flash: a table is sent again by the tool, and
+/// until then the board uses the closed form.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
 pub enum MassModelData {
     /// The mechanism's closed form.

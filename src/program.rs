@@ -13,7 +13,8 @@ use crate::scene::Scene;
 use crate::servo::{Frame, Hardware};
 use crate::velocity::{Coefficients, Washout};
 
-/// Joints of the largest mechanism that this build controls: the image of a board with two axes holds no code for three.
+/// Joints of the largest mechanism that this build controls: the image of a board with two axes holds no code for
+/// three.
 pub const MOST_JOINTS: usize = if cfg!(feature = "odrive-v3") { 2 } else { MAX_JOINTS };
 
 macro_rules! define {

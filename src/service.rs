@@ -174,8 +174,8 @@ impl Service {
         Ok(())
     }
 
-    /// Loads a scene for the device, with the closed form of the mass matrix: a prepared one is for the walls it was made
-    /// for. With the motors on it must keep the control rate and must not be touched.
+    /// Loads a scene for the device, with the closed form of the mass matrix: a prepared one is for the walls it was
+    /// made for. With the motors on it must keep the control rate and must not be touched.
     pub fn set_scene(&mut self, machine: &mut impl Machine, scene: Scene<f32>) -> Result<(), Refusal> {
         let device = self.device.as_ref().ok_or(Refusal::NoDevice)?;
         scene.check(device.mechanism.kind().spec().task).map_err(Refusal::Scene)?;
@@ -188,7 +188,8 @@ impl Service {
         Ok(())
     }
 
-    /// Chooses where the step takes its mass matrix from; motors must be off. A table's values must have been sent before.
+    /// Chooses where the step takes its mass matrix from; motors must be off. A table's values must have been sent
+    /// before.
     pub fn set_mass_model(&mut self, machine: &mut impl Machine, mass: MassModelData) -> Result<(), Refusal> {
         must_be_off(machine)?;
         if let MassModelData::Table(grid, crc) = &mass {
@@ -208,8 +209,8 @@ impl Service {
         result
     }
 
-    /// Takes a piece of a table, in order from offset 0; see [`Receiving::take`]. A table that is in use gives way to the
-    /// closed form first, so that no step ever looks into half a table.
+    /// Takes a piece of a table, in order from offset 0; see [`Receiving::take`]. A table that is in use gives way to
+    /// the closed form first, so that no step ever looks into half a table.
     pub fn receive_table(&mut self, machine: &mut impl Machine, chunk: &TableChunk) -> Result<(), Refusal> {
         must_be_off(machine)?;
         if TABLE_VALUES == 0 {

@@ -79,7 +79,8 @@ pub struct Frame {
     pub wall_force: f32,
     /// Share of the feed-forward that acts.
     pub shaping: f32,
-    /// Energy the walls have taken up since contact began (negative: given out), J; counted while the passivity rule is on.
+    /// Energy the walls have taken up since contact began (negative: given out), J; counted while the passivity rule is
+    /// on.
     pub energy: f32,
     /// Damping the passivity controller added, N s/m.
     pub passivity_damping: f32,

@@ -1,10 +1,10 @@
 //! The settings in flash: a map of one entry per setting, so that adding or removing a setting never loses the others.
 //!
-//! `sequential-storage` appends entries with checksums and moves to the next page when one is full, which keeps the old or
-//! the new value through a power cut at any point; tests/power_cut.rs cuts it at every single flash operation. An entry that
-//! is damaged it passes over in silence, for the one before. So every entry carries its generation, and after each write a
-//! catalogue of the newest generations follows: an entry older than the catalogue knows is not the one that was saved. A power
-//! cut between the two leaves an entry that is newer than that, which is no damage.
+//! `sequential-storage` appends entries with checksums and moves to the next page when one is full, which keeps the old
+//! or the new value through a power cut at any point; tests/power_cut.rs cuts it at every single flash operation. An
+//! entry that is damaged it passes over in silence, for the one before. So every entry carries its generation, and
+//! after each write a catalogue of the newest generations follows: an entry older than the catalogue knows is not the
+//! one that was saved. A power cut between the two leaves an entry that is newer than that, which is no damage.
 //!
 //! Nothing here knows a chip: the firmware brings its flash as a [`NorFlash`], tests bring one that fails when told to.
 
@@ -128,7 +128,8 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         Ok(found.and_then(|Stamped(_, known)| known.try_into().ok()).unwrap_or_default())
     }
 
-    /// The entry of a setting, `None` when it was never stored. [`StorageError::Damaged`] when only an older one is left, or none.
+    /// The entry of a setting, `None` when it was never stored. [`StorageError::Damaged`] when only an older one is
+    /// left, or none.
     pub fn read(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
         let known = self.catalogue()?[usize::from(key) % KEYS];
         let found = self.fetch(key)?;

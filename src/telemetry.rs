@@ -201,8 +201,8 @@ impl Packer {
         full.map(|full| &self.batches[full & 1])
     }
 
-    /// Packs what frames wait in a queue, up to the first full batch, which is returned; the batch under way instead, if none
-    /// is full and rows have waited too long (`late`).
+    /// Packs what frames wait in a queue, up to the first full batch, which is returned; the batch under way instead,
+    /// if none is full and rows have waited too long (`late`).
     pub fn drain(&mut self, frames: &mut Consumer<'_, Frame>, dropped: u32, late: bool) -> Option<&Batch> {
         let mut full = false;
         while !full && let Some(frame) = frames.peek() {

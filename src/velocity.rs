@@ -39,8 +39,8 @@ fn warped<T: Real>(cutoff_hz: T, rate_hz: T) -> Result<T, BadCutoff> {
     if valid { Ok(tangent(ratio)) } else { Err(BadCutoff) }
 }
 
-/// The tangent of π times a ratio from 0 to 1/2, to a few units in the last place: the quotient of the two power series,
-/// above π/4 that of the complement. Small, because the board designs its filters itself, in its own precision.
+/// The tangent of π times a ratio from 0 to 1/2, to a few units in the last place: the quotient of the two power
+/// series, above π/4 that of the complement. Small, because the board designs its filters itself, in its own precision.
 fn tangent<T: Real>(ratio: T) -> T {
     let complement = T::from_f64(0.5) - ratio;
     if ratio > complement {

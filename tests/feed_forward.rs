@@ -1,5 +1,6 @@
-//! What equation (4) promises, asked of the whole control step: with the feed-forward nothing accelerates but the rendered
-//! directions, on flat and on curved walls and in corners; with the washout a resting hand feels no sideways force.
+//! What equation (4) promises, asked of the whole control step: with the feed-forward nothing accelerates but the
+//! rendered directions, on flat and on curved walls and in corners; with the washout a resting hand feels no sideways
+//! force.
 
 use haptic::device_file::DeviceFile;
 use haptic_bridge::controller::Controller;
@@ -95,7 +96,8 @@ fn outcome<M: Mechanism<f64, N>, const N: usize>(
     qd: &SVector<f64, N>,
 ) -> Outcome<N> {
     let mut controller = controller::<f64, Libm, M, N>(m, device, walls);
-    // Steadily through the pose, long enough for the joint filters to know the velocity; they lag behind angles, not rates.
+    // Steadily through the pose, long enough for the joint filters to know the velocity; they lag behind angles, not
+    // rates.
     let last = (-60..=0).map(|k| controller.step(&counts(&(q + qd * (f64::from(k) / RATE))))).last();
     let step = last.expect("there are steps");
     let pose = m.pose::<Libm>(q);
@@ -274,7 +276,8 @@ fn a_hand_that_rests_on_a_wall_feels_no_sideways_force_with_the_washout() {
         let (full, fresh) = (felt(FeedForward::Full, 3.0), felt(FeedForward::Washout, 0.0));
         let (early, rested) = (felt(FeedForward::Washout, 0.01), felt(FeedForward::Washout, 3.0));
         worst_full = worst_full.max(full);
-        // At contact the washout shapes like the full feed-forward, ten milliseconds later nearly so, and then it leaves.
+        // At contact the washout shapes like the full feed-forward, ten milliseconds later nearly so, and then it
+        // leaves.
         assert!((fresh - full).abs() <= 0.02 * full + 1e-4, "{fresh} at contact, {full} in full");
         assert!(early <= full + 1e-4 && early >= 0.8 * full - 1e-4, "{early} after 10 ms, {full} in full");
         assert!(rested < 1e-4, "{rested} N per N at rest");

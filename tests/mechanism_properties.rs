@@ -1,7 +1,7 @@
 //! What must hold of every mechanism at every regular pose, on devices drawn at random.
 //!
-//! Mass matrix, gravity and tip are compared with rigid bodies placed one by one (common/bodies.rs); velocity terms with
-//! derivatives of the mass matrix; each hand-written kernel of the control step with the matrices it stands for.
+//! Mass matrix, gravity and tip are compared with rigid bodies placed one by one (common/bodies.rs); velocity terms
+//! with derivatives of the mass matrix; each hand-written kernel of the control step with the matrices it stands for.
 
 mod common;
 
@@ -220,7 +220,8 @@ fn torque_does_not_depend_on_the_admissible_directions<M: Mechanism<f64, N>, con
     let (m, pose, qd, n) = (&case.m, case.pose(), &case.qd, &case.n);
     let b = m.inverse_dynamics(&pose, qd, &SVector::zeros()) + m.gravity(&pose);
     let torque = shaped_torque(&m.shaping(&pose, n), case.v[0], &b);
-    // Equation (4) to the letter, with directions across n that are neither orthogonal to each other nor of unit length.
+    // Equation (4) to the letter, with directions across n that are neither orthogonal to each other nor of unit
+    // length.
     let mut directions = SMatrix::<f64, N, N>::identity();
     directions.set_column(0, n);
     for i in 1..N {

@@ -1,9 +1,9 @@
 //! The power goes at every single flash operation of a save: afterwards each setting is the old or the new one, and the
 //! next save works.
 //!
-//! The flash is a model of the board's two 16 KB sectors: erasing sets a sector to ones, a write works word by word and can
-//! only clear bits. Two kinds of cut are tried at each operation: nothing of it happens (all of the one before did), or half
-//! of it happens (half a sector erased, half a word written).
+//! The flash is a model of the board's two 16 KB sectors: erasing sets a sector to ones, a write works word by word and
+//! can only clear bits. Two kinds of cut are tried at each operation: nothing of it happens (all of the one before
+//! did), or half of it happens (half a sector erased, half a word written).
 
 use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash};
 use haptic_bridge::storage::{ENTRY_MAX, Storage, StorageError};

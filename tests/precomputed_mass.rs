@@ -1,4 +1,5 @@
-//! Frozen and tabulated mass matrices: what they are worth against the closed form, and what a damaged one is refused for.
+//! Frozen and tabulated mass matrices: what they are worth against the closed form, and what a damaged one is refused
+//! for.
 
 use haptic::device_file::DeviceFile;
 use haptic_bridge::math::{Libm, Minimax};

@@ -1,8 +1,8 @@
-//! Every request of the protocol in every state of a board, through the dispatcher as the link calls it: what is answered,
-//! what is refused and with which words, and that a refused request changes nothing.
+//! Every request of the protocol in every state of a board, through the dispatcher as the link calls it: what is
+//! answered, what is refused and with which words, and that a refused request changes nothing.
 //!
-//! The board of tests/rig/board.rs checks after each of them what no request may change: no torque but when armed, limits kept,
-//! none raised while the motors are on, no flash written and no timer set while they are.
+//! The board of tests/rig/board.rs checks after each of them what no request may change: no torque but when armed,
+//! limits kept, none raised while the motors are on, no flash written and no timer set while they are.
 
 mod rig;
 
@@ -226,8 +226,9 @@ fn no_limit_beyond_the_boards_own_and_no_wild_number_passes() {
 const POISON: [f32; 7] =
     [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::MIN_POSITIVE / 8.0, -1.0e-45, -0.0];
 
-/// Sends a message to a ready board and to an armed one with each number in turn made wild, at every place of its bytes, arms
-/// where that is not refused, and pushes through the wall. The board checks itself. How often it was accepted and refused.
+/// Sends a message to a ready board and to an armed one with each number in turn made wild, at every place of its
+/// bytes, arms where that is not refused, and pushes through the wall. The board checks itself. How often it was
+/// accepted and refused.
 fn spoilt<E: Endpoint>(message: &E::Request) -> (usize, usize)
 where
     E::Request: serde::Serialize + Sized,

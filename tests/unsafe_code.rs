@@ -1,4 +1,5 @@
-//! `unsafe` stands only where the chip is: in the firmware binary, and in the images that count the step and prove it free of panics.
+//! `unsafe` stands only where the chip is: in the firmware binary, and in the images that count the step and prove it
+//! free of panics.
 
 use std::path::{Path, PathBuf};
 

@@ -1,7 +1,7 @@
 //! The devices that the counting image steps: one shipped device file per mechanism, as numbers.
 //!
-//! The image has no TOML reader, so the numbers stand here again; `host/tests/speed.rs` reads the device files and holds
-//! these to them.
+//! The image has no TOML reader, so the numbers stand here again; `host/tests/speed.rs` reads the device files and
+//! holds these to them.
 
 use haptic_bridge::description::{Description, Encoder, Joint, Link, MAX_JOINTS, MAX_LINKS};
 use haptic_bridge::mechanism::Kind;

@@ -2,8 +2,8 @@
 //!
 //! Nothing but the core runs: no board, no clock set-up, no interrupt. `cargo xtask bench` builds it, has it counted on
 //! the emulated chip and keeps the figures in benches/counts.json. A variant's name is
-//! `mechanism/trigonometry/mass model/terms`; each is called at several poses with the tip inside the walls, after a few
-//! steps of motion.
+//! `mechanism/trigonometry/mass model/terms`; each is called at several poses with the tip inside the walls, after a
+//! few steps of motion.
 #![no_std]
 #![no_main]
 

@@ -1,5 +1,5 @@
-//! What a person hands the tool: device and scene files, backups, recordings and campaigns, command lines. Read or refused,
-//! never a panic.
+//! What a person hands the tool: device and scene files, backups, recordings and campaigns, command lines. Read or
+//! refused, never a panic.
 
 use crate::cli;
 use haptic::backup::Backup;

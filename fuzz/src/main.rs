@@ -1,6 +1,6 @@
-//! Fuzzing: what comes from outside, made as wild as possible. Each target takes bytes from nowhere, and may neither panic
-//! nor break its promise. `cargo xtask fuzz` builds this with the instrumentation that libFuzzer needs and runs it:
-//! `HAPTIC_FUZZ=target program [libFuzzer's options] corpus`.
+//! Fuzzing: what comes from outside, made as wild as possible. Each target takes bytes from nowhere, and may neither
+//! panic nor break its promise. `cargo xtask fuzz` builds this with the instrumentation that libFuzzer needs and runs
+//! it: `HAPTIC_FUZZ=target program [libFuzzer's options] corpus`.
 #![no_main]
 
 mod answers;

@@ -1,5 +1,5 @@
-//! The board's end of the link: any bytes, and any requests in any order, while anything happens to encoders, supply and
-//! motors. What must hold all along stands in tests/rig/board.rs.
+//! The board's end of the link: any bytes, and any requests in any order, while anything happens to encoders, supply
+//! and motors. What must hold all along stands in tests/rig/board.rs.
 
 use crate::board::{Board, driving, frame};
 use crate::shipped::shipped;

@@ -1,5 +1,5 @@
-//! Entries from flash or from a backup: decoded or refused; what is decoded survives being stored, and a board that boots
-//! from it stands still.
+//! Entries from flash or from a backup: decoded or refused; what is decoded survives being stored, and a board that
+//! boots from it stands still.
 
 use crate::board::Board;
 use haptic_bridge::device::Device;
@@ -10,8 +10,8 @@ use haptic_bridge::servo::Rules;
 use haptic_bridge::settings::{BoardName, Entry, Key, Polarity, Setting, crc32, decode, encode};
 use std::collections::BTreeMap;
 
-/// Entries, each behind a byte for its key and two for its length. The highest bit of the key seals the entry with a checksum that
-/// fits, so that the fuzzer is not stopped by 32 bits of luck.
+/// Entries, each behind a byte for its key and two for its length. The highest bit of the key seals the entry with a
+/// checksum that fits, so that the fuzzer is not stopped by 32 bits of luck.
 pub fn settings(data: &[u8]) {
     let mut flash = BTreeMap::new();
     let mut rest = data;

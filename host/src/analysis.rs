@@ -1,4 +1,5 @@
-//! Sampled-data analysis: which walls a device can render before the loop starts to oscillate, and how its inertia is spread.
+//! Sampled-data analysis: which walls a device can render before the loop starts to oscillate, and how its inertia is
+//! spread.
 //!
 //! Nothing here talks to a board: a pose, a direction and a few numbers about the loop go in, predictions come out.
 //!
@@ -11,8 +12,8 @@
 //! - [`pose`]: from a device description and joint angles to the matrices all of this works on
 //! - [`range`]: boundary, area and islands of one device: what `haptic range` prints
 //!
-//! Source: "Inertia Properties and Their Role in Haptic Rendering", the stable domain of virtual walls; sampled-data theory
-//! as in Åström and Wittenmark, *Computer-Controlled Systems*, chapters 2 and 3.
+//! Source: "Inertia Properties and Their Role in Haptic Rendering", the stable domain of virtual walls; sampled-data
+//! theory as in Åström and Wittenmark, *Computer-Controlled Systems*, chapters 2 and 3.
 
 pub mod boundary;
 mod eigenvalues;

@@ -1,8 +1,8 @@
 //! Backups of a board's settings: one JSON file, readable by people and by later versions of this tool.
 //!
 //! Every setting stands in it twice: its bytes as the board keeps them, and its value with names. The bytes go back
-//! unchanged to a board of the same version; a board whose firmware keeps the setting in another version gets the value,
-//! encoded anew. Nothing is sent before the whole file has been understood.
+//! unchanged to a board of the same version; a board whose firmware keeps the setting in another version gets the
+//! value, encoded anew. Nothing is sent before the whole file has been understood.
 
 use crate::link::{Board, BoardError};
 use haptic_bridge::device::Device;

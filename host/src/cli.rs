@@ -8,8 +8,8 @@ use std::ffi::OsString;
 /// Configure, watch, simulate and analyse haptic-bridge boards: motor drivers that render hard walls on a device
 /// whose inertia they know.
 ///
-/// Devices are described in TOML files (see devices/), walls in scene files (see devices/scenes/). Units are SI everywhere:
-/// metres, radians, newtons, kilograms.
+/// Devices are described in TOML files (see devices/), walls in scene files (see devices/scenes/). Units are SI
+/// everywhere: metres, radians, newtons, kilograms.
 #[derive(Parser)]
 #[command(name = "haptic", version, max_term_width = 110)]
 pub struct Cli {

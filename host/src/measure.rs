@@ -1,12 +1,13 @@
 //! Measuring the stable range on a board: raise the stiffness until the loop oscillates, back off, bisect, repeat.
 //!
-//! Everything goes through the protocol, so the board may be simulated, emulated or real, and the theory is not asked: what
-//! counts is whether the telemetry of the wall's motion grows or decays ([`swing`]).
+//! Everything goes through the protocol, so the board may be simulated, emulated or real, and the theory is not asked:
+//! what counts is whether the telemetry of the wall's motion grows or decays ([`swing`]).
 //!
-//! One bilateral wall is tested at the place where the tip is held. Holding is done by walls too, because gains change at once
-//! and a new scene fades in over half a second: one wall along the tested normal and one across it for every other direction. A
-//! trial pulls the tip aside by a small distance, lets it swing back, and hands it over to the tested gains in full motion. The
-//! holding walls are soft springs chosen from the inertia at the pose and the filter's cutoff, nothing else.
+//! One bilateral wall is tested at the place where the tip is held. Holding is done by walls too, because gains change
+//! at once and a new scene fades in over half a second: one wall along the tested normal and one across it for every
+//! other direction. A trial pulls the tip aside by a small distance, lets it swing back, and hands it over to the
+//! tested gains in full motion. The holding walls are soft springs chosen from the inertia at the pose and the filter's
+//! cutoff, nothing else.
 
 pub mod campaign;
 pub mod progress;
@@ -208,7 +209,8 @@ impl<'a> Bench<'a> {
         self.holding[0].1
     }
 
-    /// Whether a wall of this stiffness and damping oscillates. `strength` scales and signs the excitation (1 or a little less).
+    /// Whether a wall of this stiffness and damping oscillates. `strength` scales and signs the excitation (1 or a
+    /// little less).
     pub fn oscillates(
         &mut self,
         feed_forward: FeedForward,
@@ -279,7 +281,8 @@ impl<'a> Bench<'a> {
         Ok(self.board.set_wall_gains(gains)?)
     }
 
-    /// Holds the tip `pull` metres along the normal from where it was: the tested wall and the one beside it share the stiffness.
+    /// Holds the tip `pull` metres along the normal from where it was: the tested wall and the one beside it share the
+    /// stiffness.
     fn hold(&mut self, pull: f64) -> Result<(), MeasureError> {
         let (kp, kd) = self.holding[0];
         let share = (pull / APART).clamp(-0.9, 0.9);
@@ -333,8 +336,8 @@ impl<'a> Bench<'a> {
 
     /// Pulls back towards the tested wall and returns when the tip is on its way.
     ///
-    /// With the feed-forward that is tested: without it the pull would set the admissible directions moving, and with it nothing
-    /// would stop them again.
+    /// With the feed-forward that is tested: without it the pull would set the admissible directions moving, and with
+    /// it nothing would stop them again.
     fn swing_back(&mut self, feed_forward: FeedForward, pull: f64, rested: f64) -> Result<(), MeasureError> {
         let (kp, _) = self.holding[0];
         self.release()?;

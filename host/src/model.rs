@@ -154,8 +154,8 @@ fn moving_joints(direction: &[f64]) -> String {
     }
 }
 
-/// A pose this close to a singularity (sine of the angle that vanishes there) counts as singular: the library clamps its
-/// reciprocals from here on.
+/// A pose this close to a singularity (sine of the angle that vanishes there) counts as singular: the library clamps
+/// its reciprocals from here on.
 pub const SINGULAR: f64 = 1.0e-6;
 
 /// Everything equation (4) says at joint angles `q` (rad) and velocities `qd` (rad/s) against `walls`.

@@ -1,9 +1,9 @@
 //! Only what a scene needs: the cheapest way to compute the control step that stays inside an error budget.
 //!
-//! The planner looks at where the scene's walls can be touched, with which normals, how hard the motors can push there and
-//! how fast a hand can move; it tries every mass model with and without velocity terms from the cheapest on, in the board's
-//! own precision, and takes the first whose error stays inside [`MARGIN`] of the budget. What it decides is a scene (with
-//! `velocity_terms` and `feed_forward` set) and a mass model, and the board runs exactly that.
+//! The planner looks at where the scene's walls can be touched, with which normals, how hard the motors can push there
+//! and how fast a hand can move; it tries every mass model with and without velocity terms from the cheapest on, in the
+//! board's own precision, and takes the first whose error stays inside [`MARGIN`] of the budget. What it decides is a
+//! scene (with `velocity_terms` and `feed_forward` set) and a mass model, and the board runs exactly that.
 
 use crate::bench::counts;
 use crate::bench::error::{Errors, Terms, Trigonometry, errors};

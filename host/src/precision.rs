@@ -6,7 +6,8 @@ use haptic_bridge::mechanism::AnyMechanism;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// Every number of `value` in the precision of `B`: the fields are written down and read again, so none can be forgotten.
+/// Every number of `value` in the precision of `B`: the fields are written down and read again, so none can be
+/// forgotten.
 fn converted<A: Serialize, B: DeserializeOwned>(value: &A) -> Result<B, Failure> {
     serde_json::to_value(value)
         .and_then(serde_json::from_value)

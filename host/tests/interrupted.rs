@@ -1,5 +1,5 @@
-//! What is cut short: tools that are killed, stopped or interrupted, disks that are full, boards that two tools want. What was
-//! recorded is whole, what was lost is counted, and motors that a tool turned on do not stay on without it.
+//! What is cut short: tools that are killed, stopped or interrupted, disks that are full, boards that two tools want.
+//! What was recorded is whole, what was lost is counted, and motors that a tool turned on do not stay on without it.
 #![cfg(unix)]
 
 mod sim;

@@ -1,6 +1,7 @@
 //! The stable range measured on the simulated board, through the protocol, agrees with the one predicted.
 //!
-//! Friction and hand are off, the drive is ideal and the encoders are fine: what is left is what the linear theory is about.
+//! Friction and hand are off, the drive is ideal and the encoders are fine: what is left is what the linear theory is
+//! about.
 
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::domain;

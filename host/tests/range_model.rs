@@ -79,7 +79,8 @@ fn on_a_slow_board_a_fast_washout_is_worse_than_none() {
     assert!(washed(10.0) < off);
 }
 
-/// The boundary of any loop is where a simulation of it, step by step, stops decaying: no matrix exponential, no eigenvalues.
+/// The boundary of any loop is where a simulation of it, step by step, stops decaying: no matrix exponential, no
+/// eigenvalues.
 #[test]
 fn the_boundary_is_where_a_simulation_starts_to_grow() {
     let device = three_joints();
@@ -93,8 +94,8 @@ fn the_boundary_is_where_a_simulation_starts_to_grow() {
     }
 }
 
-/// Runs the loop at 1 kHz, 100 Hz cutoff and half a sample of delay with 200 exact-midpoint steps per half sample, and returns
-/// the ratio of the largest |x| in the last fifth to that in the fifth before.
+/// Runs the loop at 1 kHz, 100 Hz cutoff and half a sample of delay with 200 exact-midpoint steps per half sample, and
+/// returns the ratio of the largest |x| in the last fifth to that in the fifth before.
 fn simulated_growth(device: &Linearised, mode: FeedForward, kp: f64, kd: f64) -> f64 {
     let rate = 1000.0;
     let step = 0.5 / rate / 200.0;
@@ -192,7 +193,8 @@ fn a_fast_current_loop_is_nearly_ideal_and_a_slow_one_costs() {
 
 #[test]
 fn a_creeping_feed_forward_has_no_stable_domain_until_its_damping_is_compensated() {
-    // Uneven joint damping: what the feed-forward does to joint 1 drags the rendered direction the wrong way, Jr B⁻¹ M E < 0.
+    // Uneven joint damping: what the feed-forward does to joint 1 drags the rendered direction the wrong way, Jr B⁻¹ M
+    // E < 0.
     let device = Linearised {
         mass: DMatrix::from_diagonal(&DVector::from_vec(vec![1e-3, 2e-4])),
         viscous: DVector::from_vec(vec![2e-3, 5e-5]),

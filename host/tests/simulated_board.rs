@@ -273,8 +273,8 @@ fn two_runs_are_the_same_bit_for_bit() {
     assert_eq!(run(), run());
 }
 
-/// A second of contact with a wall too stiff for its rate, in telemetry: least energy (J), most added damping (N s/m), and the
-/// root mean square of the velocity (m/s) in the second half.
+/// A second of contact with a wall too stiff for its rate, in telemetry: least energy (J), most added damping (N s/m),
+/// and the root mean square of the velocity (m/s) in the second half.
 fn unstable_contact(passivity: bool) -> (f64, f64, f64) {
     let (shared, mut board) = connect(BoardOptions::default());
     let mut scene = wall_below(&shared, 0.001, FeedForward::Off);

@@ -1,8 +1,8 @@
-//! Hours of contact with telemetry on the simulated board, through the tool's own link: no control period is missed, no row
-//! is lost or comes twice, the wall of the last cycle pushes like that of the first, and nothing grows.
+//! Hours of contact with telemetry on the simulated board, through the tool's own link: no control period is missed, no
+//! row is lost or comes twice, the wall of the last cycle pushes like that of the first, and nothing grows.
 //!
-//! Ten simulated minutes in `cargo test`; `cargo xtask soak` runs a day of them. Alone in its file, because it looks at the
-//! memory of its process.
+//! Ten simulated minutes in `cargo test`; `cargo xtask soak` runs a day of them. Alone in its file, because it looks at
+//! the memory of its process.
 
 use haptic::device_file::DeviceFile;
 use haptic::link::{Board, Losses, Row, columns, fields};

@@ -68,7 +68,8 @@ impl<T: Real> Passivity<T> {
         self.held = force;
     }
 
-    /// The tip has left the wall: counts the last period's energy and keeps what the wall still owes for its next touch.
+    /// The tip has left the wall: counts the last period's energy and keeps what the wall still owes for its next
+    /// touch.
     #[inline(always)]
     fn leave(&mut self, moved: T) {
         self.energy = (self.energy - self.held * moved).lesser(T::zero());

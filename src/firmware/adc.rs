@@ -1,7 +1,8 @@
-//! Analog conversions, started by TIM1 at the crest of the carrier: both converters sample together, one injected sequence each.
+//! Analog conversions, started by TIM1 at the crest of the carrier: both converters sample together, one injected
+//! sequence each.
 //!
-//! 21 MHz conversion clock, 3 cycles of sampling and 12 of conversion: 0.71 us per value. STM32F405 reference manual RM0090,
-//! section 13.
+//! 21 MHz conversion clock, 3 cycles of sampling and 12 of conversion: 0.71 us per value. STM32F405 reference manual
+//! RM0090, section 13.
 
 use embassy_stm32::gpio::Flex;
 use embassy_stm32::pac;
@@ -31,7 +32,8 @@ pub fn configure(adc: Adc, channels: &[u8]) {
     adc.cr1().write(|w| w.set_scan(true));
     adc.jsqr().write(|w| {
         w.set_jl(channels.len() as u8 - 1);
-        // A sequence shorter than four fills the last ranks; its results come in the first data registers (RM0090 13.13.12).
+        // A sequence shorter than four fills the last ranks; its results come in the first data registers (RM0090
+        // 13.13.12).
         for (rank, channel) in channels.iter().enumerate() {
             w.set_jsq(4 - channels.len() + rank, *channel);
         }
@@ -49,8 +51,8 @@ pub fn configure(adc: Adc, channels: &[u8]) {
     });
 }
 
-/// Waits for the sequence that the crest started, and clears its flag for the next; false when it does not come within about
-/// 10 us (a converter that is not triggered).
+/// Waits for the sequence that the crest started, and clears its flag for the next; false when it does not come within
+/// about 10 us (a converter that is not triggered).
 #[inline]
 pub fn wait(adc: Adc) -> bool {
     for _ in 0..200 {

@@ -1,7 +1,8 @@
 //! The DRV8301 gate driver of an axis: its two control registers written and read back, its status read.
 //!
-//! Texas Instruments SLOS719F, section 7.5. Frames are 16 bits, clock idle low, data taken at the falling edge; a reading's answer comes with the
-//! next frame. Pulling EN_GATE low resets the registers, so they are written after every rise of it.
+//! Texas Instruments SLOS719F, section 7.5. Frames are 16 bits, clock idle low, data taken at the falling edge; a
+//! reading's answer comes with the next frame. Pulling EN_GATE low resets the registers, so they are written after
+//! every rise of it.
 
 use embassy_stm32::gpio::Output;
 use embassy_stm32::mode::Blocking;
@@ -65,7 +66,8 @@ impl Drv8301 {
         Ok(self.transfer(bus, request)? & 0x7FF)
     }
 
-    /// Writes the control registers and reads them back; clears and checks the status. EN_GATE must have been high for 10 ms.
+    /// Writes the control registers and reads them back; clears and checks the status. EN_GATE must have been high for
+    /// 10 ms.
     pub fn configure(&mut self, bus: &mut Bus) -> Result<(), GateError> {
         self.write(bus, CONTROL_1, CONTROL_1_VALUE)?;
         self.write(bus, CONTROL_2, CONTROL_2_VALUE)?;

@@ -1,5 +1,6 @@
-//! Quadrature encoders: a timer counts the edges of both channels (four counts per line), 16 bits wide; software extends
-//! the count by wrap-safe differences, which is exact as long as an encoder moves less than 32 768 counts between two readings.
+//! Quadrature encoders: a timer counts the edges of both channels (four counts per line), 16 bits wide; software
+//! extends the count by wrap-safe differences, which is exact as long as an encoder moves less than 32 768 counts
+//! between two readings.
 
 use embassy_stm32::gpio::{AfType, Flex, Pull};
 use embassy_stm32::pac::timer::{TimGp16, vals};
@@ -12,8 +13,8 @@ pub struct Encoder {
 }
 
 impl Encoder {
-    /// Starts counting. The timer's clock must be on. Inputs are pulled up, so open-collector encoders work, and filtered
-    /// over eight timer clocks (95 ns), which passes more than two million counts per second.
+    /// Starts counting. The timer's clock must be on. Inputs are pulled up, so open-collector encoders work, and
+    /// filtered over eight timer clocks (95 ns), which passes more than two million counts per second.
     pub fn new(timer: TimGp16, mut a: Flex<'static>, mut b: Flex<'static>, alternate_function: u8) -> Self {
         a.set_as_af_unchecked(alternate_function, AfType::input(Pull::Up));
         b.set_as_af_unchecked(alternate_function, AfType::input(Pull::Up));

@@ -1,6 +1,6 @@
-//! When nothing can go on: a panic or a hard fault turns the bridges off before anything else, writes down why in memory
-//! that survives a reset, and resets. The next start reports it ([`Previous`]). A request for the USB boot loader travels
-//! the same way.
+//! When nothing can go on: a panic or a hard fault turns the bridges off before anything else, writes down why in
+//! memory that survives a reset, and resets. The next start reports it ([`Previous`]). A request for the USB boot
+//! loader travels the same way.
 
 use core::mem::MaybeUninit;
 use core::panic::PanicInfo;
@@ -119,7 +119,8 @@ impl LastWords {
 
 /// Reads and clears what the previous run left. Call once, first thing.
 pub fn take() -> Start {
-    // SAFETY: runs once, before interrupts and tasks exist, so nothing else refers to the record; every bit pattern is valid.
+    // SAFETY: runs once, before interrupts and tasks exist, so nothing else refers to the record; every bit pattern is
+    // valid.
     let words = unsafe {
         let words = addr_of!(LAST_WORDS).cast::<LastWords>().read_volatile();
         addr_of_mut!(LAST_WORDS).cast::<u32>().write_volatile(0);
@@ -172,8 +173,9 @@ pub fn reboot() -> ! {
 pub fn enter_boot_loader_if_requested() {
     /// System memory of the STM32F405 (application note AN2606).
     const SYSTEM_MEMORY: u32 = 0x1FFF_0000;
-    // SAFETY: start-up code, nothing else runs yet. The word is in RAM that start-up does not initialise. The ROM begins with a
-    // stack pointer and an entry address, as any vector table does, and expects the chip as it is right after a reset.
+    // SAFETY: start-up code, nothing else runs yet. The word is in RAM that start-up does not initialise. The ROM
+    // begins with a stack pointer and an entry address, as any vector table does, and expects the chip as it is right
+    // after a reset.
     unsafe {
         let request = addr_of_mut!(BOOT_REQUEST).cast::<u32>();
         if request.read_volatile() != BOOT_LOADER {
@@ -207,8 +209,8 @@ fn write_down_and_reset(kind: u32, pc: u32, lr: u32, file: (u32, u32)) -> ! {
     SCB::sys_reset()
 }
 
-/// Keeps the place and not the message: without a use for them, messages and their formatting stay out of the image. The
-/// optimiser sees that only while this function is small enough to be inlined.
+/// Keeps the place and not the message: without a use for them, messages and their formatting stay out of the image.
+/// The optimiser sees that only while this function is small enough to be inlined.
 #[panic_handler]
 fn panic(info: &PanicInfo) -> ! {
     // The place lives in the image for ever, whatever the lifetime of what tells of it.
@@ -225,8 +227,8 @@ fn panicked(line: u32, file: u32, len: u32) -> ! {
     write_down_and_reset(1, line, 0, (file, len))
 }
 
-/// The entry of every hard fault: gives the handler the stack pointer of the fault and a fresh stack, because an overflow
-/// may have been the cause.
+/// The entry of every hard fault: gives the handler the stack pointer of the fault and a fresh stack, because an
+/// overflow may have been the cause.
 #[unsafe(naked)]
 #[unsafe(export_name = "HardFault")]
 unsafe extern "C" fn hard_fault_entry() -> ! {

@@ -1,8 +1,9 @@
-//! Index pulses of the encoders: the chip latches every rising edge (EXTI, RM0090 section 12.3), and the control step looks at
-//! the latches. A pulse is seen at the step after it, so its count is late by at most what the joint moved in that step.
+//! Index pulses of the encoders: the chip latches every rising edge (EXTI, RM0090 section 12.3), and the control step
+//! looks at the latches. A pulse is seen at the step after it, so its count is late by at most what the joint moved in
+//! that step.
 //!
-//! No interrupt is enabled for them: the lines pend in the controller and nobody takes them. Index inputs are pins of port C,
-//! named by a mask of their bits, as they are in every register of the controller.
+//! No interrupt is enabled for them: the lines pend in the controller and nobody takes them. Index inputs are pins of
+//! port C, named by a mask of their bits, as they are in every register of the controller.
 
 use embassy_stm32::pac;
 use embassy_stm32::pac::exti::regs::Lines;

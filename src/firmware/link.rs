@@ -56,8 +56,8 @@ pub fn device(
     (builder.build(), serial)
 }
 
-/// The serial number that the chip's own boot loader reports as well, so that a board keeps its name while it is updated: the
-/// first and third word of the unique identifier added, then the upper half of the second. Call once.
+/// The serial number that the chip's own boot loader reports as well, so that a board keeps its name while it is
+/// updated: the first and third word of the unique identifier added, then the upper half of the second. Call once.
 pub fn serial_number() -> &'static str {
     static SERIAL_NUMBER: StaticCell<[u8; 12]> = StaticCell::new();
     let id = embassy_stm32::uid::uid();

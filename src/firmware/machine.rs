@@ -55,8 +55,8 @@ impl Panel {
         }
     }
 
-    /// Hands a request to the control interrupt and waits for its answer: at most one carrier period, 50 us. An interrupt
-    /// that does not answer has stopped, and then the watchdog ends the wait.
+    /// Hands a request to the control interrupt and waits for its answer: at most one carrier period, 50 us. An
+    /// interrupt that does not answer has stopped, and then the watchdog ends the wait.
     fn ask(&mut self, request: Request) -> Answer {
         let _ = self.requests.enqueue(request);
         loop {

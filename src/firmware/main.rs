@@ -1,8 +1,8 @@
 //! The firmware of a haptic-bridge board: boot and task wiring, top to bottom.
 //!
-//! One interrupt does the control step ([`servo`]); everything else is Embassy tasks in thread mode. What may delay what:
-//! nothing delays the control interrupt (its priority is above all others and above critical sections, see [`critical`]); the
-//! control interrupt delays all else by its own length.
+//! One interrupt does the control step ([`servo`]); everything else is Embassy tasks in thread mode. What may delay
+//! what: nothing delays the control interrupt (its priority is above all others and above critical sections, see
+//! [`critical`]); the control interrupt delays all else by its own length.
 #![no_std]
 #![no_main]
 
@@ -73,8 +73,8 @@ async fn main(spawner: Spawner) {
     spawner.must_spawn(link::serve(panel, hardware, start.fault(), serial));
 }
 
-/// A halted core must not leave a duty standing: with these bits the carriers stop with it and their outputs go to the idle
-/// level (RM0090 section 38.16.4). The watchdog waits for the debugger as well.
+/// A halted core must not leave a duty standing: with these bits the carriers stop with it and their outputs go to the
+/// idle level (RM0090 section 38.16.4). The watchdog waits for the debugger as well.
 fn freeze_carriers_when_halted() {
     pac::DBGMCU.apb2fzr().modify(|w| {
         w.set_tim1(true);

@@ -1,10 +1,10 @@
-//! The carrier: centre-aligned complementary PWM with dead time on TIM1, and on TIM8 in step with it where the board has a
-//! second bridge.
+//! The carrier: centre-aligned complementary PWM with dead time on TIM1, and on TIM8 in step with it where the board
+//! has a second bridge.
 //!
-//! A timer counts 0 -> top -> 0. At the crest (top) all low-side switches are on: currents are sampled there and the control
-//! interrupt steps. A duty written then is preloaded and applies at the next valley, half a carrier period later. The repetition
-//! counter stays 0, because it also gates the transfer of preloaded duties; the control interrupt divides in software.
-//! STM32F405 reference manual RM0090, section 17.
+//! A timer counts 0 -> top -> 0. At the crest (top) all low-side switches are on: currents are sampled there and the
+//! control interrupt steps. A duty written then is preloaded and applies at the next valley, half a carrier period
+//! later. The repetition counter stays 0, because it also gates the transfer of preloaded duties; the control interrupt
+//! divides in software. STM32F405 reference manual RM0090, section 17.
 
 use embassy_stm32::gpio::{AfType, Flex, OutputType, Speed};
 use embassy_stm32::pac;
@@ -48,7 +48,8 @@ pub fn configure(timer: TimAdv, setup: &Setup, carrier: Carrier) {
             w.set_ccne(channel, setup.channels[channel]);
         });
     }
-    // Channel 4 has no pin. It is active from just before the crest to just after it, and its rising edge starts the analog conversions.
+    // Channel 4 has no pin. It is active from just before the crest to just after it, and its rising edge starts the
+    // analog conversions.
     timer.ccmr_output(1).modify(|w| {
         w.set_ocm(1, vals::Ocm::PWM_MODE2);
         w.set_ocpe(1, true);

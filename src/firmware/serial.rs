@@ -1,8 +1,8 @@
 //! The two directions of the USB serial port as frames (COBS, ended by a zero) that never hold the board up.
 //!
-//! In: what is no frame is skipped, and a lost connection ends the frame that was under way. Out: a host that stops reading is
-//! given [`PATIENCE`]; from then on frames are dropped until it reads again, and what follows starts with a delimiter, so that
-//! only whole frames are lost after the first.
+//! In: what is no frame is skipped, and a lost connection ends the frame that was under way. Out: a host that stops
+//! reading is given [`PATIENCE`]; from then on frames are dropped until it reads again, and what follows starts with a
+//! delimiter, so that only whole frames are lost after the first.
 
 use core::future::{Future as _, poll_fn};
 use core::pin::pin;
@@ -113,7 +113,8 @@ impl Outgoing {
         if self.stalled && !packet(&mut self.sender, &mut self.stalled, &[0]).await {
             return false;
         }
-        // One byte less than a full packet, so that the last packet of a frame is always a short one and goes to the tool at once.
+        // One byte less than a full packet, so that the last packet of a frame is always a short one and goes to the
+        // tool at once.
         for piece in self.wire[..=length].chunks(PACKET - 1) {
             if !packet(&mut self.sender, &mut self.stalled, piece).await {
                 return false;

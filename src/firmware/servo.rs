@@ -1,9 +1,10 @@
-//! The control interrupt: at the crest of the carrier it samples, steps and writes the duties that apply at the next valley.
+//! The control interrupt: at the crest of the carrier it samples, steps and writes the duties that apply at the next
+//! valley.
 //!
-//! It runs at every update of TIM1, crests and valleys. At a valley it takes at most one request from the tasks, so that a request
-//! never lengthens a step. At every crest it runs the current loops; at every k-th crest (k = [`Carrier::divider`]) it runs the library's control step.
-//! Everything it shares with tasks is an atomic or a single-producer single-consumer queue, so nothing here waits and nothing is torn; a
-//! full queue drops and counts.
+//! It runs at every update of TIM1, crests and valleys. At a valley it takes at most one request from the tasks, so
+//! that a request never lengthens a step. At every crest it runs the current loops; at every k-th crest (k =
+//! [`Carrier::divider`]) it runs the library's control step. Everything it shares with tasks is an atomic or a
+//! single-producer single-consumer queue, so nothing here waits and nothing is torn; a full queue drops and counts.
 //!
 //! Time bound: a step that reaches past the following crest is counted, and turns the motors off if they are on
 //! ([`Fault::ControlOverrun`]). One that only reaches past the valley applies half a carrier period later than usual.
@@ -95,7 +96,8 @@ struct Step {
 /// A value that start-up hands to the control interrupt for good.
 struct Owned<T>(UnsafeCell<Option<T>>);
 
-// SAFETY: written once by `start` before the interrupt is enabled, and touched by nothing but the interrupt from then on.
+// SAFETY: written once by `start` before the interrupt is enabled, and touched by nothing but the interrupt from then
+// on.
 unsafe impl<T> Sync for Owned<T> {}
 
 static STEP: Owned<Step> = Owned(UnsafeCell::new(None));
@@ -170,8 +172,8 @@ impl Step {
         self.io.write(legs);
     }
 
-    /// Carries out one request and answers it. Not inlined: it is rare, and would only lengthen the way to the step. The queue of answers has room: there is one answer to a request, and one
-    /// request at a time.
+    /// Carries out one request and answers it. Not inlined: it is rare, and would only lengthen the way to the step.
+    /// The queue of answers has room: there is one answer to a request, and one request at a time.
     #[inline(never)]
     fn take(&mut self, request: Request) {
         let reply = match request {

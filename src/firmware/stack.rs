@@ -1,5 +1,5 @@
-//! How much of the stack was never used: start-up paints it (cortex-m-rt's `paint-stack`), and what is still painted from the
-//! bottom up was never touched. An overflow itself is a bus fault, see memory.x.
+//! How much of the stack was never used: start-up paints it (cortex-m-rt's `paint-stack`), and what is still painted
+//! from the bottom up was never touched. An overflow itself is a bus fault, see memory.x.
 
 use core::ptr::addr_of;
 
@@ -15,8 +15,8 @@ unsafe extern "C" {
 pub fn never_used() -> u32 {
     let (bottom, top) = (addr_of!(_stack_end), addr_of!(_stack_start));
     let mut word = bottom;
-    // SAFETY: all words read lie between the two ends of the stack, which the linker script aligns; the stack in use is above the first
-    // word that is not painted, so nothing read here is written at the same time.
+    // SAFETY: all words read lie between the two ends of the stack, which the linker script aligns; the stack in use is
+    // above the first word that is not painted, so nothing read here is written at the same time.
     while word < top && unsafe { word.read_volatile() } == PAINT {
         word = word.wrapping_add(1);
     }

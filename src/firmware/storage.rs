@@ -1,7 +1,7 @@
 //! The chip's flash behind the map of settings: sectors 1 and 2.
 //!
-//! Writing stalls the program: 16 us per word, and up to 0.5 s when a sector is erased, so it is done only while the bridges
-//! are off; the caller sees to that.
+//! Writing stalls the program: 16 us per word, and up to 0.5 s when a sector is erased, so it is done only while the
+//! bridges are off; the caller sees to that.
 
 use embassy_stm32::flash::{Bank1Region1, Blocking, Error as FlashError, Flash};
 use embassy_stm32::{Peri, peripherals::FLASH};
@@ -17,7 +17,8 @@ const RANGE: core::ops::Range<u32> = 0x4000..0xC000;
 /// The settings in the chip's flash.
 pub type Storage = storage::Storage<'static, Sectors>;
 
-/// The flash as the map wants it: asynchronous by name, blocking by nature, and with a watchdog that waits for an erase.
+/// The flash as the map wants it: asynchronous by name, blocking by nature, and with a watchdog that waits for an
+/// erase.
 pub struct Sectors(Bank1Region1<'static, Blocking>);
 
 impl ErrorType for Sectors {

@@ -1,5 +1,5 @@
-//! Feeds the watchdog, and only when everything that has to move has moved: the control interrupt since the last feeding, and
-//! every task within its own time.
+//! Feeds the watchdog, and only when everything that has to move has moved: the control interrupt since the last
+//! feeding, and every task within its own time.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 

@@ -1,8 +1,9 @@
 //! The independent watchdog: resets the chip, and with it the bridges, when it is not fed in time.
 //!
-//! It counts the chip's own slow oscillator, 17 to 47 kHz (STM32F405 datasheet, table 35), so its times hold within a factor. In
-//! normal running it bites after 68 to 188 ms. Erasing a flash sector stalls the whole program for up to 0.5 s, so the time is
-//! stretched to at least 2.7 s around an erase ([`Watchdog::patient`]), which only happens while the bridges are off.
+//! It counts the chip's own slow oscillator, 17 to 47 kHz (STM32F405 datasheet, table 35), so its times hold within a
+//! factor. In normal running it bites after 68 to 188 ms. Erasing a flash sector stalls the whole program for up to 0.5
+//! s, so the time is stretched to at least 2.7 s around an erase ([`Watchdog::patient`]), which only happens while the
+//! bridges are off.
 
 use embassy_stm32::pac;
 use embassy_stm32::pac::iwdg::vals::{Key, Pr};
@@ -48,8 +49,8 @@ fn set(ticks: u16) {
     pac::IWDG.kr().write(|w| w.set_key(Key::ENABLE));
     pac::IWDG.pr().write(|w| w.set_pr(Pr::DIVIDE_BY32));
     pac::IWDG.rlr().write(|w| w.set_rl(ticks));
-    // The new values cross into the oscillator's clock domain within five of its periods, 0.3 ms at worst; a register that
-    // never says so must not hang the program.
+    // The new values cross into the oscillator's clock domain within five of its periods, 0.3 ms at worst; a register
+    // that never says so must not hang the program.
     for _ in 0..100_000 {
         let busy = pac::IWDG.sr().read();
         if !busy.pvu() && !busy.rvu() {

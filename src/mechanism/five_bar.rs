@@ -169,8 +169,8 @@ impl<T: Real> FiveBar<T> {
         Vector2::new(qdd(0), qdd(1))
     }
 
-    /// What a tip acceleration `a` and joint accelerations `qdd` take at joint velocities `qd`: the force at the tip (N)
-    /// that is still to go through Jᵀ, and the torques at the joints (N m).
+    /// What a tip acceleration `a` and joint accelerations `qdd` take at joint velocities `qd`: the force at the tip
+    /// (N) that is still to go through Jᵀ, and the torques at the joints (N m).
     #[inline(always)]
     pub(super) fn inertial_loads(
         &self,

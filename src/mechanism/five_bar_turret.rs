@@ -1,8 +1,8 @@
 //! `five-bar-turret`: a five-bar whose plane a third motor turns about the plane's x axis; a tip in space.
 //!
-//! World (X, Y, Z) = (x, y cos q₀, y sin q₀). In the frame that turns along, (x, radial, normal), the motion falls apart:
-//! the plane is the five-bar of `five_bar.rs`, and across it the tip moves with y q̇₀. So J = R [J_plane; y],
-//! M = diag(J₀, M_plane), and everything about the plane is reused as it is.
+//! World (X, Y, Z) = (x, y cos q₀, y sin q₀). In the frame that turns along, (x, radial, normal), the motion falls
+//! apart: the plane is the five-bar of `five_bar.rs`, and across it the tip moves with y q̇₀. So J = R [J_plane; y], M
+//! = diag(J₀, M_plane), and everything about the plane is reused as it is.
 //!
 //! The turret's inertia needs no distal angle either. A link's inertia about the axis is m y_com² + I_axial +
 //! (I_transverse - I_axial) sin²(its angle to the axis), and both y_com and the sine are linear in the y coordinates of

@@ -1,4 +1,5 @@
-//! `paddle`: one pivot, the handle at `length` from it (Hapkit-like). The task is the handle's arc length, x = length q.
+//! `paddle`: one pivot, the handle at `length` from it (Hapkit-like). The task is the handle's arc length, x = length
+//! q.
 
 use super::{Mechanism, Regularity, Spec};
 use crate::description::{Description, DescriptionError};

@@ -1,4 +1,5 @@
-//! `serial-3r`: a planar arm of three links with relative joint angles; its tip's point is the task, so it is redundant.
+//! `serial-3r`: a planar arm of three links with relative joint angles; its tip's point is the task, so it is
+//! redundant.
 //!
 //! The third task coordinate is the orientation φ = q₁ + q₂ + q₃, whose row of J is (1, 1, 1). Written in the links'
 //! absolute angular rates θ̇ = (q̇₁, q̇₁ + q̇₂, φ̇), with link directions eᵢ, the arm is

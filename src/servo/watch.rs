@@ -1,8 +1,8 @@
 //! Everything that must turn the motors off, looked for once a control step.
 //!
-//! Every step asks of every joint whether all is well, by comparing with [`Bounds`] made ready beforehand. What builds up over
-//! many steps (heat, stalls, lost encoders) is looked at for one joint a step, in turn. Only when something is not well is it
-//! found out what: that is rare, and may take longer.
+//! Every step asks of every joint whether all is well, by comparing with [`Bounds`] made ready beforehand. What builds
+//! up over many steps (heat, stalls, lost encoders) is looked at for one joint a step, in turn. Only when something is
+//! not well is it found out what: that is rare, and may take longer.
 
 use super::{HostAction, Samples, Servo};
 use crate::description::MAX_JOINTS;
@@ -67,8 +67,9 @@ impl Budgets {
     }
 }
 
-/// Negative when |`value`| exceeds `bound`, which is not negative, and when it is not a number. Bit patterns of positive
-/// floats order like the floats, and signs of several such differences are gathered by OR: no branch, no flags to move.
+/// Negative when |`value`| exceeds `bound`, which is not negative, and when it is not a number. Bit patterns of
+/// positive floats order like the floats, and signs of several such differences are gathered by OR: no branch, no flags
+/// to move.
 #[inline(always)]
 fn left(value: f32, bound: f32) -> i32 {
     bound.to_bits().wrapping_sub(value.abs().to_bits()) as i32
@@ -195,7 +196,8 @@ where
         if active { found } else { None }
     }
 
-    /// Whether an index pulse, if there was one, came where the first one said; `moved` is what its joint did in this step, counts.
+    /// Whether an index pulse, if there was one, came where the first one said; `moved` is what its joint did in this
+    /// step, counts.
     #[inline(always)]
     fn index_agrees(&mut self, i: usize, index: Option<i32>, moved: u32) -> bool {
         let Some(count) = index else { return true };
@@ -267,7 +269,8 @@ where
     }
 }
 
-/// Counts between an index pulse at `count` and the nearest place where it should be: whole turns of `period` from the `first`.
+/// Counts between an index pulse at `count` and the nearest place where it should be: whole turns of `period` from the
+/// `first`.
 fn index_error(count: i32, first: i32, period: i32) -> u32 {
     let off = count.wrapping_sub(first).checked_rem(period).unwrap_or(0).unsigned_abs();
     off.min(period.unsigned_abs().saturating_sub(off))

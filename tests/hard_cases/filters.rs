@@ -58,8 +58,8 @@ impl<T: Real> Direct<T> {
     }
 }
 
-/// Largest errors over the last half of a motion, as shares of the largest velocity: (state variable in f32, direct form
-/// in f32, state variable in 106 bits).
+/// Largest errors over the last half of a motion, as shares of the largest velocity: (state variable in f32, direct
+/// form in f32, state variable in 106 bits).
 fn errors(ratio: f64, motion: impl Fn(f64) -> f64) -> [f64; 3] {
     let steps = (20.0 / ratio).clamp(4_000.0, 100_000.0) as u32;
     let kind = Estimator::Butterworth;

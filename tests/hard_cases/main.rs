@@ -155,8 +155,8 @@ fn a_wall_of_a_million_newtons_per_metre_is_held_to_the_last_digit_of_the_tips_p
 /// poses in one digit, and a change that only rounds differently moves them by less.
 const SAME: f64 = 4.0;
 
-/// Whether two words of the page say the same: equal, or numbers within [`SAME`] of each other ("lost" is anything above
-/// a half).
+/// Whether two words of the page say the same: equal, or numbers within [`SAME`] of each other ("lost" is anything
+/// above a half).
 fn same(shown: &str, computed: &str) -> bool {
     let number = |text: &str| if text == "lost" { Some(1.0) } else { text.parse::<f64>().ok() };
     match (number(shown), number(computed)) {

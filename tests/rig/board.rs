@@ -1,5 +1,6 @@
-//! A board that is the servo, the service and the dispatcher, and nothing else: frames in, frames out, one call a control
-//! period. What the safety tests and the fuzzer drive; after every call it holds itself to what no request may change.
+//! A board that is the servo, the service and the dispatcher, and nothing else: frames in, frames out, one call a
+//! control period. What the safety tests and the fuzzer drive; after every call it holds itself to what no request may
+//! change.
 #![allow(dead_code, reason = "every test file uses its own part")]
 
 use haptic_bridge::description::MAX_JOINTS;

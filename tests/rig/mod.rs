@@ -1,4 +1,5 @@
-//! A servo with a device and a scene in hand, for the tests of the safety logic: no hardware, one call a control period.
+//! A servo with a device and a scene in hand, for the tests of the safety logic: no hardware, one call a control
+//! period.
 #![allow(dead_code, reason = "every test file uses its own part")]
 
 use haptic_bridge::description::{Description, Encoder, Joint, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS, Motor};

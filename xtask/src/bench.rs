@@ -1,4 +1,5 @@
-//! Instructions of every variant of the control step: counted on the emulated chip, kept in benches/counts.json, held there.
+//! Instructions of every variant of the control step: counted on the emulated chip, kept in benches/counts.json, held
+//! there.
 
 use std::collections::BTreeMap;
 use std::env;

@@ -1,5 +1,5 @@
-//! What may be linked: deny.toml, for every workspace here. Licences and sources are checked by this file from what cargo knows,
-//! which takes seconds and no network; advisories and the rest by cargo-deny, where it is installed.
+//! What may be linked: deny.toml, for every workspace here. Licences and sources are checked by this file from what
+//! cargo knows, which takes seconds and no network; advisories and the rest by cargo-deny, where it is installed.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -83,7 +83,8 @@ fn fault(package: &Value, allowed: &[&str]) -> Option<String> {
     }
 }
 
-/// Whether a licence expression (SPDX; a slash is an old OR) can be met by allowed licences alone. What cannot be read is not.
+/// Whether a licence expression (SPDX; a slash is an old OR) can be met by allowed licences alone. What cannot be read
+/// is not.
 fn permits(expression: &str, allowed: &[&str]) -> bool {
     let spaced = expression.replace('/', " OR ").replace('(', " ( ").replace(')', " ) ");
     let mut words: Vec<&str> = spaced.split_whitespace().rev().collect();

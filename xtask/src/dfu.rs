@@ -1,4 +1,5 @@
-//! DfuSe update files: an image written in segments, so that what lies between them (the settings) is neither sent nor erased.
+//! DfuSe update files: an image written in segments, so that what lies between them (the settings) is neither sent nor
+//! erased.
 //!
 //! Format: STMicroelectronics UM0391, "DfuSe file format specification". All numbers are little-endian.
 

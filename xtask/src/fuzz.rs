@@ -1,5 +1,6 @@
-//! Fuzzing: the targets of fuzz/ under libFuzzer, guided by coverage. The instrumentation is a pass of the compiler that
-//! stable versions have too, so no other toolchain is needed; libFuzzer itself is C++, and needs a compiler for that.
+//! Fuzzing: the targets of fuzz/ under libFuzzer, guided by coverage. The instrumentation is a pass of the compiler
+//! that stable versions have too, so no other toolchain is needed; libFuzzer itself is C++, and needs a compiler for
+//! that.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -70,7 +71,8 @@ struct Outcome {
     corpus: u64,
 }
 
-/// Builds the targets and runs them, as many at a time as there are processors. A finding is an error, with its input kept.
+/// Builds the targets and runs them, as many at a time as there are processors. A finding is an error, with its input
+/// kept.
 pub fn run(options: &Options, install: bool) -> Result<()> {
     need_program("g++", install)?;
     let occasion = report::occasion();

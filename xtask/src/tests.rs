@@ -27,8 +27,8 @@ pub fn all(install: bool) -> Result<()> {
     board(&[], install)
 }
 
-/// The library's tests under the address sanitizer: it watches what the dependencies do in their `unsafe`, of which there is none
-/// here. The switch is one of the compiler's unstable ones. Further arguments go to `cargo test`.
+/// The library's tests under the address sanitizer: it watches what the dependencies do in their `unsafe`, of which
+/// there is none here. The switch is one of the compiler's unstable ones. Further arguments go to `cargo test`.
 pub fn sanitize(arguments: &[&str]) -> Result<()> {
     let mut test = cargo();
     test.current_dir(firmware::root()).args(["test", "--locked", "--package", "haptic-bridge", "--lib", "--tests"]);
@@ -55,8 +55,8 @@ pub fn measure(program: &str, arguments: &[&str], install: bool) -> Result<()> {
     run(command.env("HAPTIC_OCCASION", report::occasion()))
 }
 
-/// A cargo call in the virtual board's workspace, which is one of its own because the emulator declares a newer compiler than
-/// it needs. Its tests and its program take the images from where this built them.
+/// A cargo call in the virtual board's workspace, which is one of its own because the emulator declares a newer
+/// compiler than it needs. Its tests and its program take the images from where this built them.
 fn emulated(call: &str, install: bool) -> Result<Command> {
     let images = firmware::build_all(install)?;
     let mut command = cargo();

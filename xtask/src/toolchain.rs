@@ -101,8 +101,8 @@ impl Toolchain {
     }
 }
 
-/// Flags of the caller, and paths of dependencies without the part that differs between computers: an image names the file
-/// of a panic, and shall be the same wherever it is built.
+/// Flags of the caller, and paths of dependencies without the part that differs between computers: an image names the
+/// file of a panic, and shall be the same wherever it is built.
 fn rust_flags() -> Vec<String> {
     let mut flags: Vec<String> = match env::var("CARGO_ENCODED_RUSTFLAGS") {
         Ok(flags) => flags.split('\x1f').map(String::from).collect(),

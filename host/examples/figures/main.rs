@@ -1,9 +1,9 @@
 //! Regenerates the impedance-range and map figures, the washout's table, and their section of docs/results.md:
 //! `cargo run --release -p haptic --example figures`.
 //!
-//! A strongly coupled five-bar, at a pose and along the normal where its coupling is worst, on the simulated board; theory as
-//! lines, what `haptic::measure` found through the protocol as dots. Everything is deterministic: the same numbers on every
-//! machine. It takes some minutes.
+//! A strongly coupled five-bar, at a pose and along the normal where its coupling is worst, on the simulated board;
+//! theory as lines, what `haptic::measure` found through the protocol as dots. Everything is deterministic: the same
+//! numbers on every machine. It takes some minutes.
 
 mod washout;
 mod world;
@@ -105,7 +105,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// The shipped device without friction and with fine encoders: what the linear theory is about. A `world` may add either.
+/// The shipped device without friction and with fine encoders: what the linear theory is about. A `world` may add
+/// either.
 fn device_in(world: &World) -> Result<DeviceFile, Box<dyn std::error::Error>> {
     let mut file = device()?;
     let shipped = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml")?;

@@ -1,4 +1,5 @@
-//! What the washout keeps of the feed-forward's gain in stable area: (washed out - off) / (full - off), over its corner.
+//! What the washout keeps of the feed-forward's gain in stable area: (washed out - off) / (full - off), over its
+//! corner.
 
 use super::{CASES, Case, FULL, Mode, measured, measured_area, predicted};
 use haptic::sim::BoardOptions;

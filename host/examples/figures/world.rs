@@ -1,4 +1,5 @@
-//! What the linear theory leaves out, one by one and together: encoder steps, the drive's electrics, friction, saturation, a hand.
+//! What the linear theory leaves out, one by one and together: encoder steps, the drive's electrics, friction,
+//! saturation, a hand.
 //!
 //! None of these rows is a test of the theory: each says what the measured boundary does when the world is less simple.
 

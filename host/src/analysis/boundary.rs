@@ -1,12 +1,13 @@
-//! Where modes leave the unit circle: the exact crossings of one gain with the other held, and the stable intervals between.
+//! Where modes leave the unit circle: the exact crossings of one gain with the other held, and the stable intervals
+//! between.
 //!
-//! On the unit circle, z = e^{iθ}, the loop 1 + kp Gx(z) + kd Gv(z) = 0 fixes the gain as a function of θ; it must be real,
-//! which leaves the zeros of one real function of θ. Its two parts do not depend on the gains, so they are tabulated once per
-//! loop; for each gain the sign changes (and the near misses) are refined. Which intervals between crossings are stable is
-//! decided by eigenvalues, not by counting.
+//! On the unit circle, z = e^{iθ}, the loop 1 + kp Gx(z) + kd Gv(z) = 0 fixes the gain as a function of θ; it must be
+//! real, which leaves the zeros of one real function of θ. Its two parts do not depend on the gains, so they are
+//! tabulated once per loop; for each gain the sign changes (and the near misses) are refined. Which intervals between
+//! crossings are stable is decided by eigenvalues, not by counting.
 //!
-//! This is Neimark's D-decomposition; see Gryazina and Polyak, "Stability regions in the parameter space: D-decomposition
-//! revisited", Automatica 42 (2006) 13-26.
+//! This is Neimark's D-decomposition; see Gryazina and Polyak, "Stability regions in the parameter space:
+//! D-decomposition revisited", Automatica 42 (2006) 13-26.
 
 use nalgebra::Complex;
 

@@ -1,9 +1,10 @@
-//! Eigenvalues of a small real matrix: balancing, Hessenberg form, and the double-shift QR iteration with exceptional shifts.
+//! Eigenvalues of a small real matrix: balancing, Hessenberg form, and the double-shift QR iteration with exceptional
+//! shifts.
 //!
-//! nalgebra's Schur decomposition does not converge on some of the graded, nearly defective matrices that a sampled loop makes
-//! (one in a few hundred); the exceptional shifts after 10 and 20 iterations are what it lacks. Algorithm: Wilkinson and
-//! Reinsch, *Handbook for Automatic Computation II: Linear Algebra* (1971), contributions II/11, II/13 and II/14 (`balance`,
-//! `elmhes`, `hqr`).
+//! nalgebra's Schur decomposition does not converge on some of the graded, nearly defective matrices that a sampled
+//! loop makes (one in a few hundred); the exceptional shifts after 10 and 20 iterations are what it lacks. Algorithm:
+//! Wilkinson and Reinsch, *Handbook for Automatic Computation II: Linear Algebra* (1971), contributions II/11, II/13
+//! and II/14 (`balance`, `elmhes`, `hqr`).
 
 use nalgebra::{Complex, DMatrix, linalg::balancing};
 

@@ -1,12 +1,12 @@
 //! Inertia over the workspace: what a wall of one normal meets, the worst normals, and the axes of Λ, pose by pose.
 //!
-//! Poses are those that can be reached from the home pose without crossing a singularity: a grid over the joints' ranges,
-//! flooded from home through regular poses of the same orientation of J. So each tip position appears once, in the
-//! device's own working mode.
+//! Poses are those that can be reached from the home pose without crossing a singularity: a grid over the joints'
+//! ranges, flooded from home through regular poses of the same orientation of J. So each tip position appears once, in
+//! the device's own working mode.
 //!
 //! With one full task (J square) both worst normals are closed forms in the eigenvalues of Λ (MODEL.md section 2). The
-//! redundant arm's tip meets two different matrices, Λ's own block and the inverse of the mobility's block; there the normal is
-//! searched, and the axes are those of the tip's inertia (J M⁻¹ Jᵀ)⁻¹.
+//! redundant arm's tip meets two different matrices, Λ's own block and the inverse of the mobility's block; there the
+//! normal is searched, and the axes are those of the tip's inertia (J M⁻¹ Jᵀ)⁻¹.
 
 use haptic_bridge::description::Description;
 use haptic_bridge::device::Device;

@@ -8,8 +8,8 @@
 //!   position quantum Δ.
 //!
 //! Both are for one moving mass whose force acts along its motion. On a device with several joints the least favourable
-//! admissible motion counts, so b and fc are the smallest that any joint motion with unit rendered velocity dissipates. They say
-//! nothing about the feed-forward, whose torques do not act along the rendered motion.
+//! admissible motion counts, so b and fc are the smallest that any joint motion with unit rendered velocity dissipates.
+//! They say nothing about the feed-forward, whose torques do not act along the rendered motion.
 
 use haptic_bridge::description::Description;
 use nalgebra::DVector;

@@ -1,12 +1,13 @@
-//! The device linearised at a pose, in continuous time: M q̈ + B q̇ = τ with its drives, reduced to what the wall can see.
+//! The device linearised at a pose, in continuous time: M q̈ + B q̇ = τ with its drives, reduced to what the wall can
+//! see.
 //!
 //! A wall feeds back the rendered position alone. Joint positions therefore never enter, and a joint without damping is
-//! an integrator nobody reads: all of them together are seen only through their share of the rendered velocity. That share
-//! is kept as one state and the rest is left out exactly, so no mode that sits at rest on the unit circle by construction
-//! has to be told from one that leaves it.
+//! an integrator nobody reads: all of them together are seen only through their share of the rendered velocity. That
+//! share is kept as one state and the rest is left out exactly, so no mode that sits at rest on the unit circle by
+//! construction has to be told from one that leaves it.
 //!
-//! Units here are those of one sample: time in samples `T`, velocities in metres (radians) per sample, forces in units of
-//! `m/T²` with `m` a reference mass. Stiffness is then `kp T²/m` and damping `kd T/m`.
+//! Units here are those of one sample: time in samples `T`, velocities in metres (radians) per sample, forces in units
+//! of `m/T²` with `m` a reference mass. Stiffness is then `kp T²/m` and damping `kd T/m`.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -73,9 +74,9 @@ pub enum Drive {
 
 /// The reduced continuous plant ẋ = a x + b u in sample units, for the given torque inputs.
 ///
-/// States, in this order: velocities of the damped joints, torques of the joints whose drive lags, the rendered velocity
-/// of all undamped joints together (when there are any), the rendered position, then the positions of the joints in `sensed`
-/// (needed only for their change over a sample).
+/// States, in this order: velocities of the damped joints, torques of the joints whose drive lags, the rendered
+/// velocity of all undamped joints together (when there are any), the rendered position, then the positions of the
+/// joints in `sensed` (needed only for their change over a sample).
 pub(crate) struct ContinuousPlant {
     pub a: DMatrix<f64>,
     pub b: DMatrix<f64>,
@@ -93,7 +94,8 @@ pub(crate) struct ContinuousPlant {
     pub electrically_damped: bool,
 }
 
-/// Builds the reduced plant. `inputs` is N x p: torque of each input in units of m/T² times metres. `sensed` must be damped joints.
+/// Builds the reduced plant. `inputs` is N x p: torque of each input in units of m/T² times metres. `sensed` must be
+/// damped joints.
 ///
 /// `None` where M is not positive definite.
 pub(crate) fn reduce(

@@ -1,9 +1,10 @@
 //! The stable domain of a wall on one device: boundary, area and islands, for each way of feeding forward.
 //!
-//! The area is ∫ kp_max dkd, what lies above the first crossing is an island: reported, not counted. The integral is taken the
-//! way the reference cases take theirs (tests/golden/range.json, reproduced to 1e-8): the trapezoidal rule on dampings spaced
-//! like Chebyshev points. Against the exact integral that is 5e-4 low on a smooth boundary, whatever its shape, and up to 2e-2
-//! off where kp_max jumps (host/tests/range_golden.rs); ratios of areas of the same shape have no such error.
+//! The area is ∫ kp_max dkd, what lies above the first crossing is an island: reported, not counted. The integral is
+//! taken the way the reference cases take theirs (tests/golden/range.json, reproduced to 1e-8): the trapezoidal rule on
+//! dampings spaced like Chebyshev points. Against the exact integral that is 5e-4 low on a smooth boundary, whatever
+//! its shape, and up to 2e-2 off where kp_max jumps (host/tests/range_golden.rs); ratios of areas of the same shape
+//! have no such error.
 
 use serde::Serialize;
 
@@ -68,7 +69,8 @@ pub struct Range {
     pub area_ratio: f64,
 }
 
-/// Predicts the stable domain of `device` in `around`: without, with, and (at `washout_hz`) with washed-out feed-forward.
+/// Predicts the stable domain of `device` in `around`: without, with, and (at `washout_hz`) with washed-out
+/// feed-forward.
 ///
 /// `kd` asks for the boundary at exactly these damping values (N s/m); else it has [`BOUNDARY_POINTS`] even ones.
 pub fn predict(
@@ -129,7 +131,8 @@ pub fn domain(
     Ok(Domain { area: area * damping_unit * stiffness_unit, kd_max: kd_max * damping_unit, boundary, islands })
 }
 
-/// kp_max of one damping value: the end of the interval that starts at the smallest stiffness; zero outside the support.
+/// kp_max of one damping value: the end of the interval that starts at the smallest stiffness; zero outside the
+/// support.
 fn supported_stiffness(support: &[Interval], kd_hat: f64, stable: &[Interval]) -> f64 {
     let supported = support.iter().any(|interval| interval.low <= kd_hat && kd_hat < interval.high);
     match stable.first() {

@@ -1,4 +1,5 @@
-//! The sampled loop around a wall: zero-order hold, computation delay, velocity estimator and feed-forward, in delta form.
+//! The sampled loop around a wall: zero-order hold, computation delay, velocity estimator and feed-forward, in delta
+//! form.
 //!
 //! The loop is cut at the wall force of one sample: s⁺ = s + F s + b f, with the rendered position x and the estimated
 //! velocity v as outputs. A wall closes it with f = -kp x - kd v, so both gains are rank-one changes of F.
@@ -486,9 +487,9 @@ type Constant = (Vec<f64>, f64, Vec<f64>, f64);
 
 /// The constant motions that damping compensation leaves without any restoring force.
 ///
-/// With the joints' damping exactly compensated, every constant joint velocity with no rendered part is at rest: under full
-/// feed-forward the wall holds EᵀB q̇ against it, under washout only where that is zero. A drive that damps by itself
-/// (back-EMF) has none.
+/// With the joints' damping exactly compensated, every constant joint velocity with no rendered part is at rest: under
+/// full feed-forward the wall holds EᵀB q̇ against it, under washout only where that is zero. A drive that damps by
+/// itself (back-EMF) has none.
 fn drifting(
     device: &Linearised,
     around: &Loop,
@@ -537,8 +538,8 @@ fn drifting(
     Some(Drift { states: states(&constants), force, pivot, position: plant.position })
 }
 
-/// Basis of the vectors orthogonal to all conditions, by Gauss-Jordan elimination: each is one at its own pivot coordinate and
-/// zero at the others'.
+/// Basis of the vectors orthogonal to all conditions, by Gauss-Jordan elimination: each is one at its own pivot
+/// coordinate and zero at the others'.
 fn null_space(dimension: usize, conditions: &[DVector<f64>]) -> (Vec<DVector<f64>>, Vec<usize>) {
     let mut rows: Vec<DVector<f64>> = Vec::new();
     let mut bound = Vec::new();

@@ -1,7 +1,8 @@
-//! Small dense linear algebra for delta-form systems: exp(X) - I, how fast modes grow, and solutions of (γ I - F) s = b.
+//! Small dense linear algebra for delta-form systems: exp(X) - I, how fast modes grow, and solutions of (γ I - F) s =
+//! b.
 //!
-//! Everything is about F = A - I, never A: at 50 kHz the modes of a device sit 1e-5 from z = 1, and differences from 1 are
-//! what decides stability.
+//! Everything is about F = A - I, never A: at 50 kHz the modes of a device sit 1e-5 from z = 1, and differences from 1
+//! are what decides stability.
 
 use nalgebra::{Complex, DMatrix, DVector};
 

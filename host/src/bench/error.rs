@@ -43,7 +43,8 @@ impl Terms {
     }
 }
 
-/// Sines and cosines as the variant computes them. (`minimax+vsqrt` differs from `Minimax`, what ships, by the last digit of a square root.)
+/// Sines and cosines as the variant computes them. (`minimax+vsqrt` differs from `Minimax`, what ships, by the last
+/// digit of a square root.)
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Trigonometry {
     /// Minimax polynomials.

@@ -1,4 +1,5 @@
-//! Where errors are looked at: poses with a wall's normal, the largest force the motors give along it, and a hand motion.
+//! Where errors are looked at: poses with a wall's normal, the largest force the motors give along it, and a hand
+//! motion.
 
 use crate::analysis::map::Reachable;
 use crate::analysis::pose::PoseError;
@@ -46,8 +47,8 @@ fn directions(task: usize) -> Vec<[f64; MAX_JOINTS]> {
     }
 }
 
-/// Situations all over the reachable workspace: `per_joint` angles per joint, normals in every direction, the hand moving
-/// at `speed` (m/s) along and across them.
+/// Situations all over the reachable workspace: `per_joint` angles per joint, normals in every direction, the hand
+/// moving at `speed` (m/s) along and across them.
 pub fn workspace(device: &Device<f64>, per_joint: usize, speed: f64) -> Result<Vec<Probe>, PoseError> {
     let reachable = Reachable::of(device, per_joint, None)?;
     let mut probes = Vec::new();

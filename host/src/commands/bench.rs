@@ -7,8 +7,8 @@ use std::path::PathBuf;
 
 /// Show what each way of computing the control step costs and what error it leaves
 ///
-/// Instructions on the chip were counted on the emulated chip (benches/counts.json); errors are computed here and now; what
-/// this computer takes is measured now and is no result to quote.
+/// Instructions on the chip were counted on the emulated chip (benches/counts.json); errors are computed here and now;
+/// what this computer takes is measured now and is no result to quote.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device files (TOML) instead of one shipped device per mechanism

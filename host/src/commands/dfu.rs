@@ -5,7 +5,8 @@ use haptic::error::{Failure, print};
 
 /// Restart a board into its boot loader, to be flashed over USB
 ///
-/// The motors go off. The board is gone from `haptic list` until it is flashed (docs/flashing.md) or switched off and on.
+/// The motors go off. The board is gone from `haptic list` until it is flashed (docs/flashing.md) or switched off and
+/// on.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]

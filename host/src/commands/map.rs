@@ -10,9 +10,9 @@ use std::path::PathBuf;
 
 /// Map inertia and coupling over the workspace for one wall normal
 ///
-/// Covers the poses that the device reaches from home without crossing a singularity: effective and rendered inertia along the
-/// normal, the two worst normals at each pose (of the ratio Wrr/Weff and of the coupling Wrr - Weff), conditioning, and the
-/// axes of the operational-space inertia. In JSON, eigenvector k belongs to eigenvalue k.
+/// Covers the poses that the device reaches from home without crossing a singularity: effective and rendered inertia
+/// along the normal, the two worst normals at each pose (of the ratio Wrr/Weff and of the coupling Wrr - Weff),
+/// conditioning, and the axes of the operational-space inertia. In JSON, eigenvector k belongs to eigenvalue k.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML)

@@ -22,9 +22,10 @@ use std::path::PathBuf;
 
 /// Measure on a board which walls stay stable; moves the motors
 ///
-/// For every damping the stiffness is raised until the telemetry shows a growing oscillation, taken back at once, and the
-/// boundary bisected; the median of the repeats and their bounds are reported. The theory is not consulted, only drawn beside it.
-/// Take the hand off the device. Ctrl-C at any moment turns the motors off; the same command then goes on where it stopped.
+/// For every damping the stiffness is raised until the telemetry shows a growing oscillation, taken back at once, and
+/// the boundary bisected; the median of the repeats and their bounds are reported. The theory is not consulted, only
+/// drawn beside it. Take the hand off the device. Ctrl-C at any moment turns the motors off; the same command then goes
+/// on where it stopped.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML) of the device on the board

@@ -11,9 +11,9 @@ use std::path::PathBuf;
 
 /// Choose the cheapest model of a device that a scene needs
 ///
-/// Looks at which walls can be touched where, how hard the motors push there and how fast a hand moves, and picks the way
-/// of computing the control step that takes the fewest instructions within the error budget. `haptic scene` does the same
-/// before it sends a scene.
+/// Looks at which walls can be touched where, how hard the motors push there and how fast a hand moves, and picks the
+/// way of computing the control step that takes the fewest instructions within the error budget. `haptic scene` does
+/// the same before it sends a scene.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML)

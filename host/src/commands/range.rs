@@ -15,8 +15,9 @@ use std::path::PathBuf;
 
 /// Predict which stiffness and damping a wall can have before it oscillates
 ///
-/// Exact sampled-data analysis (zero-order hold, delay, velocity filter, joint damping) of one wall at one pose, without
-/// and with the feed-forward. Friction and a hand make the measured range larger; `haptic measure-range` measures it.
+/// Exact sampled-data analysis (zero-order hold, delay, velocity filter, joint damping) of one wall at one pose,
+/// without and with the feed-forward. Friction and a hand make the measured range larger; `haptic measure-range`
+/// measures it.
 #[derive(ClapArgs)]
 pub struct Args {
     /// Device file (TOML)
@@ -51,8 +52,8 @@ pub struct Args {
     /// Let the feed-forward compensate the joints' own damping too
     #[arg(long)]
     damping_compensation: bool,
-    /// How the motors are driven: ideal (torque at once), voltage (resistance, inductance and back-EMF of the device file's
-    /// motors), current (a current loop of --current-bandwidth)
+    /// How the motors are driven: ideal (torque at once), voltage (resistance, inductance and back-EMF of the device
+    /// file's motors), current (a current loop of --current-bandwidth)
     #[arg(long, value_name = "KIND", default_value = "ideal")]
     drive: DriveKind,
     /// Bandwidth of the current loop in Hz, for --drive current

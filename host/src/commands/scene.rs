@@ -17,9 +17,9 @@ use std::path::PathBuf;
 
 /// Load a scene (walls, springs, fields) onto a board
 ///
-/// What the board computes is chosen as `haptic plan` does: no mass matrix where no wall is shaped, no velocity terms where they
-/// do not count, a prepared mass matrix where it is cheaper and good enough. While the motors are armed a scene is taken
-/// as the file has it, and only if it has the same control rate and its walls are not touched.
+/// What the board computes is chosen as `haptic plan` does: no mass matrix where no wall is shaped, no velocity terms
+/// where they do not count, a prepared mass matrix where it is cheaper and good enough. While the motors are armed a
+/// scene is taken as the file has it, and only if it has the same control rate and its walls are not touched.
 #[derive(clap::Args)]
 pub struct Args {
     /// Scene file (TOML)

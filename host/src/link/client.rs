@@ -151,7 +151,8 @@ impl Client {
         }
     }
 
-    /// Takes in what the wire has; frames with one of the keys `answers` wait for [`Self::call`], the others are topics.
+    /// Takes in what the wire has; frames with one of the keys `answers` wait for [`Self::call`], the others are
+    /// topics.
     fn pump(&mut self, timeout: Duration, answers: &[Key]) -> Result<(), LinkError> {
         let count = self.wire.receive(&mut self.buffer, timeout).map_err(LinkError::Lost)?;
         let (waiting, topics) = (&mut self.answers, &mut self.topics);

@@ -1,4 +1,5 @@
-//! What has been measured so far, kept in a file after every repeat so that an interrupted measurement goes on where it stopped.
+//! What has been measured so far, kept in a file after every repeat so that an interrupted measurement goes on where it
+//! stopped.
 
 use std::path::Path;
 

@@ -1,8 +1,8 @@
 //! Whether a motion grows or decays, judged from sampled positions alone.
 //!
-//! Turning points of the *velocity* are followed, because a slow return to the wall would hide a small fast oscillation in the
-//! position. The swing between successive turning points then grows or shrinks by a constant factor for every half cycle of the
-//! dominant mode; the sign of a straight line through its logarithm is the verdict.
+//! Turning points of the *velocity* are followed, because a slow return to the wall would hide a small fast oscillation
+//! in the position. The swing between successive turning points then grows or shrinks by a constant factor for every
+//! half cycle of the dominant mode; the sign of a straight line through its logarithm is the verdict.
 
 /// Turning points left out at the start, while faster modes die out.
 const SETTLING: usize = 8;

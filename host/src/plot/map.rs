@@ -1,11 +1,12 @@
-//! The picture of a map, after the paper's Fig. 1: coupling as colour over the plane of the linkage, with the ellipses of the
-//! operational-space inertia Λ.
+//! The picture of a map, after the paper's Fig. 1: coupling as colour over the plane of the linkage, with the ellipses
+//! of the operational-space inertia Λ.
 //!
-//! The colour is the coupling's share of the rendered inertia, (Wrr - Weff)/Wrr: it lies between 0 and 1 everywhere, where the
-//! coupling itself grows without bound towards singularities. Ellipse axes are square roots of Λ's eigenvalues, for the same reason.
+//! The colour is the coupling's share of the rendered inertia, (Wrr - Weff)/Wrr: it lies between 0 and 1 everywhere,
+//! where the coupling itself grows without bound towards singularities. Ellipse axes are square roots of Λ's
+//! eigenvalues, for the same reason.
 //!
-//! A device that leaves the plane is cut at joint 0 = 0, where its plane is the task's x-y plane; the redundant arm is cut
-//! at the home angle of its last joint.
+//! A device that leaves the plane is cut at joint 0 = 0, where its plane is the task's x-y plane; the redundant arm is
+//! cut at the home angle of its last joint.
 
 use haptic_bridge::description::Description;
 
@@ -52,7 +53,8 @@ fn place(point: &MapPoint) -> (f64, f64) {
     (point.position[0], point.position.get(1).copied().unwrap_or(0.0))
 }
 
-/// Quadrilaterals between four reached neighbours; the grid may close on itself in both directions, which costs nothing here.
+/// Quadrilaterals between four reached neighbours; the grid may close on itself in both directions, which costs nothing
+/// here.
 fn cells(points: &[Option<MapPoint>], rows: usize, columns: usize) -> Vec<Cell> {
     let get = |i: usize, j: usize| points.get((i % rows) * columns + j % columns).and_then(Option::as_ref);
     let mut cells = Vec::new();

@@ -1,5 +1,5 @@
-//! The picture of a stable domain: stiffness over damping, without and with the feed-forward, with the passivity bounds and,
-//! when there are any, measured dots.
+//! The picture of a stable domain: stiffness over damping, without and with the feed-forward, with the passivity bounds
+//! and, when there are any, measured dots.
 
 use super::Picture;
 use super::axes::{Axis, Frame, Mark};

@@ -1,8 +1,9 @@
 //! A brushed motor behind an H-bridge: duty to voltage, voltage to current, current to torque.
 //!
-//! V = R i + L di/dt + Kₑ ω, solved exactly over a step at the mean speed; torque = Kₜ i. The bridge is averaged over its
-//! carrier; what its dead time takes away is kept: in both half bridges, 2 · dead time · carrier of the bus voltage,
-//! against the current, fading to zero where the current is smaller than its ripple and changes sign in every period.
+//! V = R i + L di/dt + Kₑ ω, solved exactly over a step at the mean speed; torque = Kₜ i. The bridge is averaged over
+//! its carrier; what its dead time takes away is kept: in both half bridges, 2 · dead time · carrier of the bus
+//! voltage, against the current, fading to zero where the current is smaller than its ripple and changes sign in every
+//! period.
 
 use haptic_bridge::description::Motor;
 
@@ -57,7 +58,8 @@ impl MotorModel {
         self.current
     }
 
-    /// Advances by `h` at the speed `omega` (rad/s). Returns the torque that acts (N m) and the damping (N m s/rad) that acts
+    /// Advances by `h` at the speed `omega` (rad/s). Returns the torque that acts (N m) and the damping (N m s/rad)
+    /// that acts
     /// *beside* it: where there is no inductance, the back-EMF is handed to the integrator as damping, so that any
     /// step is stable.
     pub fn step(&mut self, drive: Drive, omega: f64, bridge: &Bridge, h: f64) -> (f64, f64) {

@@ -1,7 +1,8 @@
-//! Any STM32F405 module with up to three H-bridges, each driven in locked anti-phase: CHx switches one half of a bridge, CHxN the other.
+//! Any STM32F405 module with up to three H-bridges, each driven in locked anti-phase: CHx switches one half of a
+//! bridge, CHxN the other.
 //!
-//! Off is the enable line (PC6 low), not the inputs: both inputs low brakes on many bridges. A low level on PB12 cuts the outputs in
-//! hardware, whatever the program does. Pins: docs/wiring-h-bridge-f405.md.
+//! Off is the enable line (PC6 low), not the inputs: both inputs low brakes on many bridges. A low level on PB12 cuts
+//! the outputs in hardware, whatever the program does. Pins: docs/wiring-h-bridge-f405.md.
 
 use embassy_stm32::gpio::{AfType, Flex, Level, Output, Pull, Speed};
 use embassy_stm32::pac;
@@ -24,8 +25,8 @@ pub const NAME: &str = "h-bridge-f405";
 /// Motors that it can drive.
 pub const AXES: usize = 3;
 
-/// Time in which both inputs of a bridge are low at each edge: 17 ticks of 1/168 MHz, 101 ns. It is the same at both edges, so
-/// it costs a little voltage and distorts nothing.
+/// Time in which both inputs of a bridge are low at each edge: 17 ticks of 1/168 MHz, 101 ns. It is the same at both
+/// edges, so it costs a little voltage and distorts nothing.
 pub const DEAD_TIME_TICKS: u8 = 17;
 
 /// What the drive needs to know. The dead time here costs no voltage (see [`DEAD_TIME_TICKS`]), so none is compensated.
@@ -46,7 +47,8 @@ pub const LIMITS: Limits = Limits {
 /// Faults that this board has no means to see.
 pub const UNSENSED: &[Fault] = &[Fault::EncoderIllegal, Fault::GateDriver];
 
-/// Amperes per volt at a current input, and the voltage of no current: a 185 mV/A Hall sensor behind a 5 V to 3.3 V divider.
+/// Amperes per volt at a current input, and the voltage of no current: a 185 mV/A Hall sensor behind a 5 V to 3.3 V
+/// divider.
 const AMPERES_PER_VOLT: f32 = 1.0 / (0.185 * 0.66);
 
 /// Bus divider: 10 kohm over 1 kohm.
@@ -104,7 +106,8 @@ impl Io {
         Analog { bus_v, current_a, fresh }
     }
 
-    /// Compare values of each axis's two legs, applied at the next valley: the second leg is the first one's complement here.
+    /// Compare values of each axis's two legs, applied at the next valley: the second leg is the first one's complement
+    /// here.
     #[inline(always)]
     pub fn write(&mut self, legs: [[u16; 2]; AXES]) {
         pac::TIM1.ccr(0).write(|w| w.set_ccr(legs[0][0]));
@@ -184,7 +187,8 @@ pub fn split(p: Peripherals, carrier: Carrier) -> (Io, Gate, Common) {
     adc::configure(pac::ADC2, &[11, 13]);
 
     index::latch(INDEX_LINES[0] | INDEX_LINES[1] | INDEX_LINES[2]);
-    // SAFETY: TIM2 is 32 bits wide and has the registers of a 16-bit timer at the same places; `Encoder` lets it count to 65 535.
+    // SAFETY: TIM2 is 32 bits wide and has the registers of a 16-bit timer at the same places; `Encoder` lets it count
+    // to 65 535.
     let tim2 = unsafe { TimGp16::from_ptr(pac::TIM2.as_ptr()) };
     let io = Io {
         encoders: [

@@ -1,7 +1,7 @@
 //! ODrive v3.6 and its clones: two axes, each a three-phase bridge behind a DRV8301, with shunts under phases B and C.
 //!
-//! A brushed motor sits between phases B and C of its axis: both carry the same carrier at 0.5 +- duty/2 and phase A stays off.
-//! Pins: docs/wiring-odrive-v3.md. EN_GATE is common to both drivers, and low resets their registers.
+//! A brushed motor sits between phases B and C of its axis: both carry the same carrier at 0.5 +- duty/2 and phase A
+//! stays off. Pins: docs/wiring-odrive-v3.md. EN_GATE is common to both drivers, and low resets their registers.
 
 use embassy_stm32::gpio::{Flex, Level, Output, Speed};
 use embassy_stm32::pac;
@@ -28,11 +28,12 @@ pub const NAME: &str = "odrive-v3";
 /// Motors that it can drive.
 pub const AXES: usize = 2;
 
-/// Dead time between the switches of a half bridge: 20 ticks of 1/168 MHz, 119 ns, on top of what the driver inserts itself.
+/// Dead time between the switches of a half bridge: 20 ticks of 1/168 MHz, 119 ns, on top of what the driver inserts
+/// itself.
 pub const DEAD_TIME_TICKS: u8 = 20;
 
-/// What the drive needs to know. The current loop's bandwidth is a tenth of the slowest carrier over two pi, rounded down: with
-/// half a period of delay it keeps 60 degrees of phase margin at any carrier.
+/// What the drive needs to know. The current loop's bandwidth is a tenth of the slowest carrier over two pi, rounded
+/// down: with half a period of delay it keeps 60 degrees of phase margin at any carrier.
 pub const BRIDGE: Bridge = Bridge {
     carrier_hz: CARRIER_MIN_HZ as f32,
     dead_time: DEAD_TIME_TICKS as f32 / TIMER_HZ as f32,
@@ -40,8 +41,8 @@ pub const BRIDGE: Bridge = Bridge {
     current_sensed: true,
 };
 
-/// What nobody can raise over USB: half of the range of the shunts, and a bus voltage that is safe for a 24 V board too, whose
-/// divider makes it read 1.7 times too high.
+/// What nobody can raise over USB: half of the range of the shunts, and a bus voltage that is safe for a 24 V board
+/// too, whose divider makes it read 1.7 times too high.
 pub const LIMITS: Limits = Limits {
     torque: [10.0; 3],
     current: [20.0; 3],
@@ -146,7 +147,8 @@ impl Io {
         }
     }
 
-    /// What the power stage reports: a gate driver pulls the common fault line. Only true to be asked while the drivers are up.
+    /// What the power stage reports: a gate driver pulls the common fault line. Only true to be asked while the drivers
+    /// are up.
     #[inline]
     pub fn fault(&self) -> Option<Fault> {
         (pac::GPIOD.idr().read().idr(N_FAULT) == pac::gpio::vals::Idr::LOW).then_some(Fault::GateDriver)
@@ -179,7 +181,8 @@ pub struct Gate {
 }
 
 impl Gate {
-    /// Raises EN_GATE, sets both drivers up and learns the amplifiers' zeros: about 23 ms. On an error everything is off again.
+    /// Raises EN_GATE, sets both drivers up and learns the amplifiers' zeros: about 23 ms. On an error everything is
+    /// off again.
     pub fn raise(&mut self) -> Result<(), GateError> {
         pac::GPIOB.bsrr().write(|w| w.set_bs(EN_GATE, true));
         // SLOS719F 6.7: up to 10 ms until the driver answers.

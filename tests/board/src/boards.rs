@@ -1,5 +1,5 @@
-//! How each board is wired, for the virtual hardware around the chip. The pins are those of docs/wiring-odrive-v3.md and
-//! docs/wiring-h-bridge-f405.md, read a second time here, so that a pin swapped in the firmware shows.
+//! How each board is wired, for the virtual hardware around the chip. The pins are those of docs/wiring-odrive-v3.md
+//! and docs/wiring-h-bridge-f405.md, read a second time here, so that a pin swapped in the firmware shows.
 
 /// A port pin: the port's letter and the pin's number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,9 +75,11 @@ pub struct Wiring {
     pub drivers: &'static [Pin],
     /// The nominal bus voltage, V.
     pub bus_voltage: f64,
-    /// What each current sensor's zero is off by, V: a few millivolts at shunt amplifiers; Hall sensors are taken as trimmed.
+    /// What each current sensor's zero is off by, V: a few millivolts at shunt amplifiers; Hall sensors are taken as
+    /// trimmed.
     pub sensor_offsets: [f64; 4],
-    /// Dead time that costs voltage, s: both switches of a half bridge off. Zero where a half bridge is a module of its own.
+    /// Dead time that costs voltage, s: both switches of a half bridge off. Zero where a half bridge is a module of its
+    /// own.
     pub dead_time: f64,
 }
 

@@ -1,4 +1,5 @@
-//! The emulated board for other programs: its serial port as a TCP port and, where the system has them, a pseudo-terminal.
+//! The emulated board for other programs: its serial port as a TCP port and, where the system has them, a
+//! pseudo-terminal.
 //!
 //! Virtual time follows the wall clock, as far as the emulator is fast enough.
 

@@ -119,8 +119,8 @@ impl Chip {
         (self.part.bus_mut(), &mut self.advanced)
     }
 
-    /// A rising edge at pin `line` of port `port` (0 for A): latched where the firmware selected the port for the line (SYSCFG),
-    /// its rising edges and its request (RM0090 section 12.3). No model of rigless does this.
+    /// A rising edge at pin `line` of port `port` (0 for A): latched where the firmware selected the port for the line
+    /// (SYSCFG), its rising edges and its request (RM0090 section 12.3). No model of rigless does this.
     ///
     /// # Panics
     ///

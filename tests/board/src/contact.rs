@@ -97,7 +97,8 @@ impl Rig {
         rig
     }
 
-    /// Loads the device with a scene without walls, homes it and has its polarity checked; a firm hand holds it after that.
+    /// Loads the device with a scene without walls, homes it and has its polarity checked; a firm hand holds it after
+    /// that.
     ///
     /// # Panics
     ///
@@ -111,7 +112,8 @@ impl Rig {
         self.run(300 * MILLISECOND);
     }
 
-    /// Prepares the device, loads `walls` before the tip, wherever the polarity check took it, and arms. The scene's text.
+    /// Prepares the device, loads `walls` before the tip, wherever the polarity check took it, and arms. The scene's
+    /// text.
     ///
     /// # Panics
     ///

@@ -15,7 +15,8 @@
 //!
 //! A call of a variant counts the instructions from entering `bench_begin` to entering `bench_end`. A variant named
 //! `empty` (nothing between the markers) is the cost of the markers themselves: it is subtracted from the others.
-//! Variants are reported in the order of their first call; calling one with several inputs gives minimum, maximum and mean.
+//! Variants are reported in the order of their first call; calling one with several inputs gives minimum, maximum and
+//! mean.
 
 use std::collections::BTreeMap;
 use std::fmt;

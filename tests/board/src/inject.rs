@@ -90,8 +90,8 @@ fn pushed_by(rig: &Rig, force: [f64; 3]) {
     rig.with_simulated(move |device| push(device, force, 0.05));
 }
 
-/// Puts code into free RAM and has the task in `pool` enter it the next time it is polled. `code` is told where the task
-/// itself begins.
+/// Puts code into free RAM and has the task in `pool` enter it the next time it is polled. `code` is told where the
+/// task itself begins.
 ///
 /// # Panics
 ///
@@ -442,8 +442,8 @@ pub fn off(bench: &mut Bench<'_>) -> bool {
     hardware.drives() == [Drive::Floating; 3] && enable.is_none_or(|enable| hardware.level(enable) == Level::Low)
 }
 
-/// Brings `fault` about and watches what comes of it: latched, bridges off, arming refused, cleared only when asked for.
-/// `None` for what neither board can see.
+/// Brings `fault` about and watches what comes of it: latched, bridges off, arming refused, cleared only when asked
+/// for. `None` for what neither board can see.
 ///
 /// # Panics
 ///
@@ -519,8 +519,8 @@ pub fn document() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/results/faults.md")
 }
 
-/// The row of docs/results/faults.md for `fault`. Values and periods that hang on how fast the image is, such as the instant
-/// at which a moving hand trips a limit, are left out.
+/// The row of docs/results/faults.md for `fault`. Values and periods that hang on how fast the image is, such as the
+/// instant at which a moving hand trips a limit, are left out.
 #[must_use]
 pub fn row(fault: Fault, outcome: Option<&Outcome>) -> String {
     let (how, slow) = match injection(fault) {

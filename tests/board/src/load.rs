@@ -65,8 +65,8 @@ fn change(rig: &mut Rig, nth: u64) {
     }
 }
 
-/// Runs a rig that stands in contact for `milliseconds` with every `divider`th step's `fields` streaming and a setting changed ten times
-/// a second.
+/// Runs a rig that stands in contact for `milliseconds` with every `divider`th step's `fields` streaming and a setting
+/// changed ten times a second.
 ///
 /// # Panics
 ///
@@ -110,14 +110,16 @@ const RATES: [u32; 9] = [50_000, 45_000, 40_000, 35_000, 30_000, 25_000, 20_000,
 /// The dividers of a stream that are tried.
 const DIVIDERS: [u32; 7] = [1, 2, 3, 4, 5, 10, 20];
 
-/// Runs `case` on a thread of its own: a board that is asked too much may not even answer, and that ends only this attempt.
+/// Runs `case` on a thread of its own: a board that is asked too much may not even answer, and that ends only this
+/// attempt.
 fn attempt(case: &Case, rate_hz: u32, divider: u32) -> Option<Load> {
     let case = *case;
     let ran = std::thread::spawn(move || run(&mut case.rig(rate_hz), (Fields::USUAL, divider), rate_hz, 200));
     ran.join().ok().filter(Load::in_time)
 }
 
-/// The highest of a few rates, Hz, at which `case` misses no period for 200 ms with every step's usual telemetry asked for.
+/// The highest of a few rates, Hz, at which `case` misses no period for 200 ms with every step's usual telemetry asked
+/// for.
 #[must_use]
 pub fn highest_rate(case: &Case) -> Option<u32> {
     RATES.into_iter().find(|rate_hz| attempt(case, *rate_hz, 1).is_some())

@@ -1,5 +1,5 @@
-//! Bytes that no tool sends, for as long as is wanted: pure noise, noise in frames, and requests with bytes changed, cut
-//! off and run together. A disarmed board must do nothing with them, and the session after them must work.
+//! Bytes that no tool sends, for as long as is wanted: pure noise, noise in frames, and requests with bytes changed,
+//! cut off and run together. A disarmed board must do nothing with them, and the session after them must work.
 
 use std::io;
 use std::sync::{Arc, Mutex};
@@ -70,7 +70,8 @@ impl Wire for Tapped {
     }
 }
 
-/// Frames of requests that a tool makes of a disarmed board, as they go over the wire. None of them moves a motor or writes flash.
+/// Frames of requests that a tool makes of a disarmed board, as they go over the wire. None of them moves a motor or
+/// writes flash.
 fn requests(rig: &mut Rig) -> Vec<Vec<u8>> {
     let sent = Arc::new(Mutex::new(Vec::new()));
     let tapped = Tapped { wire: rig.shared.wire(), sent: sent.clone() };
@@ -131,8 +132,8 @@ impl Numbers {
     }
 }
 
-/// Writes bursts made from `seed` to a board with a device for `seconds` of virtual time, looking at it after each; `told`
-/// hears of every minute.
+/// Writes bursts made from `seed` to a board with a device for `seconds` of virtual time, looking at it after each;
+/// `told` hears of every minute.
 ///
 /// # Panics
 ///
@@ -150,7 +151,8 @@ pub fn run(seed: u32, seconds: u64, mut told: impl FnMut(u64)) -> (Rig, Noise) {
         noise.bursts += 1;
         noise.bytes += burst.len() as u64;
         rig.with(move |bench| {
-            // What the port has not taken of the last burst is dropped: the next one may begin in the middle of a frame.
+            // What the port has not taken of the last burst is dropped: the next one may begin in the middle of a
+            // frame.
             bench.usb().discard();
             bench.usb().write(&burst);
         });

@@ -1,8 +1,9 @@
 //! The paper's experiment on the emulated chip: which walls stay stable on the unmodified image, by `haptic::measure`
-//! through the protocol, beside what the sampled-data theory of `haptic range` says with the delay that the board reports.
+//! through the protocol, beside what the sampled-data theory of `haptic range` says with the delay that the board
+//! reports.
 //!
-//! The device is the shipped coupled-five-bar without friction and with fine encoders, at a pose and along the normal where
-//! its coupling is worst, no hand on it. Motors, current sensors and the board's current loops are there.
+//! The device is the shipped coupled-five-bar without friction and with fine encoders, at a pose and along the normal
+//! where its coupling is worst, no hand on it. Motors, current sensors and the board's current loops are there.
 
 use std::fmt::Write as _;
 
@@ -28,8 +29,8 @@ use crate::rig::{Rig, device_file};
 pub const POSE: [f64; 3] = [2.6, 1.75, 0.0];
 /// Edges of an encoder in a turn: so many that their steps are no part of what is measured.
 const COUNTS_PER_TURN: f64 = (1 << 20) as f64;
-/// A direct drive in place of the shipped file's placeholder. A step of the board's current sensors, 7 mA, is then 0.2 mN m
-/// and not 4, which would keep the softly held tip moving.
+/// A direct drive in place of the shipped file's placeholder. A step of the board's current sensors, 7 mA, is then 0.2
+/// mN m and not 4, which would keep the softly held tip moving.
 const MOTOR: Motor = Motor {
     torque_constant: 0.033,
     resistance: 0.5,
@@ -52,8 +53,8 @@ pub struct Rate {
     pub cutoff_hz: f64,
 }
 
-/// What is measured at. The loop around the motor's current leads by up to half a carrier period where the theory has a lag
-/// of as much (docs/results.md), and here that is little against a sample.
+/// What is measured at. The loop around the motor's current leads by up to half a carrier period where the theory has a
+/// lag of as much (docs/results.md), and here that is little against a sample.
 pub const RATE: Rate = Rate { rate_hz: 1000.0, cutoff_hz: 20.0 };
 
 /// The device on the bench.
@@ -88,7 +89,8 @@ pub fn normal() -> Vec<f64> {
     point.worst_ratio.normal
 }
 
-/// The board with the device at its connectors, homed at the pose, its polarity checked, and a hand that holds it there.
+/// The board with the device at its connectors, homed at the pose, its polarity checked, and a hand that holds it
+/// there.
 ///
 /// # Panics
 ///
@@ -135,7 +137,8 @@ pub fn on<T>(
     Ok(outcome)
 }
 
-/// What the theory says of the same loop at the dampings `kd` (N s/m), or of all of it; `delay_samples` is the board's own.
+/// What the theory says of the same loop at the dampings `kd` (N s/m), or of all of it; `delay_samples` is the board's
+/// own.
 ///
 /// # Panics
 ///

@@ -151,8 +151,8 @@ impl Bench<'_> {
         self.session.reset_by_pin(at, count, self.memory);
     }
 
-    /// What the firmware reached that the virtual chip lacks, one line each: an empty list means every access was answered
-    /// by a model.
+    /// What the firmware reached that the virtual chip lacks, one line each: an empty list means every access was
+    /// answered by a model.
     #[must_use]
     pub fn gaps(&self) -> Vec<String> {
         let unmapped = self.session.unmapped().into_iter().map(|gap| gap.to_string());

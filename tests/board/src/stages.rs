@@ -1,7 +1,7 @@
 //! To which stage of the control interrupt an instruction belongs, told by the functions it is part of.
 //!
-//! The compiler inlines most of the interrupt into a few functions; the debug information of the unchanged image says for
-//! every instruction which functions of the source it came from. The innermost one that a stage names decides; code
+//! The compiler inlines most of the interrupt into a few functions; the debug information of the unchanged image says
+//! for every instruction which functions of the source it came from. The innermost one that a stage names decides; code
 //! that names none (memory copies, outlined sequences, iterators) belongs to the stage of whoever called it.
 
 use std::borrow::Cow;

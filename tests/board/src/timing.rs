@@ -1,4 +1,5 @@
-//! What the control interrupt takes, entry to exit, in instructions of the unmodified image: by stage, mean, worst, jitter.
+//! What the control interrupt takes, entry to exit, in instructions of the unmodified image: by stage, mean, worst,
+//! jitter.
 //!
 //! `cargo xtask timing` measures every [`Case`] and writes the table that docs/results.md leads to; a test measures
 //! some of them again and compares.

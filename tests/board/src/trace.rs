@@ -1,9 +1,9 @@
 //! Every instruction of an interrupt handler, run by run, from its first to the one that returns from the exception.
 //!
-//! All of the code is watched and the handler's part is kept. Where it ends is seen, not assumed: a return at call depth
-//! zero that goes somewhere else. That covers handlers whose last instructions the compiler put into a shared function.
-//! Instructions of an interrupt that preempts the handler would count too; the control interrupt has the highest
-//! priority, so there are none.
+//! All of the code is watched and the handler's part is kept. Where it ends is seen, not assumed: a return at call
+//! depth zero that goes somewhere else. That covers handlers whose last instructions the compiler put into a shared
+//! function. Instructions of an interrupt that preempts the handler would count too; the control interrupt has the
+//! highest priority, so there are none.
 
 use std::sync::Arc;
 

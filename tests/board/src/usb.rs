@@ -1,5 +1,6 @@
-//! The computer at the other end of the USB cable: it enumerates a device as a PC does, opens its serial port, and moves
-//! bytes both ways. Everything a user can do to a port can be done to it: unplug, suspend, close, stop reading, write garbage.
+//! The computer at the other end of the USB cable: it enumerates a device as a PC does, opens its serial port, and
+//! moves bytes both ways. Everything a user can do to a port can be done to it: unplug, suspend, close, stop reading,
+//! write garbage.
 //!
 //! Sources: USB 2.0 chapters 5, 8, 9; CDC PSTN 1.2 section 6.3 (line coding, control line state).
 
@@ -10,8 +11,8 @@ use rigless::time::VirtualNanos;
 use crate::chip::otg::{Core, Handshake};
 
 const MILLISECOND: u64 = 1_000_000;
-/// From seeing a pull-up to the first reset, and each reset's length: the least that USB 2.0 sections 7.1.7.3 and 7.1.7.5
-/// allow, where a PC waits longer.
+/// From seeing a pull-up to the first reset, and each reset's length: the least that USB 2.0 sections 7.1.7.3 and
+/// 7.1.7.5 allow, where a PC waits longer.
 const DEBOUNCE: u64 = 100 * MILLISECOND;
 const RESET: u64 = 10 * MILLISECOND;
 const RECOVERY: u64 = 10 * MILLISECOND;

@@ -1,5 +1,5 @@
-//! The emulated USB port as the tool's own client knows wires: `haptic::link::Board` over it talks to the real firmware,
-//! in lock step and on the board's own clock.
+//! The emulated USB port as the tool's own client knows wires: `haptic::link::Board` over it talks to the real
+//! firmware, in lock step and on the board's own clock.
 
 use std::io;
 use std::sync::{Arc, Mutex, MutexGuard};

@@ -1,5 +1,5 @@
-//! `board [odrive-v3|h-bridge-f405] [--device FILE.toml] [--tcp PORT] [--fast]`: the real firmware on an emulated board with a simulated
-//! device, for a person. `cargo xtask board` calls it.
+//! `board [odrive-v3|h-bridge-f405] [--device FILE.toml] [--tcp PORT] [--fast]`: the real firmware on an emulated board
+//! with a simulated device, for a person. `cargo xtask board` calls it.
 //!
 //! It prints the ports that `haptic --port …` connects to, and the firmware's log as it comes. Ctrl-C ends it.
 //! `--fast` lets virtual time run as fast as the emulator goes instead of following the clock.
@@ -54,8 +54,8 @@ fn parse(mut words: impl Iterator<Item = String>) -> Option<Arguments> {
     Some(arguments)
 }
 
-/// A copy of the device file at `path` that a real board arms: motor data verified, and limits where it has none. Nobody can
-/// be hurt here.
+/// A copy of the device file at `path` that a real board arms: motor data verified, and limits where it has none.
+/// Nobody can be hurt here.
 fn ready_to_arm(path: &Path, file: &DeviceFile) -> std::io::Result<PathBuf> {
     let text = std::fs::read_to_string(path)?;
     let mut joints = file.description.joints.iter();

@@ -1,4 +1,5 @@
-//! `faults`: brings every fault about on the emulated chip and writes docs/results/faults.md. `cargo xtask faults` calls it.
+//! `faults`: brings every fault about on the emulated chip and writes docs/results/faults.md. `cargo xtask faults`
+//! calls it.
 //!
 //! Exit code 1: the table could not be written.
 

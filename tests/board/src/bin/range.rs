@@ -1,5 +1,5 @@
-//! `range`: measures the whole range of stable walls on the emulated chip, without and with the feed-forward, and writes its
-//! section of docs/results.md and its picture. `cargo xtask range` calls it; it takes about half an hour.
+//! `range`: measures the whole range of stable walls on the emulated chip, without and with the feed-forward, and
+//! writes its section of docs/results.md and its picture. `cargo xtask range` calls it; it takes about half an hour.
 //!
 //! Exit code 1: it could not be measured or written.
 

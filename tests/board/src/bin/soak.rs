@@ -1,7 +1,8 @@
-//! `soak HOURS FILE`: that many virtual hours of contact, and as many of random bytes, side by side on two emulated boards; writes what
-//! came of it into FILE. `cargo xtask soak --chip` calls it.
+//! `soak HOURS FILE`: that many virtual hours of contact, and as many of random bytes, side by side on two emulated
+//! boards; writes what came of it into FILE. `cargo xtask soak --chip` calls it.
 //!
-//! Exit code 1: something was lost, missed or drifted (said above), or the file cannot be written; 2: the command is wrong.
+//! Exit code 1: something was lost, missed or drifted (said above), or the file cannot be written; 2: the command is
+//! wrong.
 
 use std::process::ExitCode;
 

@@ -1,4 +1,5 @@
-//! `timing`: measures the control interrupt of both boards and writes docs/results/timing.md. `cargo xtask timing` calls it.
+//! `timing`: measures the control interrupt of both boards and writes docs/results/timing.md. `cargo xtask timing`
+//! calls it.
 //!
 //! Exit code 1: the table could not be written.
 

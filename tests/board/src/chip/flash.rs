@@ -1,4 +1,5 @@
-//! The flash array behind rigless' flash interface: programming clears bits, a sector erase sets them (RM0090 chapter 3).
+//! The flash array behind rigless' flash interface: programming clears bits, a sector erase sets them (RM0090 chapter
+//! 3).
 //!
 //! On silicon code running from flash stalls while a sector erases or a word is programmed; here it runs on, and only
 //! the busy flag takes its time.

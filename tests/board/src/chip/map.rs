@@ -100,7 +100,8 @@ fn with_our_tables(stock: &Peripheral) -> Peripheral {
 /// The interrupt line of the USB core, table 63.
 const OTG_LINE: u16 = 67;
 
-/// The register table of one of the USB core's blocks: a word at every offset, plain. [`super::otg`] knows what each is.
+/// The register table of one of the USB core's blocks: a word at every offset, plain. [`super::otg`] knows what each
+/// is.
 #[must_use]
 pub fn otg_table(block: usize) -> &'static [RegisterSpec] {
     static GLOBAL: [RegisterSpec; 256] = words();

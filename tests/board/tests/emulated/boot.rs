@@ -29,8 +29,8 @@ fn every_register_the_firmware_touches_has_a_model() {
         let rig = Rig::empty(kind);
         rig.run(SECOND / 10);
         let gaps = rig.with(|bench| bench.gaps());
-        // At boot the bridges are switched off before their clocks run, which a chip ignores. SYSCFG and EXTI hold values that
-        // the hardware around the chip acts on.
+        // At boot the bridges are switched off before their clocks run, which a chip ignores. SYSCFG and EXTI hold
+        // values that the hardware around the chip acts on.
         let real: Vec<_> = gaps
             .into_iter()
             .filter(|gap| !["SYSCFG", "EXTI", "BDTR is gated", "BSRR is gated"].iter().any(|known| gap.contains(known)))

@@ -120,8 +120,8 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
                 }
             };
             for field in fields {
-                // What is left on the chip of motions before the trace (the polarity check) has decayed below the normal
-                // numbers; it is no part of what is compared.
+                // What is left on the chip of motions before the trace (the polarity check) has decayed below the
+                // normal numbers; it is no part of what is compared.
                 let settled = |value: f32| if value.abs() < f32::MIN_POSITIVE { 0 } else { value.to_bits() };
                 let chip = three(of(row, field)).map(|value| settled(value as f32));
                 let pc = here(field).map(settled);

@@ -1,5 +1,5 @@
-//! What docs/safety.md promises of the chip itself: off until asked, off without the processor's help, and a watchdog that no
-//! half of the firmware can feed alone.
+//! What docs/safety.md promises of the chip itself: off until asked, off without the processor's help, and a watchdog
+//! that no half of the firmware can feed alone.
 
 use std::time::Duration;
 
@@ -89,7 +89,8 @@ fn the_break_input_cuts_the_outputs_without_the_processor() {
     assert_eq!(executed(), before, "the processor stood still");
 }
 
-/// A board that is armed and whose task is replaced: the watchdog resets it, not before `least` ms and before `most`, and says so.
+/// A board that is armed and whose task is replaced: the watchdog resets it, not before `least` ms and before `most`,
+/// and says so.
 fn bitten(task: &'static str, code: impl FnOnce(u32) -> Vec<u32>, least: u64, most: u64) {
     let mut rig = armed(BoardKind::OdriveV3);
     run_instead(&rig, task, code);

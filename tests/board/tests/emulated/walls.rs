@@ -159,7 +159,8 @@ fn gains_that_change_in_contact_step_the_torque_by_what_they_explain() {
         }
     }
     assert_eq!(rig.tool.losses().missing, 0);
-    // Columns: torques, distance, velocity, force. Each force is that of one of the stiffnesses, and the torque follows it.
+    // Columns: torques, distance, velocity, force. Each force is that of one of the stiffnesses, and the torque follows
+    // it.
     let mut steps = 0;
     for pair in rows.windows(2) {
         let [a, b] = [&pair[0].values, &pair[1].values];
