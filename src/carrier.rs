@@ -49,12 +49,15 @@ impl Carrier {
     }
 
     /// Compare values of the two legs of a bridge that put a duty (-1..1) across it; what is no number puts nothing
-    /// there.
+    /// there. One is as far above the middle as the other is below, so no duty is no voltage, to the tick.
     #[inline(always)]
     pub fn legs(&self, duty: f32) -> [u16; 2] {
-        let half = 0.5 * limited(duty, 1.0);
-        let top = f32::from(self.top);
-        [((0.5 + half) * top + 0.5) as u16, ((0.5 - half) * top + 0.5) as u16]
+        const OFFSET: u32 = 1 << 15;
+        let middle = (u32::from(self.top) + 1) / 2;
+        // The offset makes truncation round, below zero as above.
+        let away = limited(duty, 1.0) * (0.5 * f32::from(self.top)) + (OFFSET as f32 + 0.5);
+        let away = (away as u32).wrapping_sub(OFFSET);
+        [middle.wrapping_add(away) as u16, middle.wrapping_sub(away) as u16]
     }
 
     /// Delay from sampling to the duty that answers it, in control samples: half a carrier period.
@@ -91,6 +94,11 @@ mod tests {
         let carrier = Carrier { top: 4200, divider: 1 };
         for (duty, legs) in [(0.0, [2100, 2100]), (0.5, [3150, 1050]), (-1.0, [0, 4200]), (9.0, [4200, 0])] {
             assert_eq!(carrier.legs(duty), legs, "{duty}");
+        }
+        // An odd top has no tick in its middle: the legs still stand at the same one, and as far from it either way.
+        let odd = Carrier { top: 1681, divider: 1 };
+        for (duty, legs) in [(0.0, [841, 841]), (0.5, [1261, 421]), (-0.5, [421, 1261])] {
+            assert_eq!(odd.legs(duty), legs, "{duty}");
         }
         for nonsense in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
             assert_eq!(carrier.legs(nonsense), [2100, 2100]);

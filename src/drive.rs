@@ -1,8 +1,12 @@
 //! Torque → current → voltage → duty, for one brushed motor on a bridge.
 //!
-//! Where the board senses current a PI loop at the carrier's rate makes it; where it does not, the voltage that the
-//! motor's resistance and back-EMF need is applied. Limits (torque, current, voltage, duty) are enforced here and
-//! nowhere else. The duty returned is signed, -1..1 of the bus voltage across the motor; legs run at ½ ± duty/2.
+//! The voltage that takes a winding like the device file's to the target within one carrier period, or as far as the
+//! bus allows, is worked out from the motor's resistance, inductance and back-EMF. Where the board senses current, a PI
+//! loop takes out what that leaves: it compares each sample with the current that such a winding would have at that
+//! instant, not with the target, which no current can have reached yet, so steps do not overshoot.
+//!
+//! Limits (torque, current, voltage, duty) are enforced here and nowhere else. The duty returned is signed, -1..1 of
+//! the bus voltage across the motor; legs run at ½ ± duty/2.
 
 use crate::device::Motor;
 use postcard_schema::Schema;
@@ -12,7 +16,14 @@ use serde::{Deserialize, Serialize};
 /// low-side shunts conducting long enough to be sampled.
 pub const MAX_DUTY: f32 = 0.92;
 
-/// Smallest inductance the loop is designed for, H: device files may leave it at 0 (ideal).
+/// [`MAX_DUTY`] less what rounding may add.
+const USABLE_DUTY: f32 = MAX_DUTY * (1.0 - 2.0 * f32::EPSILON);
+
+/// Bus voltages that are believed, V.
+const MIN_VOLTAGE: f32 = 1.0;
+const MAX_VOLTAGE: f32 = 1.0e3;
+
+/// Smallest inductance the PI loop is designed for, H: device files may leave it at 0 (ideal).
 const MIN_INDUCTANCE: f32 = 1.0e-5;
 
 /// The current below which dead-time compensation fades, A: its sign is noise around zero.
@@ -28,7 +39,7 @@ pub struct Bridge {
     pub carrier_hz: f32,
     /// Dead time between the switches of a leg, s.
     pub dead_time: f32,
-    /// Closed-loop current bandwidth where current is sensed, Hz.
+    /// Bandwidth of the loop that takes out what the model of the winding leaves, where current is sensed, Hz.
     pub bandwidth_hz: f32,
     /// Whether the motors' currents are measured.
     pub current_sensed: bool,
@@ -44,16 +55,23 @@ pub struct Axis {
     max_current: f32,
     resistance: f32,
     back_emf: f32,
+    /// Voltage that changes the current by 1 A within a carrier period, V/A, and its inverse.
+    surge: f32,
+    reach: f32,
+    /// Share of a change made at the next sample, half a carrier period after its duty applies.
+    halfway: f32,
     proportional: f32,
     integral: f32,
     dead_time_share: f32,
-    sensed: bool,
     /// Voltage the integrator holds, V.
     integrator: f32,
+    /// The current that the duties so far lead to, and the one that the next sample should show, A.
+    reached: f32,
+    expected: f32,
     /// What the controller asked for, A.
     target: f32,
-    /// Voltage that the target and the present speed need, V.
-    feed: f32,
+    /// Voltage that the present speed needs, V.
+    emf: f32,
     /// Duty that makes up for the dead time.
     regained: f32,
     /// I²t accumulator, A² s above what the motor stands for ever.
@@ -74,17 +92,25 @@ impl Axis {
     pub fn new(motor: &Motor<f32>, bridge: &Bridge, max_current: f32, continuous_current: f32) -> Self {
         let kt = motor.torque_constant;
         let usable = kt.abs() > 1.0e-9;
-        let bandwidth = core::f32::consts::TAU * bridge.bandwidth_hz;
+        // Where nothing is sensed there is nothing to correct by.
+        let bandwidth = if bridge.current_sensed { core::f32::consts::TAU * bridge.bandwidth_hz } else { 0.0 };
+        let carrier_hz = bridge.carrier_hz.max(1.0);
+        let inductance = motor.inductance.max(0.0);
+        // A free current falls to exp(-fade) in a carrier period.
+        let fade = motor.resistance / (inductance * carrier_hz);
+        let surge = motor.resistance + inductance * carrier_hz / growth(fade);
         let mut axis = Self {
             amps_per_torque: if usable { 1.0 / kt } else { 0.0 },
             torque_per_amp: if usable { kt } else { 0.0 },
             motor_current: if usable { motor.max_current } else { 0.0 },
             resistance: motor.resistance,
             back_emf: motor.back_emf,
-            proportional: bandwidth * motor.inductance.max(MIN_INDUCTANCE),
-            integral: bandwidth * motor.resistance / bridge.carrier_hz.max(1.0),
+            surge,
+            reach: if surge > 0.0 { 1.0 / surge } else { 0.0 },
+            halfway: 1.0 / (1.0 + 1.0 / (1.0 + 0.5 * fade * growth(0.5 * fade))),
+            proportional: bandwidth * inductance.max(MIN_INDUCTANCE),
+            integral: bandwidth * motor.resistance / carrier_hz,
             dead_time_share: 2.0 * bridge.dead_time * bridge.carrier_hz,
-            sensed: bridge.current_sensed,
             ..Self::default()
         };
         axis.limit(max_current, continuous_current);
@@ -105,32 +131,45 @@ impl Axis {
     #[inline(always)]
     pub fn command(&mut self, torque: f32, speed: f32) -> f32 {
         self.target = limited(torque * self.amps_per_torque, self.max_current);
-        self.feed = self.resistance * self.target + limited(self.back_emf * speed, f32::MAX);
+        self.emf = limited(self.back_emf * speed, MAX_VOLTAGE);
         // Both legs lose dead time against the current: give it back, fading where the current's sign is unsure.
         self.regained = self.dead_time_share * (self.target / (self.target.abs() + DEAD_TIME_KNEE));
         self.target
     }
 
-    /// The duty for the next carrier period from the bus voltage (V) and the measured current (A, ignored where none
-    /// is sensed). Call once a carrier period. Zero when the bus voltage is not usable.
+    /// The duty for the next carrier period from the bus voltage (V) and the measured current (A, of no effect
+    /// where none is sensed). Call once a carrier period. Zero when the bus voltage is not usable.
     #[inline(always)]
     pub fn duty(&mut self, bus_voltage: f32, current: f32) -> f32 {
-        if bus_voltage.is_nan() || bus_voltage < 1.0 {
+        if !usable(bus_voltage) {
             self.integrator = 0.0;
             return 0.0;
         }
-        let mut voltage = self.feed;
-        if self.sensed {
-            let available = MAX_DUTY * bus_voltage;
-            let error = self.target - current;
-            voltage += self.proportional * error + self.integrator;
-            // Conditional integration: not further into a voltage that is not there.
-            if voltage.abs() < available || voltage * error < 0.0 {
-                self.integrator = limited(self.integrator + self.integral * error, available);
-            }
+        let error = self.expected - current;
+        // What the current reached needs to stay, as the motor and the bridge really are.
+        let hold = self.emf
+            + self.resistance * self.reached
+            + self.regained * bus_voltage
+            + self.proportional * error
+            + self.integrator;
+        let mut rise = self.target - self.reached;
+        let mut voltage = hold + self.surge * rise;
+        let available = USABLE_DUTY * bus_voltage;
+        // Not further into a voltage that is not there.
+        let integrates = if voltage.abs() <= available {
+            true
+        } else {
+            voltage = limited(voltage, available);
+            rise = limited((voltage - hold) * self.reach, self.max_current);
+            voltage * error < 0.0
+        };
+        self.expected = self.reached + self.halfway * rise;
+        self.reached += rise;
+        if integrates {
+            self.integrator = limited(self.integrator + self.integral * error, available);
         }
         // One division for all motors: the compiler takes it out of the caller's loop.
-        limited(voltage * (1.0 / bus_voltage) + self.regained, MAX_DUTY)
+        voltage * (1.0 / bus_voltage)
     }
 
     /// Warms the motor model by `squares`, the integral of i² (A² s) over the last `dt` (s); true when its budget is
@@ -149,8 +188,10 @@ impl Axis {
     /// Forgets the loop's state when the bridge goes off; the motor stays as warm as it is.
     pub fn rest(&mut self) {
         self.integrator = 0.0;
+        self.reached = 0.0;
+        self.expected = 0.0;
         self.target = 0.0;
-        self.feed = 0.0;
+        self.emf = 0.0;
         self.regained = 0.0;
     }
 
@@ -187,6 +228,19 @@ impl Axis {
     pub fn torque_of(&self, current: f32) -> f32 {
         current * self.torque_per_amp
     }
+}
+
+/// (eˣ - 1)/x for x ≥ 0, by its series: exact where x is small and, where it is large, at least so large that what is
+/// divided by it hardly counts. Infinite for infinity.
+fn growth(x: f32) -> f32 {
+    (2..=9).rev().fold(1.0, |sum, n| 1.0 + x / n as f32 * sum)
+}
+
+/// Whether a bus voltage (V) is one. Bit patterns of positive floats order like the floats: one comparison, which no
+/// number that is none passes.
+#[inline(always)]
+fn usable(bus_voltage: f32) -> bool {
+    bus_voltage.to_bits().wrapping_sub(MIN_VOLTAGE.to_bits()) <= MAX_VOLTAGE.to_bits() - MIN_VOLTAGE.to_bits()
 }
 
 /// `value` within ±`bound`, which is not negative; 0 for what is not finite.

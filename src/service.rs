@@ -10,7 +10,7 @@ use crate::math::Math;
 use crate::precomputed::{MassModelData, Receiving, TABLE_VALUES};
 use crate::protocol::{Details, FaultList, GainsRequest, Name, TableChunk, WriteEntry};
 use crate::scene::{FeedForward, Scene, SceneError};
-use crate::servo::{Command, Hardware, Program, Reply, Rules, Status};
+use crate::servo::{Command, Hardware, Program, Reply, Rules, Status, TABLE_PIECE};
 use crate::settings::{self, BoardName, Damage, Entry, Key, Polarity, Setting};
 use crate::velocity::{Coefficients, Washout};
 use core::ops::DerefMut;
@@ -222,7 +222,10 @@ impl Service {
         if !self.receiving.take(usize::from(chunk.offset), &chunk.values) {
             return Err(Refusal::BadTable);
         }
-        machine.execute(Command::Table(chunk.clone())).0
+        for (start, piece) in (chunk.offset..).step_by(TABLE_PIECE).zip(chunk.values.chunks(TABLE_PIECE)) {
+            machine.execute(Command::Table(start, piece.iter().copied().collect())).0?;
+        }
+        Ok(())
     }
 
     fn reinstall(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {

@@ -13,16 +13,19 @@ use crate::description::MAX_JOINTS;
 use crate::drive::{Axis, Bridge, limited};
 use crate::guard::{Fault, FaultRecord, Limits, Refusal, State};
 use crate::math::Math;
-use crate::precomputed::{TABLE_VALUES, TableChunk};
+use crate::precomputed::TABLE_VALUES;
 use crate::program::MOST_JOINTS;
 pub use crate::program::{AnyController, Program};
 use crate::velocity::{Coefficients, Washout};
 use core::ops::DerefMut;
+use heapless::Vec;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 /// Seconds over which torque ramps up after arming.
 pub const ARM_SECONDS: f32 = 0.5;
+/// Most values of a table in one [`Command`]: commands are copied between two steps, and no other is longer than this.
+pub const TABLE_PIECE: usize = 16;
 /// Speed below which a device counts as at rest, rad/s.
 pub const REST_SPEED: f32 = 0.2;
 
@@ -79,8 +82,8 @@ pub struct Frame {
     pub wall_force: f32,
     /// Share of the feed-forward that acts.
     pub shaping: f32,
-    /// Energy the walls have taken up since contact began (negative: given out), J; counted while the passivity rule is
-    /// on.
+    /// Energy the touched walls have taken up since contact began, less what they had given out by then (negative:
+    /// given out), J.
     pub energy: f32,
     /// Damping the passivity controller added, N s/m.
     pub passivity_damping: f32,
@@ -151,8 +154,8 @@ pub enum Command<P> {
     Coefficients(Coefficients<f32>),
     /// Rules and limits.
     Rules(Rules),
-    /// Values of a precomputed table.
-    Table(TableChunk),
+    /// Values of a precomputed table from an index on.
+    Table(u16, Vec<f32, TABLE_PIECE>),
     /// The present pose is the home pose.
     Home,
     /// Motors on.
@@ -301,7 +304,7 @@ where
             Command::Gains(gains, washout) => self.with_program(|p| p.controller.set_gains(&gains, &washout)),
             Command::Coefficients(coefficients) => self.with_program(|p| p.controller.set_coefficients(&coefficients)),
             Command::Rules(rules) => self.set_rules(rules),
-            Command::Table(chunk) => self.set_table(&chunk),
+            Command::Table(start, values) => self.set_table(start.into(), &values),
             Command::Home => self.home(),
             Command::Arm => self.arm(),
             Command::Disarm => {
@@ -338,13 +341,12 @@ where
     }
 
     /// Puts values where a table's are. The service sees to it that no program looks into the table meanwhile.
-    fn set_table(&mut self, chunk: &TableChunk) -> Result<(), Refusal> {
+    fn set_table(&mut self, start: usize, values: &[f32]) -> Result<(), Refusal> {
         if matches!(self.state, State::Armed | State::CheckingPolarity) {
             return Err(Refusal::Armed);
         }
-        let start = usize::from(chunk.offset);
-        let place = self.table.get_mut(start..start + chunk.values.len()).ok_or(Refusal::BadTable)?;
-        for (old, new) in place.iter_mut().zip(&chunk.values) {
+        let place = self.table.get_mut(start..start + values.len()).ok_or(Refusal::BadTable)?;
+        for (old, new) in place.iter_mut().zip(values) {
             *old = *new;
         }
         Ok(())

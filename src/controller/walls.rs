@@ -37,8 +37,8 @@ impl<T: Real> Running<T> {
 }
 
 /// A wall's passivity observer and controller (Hannaford and Ryu 2002, in the form that is exact for a force held
-/// between two samples): energy taken up = -Σ f(k-1) (x(k) - x(k-1)); when it falls below zero, damping is added that
-/// takes up the missing part in one step.
+/// between two samples): energy taken up = -Σ f(k-1) (x(k) - x(k-1)); when it falls below zero, the controller, if it
+/// is on, adds damping that takes up the missing part in one step.
 #[derive(Clone, Copy, Debug, Default)]
 struct Passivity<T> {
     /// J
@@ -52,11 +52,15 @@ struct Passivity<T> {
 const PASSIVITY_SHARE: f64 = 0.01;
 
 impl<T: Real> Passivity<T> {
-    /// Counts the energy of the last period, in which the tip moved by `moved` (m), and returns the damping (N s/m)
-    /// that pays back what the wall has given out. `v` in m/s, `rate` in Hz.
+    /// Counts the energy of the last period, in which the tip moved by `moved` (m).
     #[inline(always)]
-    fn damping(&mut self, moved: T, v: T, rate: T) -> T {
+    fn observe(&mut self, moved: T) {
         self.energy -= self.held * moved;
+    }
+
+    /// The damping (N s/m) that pays back what the wall has given out. `v` in m/s, `rate` in Hz.
+    #[inline(always)]
+    fn damping(&self, v: T, rate: T) -> T {
         if self.energy >= T::zero() || v == T::zero() {
             return T::zero();
         }
@@ -72,7 +76,8 @@ impl<T: Real> Passivity<T> {
     /// touch.
     #[inline(always)]
     fn leave(&mut self, moved: T) {
-        self.energy = (self.energy - self.held * moved).lesser(T::zero());
+        self.observe(moved);
+        self.energy = self.energy.lesser(T::zero());
         self.held = T::zero();
     }
 }
@@ -181,19 +186,18 @@ impl<T: Real> Walls<T> {
             }
             let inside = contact.distance < T::zero();
             if !inside && !wall.bilateral {
-                if passivity {
-                    running.passivity.leave(moved);
-                }
+                running.passivity.leave(moved);
                 if feed_forward == FeedForward::Washout {
                     running.washout.step(T::zero());
                 }
                 continue;
             }
             let mut force = -wall.stiffness * contact.distance - wall.damping * v;
-            let mut extra = T::zero();
+            running.passivity.observe(moved);
             if passivity {
-                extra = running.passivity.damping(moved, v, coefficients.rate());
+                let extra = running.passivity.damping(v, coefficients.rate());
                 force -= extra * v;
+                touch.passivity_damping += extra;
             }
             // Written so that what is not a number stays one, and is found out.
             if !wall.bilateral && force < T::zero() {
@@ -201,11 +205,8 @@ impl<T: Real> Walls<T> {
             }
             touch.contacts += 1;
             touch.wall_force += force;
-            if passivity {
-                touch.passivity_damping += extra;
-                running.passivity.hold(force);
-                touch.energy += running.passivity.energy;
-            }
+            running.passivity.hold(force);
+            touch.energy += running.passivity.energy;
             let shaped = match feed_forward {
                 FeedForward::Off => T::zero(),
                 FeedForward::Full => force,

@@ -56,8 +56,9 @@ pub struct Args {
     /// file's motors), current (a current loop of --current-bandwidth)
     #[arg(long, value_name = "KIND", default_value = "ideal")]
     drive: DriveKind,
-    /// Bandwidth of the current loop in Hz, for --drive current
-    #[arg(long, value_name = "HZ", default_value_t = 1000.0)]
+    /// Bandwidth of the current loop in Hz, for --drive current; the default lags by half a carrier period at 20 kHz,
+    /// as the boards' loops do, which make a current within one
+    #[arg(long, value_name = "HZ", default_value_t = 6400.0)]
     current_bandwidth: f64,
     /// Print one JSON document
     #[arg(long)]
