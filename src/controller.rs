@@ -299,12 +299,12 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     ) -> SVector<T, N> {
         let mut b = SVector::zeros();
         if self.velocity_terms {
-            let mut acceleration = SVector::zeros();
+            b = self.mechanism.velocity_torque(pose, qd);
             if M::SPEC.task > 1 && self.walls.curved {
                 let velocity = task_part::<T, M, N>(&self.mechanism.velocity(pose, qd));
-                acceleration = self.walls.turning::<K, N>(place, &velocity, active, line);
+                let acceleration = self.walls.turning::<K, N>(place, &velocity, active, line);
+                b += MassModel::Exact.shaping(&self.mechanism, &[], qd, pose, &acceleration).me;
             }
-            b = self.mechanism.inverse_dynamics(pose, qd, &acceleration);
         }
         if self.walls.damps(active) {
             b += self.viscous.component_mul(qd);

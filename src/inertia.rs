@@ -225,7 +225,7 @@ impl<T: Real, const N: usize> Inertia<T, N> {
     ) -> Self {
         let split = Split::new::<K>(normals, M::SPEC.task);
         let rank = split.rendered;
-        let b = mechanism.inverse_dynamics(pose, qd, &SVector::zeros()) + mechanism.gravity(pose);
+        let b = mechanism.velocity_torque(pose, qd) + mechanism.gravity(pose);
         let shapings: [Shaping<T, N>; N] =
             core::array::from_fn(|i| mechanism.shaping(pose, &split.basis.column(i).into_owned()));
         let operational = mechanism.operational_inertia(pose);

@@ -25,6 +25,8 @@ pub trait Real:
     fn is_finite(self) -> bool;
     /// The distance from 1 to the next larger number.
     const EPSILON: Self;
+    /// Larger than any number.
+    const INFINITY: Self;
 
     /// The smaller of two; `other` when `self` is NaN.
     fn lesser(self, other: Self) -> Self {
@@ -44,6 +46,7 @@ macro_rules! real {
     ($float:ident) => {
         impl Real for $float {
             const EPSILON: Self = $float::EPSILON;
+            const INFINITY: Self = $float::INFINITY;
             #[inline(always)]
             fn from_f64(value: f64) -> Self {
                 value as $float

@@ -115,16 +115,11 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
     fn shaping(&self, pose: &Self::Pose, n: &SVector<T, N>) -> Shaping<T, N> {
         Shaping::of(&self.mass(pose), self.inverse(pose, n))
     }
-    /// M q̈ + c with the joint accelerations that give the tip the acceleration `tip_acceleration` (m/s²):
-    /// M J⁻¹(a - J̇ q̇) + c, N m. With a = 0 this is the velocity part of `b` in docs/model.md section 2.
-    fn inverse_dynamics(
-        &self,
-        pose: &Self::Pose,
-        qd: &SVector<T, N>,
-        tip_acceleration: &SVector<T, N>,
-    ) -> SVector<T, N> {
-        let qdd = self.inverse(pose, &(tip_acceleration - self.jacobian_rate(pose, qd) * qd));
-        self.mass(pose) * qdd + self.coriolis(pose, qd)
+    /// The torques that let the tip go straight on while the joints move: c - M J⁻¹ J̇ q̇, N m, the velocity part of
+    /// `b` in docs/model.md section 2. What a tip acceleration `a` takes besides is `shaping(pose, a).me`.
+    fn velocity_torque(&self, pose: &Self::Pose, qd: &SVector<T, N>) -> SVector<T, N> {
+        let bent = self.inverse(pose, &(self.jacobian_rate(pose, qd) * qd));
+        self.coriolis(pose, qd) - self.mass(pose) * bent
     }
     /// Λ = J⁻ᵀ M J⁻¹ (N x N): the inertia in task coordinates.
     fn operational_inertia(&self, pose: &Self::Pose) -> SMatrix<T, N, N> {

@@ -163,7 +163,7 @@ impl<T: Real> Walls<T> {
         more: &mut Vec<Active<T, N>, MAX_WALLS>,
     ) -> Touch<T, N> {
         let mut touch = Touch {
-            distance: T::zero(),
+            distance: if self.running.is_empty() { T::zero() } else { T::INFINITY },
             normal_velocity: T::zero(),
             wall_force: T::zero(),
             contacts: 0,
@@ -180,7 +180,9 @@ impl<T: Real> Walls<T> {
             let contact = wall.surface.contact::<K, N>(place);
             let moved = running.velocity.moved(contact.distance);
             let v = running.velocity.step(coefficients, contact.distance);
-            if index == 0 || contact.distance < touch.distance {
+            // Comparisons here are written so that what is not a number stays one, and is found out.
+            let shallower = contact.distance >= touch.distance;
+            if !shallower {
                 touch.distance = contact.distance;
                 touch.normal_velocity = v;
             }
@@ -199,8 +201,7 @@ impl<T: Real> Walls<T> {
                 force -= extra * v;
                 touch.passivity_damping += extra;
             }
-            // Written so that what is not a number stays one, and is found out.
-            if !wall.bilateral && force < T::zero() {
+            if force < T::zero() && !wall.bilateral {
                 force = T::zero();
             }
             touch.contacts += 1;

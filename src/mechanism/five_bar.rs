@@ -153,47 +153,54 @@ impl<T: Real> FiveBar<T> {
         )
     }
 
-    /// The joint accelerations of a tip acceleration `a` (m/s²), at joint velocities `qd` and tip velocity `tip`.
+    /// The joint accelerations of a tip acceleration `a` (m/s²; of none), at joint velocities `qd` and tip velocity
+    /// `tip`.
     #[inline(always)]
     pub(super) fn joint_acceleration(
         pose: &Pose<T>,
         qd: &Vector2<T>,
         tip: &Vector2<T>,
-        a: &Vector2<T>,
+        a: Option<&Vector2<T>>,
     ) -> Vector2<T> {
         // The rods stay rigid: uᵢ·(a - p̈_elbow) + |u̇ᵢ|² = 0.
         let qdd = |i: usize| {
             let rod_rate = tip - left(&pose.arm[i]) * qd[i];
-            (pose.rod[i].dot(&(a + pose.arm[i] * (qd[i] * qd[i]))) + rod_rate.dot(&rod_rate)) * pose.inverse_k[i]
+            let outward = pose.arm[i] * (qd[i] * qd[i]);
+            let along = a.map_or(outward, |a| a + outward);
+            (pose.rod[i].dot(&along) + rod_rate.dot(&rod_rate)) * pose.inverse_k[i]
         };
         Vector2::new(qdd(0), qdd(1))
     }
 
-    /// What a tip acceleration `a` and joint accelerations `qdd` take at joint velocities `qd`: the force at the tip
-    /// (N) that is still to go through Jᵀ, and the torques at the joints (N m).
+    /// What a tip acceleration `a` (or none) and joint accelerations `qdd` take at joint velocities `qd`: the force at
+    /// the tip (N) that is still to go through Jᵀ, and the torques at the joints (N m).
     #[inline(always)]
     pub(super) fn inertial_loads(
         &self,
         pose: &Pose<T>,
         qd: &Vector2<T>,
         qdd: &Vector2<T>,
-        a: &Vector2<T>,
+        a: Option<&Vector2<T>>,
     ) -> (Vector2<T>, Vector2<T>) {
         let [c1, c2] = pose.arm.map(|arm| left(&arm));
         let elbow1 = c1 * qdd[0] - pose.arm[0] * (qd[0] * qd[0]);
         let elbow2 = c2 * qdd[1] - pose.arm[1] * (qd[1] * qd[1]);
-        (
-            a * self.tip_mass + elbow1 * self.rod_coupling[0] + elbow2 * self.rod_coupling[1],
-            Vector2::new(
-                self.arm_inertia[0] * qdd[0] + self.rod_coupling[0] * c1.dot(a),
-                self.arm_inertia[1] * qdd[1] + self.rod_coupling[1] * c2.dot(a),
-            ),
-        )
+        let at_tip = elbow1 * self.rod_coupling[0] + elbow2 * self.rod_coupling[1];
+        let at_joints = Vector2::new(self.arm_inertia[0] * qdd[0], self.arm_inertia[1] * qdd[1]);
+        let Some(a) = a else { return (at_tip, at_joints) };
+        let with_tip = Vector2::new(self.rod_coupling[0] * c1.dot(a), self.rod_coupling[1] * c2.dot(a));
+        (at_tip + a * self.tip_mass, at_joints + with_tip)
     }
 
-    /// The joint torques of a tip acceleration `a` and joint accelerations `qdd`, at joint velocities `qd`.
+    /// The joint torques of a tip acceleration `a` (or none) and joint accelerations `qdd`, at joint velocities `qd`.
     #[inline(always)]
-    fn inertial_torque(&self, pose: &Pose<T>, qd: &Vector2<T>, qdd: &Vector2<T>, a: &Vector2<T>) -> Vector2<T> {
+    fn inertial_torque(
+        &self,
+        pose: &Pose<T>,
+        qd: &Vector2<T>,
+        qdd: &Vector2<T>,
+        a: Option<&Vector2<T>>,
+    ) -> Vector2<T> {
         let (at_tip, at_joints) = self.inertial_loads(pose, qd, qdd, a);
         at_joints + Self::transposed(pose, &at_tip)
     }
@@ -312,7 +319,7 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
 
     fn coriolis(&self, pose: &Pose<T>, qd: &Vector2<T>) -> Vector2<T> {
         let a = self.jacobian_rate(pose, qd) * qd;
-        self.inertial_torque(pose, qd, &Vector2::zeros(), &a)
+        self.inertial_torque(pose, qd, &Vector2::zeros(), Some(&a))
     }
 
     #[inline(always)]
@@ -358,10 +365,10 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
     }
 
     #[inline(always)]
-    fn inverse_dynamics(&self, pose: &Pose<T>, qd: &Vector2<T>, a: &Vector2<T>) -> Vector2<T> {
+    fn velocity_torque(&self, pose: &Pose<T>, qd: &Vector2<T>) -> Vector2<T> {
         let tip = self.velocity(pose, qd);
-        let qdd = Self::joint_acceleration(pose, qd, &tip, a);
-        self.inertial_torque(pose, qd, &qdd, a)
+        let qdd = Self::joint_acceleration(pose, qd, &tip, None);
+        self.inertial_torque(pose, qd, &qdd, None)
     }
 
     fn operational_inertia(&self, pose: &Pose<T>) -> Matrix2<T> {

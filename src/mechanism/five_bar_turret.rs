@@ -106,7 +106,7 @@ impl<T: Real> FiveBarTurret<T> {
     ) -> Vector3<T> {
         let plane = &pose.plane;
         let spin = self.spin(pose);
-        let (mut at_tip, at_joints) = self.plane.inertial_loads(plane, &linkage(qd), qdd, a);
+        let (mut at_tip, at_joints) = self.plane.inertial_loads(plane, &linkage(qd), qdd, Some(a));
         let turning = qd[0] * qd[0];
         at_tip[1] -= turning * spin.tip;
         let through_tip = FiveBar::transposed(plane, &at_tip);
@@ -270,13 +270,13 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
     }
 
     #[inline(always)]
-    fn inverse_dynamics(&self, pose: &Pose<T>, qd: &Vector3<T>, a: &Vector3<T>) -> Vector3<T> {
+    fn velocity_torque(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
         let joints = linkage(qd);
         let tip = self.plane.velocity(&pose.plane, &joints);
-        let (mut in_plane, normal) = pose.to_plane(a);
-        in_plane[1] += pose.plane.tip[1] * qd[0] * qd[0];
-        let q0dd = (normal - T::from_f64(2.0) * tip[1] * qd[0]) * pose.inverse_y;
-        let qdd = FiveBar::joint_acceleration(&pose.plane, &joints, &tip, &in_plane);
+        // The turret's centripetal and Coriolis accelerations, undone by the other joints.
+        let in_plane = Vector2::new(T::zero(), pose.plane.tip[1] * qd[0] * qd[0]);
+        let q0dd = T::from_f64(-2.0) * tip[1] * qd[0] * pose.inverse_y;
+        let qdd = FiveBar::joint_acceleration(&pose.plane, &joints, &tip, Some(&in_plane));
         self.inertial_torque(pose, qd, &tip, q0dd, &qdd, &in_plane)
     }
 

@@ -72,6 +72,10 @@ impl<T: Real> Mechanism<T, 1> for Paddle<T> {
     fn coriolis(&self, _: &T, _: &SVector<T, 1>) -> SVector<T, 1> {
         SVector::zeros()
     }
+    #[inline(always)]
+    fn velocity_torque(&self, _: &T, _: &SVector<T, 1>) -> SVector<T, 1> {
+        SVector::zeros()
+    }
     fn gravity(&self, _: &T) -> SVector<T, 1> {
         SVector::zeros()
     }

@@ -292,14 +292,13 @@ impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
     }
 
     #[inline(always)]
-    fn inverse_dynamics(&self, pose: &Pose<T>, qd: &Vector3<T>, a: &Vector3<T>) -> Vector3<T> {
-        let (mut in_plane, normal) = pose.to_plane(a);
+    fn velocity_torque(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
         let [u, f] = self.lengths;
         // Minus the plane's own J̇ q̇, and the turret's centripetal and Coriolis accelerations.
-        in_plane += pose.upper * (u * qd[1] * qd[1]) + pose.fore * (f * qd[2] * qd[2]);
+        let mut in_plane = pose.upper * (u * qd[1] * qd[1]) + pose.fore * (f * qd[2] * qd[2]);
         in_plane[0] += pose.tip[0] * qd[0] * qd[0];
         let radial_rate = -u * pose.upper[1] * qd[1] - f * pose.fore[1] * qd[2];
-        let q0dd = (normal - T::from_f64(2.0) * radial_rate * qd[0]) * pose.inverse_x;
+        let q0dd = T::from_f64(-2.0) * radial_rate * qd[0] * pose.inverse_x;
         let arms = self.inverse_in_plane(pose, &in_plane);
         self.inertial_torque(pose, qd, &Vector3::new(q0dd, arms[0], arms[1]))
     }

@@ -77,12 +77,17 @@ impl<T: Real> Serial3r<T> {
     /// The absolute rates of a task velocity.
     #[inline(always)]
     fn rates(&self, pose: &Pose<T>, point: &Vector2<T>, turning: T) -> Vector3<T> {
-        let v = point - left(&pose.link[2]) * (self.lengths[2] * turning);
-        Vector3::new(
-            pose.link[1].dot(&v) * pose.inverse_sine * self.inverse_lengths[0],
-            -pose.link[0].dot(&v) * pose.inverse_sine * self.inverse_lengths[1],
-            turning,
-        )
+        let [first, second] = self.arm_rates(pose, &(point - left(&pose.link[2]) * (self.lengths[2] * turning)));
+        Vector3::new(first, second, turning)
+    }
+
+    /// The absolute rates of the first two links that move the second one's end with `v`.
+    #[inline(always)]
+    fn arm_rates(&self, pose: &Pose<T>, v: &Vector2<T>) -> [T; 2] {
+        [
+            pose.link[1].dot(v) * pose.inverse_sine * self.inverse_lengths[0],
+            -pose.link[0].dot(v) * pose.inverse_sine * self.inverse_lengths[1],
+        ]
     }
 
     /// The off-diagonal entries (12, 23, 13) of the mass matrix in absolute rates.
@@ -96,16 +101,17 @@ impl<T: Real> Serial3r<T> {
         ]
     }
 
-    /// Mass matrix in absolute rates times a vector.
+    /// Mass matrix in absolute rates times a vector: of the first two links, and of the third if it turns.
     #[inline(always)]
-    fn momentum(&self, pose: &Pose<T>, rates: &Vector3<T>) -> Vector3<T> {
+    fn momentum(&self, pose: &Pose<T>, [first, second]: [T; 2], third: Option<T>) -> Vector3<T> {
         let [m12, m23, m13] = self.off_diagonal(pose);
         let [m11, m22, m33] = self.inertia;
-        Vector3::new(
-            m11 * rates[0] + m12 * rates[1] + m13 * rates[2],
-            m12 * rates[0] + m22 * rates[1] + m23 * rates[2],
-            m13 * rates[0] + m23 * rates[1] + m33 * rates[2],
-        )
+        let momentum = Vector3::new(
+            m11 * first + m12 * second,
+            m12 * first + m22 * second,
+            m13 * first + m23 * second,
+        );
+        third.map_or(momentum, |third| momentum + Vector3::new(m13, m23, m33) * third)
     }
 
     /// Centrifugal moments on the absolute angles, given the squares of their rates.
@@ -272,19 +278,19 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
     #[inline(always)]
     fn shaping(&self, pose: &Pose<T>, n: &Vector3<T>) -> Shaping<T, 3> {
         let rates = self.rates(pose, &Vector2::new(n[0], n[1]), n[2]);
-        let momentum = self.momentum(pose, &rates);
+        let momentum = self.momentum(pose, [rates[0], rates[1]], Some(rates[2]));
         Shaping { e: relative(&rates), me: accumulate(&momentum), w_rr: rates.dot(&momentum) }
     }
 
     #[inline(always)]
-    fn inverse_dynamics(&self, pose: &Pose<T>, qd: &Vector3<T>, a: &Vector3<T>) -> Vector3<T> {
+    fn velocity_torque(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
         let rates = absolute(qd);
         let squares = rates.component_mul(&rates);
         let [l1, l2, l3] = self.lengths;
         let [e1, e2, e3] = &pose.link;
-        let point = Vector2::new(a[0], a[1]) + e1 * (l1 * squares[0]) + e2 * (l2 * squares[1]) + e3 * (l3 * squares[2]);
-        let accelerations = self.rates(pose, &point, a[2]);
-        accumulate(&(self.momentum(pose, &accelerations) + self.centrifugal(pose, &squares)))
+        let point = e1 * (l1 * squares[0]) + e2 * (l2 * squares[1]) + e3 * (l3 * squares[2]);
+        let momentum = self.momentum(pose, self.arm_rates(pose, &point), None);
+        accumulate(&(momentum + self.centrifugal(pose, &squares)))
     }
 
     fn shape(&self, q: &Vector3<T>) -> [T; 2] {

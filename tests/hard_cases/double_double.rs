@@ -149,6 +149,7 @@ impl fmt::Display for DoubleDouble {
 
 impl Real for DoubleDouble {
     const EPSILON: Self = Self { high: 4.93e-32, low: 0.0 };
+    const INFINITY: Self = Self { high: f64::INFINITY, low: 0.0 };
     fn from_f64(value: f64) -> Self {
         value.into()
     }

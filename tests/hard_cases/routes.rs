@@ -83,7 +83,7 @@ pub fn routes<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     let lambda = m.operational_inertia(&pose);
     let shaping = m.shaping(&pose, n);
     let weight = m.gravity(&pose);
-    let b = m.inverse_dynamics(&pose, qd, &SVector::zeros()) + weight;
+    let b = m.velocity_torque(&pose, qd) + weight;
     Routes {
         w_rr_joint: w[(0, 0)],
         w_rr_task: n.dot(&(lambda * n)),

@@ -109,7 +109,7 @@ pub fn torque<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
             let tip =
                 SVector::from_fn(|i, _| if i < M::SPEC.task { T::from_f64(probe.velocity[i]) } else { T::zero() });
             let turning = -frame_rate(&n, &vector(&probe.normal_rate), &tip);
-            b = mechanism.inverse_dynamics(&pose, &vector(&probe.qd), &turning);
+            b = mechanism.velocity_torque(&pose, &vector(&probe.qd)) + mechanism.shaping(&pose, &turning).me;
         }
         shaped_torque(&shaping, force, &b)
     };
