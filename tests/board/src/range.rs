@@ -34,7 +34,7 @@ const COUNTS_PER_TURN: f64 = (1 << 20) as f64;
 const MOTOR: Motor = Motor {
     torque_constant: 0.033,
     resistance: 0.5,
-    inductance: 0.0,
+    inductance: 1e-4,
     back_emf: 0.033,
     max_current: 12.0,
     verified: true,
@@ -53,9 +53,11 @@ pub struct Rate {
     pub cutoff_hz: f64,
 }
 
-/// What is measured at. The loop around the motor's current leads by up to half a carrier period where the theory has a
-/// lag of as much (docs/results.md), and here that is little against a sample.
-pub const RATE: Rate = Rate { rate_hz: 1000.0, cutoff_hz: 20.0 };
+/// What is measured at: the tests' rate first, then one at which the drive's lag is an eighth of a sample.
+pub const RATES: [Rate; 2] = [Rate { rate_hz: 1000.0, cutoff_hz: 20.0 }, Rate { rate_hz: 5000.0, cutoff_hz: 100.0 }];
+/// A current loop that lags as the board's, which makes a current within a carrier period: the default of `haptic range
+/// --drive current`, Hz.
+const CURRENT_BANDWIDTH: f64 = 6400.0;
 
 /// The device on the bench.
 ///
@@ -149,8 +151,7 @@ pub fn predicted(rate: Rate, delay_samples: f64, kd: Option<&[f64]>) -> Range {
         rate_hz: rate.rate_hz,
         delay_samples,
         estimator: Estimator::Butterworth(rate.cutoff_hz),
-        // The board's current loop feeds the voltage forward: it lags by less than a carrier period.
-        drive: Drive::Ideal,
+        drive: Drive::Current { bandwidth_hz: CURRENT_BANDWIDTH },
         damping_compensation: false,
     };
     let linear = Linearised::at(&device().description, &POSE[..2], &normal()).expect("a regular pose");
@@ -179,18 +180,18 @@ pub fn delay_samples(rig: &mut Rig, rate: Rate) -> f64 {
     f64::from(rig.tool.details().expect("the board answers").delay_samples)
 }
 
-/// The whole range with this feed-forward, [`POINTS`] dampings up to where it ends, [`REPEATS`] times each, and the
-/// delay that the board reports. `told` hears how many boundaries are done.
+/// The whole range at `rate` with this feed-forward, [`POINTS`] dampings up to where it ends, [`REPEATS`] times each,
+/// and the delay that the board reports. `told` hears how many boundaries are done.
 ///
 /// # Errors
 ///
 /// What ends a measurement early.
-pub fn whole(mode: Mode, mut told: impl FnMut(usize)) -> Result<(Progress, f64), MeasureError> {
+pub fn whole(rate: Rate, mode: Mode, mut told: impl FnMut(usize)) -> Result<(Progress, f64), MeasureError> {
     let mut rig = bench();
-    let delay = delay_samples(&mut rig, RATE);
+    let delay = delay_samples(&mut rig, rate);
     let plan = Plan { modes: vec![mode], kd: None, points: POINTS, repeats: REPEATS };
     let mut progress = Progress::new("the emulated chip");
-    on(&mut rig, RATE, |bench| {
+    on(&mut rig, rate, |bench| {
         campaign::run(bench, &plan, &mut progress, |_, done| {
             told(done);
             Ok(())
@@ -205,16 +206,32 @@ fn area(progress: &Progress, mode: Mode) -> f64 {
     progress.of(mode).iter().map(|point| point.median() * cell).sum()
 }
 
-/// The section of docs/results.md for a whole measurement, and its picture.
+/// What the section of docs/results.md begins with.
 #[must_use]
-pub fn section(progress: &Progress, delay: f64, occasion: &str) -> (String, Picture) {
-    let range = predicted(RATE, delay, None);
+pub fn introduction(occasion: &str) -> String {
+    format!(
+        "{occasion}. `cargo xtask range`: the unmodified release image of `{}` on the emulated chip, the shipped\n\
+         coupled-five-bar with direct drives of {} ohm and {} mH at q = (2.6, 1.75), along the normal of the largest Wrr/Weff,\n\
+         no friction, no hand, 2^20 edges a turn; `haptic::measure` through the board's own protocol, the median of {REPEATS}\n\
+         repeats. The theory is that of `haptic range --drive current` with the delay that the board reports. Apart: median less\n\
+         theory, in percent of the theory's highest stiffness. A test asks in every run whether walls at 95 % of the theory are\n\
+         stable and at 105 % are not.\n",
+        BOARD.wiring().name,
+        MOTOR.resistance,
+        MOTOR.inductance * 1e3,
+    )
+}
+
+/// The part of docs/results.md for a whole measurement at `rate`, and its picture.
+#[must_use]
+pub fn section(rate: Rate, progress: &Progress, delay: f64) -> (String, Picture) {
+    let range = predicted(rate, delay, None);
     let mut rows = String::new();
     let mut furthest: f64 = 0.0;
     for mode in [Mode::Off, Mode::Full] {
         let points = progress.of(mode);
         let kd: Vec<f64> = points.iter().map(|point| point.kd).collect();
-        let at = predicted(RATE, delay, Some(&kd));
+        let at = predicted(rate, delay, Some(&kd));
         let top = domain(&range, mode.into()).boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
         for (point, theory) in points.iter().zip(&domain(&at, mode.into()).boundary) {
             let (low, high) = point.bounds();
@@ -232,18 +249,12 @@ pub fn section(progress: &Progress, delay: f64, occasion: &str) -> (String, Pict
     }
     let measured = area(progress, Mode::Full) / area(progress, Mode::Off);
     let inertias = (range.w_rr / range.w_eff).powi(2);
+    let Rate { rate_hz, cutoff_hz } = rate;
     let text = format!(
-        "{occasion}. `cargo xtask range`: the unmodified release image of `{}` on the emulated chip, {} Hz, cutoff {} Hz,\n\
-         the shipped coupled-five-bar with direct drives at q = (2.6, 1.75), along the normal of the largest Wrr/Weff, no\n\
-         friction, no hand, 2^20 edges a turn; `haptic::measure` through the board's own protocol, the median of {REPEATS} repeats.\n\
-         Apart: median less theory, in percent of the theory's highest stiffness. A test asks in every run whether walls at\n\
-         95 % of the theory are stable and at 105 % are not.\n\n\
+        "\n### At {rate_hz} Hz, cutoff {cutoff_hz} Hz\n\n\
          Area with the feed-forward over without: **{measured:.3}** measured, {:.3} predicted, (Wrr/Weff)² = {inertias:.3}.\n\
          Furthest apart: {furthest:.1} %.\n\n\
          | feed-forward | kd (N s/m) | median kp (N/m) | lowest | highest | theory | apart |\n|---|--:|--:|--:|--:|--:|--:|\n{rows}",
-        BOARD.wiring().name,
-        RATE.rate_hz,
-        RATE.cutoff_hz,
         range.area_ratio,
     );
     let dots = |mode| -> Vec<MeasuredPoint> {
@@ -254,7 +265,7 @@ pub fn section(progress: &Progress, delay: f64, occasion: &str) -> (String, Pict
         progress.of(mode).into_iter().map(dot).collect()
     };
     let picture = draw(&Contents {
-        title: format!("coupled-five-bar on the emulated chip at {} Hz, cutoff {} Hz", RATE.rate_hz, RATE.cutoff_hz),
+        title: format!("coupled-five-bar on the emulated chip at {rate_hz} Hz, cutoff {cutoff_hz} Hz"),
         subtitle: [
             "lines: linear theory; dots: measured through the protocol".into(),
             "the release image; no friction, no hand".into(),

@@ -1,5 +1,5 @@
 //! `range`: measures the whole range of stable walls on the emulated chip, without and with the feed-forward, and
-//! writes its section of docs/results.md and its picture. `cargo xtask range` calls it; it takes about half an hour.
+//! writes its section of docs/results.md and its pictures. `cargo xtask range` calls it; it takes some ten minutes.
 //!
 //! Exit code 1: it could not be measured or written.
 
@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use haptic::measure::progress::{Mode, Progress};
-use virtual_board::range::{POINTS, REPEATS, section, whole};
+use virtual_board::range::{POINTS, RATES, REPEATS, Rate, introduction, section, whole};
 
 /// Where the section begins and ends.
 const BEGIN: &str = "<!-- range on the chip: begin, written by cargo xtask range -->\n";
@@ -24,27 +24,16 @@ fn main() -> ExitCode {
 }
 
 fn run() -> Result<(), Box<dyn std::error::Error>> {
-    let measured = std::thread::scope(|scope| {
-        let running = [Mode::Off, Mode::Full].map(|mode| {
-            scope.spawn(move || {
-                let told = |done| eprintln!("{mode:?}: {done} of {}", POINTS * REPEATS);
-                whole(mode, told).map_err(|error| error.to_string())
-            })
-        });
-        running.map(|thread| thread.join().unwrap_or_else(|_| Err("the measurement panicked".to_owned())))
-    });
-    let mut all = Progress::new("the emulated chip");
-    let mut delay = 0.0;
-    for part in measured {
-        let (progress, seen) = part?;
-        all.ends.extend(progress.ends);
-        all.points.extend(progress.points);
-        delay = seen;
-    }
     let occasion = std::env::var("HAPTIC_OCCASION").unwrap_or_else(|_| "Undated".to_owned());
-    let (text, picture) = section(&all, delay, &occasion);
     let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs");
-    picture.save_svg(&docs.join("results/range-chip.svg"))?;
+    let mut text = introduction(&occasion);
+    for rate in RATES {
+        let (progress, delay) = measured(rate)?;
+        let (part, picture) = section(rate, &progress, delay);
+        let name = format!("range-chip-{}hz.svg", rate.rate_hz);
+        picture.save_svg(&docs.join("results").join(&name))?;
+        text += &format!("{part}\n![measured on the emulated chip at {} Hz](results/{name})\n", rate.rate_hz);
+    }
     let results = docs.join("results.md");
     let old = std::fs::read_to_string(&results)?;
     let (before, rest) = old.split_once(BEGIN).ok_or("docs/results.md lacks the mark where the section begins")?;
@@ -52,4 +41,26 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
     std::fs::write(&results, format!("{before}{BEGIN}{text}{END}{after}"))?;
     println!("{text}");
     Ok(())
+}
+
+/// Both feed-forwards at `rate`, each on a board of its own, and the delay that the board reports.
+fn measured(rate: Rate) -> Result<(Progress, f64), String> {
+    let parts = std::thread::scope(|scope| {
+        let running = [Mode::Off, Mode::Full].map(|mode| {
+            scope.spawn(move || {
+                let told = |done| eprintln!("{} Hz, {mode:?}: {done} of {}", rate.rate_hz, POINTS * REPEATS);
+                whole(rate, mode, told).map_err(|error| error.to_string())
+            })
+        });
+        running.map(|thread| thread.join().unwrap_or_else(|_| Err("the measurement panicked".to_owned())))
+    });
+    let mut all = Progress::new("the emulated chip");
+    let mut delay = 0.0;
+    for part in parts {
+        let (progress, seen) = part?;
+        all.ends.extend(progress.ends);
+        all.points.extend(progress.points);
+        delay = seen;
+    }
+    Ok((all, delay))
 }
