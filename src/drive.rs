@@ -23,8 +23,9 @@ const USABLE_DUTY: f32 = MAX_DUTY * (1.0 - 2.0 * f32::EPSILON);
 const MIN_VOLTAGE: f32 = 1.0;
 const MAX_VOLTAGE: f32 = 1.0e3;
 
-/// Smallest inductance the PI loop is designed for, H: device files may leave it at 0 (ideal).
-const MIN_INDUCTANCE: f32 = 1.0e-5;
+/// Share of the loop's bandwidth where the device file leaves the inductance at 0. The motor may have one all the same:
+/// up to L/R = 1 ms its current then overshoots by less than an eighth.
+const UNKNOWN_WINDING: f32 = 0.05;
 
 /// The current below which dead-time compensation fades, A: its sign is noise around zero.
 const DEAD_TIME_KNEE: f32 = 0.1;
@@ -92,10 +93,15 @@ impl Axis {
     pub fn new(motor: &Motor<f32>, bridge: &Bridge, max_current: f32, continuous_current: f32) -> Self {
         let kt = motor.torque_constant;
         let usable = kt.abs() > 1.0e-9;
-        // Where nothing is sensed there is nothing to correct by.
-        let bandwidth = if bridge.current_sensed { core::f32::consts::TAU * bridge.bandwidth_hz } else { 0.0 };
         let carrier_hz = bridge.carrier_hz.max(1.0);
         let inductance = motor.inductance.max(0.0);
+        // Where nothing is sensed there is nothing to correct by.
+        let share = match (bridge.current_sensed, inductance > 0.0) {
+            (true, true) => 1.0,
+            (true, false) => UNKNOWN_WINDING,
+            (false, _) => 0.0,
+        };
+        let bandwidth = share * core::f32::consts::TAU * bridge.bandwidth_hz;
         // A free current falls to exp(-fade) in a carrier period.
         let fade = motor.resistance / (inductance * carrier_hz);
         let surge = motor.resistance + inductance * carrier_hz / growth(fade);
@@ -108,7 +114,7 @@ impl Axis {
             surge,
             reach: if surge > 0.0 { 1.0 / surge } else { 0.0 },
             halfway: 1.0 / (1.0 + 1.0 / (1.0 + 0.5 * fade * growth(0.5 * fade))),
-            proportional: bandwidth * inductance.max(MIN_INDUCTANCE),
+            proportional: bandwidth * inductance,
             integral: bandwidth * motor.resistance / carrier_hz,
             dead_time_share: 2.0 * bridge.dead_time * bridge.carrier_hz,
             ..Self::default()

@@ -133,6 +133,20 @@ fn a_step_beyond_the_bus_takes_longer_and_one_of_another_motor_settles() {
 }
 
 #[test]
+fn a_winding_that_the_motor_file_knows_nothing_of_does_not_ring() {
+    let file = Motor { inductance: 0.0, ..motor() };
+    for inductance in [1.0e-5, 1.0e-4, 1.0e-3, 1.5e-3] {
+        let mut axis = Axis::new(&file, &bridge(true), 10.0, 10.0);
+        axis.command(0.1, 0.0);
+        let mut most = 0.0_f32;
+        let mut winding = Winding::new(Motor { inductance, ..file }, 0.0);
+        winding.run(&mut axis, 1_000, |_, current| most = most.max(current));
+        assert!(most < 1.16 * 2.0, "{inductance} H: {most} A of 2");
+        assert!((winding.current - 2.0).abs() < 0.01, "{inductance} H: {} A", winding.current);
+    }
+}
+
+#[test]
 fn without_a_current_sensor_the_voltage_makes_the_current() {
     for (torque, speed) in [(0.1, 0.0), (-0.1, 20.0), (0.15, -60.0)] {
         let (current, _) = settled(&motor(), false, torque, speed, 0.05);

@@ -3,6 +3,7 @@
 
 use std::env;
 use std::process::Command;
+use std::time::Instant;
 
 use anyhow::Result;
 
@@ -16,15 +17,23 @@ fn cargo() -> Command {
     Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
 }
 
-/// Every test there is, cheapest first.
+/// Every test there is, cheapest first; tells what each stage took.
 pub fn all(install: bool) -> Result<()> {
-    run(cargo().current_dir(firmware::root()).args(["test", "--locked", "--workspace"]))?;
-    deny::check()?;
-    fuzz::run(&fuzz::Options::short(FUZZ_SECONDS), install)?;
-    firmware::size(install)?;
-    no_panic::prove(install)?;
-    bench::check(install)?;
-    board(&[], install)
+    let stage = |name: &str, work: &dyn Fn() -> Result<()>| {
+        let began = Instant::now();
+        work()?;
+        println!("-- {name}: {} s", began.elapsed().as_secs());
+        Ok(())
+    };
+    stage("library, simulated board and tool", &|| {
+        run(cargo().current_dir(firmware::root()).args(["test", "--locked", "--workspace"]))
+    })?;
+    stage("licences and sources of dependencies", &deny::check)?;
+    stage("fuzzing", &|| fuzz::run(&fuzz::Options::short(FUZZ_SECONDS), install))?;
+    stage("images and their sizes", &|| firmware::size(install))?;
+    stage("no panic in the control step", &|| no_panic::prove(install))?;
+    stage("instructions of the control step", &|| bench::check(install))?;
+    stage("images on the emulated chip", &|| board(&[], install))
 }
 
 /// The library's tests under the address sanitizer: it watches what the dependencies do in their `unsafe`, of which
