@@ -53,7 +53,7 @@ impl Carrier {
     #[inline(always)]
     pub fn legs(&self, duty: f32) -> [u16; 2] {
         const OFFSET: u32 = 1 << 15;
-        let middle = (u32::from(self.top) + 1) / 2;
+        let middle = u32::from(self.top).div_ceil(2);
         // The offset makes truncation round, below zero as above.
         let away = limited(duty, 1.0) * (0.5 * f32::from(self.top)) + (OFFSET as f32 + 0.5);
         let away = (away as u32).wrapping_sub(OFFSET);
