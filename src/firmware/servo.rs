@@ -28,7 +28,6 @@ use crate::board::Io;
 use crate::critical;
 
 /// What tasks ask of the control interrupt, one at a time.
-#[expect(clippy::large_enum_variant, reason = "there is no heap to box in, and two of them in a queue")]
 pub enum Request {
     /// Something for the servo.
     Command(Command<BoardProgram>),
