@@ -26,7 +26,8 @@ fn the_hand_feels_less_vibration_with_the_feed_forward_whatever_the_tremor() {
         let demo = Demo::shipped(seed).unwrap();
         let run = |mode| crossing::run(&demo, mode, &mut |_| {}).unwrap();
         let (without, with) = (run(FeedForward::Off), run(FeedForward::Washout));
-        assert!(with.ripple < without.ripple, "seed {seed}: {} {}", with.ripple, without.ripple);
+        // The wall is stable with the feed-forward and not without: the hand feels that, not a nuance.
+        assert!(with.ripple < 0.5 * without.ripple, "seed {seed}: {} {}", with.ripple, without.ripple);
         for crossing in [&without, &with] {
             assert_eq!((crossing.lost, &crossing.fault), (0, &None));
             // About 5 N on 22 kN/m, three times over at the landing.

@@ -120,12 +120,6 @@ fn device_in(world: &World) -> Result<DeviceFile, Box<dyn std::error::Error>> {
         if world.encoders {
             joint.encoder = shipped.encoder;
         }
-        if world.electric
-            && let Some(motor) = &mut joint.motor
-        {
-            // The shipped file leaves it out, and no winding is without.
-            motor.inductance = 1e-3;
-        }
     }
     Ok(file)
 }
