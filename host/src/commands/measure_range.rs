@@ -141,7 +141,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut progress = Progress::open(&args.progress, &what)?;
 
     let interrupt = interrupt::watch();
-    let mut board = args.port.open()?;
+    let mut board = args.port.open_with(&args.device)?;
     ready(&mut board, &file, &args)?;
     let setup = Setup {
         normal: normal.clone(),

@@ -3,6 +3,7 @@
 use haptic::error::Failure;
 use haptic::link::{Board, PortSpec};
 use haptic_bridge::guard::{FaultRecord, State};
+use std::path::Path;
 
 /// Which board.
 #[derive(clap::Args)]
@@ -17,6 +18,14 @@ impl Port {
     /// Opens the board.
     pub fn open(&self) -> Result<Board, Failure> {
         Ok(Board::open(self.port.as_ref().unwrap_or(&PortSpec::Find))?)
+    }
+
+    /// Opens the board; a simulated one for which no device was named has the device of `file` on it.
+    pub fn open_with(&self, file: &Path) -> Result<Board, Failure> {
+        match &self.port {
+            Some(PortSpec::Sim(None)) => Ok(Board::open(&PortSpec::Sim(Some(file.into())))?),
+            _ => self.open(),
+        }
     }
 }
 
