@@ -25,7 +25,7 @@ const MAX_VOLTAGE: f32 = 1.0e3;
 
 /// Share of the loop's bandwidth where the device file leaves the inductance at 0. The motor may have one all the same:
 /// up to L/R = 1 ms its current then overshoots by less than an eighth.
-const UNKNOWN_WINDING: f32 = 0.05;
+pub const UNKNOWN_WINDING: f32 = 0.05;
 
 /// The current below which dead-time compensation fades, A: its sign is noise around zero.
 const DEAD_TIME_KNEE: f32 = 0.1;

@@ -41,8 +41,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         for lack in file.lacks_for_a_board() {
             report.push_str(&format!("  before the board arms: {lack}\n"));
         }
-        let motors = file.description.joints.iter().take(joints).filter_map(|joint| joint.motor);
-        if motors.into_iter().any(|motor| motor.inductance == 0.0) {
+        let mut motors = file.description.joints.iter().take(joints).filter_map(|joint| joint.motor);
+        if motors.any(|motor| motor.inductance == 0.0) {
             report.push_str("  worth measuring: `inductance`; without it the current loop of a motor is slow\n");
         }
     }

@@ -10,7 +10,7 @@ use haptic_bridge::carrier::{CARRIER_MIN_HZ, Carrier};
 use haptic_bridge::description::Description;
 use haptic_bridge::device::Device as BoardDevice;
 use haptic_bridge::dispatch::{self, After, Described};
-use haptic_bridge::drive::Bridge;
+use haptic_bridge::drive::{Bridge, UNKNOWN_WINDING};
 use haptic_bridge::guard::{Fault, FaultRecord, Limits, Refusal};
 use haptic_bridge::math::Minimax;
 use haptic_bridge::protocol::{Details, FaultSeen, Info, MAX_FRAME, PROTOCOL, Telemetry};
@@ -168,8 +168,8 @@ impl SimulatedBoard {
             bridge: Bridge {
                 carrier_hz: bridge.carrier_hz as f32,
                 dead_time: bridge.dead_time as f32,
-                // The drive is twenty times slower where it knows no inductance; a simulated winding then really has none.
-                bandwidth_hz: if wound { 1_500.0 } else { 20.0 * 1_500.0 },
+                // The drive is slower where it knows no inductance; a simulated winding then really has none.
+                bandwidth_hz: if wound { 1_500.0 } else { 1_500.0 / UNKNOWN_WINDING },
                 current_sensed: true,
             },
         };
