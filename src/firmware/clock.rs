@@ -1,17 +1,31 @@
 //! Clocks: an 8 MHz crystal to 168 MHz for the core, 84 MHz for the fast peripheral bus (168 MHz at its timers,
 //! [`haptic_bridge::carrier::TIMER_HZ`]), 42 MHz for
-//! the slow one (84 MHz at its timers), 48 MHz for USB. STM32F405 reference manual RM0090, section 7.2.
+//! the slow one (84 MHz at its timers), 48 MHz for USB. STM32F405 reference manual RM0090, section 7.2. The clock of the
+//! tasks is embassy's, on TIM5.
 
-use embassy_stm32::Config;
 use embassy_stm32::rcc::{
     AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllMul, PllPDiv, PllPreDiv, PllQDiv, PllSource, Sysclk, mux,
 };
 use embassy_stm32::time::Hertz;
+use embassy_stm32::{Config, Peripherals, pac};
 
 use crate::critical;
 
+/// Starts the clocks and takes the chip's peripherals.
+pub fn start() -> Peripherals {
+    // embassy's clock counts half turns of TIM5 by its interrupt. The update event that loads the timer matches its
+    // count, 0, with the comparison that is still 0, and the flag of that would be taken for a half turn: the clock
+    // would then be half a turn ahead, and read 65 ms early between any half turn and its interrupt. No half turn can
+    // have passed before the section ends.
+    critical_section::with(|_| {
+        let chip = embassy_stm32::init(config());
+        pac::TIM5.sr().write(|w| w.0 = 0);
+        chip
+    })
+}
+
 /// The clock tree, and all DMA interrupts below the control interrupt.
-pub fn config() -> Config {
+fn config() -> Config {
     let mut config = Config::default();
     config.rcc.hsi = false;
     config.rcc.hse = Some(Hse { freq: Hertz(8_000_000), mode: HseMode::Oscillator });

@@ -45,7 +45,7 @@ async fn main(spawner: Spawner) {
         core.DCB.enable_trace();
         core.DWT.enable_cycle_counter();
     }
-    let chip = embassy_stm32::init(clock::config());
+    let chip = clock::start();
     freeze_carriers_when_halted();
     defmt::info!(
         "{=str} {=str}: started by {}, before that {} at {=u32:#x} (status {=u32:#x}) {=str}",

@@ -43,8 +43,6 @@ impl TelemetryStream {
 
     /// Packs what frames there are; a batch that is full or has waited long enough.
     pub fn batch(&mut self, panel: &mut Panel) -> Option<&Batch> {
-        // Not `elapsed`, which panics when the clock reads a moment early: that was seen once in some seconds to
-        // minutes of streaming on the emulated chip, when its 16-bit counter wraps.
         let late = Instant::now().saturating_duration_since(self.last?) > PATIENCE;
         let dropped = servo::FRAMES_DROPPED.load(Ordering::Relaxed);
         let batch = self.packer.drain(&mut panel.frames, dropped, late)?;

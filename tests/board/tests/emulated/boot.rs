@@ -50,6 +50,24 @@ fn the_log_says_which_board_started() {
 }
 
 #[test]
+fn the_clock_of_the_tasks_tells_the_time_since_power_on() {
+    let rig = Rig::empty(BoardKind::OdriveV3);
+    let heard = firmware(rig.kind).find_ending("10supervisor13LAST_HEARD_MS").expect("when a task was heard").address;
+    let read = || rig.with(move |bench| (bench.word(heard).expect("RAM"), bench.at / MILLISECOND));
+    let (mut before, mut signs) = (read().0, 0);
+    // Across some turns of its 16-bit count of microseconds.
+    for _ in 0..1_000 {
+        rig.run(MILLISECOND);
+        let (told, now) = read();
+        if told != before {
+            assert!((now - 5..=now).contains(&u64::from(told)), "a task that was heard at {now} ms says {told} ms");
+            (before, signs) = (told, signs + 1);
+        }
+    }
+    assert!(signs > 1, "the task gave {signs} signs of life");
+}
+
+#[test]
 fn two_runs_are_the_same_bit_for_bit() {
     let run = || {
         let rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
