@@ -1,23 +1,26 @@
-//! What may be linked: deny.toml, for every workspace here. Licences and sources are checked by this file from what
-//! cargo knows, which takes seconds and no network; advisories and the rest by cargo-deny, where it is installed.
+//! What may be linked: deny.toml, for every workspace here. Licences, sources and advisories are checked by this file
+//! from what cargo knows and xtask/advisories.toml says, which takes seconds and no network; the advisories of the day
+//! and the rest by cargo-deny, where it is installed.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use anyhow::{Context as _, Result, bail, ensure};
-use serde_json::Value;
+use anyhow::{Context as _, Result, ensure};
+use semver::{Version, VersionReq};
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
 
 use crate::firmware::root;
 use crate::toolchain::run as run_command;
 
 const WORKSPACES: [&str; 4] = [".", "fuzz", "tests/board", "tests/no-panic"];
 
-/// Licences and sources, then cargo-deny or how to get it.
+/// Licences, sources and known advisories, then cargo-deny or how to get it.
 pub fn run() -> Result<()> {
     check()?;
     let there = Command::new("cargo-deny").arg("--version").stdout(Stdio::null()).status();
     if !there.is_ok_and(|status| status.success()) {
-        println!("advisories are not checked: cargo-deny is missing; `cargo install cargo-deny --locked` installs it");
+        println!("newer advisories are not checked: `cargo install cargo-deny --locked` installs what knows them");
         return Ok(());
     }
     for workspace in WORKSPACES {
@@ -29,69 +32,136 @@ pub fn run() -> Result<()> {
     Ok(())
 }
 
-/// Licences and sources of everything that the lock files name.
+/// Licences, sources and known advisories of everything that the lock files name.
 pub fn check() -> Result<()> {
-    let rules = std::fs::read_to_string(root().join("deny.toml")).context("cannot read deny.toml")?;
-    let allowed = allowed(&rules)?;
-    let allowed: Vec<&str> = allowed.iter().map(String::as_str).collect();
+    let rules: Rules = read("deny.toml")?;
+    let database: Database = read("xtask/advisories.toml")?;
     for workspace in WORKSPACES {
         let packages = packages(&root().join(workspace))?;
         let mut wrong = Vec::new();
-        for package in &packages {
-            wrong.extend(fault(package, &allowed));
+        for package in packages.iter().filter(|package| package.source.is_some()) {
+            wrong.extend(rules.fault(package));
+            wrong.extend(database.faults(package, &rules.advisories.ignore));
         }
         ensure!(wrong.is_empty(), "{workspace}: {}", wrong.join("; "));
-        println!("{workspace}: licences and sources of {} packages are as deny.toml allows", packages.len());
+        println!(
+            "{workspace}: licences, sources and advisories until {} of {} packages are as deny.toml allows",
+            database.until,
+            packages.len()
+        );
     }
     Ok(())
 }
 
-/// The licences that deny.toml allows.
-fn allowed(rules: &str) -> Result<Vec<String>> {
-    let rules: toml::Table = rules.parse().context("deny.toml")?;
-    let list = rules.get("licenses").and_then(|licenses| licenses.get("allow")).and_then(toml::Value::as_array);
-    let list = list.context("deny.toml allows no licences")?;
-    Ok(list.iter().filter_map(|name| name.as_str().map(String::from)).collect())
+fn read<T: DeserializeOwned>(name: &str) -> Result<T> {
+    let text = std::fs::read_to_string(root().join(name)).with_context(|| format!("cannot read {name}"))?;
+    toml::from_str(&text).with_context(|| name.to_owned())
+}
+
+/// What of deny.toml is used here.
+#[derive(Deserialize)]
+struct Rules {
+    licenses: Licenses,
+    advisories: Ignored,
+}
+
+#[derive(Deserialize)]
+struct Licenses {
+    allow: Vec<String>,
+}
+
+#[derive(Deserialize)]
+struct Ignored {
+    ignore: Vec<Exception>,
+}
+
+/// An advisory that is known and does not stop us.
+#[derive(Deserialize)]
+struct Exception {
+    id: String,
+}
+
+/// advisories.toml.
+#[derive(Deserialize)]
+struct Database {
+    until: toml::value::Datetime,
+    crates: Vec<String>,
+    advisory: Vec<Advisory>,
+}
+
+#[derive(Deserialize)]
+struct Advisory {
+    id: String,
+    package: String,
+    title: String,
+    /// Versions that it does not concern.
+    sound: Vec<VersionReq>,
+}
+
+/// A package that a lock file names, as `cargo metadata` tells.
+#[derive(Deserialize)]
+struct Package {
+    name: String,
+    version: Version,
+    /// Where it comes from; nothing for those of this repository.
+    source: Option<String>,
+    license: Option<String>,
+}
+
+impl Database {
+    /// What is known against a package and not among the exceptions; that it was not looked up is also against it.
+    fn faults(&self, package: &Package, ignored: &[Exception]) -> Vec<String> {
+        let Package { name, version, .. } = package;
+        if !self.crates.contains(name) {
+            return vec![format!("{name} is not in xtask/advisories.toml, which says how it gets there")];
+        }
+        let known = self.advisory.iter().filter(|advisory| {
+            advisory.package == *name
+                && !advisory.sound.iter().any(|versions| versions.matches(version))
+                && !ignored.iter().any(|exception| exception.id == advisory.id)
+        });
+        known.map(|advisory| format!("{name} {version}: {} ({})", advisory.title, advisory.id)).collect()
+    }
 }
 
 /// What cargo knows of every package that a workspace's lock file names.
-fn packages(workspace: &Path) -> Result<Vec<Value>> {
+fn packages(workspace: &Path) -> Result<Vec<Package>> {
+    #[derive(Deserialize)]
+    struct Metadata {
+        packages: Vec<Package>,
+    }
     let mut metadata = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     metadata.current_dir(workspace).args(["metadata", "--locked", "--format-version", "1"]).stderr(Stdio::inherit());
     let output = metadata.output().context("cannot run cargo")?;
-    if !output.status.success() {
-        bail!("cargo metadata failed in {}", workspace.display());
-    }
-    let mut document: Value = serde_json::from_slice(&output.stdout)?;
-    match document["packages"].take() {
-        Value::Array(packages) => Ok(packages),
-        _ => bail!("cargo metadata named no packages"),
-    }
+    ensure!(output.status.success(), "cargo metadata failed in {}", workspace.display());
+    Ok(serde_json::from_slice::<Metadata>(&output.stdout)?.packages)
 }
 
-/// What is wrong with a package; nothing with those of this repository.
-fn fault(package: &Value, allowed: &[&str]) -> Option<String> {
-    let name = package["name"].as_str().unwrap_or_default();
-    let source = package["source"].as_str()?;
-    if source != "registry+https://github.com/rust-lang/crates.io-index" {
-        return Some(format!("{name} comes from {source}"));
-    }
-    match package["license"].as_str() {
-        Some(licence) if permits(licence, allowed) => None,
-        Some(licence) => Some(format!("{name} is under {licence}")),
-        None => Some(format!("{name} names no licence")),
+impl Rules {
+    /// What is wrong with where a package comes from or with its licence.
+    fn fault(&self, package: &Package) -> Option<String> {
+        let name = &package.name;
+        match (package.source.as_deref(), package.license.as_deref()) {
+            (Some("registry+https://github.com/rust-lang/crates.io-index"), Some(licence)) => {
+                (!permits(licence, &self.licenses.allow)).then(|| format!("{name} is under {licence}"))
+            }
+            (Some("registry+https://github.com/rust-lang/crates.io-index"), None) => {
+                Some(format!("{name} names no licence"))
+            }
+            (source, _) => Some(format!("{name} comes from {}", source.unwrap_or("nowhere"))),
+        }
     }
 }
 
 /// Whether a licence expression (SPDX; a slash is an old OR) can be met by allowed licences alone. What cannot be read
 /// is not.
-fn permits(expression: &str, allowed: &[&str]) -> bool {
+fn permits(expression: &str, allowed: &[String]) -> bool {
     let spaced = expression.replace('/', " OR ").replace('(', " ( ").replace(')', " ) ");
     let mut words: Vec<&str> = spaced.split_whitespace().rev().collect();
     either(&mut words, allowed) == Some(true) && words.is_empty()
 }
 
-fn either(words: &mut Vec<&str>, allowed: &[&str]) -> Option<bool> {
+fn either(words: &mut Vec<&str>, allowed: &[String]) -> Option<bool> {
     let mut met = both(words, allowed)?;
     while words.pop_if(|word| *word == "OR").is_some() {
         met |= both(words, allowed)?;
@@ -99,7 +169,7 @@ fn either(words: &mut Vec<&str>, allowed: &[&str]) -> Option<bool> {
     Some(met)
 }
 
-fn both(words: &mut Vec<&str>, allowed: &[&str]) -> Option<bool> {
+fn both(words: &mut Vec<&str>, allowed: &[String]) -> Option<bool> {
     let mut met = one(words, allowed)?;
     while words.pop_if(|word| *word == "AND").is_some() {
         met &= one(words, allowed)?;
@@ -107,7 +177,7 @@ fn both(words: &mut Vec<&str>, allowed: &[&str]) -> Option<bool> {
     Some(met)
 }
 
-fn one(words: &mut Vec<&str>, allowed: &[&str]) -> Option<bool> {
+fn one(words: &mut Vec<&str>, allowed: &[String]) -> Option<bool> {
     let word = words.pop()?;
     if word == "(" {
         let met = either(words, allowed)?;
@@ -115,9 +185,9 @@ fn one(words: &mut Vec<&str>, allowed: &[&str]) -> Option<bool> {
     }
     if words.pop_if(|word| *word == "WITH").is_some() {
         let exception = words.pop()?;
-        return Some(allowed.contains(&format!("{word} WITH {exception}").as_str()));
+        return Some(allowed.contains(&format!("{word} WITH {exception}")));
     }
-    Some(allowed.contains(&word))
+    Some(allowed.iter().any(|name| name == word))
 }
 
 #[cfg(test)]
@@ -126,7 +196,7 @@ mod tests {
 
     #[test]
     fn a_licence_is_met_by_one_of_several_or_by_all_that_are_asked() {
-        let allowed = ["MIT", "Unicode-3.0", "Apache-2.0 WITH LLVM-exception"];
+        let allowed = ["MIT", "Unicode-3.0", "Apache-2.0 WITH LLVM-exception"].map(String::from);
         for met in ["MIT", "MIT OR GPL-3.0-only", "GPL-2.0/MIT", "(MIT OR Apache-2.0) AND Unicode-3.0"] {
             assert!(permits(met, &allowed), "{met}");
         }
@@ -138,21 +208,53 @@ mod tests {
         }
     }
 
+    fn package(source: &str, license: Option<&str>) -> Package {
+        Package {
+            name: "stray".into(),
+            version: Version::new(1, 2, 3),
+            source: Some(source.into()),
+            license: license.map(String::from),
+        }
+    }
+
+    const REGISTRY: &str = "registry+https://github.com/rust-lang/crates.io-index";
+
     #[test]
     fn a_package_from_elsewhere_or_without_a_licence_is_named() {
-        let package = |source: Option<&str>, licence: Option<&str>| serde_json::json!({ "name": "stray", "source": source, "license": licence });
-        let registry = Some("registry+https://github.com/rust-lang/crates.io-index");
-        assert_eq!(fault(&package(None, None), &["MIT"]), None);
-        assert_eq!(fault(&package(registry, Some("MIT")), &["MIT"]), None);
-        assert!(fault(&package(registry, None), &["MIT"]).is_some_and(|wrong| wrong.contains("stray")));
-        assert!(fault(&package(registry, Some("GPL-2.0")), &["MIT"]).is_some());
-        assert!(fault(&package(Some("git+https://example.org/stray"), Some("MIT")), &["MIT"]).is_some());
+        let rules: Rules = toml::from_str("licenses.allow = [\"MIT\"]\nadvisories.ignore = []").unwrap();
+        assert_eq!(rules.fault(&package(REGISTRY, Some("MIT"))), None);
+        assert!(rules.fault(&package(REGISTRY, None)).is_some_and(|wrong| wrong.contains("stray")));
+        assert!(rules.fault(&package(REGISTRY, Some("GPL-2.0"))).is_some());
+        assert!(rules.fault(&package("git+https://example.org/stray", Some("MIT"))).is_some());
     }
 
     #[test]
-    fn the_rules_can_be_read() {
-        let rules = std::fs::read_to_string(root().join("deny.toml")).unwrap();
-        assert!(allowed(&rules).unwrap().iter().any(|name| name == "MIT"));
-        assert!(allowed("[licenses]").is_err());
+    fn a_version_that_an_advisory_concerns_is_named_unless_it_is_an_exception() {
+        let database = |crates: &str, sound: &str| -> Database {
+            let advisory = format!("id = \"R-1\"\npackage = \"stray\"\ntitle = \"bites\"\nsound = [{sound}]");
+            toml::from_str(&format!("until = 2026-01-01\ncrates = [{crates}]\n[[advisory]]\n{advisory}")).unwrap()
+        };
+        let stray = package(REGISTRY, Some("MIT"));
+        let exception = [Exception { id: "R-1".into() }];
+        for sound in ["\">= 1.2.3\"", "\"< 1.0.0\", \">= 1.2.0, < 2.0.0\"", "\"^1.1\""] {
+            assert!(database("\"stray\"", sound).faults(&stray, &[]).is_empty(), "{sound}");
+        }
+        for sound in ["", "\">= 1.2.4\"", "\"< 1.0.0\", \">= 2.0.0\""] {
+            let database = database("\"stray\"", sound);
+            assert_eq!(database.faults(&stray, &[]), ["stray 1.2.3: bites (R-1)"], "{sound}");
+            assert!(database.faults(&stray, &exception).is_empty());
+        }
+        assert!(database("\"other\"", "\">= 1.0.0\"").faults(&stray, &[])[0].contains("not in"));
+    }
+
+    #[test]
+    fn the_rules_and_the_advisories_can_be_read() {
+        let rules: Rules = read("deny.toml").unwrap();
+        assert!(rules.licenses.allow.iter().any(|name| name == "MIT"));
+        let database: Database = read("xtask/advisories.toml").unwrap();
+        assert!(database.advisory.iter().all(|advisory| database.crates.contains(&advisory.package)));
+        for exception in &rules.advisories.ignore {
+            assert!(database.advisory.iter().any(|advisory| advisory.id == exception.id), "{}", exception.id);
+        }
     }
 }

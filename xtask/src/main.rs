@@ -35,7 +35,7 @@ cargo xtask COMMAND
                     wild input for everything that reads any, guided by coverage; N seconds a target (60),
                     --record writes docs/results/fuzz.md
   sanitize          the library's tests under the address sanitizer
-  deny              licences and sources of everything that is linked; with cargo-deny, advisories as well
+  deny              licences, sources and known advisories of everything that is linked; with cargo-deny, today's too
   soak [--chip] [--hours N] [--record]
                     simulated hours (24) of contact with telemetry: nothing lost, no drift, no growth; with --chip (1 hour) on
                     the emulated chip, random bytes into another one beside it; --record writes docs/results/soak.md, or

@@ -28,7 +28,7 @@ pub fn all(install: bool) -> Result<()> {
     stage("library, simulated board and tool", &|| {
         run(cargo().current_dir(firmware::root()).args(["test", "--locked", "--workspace"]))
     })?;
-    stage("licences and sources of dependencies", &deny::check)?;
+    stage("licences, sources and advisories of dependencies", &deny::check)?;
     stage("fuzzing", &|| fuzz::run(&fuzz::Options::short(FUZZ_SECONDS), install))?;
     stage("images and their sizes", &|| firmware::size(install))?;
     stage("no panic in the control step", &|| no_panic::prove(install))?;
