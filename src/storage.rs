@@ -13,6 +13,7 @@ use core::ops::Range;
 use core::pin::pin;
 use core::task::{Context, Poll, Waker};
 use embedded_storage_async::nor_flash::NorFlash;
+use sequential_storage::cache::key_pointers::ArrayKeyPointers;
 use sequential_storage::cache::{Cache, Uncached};
 use sequential_storage::map::{MapConfig, MapStorage, SerializationError, Value};
 
@@ -101,9 +102,14 @@ fn finish<T>(work: impl Future<Output = T>) -> T {
     }
 }
 
+/// Where the newest entries are: looking through a full sector takes the chip milliseconds for every entry.
+type Known = Cache<Uncached, Uncached, ArrayKeyPointers<u8, KEYS>, u8>;
+
 /// The settings' place in a flash.
 pub struct Storage<'b, F: NorFlash> {
-    map: MapStorage<u8, F, Cache<Uncached, Uncached, Uncached, u8>>,
+    map: MapStorage<u8, F, Known>,
+    /// Bits of the keys that were searched for in vain.
+    absent: u8,
     buffer: &'b mut [u8; ENTRY_MAX],
 }
 
@@ -111,14 +117,24 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     /// The settings in `range` of `flash`, at least two pages; reads nothing yet. Panics when the range is not made of
     /// whole pages.
     pub fn new(flash: F, range: Range<u32>, buffer: &'b mut [u8; ENTRY_MAX]) -> Self {
-        Self { map: MapStorage::new(flash, MapConfig::new(range), Cache::new_uncached()), buffer }
+        let known = Cache::new(Uncached, Uncached, ArrayKeyPointers::new());
+        Self { map: MapStorage::new(flash, MapConfig::new(range), known), absent: 0, buffer }
     }
 
     fn fetch(&mut self, key: u8) -> Result<Option<Stamped<'_>>, StorageError> {
-        Ok(finish(self.map.fetch_item(self.buffer, &key))?)
+        let bit = 1 << (usize::from(key) % KEYS);
+        if self.absent & bit != 0 {
+            return Ok(None);
+        }
+        let found = finish(self.map.fetch_item(self.buffer, &key))?;
+        if found.is_none() {
+            self.absent |= bit;
+        }
+        Ok(found)
     }
 
     fn store(&mut self, key: u8, item: &Stamped<'_>) -> Result<(), StorageError> {
+        self.absent &= !(1 << (usize::from(key) % KEYS));
         Ok(finish(self.map.store_item(self.buffer, &key, item))?)
     }
 

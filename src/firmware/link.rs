@@ -18,7 +18,7 @@ use static_cell::{ConstStaticCell, StaticCell};
 use crate::machine::Panel;
 use crate::serial::{Event, Incoming, Outgoing, PACKET};
 use crate::telemetry::TelemetryStream;
-use crate::{board, faults, supervisor};
+use crate::{board, faults, supervisor, watchdog};
 
 bind_interrupts!(struct Irqs {
     OTG_FS => usb::InterruptHandler<USB_OTG_FS>;
@@ -91,7 +91,7 @@ pub async fn serve(mut panel: Panel, hardware: Hardware, previous: Option<FaultR
     let (sender, receiver) = serial.split();
     let (mut outgoing, mut incoming) = (Outgoing::new(sender), Incoming::new(receiver));
     let mut service = Service::new(hardware, board::LIMITS);
-    service.boot(&mut panel);
+    watchdog::patient(|| service.boot(&mut panel));
     if let Some(record) = previous {
         let _ = panel.execute(Command::Fault(record));
     }

@@ -20,6 +20,7 @@ use crate::board::{self, Gate};
 use crate::servo::{self, Answer, Request};
 use crate::stack;
 use crate::storage::Storage;
+use crate::watchdog;
 
 /// Programs that exist at most: the one that runs and the one that replaces it.
 const PROGRAMS: usize = 2;
@@ -136,7 +137,7 @@ impl Machine for Panel {
 
     fn save(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
         servo::STALL_EXPECTED.store(true, Ordering::Relaxed);
-        let result = self.storage.write(key as u8, entry);
+        let result = watchdog::patient(|| self.storage.write(key as u8, entry));
         servo::STALL_EXPECTED.store(false, Ordering::Relaxed);
         result.map_err(|error| {
             defmt::error!("setting {=u8} was not saved: error {=u8}", key as u8, error as u8);

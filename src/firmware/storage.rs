@@ -9,16 +9,13 @@ use embedded_storage_async::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
 use haptic_bridge::storage::{self, ENTRY_MAX};
 use static_cell::ConstStaticCell;
 
-use crate::watchdog;
-
 /// Sectors 1 and 2, as offsets into the region of 16 KB sectors (memory.x reserves them).
 const RANGE: core::ops::Range<u32> = 0x4000..0xC000;
 
 /// The settings in the chip's flash.
 pub type Storage = storage::Storage<'static, Sectors>;
 
-/// The flash as the map wants it: asynchronous by name, blocking by nature, and with a watchdog that waits for an
-/// erase.
+/// The flash as the map wants it: asynchronous by name, blocking by nature.
 pub struct Sectors(Bank1Region1<'static, Blocking>);
 
 impl ErrorType for Sectors {
@@ -42,7 +39,7 @@ impl NorFlash for Sectors {
     const ERASE_SIZE: usize = 16 * 1024;
 
     async fn erase(&mut self, from: u32, to: u32) -> Result<(), FlashError> {
-        watchdog::patient(|| self.0.blocking_erase(from, to))
+        self.0.blocking_erase(from, to)
     }
 
     async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), FlashError> {

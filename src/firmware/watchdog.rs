@@ -2,8 +2,8 @@
 //!
 //! It counts the chip's own slow oscillator, 17 to 47 kHz (STM32F405 datasheet, table 35), so its times hold within a
 //! factor. In normal running it bites after 68 to 188 ms. Erasing a flash sector stalls the whole program for up to 0.5
-//! s, so the time is stretched to at least 2.7 s around an erase ([`Watchdog::patient`]), which only happens while the
-//! bridges are off.
+//! s, and looking through a full one takes tens of milliseconds, so the time is stretched to at least 2.7 s around the
+//! writing of a setting and the reading of all of them at start ([`patient`]): both while the bridges are off.
 
 use embassy_stm32::pac;
 use embassy_stm32::pac::iwdg::vals::{Key, Pr};

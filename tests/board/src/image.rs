@@ -2,12 +2,16 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use object::{Object, ObjectSection, ObjectSymbol, SectionKind, SymbolKind};
 
 use crate::boards::BoardKind;
+
+/// The flash sectors that memory.x keeps for the settings.
+pub const SETTINGS: Range<u64> = 0x0800_4000..0x0800_C000;
 
 /// A firmware image as a build leaves it, never changed on its way into the emulator.
 #[derive(Clone, Debug)]

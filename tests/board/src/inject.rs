@@ -3,7 +3,6 @@
 //! The match over all faults is exhaustive: a fault without an injector does not build. Faults that neither board has a
 //! means to see say so.
 
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -19,6 +18,7 @@ use rigless::device::Level;
 
 use crate::boards::BoardKind;
 use crate::contact::{WallAt, firm, hold, push};
+use crate::image::SETTINGS;
 use crate::rig::{Rig, device_file, firmware};
 use crate::run::{Bench, MICROSECOND, MILLISECOND, SECOND};
 
@@ -53,8 +53,6 @@ pub struct Outcome {
 const FIVE_BAR: &str = "pantograph-mk2";
 /// A stiffness, N/m, that no other word of the RAM looks like.
 const MARK: f32 = 517.25;
-/// The flash sectors that hold the settings.
-const SETTINGS: Range<u64> = 0x0800_4000..0x0800_C000;
 /// Where a stub of code can be put: above everything that the firmware keeps in RAM.
 const FREE_RAM: u64 = 0x2001_F000;
 

@@ -86,14 +86,36 @@ impl Bench<'_> {
         self.memory.write(address, Width::W32, u64::from(value)).is_ok()
     }
 
+    /// The words of a `place` of the flash.
+    ///
+    /// # Panics
+    ///
+    /// When there is no memory.
+    pub fn flash(&mut self, place: Range<u64>) -> Vec<u32> {
+        place.step_by(4).map(|at| self.word(at).expect("there is flash")).collect()
+    }
+
+    /// Puts `words` into the flash from `start` on, as a programming tool does. In force when the run goes on.
+    ///
+    /// # Panics
+    ///
+    /// When there is no memory.
+    pub fn set_flash(&mut self, start: u64, words: &[u32]) {
+        let at = VirtualNanos(self.at);
+        for (address, word) in (start..).step_by(4).zip(words) {
+            if self.word(address) != Some(*word) {
+                self.hardware().chip.spoil_flash(at, address, *word);
+            }
+        }
+    }
+
     /// Flips a bit of the first byte of the last `text` in a `place` of the flash. In force when the run goes on.
     ///
     /// # Panics
     ///
     /// When the text is not there.
     pub fn flip_in_flash(&mut self, place: Range<u64>, text: &[u8]) {
-        let bytes: Vec<u8> =
-            place.clone().step_by(4).flat_map(|at| self.word(at).expect("there is flash").to_le_bytes()).collect();
+        let bytes: Vec<u8> = self.flash(place.clone()).into_iter().flat_map(u32::to_le_bytes).collect();
         let found = bytes.windows(text.len()).rposition(|window| window == text).expect("the text is in flash");
         let word = place.start + found as u64 / 4 * 4;
         let flipped = self.word(word).expect("there is flash") ^ 1 << (8 * (found % 4));

@@ -41,6 +41,23 @@ pub struct Array {
     pub erased: Vec<u64>,
     /// Words programmed since the last reset.
     pub programmed: u64,
+    /// In which of the operations to come, erasing a sector or programming a word, the power goes: half of that one
+    /// is done, and nothing of those after it. 0 when it has gone; `None` for never.
+    pub cut: Option<u64>,
+}
+
+impl Array {
+    /// Begins an operation; how many parts of two are done.
+    fn operate(&mut self) -> u64 {
+        match &mut self.cut {
+            None => 2,
+            Some(0) => 0,
+            Some(left) => {
+                *left -= 1;
+                if *left == 0 { 1 } else { 2 }
+            }
+        }
+    }
 }
 
 impl Hook<Flash> for Array {
@@ -52,7 +69,7 @@ impl Hook<Flash> for Array {
         if began && control & SER != 0 {
             let number = (control >> 3) & 0xF;
             let (start, size) = map::sector(number);
-            for offset in (0..size).step_by(8) {
+            for offset in (0..size / 2 * self.operate()).step_by(8) {
                 context.program(start + offset, Width::W64, u64::MAX, WRITTEN);
             }
             self.erased.push(number);
@@ -76,9 +93,15 @@ impl Hook<Flash> for Array {
     ) -> bool {
         let control = registers.get(Register::Cr);
         if control & PG != 0 && control & LOCK == 0 {
-            self.stores.push_back(store);
+            let (address, width, value) = store;
+            let kept = match self.operate() {
+                2 => 0,
+                1 => u64::MAX << (4 * u32::from(width.bytes())),
+                _ => u64::MAX,
+            };
+            self.stores.push_back((address, width, value | kept));
             self.programmed += 1;
-            context.read_from(store.0, store.1, READ);
+            context.read_from(address, width, READ);
         }
         true
     }

@@ -7,6 +7,7 @@ mod equality;
 mod faults;
 mod injection;
 mod load;
+mod power;
 mod promises;
 mod range;
 mod session;
