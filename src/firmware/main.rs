@@ -33,6 +33,7 @@ use haptic_bridge::carrier::{CARRIER_MIN_HZ, Carrier};
 use haptic_bridge::servo::{Hardware, Rules};
 
 use crate::machine::Panel;
+use crate::watchdog::Watchdog;
 
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
@@ -68,7 +69,9 @@ async fn main(spawner: Spawner) {
     let panel = Panel::new(servo, gate, storage, serial_number, carrier);
     let (usb, serial) = link::device(common.usb, serial_number);
 
-    spawner.must_spawn(supervisor::supervise(common.watchdog));
+    // Before any task: what stretches its time must find it running.
+    let watchdog = Watchdog::start(common.watchdog);
+    spawner.must_spawn(supervisor::supervise(watchdog));
     spawner.must_spawn(link::usb(usb));
     spawner.must_spawn(link::serve(panel, hardware, start.fault(), serial));
 }

@@ -3,7 +3,6 @@
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
-use embassy_stm32::{Peri, peripherals::IWDG};
 use embassy_time::{Duration, Instant, Ticker};
 
 use crate::servo;
@@ -36,10 +35,9 @@ fn now_ms() -> u32 {
     Instant::now().as_millis() as u32
 }
 
-/// Starts the watchdog and feeds it for as long as all is well.
+/// Feeds the watchdog for as long as all is well.
 #[embassy_executor::task]
-pub async fn supervise(peripheral: Peri<'static, IWDG>) -> ! {
-    let mut watchdog = Watchdog::start(peripheral);
+pub async fn supervise(mut watchdog: Watchdog) -> ! {
     let mut ticker = Ticker::every(PERIOD);
     let mut steps = servo::STEPS.load(Ordering::Relaxed);
     for task in TASKS {
