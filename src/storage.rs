@@ -30,6 +30,11 @@ type Generation = u8;
 /// Set in every generation, and not in the first byte of an entry of before there were any, which is its key.
 const COUNTED: Generation = 0x80;
 
+/// A key's place among all of them.
+fn place(key: u8) -> usize {
+    usize::from(key) % KEYS
+}
+
 /// Whether `found` is of a generation before `known`.
 fn older(found: Generation, known: Generation) -> bool {
     known != 0 && (found == 0 || found.wrapping_sub(known) & 0x7F >= 64)
@@ -122,7 +127,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     }
 
     fn fetch(&mut self, key: u8) -> Result<Option<Stamped<'_>>, StorageError> {
-        let bit = 1 << (usize::from(key) % KEYS);
+        let bit = 1 << place(key);
         if self.absent & bit != 0 {
             return Ok(None);
         }
@@ -134,7 +139,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     }
 
     fn store(&mut self, key: u8, item: &Stamped<'_>) -> Result<(), StorageError> {
-        self.absent &= !(1 << (usize::from(key) % KEYS));
+        self.absent &= !(1 << place(key));
         Ok(finish(self.map.store_item(self.buffer, &key, item))?)
     }
 
@@ -147,7 +152,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     /// The entry of a setting, `None` when it was never stored. [`StorageError::Damaged`] when only an older one is
     /// left, or none.
     pub fn read(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
-        let known = self.catalogue()?[usize::from(key) % KEYS];
+        let known = self.catalogue()?[place(key)];
         let found = self.fetch(key)?;
         if older(found.as_ref().map_or(0, |found| found.0), known) {
             return Err(StorageError::Damaged);
@@ -159,7 +164,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     /// bridges off.
     pub fn write(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
         let mut catalogue = self.catalogue()?;
-        let known = &mut catalogue[usize::from(key) % KEYS];
+        let known = &mut catalogue[place(key)];
         if let Some(Stamped(found, entry)) = self.fetch(key)? {
             if found == *known && entry == value {
                 return Ok(());

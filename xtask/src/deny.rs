@@ -13,6 +13,9 @@ use serde::de::DeserializeOwned;
 use crate::firmware::root;
 use crate::toolchain::run as run_command;
 
+/// Where every dependency comes from, as cargo names it.
+const REGISTRY: &str = "registry+https://github.com/rust-lang/crates.io-index";
+
 const WORKSPACES: [&str; 4] = [".", "fuzz", "tests/board", "tests/no-panic"];
 
 /// Licences, sources and known advisories, then cargo-deny or how to get it.
@@ -39,7 +42,7 @@ pub fn check() -> Result<()> {
     for workspace in WORKSPACES {
         let packages = packages(&root().join(workspace))?;
         let mut wrong = Vec::new();
-        for package in packages.iter().filter(|package| package.source.is_some()) {
+        for package in &packages {
             wrong.extend(rules.fault(package));
             wrong.extend(database.faults(package, &rules.advisories.ignore));
         }
@@ -110,8 +113,12 @@ struct Package {
 
 impl Database {
     /// What is known against a package and not among the exceptions; that it was not looked up is also against it.
+    /// Nothing with those of this repository.
     fn faults(&self, package: &Package, ignored: &[Exception]) -> Vec<String> {
-        let Package { name, version, .. } = package;
+        let Package { name, version, source, .. } = package;
+        if source.is_none() {
+            return Vec::new();
+        }
         if !self.crates.contains(name) {
             return vec![format!("{name} is not in xtask/advisories.toml, which says how it gets there")];
         }
@@ -138,17 +145,17 @@ fn packages(workspace: &Path) -> Result<Vec<Package>> {
 }
 
 impl Rules {
-    /// What is wrong with where a package comes from or with its licence.
+    /// What is wrong with where a package comes from or with its licence; nothing with those of this repository.
     fn fault(&self, package: &Package) -> Option<String> {
         let name = &package.name;
-        match (package.source.as_deref(), package.license.as_deref()) {
-            (Some("registry+https://github.com/rust-lang/crates.io-index"), Some(licence)) => {
-                (!permits(licence, &self.licenses.allow)).then(|| format!("{name} is under {licence}"))
-            }
-            (Some("registry+https://github.com/rust-lang/crates.io-index"), None) => {
-                Some(format!("{name} names no licence"))
-            }
-            (source, _) => Some(format!("{name} comes from {}", source.unwrap_or("nowhere"))),
+        let source = package.source.as_deref()?;
+        if source != REGISTRY {
+            return Some(format!("{name} comes from {source}"));
+        }
+        match package.license.as_deref() {
+            Some(licence) if permits(licence, &self.licenses.allow) => None,
+            Some(licence) => Some(format!("{name} is under {licence}")),
+            None => Some(format!("{name} names no licence")),
         }
     }
 }
@@ -208,24 +215,23 @@ mod tests {
         }
     }
 
-    fn package(source: &str, license: Option<&str>) -> Package {
+    fn package(source: Option<&str>, license: Option<&str>) -> Package {
         Package {
             name: "stray".into(),
             version: Version::new(1, 2, 3),
-            source: Some(source.into()),
+            source: source.map(String::from),
             license: license.map(String::from),
         }
     }
 
-    const REGISTRY: &str = "registry+https://github.com/rust-lang/crates.io-index";
-
     #[test]
     fn a_package_from_elsewhere_or_without_a_licence_is_named() {
         let rules: Rules = toml::from_str("licenses.allow = [\"MIT\"]\nadvisories.ignore = []").unwrap();
-        assert_eq!(rules.fault(&package(REGISTRY, Some("MIT"))), None);
-        assert!(rules.fault(&package(REGISTRY, None)).is_some_and(|wrong| wrong.contains("stray")));
-        assert!(rules.fault(&package(REGISTRY, Some("GPL-2.0"))).is_some());
-        assert!(rules.fault(&package("git+https://example.org/stray", Some("MIT"))).is_some());
+        assert_eq!(rules.fault(&package(None, None)), None);
+        assert_eq!(rules.fault(&package(Some(REGISTRY), Some("MIT"))), None);
+        assert!(rules.fault(&package(Some(REGISTRY), None)).is_some_and(|wrong| wrong.contains("stray")));
+        assert!(rules.fault(&package(Some(REGISTRY), Some("GPL-2.0"))).is_some());
+        assert!(rules.fault(&package(Some("git+https://example.org/stray"), Some("MIT"))).is_some());
     }
 
     #[test]
@@ -234,7 +240,7 @@ mod tests {
             let advisory = format!("id = \"R-1\"\npackage = \"stray\"\ntitle = \"bites\"\nsound = [{sound}]");
             toml::from_str(&format!("until = 2026-01-01\ncrates = [{crates}]\n[[advisory]]\n{advisory}")).unwrap()
         };
-        let stray = package(REGISTRY, Some("MIT"));
+        let stray = package(Some(REGISTRY), Some("MIT"));
         let exception = [Exception { id: "R-1".into() }];
         for sound in ["\">= 1.2.3\"", "\"< 1.0.0\", \">= 1.2.0, < 2.0.0\"", "\"^1.1\""] {
             assert!(database("\"stray\"", sound).faults(&stray, &[]).is_empty(), "{sound}");
@@ -245,12 +251,14 @@ mod tests {
             assert!(database.faults(&stray, &exception).is_empty());
         }
         assert!(database("\"other\"", "\">= 1.0.0\"").faults(&stray, &[])[0].contains("not in"));
+        assert!(database("\"other\"", "").faults(&package(None, None), &[]).is_empty());
     }
 
     #[test]
     fn the_rules_and_the_advisories_can_be_read() {
         let rules: Rules = read("deny.toml").unwrap();
         assert!(rules.licenses.allow.iter().any(|name| name == "MIT"));
+        assert!(toml::from_str::<Rules>("[licenses]\n[advisories]\nignore = []").is_err());
         let database: Database = read("xtask/advisories.toml").unwrap();
         assert!(database.advisory.iter().all(|advisory| database.crates.contains(&advisory.package)));
         for exception in &rules.advisories.ignore {

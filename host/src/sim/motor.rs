@@ -148,26 +148,27 @@ mod tests {
         assert_eq!(motor.step(Drive::Floating, 50.0, &IDEAL, 1e-4), (0.0, 0.0));
     }
 
+    /// The current of a motor at rest, long after its duty was set, A.
+    fn settled(duty: f64, bridge: &Bridge) -> f64 {
+        let mut motor = MotorModel::new(MOTOR);
+        for _ in 0..1000 {
+            motor.step(Drive::Duty(duty), 0.0, bridge, 5e-5);
+        }
+        motor.current()
+    }
+
     #[test]
     fn dead_time_takes_voltage_against_the_current() {
         let bridge = Bridge { dead_time: 1e-6, ..IDEAL };
-        let mut motor = MotorModel::new(MOTOR);
-        for _ in 0..1000 {
-            motor.step(Drive::Duty(0.25), 0.0, &bridge, 5e-5);
-        }
         // 2 x 1 us x 20 kHz x 24 V = 0.96 V of 6 V.
-        assert!((motor.current() - (6.0 - 0.96) / 2.0).abs() < 1e-9);
+        assert!((settled(0.25, &bridge) - (6.0 - 0.96) / 2.0).abs() < 1e-9);
     }
 
     #[test]
     fn dead_time_is_a_resistance_to_a_current_that_changes_its_sign_in_every_period() {
         let bridge = Bridge { dead_time: 1e-6, ..IDEAL };
         // A ripple of 24 V / (4 x 1 mH x 20 kHz) = 0.3 A, to which 0.96 V are 3.2 ohm.
-        let mut motor = MotorModel::new(MOTOR);
-        for _ in 0..1000 {
-            motor.step(Drive::Duty(0.01), 0.0, &bridge, 5e-5);
-        }
-        assert!((motor.current() - 0.24 / (2.0 + 3.2)).abs() < 1e-9);
+        assert!((settled(0.01, &bridge) - 0.24 / (2.0 + 3.2)).abs() < 1e-9);
         // Without inductance the current is 12 A one way and 12 A the other: 0.96 V of 24 V are missing from each.
         let mut motor = MotorModel::new(Motor { inductance: 0.0, ..MOTOR });
         motor.step(Drive::Duty(0.25), 0.0, &bridge, 5e-6);
