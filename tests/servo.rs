@@ -258,16 +258,24 @@ fn limits_can_be_lowered_again_after_the_current_went_below_what_may_flow_for_ev
 }
 
 #[test]
-fn a_lowered_current_limit_acts_at_the_next_step() {
-    let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 250.0)]));
-    rig.arm();
-    rig.turn(0, -0.15, 1.0);
-    assert!((rig.servo.frame().torque[0] - 0.25).abs() < 0.01);
-    let mut lower = rules();
-    lower.limits.current[0] = 1.5;
-    rig.execute(Command::Rules(lower)).unwrap();
-    rig.step();
-    assert!((rig.servo.frame().torque[0] - 0.15).abs() < 1.0e-6, "{:?}", rig.servo.frame().torque);
+fn a_lowered_limit_acts_at_the_next_step() {
+    type Change = fn(&mut Limits);
+    let changes: [(&str, Change, f32); 3] = [
+        ("current", |limits| limits.current[0] = 1.5, 0.15),
+        ("torque", |limits| limits.torque[0] = 0.15, 0.15),
+        ("the least torque", |limits| limits.torque[0] = f32::MIN_POSITIVE, 0.0),
+    ];
+    for (name, change, expected) in changes {
+        let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 250.0)]));
+        rig.arm();
+        rig.turn(0, -0.15, 1.0);
+        assert!((rig.servo.frame().torque[0] - 0.25).abs() < 0.01);
+        let mut lower = rules();
+        change(&mut lower.limits);
+        rig.execute(Command::Rules(lower)).unwrap();
+        rig.step();
+        assert!((rig.servo.frame().torque[0] - expected).abs() < 1.0e-6, "{name}: {:?}", rig.servo.frame().torque);
+    }
 }
 
 #[test]
