@@ -39,8 +39,6 @@ pub struct Array {
     stores: VecDeque<(u64, Width, u64)>,
     /// Sectors erased since power-on, in order.
     pub erased: Vec<u64>,
-    /// Words programmed since the last reset.
-    pub programmed: u64,
     /// In which of the operations to come, erasing a sector or programming a word, the power goes: half of that one
     /// is done, and nothing of those after it. 0 when it has gone; `None` for never.
     pub cut: Option<u64>,
@@ -100,7 +98,6 @@ impl Hook<Flash> for Array {
                 _ => u64::MAX,
             };
             self.stores.push_back((address, width, value | kept));
-            self.programmed += 1;
             context.read_from(address, width, READ);
         }
         true
