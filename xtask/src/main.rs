@@ -12,6 +12,7 @@ mod soak;
 mod tests;
 mod thumb;
 mod toolchain;
+mod undefined;
 
 use std::process::ExitCode;
 
@@ -35,6 +36,7 @@ cargo xtask COMMAND
                     wild input for everything that reads any, guided by coverage; N seconds a target (60),
                     --record writes docs/results/fuzz.md
   sanitize          the library's tests under the address sanitizer
+  miri              some of them under Miri, which needs a nightly toolchain
   deny              licences, sources and known advisories of everything that is linked; with cargo-deny, today's too
   soak [--chip] [--hours N] [--record]
                     simulated hours (24) of contact with telemetry: nothing lost, no drift, no growth; with --chip (1 hour) on
@@ -77,7 +79,8 @@ fn run(arguments: &[String], install: bool) -> Result<()> {
         ["range"] => tests::measure("range", &[], install),
         ["timing"] => tests::measure("timing", &[], install),
         ["fuzz", rest @ ..] => fuzz::run(&fuzz::Options::parse(rest)?, install),
-        ["sanitize", rest @ ..] => tests::sanitize(rest),
+        ["sanitize", rest @ ..] => undefined::sanitize(rest),
+        ["miri"] => undefined::miri(),
         ["deny"] => deny::run(),
         ["soak", rest @ ..] => soak::run(rest, install),
         ["board", rest @ ..] => tests::play(rest, install),

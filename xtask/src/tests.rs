@@ -7,13 +7,14 @@ use std::time::Instant;
 
 use anyhow::Result;
 
-use crate::toolchain::{host, run};
+use crate::toolchain::run;
 use crate::{bench, deny, firmware, fuzz, no_panic, report};
 
 /// Seconds of fuzzing that each target gets in the whole run.
 const FUZZ_SECONDS: u32 = 4;
 
-fn cargo() -> Command {
+/// This cargo.
+pub fn cargo() -> Command {
     Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
 }
 
@@ -34,17 +35,6 @@ pub fn all(install: bool) -> Result<()> {
     stage("no panic in the control step", &|| no_panic::prove(install))?;
     stage("instructions of the control step", &|| bench::check(install))?;
     stage("images on the emulated chip", &|| board(&[], install))
-}
-
-/// The library's tests under the address sanitizer: it watches what the dependencies do in their `unsafe`, of which
-/// there is none here. The switch is one of the compiler's unstable ones. Further arguments go to `cargo test`.
-pub fn sanitize(arguments: &[&str]) -> Result<()> {
-    let mut test = cargo();
-    test.current_dir(firmware::root()).args(["test", "--locked", "--package", "haptic-bridge", "--lib", "--tests"]);
-    // Of its own, because everything is compiled anew; with a target named, the flag does not reach build scripts.
-    test.args(["--target", &host()?, "--target-dir"]).arg(firmware::target_directory().join("sanitize"));
-    test.env("RUSTC_BOOTSTRAP", "1").env("RUSTFLAGS", "-Zsanitizer=address").env_remove("CARGO_ENCODED_RUSTFLAGS");
-    run(test.args(arguments))
 }
 
 /// The tests of the real images on the emulated chip. Further arguments go to `cargo test`.
