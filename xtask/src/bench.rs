@@ -2,16 +2,15 @@
 //! there.
 
 use std::collections::BTreeMap;
-use std::env;
 use std::fs;
 use std::path::PathBuf;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 
 use anyhow::{Context as _, Result, bail, ensure};
 use serde_json::{Value, json};
 
 use crate::firmware::{root, target_directory};
-use crate::toolchain::{TARGET, Toolchain, Use, run};
+use crate::toolchain::{TARGET, Toolchain, Use, cargo, run};
 
 const BINARY: &str = "haptic-bridge-counting";
 /// By how much a variant may grow over the committed figure.
@@ -19,12 +18,6 @@ const GROWTH: f64 = 1.05;
 
 fn kept() -> PathBuf {
     root().join("benches/counts.json")
-}
-
-fn cargo() -> Command {
-    let mut command = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-    command.current_dir(root());
-    command
 }
 
 /// Builds the counting image; its path.
@@ -68,7 +61,17 @@ pub fn refresh(install: bool) -> Result<()> {
     let text = format!("{{\n  \"target\": \"cortex-m4f\",\n  \"variants\": [\n{}\n  ]\n}}\n", variants.join(",\n"));
     fs::write(kept(), text).with_context(|| format!("cannot write {}", kept().display()))?;
     println!("{}: {} variants", kept().display(), counted.len());
-    run(cargo().args(["run", "--quiet", "--locked", "--package", "haptic", "--", "bench", "--report", "docs/results"]))
+    run(cargo().current_dir(root()).args([
+        "run",
+        "--quiet",
+        "--locked",
+        "--package",
+        "haptic",
+        "--",
+        "bench",
+        "--report",
+        "docs/results",
+    ]))
 }
 
 /// Counts everything again and fails when a variant has grown by more than a twentieth over the kept figure.

@@ -11,7 +11,7 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
 use crate::firmware::root;
-use crate::toolchain::run as run_command;
+use crate::toolchain::{cargo, run as run_command};
 
 /// Where every dependency comes from, as cargo names it.
 const REGISTRY: &str = "registry+https://github.com/rust-lang/crates.io-index";
@@ -137,7 +137,7 @@ fn packages(workspace: &Path) -> Result<Vec<Package>> {
     struct Metadata {
         packages: Vec<Package>,
     }
-    let mut metadata = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    let mut metadata = cargo();
     metadata.current_dir(workspace).args(["metadata", "--locked", "--format-version", "1"]).stderr(Stdio::inherit());
     let output = metadata.output().context("cannot run cargo")?;
     ensure!(output.status.success(), "cargo metadata failed in {}", workspace.display());

@@ -12,7 +12,7 @@ use anyhow::{Context as _, Result, bail};
 
 use crate::firmware::{root, target_directory};
 use crate::report;
-use crate::toolchain::{host, need_program, run as run_command};
+use crate::toolchain::{cargo, host, need_program, run as run_command};
 
 /// The names in fuzz/src/main.rs.
 const TARGETS: [&str; 8] =
@@ -126,7 +126,7 @@ pub fn run(options: &Options, install: bool) -> Result<()> {
 /// Builds the targets' program; its path.
 fn build(out: &Path) -> Result<PathBuf> {
     let host = host()?;
-    let mut build = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    let mut build = cargo();
     build.current_dir(root().join("fuzz")).args(["build", "--locked", "--release", "--target", &host, "--target-dir"]);
     // With a target named, the flags reach neither build scripts nor macros.
     build.arg(out).env("RUSTFLAGS", INSTRUMENTATION).env_remove("CARGO_ENCODED_RUSTFLAGS");

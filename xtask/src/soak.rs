@@ -2,12 +2,11 @@
 //! the emulated chip (tests/board/src/soak.rs), for as long as is wanted.
 
 use std::fs;
-use std::process::Command;
 
 use anyhow::{Context as _, Result, bail};
 
 use crate::firmware::{root, target_directory};
-use crate::toolchain::run as run_command;
+use crate::toolchain::{cargo, run as run_command};
 use crate::{report, tests};
 
 /// Simulated hours when nothing else is said: on the simulated board, and on the emulated chip.
@@ -23,7 +22,7 @@ pub fn run(arguments: &[&str], install: bool) -> Result<()> {
         tests::measure("soak", &[&hours.to_string(), &figures.to_string_lossy()], install)?;
     } else {
         run_command(
-            Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
+            cargo()
                 .current_dir(root())
                 .args(["test", "--locked", "--release", "--package", "haptic", "--test", "soak"])
                 .env("HAPTIC_SOAK_SECONDS", format!("{:.0}", hours * 3600.0))

@@ -1,22 +1,16 @@
 //! The whole test run: what plain `cargo test` covers, a short round of fuzzing, then the images, the step's
 //! instructions, and the emulated board.
 
-use std::env;
 use std::process::Command;
 use std::time::Instant;
 
 use anyhow::Result;
 
-use crate::toolchain::run;
+use crate::toolchain::{cargo, run};
 use crate::{bench, deny, firmware, fuzz, no_panic, report};
 
 /// Seconds of fuzzing that each target gets in the whole run.
 const FUZZ_SECONDS: u32 = 4;
-
-/// This cargo.
-pub fn cargo() -> Command {
-    Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
-}
 
 /// Every test there is, cheapest first; tells what each stage took.
 pub fn all(install: bool) -> Result<()> {

@@ -80,7 +80,7 @@ impl Toolchain {
         };
         let mut command = match self {
             Self::Rustup => {
-                let mut command = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+                let mut command = cargo();
                 command.arg(subcommand);
                 command
             }
@@ -164,6 +164,11 @@ fn apt_install(packages: &[String]) -> Result<()> {
     eprintln!("installing {}", packages.join(" "));
     run(Command::new("apt-get").args(["update", "-q"]))?;
     run(Command::new("apt-get").args(["install", "-y", "-q", "--no-install-recommends"]).args(packages))
+}
+
+/// The cargo that runs this program.
+pub fn cargo() -> Command {
+    Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
 }
 
 /// Runs a command to its end, naming it when it fails.

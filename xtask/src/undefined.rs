@@ -5,8 +5,7 @@ use std::process::Command;
 use anyhow::{Result, bail};
 
 use crate::firmware;
-use crate::tests::cargo;
-use crate::toolchain::{host, run};
+use crate::toolchain::{cargo, host, run};
 
 /// The library's tests under the address sanitizer, which watches memory. The switch is one of the compiler's unstable
 /// ones. Further arguments go to `cargo test`.
