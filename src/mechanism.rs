@@ -9,6 +9,12 @@
 //! no other motion is E = J⁻¹ n (docs/model.md section 2). Directions in which the tip is rendered have zeros beyond
 //! `d`.
 
+mod five_bar;
+mod five_bar_turret;
+mod paddle;
+mod parallelogram;
+mod serial_3r;
+
 use crate::description::{Description, DescriptionError, MAX_JOINTS};
 use crate::math::{Math, Real};
 use crate::precomputed::MassModel;
@@ -147,7 +153,6 @@ macro_rules! mechanisms {
 macro_rules! define {
     ($(($Variant:ident, $module:ident, $n:literal))*) => {
         $(
-            mod $module;
             pub use $module::$Variant;
         )*
 

@@ -103,19 +103,20 @@ impl<T: Real> FiveBar<T> {
             return Err(DescriptionError::CannotClose);
         }
         let [p1, p2, d1, d2] = description.links;
-        let arm = |index: usize, proximal: &crate::description::Link, distal: &crate::description::Link, l: f64, r: f64| {
-            let s = distal.com / r;
-            let spin = distal.inertia / (r * r);
-            let alpha = distal.mass * (1.0 - s) * (1.0 - s) + spin;
-            let beta = distal.mass * s * (1.0 - s) - spin;
-            let gamma = distal.mass * s * s + spin;
-            let about_motor = description.joints[index].inertia
-                + proximal.inertia
-                + proximal.mass * proximal.com * proximal.com
-                + alpha * l * l;
-            let elbow_load = proximal.mass * proximal.com / l + distal.mass * (1.0 - s);
-            (about_motor, beta, gamma, elbow_load, distal.mass * s)
-        };
+        let arm =
+            |index: usize, proximal: &crate::description::Link, distal: &crate::description::Link, l: f64, r: f64| {
+                let s = distal.com / r;
+                let spin = distal.inertia / (r * r);
+                let alpha = distal.mass * (1.0 - s) * (1.0 - s) + spin;
+                let beta = distal.mass * s * (1.0 - s) - spin;
+                let gamma = distal.mass * s * s + spin;
+                let about_motor = description.joints[index].inertia
+                    + proximal.inertia
+                    + proximal.mass * proximal.com * proximal.com
+                    + alpha * l * l;
+                let elbow_load = proximal.mass * proximal.com / l + distal.mass * (1.0 - s);
+                (about_motor, beta, gamma, elbow_load, distal.mass * s)
+            };
         let (a1, b1, g1, load1, end1) = arm(0, &p1, &d1, l1, r1);
         let (a2, b2, g2, load2, end2) = arm(1, &p2, &d2, l2, r2);
         let tip_mass = g1 + g2 + description.handle_mass;
@@ -194,13 +195,7 @@ impl<T: Real> FiveBar<T> {
 
     /// The joint torques of a tip acceleration `a` (or none) and joint accelerations `qdd`, at joint velocities `qd`.
     #[inline(always)]
-    fn inertial_torque(
-        &self,
-        pose: &Pose<T>,
-        qd: &Vector2<T>,
-        qdd: &Vector2<T>,
-        a: Option<&Vector2<T>>,
-    ) -> Vector2<T> {
+    fn inertial_torque(&self, pose: &Pose<T>, qd: &Vector2<T>, qdd: &Vector2<T>, a: Option<&Vector2<T>>) -> Vector2<T> {
         let (at_tip, at_joints) = self.inertial_loads(pose, qd, qdd, a);
         at_joints + Self::transposed(pose, &at_tip)
     }
@@ -246,8 +241,7 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
         let inverse = T::one() / span_squared.greater(T::EPSILON * T::EPSILON);
         // Heron's form of the height over C→D: the differences are of lengths, not of nearly equal products.
         // Rounding (or a pose that cannot close) may make it negative: clamped to zero, seen as parallel = 0.
-        let height_squared =
-            ((self.reach[0] - span_squared) * (span_squared - self.reach[1])).greater(T::zero());
+        let height_squared = ((self.reach[0] - span_squared) * (span_squared - self.reach[1])).greater(T::zero());
         let height = half * K::sqrt(height_squared) * inverse;
         let along = half + half * self.distal_difference * inverse;
         let det = self.assembly * height * span_squared;
@@ -341,10 +335,7 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
 
     #[inline(always)]
     fn inverse(&self, pose: &Pose<T>, velocity: &Vector2<T>) -> Vector2<T> {
-        Vector2::new(
-            pose.rod[0].dot(velocity) * pose.inverse_k[0],
-            pose.rod[1].dot(velocity) * pose.inverse_k[1],
-        )
+        Vector2::new(pose.rod[0].dot(velocity) * pose.inverse_k[0], pose.rod[1].dot(velocity) * pose.inverse_k[1])
     }
 
     #[inline(always)]

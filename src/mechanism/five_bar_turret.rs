@@ -230,11 +230,7 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
         let linkage = self.plane.gravity_torque(&pose.plane, &in_plane);
         let [y1, y2] = pose.plane.arm.map(|arm| arm[1]);
         let [w1, w2] = self.plane.elbow_load;
-        Vector3::new(
-            -normal * (w1 * y1 + w2 * y2 + self.plane.tip_load * pose.plane.tip[1]),
-            linkage[0],
-            linkage[1],
-        )
+        Vector3::new(-normal * (w1 * y1 + w2 * y2 + self.plane.tip_load * pose.plane.tip[1]), linkage[0], linkage[1])
     }
 
     #[inline(always)]

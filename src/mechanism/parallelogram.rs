@@ -103,10 +103,7 @@ impl<T: Real> Parallelogram<T> {
     #[inline(always)]
     fn inverse_in_plane(&self, pose: &Pose<T>, v: &Vector2<T>) -> Vector2<T> {
         let [iu, inverse_fore] = self.inverse_lengths;
-        Vector2::new(
-            pose.fore.dot(v) * pose.inverse_sine * iu,
-            -pose.upper.dot(v) * pose.inverse_sine * inverse_fore,
-        )
+        Vector2::new(pose.fore.dot(v) * pose.inverse_sine * iu, -pose.upper.dot(v) * pose.inverse_sine * inverse_fore)
     }
 
     /// The torques of joint accelerations `qdd` at joint velocities `qd`.
@@ -268,10 +265,7 @@ impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
     #[inline(always)]
     fn velocity(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
         let (v1, v2) = (self.lengths[0] * qd[1], self.lengths[1] * qd[2]);
-        let in_plane = Vector2::new(
-            -v1 * pose.upper[1] - v2 * pose.fore[1],
-            v1 * pose.upper[0] + v2 * pose.fore[0],
-        );
+        let in_plane = Vector2::new(-v1 * pose.upper[1] - v2 * pose.fore[1], v1 * pose.upper[0] + v2 * pose.fore[0]);
         pose.to_world(&in_plane, pose.tip[0] * qd[0])
     }
 

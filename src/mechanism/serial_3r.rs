@@ -94,11 +94,7 @@ impl<T: Real> Serial3r<T> {
     #[inline(always)]
     fn off_diagonal(&self, pose: &Pose<T>) -> [T; 3] {
         let [c12, c23, c13] = pose.cosine;
-        [
-            self.coupling[0] * c12 - self.rotor[0],
-            self.coupling[1] * c23 - self.rotor[1],
-            self.coupling[2] * c13,
-        ]
+        [self.coupling[0] * c12 - self.rotor[0], self.coupling[1] * c23 - self.rotor[1], self.coupling[2] * c13]
     }
 
     /// Mass matrix in absolute rates times a vector: of the first two links, and of the third if it turns.
@@ -106,11 +102,7 @@ impl<T: Real> Serial3r<T> {
     fn momentum(&self, pose: &Pose<T>, [first, second]: [T; 2], third: Option<T>) -> Vector3<T> {
         let [m12, m23, m13] = self.off_diagonal(pose);
         let [m11, m22, m33] = self.inertia;
-        let momentum = Vector3::new(
-            m11 * first + m12 * second,
-            m12 * first + m22 * second,
-            m13 * first + m23 * second,
-        );
+        let momentum = Vector3::new(m11 * first + m12 * second, m12 * first + m22 * second, m13 * first + m23 * second);
         third.map_or(momentum, |third| momentum + Vector3::new(m13, m23, m33) * third)
     }
 
@@ -120,11 +112,7 @@ impl<T: Real> Serial3r<T> {
         let [k12, k23, k13] = self.coupling;
         let [s12, s23, s13] = pose.sine;
         let (a, b, c) = (k12 * s12, k23 * s23, k13 * s13);
-        Vector3::new(
-            -a * squares[1] - c * squares[2],
-            a * squares[0] - b * squares[2],
-            c * squares[0] + b * squares[1],
-        )
+        Vector3::new(-a * squares[1] - c * squares[2], a * squares[0] - b * squares[2], c * squares[0] + b * squares[1])
     }
 }
 
@@ -252,8 +240,7 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
 
     #[inline(always)]
     fn transpose(&self, pose: &Pose<T>, force: &Vector3<T>) -> Vector3<T> {
-        let moment =
-            |i: usize| self.lengths[i] * (pose.link[i][0] * force[1] - pose.link[i][1] * force[0]);
+        let moment = |i: usize| self.lengths[i] * (pose.link[i][0] * force[1] - pose.link[i][1] * force[0]);
         accumulate(&Vector3::new(moment(0), moment(1), moment(2) + force[2]))
     }
 
@@ -263,11 +250,7 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
         let [l1, l2, l3] = self.lengths;
         let [v1, v2, v3] = [l1 * rates[0], l2 * rates[1], l3 * rates[2]];
         let [e1, e2, e3] = &pose.link;
-        Vector3::new(
-            -v1 * e1[1] - v2 * e2[1] - v3 * e3[1],
-            v1 * e1[0] + v2 * e2[0] + v3 * e3[0],
-            rates[2],
-        )
+        Vector3::new(-v1 * e1[1] - v2 * e2[1] - v3 * e3[1], v1 * e1[0] + v2 * e2[0] + v3 * e3[0], rates[2])
     }
 
     #[inline(always)]

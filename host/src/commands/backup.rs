@@ -28,13 +28,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     // First beside it, then in its place: an earlier backup is lost only to a whole new one.
     let partial = args.file.with_extension("partial");
-    std::fs::write(&partial, backup.to_text())
-        .and_then(|()| std::fs::rename(&partial, &args.file))
-        .map_err(|error| {
+    std::fs::write(&partial, backup.to_text()).and_then(|()| std::fs::rename(&partial, &args.file)).map_err(
+        |error| {
             let _ = std::fs::remove_file(&partial);
             let reason = format!("{} cannot be written: {error}", args.file.display());
             Failure::impossible(reason).remedy("check the path, its permissions and the space left")
-        })?;
+        },
+    )?;
     let names: Vec<&str> = backup.settings.keys().map(String::as_str).collect();
     print(&format!("{}: {}\n", args.file.display(), names.join(", ")))
 }

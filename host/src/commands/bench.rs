@@ -25,7 +25,10 @@ pub struct Args {
 pub fn run(args: Args) -> Result<(), Failure> {
     let devices = match args.device.as_slice() {
         [] => devices()?,
-        paths => paths.iter().map(|path| DeviceFile::load(path)?.device().map_err(Failure::wrong)).collect::<Result<_, Failure>>()?,
+        paths => paths
+            .iter()
+            .map(|path| DeviceFile::load(path)?.device().map_err(Failure::wrong))
+            .collect::<Result<_, Failure>>()?,
     };
     let timed = args.report.is_none();
     let every = devices

@@ -92,7 +92,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
         Estimator::BackwardDifference => "no",
     };
     if wall.feed_forward != FeedForward::Off && !scene.velocity_terms {
-        eprintln!("the feed-forward is without velocity terms, as this scene was loaded; `haptic scene FILE` decides anew");
+        eprintln!(
+            "the feed-forward is without velocity terms, as this scene was loaded; `haptic scene FILE` decides anew"
+        );
     }
     print(&format!(
         "wall {}: stiffness {} N/m, damping {} N s/m, feed-forward {}; {estimator} filter at {} Hz, control at {} Hz\n",

@@ -20,9 +20,5 @@ pub fn run(args: Args) -> Result<(), Failure> {
     // The next control step computes the new pose.
     let axes = board.device()?.map_or(0, |device| device.axes());
     let status = board.status()?;
-    print(&format!(
-        "homed: joints {}, tip {}\n",
-        numbers(&status.q[..axes], "rad"),
-        numbers(&status.tip[..axes], "m")
-    ))
+    print(&format!("homed: joints {}, tip {}\n", numbers(&status.q[..axes], "rad"), numbers(&status.tip[..axes], "m")))
 }

@@ -96,11 +96,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if details.stack_free > 0 {
         line("stack free", format!("{} bytes", details.stack_free));
     }
-    let unsensed: Vec<&str> = Fault::ALL
-        .iter()
-        .filter(|fault| details.unsensed.contains(&fault.code()))
-        .map(|fault| fault.what())
-        .collect();
+    let unsensed: Vec<&str> =
+        Fault::ALL.iter().filter(|fault| details.unsensed.contains(&fault.code())).map(|fault| fault.what()).collect();
     if !unsensed.is_empty() {
         line("not sensed", unsensed.join("; "));
     }

@@ -128,12 +128,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         }
         kd => kd.map(|kd| kd.0),
     };
-    let plan = Plan {
-        modes: args.feed_forward.modes(),
-        kd,
-        points: args.points.into(),
-        repeats: args.repeats.into(),
-    };
+    let plan = Plan { modes: args.feed_forward.modes(), kd, points: args.points.into(), repeats: args.repeats.into() };
     let what = format!(
         "{} along {normal:?} at {} Hz, cutoff {} Hz, washout {} Hz",
         file.name, args.rate, args.cutoff, args.washout
@@ -185,7 +180,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         args.png.as_deref().map(|path| picture.save_png(path)).transpose()?;
     }
     if args.json {
-        let points: Vec<JsonPoint<'_>> = plan.modes.iter().flat_map(|mode| progress.of(*mode)).map(json_point).collect();
+        let points: Vec<JsonPoint<'_>> =
+            plan.modes.iter().flat_map(|mode| progress.of(*mode)).map(json_point).collect();
         let json = serde_json::to_string(&serde_json::json!({ "points": points })).map_err(Failure::impossible)?;
         return print(&(json + "\n"));
     }
@@ -268,7 +264,11 @@ fn table(
     washout: Option<f64>,
 ) -> Result<String, Failure> {
     let mut text = format!("{name}: largest stable stiffness, measured (median of {} repeats)\n", plan.repeats);
-    let _ = writeln!(text, "{:>10}{:>12}{:>12}{:>12}{:>12}{:>14}", "", "kd N s/m", "kp N/m", "lowest", "highest", "linear theory");
+    let _ = writeln!(
+        text,
+        "{:>10}{:>12}{:>12}{:>12}{:>12}{:>14}",
+        "", "kd N s/m", "kp N/m", "lowest", "highest", "linear theory"
+    );
     for &mode in &plan.modes {
         let points = progress.of(mode);
         let kds: Vec<f64> = points.iter().map(|point| point.kd).collect();
@@ -290,6 +290,8 @@ fn table(
             );
         }
     }
-    text.push_str("The theory knows no Coulomb friction, hand, quantisation or saturation; where they act, the two differ.\n");
+    text.push_str(
+        "The theory knows no Coulomb friction, hand, quantisation or saturation; where they act, the two differ.\n",
+    );
     Ok(text)
 }

@@ -1,14 +1,40 @@
 //! The subcommands. Each is one file here, with its `Args` and `run(Args) -> Result<(), Failure>`, and one line below.
 
+mod arm;
+mod backup;
+mod bench;
+mod check;
+mod clear;
+mod completions;
+mod demo;
+mod device;
+mod dfu;
+mod disarm;
+mod faults;
+mod gains;
+mod home;
+mod info;
+mod list;
+mod map;
+mod measure_range;
+mod model;
+mod plan;
+mod polarity;
 mod port;
+mod precompute;
+mod range;
+mod restore;
+mod rules;
+mod save;
+mod scene;
+mod sim;
+mod stream;
 
 use haptic::error::Failure;
 
 /// Declares the subcommands: under each heading of `haptic --help`, `(Variant, module)` in the order of that page.
 macro_rules! commands {
     ($($heading:literal { $(($Variant:ident, $module:ident))* })*) => {
-        $($(pub mod $module;)*)*
-
         /// What was asked for.
         #[derive(clap::Subcommand)]
         pub enum Command {

@@ -2,10 +2,10 @@
 
 use clap::builder::NonEmptyStringValueParser;
 use haptic::device_file::DeviceFile;
-use haptic_bridge::device::Device;
 use haptic::error::{Failure, print};
 use haptic::plan::{Budget, DEFAULT_PERCENT, HAND_SPEED, Plan, plan};
 use haptic::scene_file::SceneFile;
+use haptic_bridge::device::Device;
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -93,7 +93,11 @@ pub fn readable(device: &Device<f64>, plan: &Plan) -> String {
         let _ = writeln!(text, "  - {reason}");
     }
     if !plan.candidates.is_empty() {
-        let _ = writeln!(text, "\n  {:<12}{:<18}{:>14}{:>12}{:>14}", "matrix", "terms", "instructions", "error", "duty steps");
+        let _ = writeln!(
+            text,
+            "\n  {:<12}{:<18}{:>14}{:>12}{:>14}",
+            "matrix", "terms", "instructions", "error", "duty steps"
+        );
         for way in &plan.candidates {
             let chosen = way.model == plan.mass.name() && way.terms == plan.terms.name();
             let _ = writeln!(

@@ -81,8 +81,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
             })?
         }
     };
-    let errors =
-        errors(&device, &probes, &made, Terms::FeedForward, Trigonometry::Minimax)?;
+    let errors = errors(&device, &probes, &made, Terms::FeedForward, Trigonometry::Minimax)?;
     if let Some(path) = &args.output {
         let document = serde_json::json!({
             "device": device.name, "kind": made.name(), "model": made.data, "values": made.values, "errors": errors,

@@ -110,12 +110,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let drive = match args.drive {
         DriveKind::Ideal => Drive::Ideal,
         DriveKind::Current => Drive::Current { bandwidth_hz: args.current_bandwidth },
-        DriveKind::Voltage => {
-            Drive::Voltage(motors(&file.description).ok_or_else(|| {
-                Failure::wrong(format!("{} has joints without [joint.motor]", args.device.display()))
-                    .remedy("a voltage drive is analysed with the motors' resistance and back-EMF: add them")
-            })?)
-        }
+        DriveKind::Voltage => Drive::Voltage(motors(&file.description).ok_or_else(|| {
+            Failure::wrong(format!("{} has joints without [joint.motor]", args.device.display()))
+                .remedy("a voltage drive is analysed with the motors' resistance and back-EMF: add them")
+        })?),
     };
     let around = Loop {
         rate_hz: args.rate,
@@ -195,12 +193,19 @@ fn readable(name: &str, args: &Args, q: &[f64], normal: &[f64], range: &Range, p
     line(String::new());
     let islands = range.off.islands.len() + range.full.islands.len();
     if islands > 0 {
-        line(format!("  {islands} stable intervals lie above the boundary (islands): listed with --json, not counted."));
+        line(format!(
+            "  {islands} stable intervals lie above the boundary (islands): listed with --json, not counted."
+        ));
     }
-    line(format!("  passive without feed-forward (Colgate and Schenkel 1997): kp < {:.2} N/m at kd = 0, kd < {:.4} N s/m",
-        passivity.sampled(0.0), passivity.damping));
+    line(format!(
+        "  passive without feed-forward (Colgate and Schenkel 1997): kp < {:.2} N/m at kd = 0, kd < {:.4} N s/m",
+        passivity.sampled(0.0),
+        passivity.damping
+    ));
     if let Some(limit) = passivity.quantised() {
-        line(format!("  passive with quantisation and friction (Abbott and Okamura 2005): kp <= {limit:.2} N/m at kd = 0"));
+        line(format!(
+            "  passive with quantisation and friction (Abbott and Okamura 2005): kp <= {limit:.2} N/m at kd = 0"
+        ));
     }
     line(verdict(range));
     text

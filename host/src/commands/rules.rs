@@ -104,7 +104,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
 /// Puts what was given for the first joints in its place.
 fn per_joint<T: Copy>(name: &str, given: &[T], place: &mut [T]) -> Result<(), Failure> {
     if given.len() > place.len() {
-        let reason = format!("--{name} has {} numbers, and no device has more than {} joints", given.len(), place.len());
+        let reason =
+            format!("--{name} has {} numbers, and no device has more than {} joints", given.len(), place.len());
         return Err(Failure::wrong(reason).remedy("give one number per joint"));
     }
     for (place, given) in place.iter_mut().zip(given) {
@@ -117,7 +118,9 @@ fn in_words(rules: &Rules) -> String {
     let Limits { torque, current, continuous_current, speed, power, bus_min, bus_max } = &rules.limits;
     let host = match rules.host_action {
         HostAction::Ignore => "a silent host is ignored".into(),
-        HostAction::Hold => format!("a host silent for {} s is listed as a fault, the scene goes on", rules.host_seconds),
+        HostAction::Hold => {
+            format!("a host silent for {} s is listed as a fault, the scene goes on", rules.host_seconds)
+        }
         HostAction::Disarm => format!("a host silent for {} s turns the motors off", rules.host_seconds),
     };
     let passivity = if rules.passivity { "on" } else { "off" };

@@ -46,8 +46,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.port.open()?;
     let device = board.device()?.ok_or(BoardError::Refused(Refusal::NoDevice))?;
     let file = SceneFile::parse(text, &args.file, device.mechanism.kind().spec().task)?;
-    let written =
-        file.scene::<f32>().map_err(|error| Failure::wrong(format!("{}: {error}", args.file.display())))?;
+    let written = file.scene::<f32>().map_err(|error| Failure::wrong(format!("{}: {error}", args.file.display())))?;
     let name = args.file.display();
     if args.as_written || board.status()?.state == State::Armed {
         board.set_scene(&written)?;

@@ -121,9 +121,8 @@ fn address(text: &str) -> Result<SocketAddr, Failure> {
 /// Three centimetres across, four seconds around, for an hour.
 fn small_loop(centre: [f64; 3]) -> Intent {
     let corners = [[0.0, 0.0], [0.015, 0.015], [0.0, 0.03], [-0.015, 0.015]];
-    let points = (0..3600).zip(corners.iter().cycle()).map(|(second, [x, y])| Waypoint {
-        time: f64::from(second),
-        value: [centre[0] + x, centre[1] + y, centre[2]],
-    });
+    let points = (0..3600)
+        .zip(corners.iter().cycle())
+        .map(|(second, [x, y])| Waypoint { time: f64::from(second), value: [centre[0] + x, centre[1] + y, centre[2]] });
     Intent::Follow(points.collect())
 }
