@@ -5,45 +5,68 @@
 //!
 //! ```text
 //!  encoder counts                                                     servo::Servo::control
-//!      │  controller::Controller::step ───────────────────────────┐        │
-//!      ├─► joint angles, velocities        (velocity)             │        │
-//!      ├─► pose: tip, J, sines             (mechanism)            │        │
-//!      ├─► contacts: distance, normal      (scene)                │        │
-//!      ├─► wall force fr = -kp x - kd v    (scene, velocity)      │        │
+//!      │  render::controller::Controller::step ───────────────────┐        │
+//!      ├─► joint angles, velocities        (render::velocity)     │        │
+//!      ├─► pose: tip, J, sines             (model::mechanism)     │        │
+//!      ├─► contacts: distance, normal      (render::scene)        │        │
+//!      ├─► wall force fr = -kp x - kd v    (render::scene)        │        │
 //!      ├─► the paper's feed-forward (4):                          │        │
-//!      │     τ = M E Wrr⁻¹(fr - Eᵀb) + b   (inertia, precomputed) │        │
+//!      │     τ = M E Wrr⁻¹(fr - Eᵀb) + b   (model::inertia)       │        │
 //!      └─► joint torques ◄────────────────────────────────────────┘        │
-//!             ├─► limits, faults, arming   (guard)  ◄──────────────────────┘
+//!             ├─► limits, faults, arming   (safety) ◄──────────────────────┘
 //!             └─► current ► voltage ► duty (drive)  ◄── servo::Servo::duties
 //! ```
 //!
-//! Everything around that path configures it ([`service`], [`settings`], [`protocol`], [`dispatch`]) or watches it
-//! ([`telemetry`]). Nothing here knows a chip, a host or a file: the firmware (`src/firmware`) and the tool (`host`)
-//! bring those.
+//! Everything around that path configures it or watches it ([`board`]). The modules are floors, and imports go down
+//! only: [`board`] → [`servo`] → [`safety`] → [`drive`], [`render`] → [`model`] → [`math`]. Nothing here knows a chip,
+//! a host or a file: the firmware and the tool (`host`) bring those.
 //!
 //! The code is generic over the float and its trigonometry ([`math`]): the board runs `f32`, the analysis runs the same
 //! lines in `f64`, and the difference between the two is how error is measured. All quantities are in SI units.
 #![no_std]
 #![forbid(unsafe_code)]
 
-pub mod board_step;
-pub mod carrier;
-pub mod controller;
-pub mod description;
-pub mod device;
-pub mod dispatch;
-pub mod drive;
-pub mod guard;
-pub mod inertia;
+pub mod checksum;
 pub mod math;
-pub mod mechanism;
-pub mod precomputed;
-pub mod program;
-pub mod protocol;
-pub mod scene;
-pub mod service;
+
+/// What the device is: the maker's description, one file for each mechanism, and the inertia it feels like.
+pub mod model {
+    pub mod catalogue;
+    pub mod description;
+    pub mod device;
+    pub mod inertia;
+    pub mod mechanism;
+    pub mod precomputed;
+}
+
+/// From encoder counts to joint torques: the scene that is rendered, and the step that renders it.
+pub mod render {
+    pub mod controller;
+    pub mod scene;
+    pub mod velocity;
+}
+
+/// From joint torques to duties.
+pub mod drive {
+    pub mod brushed;
+    pub mod carrier;
+}
+
+/// What keeps the person at the device safe: faults, refusals, limits.
+pub mod safety {
+    pub mod fault;
+    pub mod limits;
+    pub mod refusal;
+}
+
 pub mod servo;
-pub mod settings;
-pub mod storage;
-pub mod telemetry;
-pub mod velocity;
+
+/// What a board says and keeps: its protocol, settings and telemetry, and the service behind them.
+pub mod board {
+    pub mod dispatch;
+    pub mod protocol;
+    pub mod service;
+    pub mod settings;
+    pub mod storage;
+    pub mod telemetry;
+}

@@ -5,18 +5,25 @@
 //! between two steps: a [`Program`] is built elsewhere and handed over by ownership, small changes are [`Command`]s.
 //! Nothing here blocks, allocates or panics.
 
+pub mod compiled;
+pub mod frame;
 mod polarity;
+pub mod program;
 mod watch;
 
-use crate::controller::Gains;
-use crate::description::MAX_JOINTS;
-use crate::drive::{Axis, Bridge, limited};
-use crate::guard::{Fault, FaultRecord, Limits, Refusal, State};
+use crate::drive::brushed::{Axis, limited};
 use crate::math::Math;
-use crate::precomputed::TABLE_VALUES;
-use crate::program::MOST_JOINTS;
-pub use crate::program::{AnyController, Program};
-use crate::velocity::{Coefficients, Washout};
+use crate::model::catalogue::MAX_JOINTS;
+use crate::model::precomputed::TABLE_VALUES;
+use crate::render::controller::Gains;
+use crate::render::velocity::{Coefficients, Washout};
+use crate::safety::fault::{Fault, FaultRecord, State};
+use crate::safety::limits::Limits;
+use crate::safety::refusal::Refusal;
+use crate::servo::frame::{Frame, Outputs, Samples};
+use crate::servo::program::Hardware;
+use crate::servo::program::MOST_JOINTS;
+use crate::servo::program::Program;
 use core::ops::DerefMut;
 use heapless::Vec;
 use postcard_schema::Schema;
@@ -28,68 +35,6 @@ pub const ARM_SECONDS: f32 = 0.5;
 pub const TABLE_PIECE: usize = 16;
 /// Speed below which a device counts as at rest, rad/s.
 pub const REST_SPEED: f32 = 0.2;
-
-/// What the hardware saw at one sampling instant.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Samples {
-    /// Encoder counts, extended to 32 bits, wrapping.
-    pub counts: [i32; MAX_JOINTS],
-    /// V; ignored where the board does not sense it.
-    pub bus_voltage: f32,
-    /// Motor currents, A; ignored where they are not sensed.
-    pub currents: [f32; MAX_JOINTS],
-    /// Count at the index pulse seen since the last step, late by at most what the joint moved in it.
-    pub index: [Option<i32>; MAX_JOINTS],
-    /// A fault that hardware or another part of the firmware reports.
-    pub fault: Option<(Fault, Option<u8>, f32)>,
-}
-
-/// What one control step decided.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Outputs {
-    /// Whether the bridges may drive; false means floating.
-    pub bridges: bool,
-}
-
-/// One step as telemetry records it. Vectors are padded with zeros to three entries.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Frame {
-    /// Control steps since boot.
-    pub step: u32,
-    /// The state after this step.
-    pub state: State,
-    /// Walls touched.
-    pub contacts: u8,
-    /// Encoder counts.
-    pub counts: [i32; MAX_JOINTS],
-    /// Joint angles, rad.
-    pub q: [f32; MAX_JOINTS],
-    /// Joint velocities, rad/s.
-    pub qd: [f32; MAX_JOINTS],
-    /// Tip, m.
-    pub tip: [f32; MAX_JOINTS],
-    /// Joint torques after limits, N m.
-    pub torque: [f32; MAX_JOINTS],
-    /// Measured currents, or commanded ones where none is sensed, A.
-    pub current: [f32; MAX_JOINTS],
-    /// Duties of the last carrier period.
-    pub duty: [f32; MAX_JOINTS],
-    /// Distance to the deepest wall, m.
-    pub distance: f32,
-    /// Velocity along its normal, m/s.
-    pub normal_velocity: f32,
-    /// Sum of the walls' forces, N.
-    pub wall_force: f32,
-    /// Share of the feed-forward that acts.
-    pub shaping: f32,
-    /// Energy the touched walls have taken up since contact began, less what they had given out by then (negative:
-    /// given out), J.
-    pub energy: f32,
-    /// Damping the passivity controller added, N s/m.
-    pub passivity_damping: f32,
-    /// V
-    pub bus_voltage: f32,
-}
 
 /// How the host is watched.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
@@ -128,19 +73,6 @@ impl Default for Rules {
             index_period: [0; MAX_JOINTS],
         }
     }
-}
-
-/// What a board is, as far as the servo cares.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Hardware {
-    /// Motor axes.
-    pub axes: usize,
-    /// Whether there are real motors, which need verified data, limits, homing and a polarity check.
-    pub real: bool,
-    /// Whether the bus voltage is measured.
-    pub bus_sensed: bool,
-    /// Its bridges.
-    pub bridge: Bridge,
 }
 
 /// A change between two control steps. `P` holds a [`Program`]: a box on the PC, a static buffer on the board.
@@ -378,7 +310,7 @@ where
         Outputs { bridges: matches!(self.state, State::Armed | State::CheckingPolarity) }
     }
 
-    /// Duties for the next carrier period, signed, ±[`MAX_DUTY`](crate::drive::MAX_DUTY); zero unless armed.
+    /// Duties for the next carrier period, signed, ±[`MAX_DUTY`](crate::drive::brushed::MAX_DUTY); zero unless armed.
     #[inline(always)]
     pub fn duties(&mut self, bus_voltage: f32, currents: &[f32; MAX_JOINTS]) -> [f32; MAX_JOINTS] {
         let mut duties = [0.0; MAX_JOINTS];

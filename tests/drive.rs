@@ -1,7 +1,7 @@
 //! The drive makes the current that the torque needs, within duties that the bridge can stand.
 
-use haptic_bridge::device::Motor;
-use haptic_bridge::drive::{Axis, Bridge, MAX_DUTY};
+use haptic_bridge::drive::brushed::{Axis, Bridge, MAX_DUTY};
+use haptic_bridge::model::device::Motor;
 
 const CARRIER: f32 = 20_000.0;
 const BUS: f32 = 24.0;

@@ -3,13 +3,13 @@
 //! force.
 
 use haptic::device_file::DeviceFile;
-use haptic_bridge::controller::Controller;
-use haptic_bridge::description::{Description, Encoder};
-use haptic_bridge::device::Device;
 use haptic_bridge::math::{Libm, Math, Minimax, Real};
-use haptic_bridge::mechanism::{AnyMechanism, Mechanism};
-use haptic_bridge::precomputed::MassModel;
-use haptic_bridge::scene::{Cylinder, FeedForward, Plane, Scene, Sphere, Surface, Wall};
+use haptic_bridge::model::description::{Description, Encoder};
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::model::precomputed::MassModel;
+use haptic_bridge::render::controller::Controller;
+use haptic_bridge::render::scene::{Cylinder, FeedForward, Plane, Scene, Sphere, Surface, Wall};
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
@@ -192,7 +192,7 @@ fn at_flat_and_curved_walls_nothing_but_the_normal_accelerates() {
     }
 }
 
-fn with_five_bar(device: &Description, f: impl Fn(haptic_bridge::mechanism::FiveBar<f64>)) {
+fn with_five_bar(device: &Description, f: impl Fn(haptic_bridge::model::mechanism::FiveBar<f64>)) {
     let Ok(AnyMechanism::FiveBar(m)) = AnyMechanism::<f64>::new(device) else { panic!("a sound five-bar") };
     f(m);
 }

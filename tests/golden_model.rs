@@ -5,7 +5,7 @@
 
 use haptic::device_file::DeviceFile;
 use haptic::model::{Precision, Report, WallForce, evaluate};
-use haptic_bridge::mechanism::Kind;
+use haptic_bridge::model::catalogue::Kind;
 use serde_json::Value;
 
 mod golden;

@@ -6,8 +6,8 @@
 
 mod rig;
 
-use haptic_bridge::guard::{Fault, State};
-use haptic_bridge::scene::Scene;
+use haptic_bridge::render::scene::Scene;
+use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::{Command, HostAction, Rules};
 use rig::{RATE, Rig, five_bar, hardware, limits, paddle, rules, scene, wall};
 

@@ -5,14 +5,14 @@
 mod page;
 mod rig;
 
-use haptic_bridge::controller::{Controller, FULL_REGULARITY, NO_REGULARITY, PARALLEL_REGULARITY, Step};
-use haptic_bridge::device::Device;
 use haptic_bridge::math::{Libm, Minimax};
-use haptic_bridge::mechanism::{AnyMechanism, FiveBar, Mechanism};
-use haptic_bridge::precomputed::MassModelData;
-use haptic_bridge::program::Program;
-use haptic_bridge::scene::FeedForward;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism};
+use haptic_bridge::model::precomputed::MassModelData;
+use haptic_bridge::render::controller::{Controller, FULL_REGULARITY, NO_REGULARITY, PARALLEL_REGULARITY, Step};
+use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::servo::Command;
+use haptic_bridge::servo::program::Program;
 use nalgebra::{SVector, Vector2, Vector3};
 use page::shipped;
 use page::steps::{controller, counts, encoded, scene, three};
@@ -237,7 +237,7 @@ fn measurements_that_are_no_numbers_never_reach_a_duty() {
                 0 => rig.samples.bus_voltage = poison,
                 1 => rig.shown_current = Some(poison),
                 2 => rig.resistance = poison,
-                _ => rig.samples.fault = Some((haptic_bridge::guard::Fault::GateDriver, None, poison)),
+                _ => rig.samples.fault = Some((haptic_bridge::safety::fault::Fault::GateDriver, None, poison)),
             }
             for _ in 0..50 {
                 rig.step();

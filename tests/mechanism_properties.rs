@@ -7,10 +7,11 @@ mod common;
 
 use common::bodies::{derivative, dynamics, place};
 use common::{Draw, NUMBERS, determinant, device, inverse};
-use haptic_bridge::description::Description;
-use haptic_bridge::inertia::shaped_torque;
 use haptic_bridge::math::{Libm, Minimax};
-use haptic_bridge::mechanism::{AnyMechanism, Kind, Mechanism, Regularity};
+use haptic_bridge::model::catalogue::Kind;
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::inertia::shaped_torque;
+use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism, Regularity};
 use haptic_bridge::with_mechanism;
 use nalgebra::{SMatrix, SVector};
 use proptest::prelude::*;

@@ -6,7 +6,7 @@
 //! did), or half of it happens (half a sector erased, half a word written).
 
 use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash};
-use haptic_bridge::storage::{ENTRY_MAX, Storage, StorageError};
+use haptic_bridge::board::storage::{ENTRY_MAX, Storage, StorageError};
 use std::collections::BTreeMap;
 
 const SECTOR: usize = 16 * 1024;

@@ -3,8 +3,8 @@
 
 use haptic::device_file::DeviceFile;
 use haptic_bridge::math::{Libm, Minimax};
-use haptic_bridge::mechanism::{AnyMechanism, Mechanism};
-use haptic_bridge::precomputed::{
+use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::model::precomputed::{
     Grid, Interpolation, MassModel, MassModelData, Receiving, TABLE_VALUES, checksum, tabulate,
 };
 use haptic_bridge::with_mechanism;
@@ -98,7 +98,7 @@ fn outside_its_grid_a_table_is_the_closed_form() {
     let AnyMechanism::FiveBar(m) = device.mechanism else { panic!() };
     let grid = Grid::new(Interpolation::Bilinear, [4, 4], [2.0, 0.6], [2.5, 1.0], 3).unwrap();
     let values = vec![f64::NAN; grid.values(3)];
-    let table = MassModel::table::<haptic_bridge::mechanism::FiveBar<f64>>(&grid).unwrap();
+    let table = MassModel::table::<haptic_bridge::model::mechanism::FiveBar<f64>>(&grid).unwrap();
     let n = SVector::from([0.6, 0.8]);
     for q in [[1.99, 0.8], [2.51, 0.8], [2.3, 0.59], [2.3, 1.01]] {
         let q = SVector::from(q);
@@ -126,7 +126,7 @@ fn the_edges_of_the_grid_belong_to_it() {
         let grid = Grid { spacing: [0.125; 2], low: grid.low.map(|x: f64| (x * 8.0).round() / 8.0), ..grid };
         let mut values = vec![0.0; grid.values(3)];
         tabulate::<f64, Libm, _, 2>(&m, &grid, |index, value| values[index] = value);
-        let table = MassModel::table::<haptic_bridge::mechanism::FiveBar<f64>>(&grid).unwrap();
+        let table = MassModel::table::<haptic_bridge::model::mechanism::FiveBar<f64>>(&grid).unwrap();
         let margin = if interpolation == Interpolation::Bicubic { 1 } else { 0 };
         for corner in [[margin, margin], [5 - margin, 5 - margin], [margin, 5 - margin]] {
             let at = grid.at(corner[0], corner[1]);
@@ -154,7 +154,7 @@ fn a_table_that_does_not_fit_the_boards_memory_or_has_no_cells_is_refused() {
 
 #[test]
 fn a_frozen_matrix_must_be_one() {
-    type FiveBar = haptic_bridge::mechanism::FiveBar<f32>;
+    type FiveBar = haptic_bridge::model::mechanism::FiveBar<f32>;
     let model = |triangle| MassModel::<f32, 2>::new::<FiveBar>(&MassModelData::Frozen(triangle));
     assert!(model([1.0, 0.1, 1.0, 0.0, 0.0, 0.0]).is_some());
     assert!(model([0.0, 0.1, 1.0, 0.0, 0.0, 0.0]).is_none());
@@ -190,7 +190,8 @@ fn a_table_is_complete_only_when_every_chunk_came_in_order_and_unchanged() {
 #[test]
 fn the_boards_precision_costs_a_table_nothing() {
     let device = device("haply-2diy");
-    let AnyMechanism::FiveBar(m) = haptic_bridge::mechanism::AnyMechanism::<f32>::new(&device.description).unwrap()
+    let AnyMechanism::FiveBar(m) =
+        haptic_bridge::model::mechanism::AnyMechanism::<f32>::new(&device.description).unwrap()
     else {
         panic!()
     };
@@ -198,7 +199,7 @@ fn the_boards_precision_costs_a_table_nothing() {
     let grid = Grid::<f32>::new(Interpolation::Bicubic, [15, 15], [2.0, 0.5], [2.6, 1.1], 3).unwrap();
     let mut values = vec![0.0; grid.values(3)];
     tabulate::<f32, Minimax, _, 2>(&m, &grid, |index, value| values[index] = value);
-    let table = MassModel::table::<haptic_bridge::mechanism::FiveBar<f32>>(&grid).unwrap();
+    let table = MassModel::table::<haptic_bridge::model::mechanism::FiveBar<f32>>(&grid).unwrap();
     for (a, b) in [(2.1, 0.6), (2.33, 0.87), (2.59, 1.09)] {
         let q = SVector::from([a as f32, b as f32]);
         let found = table.shaping(&m, &values, &q, &m.pose::<Minimax>(&q), &SVector::from([0.6, 0.8])).me;

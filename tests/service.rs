@@ -6,14 +6,16 @@
 
 mod rig;
 
-use haptic_bridge::controller::Gains;
-use haptic_bridge::guard::{Fault, Limits, Refusal, State};
-use haptic_bridge::precomputed::MassModelData;
-use haptic_bridge::protocol::*;
-use haptic_bridge::scene::{FeedForward, Scene};
+use haptic_bridge::board::protocol::*;
+use haptic_bridge::board::settings::{self, BoardName, Key};
+use haptic_bridge::board::telemetry::{Fields, StreamRequest};
+use haptic_bridge::model::precomputed::MassModelData;
+use haptic_bridge::render::controller::Gains;
+use haptic_bridge::render::scene::{FeedForward, Scene};
+use haptic_bridge::safety::fault::{Fault, State};
+use haptic_bridge::safety::limits::Limits;
+use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::Rules;
-use haptic_bridge::settings::{self, BoardName, Key};
-use haptic_bridge::telemetry::{Fields, StreamRequest};
 use postcard_rpc::Endpoint;
 use postcard_rpc::header::VarHeader;
 use postcard_rpc::standard_icd::WireError;

@@ -2,11 +2,13 @@
 
 mod rig;
 
-use haptic_bridge::controller::Gains;
-use haptic_bridge::guard::{Fault, FaultRecord, Limits, Refusal, State};
-use haptic_bridge::scene::FeedForward;
+use haptic_bridge::render::controller::Gains;
+use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::render::velocity::Washout;
+use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
+use haptic_bridge::safety::limits::Limits;
+use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::{ARM_SECONDS, Command, Rules};
-use haptic_bridge::velocity::Washout;
 use rig::{RATE, Rig, five_bar, hardware, limits, paddle, rules, scene, wall};
 
 fn gains(stiffness: f32, damping: f32, feed_forward: FeedForward) -> Command<rig::Held> {
@@ -154,7 +156,7 @@ fn torque_rises_from_nothing_when_armed() {
     let mut spring = scene(1, &[]);
     spring
         .springs
-        .push(haptic_bridge::scene::Spring {
+        .push(haptic_bridge::render::scene::Spring {
             point: [0.02, 0.0, 0.0],
             direction: [0.0; 3],
             stiffness: 100.0,
@@ -181,8 +183,12 @@ fn torque_rises_from_nothing_when_armed() {
 fn a_scene_that_replaces_another_while_armed_fades_in_and_keeps_homing() {
     let spring_at = |x: f32| {
         let mut scene = scene(1, &[]);
-        let spring =
-            haptic_bridge::scene::Spring { point: [x, 0.0, 0.0], direction: [0.0; 3], stiffness: 100.0, damping: 0.0 };
+        let spring = haptic_bridge::render::scene::Spring {
+            point: [x, 0.0, 0.0],
+            direction: [0.0; 3],
+            stiffness: 100.0,
+            damping: 0.0,
+        };
         scene.springs.push(spring).unwrap();
         scene
     };

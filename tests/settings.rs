@@ -2,11 +2,12 @@
 
 mod rig;
 
-use haptic_bridge::device::Device;
-use haptic_bridge::precomputed::MassModelData;
-use haptic_bridge::scene::{Cylinder, FeedForward, Scene, Sphere, Spring, Surface};
+use haptic_bridge::board::settings::{BoardName, Damage, Key, MAX_ENTRY, Polarity, Setting, decode, encode};
+use haptic_bridge::checksum::crc32;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::precomputed::MassModelData;
+use haptic_bridge::render::scene::{Cylinder, FeedForward, Scene, Sphere, Spring, Surface};
 use haptic_bridge::servo::{HostAction, Rules};
-use haptic_bridge::settings::{BoardName, Damage, Key, MAX_ENTRY, Polarity, Setting, crc32, decode, encode};
 use std::fmt::Debug;
 use std::fmt::Write as _;
 use std::path::Path;

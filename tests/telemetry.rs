@@ -1,8 +1,8 @@
 //! Telemetry tells every step it holds, and what it does not hold can be counted exactly.
 
-use haptic_bridge::guard::State;
-use haptic_bridge::servo::Frame;
-use haptic_bridge::telemetry::{BATCH_VALUES, Batch, Field, Fields, Packer, StreamRequest};
+use haptic_bridge::board::telemetry::{BATCH_VALUES, Batch, Field, Fields, Packer, StreamRequest};
+use haptic_bridge::safety::fault::State;
+use haptic_bridge::servo::frame::Frame;
 use proptest::prelude::*;
 
 fn frame(step: u32) -> Frame {

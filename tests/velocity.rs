@@ -1,6 +1,6 @@
 //! The velocity estimators: the transfer function of the usual digital designs, in single precision as in double.
 
-use haptic_bridge::velocity::{Coefficients, Estimator, LowPass, Velocity, Washout};
+use haptic_bridge::render::velocity::{Coefficients, Estimator, LowPass, Velocity, Washout};
 
 /// The direct-form coefficients (b0, b1, b2, a1, a2) of a 2nd-order digital Butterworth low-pass, from its definition:
 /// bilinear transform of 1/(s² + √2 s + 1), prewarped.

@@ -3,8 +3,9 @@
 //! The image has no TOML reader, so the numbers stand here again; `host/tests/speed.rs` reads the device files and
 //! holds these to them.
 
-use haptic_bridge::description::{Description, Encoder, Joint, Link, MAX_JOINTS, MAX_LINKS};
-use haptic_bridge::mechanism::Kind;
+use haptic_bridge::model::catalogue::Kind;
+use haptic_bridge::model::catalogue::{MAX_JOINTS, MAX_LINKS};
+use haptic_bridge::model::description::{Description, Encoder, Joint, Link};
 
 const fn link(mass: f64, com: f64, inertia: f64, inertia_axial: f64, inertia_transverse: f64) -> Link {
     Link { mass, com, inertia, inertia_axial, inertia_transverse }

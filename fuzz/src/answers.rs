@@ -2,8 +2,8 @@
 
 use haptic::backup::Backup;
 use haptic::link::{Board, Deframer, Wire, encode, fields};
-use haptic_bridge::protocol::{ENDPOINTS, GetInfo, Info, PROTOCOL, TOPICS_OUT};
-use haptic_bridge::settings::Key;
+use haptic_bridge::board::protocol::{ENDPOINTS, GetInfo, Info, PROTOCOL, TOPICS_OUT};
+use haptic_bridge::board::settings::Key;
 use postcard_rpc::Endpoint as _;
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use postcard_rpc::standard_icd::ERROR_KEY;

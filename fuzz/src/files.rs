@@ -7,7 +7,7 @@ use haptic::device_file::DeviceFile;
 use haptic::measure::progress::{Mode, Progress};
 use haptic::recorder::Recording;
 use haptic::scene_file::SceneFile;
-use haptic_bridge::device::Device;
+use haptic_bridge::model::device::Device;
 
 /// A device file; what is accepted makes a device.
 pub fn device_file(data: &[u8]) {

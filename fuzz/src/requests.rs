@@ -4,13 +4,13 @@
 use crate::board::{Board, driving, frame};
 use crate::shipped::shipped;
 use haptic::link::Deframer;
-use haptic_bridge::description::MAX_JOINTS;
-use haptic_bridge::guard::Fault;
-use haptic_bridge::precomputed::{Grid, Interpolation, MassModelData, checksum};
-use haptic_bridge::protocol::*;
+use haptic_bridge::board::protocol::*;
+use haptic_bridge::board::settings::{BoardName, Key, Polarity, encode};
+use haptic_bridge::board::telemetry::{Fields, StreamRequest};
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModelData, checksum};
+use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::servo::Rules;
-use haptic_bridge::settings::{BoardName, Key, Polarity, encode};
-use haptic_bridge::telemetry::{Fields, StreamRequest};
 use postcard_rpc::Endpoint;
 use serde::Serialize;
 
@@ -171,7 +171,7 @@ fn nothing(_: u8) -> Vec<u8> {
     Vec::new()
 }
 
-fn scene(which: u8) -> haptic_bridge::scene::Scene<f32> {
+fn scene(which: u8) -> haptic_bridge::render::scene::Scene<f32> {
     let shipped = &shipped()[usize::from(which) % shipped().len()];
     shipped.scenes[usize::from(which / 8) % shipped.scenes.len()].clone()
 }
@@ -218,7 +218,7 @@ const TEMPLATES: &[Template] = &[
         bytes_of(&TableChunk { offset: 16 * u16::from(which / 5), values })
     }),
     (SetGains::REQ_KEY, |which| {
-        let wall = scene(which).walls.first().map(|wall| haptic_bridge::controller::Gains {
+        let wall = scene(which).walls.first().map(|wall| haptic_bridge::render::controller::Gains {
             wall: which % 4,
             stiffness: wall.stiffness,
             damping: wall.damping,

@@ -2,12 +2,13 @@
 //! boots from it stands still.
 
 use crate::board::Board;
-use haptic_bridge::device::Device;
-use haptic_bridge::guard::State;
-use haptic_bridge::precomputed::MassModelData;
-use haptic_bridge::scene::Scene;
+use haptic_bridge::board::settings::{BoardName, Entry, Key, Polarity, Setting, decode, encode};
+use haptic_bridge::checksum::crc32;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::precomputed::MassModelData;
+use haptic_bridge::render::scene::Scene;
+use haptic_bridge::safety::fault::State;
 use haptic_bridge::servo::Rules;
-use haptic_bridge::settings::{BoardName, Entry, Key, Polarity, Setting, crc32, decode, encode};
 use std::collections::BTreeMap;
 
 /// Entries, each behind a byte for its key and two for its length. The highest bit of the key seals the entry with a

@@ -2,8 +2,8 @@
 
 use haptic::device_file::DeviceFile;
 use haptic::scene_file::SceneFile;
-use haptic_bridge::device::Device;
-use haptic_bridge::scene::Scene;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::render::scene::Scene;
 use std::sync::OnceLock;
 
 /// A device, and scenes for it.

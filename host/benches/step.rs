@@ -10,8 +10,8 @@ use haptic::bench::report::devices;
 use haptic::plan::HAND_SPEED;
 use haptic::precision::rounded;
 use haptic_bridge::math::Minimax;
-use haptic_bridge::mechanism::Mechanism;
-use haptic_bridge::precomputed::{Interpolation, MassModel};
+use haptic_bridge::model::mechanism::Mechanism;
+use haptic_bridge::model::precomputed::{Interpolation, MassModel};
 use haptic_bridge::with_mechanism;
 use std::hint::black_box;
 

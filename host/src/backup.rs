@@ -5,11 +5,11 @@
 //! value, encoded anew. Nothing is sent before the whole file has been understood.
 
 use crate::link::{Board, BoardError};
-use haptic_bridge::device::Device;
-use haptic_bridge::precomputed::MassModelData;
-use haptic_bridge::scene::Scene;
+use haptic_bridge::board::settings::{BoardName, Damage, Entry, Key, Polarity, Setting, decode, encode};
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::precomputed::MassModelData;
+use haptic_bridge::render::scene::Scene;
 use haptic_bridge::servo::Rules;
-use haptic_bridge::settings::{BoardName, Damage, Entry, Key, Polarity, Setting, decode, encode};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;

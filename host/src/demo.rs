@@ -15,7 +15,7 @@ use crate::error::Failure;
 use crate::link::{BoardError, LinkError};
 use crate::measure::MeasureError;
 use crate::sim::DeviceError;
-use haptic_bridge::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 
 /// The device of the demo: strongly coupled, so the feed-forward matters.
 pub const DEVICE: &str = include_str!("../../devices/coupled-five-bar.toml");

@@ -4,12 +4,12 @@
 //! comes out of this module is one that [`AnyMechanism::new`] accepts: the geometry closes, every joint has inertia.
 
 use crate::toml_file::{Document, FileError, Must, Problem, Table};
-use haptic_bridge::description::{
-    Description, DescriptionError, Encoder, Joint, Link, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS, Motor,
-};
-use haptic_bridge::device::Device;
 use haptic_bridge::math::{Libm, Minimax, Real};
-use haptic_bridge::mechanism::{AnyMechanism, Kind, Mechanism, Spec};
+use haptic_bridge::model::catalogue::{Kind, Spec};
+use haptic_bridge::model::catalogue::{MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
+use haptic_bridge::model::description::{Description, DescriptionError, Encoder, Joint, Link, Motor};
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 use std::path::{Path, PathBuf};

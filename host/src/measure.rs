@@ -16,9 +16,9 @@ pub mod swing;
 
 use std::time::Duration;
 
-use haptic_bridge::controller::Gains;
-use haptic_bridge::guard::{Fault, State};
-use haptic_bridge::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::render::controller::Gains;
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::{HostAction, Rules};
 use nalgebra::DVector;
 use thiserror::Error;

@@ -4,9 +4,9 @@
 //! mechanism, trigonometry and inertia code that the board runs.
 
 use crate::device_file::DeviceFile;
-use haptic_bridge::inertia::Inertia;
 use haptic_bridge::math::{Libm, Math, Minimax, Real};
-use haptic_bridge::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::model::inertia::Inertia;
+use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::with_mechanism;
 use nalgebra::{DMatrix, SMatrix, SVector};
 use serde::Serialize;

@@ -10,9 +10,9 @@ use crate::bench::error::{Errors, Terms, Trigonometry, errors};
 use crate::bench::precompute::{Precomputed, frozen, most_points, range, table};
 use crate::bench::probe::{Probe, on_surface};
 use crate::error::Failure;
-use haptic_bridge::device::Device;
-use haptic_bridge::precomputed::Interpolation;
-use haptic_bridge::scene::{FeedForward, Scene};
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::precomputed::Interpolation;
+use haptic_bridge::render::scene::{FeedForward, Scene};
 use serde::Serialize;
 
 /// Share of the budget that the poses looked at may use up: between them the error may be larger.

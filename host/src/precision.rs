@@ -1,8 +1,8 @@
 //! Devices between the analysis' double precision and the board's single precision.
 
 use crate::error::Failure;
-use haptic_bridge::device::Device;
-use haptic_bridge::mechanism::AnyMechanism;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::AnyMechanism;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 

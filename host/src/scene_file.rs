@@ -17,14 +17,14 @@
 
 use crate::device_file::DeviceFile;
 use crate::toml_file::{Document, FileError, Must, Problem, Table};
-use haptic_bridge::description::MAX_JOINTS;
 use haptic_bridge::math::{Libm, Real};
-use haptic_bridge::mechanism::Mechanism;
-use haptic_bridge::scene::{
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::mechanism::Mechanism;
+use haptic_bridge::render::scene::{
     Cylinder, FeedForward, MAX_RATE_HZ, MAX_SPRINGS, MAX_WALLS, MIN_RATE_HZ, Plane, Scene, SceneError, Sphere, Spring,
     Surface, Wall,
 };
-use haptic_bridge::velocity::Estimator;
+use haptic_bridge::render::velocity::Estimator;
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 use std::path::{Path, PathBuf};

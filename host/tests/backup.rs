@@ -4,11 +4,11 @@ use haptic::backup::{Backup, BackupError, Restored, restore};
 use haptic::device_file::DeviceFile;
 use haptic::link::Board;
 use haptic::sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, SimulatedBoard, ready_board};
-use haptic_bridge::guard::Limits;
-use haptic_bridge::precomputed::MassModelData;
-use haptic_bridge::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::board::settings::{Entry, Key};
+use haptic_bridge::model::precomputed::MassModelData;
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::servo::Rules;
-use haptic_bridge::settings::{Entry, Key};
 use std::collections::BTreeMap;
 
 fn file() -> DeviceFile {
@@ -73,7 +73,7 @@ fn a_backup_of_another_version_is_translated_by_its_values() {
         let mut body = kept[name.as_str()][..kept[name.as_str()].len() - 4].to_vec();
         body[1] = 77;
         body.extend([1, 2, 3]);
-        let sum = haptic_bridge::settings::crc32(&body).to_le_bytes();
+        let sum = haptic_bridge::checksum::crc32(&body).to_le_bytes();
         body.extend(sum);
         setting.version = 77;
         setting.bytes = body.iter().map(|byte| format!("{byte:02x}")).collect();
@@ -104,7 +104,7 @@ fn damage_is_found_before_anything_is_sent() {
 #[test]
 fn a_polarity_check_is_restored_only_to_the_board_it_was_made_with() {
     let mut backup = Backup::read(&mut full()).unwrap();
-    let entry = haptic_bridge::settings::encode(&haptic_bridge::settings::Polarity(7)).unwrap();
+    let entry = haptic_bridge::board::settings::encode(&haptic_bridge::board::settings::Polarity(7)).unwrap();
     let bytes = entry.iter().map(|byte| format!("{byte:02x}")).collect();
     let kept = haptic::backup::Kept { version: 1, value: None, bytes };
     backup.settings.insert("polarity".into(), kept);
@@ -120,7 +120,7 @@ fn a_backup_without_a_mass_model_does_not_leave_the_old_one_behind() {
     let mut target = full();
     restore(&mut target, &backup.ready("SIM0001").unwrap()).unwrap();
     let entry = target.read_entry(Key::MassModel).unwrap().unwrap();
-    assert_eq!(haptic_bridge::settings::decode::<MassModelData>(&entry), Ok(MassModelData::Exact));
+    assert_eq!(haptic_bridge::board::settings::decode::<MassModelData>(&entry), Ok(MassModelData::Exact));
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use assert_cmd::Command;
 use haptic::demo::{Demo, crossing, stiffness};
-use haptic_bridge::scene::FeedForward;
+use haptic_bridge::render::scene::FeedForward;
 
 #[test]
 fn the_feed_forward_buys_stiffness_as_predicted() {

@@ -10,8 +10,8 @@ use haptic::device_file::DeviceFile;
 use haptic::link::Board;
 use haptic::measure::{Bench, MeasureError, Setup};
 use haptic::sim::{BoardOptions, DriveModel, Options, SHIPPED_DEVICE, SharedBoard, ready_board};
-use haptic_bridge::guard::State;
-use haptic_bridge::scene::FeedForward;
+use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::safety::fault::State;
 use std::cell::Cell;
 
 const POSE: [f64; 3] = [2.6, 1.75, 0.0];

@@ -4,8 +4,8 @@ use haptic::bench::error::{Terms, Trigonometry, errors};
 use haptic::device_file::DeviceFile;
 use haptic::plan::{Budget, HAND_SPEED, Plan, cost, plan, touched};
 use haptic::scene_file::SceneFile;
-use haptic_bridge::device::Device;
-use haptic_bridge::scene::{FeedForward, Scene};
+use haptic_bridge::model::device::Device;
+use haptic_bridge::render::scene::{FeedForward, Scene};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 

@@ -5,8 +5,8 @@
 use haptic::device_file::DeviceFile;
 use haptic::scene_file::SceneFile;
 use haptic_bridge::math::Libm;
-use haptic_bridge::mechanism::Mechanism;
-use haptic_bridge::scene::Scene;
+use haptic_bridge::model::mechanism::Mechanism;
+use haptic_bridge::render::scene::Scene;
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 use std::path::{Path, PathBuf};
@@ -47,7 +47,7 @@ fn distances(device: &DeviceFile, scene: &Scene<f64>, q: &[f64; 3]) -> Option<Ve
         let pose = m.pose::<Libm>(&SVector::<f64, N>::from_fn(|i, _| q[i]));
         let mut tip = m.tip(&pose);
         (M::SPEC.task..N).for_each(|i| tip[i] = 0.0);
-        let distance = |wall: &haptic_bridge::scene::Wall<f64>| wall.surface.contact::<Libm, N>(&tip).distance;
+        let distance = |wall: &haptic_bridge::render::scene::Wall<f64>| wall.surface.contact::<Libm, N>(&tip).distance;
         (m.regularity(&pose).parallel > 0.0).then(|| scene.walls.iter().map(distance).collect())
     }
     with_mechanism!(&device.mechanism, m => of(m, scene, q))

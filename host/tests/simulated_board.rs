@@ -3,10 +3,11 @@
 use haptic::device_file::DeviceFile;
 use haptic::link::{Board, BoardError, fields};
 use haptic::sim::{BoardOptions, Hand, HandSettings, Intent, SHIPPED_DEVICE, SharedBoard, Waypoint, ready_board};
-use haptic_bridge::controller::Gains;
-use haptic_bridge::device::Device;
-use haptic_bridge::guard::{Fault, Refusal, State};
-use haptic_bridge::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::model::device::Device;
+use haptic_bridge::render::controller::Gains;
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::safety::fault::{Fault, State};
+use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::{HostAction, Rules};
 use std::time::Duration;
 

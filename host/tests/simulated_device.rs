@@ -1,8 +1,8 @@
 //! The simulated device against closed forms: what a simulation gets wrong shows as energy that comes from nowhere.
 
 use haptic::sim::{Bridge, Device, Drive, Options};
-use haptic_bridge::description::{Description, Encoder, Joint, Link, Motor};
-use haptic_bridge::mechanism::Kind;
+use haptic_bridge::model::catalogue::Kind;
+use haptic_bridge::model::description::{Description, Encoder, Joint, Link, Motor};
 
 const MOTOR: Motor =
     Motor { torque_constant: 0.5, resistance: 2.0, inductance: 0.0, back_emf: 0.5, max_current: 3.0, verified: false };

@@ -7,8 +7,8 @@
 use haptic::device_file::DeviceFile;
 use haptic::link::{Board, Losses, Row, columns, fields};
 use haptic::sim::{BoardOptions, Hand, HandSettings, Intent, SHIPPED_DEVICE, SharedBoard, Waypoint, ready_board};
-use haptic_bridge::guard::State;
-use haptic_bridge::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::safety::fault::State;
 use haptic_bridge::servo::{HostAction, Rules};
 use std::fmt::Write as _;
 use std::time::Duration;

@@ -7,7 +7,7 @@ use haptic::device_file::DeviceFile;
 use haptic::link::Board;
 use haptic::measure::{Bench, Setup};
 use haptic::sim::{BoardOptions, DriveModel, Options, SharedBoard, ready_board};
-use haptic_bridge::scene::FeedForward;
+use haptic_bridge::render::scene::FeedForward;
 
 /// 0.16 kg at 0.1 m, without friction, behind an encoder whose steps do not show.
 const PADDLE: &str = r#"

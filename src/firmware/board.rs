@@ -26,7 +26,7 @@ use core::sync::atomic::{AtomicU16, Ordering};
 use embassy_stm32::Peri;
 use embassy_stm32::peripherals::{FLASH, IWDG, PA11, PA12, USB_OTG_FS};
 use embassy_time::{Duration, block_for};
-use haptic_bridge::description::MAX_JOINTS;
+use haptic_bridge::model::catalogue::MAX_JOINTS;
 
 use crate::{adc, servo};
 

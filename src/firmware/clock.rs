@@ -1,5 +1,5 @@
 //! Clocks: an 8 MHz crystal to 168 MHz for the core, 84 MHz for the fast peripheral bus (168 MHz at its timers,
-//! [`haptic_bridge::carrier::TIMER_HZ`]), 42 MHz for
+//! [`haptic_bridge::drive::carrier::TIMER_HZ`]), 42 MHz for
 //! the slow one (84 MHz at its timers), 48 MHz for USB. STM32F405 reference manual RM0090, section 7.2. The clock of the
 //! tasks is embassy's, on TIM5.
 

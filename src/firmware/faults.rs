@@ -8,7 +8,7 @@ use core::ptr::{addr_of, addr_of_mut};
 
 use cortex_m::peripheral::SCB;
 use embassy_stm32::pac;
-use haptic_bridge::guard::{Fault, FaultRecord};
+use haptic_bridge::safety::fault::{Fault, FaultRecord};
 
 use crate::board;
 

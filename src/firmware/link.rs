@@ -8,11 +8,12 @@ use embassy_stm32::{Peri, bind_interrupts};
 use embassy_time::{Duration, Instant, Timer};
 use embassy_usb::class::cdc_acm::{CdcAcmClass, State};
 use embassy_usb::{Builder, UsbDevice};
-use haptic_bridge::dispatch::{self, After};
-use haptic_bridge::guard::FaultRecord;
-use haptic_bridge::protocol::{FaultSeen, MAX_FRAME, USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR};
-use haptic_bridge::service::{Machine as _, Service};
-use haptic_bridge::servo::{Command, Hardware};
+use haptic_bridge::board::dispatch::{self, After};
+use haptic_bridge::board::protocol::{FaultSeen, MAX_FRAME, USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR};
+use haptic_bridge::board::service::{Machine as _, Service};
+use haptic_bridge::safety::fault::FaultRecord;
+use haptic_bridge::servo::Command;
+use haptic_bridge::servo::program::Hardware;
 use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::machine::Panel;

@@ -3,15 +3,17 @@
 
 use core::sync::atomic::Ordering;
 
-use haptic_bridge::board_step::{BoardMath, BoardProgram};
-use haptic_bridge::carrier::Carrier;
-use haptic_bridge::dispatch::Described;
-use haptic_bridge::guard::{Fault, FaultRecord, Refusal};
-use haptic_bridge::program::Program;
-use haptic_bridge::protocol::{Details, Info, PROTOCOL};
-use haptic_bridge::service::Machine;
-use haptic_bridge::servo::{Command, Frame, Reply, Status};
-use haptic_bridge::settings::{Entry, Key};
+use haptic_bridge::board::dispatch::Described;
+use haptic_bridge::board::protocol::{Details, Info, PROTOCOL};
+use haptic_bridge::board::service::Machine;
+use haptic_bridge::board::settings::{Entry, Key};
+use haptic_bridge::drive::carrier::Carrier;
+use haptic_bridge::safety::fault::{Fault, FaultRecord};
+use haptic_bridge::safety::refusal::Refusal;
+use haptic_bridge::servo::compiled::{BoardMath, BoardProgram};
+use haptic_bridge::servo::frame::Frame;
+use haptic_bridge::servo::program::Program;
+use haptic_bridge::servo::{Command, Reply, Status};
 use heapless::spsc::{Consumer, Producer};
 use heapless::{String, Vec};
 use static_cell::StaticCell;

@@ -29,8 +29,9 @@ mod watchdog;
 use defmt_rtt as _;
 use embassy_executor::Spawner;
 use embassy_stm32::pac;
-use haptic_bridge::carrier::{CARRIER_MIN_HZ, Carrier};
-use haptic_bridge::servo::{Hardware, Rules};
+use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
+use haptic_bridge::servo::Rules;
+use haptic_bridge::servo::program::Hardware;
 
 use crate::machine::Panel;
 use crate::watchdog::Watchdog;

@@ -10,7 +10,7 @@ use embassy_stm32::gpio::{AfType, Flex, OutputType, Speed};
 use embassy_stm32::pac;
 use embassy_stm32::pac::timer::{TimAdv, vals};
 
-use haptic_bridge::carrier::Carrier;
+use haptic_bridge::drive::carrier::Carrier;
 
 /// Hands pins to a timer's outputs for good: fast edges, low when nothing drives them.
 pub fn outputs<const N: usize>(pins: [Flex<'static>; N], alternate_function: u8) {

@@ -10,7 +10,7 @@ use core::task::Poll;
 
 use embassy_time::{Duration, with_timeout};
 use embassy_usb::class::cdc_acm::{Receiver, Sender};
-use haptic_bridge::protocol::MAX_FRAME;
+use haptic_bridge::board::protocol::MAX_FRAME;
 
 use crate::link::UsbDriver;
 

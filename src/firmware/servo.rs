@@ -17,10 +17,12 @@ use embassy_stm32::interrupt;
 use embassy_stm32::interrupt::InterruptExt;
 use embassy_stm32::pac;
 use embassy_stm32::pac::timer::vals::Dir;
-use haptic_bridge::board_step::{self, BoardProgram, BoardServo};
-use haptic_bridge::carrier::Carrier;
-use haptic_bridge::guard::{Fault, State};
-use haptic_bridge::servo::{Command, Frame, Hardware, Reply, Rules, Samples, Status};
+use haptic_bridge::drive::carrier::Carrier;
+use haptic_bridge::safety::fault::{Fault, State};
+use haptic_bridge::servo::compiled::{self, BoardProgram, BoardServo};
+use haptic_bridge::servo::frame::{Frame, Samples};
+use haptic_bridge::servo::program::Hardware;
+use haptic_bridge::servo::{Command, Reply, Rules, Status};
 use heapless::spsc::{Consumer, Producer, Queue};
 use static_cell::StaticCell;
 

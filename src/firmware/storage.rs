@@ -6,7 +6,7 @@
 use embassy_stm32::flash::{Bank1Region1, Blocking, Error as FlashError, Flash};
 use embassy_stm32::{Peri, peripherals::FLASH};
 use embedded_storage_async::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
-use haptic_bridge::storage::{self, ENTRY_MAX};
+use haptic_bridge::board::storage::{self, ENTRY_MAX};
 use static_cell::ConstStaticCell;
 
 /// Sectors 1 and 2, as offsets into the region of 16 KB sectors (memory.x reserves them).

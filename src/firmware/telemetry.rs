@@ -3,7 +3,7 @@
 use core::sync::atomic::Ordering;
 
 use embassy_time::{Duration, Instant};
-use haptic_bridge::telemetry::{Batch, Packer, StreamRequest};
+use haptic_bridge::board::telemetry::{Batch, Packer, StreamRequest};
 
 use crate::machine::Panel;
 use crate::servo;

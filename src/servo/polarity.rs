@@ -1,10 +1,11 @@
 //! The polarity check: a small torque must move each joint the right way before a real device may be armed.
 
 use super::Servo;
-use crate::description::MAX_JOINTS;
-use crate::guard::{Fault, Refusal, State};
 use crate::math::Math;
-use crate::program::Program;
+use crate::model::catalogue::MAX_JOINTS;
+use crate::safety::fault::{Fault, State};
+use crate::safety::refusal::Refusal;
+use crate::servo::program::Program;
 use core::ops::DerefMut;
 
 /// Largest share of a motor's torque that the polarity check applies.

@@ -4,13 +4,15 @@
 //! up over many steps (heat, stalls, lost encoders) is looked at for one joint a step, in turn. Only when something is
 //! not well is it found out what: that is rare, and may take longer.
 
-use super::{HostAction, Samples, Servo};
-use crate::description::MAX_JOINTS;
-use crate::drive::limited;
-use crate::guard::{Fault, FaultRecord, POWER_SECONDS, State};
+use super::{HostAction, Servo};
+use crate::drive::brushed::limited;
 use crate::math::Math;
-use crate::mechanism::Regularity;
-use crate::program::{MOST_JOINTS, Program};
+use crate::model::catalogue::MAX_JOINTS;
+use crate::model::mechanism::Regularity;
+use crate::safety::fault::{Fault, FaultRecord, State};
+use crate::safety::limits::POWER_SECONDS;
+use crate::servo::frame::Samples;
+use crate::servo::program::{MOST_JOINTS, Program};
 use core::ops::DerefMut;
 
 /// Regularity of a closed loop below which its tip force is no longer defined well enough to act.

@@ -5,8 +5,8 @@
 //! Σ m JvᵀJv + JωᵀIJω, gravity's torques are the gradient of potential energy. Nothing here is lumped or closed form,
 //! so it shares no algebra with the library.
 
-use haptic_bridge::description::Description;
-use haptic_bridge::mechanism::Kind;
+use haptic_bridge::model::catalogue::Kind;
+use haptic_bridge::model::description::Description;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// A rigid body: its mass, where its centre of mass is, its principal axes as columns, its inertia about each.

@@ -3,8 +3,9 @@
 
 pub mod bodies;
 
-use haptic_bridge::description::{Description, Joint, Link, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
-use haptic_bridge::mechanism::Kind;
+use haptic_bridge::model::catalogue::Kind;
+use haptic_bridge::model::catalogue::{MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
+use haptic_bridge::model::description::{Description, Joint, Link};
 use nalgebra::SMatrix;
 
 /// A stream of numbers in [0, 1) handed out one by one; a test case is a list of them, so that it can be shrunk.

@@ -4,9 +4,9 @@ use super::double_double::{DoubleDouble, Series};
 use super::routes::{Errors, Routes, routes};
 use super::singular::{Random, cast};
 use super::{Table, digits, shipped};
-use haptic_bridge::description::Description;
 use haptic_bridge::math::{Libm, Minimax};
-use haptic_bridge::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use nalgebra::SVector;
 
 /// Poses per row, each with normals of its own.

@@ -6,7 +6,7 @@
 use super::double_double::{DoubleDouble, Series};
 use super::{Table, digits};
 use haptic_bridge::math::{Math, Real};
-use haptic_bridge::velocity::{Coefficients, Estimator, Velocity};
+use haptic_bridge::render::velocity::{Coefficients, Estimator, Velocity};
 
 /// One row of the table.
 #[derive(Clone, Debug)]

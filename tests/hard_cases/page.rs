@@ -8,7 +8,7 @@ pub mod singular;
 pub mod steps;
 
 use haptic::device_file::DeviceFile;
-use haptic_bridge::description::Description;
+use haptic_bridge::model::description::Description;
 
 /// One section: a heading, what it shows, a table.
 #[derive(Clone, Debug)]

@@ -2,9 +2,9 @@
 //!
 //! All are the same in exact arithmetic (MODEL.md section 2) and lose different digits in f32.
 
-use haptic_bridge::inertia::{Split, shaped_torque, solve_symmetric};
 use haptic_bridge::math::{Math, Real};
-use haptic_bridge::mechanism::Mechanism;
+use haptic_bridge::model::inertia::{Split, shaped_torque, solve_symmetric};
+use haptic_bridge::model::mechanism::Mechanism;
 use nalgebra::{SMatrix, SVector};
 
 /// Inertias along one normal by every route, kg, and the torques that the board commands.

@@ -3,10 +3,10 @@
 use super::double_double::{DoubleDouble, Series};
 use super::routes::{Errors, routes};
 use super::{Table, digits, shipped};
-use haptic_bridge::controller::{FULL_REGULARITY, NO_REGULARITY, PARALLEL_REGULARITY};
-use haptic_bridge::description::Description;
 use haptic_bridge::math::{Libm, Minimax, Real};
-use haptic_bridge::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::render::controller::{FULL_REGULARITY, NO_REGULARITY, PARALLEL_REGULARITY};
 use nalgebra::{DMatrix, SVector};
 
 /// What degenerates.

@@ -2,13 +2,13 @@
 
 use super::singular::Random;
 use super::{Table, digits, shipped};
-use haptic_bridge::controller::{Controller, FULL_REGULARITY, PARALLEL_REGULARITY, Step};
-use haptic_bridge::description::{Description, Encoder};
-use haptic_bridge::device::Device;
 use haptic_bridge::math::{Libm, Math, Minimax, Real};
-use haptic_bridge::mechanism::{AnyMechanism, Mechanism};
-use haptic_bridge::precomputed::MassModel;
-use haptic_bridge::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::model::description::{Description, Encoder};
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::model::precomputed::MassModel;
+use haptic_bridge::render::controller::{Controller, FULL_REGULARITY, PARALLEL_REGULARITY, Step};
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use nalgebra::SVector;
 
 /// One row of the table.

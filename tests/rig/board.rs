@@ -3,19 +3,23 @@
 //! change.
 #![allow(dead_code, reason = "every test file uses its own part")]
 
-use haptic_bridge::description::MAX_JOINTS;
-use haptic_bridge::device::Device;
-use haptic_bridge::dispatch::{self, After, Described};
-use haptic_bridge::drive::{Bridge, MAX_DUTY};
-use haptic_bridge::guard::{Limits, Refusal, State};
+use haptic_bridge::board::dispatch::{self, After, Described};
+use haptic_bridge::board::protocol::{Details, Info, MAX_FRAME, PROTOCOL};
+use haptic_bridge::board::service::{Machine, Service};
+use haptic_bridge::board::settings::{Entry, Key};
+use haptic_bridge::board::telemetry::Packer;
+use haptic_bridge::drive::brushed::{Bridge, MAX_DUTY};
 use haptic_bridge::math::Minimax;
-use haptic_bridge::program::Program;
-use haptic_bridge::protocol::{Details, Info, MAX_FRAME, PROTOCOL};
-use haptic_bridge::scene::Scene;
-use haptic_bridge::service::{Machine, Service};
-use haptic_bridge::servo::{Command, Hardware, Reply, Rules, Samples, Servo, Status};
-use haptic_bridge::settings::{Entry, Key};
-use haptic_bridge::telemetry::Packer;
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::render::scene::Scene;
+use haptic_bridge::safety::fault::State;
+use haptic_bridge::safety::limits::Limits;
+use haptic_bridge::safety::refusal::Refusal;
+use haptic_bridge::servo::frame::Samples;
+use haptic_bridge::servo::program::Hardware;
+use haptic_bridge::servo::program::Program;
+use haptic_bridge::servo::{Command, Reply, Rules, Servo, Status};
 use postcard_rpc::Endpoint;
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use postcard_rpc::standard_icd::{ERROR_KEY, WireError};

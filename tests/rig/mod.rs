@@ -2,16 +2,21 @@
 //! period.
 #![allow(dead_code, reason = "every test file uses its own part")]
 
-use haptic_bridge::description::{Description, Encoder, Joint, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS, Motor};
-use haptic_bridge::device::Device;
-use haptic_bridge::drive::Bridge;
-use haptic_bridge::guard::{Fault, Limits, Refusal, State};
+use haptic_bridge::drive::brushed::Bridge;
 use haptic_bridge::math::Minimax;
-use haptic_bridge::mechanism::Kind;
-use haptic_bridge::precomputed::MassModelData;
-use haptic_bridge::program::Program;
-use haptic_bridge::scene::{FeedForward, Plane, Scene, Surface, Wall};
-use haptic_bridge::servo::{Command, Hardware, Outputs, Rules, Samples, Servo};
+use haptic_bridge::model::catalogue::Kind;
+use haptic_bridge::model::catalogue::{MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
+use haptic_bridge::model::description::{Description, Encoder, Joint, Motor};
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::precomputed::MassModelData;
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::safety::fault::{Fault, State};
+use haptic_bridge::safety::limits::Limits;
+use haptic_bridge::safety::refusal::Refusal;
+use haptic_bridge::servo::frame::{Outputs, Samples};
+use haptic_bridge::servo::program::Hardware;
+use haptic_bridge::servo::program::Program;
+use haptic_bridge::servo::{Command, Rules, Servo};
 
 pub mod board;
 
@@ -74,7 +79,7 @@ pub fn paddle() -> Description {
         kind: Kind::Paddle,
         gravity: [0.0; 3],
         geometry,
-        links: [haptic_bridge::description::Link::default(); MAX_LINKS],
+        links: [haptic_bridge::model::description::Link::default(); MAX_LINKS],
         joints: [joint(), Joint::default(), Joint::default()],
         handle_mass: 0.0,
         home: Some([0.0; MAX_JOINTS]),
@@ -83,7 +88,7 @@ pub fn paddle() -> Description {
 
 /// A five-bar whose elbows stretch at joint angles well within its limits.
 pub fn five_bar() -> Description {
-    let link = haptic_bridge::description::Link { mass: 0.02, com: 0.03, inertia: 1.0e-5, ..Default::default() };
+    let link = haptic_bridge::model::description::Link { mass: 0.02, com: 0.03, inertia: 1.0e-5, ..Default::default() };
     let joint = Joint { limits: Some((-3.2, 3.2)), ..joint() };
     Description {
         kind: Kind::FiveBar,

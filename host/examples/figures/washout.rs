@@ -3,7 +3,7 @@
 
 use super::{CASES, Case, FULL, Mode, measured, measured_area, predicted};
 use haptic::sim::BoardOptions;
-use haptic_bridge::carrier::Carrier;
+use haptic_bridge::drive::carrier::Carrier;
 use std::fmt::Write as _;
 
 /// Corners of the washout, Hz.

@@ -6,7 +6,7 @@
 use super::{Case, FULL, Mode, drawn_as, measured_area, measured_in, predicted};
 use haptic::measure::progress::Progress;
 use haptic::sim::BoardOptions;
-use haptic_bridge::carrier::Carrier;
+use haptic_bridge::drive::carrier::Carrier;
 use std::fmt::Write as _;
 use std::path::Path;
 

@@ -8,8 +8,8 @@
 //! redundant arm's tip meets two different matrices, Λ's own block and the inverse of the mobility's block; there the
 //! normal is searched, and the axes are those of the tip's inertia (J M⁻¹ Jᵀ)⁻¹.
 
-use haptic_bridge::description::Description;
-use haptic_bridge::device::Device;
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::device::Device;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use serde::Serialize;
 

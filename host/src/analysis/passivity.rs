@@ -11,7 +11,7 @@
 //! admissible motion counts, so b and fc are the smallest that any joint motion with unit rendered velocity dissipates.
 //! They say nothing about the feed-forward, whose torques do not act along the rendered motion.
 
-use haptic_bridge::description::Description;
+use haptic_bridge::model::description::Description;
 use nalgebra::DVector;
 
 use super::plant::Linearised;

@@ -1,8 +1,8 @@
 //! From a device description and joint angles to the matrices the analysis works on.
 
-use haptic_bridge::description::{Description, DescriptionError};
 use haptic_bridge::math::Libm;
-use haptic_bridge::mechanism::{AnyMechanism, Mechanism, Regularity};
+use haptic_bridge::model::description::{Description, DescriptionError};
+use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism, Regularity};
 use haptic_bridge::with_mechanism;
 use nalgebra::{DMatrix, DVector, SVector};
 use thiserror::Error;

@@ -4,12 +4,12 @@ use crate::bench::precompute::Precomputed;
 use crate::bench::probe::Probe;
 use crate::error::Failure;
 use crate::precision::rounded;
-use haptic_bridge::description::MAX_JOINTS;
-use haptic_bridge::device::Device;
-use haptic_bridge::inertia::{frame_rate, shaped_torque};
 use haptic_bridge::math::{Libm, Math, Micromath, Minimax, Real};
-use haptic_bridge::mechanism::{AnyMechanism, Mechanism};
-use haptic_bridge::precomputed::MassModel;
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::inertia::{frame_rate, shaped_torque};
+use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::model::precomputed::MassModel;
 use nalgebra::SVector;
 use serde::Serialize;
 

@@ -1,11 +1,11 @@
 //! Mass matrices made before the step: the closed form, a frozen matrix, or a table that fits the board's memory.
 
 use crate::bench::probe::Probe;
-use haptic_bridge::description::MAX_JOINTS;
-use haptic_bridge::device::Device;
 use haptic_bridge::math::Libm;
-use haptic_bridge::mechanism::Mechanism;
-use haptic_bridge::precomputed::{Grid, Interpolation, MassModelData, TABLE_VALUES, checksum, tabulate};
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::Mechanism;
+use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModelData, TABLE_VALUES, checksum, tabulate};
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 

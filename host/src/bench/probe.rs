@@ -3,13 +3,13 @@
 
 use crate::analysis::map::Reachable;
 use crate::analysis::pose::PoseError;
-use haptic_bridge::controller::{FULL_REGULARITY, PARALLEL_REGULARITY};
-use haptic_bridge::description::MAX_JOINTS;
-use haptic_bridge::device::Device;
-use haptic_bridge::guard::Limits;
 use haptic_bridge::math::Libm;
-use haptic_bridge::mechanism::Mechanism;
-use haptic_bridge::scene::Surface;
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::Mechanism;
+use haptic_bridge::render::controller::{FULL_REGULARITY, PARALLEL_REGULARITY};
+use haptic_bridge::render::scene::Surface;
+use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 

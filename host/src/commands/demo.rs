@@ -5,7 +5,7 @@ use haptic::demo::picture::draw;
 use haptic::demo::stiffness::{Limit, limit};
 use haptic::demo::{Demo, Inertia};
 use haptic::error::{Failure, print};
-use haptic_bridge::scene::FeedForward;
+use haptic_bridge::render::scene::FeedForward;
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
 

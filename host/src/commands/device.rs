@@ -3,7 +3,7 @@
 use super::port::Port;
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
-use haptic_bridge::device::Device;
+use haptic_bridge::model::device::Device;
 use std::path::{Path, PathBuf};
 
 /// Load a device onto a board

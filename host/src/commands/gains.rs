@@ -4,10 +4,10 @@ use super::port::Port;
 use clap::ValueEnum;
 use haptic::error::{Failure, print};
 use haptic::link::BoardError;
-use haptic_bridge::controller::Gains;
-use haptic_bridge::guard::Refusal;
-use haptic_bridge::scene::FeedForward;
-use haptic_bridge::velocity::Estimator;
+use haptic_bridge::render::controller::Gains;
+use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::render::velocity::Estimator;
+use haptic_bridge::safety::refusal::Refusal;
 
 /// Show or change the gains of a wall, also while it is touched
 ///

@@ -2,8 +2,8 @@
 
 use super::port::{Port, fault_in_words, numbers, state_in_words};
 use haptic::error::{Failure, print};
-use haptic_bridge::guard::Fault;
-use haptic_bridge::scene::{FeedForward, Surface};
+use haptic_bridge::render::scene::{FeedForward, Surface};
+use haptic_bridge::safety::fault::Fault;
 use serde_json::json;
 
 /// Show what a board is, what it has loaded, and its state

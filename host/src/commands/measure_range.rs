@@ -14,7 +14,7 @@ use haptic::measure::campaign::{self, Plan};
 use haptic::measure::progress::{Mode, Point, Progress};
 use haptic::measure::{Bench, Setup};
 use haptic::plot::range::{Contents, MeasuredPoint, draw};
-use haptic_bridge::device::Device;
+use haptic_bridge::model::device::Device;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt::Write;
 use std::io::{IsTerminal, Write as _};

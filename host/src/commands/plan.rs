@@ -5,7 +5,7 @@ use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::plan::{Budget, DEFAULT_PERCENT, HAND_SPEED, Plan, plan};
 use haptic::scene_file::SceneFile;
-use haptic_bridge::device::Device;
+use haptic_bridge::model::device::Device;
 use std::fmt::Write;
 use std::path::PathBuf;
 

@@ -2,7 +2,7 @@
 
 use super::port::Port;
 use haptic::error::{Failure, print};
-use haptic_bridge::guard::State;
+use haptic_bridge::safety::fault::State;
 use std::io::{BufRead, IsTerminal};
 use std::time::Duration;
 

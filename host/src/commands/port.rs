@@ -2,7 +2,7 @@
 
 use haptic::error::Failure;
 use haptic::link::{Board, PortSpec};
-use haptic_bridge::guard::{FaultRecord, State};
+use haptic_bridge::safety::fault::{FaultRecord, State};
 use std::path::Path;
 
 /// Which board.

@@ -7,8 +7,8 @@ use haptic::bench::precompute::{Precomputed, frozen, most_points, range, table};
 use haptic::bench::probe::{Probe, workspace};
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
-use haptic_bridge::device::Device;
-use haptic_bridge::precomputed::{Interpolation, MassModelData, TABLE_VALUES};
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::precomputed::{Interpolation, MassModelData, TABLE_VALUES};
 use std::path::PathBuf;
 
 /// Make a mass matrix that the board need not compute, and say what error it leaves

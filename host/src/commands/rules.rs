@@ -3,7 +3,7 @@
 use super::port::Port;
 use clap::ValueEnum;
 use haptic::error::{Failure, print};
-use haptic_bridge::guard::Limits;
+use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::servo::{HostAction, Rules};
 
 /// Show or change the limits and rules that the board enforces

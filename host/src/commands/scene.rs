@@ -10,9 +10,10 @@ use haptic::plan::plan;
 use haptic::precision::widened;
 use haptic::scene_file::{SceneFile, rounded};
 use haptic::toml_file::Document;
-use haptic_bridge::guard::{Refusal, State};
-use haptic_bridge::precomputed::{MassModelData, TableChunk};
-use haptic_bridge::scene::Scene;
+use haptic_bridge::model::precomputed::{MassModelData, TableChunk};
+use haptic_bridge::render::scene::Scene;
+use haptic_bridge::safety::fault::State;
+use haptic_bridge::safety::refusal::Refusal;
 use std::path::PathBuf;
 
 /// Load a scene (walls, springs, fields) onto a board

@@ -5,7 +5,7 @@ use haptic::error::Failure;
 use haptic::interrupt;
 use haptic::link::{Board, Column, LinkError, Losses, Row, columns, fields};
 use haptic::recorder::Recorder;
-use haptic_bridge::telemetry::Fields;
+use haptic_bridge::board::telemetry::Fields;
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
 use std::time::Duration;

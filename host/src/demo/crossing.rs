@@ -3,9 +3,9 @@
 use super::{Demo, DemoError};
 use crate::link::{Board, Row, columns, fields};
 use crate::sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, Waypoint, ready_board};
-use haptic_bridge::guard::State;
-use haptic_bridge::scene::FeedForward;
-use haptic_bridge::telemetry::Field;
+use haptic_bridge::board::telemetry::Field;
+use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::safety::fault::State;
 use std::time::Duration;
 
 /// How far above the wall the hand begins, m.
@@ -74,7 +74,7 @@ pub fn run(demo: &Demo, feed_forward: FeedForward, progress: &mut dyn FnMut(f64)
         board.device_mut().set_hand(Hand::new(settings, Intent::Follow(path(demo, tip)), tip, now));
     }
     board.arm()?;
-    let chosen = fields("duty,distance,force,state").unwrap_or(haptic_bridge::telemetry::Fields::ALL);
+    let chosen = fields("duty,distance,force,state").unwrap_or(haptic_bridge::board::telemetry::Fields::ALL);
     board.start_stream(chosen, 1)?;
     let mut rows = Vec::new();
     let steps = (LIFTED * demo.rate_hz) as usize;

@@ -10,7 +10,7 @@ use crate::analysis::sampled::{self, Estimator, Loop};
 use crate::link::Board;
 use crate::measure::{Bench, Setup};
 use crate::sim::{BoardOptions, DriveModel, Options, SharedBoard, ready_board};
-use haptic_bridge::scene::FeedForward;
+use haptic_bridge::render::scene::FeedForward;
 
 /// Measured and predicted, N/m.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -6,13 +6,13 @@ use super::ports::{self, PortSpec};
 use super::telemetry::{Losses, Row, Rows};
 use super::wire::Wire;
 use crate::sim::open_simulated;
-use haptic_bridge::controller::Gains;
-use haptic_bridge::protocol::{self as p, Details, GainsRequest, Info, Outcome, PROTOCOL};
-use haptic_bridge::scene::Scene;
+use haptic_bridge::board::protocol::{self as p, Details, GainsRequest, Info, Outcome, PROTOCOL};
+use haptic_bridge::board::settings::{Entry, Key};
+use haptic_bridge::board::telemetry::{Fields, StreamRequest};
+use haptic_bridge::render::controller::Gains;
+use haptic_bridge::render::scene::Scene;
+use haptic_bridge::render::velocity::Estimator;
 use haptic_bridge::servo::{Rules, Status};
-use haptic_bridge::settings::{Entry, Key};
-use haptic_bridge::telemetry::{Fields, StreamRequest};
-use haptic_bridge::velocity::Estimator;
 use postcard_rpc::Endpoint;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -33,7 +33,7 @@ pub struct Board {
     rows: Rows,
     heartbeat: bool,
     last_heartbeat: Duration,
-    faults: Vec<haptic_bridge::guard::FaultRecord>,
+    faults: Vec<haptic_bridge::safety::fault::FaultRecord>,
 }
 
 impl Board {
@@ -124,7 +124,10 @@ impl Board {
         self.ask::<p::GetScene>(&(), ANSWER)
     }
     /// Says where the control step takes its mass matrix from.
-    pub fn set_mass_model(&mut self, model: &haptic_bridge::precomputed::MassModelData) -> Result<(), BoardError> {
+    pub fn set_mass_model(
+        &mut self,
+        model: &haptic_bridge::model::precomputed::MassModelData,
+    ) -> Result<(), BoardError> {
         self.change::<p::SetMassModel>(model)
     }
     /// Sends a piece of a precomputed table.
@@ -172,7 +175,7 @@ impl Board {
         self.ask::<p::GetFaults>(&(), ANSWER)
     }
     /// Faults the board has reported by itself since the last call.
-    pub fn take_reported_faults(&mut self) -> Vec<haptic_bridge::guard::FaultRecord> {
+    pub fn take_reported_faults(&mut self) -> Vec<haptic_bridge::safety::fault::FaultRecord> {
         std::mem::take(&mut self.faults)
     }
     /// Writes device, scene, rules and the rest to flash. Only while disarmed; the board pauses for up to a second.

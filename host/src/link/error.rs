@@ -1,7 +1,7 @@
 //! What can go wrong between the tool and a board, each with what to do about it.
 
 use crate::error::Failure;
-use haptic_bridge::guard::Refusal;
+use haptic_bridge::safety::refusal::Refusal;
 use std::io;
 
 /// Why a board could not be reached, or stopped being reachable.

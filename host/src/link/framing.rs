@@ -3,7 +3,7 @@
 use postcard_rpc::header::VarHeader;
 
 /// Longest frame taken in, bytes before COBS decoding.
-pub const MAX_FRAME: usize = haptic_bridge::protocol::MAX_FRAME;
+pub const MAX_FRAME: usize = haptic_bridge::board::protocol::MAX_FRAME;
 
 /// One message: which, in answer to what, and its postcard bytes.
 #[derive(Clone, Debug, PartialEq)]

@@ -2,7 +2,7 @@
 
 use super::error::LinkError;
 use super::wire::{SerialWire, TcpWire, Wire};
-use haptic_bridge::protocol::{USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR};
+use haptic_bridge::board::protocol::{USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR};
 use serialport::{ErrorKind, SerialPortType};
 use std::io;
 use std::net::{TcpStream, ToSocketAddrs};
@@ -137,7 +137,7 @@ pub(super) fn open_tcp(address: &str) -> Result<Box<dyn Wire>, LinkError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use haptic_bridge::protocol::{USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR};
+    use haptic_bridge::board::protocol::{USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR};
     use serialport::{SerialPortInfo, UsbPortInfo};
 
     fn usb(name: &str, vid: u16, product: &str, serial: &str) -> SerialPortInfo {

@@ -1,6 +1,6 @@
 //! Telemetry as it arrives: rows with their step, columns with name and unit, and exact accounts of what was lost.
 
-use haptic_bridge::telemetry::{Batch, Field, Fields};
+use haptic_bridge::board::telemetry::{Batch, Field, Fields};
 
 /// One kept control step.
 #[derive(Clone, Debug, PartialEq)]
@@ -158,7 +158,7 @@ mod tests {
     use super::*;
 
     fn batch(number: u32, first_step: u32, rows: usize, dropped: u32) -> Batch {
-        let mut values = haptic_bridge::telemetry::Batch::default().values;
+        let mut values = haptic_bridge::board::telemetry::Batch::default().values;
         for row in 0..rows {
             values.push(row as f32).unwrap();
         }

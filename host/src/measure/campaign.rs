@@ -1,6 +1,6 @@
 //! A whole measurement: every feed-forward, every damping, every repeat, what is already there left out.
 
-use haptic_bridge::scene::FeedForward;
+use haptic_bridge::render::scene::FeedForward;
 
 use super::progress::{Mode, Progress};
 use super::{Bench, MeasureError};

@@ -1,6 +1,6 @@
 //! The search for the boundary: raise by a factor until it oscillates, then bisect between the two last.
 
-use haptic_bridge::scene::FeedForward;
+use haptic_bridge::render::scene::FeedForward;
 
 use super::{Bench, MeasureError};
 

@@ -8,7 +8,7 @@
 //! A device that leaves the plane is cut at joint 0 = 0, where its plane is the task's x-y plane; the redundant arm is
 //! cut at the home angle of its last joint.
 
-use haptic_bridge::description::Description;
+use haptic_bridge::model::description::Description;
 
 use super::Picture;
 use super::axes::{Axis, Frame};

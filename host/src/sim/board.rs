@@ -6,19 +6,23 @@
 use super::device::{Device, DeviceError, Options};
 use super::motor::Drive;
 use super::port::Port;
-use haptic_bridge::carrier::{CARRIER_MIN_HZ, Carrier};
-use haptic_bridge::description::Description;
-use haptic_bridge::device::Device as BoardDevice;
-use haptic_bridge::dispatch::{self, After, Described};
-use haptic_bridge::drive::{Bridge, UNKNOWN_WINDING};
-use haptic_bridge::guard::{Fault, FaultRecord, Limits, Refusal};
+use haptic_bridge::board::dispatch::{self, After, Described};
+use haptic_bridge::board::protocol::{Details, FaultSeen, Info, MAX_FRAME, PROTOCOL, Telemetry};
+use haptic_bridge::board::service::{Machine, Service};
+use haptic_bridge::board::settings::{Entry, Key};
+use haptic_bridge::board::telemetry::Packer;
+use haptic_bridge::drive::brushed::{Bridge, UNKNOWN_WINDING};
+use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
 use haptic_bridge::math::Minimax;
-use haptic_bridge::protocol::{Details, FaultSeen, Info, MAX_FRAME, PROTOCOL, Telemetry};
-use haptic_bridge::scene::Scene;
-use haptic_bridge::service::{Machine, Service};
-use haptic_bridge::servo::{Command, Hardware, Program, Reply, Rules, Samples, Servo, Status};
-use haptic_bridge::settings::{Entry, Key};
-use haptic_bridge::telemetry::Packer;
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::device::Device as BoardDevice;
+use haptic_bridge::render::scene::Scene;
+use haptic_bridge::safety::fault::{Fault, FaultRecord};
+use haptic_bridge::safety::limits::Limits;
+use haptic_bridge::safety::refusal::Refusal;
+use haptic_bridge::servo::frame::Samples;
+use haptic_bridge::servo::program::{Hardware, Program};
+use haptic_bridge::servo::{Command, Reply, Rules, Servo, Status};
 use std::collections::BTreeMap;
 
 /// How the motors are driven.

@@ -4,7 +4,7 @@ use super::encoder::EncoderModel;
 use super::hand::Hand;
 use super::motor::{Bridge, Drive, MotorModel};
 use super::plant::{Load, Plant};
-use haptic_bridge::description::{Description, DescriptionError};
+use haptic_bridge::model::description::{Description, DescriptionError};
 
 /// What about a device is simulated, and how finely.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,6 +1,6 @@
 //! An incremental encoder: angle to counts since power-on, with the edges half a count to either side of zero.
 
-use haptic_bridge::description::Encoder;
+use haptic_bridge::model::description::Encoder;
 use std::f64::consts::TAU;
 
 /// One joint's encoder: it counts from the angle where its counter was zero, which for an incremental encoder is

@@ -5,7 +5,7 @@
 //! voltage, against the current, fading to zero where the current is smaller than its ripple and changes sign in every
 //! period.
 
-use haptic_bridge::description::Motor;
+use haptic_bridge::model::description::Motor;
 
 /// How one axis is driven.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

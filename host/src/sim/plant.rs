@@ -5,9 +5,9 @@
 //! symplectic for position-dependent forces, exact for a constant torque on a constant inertia, and dry friction is a
 //! *set* of admissible impulses rather than a sign function: a joint that friction can hold does not creep or chatter.
 
-use haptic_bridge::description::{Description, DescriptionError};
 use haptic_bridge::math::Libm;
-use haptic_bridge::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::model::description::{Description, DescriptionError};
+use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::with_mechanism;
 use nalgebra::{SMatrix, SVector};
 

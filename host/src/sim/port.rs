@@ -1,8 +1,8 @@
 //! The simulated board's end of the link: bytes in, frames out of them; frames in, bytes out of them.
 
 use crate::link::{Deframer, envelope};
-use haptic_bridge::dispatch;
-use haptic_bridge::protocol::MAX_FRAME;
+use haptic_bridge::board::dispatch;
+use haptic_bridge::board::protocol::MAX_FRAME;
 use postcard_rpc::Topic;
 use serde::Serialize;
 use std::collections::VecDeque;

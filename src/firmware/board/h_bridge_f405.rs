@@ -8,10 +8,11 @@ use embassy_stm32::gpio::{AfType, Flex, Level, Output, Pull, Speed};
 use embassy_stm32::pac;
 use embassy_stm32::pac::timer::TimGp16;
 use embassy_stm32::{Peripherals, peripherals, rcc};
-use haptic_bridge::carrier::{CARRIER_MIN_HZ, Carrier};
-use haptic_bridge::description::MAX_JOINTS;
-use haptic_bridge::drive::Bridge;
-use haptic_bridge::guard::{Fault, Limits};
+use haptic_bridge::drive::brushed::Bridge;
+use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::safety::fault::Fault;
+use haptic_bridge::safety::limits::Limits;
 
 use super::{Analog, Common, GateError, Zeros, learn_zeros};
 use crate::adc;

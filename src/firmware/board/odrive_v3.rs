@@ -10,10 +10,11 @@ use embassy_stm32::spi::{self, Spi};
 use embassy_stm32::time::Hertz;
 use embassy_stm32::{Peripherals, peripherals, rcc};
 use embassy_time::{Duration, block_for};
-use haptic_bridge::carrier::{CARRIER_MIN_HZ, Carrier, TIMER_HZ};
-use haptic_bridge::description::MAX_JOINTS;
-use haptic_bridge::drive::Bridge;
-use haptic_bridge::guard::{Fault, Limits};
+use haptic_bridge::drive::brushed::Bridge;
+use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier, TIMER_HZ};
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::safety::fault::Fault;
+use haptic_bridge::safety::limits::Limits;
 
 use super::{Analog, Common, GateError, Zeros, learn_zeros};
 use crate::adc;

@@ -19,8 +19,8 @@ use haptic::measure::{Bench, MeasureError, Setup};
 use haptic::plot::Picture;
 use haptic::plot::range::{Contents, MeasuredPoint, draw};
 use haptic::sim::Hand;
-use haptic_bridge::description::Motor;
-use haptic_bridge::scene::FeedForward;
+use haptic_bridge::model::description::Motor;
+use haptic_bridge::render::scene::FeedForward;
 
 use crate::boards::BoardKind;
 use crate::rig::{Rig, device_file};

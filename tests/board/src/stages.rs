@@ -30,7 +30,7 @@ pub const STAGES: &[(&str, &[&str])] = &[
     (REQUEST, &["Step::take"]),
     ("encoders", &["Io::counts", "Encoder::read", "Io::index"]),
     ("samples, fault lines", &["Step::hardware_fault"]),
-    ("servo", &["Servo::control", "board_step::control"]),
+    ("servo", &["Servo::control", "compiled::control"]),
     ("step: angles, speeds", &["Encoders::angles", "Encoders::velocities"]),
     ("step: pose, tip", &["mechanism::shared_pose", "::pose", "::tip", "::regularity"]),
     ("step: walls", &["Controller::step", "Controller::step_with", "AnyController::step", "Walls::touch"]),
@@ -38,9 +38,9 @@ pub const STAGES: &[(&str, &[&str])] = &[
     ("guard", &["Servo::watch", "Servo::watch_budgets", "Servo::find", "Servo::index_agrees"]),
     ("drive: torque to current", &["Servo::drive"]),
     ("bridges", &["Step::connect"]),
-    ("current loops", &["board_step::legs", "Servo::duties"]),
+    ("current loops", &["compiled::legs", "Servo::duties"]),
     ("duties to the timers", &["Io::write"]),
-    ("telemetry", &["Step::record", "board_step::record"]),
+    ("telemetry", &["Step::record", "compiled::record"]),
 ];
 
 type Reader<'a> = EndianSlice<'a, LittleEndian>;
@@ -144,8 +144,8 @@ mod tests {
 
     #[test]
     fn paths_lose_their_generic_arguments() {
-        let controller = "<haptic_bridge::controller::Controller<f32, a::B, c::D, 2>>::step";
-        assert_eq!(plain(controller), "haptic_bridge::controller::Controller::step");
+        let controller = "<haptic_bridge::render::controller::Controller<f32, a::B, c::D, 2>>::step";
+        assert_eq!(plain(controller), "haptic_bridge::render::controller::Controller::step");
         assert_eq!(plain("<a::B<C> as d::E<F>>::g"), "a::B::g");
         assert_eq!(plain("a::padded::<i32>"), "a::padded");
     }

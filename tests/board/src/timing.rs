@@ -7,7 +7,7 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use haptic_bridge::telemetry::Fields;
+use haptic_bridge::board::telemetry::Fields;
 
 use crate::boards::BoardKind;
 use crate::contact::WallAt;

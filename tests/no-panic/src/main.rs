@@ -7,8 +7,9 @@
 #![no_main]
 
 use haptic_bridge::math::Minimax;
-use haptic_bridge::program::Program;
-use haptic_bridge::servo::{Outputs, Samples, Servo};
+use haptic_bridge::servo::program::Program;
+use haptic_bridge::servo::Servo;
+use haptic_bridge::servo::frame::{Outputs, Samples};
 
 type OnBoard = Servo<&'static mut Program<Minimax>>;
 

@@ -5,7 +5,7 @@
 
 use std::process::ExitCode;
 
-use haptic_bridge::guard::Fault;
+use haptic_bridge::safety::fault::Fault;
 use virtual_board::inject::{document, provoke, table};
 
 fn main() -> ExitCode {

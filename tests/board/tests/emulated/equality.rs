@@ -4,13 +4,15 @@ use std::time::Duration;
 
 use haptic::scene_file::SceneFile;
 use haptic::sim::{Hand, HandSettings, Intent, Waypoint};
-use haptic_bridge::device::Device;
-use haptic_bridge::drive::Bridge;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::drive::brushed::Bridge;
 use haptic_bridge::math::Minimax;
-use haptic_bridge::precomputed::MassModelData;
-use haptic_bridge::program::Program;
-use haptic_bridge::servo::{Command, Hardware, Samples, Servo};
-use haptic_bridge::telemetry::{Field, Fields};
+use haptic_bridge::model::precomputed::MassModelData;
+use haptic_bridge::servo::program::Program;
+use haptic_bridge::servo::{Command, Servo};
+use haptic_bridge::servo::frame::Samples;
+use haptic_bridge::servo::program::Hardware;
+use haptic_bridge::board::telemetry::{Field, Fields};
 use virtual_board::boards::BoardKind;
 use virtual_board::rig::Rig;
 use virtual_board::run::{MILLISECOND, SECOND};
@@ -100,7 +102,7 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
                 ..Samples::default()
             };
             let state = of(row, Field::State)[0];
-            if state == ARMED && servo.status().state != haptic_bridge::guard::State::Armed {
+            if state == ARMED && servo.status().state != haptic_bridge::safety::fault::State::Armed {
                 servo.execute(Command::Arm).0.expect("armed");
             }
             servo.control(&samples);

@@ -2,7 +2,7 @@
 
 use haptic::link::BoardError;
 use haptic::sim::Drive;
-use haptic_bridge::guard::{Fault, State};
+use haptic_bridge::safety::fault::{Fault, State};
 use virtual_board::boards::BoardKind;
 use virtual_board::rig::Rig;
 use virtual_board::run::{Bench, MILLISECOND, SECOND};

@@ -1,7 +1,7 @@
 //! Every fault, brought about in the release image: latched, listed, bridges off within a control period of being seen,
 //! cleared only when asked for. docs/results/faults.md holds what came of each.
 
-use haptic_bridge::guard::Fault;
+use haptic_bridge::safety::fault::Fault;
 use virtual_board::inject::{document, provoke, row};
 
 /// Every fourth fault, from the `first` of them on: four tests run side by side.

@@ -1,6 +1,6 @@
 //! Full load: every step's telemetry, settings that change, a link that cannot carry everything.
 
-use haptic_bridge::telemetry::Fields;
+use haptic_bridge::board::telemetry::Fields;
 use virtual_board::load::run;
 use virtual_board::timing::CASES;
 

@@ -2,7 +2,7 @@
 //! or the new scene and everything else, and the next save works. tests/power_cut.rs does the same with a model of the
 //! flash alone, in many more states of it.
 
-use haptic_bridge::protocol::SceneData;
+use haptic_bridge::board::protocol::SceneData;
 use virtual_board::boards::BoardKind;
 use virtual_board::image::SETTINGS;
 use virtual_board::rig::Rig;

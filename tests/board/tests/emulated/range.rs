@@ -1,7 +1,7 @@
 //! The paper's experiment on the release image: the range of stable walls is the one that theory predicts, and the
 //! feed-forward enlarges it. docs/results.md holds the whole measurement, see `cargo xtask range`.
 
-use haptic_bridge::scene::FeedForward;
+use haptic_bridge::render::scene::FeedForward;
 use virtual_board::range::{RATES, bench, delay_samples, domain, on, predicted};
 
 /// How far the boundary may lie from the theory's.

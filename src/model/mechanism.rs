@@ -15,27 +15,10 @@ mod paddle;
 mod parallelogram;
 mod serial_3r;
 
-use crate::description::{Description, DescriptionError, MAX_JOINTS};
 use crate::math::{Math, Real};
-use crate::precomputed::MassModel;
+use crate::model::catalogue::{Kind, Spec};
+use crate::model::description::{Description, DescriptionError};
 use nalgebra::{SMatrix, SVector};
-
-/// What a device file must hold for a mechanism.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Spec {
-    /// The name in device files.
-    pub name: &'static str,
-    /// Number of joints N.
-    pub joints: usize,
-    /// Task dimension d.
-    pub task: usize,
-    /// The links in order.
-    pub links: &'static [&'static str],
-    /// The keys of `[geometry]` in order, each with its number of values.
-    pub geometry: &'static [(&'static str, usize)],
-    /// Whether angles a whole turn apart are the same pose (false for a paddle, whose task is arc length).
-    pub periodic: bool,
-}
 
 /// How far a pose is from the nearest singularity, each a dimensionless sine in [0, 1] (0 = singular).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -136,39 +119,13 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
     fn shape(&self, q: &SVector<T, N>) -> [T; 2];
 }
 
-/// Expands `$with!{ (Variant, module, N) ... }` over every mechanism. Adding a mechanism is adding its line here.
-#[macro_export]
-macro_rules! mechanisms {
-    ($with:ident) => {
-        $with! {
-            (Paddle, paddle, 1)
-            (FiveBar, five_bar, 2)
-            (FiveBarTurret, five_bar_turret, 3)
-            (Parallelogram, parallelogram, 3)
-            (Serial3r, serial_3r, 3)
-        }
-    };
-}
-
 macro_rules! define {
     ($(($Variant:ident, $module:ident, $n:literal))*) => {
         $(
             pub use $module::$Variant;
         )*
 
-        /// Which mechanism.
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize, postcard_schema::Schema)]
-        pub enum Kind {
-            $(
-                #[doc = concat!("See [`", stringify!($Variant), "`].")]
-                $Variant,
-            )*
-        }
-
         impl Kind {
-            /// Every mechanism.
-            pub const ALL: &'static [Kind] = &[$(Kind::$Variant),*];
-
             /// What a device file of this mechanism holds.
             pub const fn spec(self) -> Spec {
                 match self {
@@ -211,35 +168,19 @@ macro_rules! define {
             }
         }
 
-        impl AnyMechanism<f32> {
-            /// Whether everything computed at `q` (rad) is finite: a broken coefficient spoils at least one number.
-            pub fn is_finite_at<K: Math<f32>>(&self, q: &[f32; MAX_JOINTS]) -> bool {
-                match self {
-                    $(Self::$Variant(mechanism) => finite_at::<K, _, $n>(mechanism, q),)*
-                }
-            }
-        }
-
         /// Runs `$body` with `$m` bound to the concrete mechanism inside an [`AnyMechanism`].
         #[macro_export]
         macro_rules! with_mechanism {
             ($any:expr, $m:ident => $body:expr) => {
                 match $any {
-                    $($crate::mechanism::AnyMechanism::$Variant($m) => $body,)*
+                    $($crate::model::mechanism::AnyMechanism::$Variant($m) => $body,)*
                 }
             };
         }
     };
 }
 
-mechanisms!(define);
-
-impl Kind {
-    /// The mechanism of this name in a device file.
-    pub fn from_name(name: &str) -> Option<Kind> {
-        Kind::ALL.iter().copied().find(|kind| kind.spec().name == name)
-    }
-}
+crate::mechanisms!(define);
 
 /// `1 / x`, with |x| kept at or above `floor` so that the result is always finite for finite `x`.
 #[inline(always)]
@@ -259,15 +200,4 @@ pub(crate) fn shared_pose<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usiz
     q: &SVector<T, N>,
 ) -> M::Pose {
     mechanism.pose::<K>(q)
-}
-
-fn finite_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M, q: &[f32; MAX_JOINTS]) -> bool {
-    let q = SVector::from_fn(|i, _| q.get(i).copied().unwrap_or(0.0));
-    let pose = shared_pose::<f32, K, M, N>(mechanism, &q);
-    // A direction in which every coefficient of the mass matrix counts, through the copy of this code that is there
-    // anyway.
-    let askew = SVector::from_fn(|i, _| 0.5 + 0.1 * i as f32);
-    let shaping = MassModel::Exact.shaping(mechanism, &[], &q, &pose, &askew);
-    let found = [mechanism.tip(&pose), mechanism.gravity(&pose), shaping.e, shaping.me];
-    found.iter().all(|v| v.iter().all(|x| x.is_finite())) && shaping.w_rr.is_finite()
 }

@@ -5,16 +5,17 @@
 //! a board that disagree about one message do not misread it; that they disagree at all is said by [`PROTOCOL`], in
 //! the answer to [`GetInfo`], whose own shape never changes.
 
-use crate::controller::Gains;
-use crate::device::Device;
-use crate::guard::{FaultRecord, Refusal};
-use crate::precomputed::MassModelData;
-pub use crate::precomputed::TableChunk;
-use crate::scene::Scene;
+use crate::board::settings::{Damage, Entry, Key};
+use crate::board::telemetry::{Batch, StreamRequest};
+use crate::model::device::Device;
+use crate::model::precomputed::MassModelData;
+pub use crate::model::precomputed::TableChunk;
+use crate::render::controller::Gains;
+use crate::render::scene::Scene;
+use crate::render::velocity::Estimator;
+use crate::safety::fault::FaultRecord;
+use crate::safety::refusal::Refusal;
 use crate::servo::{Rules, Status};
-use crate::settings::{Damage, Entry, Key};
-use crate::telemetry::{Batch, StreamRequest};
-use crate::velocity::Estimator;
 use heapless::{String, Vec};
 use postcard_rpc::{TopicDirection, endpoints, topics};
 use postcard_schema::Schema;
@@ -97,7 +98,7 @@ pub struct GainsRequest {
 pub struct WriteEntry {
     /// Under which key.
     pub key: Key,
-    /// As [`crate::settings::encode`] made it.
+    /// As [`crate::board::settings::encode`] made it.
     pub entry: Entry,
 }
 

@@ -4,15 +4,19 @@
 //! Everything is checked here even though the tool has checked it: whatever comes over the link, nothing that the
 //! rules forbid reaches the servo, and the servo checks again what depends on the moment.
 
-use crate::device::Device;
-use crate::guard::{FaultRecord, Refusal, State};
+use crate::board::protocol::{Details, FaultList, GainsRequest, Name, WriteEntry};
+use crate::board::settings::{self, BoardName, Damage, Entry, Key, Polarity, Setting};
+use crate::checksum::crc32;
 use crate::math::Math;
-use crate::precomputed::{MassModelData, Receiving, TABLE_VALUES};
-use crate::protocol::{Details, FaultList, GainsRequest, Name, TableChunk, WriteEntry};
-use crate::scene::{FeedForward, Scene, SceneError};
-use crate::servo::{Command, Hardware, Program, Reply, Rules, Status, TABLE_PIECE};
-use crate::settings::{self, BoardName, Damage, Entry, Key, Polarity, Setting};
-use crate::velocity::{Coefficients, Washout};
+use crate::model::device::Device;
+use crate::model::precomputed::TableChunk;
+use crate::model::precomputed::{MassModelData, Receiving, TABLE_VALUES};
+use crate::render::scene::{FeedForward, Scene, SceneError};
+use crate::render::velocity::{Coefficients, Washout};
+use crate::safety::fault::{FaultRecord, State};
+use crate::safety::refusal::Refusal;
+use crate::servo::program::{Hardware, Program};
+use crate::servo::{Command, Reply, Rules, Status, TABLE_PIECE};
 use core::ops::DerefMut;
 use heapless::Vec;
 
@@ -43,7 +47,7 @@ pub trait Machine {
 #[derive(Debug)]
 pub struct Service {
     hardware: Hardware,
-    most: crate::guard::Limits,
+    most: crate::safety::limits::Limits,
     device: Option<Device<f32>>,
     scene: Option<Scene<f32>>,
     mass: MassModelData,
@@ -58,7 +62,7 @@ pub struct Service {
 
 impl Service {
     /// An empty board whose limits can never be raised above those in `most`, which are also its defaults.
-    pub fn new(hardware: Hardware, most: crate::guard::Limits) -> Self {
+    pub fn new(hardware: Hardware, most: crate::safety::limits::Limits) -> Self {
         Self {
             hardware,
             most,
@@ -107,7 +111,7 @@ impl Service {
         if !self.damage.is_empty() {
             let value = self.damage.len() as f32;
             let _ = machine.execute(Command::Fault(FaultRecord {
-                fault: crate::guard::Fault::SettingsDamaged,
+                fault: crate::safety::fault::Fault::SettingsDamaged,
                 axis: None,
                 value,
                 step: 0,
@@ -458,7 +462,7 @@ fn decoded<S: Setting>(entry: &[u8]) -> Result<S, Refusal> {
 
 /// The checksum by which a checked device is known again.
 fn fingerprint<S: Setting>(device: &S) -> Option<u32> {
-    settings::encode(device).ok().map(|entry| settings::crc32(&entry))
+    settings::encode(device).ok().map(|entry| crc32(&entry))
 }
 
 /// Whether every number that the step will use is usable.

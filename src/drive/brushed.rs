@@ -8,7 +8,7 @@
 //! Limits (torque, current, voltage, duty) are enforced here and nowhere else. The duty returned is signed, -1..1 of
 //! the bus voltage across the motor; legs run at ½ ± duty/2.
 
-use crate::device::Motor;
+use crate::model::device::Motor;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 

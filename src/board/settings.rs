@@ -3,9 +3,10 @@
 //! An entry that is damaged or of an unknown version is refused by itself; the others are kept. The bytes are the same
 //! in flash, in a backup file and on the link.
 
-use crate::device::Device;
-use crate::precomputed::MassModelData;
-use crate::scene::Scene;
+use crate::checksum::crc32;
+use crate::model::device::Device;
+use crate::model::precomputed::MassModelData;
+use crate::render::scene::Scene;
 use crate::servo::Rules;
 use heapless::{String, Vec};
 use postcard_schema::Schema;
@@ -138,45 +139,5 @@ pub fn decode<S: Setting>(entry: &[u8]) -> Result<S, Damage> {
             _ => Err(Damage::Corrupt),
         },
         _ => Err(Damage::Corrupt),
-    }
-}
-
-/// CRC-32 (IEEE 802.3, reflected) of these bytes.
-pub fn crc32(bytes: &[u8]) -> u32 {
-    let mut crc = Crc32::new();
-    crc.take(bytes);
-    crc.sum()
-}
-
-/// A CRC-32 that grows, bit by bit: what is summed is small and comes rarely.
-#[derive(Clone, Copy, Debug)]
-pub struct Crc32(u32);
-
-impl Crc32 {
-    /// Of nothing.
-    pub const fn new() -> Self {
-        Self(u32::MAX)
-    }
-
-    /// Adds bytes.
-    pub fn take(&mut self, bytes: &[u8]) {
-        for byte in bytes {
-            self.0 ^= u32::from(*byte);
-            for _ in 0..8 {
-                let carry = if self.0 & 1 == 1 { 0xEDB8_8320 } else { 0 };
-                self.0 = (self.0 >> 1) ^ carry;
-            }
-        }
-    }
-
-    /// The checksum of what has come so far.
-    pub const fn sum(&self) -> u32 {
-        !self.0
-    }
-}
-
-impl Default for Crc32 {
-    fn default() -> Self {
-        Self::new()
     }
 }

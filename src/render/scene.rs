@@ -8,7 +8,7 @@ mod plane;
 mod sphere;
 
 use crate::math::{Math, Real};
-use crate::velocity::Estimator;
+use crate::render::velocity::Estimator;
 pub use cylinder::Cylinder;
 use heapless::Vec;
 use nalgebra::SVector;

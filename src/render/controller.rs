@@ -8,13 +8,13 @@
 //! "Model only what a scene needs": a scene without feed-forward computes no mass matrix, one without velocity terms no
 //! Coriolis forces, one without springs no tip velocity; the choices are made once, in [`Controller::new`].
 
-use crate::device::Device;
-use crate::inertia::{Split, shaped_torque, shaped_torque_in_span};
 use crate::math::{Math, Real};
-use crate::mechanism::{Mechanism, Regularity, Shaping, shared_pose};
-use crate::precomputed::MassModel;
-use crate::scene::{FeedForward, MAX_SPRINGS, MAX_WALLS, Scene, SceneError, Spring, task_vector};
-use crate::velocity::{Coefficients, Washout};
+use crate::model::device::Device;
+use crate::model::inertia::{Split, shaped_torque, shaped_torque_in_span};
+use crate::model::mechanism::{Mechanism, Regularity, Shaping, shared_pose};
+use crate::model::precomputed::MassModel;
+use crate::render::scene::{FeedForward, MAX_SPRINGS, MAX_WALLS, Scene, SceneError, Spring, task_vector};
+use crate::render::velocity::{Coefficients, Washout};
 use core::marker::PhantomData;
 use encoders::Encoders;
 use heapless::Vec;
@@ -287,7 +287,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     }
 
     /// b without gravity: c - M J⁻¹(J̇ q̇ + κ), and B q̇ where a wall asks for it. Zero when the scene has no velocity
-    /// terms. `line` is the direction that turns with curved walls (see [`frame_rate`](crate::inertia::frame_rate)).
+    /// terms. `line` is the direction that turns with curved walls (see [`frame_rate`](crate::model::inertia::frame_rate)).
     #[inline(never)]
     fn bias(
         &self,

@@ -1,9 +1,12 @@
 //! A device as the board knows it: lumped mechanism, encoders, motors, limits. Plain data, ready to use.
 
-use crate::description::{Description, DescriptionError, MAX_JOINTS};
-use crate::math::Real;
-use crate::mechanism::AnyMechanism;
+use crate::math::{Math, Real};
+use crate::model::catalogue::MAX_JOINTS;
+use crate::model::description::{Description, DescriptionError};
+use crate::model::mechanism::{AnyMechanism, Mechanism, shared_pose};
+use crate::model::precomputed::MassModel;
 use heapless::String;
+use nalgebra::SVector;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
@@ -108,4 +111,29 @@ impl<T: Real> Device<T> {
     pub fn axes(&self) -> usize {
         self.mechanism.kind().spec().joints
     }
+}
+
+macro_rules! define {
+    ($(($Variant:ident, $module:ident, $n:literal))*) => {
+        impl AnyMechanism<f32> {
+            /// Whether everything computed at `q` (rad) is finite: a broken coefficient spoils at least one number.
+            pub fn is_finite_at<K: Math<f32>>(&self, q: &[f32; MAX_JOINTS]) -> bool {
+                match self {
+                    $(Self::$Variant(mechanism) => finite_at::<K, _, $n>(mechanism, q),)*
+                }
+            }
+        }
+    };
+}
+crate::mechanisms!(define);
+
+fn finite_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M, q: &[f32; MAX_JOINTS]) -> bool {
+    let q = SVector::from_fn(|i, _| q.get(i).copied().unwrap_or(0.0));
+    let pose = shared_pose::<f32, K, M, N>(mechanism, &q);
+    // A direction in which every coefficient of the mass matrix counts, through the copy of this code that is there
+    // anyway.
+    let askew = SVector::from_fn(|i, _| 0.5 + 0.1 * i as f32);
+    let shaping = MassModel::Exact.shaping(mechanism, &[], &q, &pose, &askew);
+    let found = [mechanism.tip(&pose), mechanism.gravity(&pose), shaping.e, shaping.me];
+    found.iter().all(|v| v.iter().all(|x| x.is_finite())) && shaping.w_rr.is_finite()
 }

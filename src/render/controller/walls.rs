@@ -3,10 +3,10 @@
 //! Nothing here knows a mechanism, so devices with as many joints share the code.
 
 use super::Gains;
-use crate::inertia::frame_rate;
 use crate::math::{Math, Real};
-use crate::scene::{FeedForward, MAX_WALLS, Scene, SceneError, Wall};
-use crate::velocity::{Coefficients, Velocity, Washout};
+use crate::model::inertia::frame_rate;
+use crate::render::scene::{FeedForward, MAX_WALLS, Scene, SceneError, Wall};
+use crate::render::velocity::{Coefficients, Velocity, Washout};
 use heapless::Vec;
 use nalgebra::SVector;
 

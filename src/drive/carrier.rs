@@ -4,7 +4,7 @@
 //! The carrier is centre-aligned: a timer counts up to a crest and back down to a valley. Encoders and currents are
 //! sampled at the crest, and a duty written then applies at the next valley, half a carrier period later.
 
-use crate::drive::limited;
+use crate::drive::brushed::limited;
 
 /// Frequency that the PWM timers count at, Hz.
 pub const TIMER_HZ: u32 = 168_000_000;

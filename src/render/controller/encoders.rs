@@ -1,8 +1,8 @@
 //! Encoder counts in; joint angles and velocities out.
 
-use crate::device::Device;
 use crate::math::Real;
-use crate::velocity::{Coefficients, LowPass};
+use crate::model::device::Device;
+use crate::render::velocity::{Coefficients, LowPass};
 use nalgebra::SVector;
 
 /// How one joint is read.

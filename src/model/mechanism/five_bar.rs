@@ -11,10 +11,10 @@
 //! (com at the fraction s of the rod: α = m(1-s)² + I/r², β = m s(1-s) - I/r², γ = m s² + I/r²), so no distal angle is
 //! ever computed, and inertial forces need only the accelerations of elbow and tip.
 
-use super::{Mechanism, Regularity, Shaping, Spec, reciprocal};
-use crate::description::{Description, DescriptionError};
+use super::{Mechanism, Regularity, Shaping, reciprocal};
 use crate::math::{Math, Real};
-use crate::mechanism::Kind;
+use crate::model::catalogue::{Kind, Spec};
+use crate::model::description::{Description, DescriptionError};
 use nalgebra::{Matrix2, Vector2};
 
 /// A planar five-bar: its minimal coefficients.
@@ -103,20 +103,23 @@ impl<T: Real> FiveBar<T> {
             return Err(DescriptionError::CannotClose);
         }
         let [p1, p2, d1, d2] = description.links;
-        let arm =
-            |index: usize, proximal: &crate::description::Link, distal: &crate::description::Link, l: f64, r: f64| {
-                let s = distal.com / r;
-                let spin = distal.inertia / (r * r);
-                let alpha = distal.mass * (1.0 - s) * (1.0 - s) + spin;
-                let beta = distal.mass * s * (1.0 - s) - spin;
-                let gamma = distal.mass * s * s + spin;
-                let about_motor = description.joints[index].inertia
-                    + proximal.inertia
-                    + proximal.mass * proximal.com * proximal.com
-                    + alpha * l * l;
-                let elbow_load = proximal.mass * proximal.com / l + distal.mass * (1.0 - s);
-                (about_motor, beta, gamma, elbow_load, distal.mass * s)
-            };
+        let arm = |index: usize,
+                   proximal: &crate::model::description::Link,
+                   distal: &crate::model::description::Link,
+                   l: f64,
+                   r: f64| {
+            let s = distal.com / r;
+            let spin = distal.inertia / (r * r);
+            let alpha = distal.mass * (1.0 - s) * (1.0 - s) + spin;
+            let beta = distal.mass * s * (1.0 - s) - spin;
+            let gamma = distal.mass * s * s + spin;
+            let about_motor = description.joints[index].inertia
+                + proximal.inertia
+                + proximal.mass * proximal.com * proximal.com
+                + alpha * l * l;
+            let elbow_load = proximal.mass * proximal.com / l + distal.mass * (1.0 - s);
+            (about_motor, beta, gamma, elbow_load, distal.mass * s)
+        };
         let (a1, b1, g1, load1, end1) = arm(0, &p1, &d1, l1, r1);
         let (a2, b2, g2, load2, end2) = arm(1, &p2, &d2, l2, r2);
         let tip_mass = g1 + g2 + description.handle_mass;

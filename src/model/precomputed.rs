@@ -10,9 +10,9 @@
 // On a board without room for a table TABLE_VALUES is 0, and every comparison with it is settled when it is compiled.
 #![allow(clippy::absurd_extreme_comparisons)]
 
+use crate::checksum::Crc32;
 use crate::math::{Math, Real};
-use crate::mechanism::{Mechanism, Shaping};
-use crate::settings::Crc32;
+use crate::model::mechanism::{Mechanism, Shaping};
 use heapless::Vec;
 use nalgebra::{SMatrix, SVector};
 use postcard_schema::Schema;

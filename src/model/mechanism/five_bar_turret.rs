@@ -11,10 +11,10 @@
 //! forces on elbows and tip.
 
 use super::five_bar::{self, FiveBar, SINE_FLOOR};
-use super::{Mechanism, Regularity, Shaping, Spec, reciprocal};
-use crate::description::{Description, DescriptionError};
+use super::{Mechanism, Regularity, Shaping, reciprocal};
 use crate::math::{Math, Real};
-use crate::mechanism::Kind;
+use crate::model::catalogue::{Kind, Spec};
+use crate::model::description::{Description, DescriptionError};
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// A five-bar on a turret: its minimal coefficients.
@@ -141,16 +141,17 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
         let plane = FiveBar::lump(&Description { joints: [arm1, arm2, turret], ..*description })?;
         let [_, l1, l2, r1, r2, _] = description.geometry;
         let [p1, p2, d1, d2] = description.links;
-        let side = |proximal: &crate::description::Link, distal: &crate::description::Link, l: f64, r: f64| {
-            let s = distal.com / r;
-            let tilt = (distal.inertia_transverse - distal.inertia_axial) / (r * r);
-            let elbow = (proximal.mass * proximal.com * proximal.com + proximal.inertia_transverse
-                - proximal.inertia_axial)
-                / (l * l)
-                + distal.mass * (1.0 - s) * (1.0 - s)
-                + tilt;
-            (elbow, distal.mass * s * (1.0 - s) - tilt, distal.mass * s * s + tilt)
-        };
+        let side =
+            |proximal: &crate::model::description::Link, distal: &crate::model::description::Link, l: f64, r: f64| {
+                let s = distal.com / r;
+                let tilt = (distal.inertia_transverse - distal.inertia_axial) / (r * r);
+                let elbow = (proximal.mass * proximal.com * proximal.com + proximal.inertia_transverse
+                    - proximal.inertia_axial)
+                    / (l * l)
+                    + distal.mass * (1.0 - s) * (1.0 - s)
+                    + tilt;
+                (elbow, distal.mass * s * (1.0 - s) - tilt, distal.mass * s * s + tilt)
+            };
         let (a1, b1, c1) = side(&p1, &d1, l1, r1);
         let (a2, b2, c2) = side(&p2, &d2, l2, r2);
         let turret_inertia = turret.inertia + description.links.iter().map(|link| link.inertia_axial).sum::<f64>();

@@ -12,10 +12,10 @@
 //! then keeps all its digits when the arm is nearly stretched.
 
 use super::five_bar::SINE_FLOOR;
-use super::{Mechanism, Regularity, Shaping, Spec, reciprocal};
-use crate::description::{Description, DescriptionError};
+use super::{Mechanism, Regularity, Shaping, reciprocal};
 use crate::math::{Math, Real};
-use crate::mechanism::Kind;
+use crate::model::catalogue::{Kind, Spec};
+use crate::model::description::{Description, DescriptionError};
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
 /// A parallelogram on a turret: its minimal coefficients.
@@ -147,12 +147,12 @@ impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
         }
         let [upper, fore, crank, coupler] = description.links;
         let handle = description.handle_mass;
-        let about_proximal = |link: &crate::description::Link| link.mass * link.com * link.com;
+        let about_proximal = |link: &crate::model::description::Link| link.mass * link.com * link.com;
         // Second moments of mass along the two directions: (e₁e₁, e₁e₂, e₂e₂), then the same seen from the turret.
         let along_upper = about_proximal(&upper) + about_proximal(&coupler) + (fore.mass + handle) * u * u;
         let along_fore = about_proximal(&fore) + about_proximal(&crank) + coupler.mass * k * k + handle * f * f;
         let mixed = fore.mass * u * fore.com - coupler.mass * k * coupler.com + handle * u * f;
-        let tilt = |link: &crate::description::Link| link.inertia_transverse - link.inertia_axial;
+        let tilt = |link: &crate::model::description::Link| link.inertia_transverse - link.inertia_axial;
         let [turret, joint1, joint2] = description.joints;
         let a = joint1.inertia + upper.inertia + coupler.inertia + along_upper;
         let c = joint2.inertia + fore.inertia + crank.inertia + along_fore;

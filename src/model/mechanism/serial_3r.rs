@@ -9,10 +9,10 @@
 //! the two links off it (less the reflected rotor between neighbours); torques go back by sums, τᵢ = Σ_{j≥i} of them.
 
 use super::five_bar::SINE_FLOOR;
-use super::{Mechanism, Regularity, Shaping, Spec, reciprocal};
-use crate::description::{Description, DescriptionError};
+use super::{Mechanism, Regularity, Shaping, reciprocal};
 use crate::math::{Math, Real};
-use crate::mechanism::Kind;
+use crate::model::catalogue::{Kind, Spec};
+use crate::model::description::{Description, DescriptionError};
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// A planar 3R arm: its minimal coefficients.
@@ -141,7 +141,7 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
         let [link1, link2, link3, _] = description.links;
         let [j1, j2, j3] = description.joints.map(|joint| joint.inertia);
         let handle = description.handle_mass;
-        let own = |link: &crate::description::Link| link.inertia + link.mass * link.com * link.com;
+        let own = |link: &crate::model::description::Link| link.inertia + link.mass * link.com * link.com;
         // First moments of all that a link carries, itself included, about its proximal joint.
         let moment3 = link3.mass * link3.com + handle * l3;
         let moment2 = link2.mass * link2.com + (link3.mass + handle) * l2;

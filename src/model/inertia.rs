@@ -9,7 +9,7 @@
 //! for the analysis.
 
 use crate::math::{Math, Real};
-use crate::mechanism::{Mechanism, Shaping};
+use crate::model::mechanism::{Mechanism, Shaping};
 use nalgebra::{SMatrix, SVector};
 
 /// A normal adds a rendered direction when this much of it (sine of the angle) lies outside the span of the others.

@@ -1,17 +1,32 @@
 //! A device in a scene, ready to run: the controller of whichever mechanism is loaded, and the drives of its motors.
 
-use crate::carrier::Carrier;
-use crate::controller::{Controller, Gains, Step};
-use crate::description::MAX_JOINTS;
-use crate::device::Device;
-use crate::drive::{Axis, Bridge};
-use crate::guard::{Limits, Refusal};
+use crate::drive::brushed::{Axis, Bridge};
+use crate::drive::carrier::Carrier;
 use crate::math::Math;
-use crate::mechanism::{Kind, Regularity};
-use crate::precomputed::{MassModel, MassModelData};
-use crate::scene::Scene;
-use crate::servo::{Frame, Hardware};
-use crate::velocity::{Coefficients, Washout};
+use crate::model::catalogue::Kind;
+use crate::model::catalogue::MAX_JOINTS;
+use crate::model::device::Device;
+use crate::model::mechanism::Regularity;
+use crate::model::precomputed::{MassModel, MassModelData};
+use crate::render::controller::{Controller, Gains, Step};
+use crate::render::scene::Scene;
+use crate::render::velocity::{Coefficients, Washout};
+use crate::safety::limits::Limits;
+use crate::safety::refusal::Refusal;
+use crate::servo::frame::Frame;
+
+/// What a board is, as far as the servo cares.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hardware {
+    /// Motor axes.
+    pub axes: usize,
+    /// Whether there are real motors, which need verified data, limits, homing and a polarity check.
+    pub real: bool,
+    /// Whether the bus voltage is measured.
+    pub bus_sensed: bool,
+    /// Its bridges.
+    pub bridge: Bridge,
+}
 
 /// Joints of the largest mechanism that this build controls: the image of a board with two axes holds no code for
 /// three.
@@ -23,8 +38,8 @@ macro_rules! define {
         #[derive(Clone, Debug)]
         pub enum AnyController<K> {
             $(
-                #[doc = concat!("Controls a [`", stringify!($Variant), "`](crate::mechanism::", stringify!($Variant), ").")]
-                $Variant(Controller<f32, crate::mechanism::$Variant<f32>, K, $n>),
+                #[doc = concat!("Controls a [`", stringify!($Variant), "`](crate::model::mechanism::", stringify!($Variant), ").")]
+                $Variant(Controller<f32, crate::model::mechanism::$Variant<f32>, K, $n>),
             )*
         }
 
@@ -32,11 +47,11 @@ macro_rules! define {
             /// Builds the run-time form of a device and a scene; designs filters, so not for the interrupt.
             pub fn new(device: &Device<f32>, scene: &Scene<f32>, mass: &MassModelData) -> Result<Self, Refusal> {
                 match &device.mechanism {
-                    $(crate::mechanism::AnyMechanism::$Variant(mechanism) => {
+                    $(crate::model::mechanism::AnyMechanism::$Variant(mechanism) => {
                         if $n > MOST_JOINTS {
                             return Err(Refusal::TooManyJoints { joints: $n, axes: MOST_JOINTS as u8 });
                         }
-                        let mass = MassModel::new::<crate::mechanism::$Variant<f32>>(mass).ok_or(Refusal::BadTable)?;
+                        let mass = MassModel::new::<crate::model::mechanism::$Variant<f32>>(mass).ok_or(Refusal::BadTable)?;
                         Controller::new(*mechanism, device, scene, mass).map(Self::$Variant).map_err(Refusal::Scene)
                     })*
                 }

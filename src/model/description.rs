@@ -2,19 +2,12 @@
 //!
 //! The host fills it from a TOML file; each mechanism lumps it into its own minimal coefficients once.
 
-use crate::mechanism::Kind;
-
-/// Most joints any mechanism has.
-pub const MAX_JOINTS: usize = 3;
-/// Most links any mechanism lists.
-pub const MAX_LINKS: usize = 4;
-/// Most numbers any mechanism's geometry takes.
-pub const MAX_GEOMETRY: usize = 6;
+use crate::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
 
 /// A whole device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Description {
-    /// Which mechanism; its [`Spec`](crate::mechanism::Spec) says how many entries of the arrays below count.
+    /// Which mechanism; its [`Spec`](crate::model::catalogue::Spec) says how many entries of the arrays below count.
     pub kind: Kind,
     /// Gravity in the task frame, m/s²; the first `task` entries count.
     pub gravity: [f64; 3],

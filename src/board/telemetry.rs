@@ -4,8 +4,8 @@
 //! so a reader knows the step of every row and counts losses exactly: missing steps, and the board's own count of what
 //! it had to drop.
 
-use crate::description::MAX_JOINTS;
-use crate::servo::Frame;
+use crate::model::catalogue::MAX_JOINTS;
+use crate::servo::frame::Frame;
 use heapless::Vec;
 use heapless::spsc::Consumer;
 use postcard_schema::Schema;

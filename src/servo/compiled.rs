@@ -3,11 +3,12 @@
 //! The firmware's image is built for size, but this crate for speed; what is generic would be compiled where it is
 //! used. These functions are what the control interrupt calls, and the only ones of the servo whose time counts.
 
-use crate::carrier::Carrier;
-use crate::description::MAX_JOINTS;
+use crate::drive::carrier::Carrier;
 use crate::math::Minimax;
-use crate::program::{MOST_JOINTS, Program};
-use crate::servo::{Frame, Outputs, Samples, Servo};
+use crate::model::catalogue::MAX_JOINTS;
+use crate::servo::Servo;
+use crate::servo::frame::{Frame, Outputs, Samples};
+use crate::servo::program::{MOST_JOINTS, Program};
 use heapless::spsc::Producer;
 
 /// The trigonometry that the board computes with.

@@ -1,10 +1,10 @@
 //! `paddle`: one pivot, the handle at `length` from it (Hapkit-like). The task is the handle's arc length, x = length
 //! q.
 
-use super::{Mechanism, Regularity, Spec};
-use crate::description::{Description, DescriptionError};
+use super::{Mechanism, Regularity};
 use crate::math::{Math, Real};
-use crate::mechanism::Kind;
+use crate::model::catalogue::{Kind, Spec};
+use crate::model::description::{Description, DescriptionError};
 use nalgebra::{SMatrix, SVector};
 
 /// A paddle: two numbers.

@@ -1,0 +1,66 @@
+//! What goes into a control period and what it leaves behind for telemetry.
+
+use crate::model::catalogue::MAX_JOINTS;
+use crate::safety::fault::{Fault, State};
+
+/// What the hardware saw at one sampling instant.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Samples {
+    /// Encoder counts, extended to 32 bits, wrapping.
+    pub counts: [i32; MAX_JOINTS],
+    /// V; ignored where the board does not sense it.
+    pub bus_voltage: f32,
+    /// Motor currents, A; ignored where they are not sensed.
+    pub currents: [f32; MAX_JOINTS],
+    /// Count at the index pulse seen since the last step, late by at most what the joint moved in it.
+    pub index: [Option<i32>; MAX_JOINTS],
+    /// A fault that hardware or another part of the firmware reports.
+    pub fault: Option<(Fault, Option<u8>, f32)>,
+}
+
+/// What one control step decided.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Outputs {
+    /// Whether the bridges may drive; false means floating.
+    pub bridges: bool,
+}
+
+/// One step as telemetry records it. Vectors are padded with zeros to three entries.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Frame {
+    /// Control steps since boot.
+    pub step: u32,
+    /// The state after this step.
+    pub state: State,
+    /// Walls touched.
+    pub contacts: u8,
+    /// Encoder counts.
+    pub counts: [i32; MAX_JOINTS],
+    /// Joint angles, rad.
+    pub q: [f32; MAX_JOINTS],
+    /// Joint velocities, rad/s.
+    pub qd: [f32; MAX_JOINTS],
+    /// Tip, m.
+    pub tip: [f32; MAX_JOINTS],
+    /// Joint torques after limits, N m.
+    pub torque: [f32; MAX_JOINTS],
+    /// Measured currents, or commanded ones where none is sensed, A.
+    pub current: [f32; MAX_JOINTS],
+    /// Duties of the last carrier period.
+    pub duty: [f32; MAX_JOINTS],
+    /// Distance to the deepest wall, m.
+    pub distance: f32,
+    /// Velocity along its normal, m/s.
+    pub normal_velocity: f32,
+    /// Sum of the walls' forces, N.
+    pub wall_force: f32,
+    /// Share of the feed-forward that acts.
+    pub shaping: f32,
+    /// Energy the touched walls have taken up since contact began, less what they had given out by then (negative:
+    /// given out), J.
+    pub energy: f32,
+    /// Damping the passivity controller added, N s/m.
+    pub passivity_damping: f32,
+    /// V
+    pub bus_voltage: f32,
+}
