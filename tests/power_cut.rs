@@ -294,3 +294,102 @@ fn a_setting_from_before_there_were_generations_is_read_and_replaced() {
     let (found, _) = asked(save(flash, &values(5)));
     assert_eq!(found[0], Ok(Some(values(5)[&1].clone())));
 }
+
+/// Stages all of these and decides that they count.
+fn save_together(flash: Sectors, values: &Values) -> Sectors {
+    let mut buffer = [0; ENTRY_MAX];
+    let mut storage = Storage::new(flash, RANGE, &mut buffer);
+    let keys: Vec<u8> = values.keys().copied().collect();
+    if values.iter().all(|(key, value)| storage.stage(*key, value).is_ok()) {
+        let _ = storage.commit(&keys);
+    }
+    storage.into_flash()
+}
+
+/// Cuts the power at every operation of a joint save; how many there are, and after how many the new values were found.
+fn all_or_none(flash: &Sectors, old: &Values, new: &Values) -> (usize, usize) {
+    let whole = save_together(flash.clone(), new);
+    let operations = whole.operations;
+    assert_eq!(read(whole.reboot()).0, *new);
+    let mut decided = 0;
+    for operation in 0..operations {
+        for cut in [Cut::Before, Cut::Within] {
+            let mut trial = flash.clone();
+            trial.cut = Some((operation, cut));
+            let (found, after) = read(save_together(trial, new).reboot());
+            assert!(found == *old || found == *new, "operation {operation}, {cut:?}: some settings are old, some new");
+            decided += usize::from(found == *new);
+            // A second cut while the first one's rest is carried out changes nothing about that.
+            if operation % 7 == 0 && cut == Cut::Within {
+                let mut again = save_together(Sectors { cut: Some((operation, cut)), ..flash.clone() }, new).reboot();
+                again.cut = Some((operation % 50, Cut::Within));
+                let mut buffer = [0; ENTRY_MAX];
+                let mut storage = Storage::new(again, RANGE, &mut buffer);
+                let _ = storage.read(1);
+                assert_eq!(read(storage.into_flash().reboot()).0, found, "operation {operation}: a second cut");
+                assert_eq!(read(save_together(after.reboot(), new).reboot()).0, *new, "the next save");
+            }
+        }
+    }
+    (operations, decided)
+}
+
+#[test]
+fn settings_that_change_together_are_all_old_or_all_new_wherever_the_power_goes() {
+    for (flash, old) in [(Sectors::new(), Values::new()), (aged(3), values(2))] {
+        let (operations, decided) = all_or_none(&flash, &old, &values(9));
+        assert!(operations > 700, "{operations}");
+        assert!(decided > operations / 4 && decided < 2 * operations, "{decided} of {operations} found the new ones");
+    }
+}
+
+#[test]
+fn what_changes_together_while_a_sector_is_erased_is_still_all_or_none() {
+    let (mut old, mut flash) = (values(1), save_together(Sectors::new(), &values(1)).reboot());
+    for generation in 2..=255 {
+        let new = values(generation);
+        let next = save_together(flash.clone(), &new);
+        if next.erases > 0 {
+            all_or_none(&flash, &old, &new);
+            return;
+        }
+        (old, flash) = (new, next.reboot());
+    }
+    panic!("no save erased a sector");
+}
+
+#[test]
+fn what_was_staged_and_never_decided_never_counts() {
+    let mut buffer = [0; ENTRY_MAX];
+    let mut storage = Storage::new(aged(1), RANGE, &mut buffer);
+    storage.stage(3, &[7; 40]).expect("the flash works");
+    assert_eq!(storage.staged(3), Ok(Some(&[7; 40][..])));
+    assert_eq!(storage.commit(&[3, 4]), Err(StorageError::NotKept), "4 was not staged");
+    let flash = storage.into_flash().reboot();
+    assert_eq!(read(flash.clone()).0, values(0));
+    let mut storage = Storage::new(flash, RANGE, &mut buffer);
+    assert_eq!(storage.staged(3), Ok(None), "what an earlier run staged is forgotten");
+    assert_eq!(storage.commit(&[3]), Err(StorageError::NotKept));
+}
+
+#[test]
+fn a_staged_entry_that_is_damaged_after_the_decision_is_reported() {
+    let whole = save_together(aged(1), &values(9));
+    let mut reported = 0;
+    for operation in (0..whole.operations).rev() {
+        let cut = Sectors { cut: Some((operation, Cut::Before)), ..aged(1) };
+        let flash = save_together(cut, &values(9)).reboot();
+        if read(flash.clone()).0 != values(9) {
+            break;
+        }
+        // More bytes in a row than any other setting has: where the scene was staged.
+        let scene = &values(9)[&2];
+        let Some(at) = flash.bytes.windows(500).position(|window| window == &scene[..500]) else { continue };
+        let mut spoilt = flash.clone();
+        spoilt.bytes[at] ^= 1;
+        let (found, _) = asked(spoilt);
+        assert!(found[1] != Ok(Some(values(0)[&2].clone())), "operation {operation}: the old scene came back");
+        reported += usize::from(found[1] == Err(StorageError::Damaged));
+    }
+    assert!(reported > 0);
+}

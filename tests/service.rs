@@ -92,6 +92,16 @@ macro_rules! ask {
 /// A request by name, and its answer in each of [`STATES`].
 type Line = (&'static str, Ask, [Result<(), Refusal>; 6]);
 
+fn staged<S: settings::Setting>(board: &mut Board, value: &S) -> Result<(), Refusal> {
+    let entry = settings::encode(value).expect("it fits");
+    board.ask::<StageEntry>(&WriteEntry { key: S::KEY, entry }).expect("understood")
+}
+
+fn restore_rules(board: &mut Board) -> Result<(), Refusal> {
+    staged(board, &rules(0.5))?;
+    board.ask::<CommitEntries>(&[Key::Rules].into_iter().collect()).expect("understood")
+}
+
 fn table() -> Vec<Line> {
     use Refusal::{Armed as On, BadLimits, BadTable, NoDevice, NotHomed};
     let ok = Ok(());
@@ -124,13 +134,19 @@ fn table() -> Vec<Line> {
         ("limits above the board's", ask!(SetRules, rules(1.01)), [Err(BadLimits); 6]),
         ("save", ask!(Save), while_off),
         (
-            "restore",
-            ask!(RestoreEntry, WriteEntry { key: Key::Rules, entry: settings::encode(&rules(0.5)).unwrap() }),
+            "stage a setting",
+            ask!(StageEntry, WriteEntry { key: Key::Rules, entry: settings::encode(&rules(0.5)).unwrap() }),
             while_off,
         ),
         (
-            "restore what is damaged",
-            ask!(RestoreEntry, WriteEntry { key: Key::Rules, entry: [1, 2, 3].into_iter().collect() }),
+            "stage what is damaged",
+            ask!(StageEntry, WriteEntry { key: Key::Rules, entry: [1, 2, 3].into_iter().collect() }),
+            [Refusal::BadEntry, Refusal::BadEntry, Refusal::BadEntry, On, On, Refusal::BadEntry].map(Err),
+        ),
+        ("restore", restore_rules, while_off),
+        (
+            "restore what was not staged",
+            ask!(CommitEntries, [Key::Rules].into_iter().collect::<KeyList>()),
             [Refusal::BadEntry, Refusal::BadEntry, Refusal::BadEntry, On, On, Refusal::BadEntry].map(Err),
         ),
         ("name", ask!(SetName, "paddle".chars().collect::<Name>()), always),
@@ -186,8 +202,8 @@ fn own_endpoints() -> impl Iterator<Item = (&'static str, postcard_rpc::Key)> {
 
 #[test]
 fn the_table_above_leaves_no_endpoint_out() {
-    // Those of the two tests before: 17 that change something, 9 that ask.
-    assert_eq!(own_endpoints().count(), 26, "an endpoint was added: add it to the tests of this file");
+    // Those of the two tests before: 18 that change something, 9 that ask.
+    assert_eq!(own_endpoints().count(), 27, "an endpoint was added: add it to the tests of this file");
 }
 
 #[test]
@@ -369,4 +385,54 @@ fn a_fault_is_news_once_even_if_its_value_is_no_number() {
     board.samples.fault = None;
     let news = (0..5).filter(|_| board.service.poll(&mut board.machine).is_some()).count();
     assert_eq!((news, board.service.faults().len()), (1, 1));
+}
+
+/// The board's device with another mass: what a backup of another board holds.
+fn heavier() -> DeviceData {
+    let mut description = rig::paddle();
+    description.joints[0].inertia *= 2.0;
+    rig::device(&description)
+}
+
+#[test]
+fn a_restore_is_one_change_or_none() {
+    let (calm, wild) = (rules(0.2), rules(0.9));
+    let board = |broken: bool| {
+        let mut board = board(Now::Ready);
+        board.ask::<SetRules>(&calm).unwrap().unwrap();
+        board.ask::<Save>(&()).unwrap().unwrap();
+        staged(&mut board, &wild).unwrap();
+        staged(&mut board, &heavier()).unwrap();
+        board.machine.flash_broken = broken;
+        board
+    };
+    let both: KeyList = [Key::Rules, Key::Device].into_iter().collect();
+    let now = |board: &mut Board| (board.ask::<GetRules>(&()).unwrap(), board.ask::<GetDevice>(&()).unwrap());
+
+    // The tool dies before it decides: nothing of it counts, not now and not after a restart.
+    let mut untouched = board(false);
+    let before = now(&mut untouched);
+    assert_eq!(before.0, calm);
+    untouched.ask::<Restart>(&()).unwrap().unwrap();
+    assert_eq!(now(&mut untouched), before);
+    assert_eq!(untouched.ask::<CommitEntries>(&both).unwrap(), Err(Refusal::BadEntry), "staged in another run");
+
+    // The flash fails: neither RAM nor flash has any of it.
+    let mut failed = board(true);
+    assert_eq!(failed.ask::<CommitEntries>(&both).unwrap(), Err(Refusal::Flash));
+    assert_eq!(now(&mut failed), before);
+
+    // One of the settings cannot be: none is.
+    let mut refused = board(false);
+    staged(&mut refused, &rules(1.5)).unwrap();
+    assert_eq!(refused.ask::<CommitEntries>(&both).unwrap(), Err(Refusal::BadLimits));
+    assert_eq!(now(&mut refused), before);
+
+    // All of it.
+    let mut done = board(false);
+    done.ask::<CommitEntries>(&both).unwrap().unwrap();
+    assert_eq!(now(&mut done), (wild, Some(heavier())));
+    assert!(!done.ask::<GetStatus>(&()).unwrap().homed, "another device has to be homed");
+    done.ask::<Restart>(&()).unwrap().unwrap();
+    assert_eq!(now(&mut done), (wild, Some(heavier())), "and so after a restart");
 }

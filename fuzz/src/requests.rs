@@ -240,7 +240,7 @@ const TEMPLATES: &[Template] = &[
         bytes_of(&StreamRequest { fields, divider: u32::from(which >> 4) })
     }),
     (ReadEntry::REQ_KEY, |which| bytes_of(&Key::ALL[usize::from(which) % Key::ALL.len()])),
-    (RestoreEntry::REQ_KEY, |which| {
+    (StageEntry::REQ_KEY, |which| {
         let key = Key::ALL[usize::from(which) % Key::ALL.len()];
         let entry = match key {
             Key::Device => encode(&device(which)),
@@ -251,6 +251,10 @@ const TEMPLATES: &[Template] = &[
             Key::Name => encode(&BoardName("bench".chars().collect())),
         };
         bytes_of(&WriteEntry { key, entry: entry.unwrap_or_default() })
+    }),
+    (CommitEntries::REQ_KEY, |which| {
+        let named = Key::ALL.into_iter().enumerate().filter(|(at, _)| which >> at & 1 == 1);
+        bytes_of(&named.map(|(_, key)| key).collect::<KeyList>())
     }),
     (SetName::REQ_KEY, |which| bytes_of(&Name::from_iter(std::iter::repeat_n('n', usize::from(which % 33))))),
 ];

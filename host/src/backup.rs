@@ -5,6 +5,7 @@
 //! value, encoded anew. Nothing is sent before the whole file has been understood.
 
 use crate::link::{Board, BoardError};
+use haptic_bridge::board::protocol::KeyList;
 use haptic_bridge::board::settings::{BoardName, Damage, Entry, Key, Polarity, Setting, decode, encode};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::MassModelData;
@@ -149,12 +150,16 @@ impl Backup {
     }
 }
 
-/// Sends settings made ready to a board and keeps them there. Motors must be off.
+/// Sends settings made ready to a board and puts them in force and into flash, as one change: wherever the link or the
+/// power goes, the board has all of them or none. Motors must be off.
 pub fn restore(board: &mut Board, ready: &[Ready]) -> Result<(), BoardError> {
+    let mut keys = KeyList::new();
     for setting in ready.iter().filter(|setting| setting.how != Restored::OtherBoard) {
-        board.restore_entry(setting.key, setting.entry.clone())?;
+        board.stage_entry(setting.key, setting.entry.clone())?;
+        // A backup has each key once.
+        let _ = keys.push(setting.key);
     }
-    Ok(())
+    board.commit_entries(&keys)
 }
 
 fn damaged(key: Key, damage: Damage) -> BackupError {

@@ -151,7 +151,8 @@ fn route<M: Described>(
         };
         Save: |()| service.save(machine);
         ReadEntry: |key| service.read_entry(machine, key);
-        RestoreEntry: |entry| service.restore_entry(machine, &entry);
+        StageEntry: |entry| service.stage_entry(machine, &entry);
+        CommitEntries: |keys| service.commit_entries(machine, &keys);
         SetName: |name| {
             service.set_name(name);
             Ok(())

@@ -22,7 +22,7 @@ use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 /// Version of this table. Raised by any change to it.
-pub const PROTOCOL: u16 = 2;
+pub const PROTOCOL: u16 = 3;
 
 /// USB vendor identifier: pid.codes, for open hardware and firmware.
 pub const USB_VENDOR: u16 = 0x1209;
@@ -93,7 +93,7 @@ pub struct GainsRequest {
     pub estimator: Option<(Estimator, f32)>,
 }
 
-/// A setting's bytes, to restore.
+/// A setting's bytes, to put aside until [`CommitEntries`] names its key.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct WriteEntry {
     /// Under which key.
@@ -114,6 +114,8 @@ pub type MaybeScene = Option<SceneData>;
 pub type FaultList = Vec<FaultRecord, FAULT_HISTORY>;
 /// A setting's bytes, if it is set.
 pub type MaybeEntry = Option<Entry>;
+/// Settings by their keys.
+pub type KeyList = Vec<Key, 6>;
 /// What a person calls a board.
 pub type Name = String<32>;
 
@@ -143,7 +145,8 @@ endpoints! {
     | Stream        | StreamRequest | Outcome     | "haptic/stream"    |
     | Save          | ()            | Outcome     | "haptic/save"      |
     | ReadEntry     | Key           | MaybeEntry  | "haptic/entry?"    |
-    | RestoreEntry  | WriteEntry    | Outcome     | "haptic/entry"     |
+    | StageEntry    | WriteEntry    | Outcome     | "haptic/entry"     |
+    | CommitEntries | KeyList       | Outcome     | "haptic/entries"   |
     | SetName       | Name          | Outcome     | "haptic/name"      |
     | EnterDfu      | ()            | Outcome     | "haptic/dfu"       |
     | Restart       | ()            | Outcome     | "haptic/restart"   |

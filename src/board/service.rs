@@ -4,7 +4,7 @@
 //! Everything is checked here even though the tool has checked it: whatever comes over the link, nothing that the
 //! rules forbid reaches the servo, and the servo checks again what depends on the moment.
 
-use crate::board::protocol::{Details, FaultList, GainsRequest, Name, WriteEntry};
+use crate::board::protocol::{Details, FaultList, GainsRequest, KeyList, Name, WriteEntry};
 use crate::board::settings::{self, BoardName, Damage, Entry, Key, Polarity, Setting};
 use crate::checksum::crc32;
 use crate::math::Math;
@@ -37,8 +37,12 @@ pub trait Machine {
     fn release(&mut self, held: Self::Held);
     /// Sets carrier and divider for a control rate (Hz). Called with the motors off.
     fn retime(&mut self, rate_hz: f32);
-    /// Writes a setting so that a power cut leaves the old or the new value.
-    fn save(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal>;
+    /// Writes the next entry of a setting aside, where it does not count yet.
+    fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal>;
+    /// What has been staged for a setting since the start or the last commit.
+    fn staged(&mut self, key: Key) -> Option<Entry>;
+    /// Makes what was staged for these settings count: all of them or, when the power goes, none.
+    fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal>;
     /// Reads a setting; an entry without a byte for one that was stored and is damaged.
     fn load(&mut self, key: Key) -> Option<Entry>;
 }
@@ -303,13 +307,18 @@ impl Service {
 
     /// Sets limits and rules; never above what the board can do, and not higher while the motors are on.
     pub fn set_rules(&mut self, machine: &mut impl Machine, rules: Rules) -> Result<(), Refusal> {
+        self.check_rules(&rules)?;
+        machine.execute(Command::Rules(rules)).0?;
+        self.rules = rules;
+        Ok(())
+    }
+
+    fn check_rules(&self, rules: &Rules) -> Result<(), Refusal> {
         // A silence is summed up in single steps, which beyond a minute are too small for an f32 to take in.
         let seconds = (0.01..=60.0).contains(&rules.host_seconds);
         if !rules.limits.within(&self.most) || !seconds || rules.index_period.iter().any(|period| *period < 0) {
             return Err(Refusal::BadLimits);
         }
-        machine.execute(Command::Rules(rules)).0?;
-        self.rules = rules;
         Ok(())
     }
 
@@ -383,31 +392,30 @@ impl Service {
         let _ = self.faults.push(fault);
     }
 
-    /// Writes everything to flash; motors must be off, because the processor stalls while flash is erased.
+    /// Writes everything to flash, all of it or nothing; motors must be off, because the processor stalls while flash
+    /// is erased.
     pub fn save(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
         must_be_off(machine)?;
         let _ = self.poll(machine);
+        let mut keys = KeyList::new();
         if let Some(device) = &self.device {
-            // Should the power go between two entries, a new device must not meet the old one's mass model.
-            if stored(machine).as_ref() != Some(device) {
-                write(machine, &MassModelData::Exact)?;
-            }
-            write(machine, device)?;
+            stage(machine, device, &mut keys)?;
         }
         if let Some(scene) = &self.scene {
-            write(machine, scene)?;
+            stage(machine, scene, &mut keys)?;
         }
-        write(machine, &self.rules)?;
+        stage(machine, &self.rules, &mut keys)?;
         // A table is too long for a setting and not kept: a board that starts anew uses the closed form.
         match &self.mass {
-            MassModelData::Table(..) => write(machine, &MassModelData::Exact)?,
-            kept => write(machine, kept)?,
+            MassModelData::Table(..) => stage(machine, &MassModelData::Exact, &mut keys)?,
+            kept => stage(machine, kept, &mut keys)?,
         }
         // The fingerprint of no device takes the place of a check that is no longer true.
         if self.polarity.is_some() || machine.load(Key::Polarity).is_some() {
-            write(machine, &Polarity(self.polarity.unwrap_or_default()))?;
+            stage(machine, &Polarity(self.polarity.unwrap_or_default()), &mut keys)?;
         }
-        write(machine, &BoardName(self.name.clone()))
+        stage(machine, &BoardName(self.name.clone()), &mut keys)?;
+        if keys.is_empty() { Ok(()) } else { machine.commit(&keys) }
     }
 
     /// A setting as it is in flash.
@@ -415,19 +423,100 @@ impl Service {
         machine.load(key)
     }
 
-    /// Puts a setting from a backup in force and into flash. A damaged or unknown one changes nothing.
-    pub fn restore_entry(&mut self, machine: &mut impl Machine, write: &WriteEntry) -> Result<(), Refusal> {
+    /// Takes a setting from a backup and puts it aside until [`Service::commit_entries`]. A damaged or unknown one is
+    /// refused.
+    pub fn stage_entry(&mut self, machine: &mut impl Machine, write: &WriteEntry) -> Result<(), Refusal> {
         must_be_off(machine)?;
         let entry = write.entry.as_slice();
         match write.key {
-            Key::Device => self.set_device(machine, decoded(entry)?)?,
-            Key::Scene => self.set_scene(machine, decoded(entry)?)?,
-            Key::Rules => self.set_rules(machine, decoded(entry)?)?,
-            Key::MassModel => self.set_mass_model(machine, decoded(entry)?)?,
-            Key::Polarity => self.polarity = Some(decoded::<Polarity>(entry)?.0),
-            Key::Name => self.name = decoded::<BoardName>(entry)?.0,
+            Key::Device => decoded::<Device<f32>>(entry).map(drop)?,
+            Key::Scene => decoded::<Scene<f32>>(entry).map(drop)?,
+            Key::Rules => decoded::<Rules>(entry).map(drop)?,
+            Key::MassModel => decoded::<MassModelData>(entry).map(drop)?,
+            Key::Polarity => decoded::<Polarity>(entry).map(drop)?,
+            Key::Name => decoded::<BoardName>(entry).map(drop)?,
         }
-        machine.save(write.key, entry)
+        machine.stage(write.key, entry)
+    }
+
+    /// Puts the settings that were staged under these keys in force and into flash, as one change: when any of them
+    /// cannot be, none is, and no limit is ever in force with a device that it was not meant for. Settings that are not
+    /// named stay as they are, but for the mass model and the scene of another device.
+    pub fn commit_entries<Mc: Machine>(&mut self, machine: &mut Mc, keys: &KeyList) -> Result<(), Refusal> {
+        must_be_off(machine)?;
+        let rules: Option<Rules> = self.taken(machine, keys)?;
+        let device: Option<Device<f32>> = self.taken(machine, keys)?;
+        let scene: Option<Scene<f32>> = self.taken(machine, keys)?;
+        let mass: Option<MassModelData> = self.taken(machine, keys)?;
+        let polarity: Option<Polarity> = self.taken(machine, keys)?;
+        let name: Option<BoardName> = self.taken(machine, keys)?;
+
+        let rules = rules.unwrap_or(self.rules);
+        self.check_rules(&rules)?;
+        let mass = match (mass, &device) {
+            (Some(MassModelData::Table(..)), _) => return Err(Refusal::BadTable),
+            (Some(mass), _) => mass,
+            (None, Some(_)) => MassModelData::Exact,
+            (None, None) => self.mass.clone(),
+        };
+        if let Some(device) = &device {
+            check_device::<Mc::Math>(device)?;
+        }
+        let same_device = device.is_none();
+        let device = device.or_else(|| self.device.clone());
+        let Some(device) = device else {
+            // Rules and a name alone.
+            if scene.is_some() {
+                return Err(Refusal::NoDevice);
+            }
+            machine.commit(keys)?;
+            machine.execute(Command::Rules(rules)).0?;
+            (self.rules, self.name) = (rules, name.map_or(self.name.clone(), |BoardName(name)| name));
+            self.polarity = polarity.map_or(self.polarity, |Polarity(fingerprint)| Some(fingerprint));
+            return Ok(());
+        };
+        let task = device.mechanism.kind().spec().task;
+        if let Some(scene) = &scene {
+            scene.check(task).map_err(Refusal::Scene)?;
+        }
+        let scene = scene.or_else(|| self.scene.clone()).filter(|scene| usize::from(scene.task) == task);
+        let empty = Scene { task: task as u8, ..Scene::default() };
+        let runs = scene.as_ref().unwrap_or(&empty);
+        let program = Program::<Mc::Math>::new(&self.hardware, &rules.limits, &device, runs, &mass, same_device)?;
+        let held = machine.place(program)?;
+        if let Err(refusal) = machine.commit(keys) {
+            machine.release(held);
+            return Err(refusal);
+        }
+        // From here on nothing is refused: the motors are off, and everything has been checked.
+        let (result, returned) = machine.execute(Command::Program(held));
+        if let Some(held) = returned {
+            machine.release(held);
+        }
+        result?;
+        machine.execute(Command::Rules(rules)).0?;
+        machine.retime(runs.rate_hz);
+        (self.rules, self.mass, self.scene) = (rules, mass, scene);
+        if let Some(BoardName(name)) = name {
+            self.name = name;
+        }
+        if let Some(Polarity(fingerprint)) = polarity {
+            self.polarity = Some(fingerprint);
+        }
+        if !same_device && self.polarity.is_some() && self.polarity == fingerprint(&device) {
+            machine.execute(Command::PolarityKnown).0?;
+        }
+        self.device = Some(device);
+        Ok(())
+    }
+
+    /// The staged value of a setting, where its key is among these.
+    fn taken<S: Setting>(&self, machine: &mut impl Machine, keys: &KeyList) -> Result<Option<S>, Refusal> {
+        if !keys.contains(&S::KEY) {
+            return Ok(None);
+        }
+        let entry = machine.staged(S::KEY).ok_or(Refusal::BadEntry)?;
+        decoded(&entry).map(Some)
     }
 
     /// Names the board; kept at the next save.
@@ -444,16 +533,16 @@ pub fn must_be_off(machine: &mut impl Machine) -> Result<(), Refusal> {
     }
 }
 
-fn write<S: Setting>(machine: &mut impl Machine, value: &S) -> Result<(), Refusal> {
+/// Stages a setting, unless flash holds this value already, and notes its key.
+fn stage<S: Setting>(machine: &mut impl Machine, value: &S, keys: &mut KeyList) -> Result<(), Refusal> {
     let entry = settings::encode(value).map_err(|_| Refusal::Flash)?;
     if machine.load(S::KEY).is_some_and(|old| old == entry) {
         return Ok(());
     }
-    machine.save(S::KEY, &entry)
-}
-
-fn stored<S: Setting>(machine: &mut impl Machine) -> Option<S> {
-    settings::decode(&machine.load(S::KEY)?).ok()
+    machine.stage(S::KEY, &entry)?;
+    // There are as many places as keys.
+    let _ = keys.push(S::KEY);
+    Ok(())
 }
 
 fn decoded<S: Setting>(entry: &[u8]) -> Result<S, Refusal> {

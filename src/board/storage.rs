@@ -6,6 +6,11 @@
 //! after each write a catalogue of the newest generations follows: an entry older than the catalogue knows is not the
 //! one that was saved. A power cut between the two leaves an entry that is newer than that, which is no damage.
 //!
+//! Several settings change together, or none does: they are written aside first ([`Storage::stage`]), then a single
+//! entry decides that they count ([`Storage::commit`]), and only then do they take their settings' places. Power that
+//! goes before the decision leaves the old settings; power that goes after it leaves the decision, which the next
+//! start carries out before it reads anything.
+//!
 //! Nothing here knows a chip: the firmware brings its flash as a [`NorFlash`], tests bring one that fails when told to.
 
 use core::future::Future;
@@ -20,19 +25,36 @@ use sequential_storage::map::{MapConfig, MapStorage, SerializationError, Value};
 /// Longest entry, bytes, its key included.
 pub const ENTRY_MAX: usize = 2048;
 
-/// Key of the catalogue. Settings have the keys above it.
+/// Key of the catalogue.
 const CATALOGUE: u8 = 0;
-/// Keys, the catalogue's among them.
-const KEYS: usize = 8;
+/// Key of the decision: which staged entries count, by their generations; all zeros when none does. Settings have the
+/// keys between the two.
+const DECISION: u8 = 7;
+/// What the key of a setting has when its entry stands aside.
+const STAGED: u8 = 8;
+/// Keys up to the decision's: places in the catalogue and in the decision.
+const SETTINGS: usize = 8;
+/// All keys.
+const KEYS: usize = 16;
 
 /// A generation: the seven lower bits count, round and round. 0 for an entry that has none, or is not there.
 type Generation = u8;
 /// Set in every generation, and not in the first byte of an entry of before there were any, which is its key.
 const COUNTED: Generation = 0x80;
 
-/// A key's place among all of them.
+/// A setting's place in the catalogue and in the decision.
 fn place(key: u8) -> usize {
-    usize::from(key) % KEYS
+    usize::from(key) % SETTINGS
+}
+
+/// The bit of a key.
+fn bit(key: u8) -> u16 {
+    1 << (usize::from(key) % KEYS)
+}
+
+/// The generation after this one.
+fn next(generation: Generation) -> Generation {
+    generation.wrapping_add(1) | COUNTED
 }
 
 /// Whether `found` is of a generation before `known`.
@@ -114,7 +136,11 @@ type Known = Cache<Uncached, Uncached, ArrayKeyPointers<u8, KEYS>, u8>;
 pub struct Storage<'b, F: NorFlash> {
     map: MapStorage<u8, F, Known>,
     /// Bits of the keys that were searched for in vain.
-    absent: u8,
+    absent: u16,
+    /// Generations of what was staged since the start or the last decision.
+    staged: [Generation; SETTINGS],
+    /// A decision that the power cut short has been looked for, and carried out.
+    recovered: bool,
     buffer: &'b mut [u8; ENTRY_MAX],
 }
 
@@ -123,36 +149,46 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     /// whole pages.
     pub fn new(flash: F, range: Range<u32>, buffer: &'b mut [u8; ENTRY_MAX]) -> Self {
         let known = Cache::new(Uncached, Uncached, ArrayKeyPointers::new());
-        Self { map: MapStorage::new(flash, MapConfig::new(range), known), absent: 0, buffer }
+        Self {
+            map: MapStorage::new(flash, MapConfig::new(range), known),
+            absent: 0,
+            staged: [0; SETTINGS],
+            recovered: false,
+            buffer,
+        }
     }
 
     fn fetch(&mut self, key: u8) -> Result<Option<Stamped<'_>>, StorageError> {
-        let bit = 1 << place(key);
-        if self.absent & bit != 0 {
+        if self.absent & bit(key) != 0 {
             return Ok(None);
         }
         let found = finish(self.map.fetch_item(self.buffer, &key))?;
         if found.is_none() {
-            self.absent |= bit;
+            self.absent |= bit(key);
         }
         Ok(found)
     }
 
     fn store(&mut self, key: u8, item: &Stamped<'_>) -> Result<(), StorageError> {
-        self.absent &= !(1 << place(key));
+        self.absent &= !bit(key);
         Ok(finish(self.map.store_item(self.buffer, &key, item))?)
     }
 
-    /// The generation of every key's newest entry, as far as is known.
-    fn catalogue(&mut self) -> Result<[Generation; KEYS], StorageError> {
-        let found = self.fetch(CATALOGUE)?;
+    /// The generations in the entry of the catalogue or the decision.
+    fn generations(&mut self, key: u8) -> Result<[Generation; SETTINGS], StorageError> {
+        let found = self.fetch(key)?;
         Ok(found.and_then(|Stamped(_, known)| known.try_into().ok()).unwrap_or_default())
     }
 
     /// The entry of a setting, `None` when it was never stored. [`StorageError::Damaged`] when only an older one is
     /// left, or none.
     pub fn read(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
-        let known = self.catalogue()?[place(key)];
+        self.recover()?;
+        self.current(key)
+    }
+
+    fn current(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
+        let known = self.generations(CATALOGUE)?[place(key)];
         let found = self.fetch(key)?;
         if older(found.as_ref().map_or(0, |found| found.0), known) {
             return Err(StorageError::Damaged);
@@ -163,7 +199,12 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     /// Stores an entry, unless the same is there already, and reads it back. Stalls the program while the flash works;
     /// bridges off.
     pub fn write(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
-        let mut catalogue = self.catalogue()?;
+        self.recover()?;
+        self.put(key, value)
+    }
+
+    fn put(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
+        let mut catalogue = self.generations(CATALOGUE)?;
         let known = &mut catalogue[place(key)];
         if let Some(Stamped(found, entry)) = self.fetch(key)? {
             if found == *known && entry == value {
@@ -173,11 +214,87 @@ impl<'b, F: NorFlash> Storage<'b, F> {
                 *known = found;
             }
         }
-        *known = known.wrapping_add(1) | COUNTED;
+        *known = next(*known);
         let stamped = Stamped(*known, value);
         self.store(key, &stamped)?;
         self.store(CATALOGUE, &Stamped(COUNTED, &catalogue))?;
-        if self.read(key)? == Some(value) { Ok(()) } else { Err(StorageError::NotKept) }
+        if self.current(key)? == Some(value) { Ok(()) } else { Err(StorageError::NotKept) }
+    }
+
+    /// Writes the next entry of a setting aside; it counts from the [`Storage::commit`] that names it on. Replaces what
+    /// was staged for this setting before.
+    pub fn stage(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
+        self.recover()?;
+        let aside = STAGED | key;
+        let generation = next(self.fetch(aside)?.map_or(0, |found| found.0));
+        self.store(aside, &Stamped(generation, value))?;
+        match self.fetch(aside)? {
+            Some(Stamped(found, entry)) if found == generation && entry == value => {
+                self.staged[place(key)] = generation;
+                Ok(())
+            }
+            _ => Err(StorageError::NotKept),
+        }
+    }
+
+    /// What is staged for a setting.
+    pub fn staged(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
+        let known = self.staged[place(key)];
+        Ok(self.fetch(STAGED | key)?.filter(|found| known != 0 && found.0 == known).map(|found| found.1))
+    }
+
+    /// Puts what was staged for these settings in their places, all of them or, when the power goes, none. Errors:
+    /// [`StorageError::NotKept`] when one was not staged since the start.
+    pub fn commit(&mut self, keys: &[u8]) -> Result<(), StorageError> {
+        self.recover()?;
+        let mut decision = [0; SETTINGS];
+        for key in keys {
+            decision[place(*key)] = self.staged[place(*key)];
+            if decision[place(*key)] == 0 {
+                return Err(StorageError::NotKept);
+            }
+        }
+        self.staged = [0; SETTINGS];
+        // What is decided and not yet done is done before anything else is read or written.
+        self.recovered = false;
+        self.store(DECISION, &Stamped(COUNTED, &decision))?;
+        self.recover()
+    }
+
+    /// Carries out a decision that has not been, if there is one.
+    fn recover(&mut self) -> Result<(), StorageError> {
+        if self.recovered {
+            return Ok(());
+        }
+        let decision = self.generations(DECISION)?;
+        for key in (1..DECISION).filter(|key| decision[place(*key)] != 0) {
+            self.settle(key, decision[place(key)])?;
+        }
+        if decision != [0; SETTINGS] {
+            self.store(DECISION, &Stamped(COUNTED, &[0; SETTINGS]))?;
+        }
+        self.recovered = true;
+        Ok(())
+    }
+
+    /// Puts a staged entry of this generation in its setting's place. When it is damaged meanwhile, the setting is:
+    /// what was there before is not what was decided.
+    #[inline(never)]
+    fn settle(&mut self, key: u8, generation: Generation) -> Result<(), StorageError> {
+        let mut copy = [0; ENTRY_MAX / 2];
+        let length = match self.fetch(STAGED | key)? {
+            Some(Stamped(found, entry)) if found == generation => {
+                copy.get_mut(..entry.len()).ok_or(StorageError::Full)?.copy_from_slice(entry);
+                entry.len()
+            }
+            _ => {
+                let mut catalogue = self.generations(CATALOGUE)?;
+                let known = &mut catalogue[place(key)];
+                *known = next(*known);
+                return self.store(CATALOGUE, &Stamped(COUNTED, &catalogue));
+            }
+        };
+        self.put(key, copy.get(..length).unwrap_or_default())
     }
 
     /// Gives the flash back.

@@ -7,6 +7,7 @@ use haptic_bridge::board::dispatch::Described;
 use haptic_bridge::board::protocol::{Details, Info, PROTOCOL};
 use haptic_bridge::board::service::Machine;
 use haptic_bridge::board::settings::{Entry, Key};
+use haptic_bridge::board::storage::StorageError;
 use haptic_bridge::drive::carrier::Carrier;
 use haptic_bridge::safety::fault::{Fault, FaultRecord};
 use haptic_bridge::safety::refusal::Refusal;
@@ -67,6 +68,20 @@ impl Panel {
                 return answer;
             }
         }
+    }
+
+    /// Runs what writes flash, which stalls the program: the watchdog and the count of late steps know.
+    fn while_flash_stalls(
+        &mut self,
+        work: impl FnOnce(&mut Storage) -> Result<(), StorageError>,
+    ) -> Result<(), Refusal> {
+        servo::STALL_EXPECTED.store(true, Ordering::Relaxed);
+        let result = watchdog::patient(|| work(&mut self.storage));
+        servo::STALL_EXPECTED.store(false, Ordering::Relaxed);
+        result.map_err(|error| {
+            defmt::error!("the settings were not written: error {=u8}", error as u8);
+            Refusal::Flash
+        })
     }
 
     /// Readies the gate drivers; a driver that does not answer latches a fault.
@@ -137,14 +152,17 @@ impl Machine for Panel {
         }
     }
 
-    fn save(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
-        servo::STALL_EXPECTED.store(true, Ordering::Relaxed);
-        let result = watchdog::patient(|| self.storage.write(key as u8, entry));
-        servo::STALL_EXPECTED.store(false, Ordering::Relaxed);
-        result.map_err(|error| {
-            defmt::error!("setting {=u8} was not saved: error {=u8}", key as u8, error as u8);
-            Refusal::Flash
-        })
+    fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
+        self.while_flash_stalls(|storage| storage.stage(key as u8, entry))
+    }
+
+    fn staged(&mut self, key: Key) -> Option<Entry> {
+        self.storage.staged(key as u8).ok().flatten().and_then(|entry| Entry::from_slice(entry).ok())
+    }
+
+    fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal> {
+        let keys: Vec<u8, { Key::ALL.len() }> = keys.iter().map(|key| *key as u8).collect();
+        self.while_flash_stalls(|storage| storage.commit(&keys))
     }
 
     fn load(&mut self, key: Key) -> Option<Entry> {

@@ -30,6 +30,8 @@ use std::collections::BTreeMap;
 pub struct Machinery {
     pub servo: Servo<Box<Program<Minimax>>>,
     pub flash: BTreeMap<u8, Entry>,
+    /// Entries that do not count yet.
+    pub staged: BTreeMap<u8, Entry>,
     /// Flash operations are refused from now on.
     pub flash_broken: bool,
     /// Rates that the timer was set to, Hz.
@@ -54,12 +56,27 @@ impl Machine for Machinery {
         assert!(!driving(self.servo.status().state), "the timer is set while the motors are on");
         self.retimed.push(rate_hz);
     }
-    fn save(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
+    fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
         assert!(!driving(self.servo.status().state), "flash is written while the motors are on");
         if self.flash_broken {
             return Err(Refusal::Flash);
         }
-        self.flash.insert(key as u8, Entry::from_slice(entry).map_err(|_| Refusal::Flash)?);
+        self.staged.insert(key as u8, Entry::from_slice(entry).map_err(|_| Refusal::Flash)?);
+        Ok(())
+    }
+    fn staged(&mut self, key: Key) -> Option<Entry> {
+        self.staged.get(&(key as u8)).cloned()
+    }
+    fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal> {
+        assert!(!driving(self.servo.status().state), "flash is written while the motors are on");
+        if self.flash_broken {
+            return Err(Refusal::Flash);
+        }
+        if keys.iter().any(|key| !self.staged.contains_key(&(*key as u8))) {
+            return Err(Refusal::Flash);
+        }
+        let staged = std::mem::take(&mut self.staged);
+        self.flash.extend(staged.into_iter().filter(|(key, _)| keys.iter().any(|named| *named as u8 == *key)));
         Ok(())
     }
     fn load(&mut self, key: Key) -> Option<Entry> {
@@ -122,7 +139,7 @@ impl Board {
         let most = Limits::default();
         let servo = Servo::new(hardware, Rules::default());
         let mut board = Self {
-            machine: Machinery { servo, flash, flash_broken: false, retimed: Vec::new() },
+            machine: Machinery { servo, flash, staged: BTreeMap::new(), flash_broken: false, retimed: Vec::new() },
             service: Service::new(hardware, most),
             samples: Samples { bus_voltage: 24.0, ..Samples::default() },
             bridges: false,

@@ -186,9 +186,13 @@ impl Board {
     pub fn read_entry(&mut self, key: Key) -> Result<Option<Entry>, LinkError> {
         self.ask::<p::ReadEntry>(&key, ANSWER)
     }
-    /// Restores a setting's bytes.
-    pub fn restore_entry(&mut self, key: Key, entry: Entry) -> Result<(), BoardError> {
-        Ok(self.ask::<p::RestoreEntry>(&p::WriteEntry { key, entry }, FLASH_ANSWER)??)
+    /// Puts a setting's bytes aside until [`Board::commit_entries`] names its key.
+    pub fn stage_entry(&mut self, key: Key, entry: Entry) -> Result<(), BoardError> {
+        Ok(self.ask::<p::StageEntry>(&p::WriteEntry { key, entry }, FLASH_ANSWER)??)
+    }
+    /// Puts the staged settings of these keys in force and into flash, as one change.
+    pub fn commit_entries(&mut self, keys: &p::KeyList) -> Result<(), BoardError> {
+        Ok(self.ask::<p::CommitEntries>(keys, FLASH_ANSWER)??)
     }
     /// Gives the board a name.
     pub fn set_name(&mut self, name: &p::Name) -> Result<(), BoardError> {

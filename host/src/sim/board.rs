@@ -77,6 +77,8 @@ const POLL_SECONDS: f64 = 0.02;
 struct Innards {
     servo: Servo<Box<Program<Minimax>>>,
     flash: BTreeMap<u8, Entry>,
+    /// Entries that do not count yet.
+    staged: BTreeMap<u8, Entry>,
     carrier: Carrier,
     options: BoardOptions,
 }
@@ -98,9 +100,19 @@ impl Machine for Innards {
     fn retime(&mut self, rate_hz: f32) {
         self.carrier = Carrier::for_rate(rate_hz);
     }
-    fn save(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
-        let entry = Entry::from_slice(entry).map_err(|_| Refusal::Flash)?;
-        self.flash.insert(key as u8, entry);
+    fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
+        self.staged.insert(key as u8, Entry::from_slice(entry).map_err(|_| Refusal::Flash)?);
+        Ok(())
+    }
+    fn staged(&mut self, key: Key) -> Option<Entry> {
+        self.staged.get(&(key as u8)).cloned()
+    }
+    fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal> {
+        if keys.iter().any(|key| !self.staged.contains_key(&(*key as u8))) {
+            return Err(Refusal::Flash);
+        }
+        let staged = std::mem::take(&mut self.staged);
+        self.flash.extend(staged.into_iter().filter(|(key, _)| keys.iter().any(|named| *named as u8 == *key)));
         Ok(())
     }
     fn load(&mut self, key: Key) -> Option<Entry> {
@@ -182,6 +194,7 @@ impl SimulatedBoard {
             innards: Innards {
                 servo: Servo::new(hardware, Rules::default()),
                 flash: BTreeMap::new(),
+                staged: BTreeMap::new(),
                 carrier: Carrier::for_rate(CARRIER_MIN_HZ as f32),
                 options: options.clone(),
             },
@@ -371,6 +384,7 @@ impl SimulatedBoard {
 
     /// What pressing reset does: flash stays, everything else starts anew, motors off.
     fn restart(&mut self) {
+        self.innards.staged.clear();
         self.innards.servo = Servo::new(self.hardware, Rules::default());
         self.service = Service::new(self.hardware, Limits::default());
         self.drive = [Drive::Floating; 3];
