@@ -12,7 +12,8 @@ use anyhow::{Context as _, Result, bail};
 
 use crate::firmware::{root, target_directory};
 use crate::report;
-use crate::toolchain::{cargo, host, need_program, run as run_command};
+use crate::toolchain::{Use, cargo, host, run as run_command};
+use crate::tools;
 
 /// The names in fuzz/src/main.rs.
 const TARGETS: [&str; 8] =
@@ -76,7 +77,7 @@ struct Outcome {
 /// Builds the targets and runs them, as many at a time as there are processors. A finding is an error, with its input
 /// kept.
 pub fn run(options: &Options, install: bool) -> Result<()> {
-    need_program("g++", install)?;
+    tools::provide(&[Use::Fuzz], install)?;
     let occasion = report::occasion();
     let out = target_directory().join("fuzz");
     let program = build(&out)?;

@@ -12,6 +12,7 @@ mod soak;
 mod tests;
 mod thumb;
 mod toolchain;
+mod tools;
 mod undefined;
 
 use std::process::ExitCode;
@@ -29,6 +30,7 @@ cargo xtask COMMAND
   no-panic          prove that the control step cannot panic, and bound its stack
   bench             count instructions of every variant of the control step, remake the report
   bench --check     fail when a variant's instructions grew by more than 5 % over the kept figures
+  tools             say whether everything that the tests need is on this computer, or what is missing
   test              every test: this computer's, both images, the emulated board
   test-board        of these, the tests that run the images on the emulated board
   timing            count the control interrupt's instructions, stage by stage, into docs/results/timing.md
@@ -73,6 +75,7 @@ fn run(arguments: &[String], install: bool) -> Result<()> {
         ["no-panic"] => no_panic::prove(install),
         ["bench"] => bench::refresh(install),
         ["bench", "--check"] => bench::check(install),
+        ["tools"] => tools::check(install),
         ["test"] => tests::all(install),
         ["test-board", rest @ ..] => tests::board(rest, install),
         ["faults"] => tests::measure("faults", &[], install),

@@ -7,13 +7,15 @@ use std::time::Instant;
 use anyhow::Result;
 
 use crate::toolchain::{cargo, run};
-use crate::{bench, deny, firmware, fuzz, no_panic, report};
+use crate::{bench, deny, firmware, fuzz, no_panic, report, tools};
 
 /// Seconds of fuzzing that each target gets in the whole run.
 const FUZZ_SECONDS: u32 = 4;
 
 /// Every test there is, cheapest first; tells what each stage took.
 pub fn all(install: bool) -> Result<()> {
+    // Before the first compile: what only a late stage needs would else be missed half an hour later.
+    tools::provide(&tools::TEST, install)?;
     let stage = |name: &str, work: &dyn Fn() -> Result<()>| {
         let began = Instant::now();
         work()?;

@@ -3,25 +3,33 @@
 //! 1. The rustup target `thumbv7em-none-eabihf`, when the running toolchain has it.
 //! 2. Else Debian's own packages: a compiler in /usr/bin with the source of the core library, which is then built along
 //!    (`-Zbuild-std`), and the linker that /usr/bin/rust-lld points to.
-//! 3. Else, with `--install`, or as root on Debian where `CI` is set, those packages are installed.
-//! 4. Else it says both install lines.
+//!
+//! `tools` looks whether they are there.
 
 use std::env;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::Command;
 
 use anyhow::{Context as _, Result, bail};
 
 use crate::firmware::target_directory;
+use crate::tools;
+pub use crate::tools::Use;
 
 /// The target triple of the chip.
 pub const TARGET: &str = "thumbv7em-none-eabihf";
 
-const DEBIAN_PACKAGES: [&str; 3] = ["rustc-web", "cargo-web", "rust-web-src"];
-const DEBIAN_CORE: &str = "/usr/lib/rustlib/src/rust/library/core/Cargo.toml";
-const DEBIAN_LINKER: &str = "/usr/bin/rust-lld";
-const DEBIAN_CLIPPY: &str = "/usr/bin/cargo-clippy";
+/// Debian's compiler.
+pub const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
+/// Its cargo.
+pub const DEBIAN_CARGO: &str = "/usr/bin/cargo";
+/// Its core library's source.
+pub const DEBIAN_CORE: &str = "/usr/lib/rustlib/src/rust/library/core/Cargo.toml";
+/// Its linker.
+pub const DEBIAN_LINKER: &str = "/usr/bin/rust-lld";
+/// Its clippy.
+pub const DEBIAN_CLIPPY: &str = "/usr/bin/cargo-clippy";
 
 /// How to compile for the chip on this computer.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -32,52 +40,15 @@ pub enum Toolchain {
     Debian,
 }
 
-/// What a cargo call is for.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Use {
-    /// Build.
-    Build,
-    /// Lint.
-    Clippy,
-}
-
 impl Toolchain {
     /// Finds a way, installing Debian's packages when that is wanted.
     pub fn find(purpose: Use, install: bool) -> Result<Self> {
-        if rustup_has_target() {
-            return Ok(Self::Rustup);
-        }
-        let missing = missing_debian_packages(purpose);
-        if missing.is_empty() {
-            return Ok(Self::Debian);
-        }
-        let unattended = env::var_os("CI").is_some() && is_root();
-        if Path::new("/etc/debian_version").exists() && (install || unattended) {
-            apt_install(&missing)?;
-            // The linker's package is known only once the compiler is there, so there may be a second round.
-            let still = missing_debian_packages(purpose);
-            if !still.is_empty() {
-                apt_install(&still)?;
-            }
-            let still = missing_debian_packages(purpose);
-            if still.is_empty() {
-                return Ok(Self::Debian);
-            }
-            bail!("apt-get installed {}, but {} is still missing", missing.join(" "), still.join(" "));
-        }
-        bail!(
-            "no compiler for {TARGET}. Either\n    rustup target add {TARGET}\nor, where rustup cannot download, on Debian\n    \
-             apt-get install -y {}\n(`--install` does the latter as root)",
-            install_line(&missing)
-        )
+        tools::provide(&[purpose], install)
     }
 
     /// A cargo call for the chip: `cargo SUBCOMMAND …` with the target and, where needed, the core library's source.
     pub fn cargo(self, purpose: Use) -> Command {
-        let subcommand = match purpose {
-            Use::Build => "rustc",
-            Use::Clippy => "clippy",
-        };
+        let subcommand = if purpose == Use::Clippy { "clippy" } else { "rustc" };
         let mut command = match self {
             Self::Rustup => {
                 let mut command = cargo();
@@ -85,9 +56,9 @@ impl Toolchain {
                 command
             }
             Self::Debian => {
-                let mut command = Command::new(if purpose == Use::Clippy { DEBIAN_CLIPPY } else { "/usr/bin/cargo" });
+                let mut command = Command::new(if purpose == Use::Clippy { DEBIAN_CLIPPY } else { DEBIAN_CARGO });
                 command.arg(subcommand).arg("-Zbuild-std=core,alloc");
-                command.env("CARGO", "/usr/bin/cargo").env("RUSTC", "/usr/bin/rustc").env("RUSTC_BOOTSTRAP", "1");
+                command.env("CARGO", DEBIAN_CARGO).env("RUSTC", DEBIAN_RUSTC).env("RUSTC_BOOTSTRAP", "1");
                 command.env("PATH", format!("/usr/bin:{}", env::var("PATH").unwrap_or_default()));
                 for name in ["RUSTUP_TOOLCHAIN", "RUSTC_WRAPPER", "RUSTC_WORKSPACE_WRAPPER", "RUSTDOC"] {
                     command.env_remove(name);
@@ -122,50 +93,6 @@ fn rust_flags() -> Vec<String> {
     flags
 }
 
-fn rustup_has_target() -> bool {
-    let rustc = env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
-    let output = Command::new(rustc).args(["--print", "target-libdir", "--target", TARGET]).output();
-    let Ok(output) = output else { return false };
-    let directory = String::from_utf8_lossy(&output.stdout);
-    fs::read_dir(directory.trim()).is_ok_and(|mut entries| {
-        entries.any(|entry| entry.is_ok_and(|e| e.file_name().to_string_lossy().starts_with("libcore-")))
-    })
-}
-
-fn missing_debian_packages(purpose: Use) -> Vec<String> {
-    let there = ["/usr/bin/rustc", "/usr/bin/cargo", DEBIAN_CORE].map(|path| Path::new(path).exists());
-    let mut missing: Vec<String> =
-        DEBIAN_PACKAGES.iter().zip(there).filter(|(_, there)| !there).map(|(name, _)| (*name).into()).collect();
-    if purpose == Use::Clippy && !Path::new(DEBIAN_CLIPPY).exists() {
-        missing.push("rust-web-clippy".into());
-    }
-    // A link to lld-22 that leads nowhere names the package that would make it lead somewhere.
-    if fs::symlink_metadata(DEBIAN_LINKER).is_ok() && !Path::new(DEBIAN_LINKER).exists() {
-        let package =
-            fs::read_link(DEBIAN_LINKER).ok().and_then(|to| Some(to.file_name()?.to_string_lossy().into_owned()));
-        missing.push(package.unwrap_or_else(|| "lld".into()));
-    }
-    missing
-}
-
-fn install_line(missing: &[String]) -> String {
-    let mut line = missing.join(" ");
-    if !missing.iter().any(|name| name.starts_with("lld")) && !Path::new(DEBIAN_LINKER).exists() {
-        line += "    # and the lld-NN that /usr/bin/rust-lld then points to";
-    }
-    line
-}
-
-fn is_root() -> bool {
-    Command::new("id").arg("-u").output().is_ok_and(|output| output.stdout == b"0\n")
-}
-
-fn apt_install(packages: &[String]) -> Result<()> {
-    eprintln!("installing {}", packages.join(" "));
-    run(Command::new("apt-get").args(["update", "-q"]))?;
-    run(Command::new("apt-get").args(["install", "-y", "-q", "--no-install-recommends"]).args(packages))
-}
-
 /// The cargo that runs this program.
 pub fn cargo() -> Command {
     Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
@@ -183,16 +110,6 @@ pub fn run(command: &mut Command) -> Result<()> {
 
 fn join(command: &Command) -> String {
     command.get_args().map(|a| a.to_string_lossy().into_owned()).collect::<Vec<_>>().join(" ")
-}
-
-/// Sees to it that a program of Debian's package of the same name is there, installing it where that is wanted.
-pub fn need_program(name: &str, install: bool) -> Result<()> {
-    let there = || Command::new(name).arg("--version").output().is_ok_and(|output| output.status.success());
-    let unattended = env::var_os("CI").is_some() && is_root();
-    if !there() && Path::new("/etc/debian_version").exists() && (install || unattended) {
-        apt_install(&[name.into()])?;
-    }
-    if there() { Ok(()) } else { bail!("{name} is missing; on Debian: apt-get install -y {name}") }
 }
 
 /// The triple of this computer.

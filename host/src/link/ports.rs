@@ -6,7 +6,7 @@ use haptic_bridge::board::protocol::{USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR};
 use serialport::{ErrorKind, SerialPortType};
 use std::io;
 use std::net::{TcpStream, ToSocketAddrs};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Where a board is, as `--port` says it.
@@ -56,8 +56,19 @@ pub struct BoardPort {
 
 /// The boards that are connected, and the other serial ports.
 pub fn boards() -> (Vec<BoardPort>, Vec<String>) {
-    // A system without serial ports may also be one where they cannot be listed.
-    sort(serialport::available_ports().unwrap_or_default())
+    sort(serial_ports(Path::new(PORTS)))
+}
+
+/// Where Linux lists its serial ports.
+const PORTS: &str = "/sys/class/tty";
+
+/// The serial ports; none where the system cannot list them. `place` is looked at first, because the listing panics
+/// without it, as in a container that has no /sys.
+fn serial_ports(place: &Path) -> Vec<serialport::SerialPortInfo> {
+    if cfg!(target_os = "linux") && !place.is_dir() {
+        return Vec::new();
+    }
+    serialport::available_ports().unwrap_or_default()
 }
 
 /// Whether a USB product string is one of these boards'; a system that does not tell it is believed.
@@ -164,6 +175,11 @@ mod tests {
         for bad in ["", "tcp:", "tcp:host", "tcp:host:port", "tcp::7710"] {
             assert!(bad.parse::<PortSpec>().is_err(), "{bad}");
         }
+    }
+
+    #[test]
+    fn a_system_that_lists_no_ports_has_none() {
+        assert_eq!(serial_ports(Path::new("/no/such/place")), []);
     }
 
     #[test]

@@ -1,0 +1,287 @@
+//! What has to be on this computer before anything is compiled: whether it runs, and what puts it there.
+//!
+//! What is looked for is what is needed, not the package that usually brings it: a linker is there when it runs.
+
+use std::env;
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::{Result, bail};
+use semver::Version;
+
+use crate::toolchain::{DEBIAN_CARGO, DEBIAN_CLIPPY, DEBIAN_CORE, DEBIAN_LINKER, DEBIAN_RUSTC, TARGET, Toolchain, run};
+
+/// What a stage does.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Use {
+    /// Builds for the chip.
+    Build,
+    /// Lints for the chip.
+    Clippy,
+    /// Builds libFuzzer, which is C++.
+    Fuzz,
+}
+
+/// Something that a stage cannot do without.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+enum Tool {
+    Compiler,
+    Cargo,
+    Core,
+    Linker,
+    Clippy,
+    Cpp,
+}
+
+impl Tool {
+    const ALL: [Self; 6] = [Self::Compiler, Self::Cargo, Self::Core, Self::Linker, Self::Clippy, Self::Cpp];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Compiler => concat!("a Rust compiler for the chip, ", env!("CARGO_PKG_RUST_VERSION"), " or newer"),
+            Self::Cargo => "its cargo",
+            Self::Core => "the source of its core library",
+            Self::Linker => "a linker for the chip (rust-lld)",
+            Self::Clippy => "its clippy",
+            Self::Cpp => "a C++ compiler (c++, or what CXX names) for libFuzzer",
+        }
+    }
+
+    /// Debian's package. The linker's is two: the one of this name has a link to what the other one brings.
+    fn package(self) -> &'static str {
+        match self {
+            Self::Compiler => "rustc-web",
+            Self::Cargo => "cargo-web",
+            Self::Core => "rust-web-src",
+            Self::Linker => "rust-web-llvm",
+            Self::Clippy => "rust-web-clippy",
+            Self::Cpp => "g++",
+        }
+    }
+
+    fn runs(self) -> bool {
+        let version = |program: &str| succeeds(program, &["--version"]);
+        match self {
+            Self::Compiler => compiler_is_new_enough(DEBIAN_RUSTC),
+            Self::Cargo => version(DEBIAN_CARGO),
+            Self::Core => Path::new(DEBIAN_CORE).exists(),
+            Self::Linker => linker_runs(DEBIAN_LINKER),
+            Self::Clippy => version(DEBIAN_CLIPPY),
+            Self::Cpp => version(&env::var("CXX").unwrap_or_else(|_| "c++".into())),
+        }
+    }
+}
+
+/// What there is on a computer.
+#[derive(Clone, PartialEq, Eq, Debug)]
+struct Found {
+    /// Rustup's toolchain compiles and links for the chip.
+    rustup: bool,
+    /// What runs besides.
+    runs: Vec<Tool>,
+    /// What /usr/bin/rust-lld is a link to, whether that is there or not: the name of its package.
+    linker: Option<String>,
+}
+
+impl Found {
+    fn now() -> Self {
+        let target = fs::read_link(DEBIAN_LINKER).ok();
+        Self {
+            rustup: rustup_has_target(),
+            runs: Tool::ALL.into_iter().filter(|tool| tool.runs()).collect(),
+            linker: target.and_then(|to| Some(to.file_name()?.to_string_lossy().into_owned())),
+        }
+    }
+
+    /// What these uses need and what does not run.
+    fn missing(&self, uses: &[Use]) -> Vec<Tool> {
+        let chip = [Tool::Compiler, Tool::Cargo, Tool::Core, Tool::Linker];
+        let needed = Tool::ALL.into_iter().filter(|tool| match tool {
+            Tool::Cpp => uses.contains(&Use::Fuzz),
+            Tool::Clippy => uses.contains(&Use::Clippy) && !self.rustup,
+            tool => chip.contains(tool) && !self.rustup && (uses.contains(&Use::Build) || uses.contains(&Use::Clippy)),
+        });
+        needed.filter(|tool| !self.runs.contains(tool)).collect()
+    }
+
+    /// The packages that bring these. What the linker is a link to is known only once the link is there.
+    fn packages(&self, missing: &[Tool]) -> Vec<String> {
+        let package = |tool: &Tool| match (&self.linker, tool) {
+            (Some(linker), Tool::Linker) => linker.clone(),
+            _ => tool.package().into(),
+        };
+        missing.iter().map(package).collect()
+    }
+
+    /// One line for a shell that brings them.
+    fn install_line(&self, missing: &[Tool]) -> String {
+        let apt = "apt-get install -y --no-install-recommends";
+        let mut line = format!("apt-get update && {apt} {}", self.packages(missing).join(" "));
+        if missing.contains(&Tool::Linker) && self.linker.is_none() {
+            line += &format!(" && {apt} \"$(basename \"$(readlink {DEBIAN_LINKER})\")\"");
+        }
+        line
+    }
+
+    /// What is missing, by name, and how to get it.
+    fn complaint(&self, missing: &[Tool]) -> String {
+        let mut text = String::from("missing on this computer:\n");
+        for tool in missing {
+            text += &format!("    {}\n", tool.name());
+        }
+        text += &format!(
+            "On Debian, as root (or with --install, which does the same):\n    {}\n",
+            self.install_line(missing)
+        );
+        let rest: Vec<&str> = missing.iter().filter(|tool| **tool == Tool::Cpp).map(|tool| tool.name()).collect();
+        if rest.len() < missing.len() {
+            text += &format!("Elsewhere:\n    rustup target add {TARGET}");
+            text += &rest.first().map_or(String::new(), |name| format!("\nand {name}"));
+        }
+        text.trim_end().into()
+    }
+}
+
+/// Sees to it that everything these uses need is there, installing it where that is wanted: with `--install`, or as root
+/// on Debian where `CI` is set. Returns how to compile for the chip.
+pub fn provide(uses: &[Use], install: bool) -> Result<Toolchain> {
+    let install = Path::new("/etc/debian_version").exists() && (install || env::var_os("CI").is_some() && is_root());
+    let mut found = Found::now();
+    // The link to the linker comes first and says which package brings the linker itself: two rounds.
+    for _ in 0..2 {
+        let missing = found.missing(uses);
+        if missing.is_empty() || !install {
+            break;
+        }
+        if !is_root() {
+            bail!("--install has to be run as root: it would do\n    {}", found.install_line(&missing));
+        }
+        let packages = found.packages(&missing);
+        eprintln!("installing {}", packages.join(" "));
+        run(Command::new("apt-get").args(["update", "-q"]))?;
+        let flags = ["install", "-y", "-q", "--no-install-recommends"];
+        run(Command::new("apt-get").env("DEBIAN_FRONTEND", "noninteractive").args(flags).args(&packages))?;
+        found = Found::now();
+    }
+    let missing = found.missing(uses);
+    if !missing.is_empty() {
+        bail!("{}", found.complaint(&missing));
+    }
+    Ok(if found.rustup { Toolchain::Rustup } else { Toolchain::Debian })
+}
+
+/// What `cargo xtask test` does.
+pub const TEST: [Use; 2] = [Use::Build, Use::Fuzz];
+
+/// Says that everything is there that the tests need, or what is not.
+pub fn check(install: bool) -> Result<()> {
+    let chip = match provide(&TEST, install)? {
+        Toolchain::Rustup => "rustup's compiler, which has the target",
+        Toolchain::Debian => "Debian's compiler, with the source of the core library and rust-lld",
+    };
+    println!("for the chip: {chip}\nfor libFuzzer: a C++ compiler\nnothing is missing");
+    Ok(())
+}
+
+fn succeeds(program: &str, arguments: &[&str]) -> bool {
+    Command::new(program).args(arguments).output().is_ok_and(|output| output.status.success())
+}
+
+/// lld under this name is several linkers in one, and wants to be told which, as the compiler does.
+fn linker_runs(program: &str) -> bool {
+    succeeds(program, &["-flavor", "gnu", "--version"])
+}
+
+fn compiler_is_new_enough(program: &str) -> bool {
+    let output = Command::new(program).arg("--version").output();
+    output.is_ok_and(|output| output.status.success() && new_enough(&String::from_utf8_lossy(&output.stdout)))
+}
+
+fn new_enough(said: &str) -> bool {
+    let least = Version::parse(concat!(env!("CARGO_PKG_RUST_VERSION"), ".0"));
+    let found = said.split_whitespace().nth(1).and_then(|number| Version::parse(number).ok());
+    found.zip(least.ok()).is_some_and(|(found, least)| found >= least)
+}
+
+/// Whether the toolchain that runs this program has the chip's core library and a linker beside it.
+fn rustup_has_target() -> bool {
+    let rustc = env::var("RUSTC").unwrap_or_else(|_| "rustc".into());
+    let directory = |arguments: &[&str]| -> Result<String> {
+        let output = Command::new(&rustc).args(["--print", "target-libdir"]).args(arguments).output()?;
+        Ok(String::from_utf8_lossy(&output.stdout).trim().to_string())
+    };
+    let core = directory(&["--target", TARGET]).ok().and_then(|path| fs::read_dir(path).ok()).is_some_and(|entries| {
+        entries.flatten().any(|entry| entry.file_name().to_string_lossy().starts_with("libcore-"))
+    });
+    let own = || directory(&[]).is_ok_and(|libraries| linker_runs(&format!("{libraries}/../bin/rust-lld")));
+    core && (own() || linker_runs("rust-lld"))
+}
+
+fn is_root() -> bool {
+    Command::new("id").arg("-u").output().is_ok_and(|output| output.stdout == b"0\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn found(runs: &[Tool], linker: Option<&str>) -> Found {
+        Found { rustup: false, runs: runs.to_vec(), linker: linker.map(Into::into) }
+    }
+
+    /// What a fresh Debian had after `--install`: everything but the linker, whose package nothing depends on.
+    #[test]
+    fn a_compiler_without_a_linker_is_found_out_before_it_compiles() {
+        let after = found(&[Tool::Compiler, Tool::Cargo, Tool::Core, Tool::Cpp], None);
+        let missing = after.missing(&TEST);
+        assert_eq!(missing, [Tool::Linker]);
+        assert_eq!(after.packages(&missing), ["rust-web-llvm"]);
+        // With that the link is there, and leads nowhere.
+        let then = found(&after.runs, Some("lld-22"));
+        assert_eq!(then.packages(&then.missing(&TEST)), ["lld-22"]);
+        let at_last = found(&[Tool::Compiler, Tool::Cargo, Tool::Core, Tool::Cpp, Tool::Linker], Some("lld-22"));
+        assert!(at_last.missing(&TEST).is_empty());
+        // Lints need one tool more, and say so before they begin.
+        assert_eq!(at_last.missing(&[Use::Clippy]), [Tool::Clippy]);
+    }
+
+    #[test]
+    fn everything_that_is_missing_is_named_at_once_with_one_line_that_brings_it() {
+        let bare = found(&[], None);
+        let missing = bare.missing(&TEST);
+        let text = bare.complaint(&missing);
+        for tool in &missing {
+            assert!(text.contains(tool.name()), "{tool:?} in\n{text}");
+        }
+        let line = "rustc-web cargo-web rust-web-src rust-web-llvm g++ && apt-get install -y --no-install-recommends \
+                    \"$(basename \"$(readlink /usr/bin/rust-lld)\")\"";
+        assert!(text.contains(line) && text.contains("rustup target add"), "{text}");
+    }
+
+    #[test]
+    fn what_rustup_has_is_not_asked_of_debian_and_nobody_needs_what_no_stage_uses() {
+        let rustup = Found { rustup: true, ..found(&[], None) };
+        assert!(rustup.missing(&[Use::Build, Use::Clippy]).is_empty());
+        assert_eq!(rustup.missing(&TEST), [Tool::Cpp]);
+        assert!(!rustup.complaint(&[Tool::Cpp]).contains("rustup"));
+        assert_eq!(found(&[], None).missing(&[Use::Fuzz]), [Tool::Cpp]);
+    }
+
+    #[test]
+    fn an_old_compiler_is_none() {
+        assert!(new_enough("rustc 1.95.0 (abc 2026-01-01)") && new_enough("rustc 1.96.0 (def) (built from a source)"));
+        assert!(!new_enough("rustc 1.85.0 (Debian)") && !new_enough("rustc 1.63.0") && !new_enough(""));
+    }
+
+    #[test]
+    fn a_link_to_nowhere_is_no_linker() {
+        let directory = env::temp_dir().join(format!("haptic-xtask-{}", std::process::id()));
+        fs::create_dir_all(&directory).unwrap();
+        let link = directory.join("rust-lld");
+        #[cfg(unix)]
+        std::os::unix::fs::symlink("lld-of-another-time", &link).unwrap();
+        assert!(!linker_runs(&link.to_string_lossy()));
+        fs::remove_dir_all(&directory).unwrap();
+    }
+}
