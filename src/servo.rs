@@ -6,6 +6,7 @@
 //! Nothing here blocks, allocates or panics.
 
 pub mod compiled;
+mod crest;
 pub mod frame;
 mod polarity;
 pub mod program;
@@ -25,6 +26,7 @@ use crate::servo::program::Hardware;
 use crate::servo::program::MOST_JOINTS;
 use crate::servo::program::Program;
 use core::ops::DerefMut;
+pub use crest::SPEED_HZ;
 use heapless::Vec;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
@@ -152,7 +154,7 @@ pub struct Servo<P> {
     last_counts: [i32; MAX_JOINTS],
     primed: bool,
     first_index: [Option<i32>; MAX_JOINTS],
-    bounds: watch::Bounds,
+    crests: crest::Crests,
     budgets: watch::Budgets,
     /// Values of the mass model's table, beside the program because one copy of them is all the memory that they get.
     table: [f32; TABLE_VALUES],
@@ -183,7 +185,7 @@ where
             last_counts: [0; MAX_JOINTS],
             primed: false,
             first_index: [None; MAX_JOINTS],
-            bounds: watch::Bounds::default(),
+            crests: crest::Crests::default(),
             budgets: watch::Budgets::default(),
             table: [0.0; TABLE_VALUES],
         }
@@ -426,12 +428,13 @@ where
         self.must_be_off()?;
         let program = self.program.as_mut().ok_or(Refusal::NoDevice)?;
         let home = program.home.ok_or(Refusal::NoHome)?;
-        if self.frame.qd.iter().any(|speed| speed.abs() > REST_SPEED) {
+        if (0..program.joints.min(MOST_JOINTS)).any(|i| self.crests.speed(i).abs() > REST_SPEED) {
             return Err(Refusal::Moving);
         }
         program.controller.home(&self.frame.counts, &home);
         self.homed = true;
         self.first_index = [None; MAX_JOINTS];
+        self.set_bounds();
         Ok(())
     }
 
@@ -489,6 +492,7 @@ where
     fn watch_anew(&mut self) {
         self.host_silent = 0.0;
         self.budgets.anew();
+        self.crests.anew();
     }
 
     /// Sets each motor's current from the step's torques.
@@ -522,7 +526,7 @@ where
         let joints = program.joints.min(MOST_JOINTS);
         for (i, axis) in program.axes.iter_mut().enumerate().take(joints) {
             let wanted = limited(self.frame.torque[i], self.rules.limits.torque[i]);
-            let current = axis.command(wanted, self.frame.qd[i]);
+            let current = axis.command(wanted, self.crests.speed(i));
             self.frame.torque[i] = axis.torque_of(current);
             if !self.hardware.bridge.current_sensed {
                 self.frame.current[i] = current;

@@ -8,6 +8,7 @@ mod rig;
 
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{Fault, State};
+use haptic_bridge::servo::frame::Crest;
 use haptic_bridge::servo::{Command, HostAction, Rules};
 use rig::{RATE, Rig, five_bar, hardware, limits, paddle, rules, scene, wall};
 
@@ -188,7 +189,7 @@ fn injection(fault: Fault) -> (&'static str, &'static str) {
         Fault::EncoderIllegal => ("both lines change at once", at_once),
         Fault::IndexMismatch => ("an index 12 counts beside the first", at_once),
         Fault::JointLimit => ("a joint turned past its limit", at_once),
-        Fault::SpeedLimit => ("30 rad/s where 20 are allowed", "as the speed filter reports it"),
+        Fault::SpeedLimit => ("30 rad/s where 20 are allowed", "as a filter of 200 Hz reports it"),
         Fault::OverCurrent => ("6 A measured where 3 are allowed", at_once),
         Fault::ThermalBudget => ("2.9 A where 1 A may flow for ever", "when the budget is spent"),
         Fault::BusUnderVoltage => ("9.9 V where 10 are needed", at_once),
@@ -547,4 +548,89 @@ fn limits_hold_whatever_the_step_is_asked_for() {
         assert!(rig.servo.frame().torque[0].abs() <= bound, "{:?}", rig.servo.frame());
         assert!(rig.duties.iter().all(|duty| duty.abs() <= 0.92));
     }
+}
+
+/// Control rates, Hz, that limits have to hold at alike.
+const RATES: [f32; 3] = [200.0, 1_000.0, 20_000.0];
+
+/// An armed paddle at a control rate.
+fn armed_at(rate: f32) -> Rig {
+    let mut scene = quiet();
+    (scene.rate_hz, scene.cutoff_hz) = (rate, 0.2 * rate);
+    let mut rig = Rig::ready(&scene);
+    rig.arm();
+    rig
+}
+
+/// Turns joint 0 at `speed` (rad/s), one carrier period after another, until the bridges float or `most` periods are
+/// over; the periods that took.
+fn crests_until_off(rig: &mut Rig, speed: f64, most: u32, shown: [f32; 3]) -> Option<u32> {
+    let start = rig.samples.counts[0];
+    (1..=most).find(|nth| {
+        let moved = f64::from(*nth) * speed / 20_000.0 / core::f64::consts::TAU * rig::COUNTS;
+        let counts = [start + moved as i32, 0, 0];
+        !rig.servo.guard(&Crest { counts, bus_voltage: 24.0, currents: shown }).bridges
+    })
+}
+
+#[test]
+fn a_current_above_its_limit_is_seen_at_the_next_crest_at_every_rate() {
+    for rate in RATES {
+        let mut rig = armed_at(rate);
+        assert_eq!(crests_until_off(&mut rig, 0.0, 10, [6.0, 0.0, 0.0]), Some(1), "{rate} Hz");
+        assert_eq!(rig.fault(), Some(Fault::OverCurrent));
+        assert_eq!(rig.servo.duties(24.0, &[0.0; 3]), [0.0; 3]);
+    }
+}
+
+#[test]
+fn speed_and_joint_limits_act_within_a_control_period_at_every_rate() {
+    for rate in RATES {
+        // Twice the 20 rad/s allowed: a first-order filter of 200 Hz is there after ln 2 of its 0.8 ms, 11 periods.
+        let mut rig = armed_at(rate);
+        let seen = crests_until_off(&mut rig, 40.0, 100, [0.0; 3]);
+        assert!(seen.is_some_and(|seen| (10..=14).contains(&seen)), "{rate} Hz: {seen:?}");
+        assert_eq!(rig.fault(), Some(Fault::SpeedLimit));
+        // 19 rad/s are allowed; the limit of 1 rad is 1053 periods away.
+        let mut rig = armed_at(rate);
+        let seen = crests_until_off(&mut rig, 19.0, 2_000, [0.0; 3]);
+        assert!(seen.is_some_and(|seen| (1_052..=1_056).contains(&seen)), "{rate} Hz: {seen:?}");
+        assert_eq!(rig.fault(), Some(Fault::JointLimit));
+    }
+}
+
+#[test]
+fn no_scene_filter_slows_or_blinds_the_speed_limit() {
+    use haptic_bridge::render::velocity::{Coefficients, Estimator};
+    for (kind, cutoff) in
+        [(Estimator::Butterworth, 1.0e-6), (Estimator::FirstOrder, 1.0), (Estimator::Butterworth, 900.0)]
+    {
+        let mut rig = Rig::armed();
+        let coefficients = Coefficients::new(kind, RATE, cutoff).unwrap();
+        rig.execute(Command::Coefficients(coefficients)).unwrap();
+        rig.turn(0, 0.5, 30.0);
+        assert_eq!(rig.fault(), Some(Fault::SpeedLimit), "{kind:?} {cutoff} Hz");
+        let travel = rig.servo.status().q[0];
+        assert!(travel < 0.1, "{kind:?} {cutoff} Hz: {travel} rad");
+    }
+}
+
+#[test]
+fn a_coarse_encoder_is_given_a_few_counts_before_it_is_called_fast() {
+    // 400 counts a turn: one count in a carrier period is 314 rad/s. At 15 rad/s of 20 allowed one comes every 1 ms.
+    let mut coarse = paddle();
+    coarse.joints[0].encoder.as_mut().unwrap().counts_per_turn = 400.0;
+    let run = |speed: f64| {
+        let mut rig = Rig::with(&coarse, &quiet(), hardware(), rules());
+        rig.arm();
+        let counts = |nth: u32| [(f64::from(nth) * speed / 20_000.0 / core::f64::consts::TAU * 400.0) as i32, 0, 0];
+        let off = (1..=1_200).find(|nth| {
+            !rig.servo.guard(&Crest { counts: counts(*nth), bus_voltage: 24.0, currents: [0.0; 3] }).bridges
+        });
+        (off.map(|nth| counts(nth)[0]), rig.fault())
+    };
+    assert_eq!(run(15.0), (None, None));
+    let (travel, fault) = run(40.0);
+    assert_eq!(fault, Some(Fault::SpeedLimit));
+    assert!(travel.is_some_and(|counts| counts <= 6), "{travel:?} counts");
 }

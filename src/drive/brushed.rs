@@ -143,6 +143,12 @@ impl Axis {
         self.target
     }
 
+    /// Takes the joint's speed (rad/s) of this carrier period.
+    #[inline(always)]
+    pub fn follow(&mut self, speed: f32) {
+        self.emf = self.back_emf * speed;
+    }
+
     /// The duty for the next carrier period from the bus voltage (V) and the measured current (A, of no effect
     /// where none is sensed). Call once a carrier period. Zero when the bus voltage is not usable.
     #[inline(always)]

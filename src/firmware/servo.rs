@@ -2,8 +2,8 @@
 //! valley.
 //!
 //! It runs at every update of TIM1, crests and valleys. At a valley it takes at most one request from the tasks, so
-//! that a request never lengthens a step. At every crest it runs the current loops; at every k-th crest (k =
-//! [`Carrier::divider`]) it runs the library's control step. Everything it shares with tasks is an atomic or a
+//! that a request never lengthens a step. At every crest it holds what it sees to the limits and runs the current
+//! loops; at every k-th crest (k = [`Carrier::divider`]) it runs the library's control step. Everything it shares with tasks is an atomic or a
 //! single-producer single-consumer queue, so nothing here waits and nothing is torn; a full queue drops and counts.
 //!
 //! Time bound: a step that reaches past the following crest is counted, and turns the motors off if they are on
@@ -20,7 +20,7 @@ use embassy_stm32::pac::timer::vals::Dir;
 use haptic_bridge::drive::carrier::Carrier;
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::compiled::{self, BoardProgram, BoardServo};
-use haptic_bridge::servo::frame::{Frame, Samples};
+use haptic_bridge::servo::frame::{Crest, Frame, Samples};
 use haptic_bridge::servo::program::Hardware;
 use haptic_bridge::servo::{Command, Reply, Rules, Status};
 use heapless::spsc::{Consumer, Producer, Queue};
@@ -153,23 +153,24 @@ impl Step {
         // While the gate drivers are up and the bridges are not connected, what the amplifiers show is their offset.
         let learn = !self.driving && GATE_READY.load(Ordering::Relaxed);
         let analog = self.io.analog(learn);
+        if let Some((fault, axis, value)) = self.hardware_fault(analog.fresh) {
+            self.servo.trip(fault, axis, value);
+        }
+        let seen = Crest { counts: self.io.counts(), bus_voltage: analog.bus_v, currents: analog.current_a };
+        let mut outputs = compiled::guard(&mut self.servo, &seen);
         self.countdown -= 1;
         if self.countdown == 0 {
             self.countdown = self.io.carrier().divider;
-            let counts = self.io.counts();
-            let samples = Samples {
-                counts,
-                bus_voltage: analog.bus_v,
-                currents: analog.current_a,
-                index: self.io.index(),
-                fault: self.hardware_fault(analog.fresh),
-            };
-            let outputs = board_step::control(&mut self.servo, &samples);
+            let Crest { counts, bus_voltage, currents } = seen;
+            let samples = Samples { counts, bus_voltage, currents, index: self.io.index(), fault: None };
+            outputs = compiled::control(&mut self.servo, &samples);
             self.connect(outputs.bridges);
             self.record();
             STEPS.store(self.servo.frame().step, Ordering::Relaxed);
+        } else if !outputs.bridges {
+            self.connect(false);
         }
-        let legs = board_step::legs(&mut self.servo, analog.bus_v, &analog.current_a, self.io.carrier());
+        let legs = compiled::legs(&mut self.servo, analog.bus_v, &analog.current_a, self.io.carrier());
         self.io.write(legs);
     }
 
@@ -231,7 +232,7 @@ impl Step {
     #[inline(always)]
     fn record(&mut self) {
         let wanted = self.servo.frame().step.checked_rem(STREAM_DIVIDER.load(Ordering::Relaxed)) == Some(0);
-        if wanted && !board_step::record(&self.servo, &mut self.frames) {
+        if wanted && !compiled::record(&self.servo, &mut self.frames) {
             // This interrupt is the only writer while a stream runs.
             FRAMES_DROPPED.store(FRAMES_DROPPED.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
         }

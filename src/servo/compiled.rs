@@ -7,7 +7,7 @@ use crate::drive::carrier::Carrier;
 use crate::math::Minimax;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::servo::Servo;
-use crate::servo::frame::{Frame, Outputs, Samples};
+use crate::servo::frame::{Crest, Frame, Outputs, Samples};
 use crate::servo::program::{MOST_JOINTS, Program};
 use heapless::spsc::Producer;
 
@@ -19,6 +19,12 @@ pub type BoardProgram = &'static mut Program<BoardMath>;
 
 /// The board's servo.
 pub type BoardServo = Servo<BoardProgram>;
+
+/// What every crest is held to, see [`Servo::guard`].
+#[inline(never)]
+pub fn guard(servo: &mut BoardServo, seen: &Crest) -> Outputs {
+    servo.guard(seen)
+}
 
 /// One control period, see [`Servo::control`].
 #[inline(never)]

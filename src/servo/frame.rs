@@ -18,6 +18,24 @@ pub struct Samples {
     pub fault: Option<(Fault, Option<u8>, f32)>,
 }
 
+/// What is sampled at every crest.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Crest {
+    /// Encoder counts, extended to 32 bits, wrapping.
+    pub counts: [i32; MAX_JOINTS],
+    /// V; ignored where the board does not sense it.
+    pub bus_voltage: f32,
+    /// Motor currents, A; ignored where they are not sensed.
+    pub currents: [f32; MAX_JOINTS],
+}
+
+impl From<&Samples> for Crest {
+    fn from(samples: &Samples) -> Self {
+        let Samples { counts, bus_voltage, currents, .. } = *samples;
+        Self { counts, bus_voltage, currents }
+    }
+}
+
 /// What one control step decided.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outputs {

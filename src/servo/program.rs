@@ -157,12 +157,15 @@ pub struct Program<K> {
     pub(crate) joints: usize,
     pub(crate) limits: [Option<(f32, f32)>; MAX_JOINTS],
     pub(crate) home: Option<[f32; MAX_JOINTS]>,
-    pub(crate) counts_scale: [f32; MAX_JOINTS],
+    pub(crate) radians_per_count: [f32; MAX_JOINTS],
+    /// Angles at count zero, rad.
+    pub(crate) offsets: [f32; MAX_JOINTS],
     /// Same device as the program before: homing and the polarity check stay valid.
     pub(crate) same_device: bool,
     /// Why this program may not be armed, found once.
     pub(crate) unarmable: Option<Refusal>,
     pub(crate) rate_hz: f32,
+    pub(crate) carrier_hz: f32,
 }
 
 impl<K: Math<f32>> Program<K> {
@@ -212,10 +215,12 @@ impl<K: Math<f32>> Program<K> {
             joints,
             limits: core::array::from_fn(|i| device.joints[i].limits),
             home: device.home,
-            counts_scale: core::array::from_fn(|i| device.joints[i].radians_per_count.abs()),
+            radians_per_count: core::array::from_fn(|i| device.joints[i].radians_per_count),
+            offsets: core::array::from_fn(|i| device.joints[i].offset),
             same_device,
             unarmable,
             rate_hz: scene.rate_hz,
+            carrier_hz: bridge.carrier_hz,
         })
     }
 

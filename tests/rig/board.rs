@@ -16,7 +16,7 @@ use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_bridge::servo::frame::Samples;
+use haptic_bridge::servo::frame::{Crest, Samples};
 use haptic_bridge::servo::program::Hardware;
 use haptic_bridge::servo::program::Program;
 use haptic_bridge::servo::{Command, Reply, Rules, Servo, Status};
@@ -168,6 +168,7 @@ impl Board {
 
     /// One control period.
     pub fn tick(&mut self) {
+        self.machine.servo.guard(&Crest::from(&self.samples));
         self.bridges = self.machine.servo.control(&self.samples).bridges;
         self.samples.fault = None;
         self.samples.index = [None; MAX_JOINTS];

@@ -13,7 +13,7 @@ use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_bridge::servo::frame::{Outputs, Samples};
+use haptic_bridge::servo::frame::{Crest, Outputs, Samples};
 use haptic_bridge::servo::program::Hardware;
 use haptic_bridge::servo::program::Program;
 use haptic_bridge::servo::{Command, Rules, Servo};
@@ -137,6 +137,8 @@ pub struct Rig {
     pub currents: [f32; MAX_JOINTS],
     /// Their windings, ohm.
     pub resistance: f32,
+    /// Control rate of the scene, Hz.
+    pub rate: f32,
 }
 
 impl Rig {
@@ -154,6 +156,7 @@ impl Rig {
             shown_current: None,
             currents: [0.0; MAX_JOINTS],
             resistance: 2.0,
+            rate: RATE,
         }
     }
 
@@ -183,7 +186,7 @@ impl Rig {
     /// Arms and waits for the ramp's end.
     pub fn arm(&mut self) {
         self.execute(Command::Arm).expect("everything is in place");
-        for _ in 0..(0.6 * RATE) as u32 {
+        for _ in 0..(0.6 * self.rate) as u32 {
             self.execute(Command::HostAlive).expect("never refused");
             self.step();
         }
@@ -191,6 +194,7 @@ impl Rig {
     }
 
     pub fn load(&mut self, description: &Description, scene: &Scene<f32>, same_device: bool) -> Result<(), Refusal> {
+        self.rate = scene.rate_hz;
         let program = Program::new(
             &self.hardware,
             &self.rules.limits,
@@ -208,20 +212,28 @@ impl Rig {
 
     /// One control period, in which the motors' windings answer to ten duties.
     pub fn step(&mut self) {
-        let before = self.servo.frame().counts;
-        self.samples.currents = self.currents;
-        if let Some(current) = self.shown_current {
-            self.samples.currents[0] = current;
-        }
-        self.outputs = self.servo.control(&self.samples);
+        let first = self.servo.frame().step == 0;
+        let before = if first { self.samples.counts } else { self.servo.frame().counts };
         let carrier = 20_000.0;
-        for _ in 0..(carrier / RATE) as u32 {
+        let carriers = (carrier / self.rate) as u32;
+        for nth in 1..=carriers {
             let mut measured = self.currents;
             measured[0] = self.shown_current.unwrap_or(measured[0]);
+            // The joint turns evenly from sample to sample; the last crest is the one that is due for a step.
+            let counts = core::array::from_fn(|i| {
+                let moved = i64::from(self.samples.counts[i].wrapping_sub(before[i]));
+                before[i].wrapping_add((moved * i64::from(nth) / i64::from(carriers)) as i32)
+            });
+            let seen = Crest { counts, bus_voltage: self.samples.bus_voltage, currents: measured };
+            self.outputs = self.servo.guard(&seen);
+            if nth == carriers {
+                self.samples.currents = measured;
+                self.outputs = self.servo.control(&self.samples);
+            }
             self.duties = self.servo.duties(self.samples.bus_voltage, &measured);
             for (i, current) in self.currents.iter_mut().enumerate() {
                 let turned = self.samples.counts[i].wrapping_sub(before[i]) as f32 * core::f32::consts::TAU;
-                let voltage = self.duties[i] * 24.0 - 0.1 * turned / COUNTS as f32 * RATE;
+                let voltage = self.duties[i] * 24.0 - 0.1 * turned / COUNTS as f32 * self.rate;
                 *current += (voltage - self.resistance * *current) / 1.0e-3 / carrier;
                 if !self.outputs.bridges {
                     *current = 0.0;
@@ -234,7 +246,7 @@ impl Rig {
 
     /// Runs for so many seconds of nothing new.
     pub fn run(&mut self, seconds: f32) {
-        for _ in 0..(seconds * RATE).round() as u32 {
+        for _ in 0..(seconds * self.rate).round() as u32 {
             self.step();
         }
     }
@@ -247,7 +259,7 @@ impl Rig {
     /// Turns joint `i` to `angle` (rad) from home, as fast as `speed` (rad/s).
     pub fn turn(&mut self, i: usize, angle: f64, speed: f64) {
         let target = (angle / core::f64::consts::TAU * COUNTS).round() as i32;
-        let most = (speed / f64::from(RATE) / core::f64::consts::TAU * COUNTS).max(1.0) as i32;
+        let most = (speed / f64::from(self.rate) / core::f64::consts::TAU * COUNTS).max(1.0) as i32;
         while self.samples.counts[i] != target && self.state() != State::Fault {
             self.samples.counts[i] += (target - self.samples.counts[i]).clamp(-most, most);
             self.step();

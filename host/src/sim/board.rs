@@ -20,7 +20,7 @@ use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{Fault, FaultRecord};
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_bridge::servo::frame::Samples;
+use haptic_bridge::servo::frame::{Crest, Samples};
 use haptic_bridge::servo::program::{Hardware, Program};
 use haptic_bridge::servo::{Command, Reply, Rules, Servo, Status};
 use std::collections::BTreeMap;
@@ -159,6 +159,8 @@ pub struct SimulatedBoard {
     device: Device,
     hardware: Hardware,
     countdown: u32,
+    /// Counts at the last crest.
+    seen: [i32; 3],
     drive: [Drive; 3],
     bridges: bool,
     injected: Option<(Fault, Option<u8>, f32)>,
@@ -189,6 +191,7 @@ impl SimulatedBoard {
                 current_sensed: true,
             },
         };
+        let seen = device.counts();
         let mut board = Self {
             service: Service::new(hardware, Limits::default()),
             innards: Innards {
@@ -202,6 +205,7 @@ impl SimulatedBoard {
             link: Port::new(options.send_buffer),
             hardware,
             countdown: 0,
+            seen,
             drive: [Drive::Floating; 3],
             bridges: false,
             injected: None,
@@ -242,9 +246,10 @@ impl SimulatedBoard {
         let currents = self.device.currents().map(|current| current as f32);
         let bus_voltage = self.device.bus_voltage() as f32;
         let due = self.countdown == 0;
+        let counts = self.device.counts();
+        self.guard(&Crest { counts, bus_voltage, currents }, carriers);
         if due {
             self.countdown = self.innards.carrier.divider.into();
-            let counts = self.device.counts();
             let index = core::array::from_fn(|axis| self.device.index()[axis].then_some(counts[axis]));
             let fault = self.injected.take();
             let samples = Samples { counts, bus_voltage, currents, index, fault };
@@ -274,6 +279,18 @@ impl SimulatedBoard {
             self.since_poll = 0.0;
             self.poll();
         }
+    }
+
+    /// Shows the servo the crests of `carriers` periods, between which the joints have turned evenly.
+    fn guard(&mut self, seen: &Crest, carriers: u32) {
+        let moved: [i64; 3] = core::array::from_fn(|axis| i64::from(seen.counts[axis].wrapping_sub(self.seen[axis])));
+        for nth in 1..=carriers {
+            let counts = core::array::from_fn(|axis| {
+                self.seen[axis].wrapping_add((moved[axis] * i64::from(nth) / i64::from(carriers)) as i32)
+            });
+            self.bridges = self.innards.servo.guard(&Crest { counts, ..*seen }).bridges;
+        }
+        self.seen = seen.counts;
     }
 
     /// Adds the step to the stream. A row that the host is too slow for is dropped before it is packed, as on the

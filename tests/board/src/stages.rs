@@ -35,6 +35,7 @@ pub const STAGES: &[(&str, &[&str])] = &[
     ("step: pose, tip", &["mechanism::shared_pose", "::pose", "::tip", "::regularity"]),
     ("step: walls", &["Controller::step", "Controller::step_with", "AnyController::step", "Walls::touch"]),
     ("step: feed-forward", &["Controller::shaped_by_one", "Controller::shaped_by_several", "Controller::bias"]),
+    ("limits, at every crest", &["compiled::guard", "Servo::guard", "Axis::follow"]),
     ("guard", &["Servo::watch", "Servo::watch_budgets", "Servo::find", "Servo::index_agrees"]),
     ("drive: torque to current", &["Servo::drive"]),
     ("bridges", &["Step::connect"]),

@@ -9,7 +9,7 @@
 use haptic_bridge::math::Minimax;
 use haptic_bridge::servo::program::Program;
 use haptic_bridge::servo::Servo;
-use haptic_bridge::servo::frame::{Outputs, Samples};
+use haptic_bridge::servo::frame::{Crest, Outputs, Samples};
 
 type OnBoard = Servo<&'static mut Program<Minimax>>;
 
@@ -28,6 +28,13 @@ fn panic(_: &core::panic::PanicInfo) -> ! {
 #[unsafe(no_mangle)]
 pub extern "C" fn control_step(servo: &mut OnBoard, samples: &Samples, outputs: &mut Outputs) {
     *outputs = servo.control(samples);
+}
+
+/// The watch of a carrier period, as the interrupt calls it.
+// SAFETY: no other symbol of the image has this name.
+#[unsafe(no_mangle)]
+pub extern "C" fn carrier_guard(servo: &mut OnBoard, seen: &Crest, outputs: &mut Outputs) {
+    *outputs = servo.guard(seen);
 }
 
 /// One carrier period, as the interrupt calls it.
