@@ -23,7 +23,6 @@ use crate::safety::limits::Limits;
 use crate::safety::refusal::Refusal;
 use crate::servo::frame::{Frame, Outputs, Samples};
 use crate::servo::program::Hardware;
-use crate::servo::program::MOST_JOINTS;
 use crate::servo::program::Program;
 use core::ops::DerefMut;
 pub use crest::SPEED_HZ;
@@ -319,7 +318,7 @@ where
         if matches!(self.state, State::Armed | State::CheckingPolarity)
             && let Some(program) = self.program.as_mut()
         {
-            let joints = program.joints.min(MOST_JOINTS);
+            let joints = program.joints.min(MAX_JOINTS);
             for ((duty, axis), current) in duties.iter_mut().zip(&mut program.axes).zip(currents).take(joints) {
                 *duty = axis.duty(bus_voltage, *current);
             }
@@ -428,7 +427,7 @@ where
         self.must_be_off()?;
         let program = self.program.as_mut().ok_or(Refusal::NoDevice)?;
         let home = program.home.ok_or(Refusal::NoHome)?;
-        if (0..program.joints.min(MOST_JOINTS)).any(|i| self.crests.speed(i).abs() > REST_SPEED) {
+        if (0..program.joints.min(MAX_JOINTS)).any(|i| self.crests.speed(i).abs() > REST_SPEED) {
             return Err(Refusal::Moving);
         }
         program.controller.home(&self.frame.counts, &home);
@@ -523,7 +522,7 @@ where
     #[inline(always)]
     fn command(&mut self) {
         let Some(program) = self.program.as_mut() else { return };
-        let joints = program.joints.min(MOST_JOINTS);
+        let joints = program.joints.min(MAX_JOINTS);
         for (i, axis) in program.axes.iter_mut().enumerate().take(joints) {
             let wanted = limited(self.frame.torque[i], self.rules.limits.torque[i]);
             let current = axis.command(wanted, self.crests.speed(i));

@@ -10,7 +10,7 @@ use crate::checksum::crc32;
 use crate::math::Math;
 use crate::model::device::Device;
 use crate::model::precomputed::TableChunk;
-use crate::model::precomputed::{MassModelData, Receiving, TABLE_VALUES};
+use crate::model::precomputed::{MassModelData, Receiving};
 use crate::render::scene::{FeedForward, Scene, SceneError};
 use crate::render::velocity::{Coefficients, Washout};
 use crate::safety::fault::{FaultRecord, State};
@@ -201,9 +201,6 @@ impl Service {
     pub fn set_mass_model(&mut self, machine: &mut impl Machine, mass: MassModelData) -> Result<(), Refusal> {
         must_be_off(machine)?;
         if let MassModelData::Table(grid, crc) = &mass {
-            if TABLE_VALUES == 0 {
-                return Err(Refusal::BadTable);
-            }
             let device = self.device.as_ref().ok_or(Refusal::NoDevice)?;
             if !self.receiving.is_complete(grid.values(device.mechanism.mass_entries().len()), *crc) {
                 return Err(Refusal::BadTable);
@@ -221,9 +218,6 @@ impl Service {
     /// the closed form first, so that no step ever looks into half a table.
     pub fn receive_table(&mut self, machine: &mut impl Machine, chunk: &TableChunk) -> Result<(), Refusal> {
         must_be_off(machine)?;
-        if TABLE_VALUES == 0 {
-            return Err(Refusal::BadTable);
-        }
         if matches!(self.mass, MassModelData::Table(..)) {
             self.set_mass_model(machine, MassModelData::Exact)?;
         }

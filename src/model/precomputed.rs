@@ -7,9 +7,6 @@
 //!
 //! The velocity terms z are the mechanism's own in every case: they are forces, not a mass matrix.
 
-// On a board without room for a table TABLE_VALUES is 0, and every comparison with it is settled when it is compiled.
-#![allow(clippy::absurd_extreme_comparisons)]
-
 use crate::checksum::Crc32;
 use crate::math::{Math, Real};
 use crate::model::mechanism::{Mechanism, Shaping};
@@ -20,9 +17,7 @@ use serde::{Deserialize, Serialize};
 
 /// Most numbers a table holds: 2 800 bytes. 15 x 15 points of a five-bar, 13 x 13 of a device on a turret, 10 x 10 of a
 /// redundant arm.
-/// The image of h-bridge-f405, with the code of every mechanism, has no room for them within its 128 KB of flash and
-/// refuses them; the closed form is cheaper than any table there (docs/results/speed-against-error.md).
-pub const TABLE_VALUES: usize = if cfg!(all(target_os = "none", not(feature = "tables"))) { 0 } else { 700 };
+pub const TABLE_VALUES: usize = 700;
 
 /// Most distinct entries of any mechanism's M.
 const MOST_ENTRIES: usize = 6;
@@ -284,8 +279,7 @@ impl<T: Real, const N: usize> MassModel<T, N> {
         let found = match self {
             Self::Exact => None,
             Self::Frozen(mass) => Some(*mass),
-            Self::Table(lookup) if TABLE_VALUES > 0 => lookup.mass::<M, N>(values, &mechanism.shape(q)),
-            Self::Table(_) => None,
+            Self::Table(lookup) => lookup.mass::<M, N>(values, &mechanism.shape(q)),
         };
         let mass = found.unwrap_or_else(|| mechanism.mass(pose));
         Shaping::of(&mass, mechanism.inverse(pose, n))
@@ -318,7 +312,6 @@ impl<const N: usize> MassModel<f32, N> {
                 let usable = (0..N).all(|i| mass[(i, i)] > 0.0) && mass.iter().all(|entry| entry.is_finite());
                 usable.then_some(Self::Frozen(mass))
             }
-            MassModelData::Table(..) if TABLE_VALUES == 0 => None,
             MassModelData::Table(grid, _) => Self::table::<M>(grid),
         }
     }

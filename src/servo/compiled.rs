@@ -8,7 +8,7 @@ use crate::math::Minimax;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::servo::Servo;
 use crate::servo::frame::{Crest, Frame, Outputs, Samples};
-use crate::servo::program::{MOST_JOINTS, Program};
+use crate::servo::program::Program;
 use heapless::spsc::Producer;
 
 /// The trigonometry that the board computes with.
@@ -40,7 +40,7 @@ pub fn legs(
     bus_voltage: f32,
     currents: &[f32; MAX_JOINTS],
     carrier: &Carrier,
-) -> [[u16; 2]; MOST_JOINTS] {
+) -> [[u16; 2]; MAX_JOINTS] {
     let duties = servo.duties(bus_voltage, currents);
     core::array::from_fn(|axis| carrier.legs(duties[axis]))
 }

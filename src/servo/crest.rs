@@ -10,7 +10,7 @@ use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::fault::{Fault, State};
 use crate::safety::limits::{Limits, POWER_SECONDS};
 use crate::servo::frame::{Crest, Outputs};
-use crate::servo::program::{MOST_JOINTS, Program};
+use crate::servo::program::Program;
 use core::ops::DerefMut;
 
 /// Cutoff of the first-order filter behind speed and power limits, Hz: twice the speed limit is seen after 0.6 ms.
@@ -135,7 +135,7 @@ where
     #[inline(always)]
     pub fn guard(&mut self, seen: &Crest) -> Outputs {
         let Some(program) = self.program.as_mut() else { return Outputs { bridges: false } };
-        let joints = program.joints.min(MOST_JOINTS);
+        let joints = program.joints.min(MAX_JOINTS);
         let active = matches!(self.state, State::Armed | State::CheckingPolarity);
         let crests = &mut self.crests;
         if !crests.primed {
@@ -183,7 +183,7 @@ where
     #[inline(never)]
     fn find_at_crest(&mut self, seen: &Crest, moves: &[i32; MAX_JOINTS], active: bool) {
         let Some(program) = self.program.as_ref() else { return };
-        let joints = program.joints.min(MOST_JOINTS);
+        let joints = program.joints.min(MAX_JOINTS);
         let mut found = None;
         let mut note = |wrong: bool, fault: Fault, axis: Option<usize>, value: f32| {
             if wrong && found.is_none() {

@@ -28,10 +28,6 @@ pub struct Hardware {
     pub bridge: Bridge,
 }
 
-/// Joints of the largest mechanism that this build controls: the image of a board with two axes holds no code for
-/// three.
-pub const MOST_JOINTS: usize = if cfg!(feature = "odrive-v3") { 2 } else { MAX_JOINTS };
-
 macro_rules! define {
     ($(($Variant:ident, $module:ident, $n:literal))*) => {
         /// The controller of whichever mechanism is loaded, in the board's precision.
@@ -48,9 +44,6 @@ macro_rules! define {
             pub fn new(device: &Device<f32>, scene: &Scene<f32>, mass: &MassModelData) -> Result<Self, Refusal> {
                 match &device.mechanism {
                     $(crate::model::mechanism::AnyMechanism::$Variant(mechanism) => {
-                        if $n > MOST_JOINTS {
-                            return Err(Refusal::TooManyJoints { joints: $n, axes: MOST_JOINTS as u8 });
-                        }
                         let mass = MassModel::new::<crate::model::mechanism::$Variant<f32>>(mass).ok_or(Refusal::BadTable)?;
                         Controller::new(*mechanism, device, scene, mass).map(Self::$Variant).map_err(Refusal::Scene)
                     })*
@@ -72,10 +65,7 @@ macro_rules! define {
                 frame: &mut Frame,
             ) -> Regularity<f32> {
                 match self {
-                    $(Self::$Variant(controller) if $n <= MOST_JOINTS => {
-                        record(controller.step_with(&head(counts), table), frame)
-                    })*
-                    _ => Regularity::default(),
+                    $(Self::$Variant(controller) => record(controller.step_with(&head(counts), table), frame),)*
                 }
             }
 
@@ -97,8 +87,7 @@ macro_rules! define {
             /// See [`Controller::inside_a_wall`].
             pub fn inside_a_wall(&self, counts: &[i32; MAX_JOINTS]) -> bool {
                 match self {
-                    $(Self::$Variant(controller) if $n <= MOST_JOINTS => controller.inside_a_wall(&head(counts)),)*
-                    _ => true,
+                    $(Self::$Variant(controller) => controller.inside_a_wall(&head(counts)),)*
                 }
             }
 

@@ -10,7 +10,7 @@ use crate::model::catalogue::MAX_JOINTS;
 use crate::model::mechanism::Regularity;
 use crate::safety::fault::{Fault, FaultRecord, State};
 use crate::servo::frame::Samples;
-use crate::servo::program::{MOST_JOINTS, Program};
+use crate::servo::program::Program;
 use core::ops::DerefMut;
 
 /// Regularity of a closed loop below which its tip force is no longer defined well enough to act.
@@ -67,7 +67,7 @@ where
     #[inline(always)]
     pub(super) fn watch(&mut self, samples: &Samples, acted: &[f32; MAX_JOINTS], regularity: &Regularity<f32>) {
         let Some(program) = self.program.as_ref() else { return };
-        let joints = program.joints.min(MOST_JOINTS);
+        let joints = program.joints.min(MAX_JOINTS);
         let active = matches!(self.state, State::Armed | State::CheckingPolarity);
         let sensed = self.hardware.bridge.current_sensed;
         let mut sum = self.frame.wall_force + self.frame.normal_velocity + self.frame.bus_voltage;
@@ -104,7 +104,7 @@ where
     #[inline(always)]
     fn watch_budgets(&mut self, samples: &Samples, acted: &[f32; MAX_JOINTS], active: bool) -> Option<Found> {
         let program = self.program.as_mut()?;
-        let joints = program.joints.min(MOST_JOINTS);
+        let joints = program.joints.min(MAX_JOINTS);
         let budgets = &mut self.budgets;
         let i = if budgets.joint < joints { budgets.joint } else { 0 };
         budgets.joint = i + 1;
@@ -162,7 +162,7 @@ where
     #[inline(never)]
     fn find(&mut self, samples: &Samples, regularity: &Regularity<f32>, sum: f32, built_up: Option<Found>) {
         let Some(program) = self.program.as_ref() else { return };
-        let joints = program.joints.min(MOST_JOINTS);
+        let joints = program.joints.min(MAX_JOINTS);
         let active = matches!(self.state, State::Armed | State::CheckingPolarity);
         let mut found: Option<Found> = None;
         let mut note = |wrong: bool, fault: Fault, axis: Option<usize>, value: f32| {

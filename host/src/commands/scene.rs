@@ -61,7 +61,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     print(&format!("{}{}", loaded(&name.to_string(), &board, &scene), readable(&device, &plan)))
 }
 
-/// Sends a prepared mass matrix; the closed form is what a scene comes with, and what it keeps on a board without room.
+/// Sends a prepared mass matrix; the closed form is what a scene comes with.
 fn send(board: &mut Board, mass: &Precomputed) -> Result<(), Failure> {
     if mass.data == MassModelData::Exact {
         return Ok(());
@@ -69,13 +69,7 @@ fn send(board: &mut Board, mass: &Precomputed) -> Result<(), Failure> {
     let mut offset = 0_u16;
     for values in mass.values.chunks(64) {
         let values = values.iter().copied().collect();
-        match board.send_table(&TableChunk { offset, values }) {
-            Err(BoardError::Refused(Refusal::BadTable)) => {
-                eprintln!("this board has no room for tables: it computes the mass matrix at every step");
-                return Ok(());
-            }
-            sent => sent?,
-        }
+        board.send_table(&TableChunk { offset, values })?;
         offset += 64;
     }
     Ok(board.set_mass_model(&mass.data)?)

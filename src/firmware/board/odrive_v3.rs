@@ -129,7 +129,7 @@ impl Io {
 
     /// Compare values of each axis's two legs, applied at the next valley.
     #[inline(always)]
-    pub fn write(&mut self, legs: [[u16; 2]; AXES]) {
+    pub fn write(&mut self, legs: [[u16; 2]; MAX_JOINTS]) {
         pac::TIM1.ccr(1).write(|w| w.set_ccr(legs[0][0]));
         pac::TIM1.ccr(2).write(|w| w.set_ccr(legs[0][1]));
         pac::TIM8.ccr(1).write(|w| w.set_ccr(legs[1][0]));
