@@ -23,8 +23,8 @@ fn kept() -> PathBuf {
 /// Builds the counting image; its path.
 fn image(install: bool) -> Result<PathBuf> {
     let mut command = Toolchain::find(Use::Build, install)?.cargo(Use::Build);
-    command.current_dir(root()).args(["--locked", "--package", "haptic-bridge", "--bin", BINARY]);
-    run(command.args(["--profile", "firmware", "--features", "counting-image"]))?;
+    command.current_dir(root().join("firmware")).arg("--target-dir").arg(target_directory());
+    run(command.args(["--locked", "--package", BINARY, "--profile", "firmware"]))?;
     Ok(target_directory().join(TARGET).join("firmware").join(BINARY))
 }
 

@@ -41,18 +41,15 @@ pub fn target_directory() -> PathBuf {
 
 fn cargo(toolchain: Toolchain, purpose: Use, board: &str) -> Command {
     let mut command = toolchain.cargo(purpose);
-    command.current_dir(root());
-    // One package alone: features of the tools must not reach the image.
-    command.args(["--locked", "--package", "haptic-bridge", "--bin", BINARY]);
-    command.args(["--profile", "firmware", "--features", board]);
+    command.current_dir(root().join("firmware")).arg("--target-dir").arg(target_directory());
+    command.args(["--locked", "--package", BINARY, "--profile", "firmware", "--features", board]);
     command
 }
 
 /// Builds one image and keeps it under its board's name; its path.
 pub fn build(board: &str, install: bool) -> Result<PathBuf> {
     let toolchain = Toolchain::find(Use::Build, install)?;
-    // The binary for size; the library keeps its profile's optimisation for speed.
-    run(cargo(toolchain, Use::Build, board).args(["--", "-C", "opt-level=z"]))?;
+    run(&mut cargo(toolchain, Use::Build, board))?;
     let directory = target_directory().join(TARGET).join("firmware");
     let image = directory.join(format!("{BINARY}-{board}.elf"));
     std::fs::copy(directory.join(BINARY), &image).with_context(|| format!("cannot write {}", image.display()))?;
@@ -93,7 +90,7 @@ pub fn size(install: bool) -> Result<()> {
 pub fn clippy(install: bool) -> Result<()> {
     let toolchain = Toolchain::find(Use::Clippy, install)?;
     for board in BOARDS {
-        run(cargo(toolchain, Use::Clippy, board).args(["--lib", "--", "-D", "warnings"]))?;
+        run(cargo(toolchain, Use::Clippy, board).args(["--package", "haptic-bridge", "--", "-D", "warnings"]))?;
     }
     Ok(())
 }

@@ -13,7 +13,7 @@ use std::process::Command;
 
 use anyhow::{Context as _, Result, bail};
 
-use crate::firmware::target_directory;
+use crate::firmware::{root, target_directory};
 use crate::tools;
 pub use crate::tools::Use;
 
@@ -88,6 +88,8 @@ fn rust_flags() -> Vec<String> {
         flags.push(format!("--remap-path-prefix={}=", index.path().join("").display()));
     }
     flags.push("--remap-path-prefix=/usr/lib/rustlib/src/rust/library/=".into());
+    // The library as seen from firmware/, whose own files cargo names that way.
+    flags.push(format!("--remap-path-prefix={}=..", root().display()));
     // Code that build scripts write lies below the target directory.
     flags.push(format!("--remap-path-prefix={}=target", target_directory().display()));
     flags
