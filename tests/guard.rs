@@ -2,7 +2,7 @@
 //!
 //! Faults that the control step finds are provoked by what it is shown (counts, currents, voltages, time); those that
 //! hardware or another part of the firmware finds reach the step as [`Samples::fault`] and are provoked on the emulated
-//! chip by tests/board. A fault that is neither does not compile here.
+//! chip by the tests of emulator/. A fault that is neither does not compile here.
 
 mod rig;
 

@@ -1,4 +1,4 @@
-//! The counting image: every variant of the control step on the chip, between the markers of tests/board's `count`.
+//! The counting image: every variant of the control step on the chip, between the markers of emulator's `count`.
 //!
 //! Nothing but the core runs: no board, no clock set-up, no interrupt. `cargo xtask bench` builds it, has it counted on
 //! the emulated chip and keeps the figures in benches/counts.json. A variant's name is

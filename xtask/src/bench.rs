@@ -32,7 +32,7 @@ fn image(install: bool) -> Result<PathBuf> {
 fn count(install: bool) -> Result<Vec<(String, u64)>> {
     let image = image(install)?;
     let output = cargo()
-        .current_dir(root().join("tests/board"))
+        .current_dir(root().join("emulator"))
         .args(["run", "--quiet", "--locked", "--ignore-rust-version", "--bin", "count", "--"])
         .arg(image)
         .stderr(Stdio::inherit())

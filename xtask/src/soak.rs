@@ -1,5 +1,5 @@
 //! The soaks, with their figures as dated reports: host/tests/soak.rs on the simulated board, or the release image on
-//! the emulated chip (tests/board/src/soak.rs), for as long as is wanted.
+//! the emulated chip (emulator/src/soak.rs), for as long as is wanted.
 
 use std::fs;
 

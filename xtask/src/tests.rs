@@ -55,7 +55,7 @@ pub fn measure(program: &str, arguments: &[&str], install: bool) -> Result<()> {
 fn emulated(call: &str, install: bool) -> Result<Command> {
     let images = firmware::build_all(install)?;
     let mut command = cargo();
-    command.current_dir(firmware::root().join("tests/board")).args([call, "--locked", "--ignore-rust-version"]);
+    command.current_dir(firmware::root().join("emulator")).args([call, "--locked", "--ignore-rust-version"]);
     if let Some(directory) = images.first().and_then(|image| image.parent()) {
         command.env("HAPTIC_FIRMWARE_DIR", directory);
     }

@@ -7,10 +7,10 @@ use std::time::Duration;
 
 use haptic::link::{Board, Wire};
 use haptic::sim::Drive;
-use haptic_bridge::render::controller::Gains;
-use haptic_bridge::safety::fault::{Fault, State};
-use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::board::telemetry::Fields;
+use haptic_bridge::render::controller::Gains;
+use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::safety::fault::{Fault, State};
 
 use crate::boards::BoardKind;
 use crate::rig::Rig;

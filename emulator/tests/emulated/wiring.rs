@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use haptic::sim::Drive;
-use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::board::telemetry::{Field, Fields};
+use haptic_bridge::safety::fault::Fault;
 use virtual_board::boards::BoardKind;
 use virtual_board::plant::Dummy;
 use virtual_board::rig::Rig;

@@ -9,12 +9,12 @@ use std::time::Duration;
 use haptic::backup::Backup;
 use haptic::link::{Board, BoardError};
 use haptic::sim::{Device, Drive, Hand, Intent, Waypoint};
+use haptic_bridge::board::settings::{Damage, Key};
 use haptic_bridge::render::controller::Gains;
+use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::servo::{HostAction, Rules};
-use haptic_bridge::board::settings::{Damage, Key};
 use rigless::device::Level;
 
 use crate::boards::BoardKind;
@@ -515,7 +515,7 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
 /// Where the table is kept.
 #[must_use]
 pub fn document() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/results/faults.md")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/results/faults.md")
 }
 
 /// The row of docs/results/faults.md for `fault`. Values and periods that hang on how fast the image is, such as the
@@ -547,7 +547,7 @@ pub fn row(fault: Fault, outcome: Option<&Outcome>) -> String {
 pub fn table(outcomes: &[(Fault, Option<Outcome>)]) -> String {
     let mut text = "# Faults brought about in the release images\n\n\
         Written by `cargo xtask faults`: every fault of src/safety/fault.rs injected into an armed board on the emulated chip\n\
-        (tests/board/src/inject.rs). Each was latched and listed, refused arming until it was cleared, and left the bridges\n\
+        (emulator/src/inject.rs). Each was latched and listed, refused arming until it was cleared, and left the bridges\n\
         floating with the enable line low. Periods from the cause count to bridges that float: `later` is where the cause has to\n\
         last (a budget, a timeout, a moving hand). Periods from the step that saw it: 0 is the same period.\n\n\
         | code | fault | injection | periods from the cause | periods from being seen | remedy |\n|--:|---|---|---|---|---|\n"

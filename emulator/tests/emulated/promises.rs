@@ -4,9 +4,9 @@
 use std::time::Duration;
 
 use haptic::link::BoardError;
+use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_bridge::board::telemetry::{Field, Fields};
 use virtual_board::boards::BoardKind;
 use virtual_board::hardware::Hardware;
 use virtual_board::inject::{off, run_instead};

@@ -32,7 +32,7 @@ pub fn firmware(board: BoardKind) -> &'static Firmware {
 /// The device files that ship.
 #[must_use]
 pub fn devices() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../devices")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices")
 }
 
 /// The device file called `name`, with motors declared verified and wide joint limits where the file has none, as a

@@ -2,12 +2,12 @@
 
 use std::time::Duration;
 
+use haptic_bridge::board::protocol::PROTOCOL;
+use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::render::controller::Gains;
+use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_bridge::board::protocol::PROTOCOL;
-use haptic_bridge::render::scene::FeedForward;
-use haptic_bridge::board::telemetry::Fields;
 
 use haptic::link::BoardError;
 use virtual_board::boards::BoardKind;

@@ -170,7 +170,7 @@ impl Rig {
 /// Where the table is kept.
 #[must_use]
 pub fn document() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/results/timing.md")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/results/timing.md")
 }
 
 const LONGEST: &str = "longest";
@@ -182,7 +182,7 @@ pub fn table(timings: &[Timing]) -> String {
     let mut text = "# The control interrupt in instructions\n\n\
         Written by `cargo xtask timing`: the release images on the emulated chip, armed, in contact, every wall with the\n\
         feed-forward in full, telemetry of every step streaming; 25 ms of each case, every instruction of the interrupt from\n\
-        its first to the one that returns, given to the function of the source that it came from (tests/board/src/stages.rs).\n\
+        its first to the one that returns, given to the function of the source that it came from (emulator/src/stages.rs).\n\
         Stages are means over the steps, which run at the carrier's crests. Requests of the tasks (at least 50 a second, for\n\
         the status) are carried out at its valleys. Jitter is the longest less the shortest. Waiting for the converters is time, not work: its count depends on the\n\
         emulator's speed. Instructions are no cycles: on silicon expect 1.9 to 2.3 cycles each.\n\n"

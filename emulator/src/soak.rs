@@ -7,8 +7,8 @@ use std::time::Duration;
 
 use haptic::link::{Losses, columns};
 use haptic::sim::{Hand, HandSettings, Intent, Waypoint};
-use haptic_bridge::safety::fault::State;
 use haptic_bridge::board::telemetry::{Field, Fields};
+use haptic_bridge::safety::fault::State;
 
 use crate::boards::BoardKind;
 use crate::contact::WallAt;

@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use haptic::link::Board;
 use haptic::sim::Drive;
-use haptic_bridge::safety::fault::State;
 use haptic_bridge::board::telemetry::Fields;
+use haptic_bridge::safety::fault::State;
 use virtual_board::boards::BoardKind;
 use virtual_board::noise;
 use virtual_board::rig::Rig;

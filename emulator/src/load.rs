@@ -4,11 +4,11 @@
 use std::time::Duration;
 
 use haptic::link::Losses;
-use haptic_bridge::render::controller::Gains;
-use haptic_bridge::safety::fault::State;
-use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::board::telemetry::Fields;
+use haptic_bridge::render::controller::Gains;
+use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::render::velocity::Estimator;
+use haptic_bridge::safety::fault::State;
 
 use crate::rig::Rig;
 use crate::run::MILLISECOND;

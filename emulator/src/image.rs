@@ -95,7 +95,7 @@ impl Firmware {
         if let Some(directory) = std::env::var_os("HAPTIC_FIRMWARE_DIR") {
             return Self::read(Path::new(&directory).join(format!("haptic-bridge-firmware-{name}.elf")));
         }
-        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
         let built = Command::new("cargo")
             .args(["run", "--quiet", "--package", "xtask", "--", "fw", name])
             .current_dir(root)
