@@ -5,12 +5,19 @@
 
 use std::io::{self, Read, Write};
 use std::net::{TcpListener, TcpStream};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use haptic::sim::server::turn_away;
 
 /// How long a second tool waits for the first to be gone: one command after another is not two at once.
 const GRACE: Duration = Duration::from_millis(500);
+/// How long a tool that disarms past the one that holds the port hears what the board says.
+const GUEST: Duration = Duration::from_secs(1);
+
+/// A request to disarm, and the tool that sent it.
+type Disarm = (Vec<u8>, TcpStream);
 
 /// A program's end of the board's serial port.
 pub trait Outlet {
@@ -22,12 +29,15 @@ pub trait Outlet {
     fn write(&mut self, bytes: &[u8]);
 }
 
-/// A TCP port that one program at a time connects to. A second one is told so.
+/// A TCP port that one program at a time connects to. A second one is told so; a request of it to disarm gets through.
 #[derive(Debug)]
 pub struct TcpOutlet {
     listener: TcpListener,
     stream: Option<TcpStream>,
     waiting: Option<(TcpStream, Instant)>,
+    disarm: Sender<Disarm>,
+    disarms: Receiver<Disarm>,
+    guests: Vec<(TcpStream, Instant)>,
 }
 
 impl TcpOutlet {
@@ -39,7 +49,8 @@ impl TcpOutlet {
     pub fn listen(port: u16) -> io::Result<Self> {
         let listener = TcpListener::bind(("127.0.0.1", port))?;
         listener.set_nonblocking(true)?;
-        Ok(Self { listener, stream: None, waiting: None })
+        let (disarm, disarms) = channel();
+        Ok(Self { listener, stream: None, waiting: None, disarm, disarms, guests: Vec::new() })
     }
 
     /// The port it listens on.
@@ -63,8 +74,13 @@ impl Outlet for TcpOutlet {
                 self.stream = usable.then_some(stream);
             }
             Some((stream, since)) if since.elapsed() > GRACE => {
+                let disarm = self.disarm.clone();
                 if stream.set_nonblocking(false).is_ok() {
-                    turn_away(stream);
+                    thread::spawn(move || {
+                        if let Some(request) = turn_away(&stream) {
+                            let _ = disarm.send((request, stream));
+                        }
+                    });
                 }
             }
             waiting => self.waiting = waiting,
@@ -73,6 +89,12 @@ impl Outlet for TcpOutlet {
     }
 
     fn read(&mut self) -> Vec<u8> {
+        if let Ok((request, guest)) = self.disarms.try_recv() {
+            let _ = guest.set_write_timeout(Some(Duration::from_millis(100)));
+            self.guests.push((guest, Instant::now()));
+            // A zero ends whatever frame was under way.
+            return [vec![0], request].concat();
+        }
         let mut bytes = vec![0; 4096];
         let Some(stream) = &mut self.stream else { return Vec::new() };
         match stream.read(&mut bytes) {
@@ -87,6 +109,7 @@ impl Outlet for TcpOutlet {
     }
 
     fn write(&mut self, bytes: &[u8]) {
+        self.guests.retain_mut(|(guest, since)| since.elapsed() < GUEST && guest.write_all(bytes).is_ok());
         if let Some(stream) = &mut self.stream
             && stream.write_all(bytes).is_err_and(|error| error.kind() != io::ErrorKind::WouldBlock)
         {

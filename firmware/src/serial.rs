@@ -1,14 +1,14 @@
 //! The two directions of the USB serial port as frames (COBS, ended by a zero) that never hold the board up.
 //!
-//! In: what is no frame is skipped, and a lost connection ends the frame that was under way. Out: a host that stops
-//! reading is given [`PATIENCE`]; from then on frames are dropped until it reads again, and what follows starts with a
-//! delimiter, so that only whole frames are lost after the first.
+//! In: what is no frame is skipped, and a lost connection ends the frame that was under way. Out: a host is given
+//! [`PATIENCE`] for a whole frame, whether it stops reading or reads slowly; from then on frames are dropped until it
+//! reads again, and what follows starts with a delimiter, so that only whole frames are lost after the first.
 
 use core::future::{Future as _, poll_fn};
 use core::pin::pin;
 use core::task::Poll;
 
-use embassy_time::{Duration, with_timeout};
+use embassy_time::{Duration, Instant, with_deadline};
 use embassy_usb::class::cdc_acm::{Receiver, Sender};
 use haptic_bridge::board::protocol::MAX_FRAME;
 
@@ -17,7 +17,8 @@ use crate::link::UsbDriver;
 /// Largest packet of a full-speed bulk endpoint.
 pub const PACKET: usize = 64;
 
-/// How long a host may leave a packet unread before the board stops waiting for it.
+/// How long a host may take over a frame before the board stops waiting for it. A turn of the link task sends three at
+/// most, and the watchdog wants to hear of it once a second.
 const PATIENCE: Duration = Duration::from_millis(100);
 
 /// Room for a frame with what COBS adds: a byte in 254, one more, and the delimiter.
@@ -110,13 +111,14 @@ impl Outgoing {
         }
         let length = cobs::encode(frame, &mut self.wire);
         self.wire[length] = 0;
-        if self.stalled && !packet(&mut self.sender, &mut self.stalled, &[0]).await {
+        let deadline = Instant::now() + PATIENCE;
+        if self.stalled && !packet(&mut self.sender, &mut self.stalled, deadline, &[0]).await {
             return false;
         }
         // One byte less than a full packet, so that the last packet of a frame is always a short one and goes to the
         // tool at once.
         for piece in self.wire[..=length].chunks(PACKET - 1) {
-            if !packet(&mut self.sender, &mut self.stalled, piece).await {
+            if !packet(&mut self.sender, &mut self.stalled, deadline, piece).await {
                 return false;
             }
         }
@@ -124,8 +126,8 @@ impl Outgoing {
     }
 }
 
-/// Sends one packet; false when it was dropped.
-async fn packet(sender: &mut Sender<'static, UsbDriver>, stalled: &mut bool, bytes: &[u8]) -> bool {
+/// Sends one packet until `deadline`; false when it was dropped.
+async fn packet(sender: &mut Sender<'static, UsbDriver>, stalled: &mut bool, deadline: Instant, bytes: &[u8]) -> bool {
     let mut sending = pin!(sender.write_packet(bytes));
     let sent = if *stalled {
         // One look, no waiting.
@@ -135,7 +137,7 @@ async fn packet(sender: &mut Sender<'static, UsbDriver>, stalled: &mut bool, byt
         })
         .await
     } else {
-        matches!(with_timeout(PATIENCE, sending).await, Ok(Ok(())))
+        matches!(with_deadline(deadline, sending).await, Ok(Ok(())))
     };
     *stalled = !sent;
     sent

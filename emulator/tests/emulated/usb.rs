@@ -9,7 +9,7 @@ use haptic_bridge::safety::fault::State;
 use virtual_board::boards::BoardKind;
 use virtual_board::noise;
 use virtual_board::rig::Rig;
-use virtual_board::run::{MILLISECOND, SECOND};
+use virtual_board::run::{MICROSECOND, MILLISECOND, SECOND};
 use virtual_board::usb::Event;
 
 use crate::session::WALL;
@@ -100,6 +100,29 @@ fn a_computer_that_stops_reading_stops_nothing_else() {
     rig.tool.stop_stream().expect("the stream stops");
     let losses = rig.tool.losses();
     assert!(losses.missing > 0, "something had to be lost: {losses:?}");
+}
+
+/// The board gives a whole frame 100 ms: a host that takes one packet every 90 ms would hold up the link task for a
+/// second a frame, and the watchdog would bite.
+#[test]
+fn a_computer_that_reads_a_packet_now_and_then_stops_nothing_else() {
+    let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
+    rig.load(WALL);
+    rig.ready();
+    rig.tool.start_stream(Fields::ALL, 1).expect("a stream starts");
+    rig.tool.rows(Duration::from_millis(50)).expect("rows come");
+    for _ in 0..40 {
+        rig.with(|bench| bench.usb().read_port(true));
+        rig.run(60 * MICROSECOND);
+        rig.with(|bench| bench.usb().read_port(false));
+        rig.run(90 * MILLISECOND);
+        assert_eq!(rig.with(|bench| bench.resets().len()), 0, "the watchdog bit");
+    }
+    rig.with(|bench| bench.usb().read_port(true));
+    rig.run(200 * MILLISECOND);
+    let status = rig.tool.status().expect("the board answers");
+    assert_eq!((status.state, status.fault), (State::Armed, None));
+    assert_eq!(rig.tool.details().expect("it answers").overruns, 0);
 }
 
 #[test]

@@ -2,8 +2,12 @@
 
 use super::port::{Port, fault_in_words};
 use haptic::error::{Failure, print};
+use haptic::link::{Board, BoardError, LinkError, PortSpec, disarm_past};
 
 /// Switch the motors off; the device then moves freely (and falls, if it has weight)
+///
+/// Gets through to a simulated or emulated board that another tool holds. A board on USB belongs to the tool that has its
+/// port open: end that tool, pull the cable, or use the emergency stop.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -12,7 +16,11 @@ pub struct Args {
 
 /// Disarms, and says so when a fault stays latched.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let mut board = args.port.open()?;
+    let mut board = match Board::open(args.port.spec()) {
+        Ok(board) => board,
+        Err(held @ (LinkError::HeldByAnother(_) | LinkError::PortBusy(_))) => return past(args.port.spec(), held),
+        Err(other) => return Err(other.into()),
+    };
     board.disarm()?;
     let mut report = "disarmed: the motors are off\n".to_string();
     if let Some(record) = board.status()?.fault {
@@ -20,4 +28,16 @@ pub fn run(args: Args) -> Result<(), Failure> {
         report.push_str(&format!("a fault is latched: {}\n", fault_in_words(&record, rate)));
     }
     print(&report)
+}
+
+/// Disarms past the tool that holds the board.
+fn past(port: &PortSpec, held: LinkError) -> Result<(), Failure> {
+    match disarm_past(port) {
+        Ok(()) => print("disarmed past the tool that holds the board: the motors are off\n"),
+        Err(BoardError::Link(LinkError::PortBusy(_))) => Err(Failure::from(held).remedy(
+            "to disarm at once end that tool (Ctrl-C), pull the USB cable of a board whose rules watch the host, or use the \
+             emergency stop",
+        )),
+        Err(other) => Err(other.into()),
+    }
 }

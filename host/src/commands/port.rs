@@ -17,7 +17,12 @@ pub struct Port {
 impl Port {
     /// Opens the board.
     pub fn open(&self) -> Result<Board, Failure> {
-        Ok(Board::open(self.port.as_ref().unwrap_or(&PortSpec::Find))?)
+        Ok(Board::open(self.spec())?)
+    }
+
+    /// What was asked for.
+    pub fn spec(&self) -> &PortSpec {
+        self.port.as_ref().unwrap_or(&PortSpec::Find)
     }
 
     /// Opens the board; a simulated one for which no device was named has the device of `file` on it.

@@ -123,6 +123,21 @@ pub(super) fn open_serial(asked: Option<&str>) -> Result<(Box<dyn Wire>, String)
     }
 }
 
+/// Opens the port that another tool holds beside it, which only a pseudo-terminal allows.
+pub(super) fn open_beside(asked: Option<&str>) -> Result<Box<dyn Wire>, LinkError> {
+    let (boards, others) = boards();
+    let path = choose(asked, &boards, others)?;
+    #[cfg(unix)]
+    if super::wire::is_pseudo_terminal(&path) {
+        let opened = super::wire::SharedWire::open(&path);
+        return match opened {
+            Ok(wire) => Ok(Box::new(wire)),
+            Err(error) => Err(LinkError::NoSuchPort { name: path, reason: error.to_string() }),
+        };
+    }
+    Err(LinkError::PortBusy(path))
+}
+
 fn refused(path: String, error: &serialport::Error) -> LinkError {
     let busy = ["busy", "exclusive lock", "Resource temporarily unavailable", "locked", "Access is denied"];
     match error.kind() {

@@ -39,7 +39,14 @@ pub struct SerialWire {
 impl SerialWire {
     /// Opens the port at `path`; the baud rate means nothing to a USB serial port.
     pub fn open(path: &str) -> Result<Self, serialport::Error> {
+        // Of a pseudo-terminal only the lock keeps other tools out: `haptic disarm` must be able to open it all the same.
+        #[cfg(unix)]
+        let beside = if is_pseudo_terminal(path) { open_terminal(path).ok() } else { None };
         let port = serialport::new(path, 115_200).timeout(SEND_TIMEOUT).dtr_on_open(true).open()?;
+        #[cfg(unix)]
+        if let Some(beside) = beside {
+            let _ = rustix::termios::ioctl_tiocnxcl(beside);
+        }
         Ok(Self { port, began: Instant::now() })
     }
 }
@@ -59,6 +66,51 @@ impl Wire for SerialWire {
             Err(error) if nothing_yet(&error) => Ok(0),
             Err(error) => Err(error),
         }
+    }
+
+    fn now(&self) -> Duration {
+        self.began.elapsed()
+    }
+}
+
+/// Whether this path is a pseudo-terminal's: a simulated or emulated board, which the operating system shows as a
+/// serial port.
+#[cfg(unix)]
+pub(super) fn is_pseudo_terminal(path: &str) -> bool {
+    std::fs::canonicalize(path).is_ok_and(|path| path.starts_with("/dev/pts") || path.starts_with("/dev/ttys"))
+}
+
+#[cfg(unix)]
+fn open_terminal(path: &str) -> io::Result<std::fs::File> {
+    use rustix::fs::{Mode, OFlags};
+    Ok(rustix::fs::open(path, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())?.into())
+}
+
+/// A pseudo-terminal that another tool holds, opened beside it.
+#[cfg(unix)]
+pub(super) struct SharedWire {
+    terminal: std::fs::File,
+    began: Instant,
+}
+
+#[cfg(unix)]
+impl SharedWire {
+    pub(super) fn open(path: &str) -> io::Result<Self> {
+        Ok(Self { terminal: open_terminal(path)?, began: Instant::now() })
+    }
+}
+
+#[cfg(unix)]
+impl Wire for SharedWire {
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.terminal.write_all(bytes)
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
+        use rustix::event::{PollFd, PollFlags, Timespec, poll};
+        let limit = Timespec { tv_sec: timeout.as_secs() as i64, tv_nsec: timeout.subsec_nanos().into() };
+        let ready = poll(&mut [PollFd::new(&self.terminal, PollFlags::IN)], Some(&limit))?;
+        if ready == 0 { Ok(0) } else { self.terminal.read(buffer) }
     }
 
     fn now(&self) -> Duration {

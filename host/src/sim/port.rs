@@ -7,6 +7,9 @@ use postcard_rpc::Topic;
 use serde::Serialize;
 use std::collections::VecDeque;
 
+/// Room for answers beside the telemetry that was not read, bytes.
+const ANSWERS: usize = 64 * 1024;
+
 /// Bytes on their way in and out.
 #[derive(Debug)]
 pub(super) struct Port {
@@ -54,9 +57,12 @@ impl Port {
         self.out.clear();
     }
 
-    /// Sends a frame. Answers are few and asked for, so they are sent whether there is room or not.
+    /// Sends an answer. There is room for more of them than a tool asks for before it reads; to one that asks and does
+    /// not read, the rest is lost, as it is on a board.
     pub(super) fn send(&mut self, frame: &[u8]) {
-        self.out.extend(envelope(frame));
+        if self.out.len() < self.capacity + ANSWERS {
+            self.out.extend(envelope(frame));
+        }
     }
 
     /// Sends a topic message.
@@ -67,7 +73,7 @@ impl Port {
         let mut frame = [0; MAX_FRAME];
         if let Some(frame) = dispatch::publish::<T>(self.sequence, message, &mut frame) {
             self.sequence = self.sequence.wrapping_add(1);
-            self.out.extend(envelope(frame));
+            self.send(frame);
         }
     }
 }
