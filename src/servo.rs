@@ -153,6 +153,8 @@ pub struct Servo<P> {
     last_counts: [i32; MAX_JOINTS],
     primed: bool,
     first_index: [Option<i32>; MAX_JOINTS],
+    /// Joint motion per metre along the deepest wall's normal at this step, rad/m; see [`Servo::rendered`].
+    motion: [f32; MAX_JOINTS],
     crests: crest::Crests,
     budgets: watch::Budgets,
     /// Values of the mass model's table, beside the program because one copy of them is all the memory that they get.
@@ -184,6 +186,7 @@ where
             last_counts: [0; MAX_JOINTS],
             primed: false,
             first_index: [None; MAX_JOINTS],
+            motion: [0.0; MAX_JOINTS],
             crests: crest::Crests::default(),
             budgets: watch::Budgets::default(),
             table: [0.0; TABLE_VALUES],
@@ -301,7 +304,7 @@ where
         }
         if let Some(program) = self.program.as_mut() {
             let acted = self.frame.torque;
-            let regularity = program.controller.step(&samples.counts, &self.table, &mut self.frame);
+            let regularity = program.controller.step(&samples.counts, &self.table, &mut self.frame, &mut self.motion);
             self.parallel = regularity.parallel;
             self.watch(samples, &acted, &regularity);
             self.drive();
@@ -497,25 +500,40 @@ where
     /// Sets each motor's current from the step's torques.
     #[inline(always)]
     fn drive(&mut self) {
+        self.frame.rendered_force = 0.0;
+        self.frame.limited = 0;
+        let asked = self.frame.torque;
         match self.state {
             State::Armed => {
                 self.ramp = (self.ramp + self.period * (1.0 / ARM_SECONDS)).min(1.0);
                 for (torque, from) in self.frame.torque.iter_mut().zip(&self.from) {
                     *torque = from + (*torque - from) * self.ramp;
                 }
+                self.command();
+                self.frame.rendered_force = self.rendered(&asked);
             }
             State::CheckingPolarity => {
                 self.check_polarity();
-                if self.state != State::CheckingPolarity {
-                    return;
+                if self.state == State::CheckingPolarity {
+                    self.command();
                 }
             }
             State::Disarmed | State::Fault => {
                 self.frame.torque = [0.0; MAX_JOINTS];
-                return;
             }
         }
-        self.command();
+    }
+
+    /// The force (N) that is left of what the walls asked for, when `asked` are the torques (N m) of the step.
+    ///
+    /// A tip that only moves along the deepest wall's normal n, by one unit, moves the joints by E = J⁻¹ n. By virtual
+    /// work a joint torque τ therefore is worth E·τ along n (τ = Jᵀ F gives E·τ = n·F), and so the torque that limits
+    /// took off is worth E·(asked - left). Weight and springs drop out of the difference.
+    #[inline(always)]
+    fn rendered(&self, asked: &[f32; MAX_JOINTS]) -> f32 {
+        let taken = asked.iter().zip(&self.frame.torque).map(|(asked, left)| asked - left);
+        let lost = self.motion.iter().zip(taken);
+        lost.fold(self.frame.wall_force, |force, (motion, torque)| force - motion * torque)
     }
 
     /// Commands the frame's torques within limits, and records there what is left of them.
@@ -524,9 +542,13 @@ where
         let Some(program) = self.program.as_mut() else { return };
         let joints = program.joints.min(MAX_JOINTS);
         for (i, axis) in program.axes.iter_mut().enumerate().take(joints) {
-            let wanted = limited(self.frame.torque[i], self.rules.limits.torque[i]);
+            let asked = self.frame.torque[i];
+            let wanted = limited(asked, self.rules.limits.torque[i]);
             let current = axis.command(wanted, self.crests.speed(i));
             self.frame.torque[i] = axis.torque_of(current);
+            // As much as a limit takes at least, and more than a torque's way through a current rounds.
+            let short = asked.abs() * (1.0 - 1.0e-5) > self.frame.torque[i].abs();
+            self.frame.limited |= u8::from(short) << i;
             if !self.hardware.bridge.current_sensed {
                 self.frame.current[i] = current;
             }

@@ -150,7 +150,7 @@ fn table() -> Vec<Line> {
             [Refusal::BadEntry, Refusal::BadEntry, Refusal::BadEntry, On, On, Refusal::BadEntry].map(Err),
         ),
         ("name", ask!(SetName, "paddle".chars().collect::<Name>()), always),
-        ("stream", ask!(Stream, StreamRequest { fields: Fields::ALL, divider: 1 }), always),
+        ("stream", ask!(Stream, StreamRequest { fields: Fields::ALL, divider: 1, stream: 7 }), always),
         ("boot loader", ask!(EnterDfu), always),
         ("restart", ask!(Restart), always),
     ]

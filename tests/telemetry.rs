@@ -26,7 +26,7 @@ fn rows(batch: &Batch) -> impl Iterator<Item = u32> + '_ {
 
 fn packer(fields: Fields, divider: u32, axes: usize) -> Packer {
     let mut packer = Packer::default();
-    packer.start(&StreamRequest { fields, divider }, axes);
+    packer.start(&StreamRequest { fields, divider, stream: 41 }, axes);
     packer
 }
 
@@ -35,6 +35,7 @@ fn a_row_holds_its_fields_in_their_order() {
     let mut packer = packer(Fields(Field::Angle.bit() | Field::Counts.bit() | Field::State.bit()), 1, 2);
     assert!(packer.push(&frame(9), 0).is_none());
     let batch = packer.flush().unwrap().clone();
+    assert_eq!(batch.stream, 41, "whose rows these are");
     assert_eq!((batch.first_step, batch.axes, width(&batch)), (9, 2, 5));
     assert_eq!(batch.values[..2], [9.0, 0.5]);
     assert_eq!(batch.values[2].to_bits() as i32, -7);
@@ -83,7 +84,7 @@ proptest! {
     fn every_step_is_either_in_a_batch_or_counted_as_lost(
         divider in 1_u32..5,
         start in prop_oneof![Just(0_u32), Just(u32::MAX - 100), any::<u32>()],
-        fields in 1_u32..(1 << 15),
+        fields in 1_u32..(1 << 17),
         // For each row: whether the board had to drop it, and whether the link loses the batch that leaves there.
         fate in proptest::collection::vec((0_u8..8, 0_u8..6), 1..300),
     ) {
@@ -149,4 +150,25 @@ fn what_waits_in_a_queue_leaves_in_order_and_the_rest_when_it_is_late() {
     assert_eq!((rest.number, rest.first_step), (1, 2 * BATCH_VALUES as u32));
     assert!(rows(&full).chain(rows(&rest)).eq((0..500).step_by(2)));
     assert!(packer.drain(&mut consumer, 7, true).is_none());
+}
+
+#[test]
+fn the_table_in_the_docs_is_the_declaration() {
+    let page = include_str!("../docs/telemetry.md");
+    let rows: Vec<Vec<&str>> = page
+        .lines()
+        .filter(|line| line.starts_with("| `"))
+        .map(|line| line.trim_matches('|').split('|').map(str::trim).collect())
+        .collect();
+    assert_eq!(rows.len(), Field::ALL.len(), "one row a field");
+    for (row, field) in rows.iter().zip(Field::ALL) {
+        assert_eq!(row[0], format!("`{}`", field.name()));
+        assert_eq!((row[1], row[3]), (field.unit(), field.meaning()), "{field:?}");
+        assert_eq!(row[2].starts_with("per "), field.is_vector(), "{field:?}");
+    }
+    let usual = page.split("`--fields usual` is ").nth(1).unwrap().split('.').next().unwrap();
+    for field in Field::ALL {
+        let named = usual.split(|c: char| !c.is_alphabetic()).any(|word| word == field.name());
+        assert_eq!(named, Fields::USUAL.has(*field), "{field:?} in {usual:?}");
+    }
 }

@@ -237,7 +237,7 @@ const TEMPLATES: &[Template] = &[
     }),
     (Stream::REQ_KEY, |which| {
         let fields = if which & 1 == 0 { Fields::ALL } else { Fields(u32::from(which)) };
-        bytes_of(&StreamRequest { fields, divider: u32::from(which >> 4) })
+        bytes_of(&StreamRequest { fields, divider: u32::from(which >> 4), stream: u32::from(which) })
     }),
     (ReadEntry::REQ_KEY, |which| bytes_of(&Key::ALL[usize::from(which) % Key::ALL.len()])),
     (StageEntry::REQ_KEY, |which| {

@@ -2,7 +2,8 @@
 //!
 //! A batch holds consecutive kept steps (every `divider`-th) of the chosen fields as `f32`; a gap starts a new batch,
 //! so a reader knows the step of every row and counts losses exactly: missing steps, and the board's own count of what
-//! it had to drop.
+//! it had to drop. Every batch carries the number that the tool gave its stream: what a killed tool left on the link is
+//! told from what the next one asked for.
 
 use crate::model::catalogue::MAX_JOINTS;
 use crate::servo::frame::Frame;
@@ -15,10 +16,10 @@ use serde::{Deserialize, Serialize};
 pub const BATCH_VALUES: usize = 220;
 
 macro_rules! fields {
-    ($($(#[$doc:meta])* $Name:ident = $bit:literal, $name:literal, $unit:literal, $vector:literal, |$frame:ident, $i:ident| $value:expr;)*) => {
+    ($($Name:ident = $bit:literal, $name:literal, $unit:literal, $vector:literal, |$frame:ident, $i:ident| $value:expr, $meaning:literal;)*) => {
         /// A number, or one number an axis, of a telemetry row.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-        pub enum Field { $($(#[$doc])* $Name,)* }
+        pub enum Field { $(#[doc = $meaning] $Name,)* }
 
         impl Field {
             /// Every field, in the order of the columns.
@@ -36,6 +37,10 @@ macro_rules! fields {
             pub const fn unit(self) -> &'static str {
                 match self { $(Field::$Name => $unit,)* }
             }
+            /// What it is, for people: docs/telemetry.md and `haptic stream --list` hold these sentences.
+            pub const fn meaning(self) -> &'static str {
+                match self { $(Field::$Name => $meaning,)* }
+            }
             /// Whether there is one number for every axis.
             pub const fn is_vector(self) -> bool {
                 match self { $(Field::$Name => $vector,)* }
@@ -48,36 +53,42 @@ macro_rules! fields {
 }
 
 fields! {
-    /// Joint angles.
-    Angle = 0, "q", "rad", true, |frame, i| frame.q[i];
-    /// Joint velocities.
-    Speed = 1, "qd", "rad/s", true, |frame, i| frame.qd[i];
-    /// Tip.
-    Tip = 2, "tip", "m", true, |frame, i| frame.tip[i];
-    /// Joint torques after limits.
-    Torque = 3, "torque", "N m", true, |frame, i| frame.torque[i];
-    /// Motor currents.
-    Current = 4, "current", "A", true, |frame, i| frame.current[i];
-    /// Duties.
-    Duty = 5, "duty", "", true, |frame, i| frame.duty[i];
-    /// Distance to the deepest wall.
-    Distance = 6, "distance", "m", false, |frame, _i| frame.distance;
-    /// Velocity along its normal.
-    NormalVelocity = 7, "velocity", "m/s", false, |frame, _i| frame.normal_velocity;
-    /// Sum of the walls' forces.
-    WallForce = 8, "force", "N", false, |frame, _i| frame.wall_force;
-    /// Share of the feed-forward that acts.
-    Shaping = 9, "shaping", "", false, |frame, _i| frame.shaping;
-    /// Energy the walls have taken up.
-    Energy = 10, "energy", "J", false, |frame, _i| frame.energy;
-    /// Damping added by the passivity controller.
-    PassivityDamping = 11, "passivity", "N s/m", false, |frame, _i| frame.passivity_damping;
-    /// Bus voltage.
-    BusVoltage = 12, "bus", "V", false, |frame, _i| frame.bus_voltage;
-    /// Encoder counts; the bits of a 32-bit integer in the place of a float, so that none is lost.
-    Counts = 13, "counts", "", true, |frame, i| f32::from_bits(frame.counts[i] as u32);
-    /// 0 disarmed, 1 armed, 2 checking polarity, 3 fault; plus 16 for every wall touched.
-    State = 14, "state", "", false, |frame, _i| f32::from(frame.state as u8) + 16.0 * f32::from(frame.contacts);
+    Angle = 0, "q", "rad", true, |frame, i| frame.q[i],
+        "Joint angles";
+    Speed = 1, "qd", "rad/s", true, |frame, i| frame.qd[i],
+        "Joint velocities, filtered as the scene says";
+    Tip = 2, "tip", "m", true, |frame, i| frame.tip[i],
+        "Tip in the task frame; on a redundant arm the last is its orientation in rad";
+    Torque = 3, "torque", "N m", true, |frame, i| frame.torque[i],
+        "Joint torques commanded, after all limits; 0 with the motors off";
+    Current = 4, "current", "A", true, |frame, i| frame.current[i],
+        "Motor currents: measured, or those commanded where the board senses none";
+    Duty = 5, "duty", "", true, |frame, i| frame.duty[i],
+        "Bridge duties of the carrier period after the step, as a signed share of the bus voltage";
+    Distance = 6, "distance", "m", false, |frame, _i| frame.distance,
+        "Distance of the tip to the deepest wall, negative inside it; 0 without walls";
+    NormalVelocity = 7, "velocity", "m/s", false, |frame, _i| frame.normal_velocity,
+        "Filtered tip velocity along the normal of the deepest wall, positive out of it";
+    WallForce = 8, "force", "N", false, |frame, _i| frame.wall_force,
+        "Force that the walls ask for, summed over the walls touched: no motor has been asked yet";
+    RenderedForce = 15, "rendered", "N", false, |frame, _i| frame.rendered_force,
+        "What the limits leave of that force: force less what ramp, torque and current limits took off along the normal of the deepest wall; 0 unless armed";
+    Saturated = 16, "saturated", "", true, |frame, i| frame.saturation(i),
+        "Which motors could not do what was asked: 0 none, 1 its torque or current limit acted, 2 its duty is at the end of what the bus gives, 3 both";
+    Shaping = 9, "shaping", "", false, |frame, _i| frame.shaping,
+        "Share of the feed-forward that acts, 1 away from singular poses";
+    Energy = 10, "energy", "J", false, |frame, _i| frame.energy,
+        "Energy that the touched walls have taken up since contact began; negative: given out";
+    PassivityDamping = 11, "passivity", "N s/m", false, |frame, _i| frame.passivity_damping,
+        "Damping that the passivity controller added";
+    BusVoltage = 12, "bus", "V", false, |frame, _i| frame.bus_voltage,
+        "Bus voltage; 0 where it is not sensed";
+    // The bits of a 32-bit integer in the place of a float, so that none is lost.
+    Counts = 13, "counts", "", true, |frame, i| f32::from_bits(frame.counts[i] as u32),
+        "Encoder counts, 32 bits, wrapping, before homing";
+    // 0 disarmed, 1 armed, 2 checking polarity, 3 fault; plus 16 for every wall touched.
+    State = 14, "state", "", false, |frame, _i| f32::from(frame.state as u8) + 16.0 * f32::from(frame.contacts),
+        "The board's state as a word, and beside it (`contacts`) how many walls are touched";
 }
 
 /// A set of fields.
@@ -92,10 +103,12 @@ impl Fields {
             | Field::Duty.bit()
             | Field::Distance.bit()
             | Field::WallForce.bit()
+            | Field::RenderedForce.bit()
+            | Field::Saturated.bit()
             | Field::State.bit(),
     );
     /// Everything.
-    pub const ALL: Fields = Fields((1 << 15) - 1);
+    pub const ALL: Fields = Fields((1 << 17) - 1);
 
     /// Whether a field is in the set.
     pub const fn has(self, field: Field) -> bool {
@@ -116,11 +129,15 @@ pub struct StreamRequest {
     pub fields: Fields,
     /// Every how many control steps; 0 stops the stream.
     pub divider: u32,
+    /// A number of the tool's choice that comes back with every batch: what it did not ask for it throws away.
+    pub stream: u32,
 }
 
 /// Consecutive rows of telemetry.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Batch {
+    /// The [`StreamRequest`]'s own number.
+    pub stream: u32,
     /// Number of this batch since the stream started: a gap means the link lost some.
     pub number: u32,
     /// Control step of the first row.
@@ -152,6 +169,7 @@ impl Packer {
         let axes = axes.min(MAX_JOINTS);
         let fields = request.fields.0 & Fields::ALL.0;
         for batch in &mut self.batches {
+            batch.stream = request.stream;
             batch.divider = request.divider;
             batch.fields = fields;
             batch.axes = axes as u8;

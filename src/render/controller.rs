@@ -69,8 +69,10 @@ pub struct Step<T: Real, const N: usize> {
     pub distance: T,
     /// Velocity along the normal of the deepest wall, m/s.
     pub normal_velocity: T,
-    /// Sum of the walls' forces, N.
+    /// Sum of the forces that the walls ask for, N.
     pub wall_force: T,
+    /// J⁻¹ n: joint motion per metre of tip motion along the normal of the deepest wall, rad/m; zero out of contact.
+    pub motion: SVector<T, N>,
     /// Number of walls touched.
     pub contacts: u8,
     /// Energy the touched walls have taken up since contact began, less what they owed then, J; negative when they gave
@@ -185,12 +187,16 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             distance: touch.distance,
             normal_velocity: touch.normal_velocity,
             wall_force: touch.wall_force,
+            motion: SVector::zeros(),
             contacts: touch.contacts,
             energy: touch.energy,
             passivity_damping: touch.passivity_damping,
             shaping: T::one(),
             regularity,
         };
+        if touch.contacts > 0 {
+            step.motion = self.mechanism.inverse(&pose, &touch.normal);
+        }
         let (mut plain, mut straight) = (touch.plain, touch.straight);
         if self.guidance.any {
             plain += self.guidance.force(&place, &task_part::<T, M, N>(&self.mechanism.velocity(&pose, &qd)));

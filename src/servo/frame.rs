@@ -1,7 +1,11 @@
 //! What goes into a control period and what it leaves behind for telemetry.
 
+use crate::drive::brushed::MAX_DUTY;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::fault::{Fault, State};
+
+/// A duty as large as this is as large as it can be: the drive's own end, less what rounding may take off it.
+const DUTY_END: f32 = MAX_DUTY * (1.0 - 8.0 * f32::EPSILON);
 
 /// What the hardware saw at one sampling instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -70,8 +74,12 @@ pub struct Frame {
     pub distance: f32,
     /// Velocity along its normal, m/s.
     pub normal_velocity: f32,
-    /// Sum of the walls' forces, N.
+    /// Sum of the forces that the walls ask for, N.
     pub wall_force: f32,
+    /// What the limits leave of it along the normal of the deepest wall, N (docs/telemetry.md). Zero unless armed.
+    pub rendered_force: f32,
+    /// A bit for every joint whose torque or current limit acted.
+    pub limited: u8,
     /// Share of the feed-forward that acts.
     pub shaping: f32,
     /// Energy the touched walls have taken up since contact began, less what they had given out by then (negative:
@@ -81,4 +89,13 @@ pub struct Frame {
     pub passivity_damping: f32,
     /// V
     pub bus_voltage: f32,
+}
+
+impl Frame {
+    /// Whether joint `i` could not do what was asked: 1 its torque or current limit acted, 2 its duty is at its end, 3
+    /// both.
+    pub fn saturation(&self, i: usize) -> f32 {
+        let end = self.duty.get(i).is_some_and(|duty| duty.abs() >= DUTY_END);
+        f32::from(self.limited >> i & 1) + if end { 2.0 } else { 0.0 }
+    }
 }

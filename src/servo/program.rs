@@ -56,16 +56,19 @@ macro_rules! define {
             }
 
             /// One control step with the values of the mass model's table, if it has one; fills what a frame records of
-            /// it and returns the distances from singularities.
+            /// it and [`Step::motion`], and returns the distances from singularities.
             #[inline(always)]
             pub(crate) fn step(
                 &mut self,
                 counts: &[i32; MAX_JOINTS],
                 table: &[f32],
                 frame: &mut Frame,
+                motion: &mut [f32; MAX_JOINTS],
             ) -> Regularity<f32> {
                 match self {
-                    $(Self::$Variant(controller) => record(controller.step_with(&head(counts), table), frame),)*
+                    $(Self::$Variant(controller) => {
+                        record(controller.step_with(&head(counts), table), frame, motion)
+                    })*
                 }
             }
 
@@ -123,7 +126,8 @@ fn pad<V: Copy + Default, const N: usize>(values: &[V; N]) -> [V; MAX_JOINTS] {
 }
 
 #[inline(always)]
-fn record<const N: usize>(step: Step<f32, N>, frame: &mut Frame) -> Regularity<f32> {
+fn record<const N: usize>(step: Step<f32, N>, frame: &mut Frame, motion: &mut [f32; MAX_JOINTS]) -> Regularity<f32> {
+    *motion = pad(&step.motion.data.0[0]);
     frame.q = pad(&step.q.data.0[0]);
     frame.qd = pad(&step.qd.data.0[0]);
     frame.tip = pad(&step.tip.data.0[0]);

@@ -1,6 +1,6 @@
 //! A board as a program sees it: one method for every endpoint of the protocol.
 
-use super::client::Client;
+use super::client::{Client, unlike_any_before};
 use super::error::{BoardError, LinkError};
 use super::ports::{self, PortSpec};
 use super::telemetry::{Losses, Row, Rows};
@@ -31,6 +31,7 @@ pub struct Board {
     port: String,
     info: Info,
     rows: Rows,
+    garbled_before: u64,
     heartbeat: bool,
     last_heartbeat: Duration,
     faults: Vec<haptic_bridge::safety::fault::FaultRecord>,
@@ -65,6 +66,7 @@ impl Board {
             port,
             info,
             rows: Rows::default(),
+            garbled_before: 0,
             heartbeat: false,
             last_heartbeat: Duration::ZERO,
             faults: Vec::new(),
@@ -214,13 +216,16 @@ impl Board {
 
     /// Starts a stream of every `divider`-th step's `fields`; losses count from here.
     pub fn start_stream(&mut self, fields: Fields, divider: u32) -> Result<(), BoardError> {
-        self.rows = Rows::default();
-        self.change::<p::Stream>(&StreamRequest { fields, divider })
+        // Drawn, not counted: whatever a tool before this one left on the link has another.
+        let stream = unlike_any_before();
+        self.rows = Rows::of(stream);
+        self.garbled_before = self.client.garbled();
+        self.change::<p::Stream>(&StreamRequest { fields, divider, stream })
     }
 
     /// Stops the stream. Rows that were still on their way are in the next [`Board::rows`].
     pub fn stop_stream(&mut self) -> Result<(), BoardError> {
-        self.change::<p::Stream>(&StreamRequest { fields: Fields(0), divider: 0 })
+        self.change::<p::Stream>(&StreamRequest { fields: Fields(0), divider: 0, stream: 0 })
     }
 
     /// The rows that have come, waiting at most `timeout` for the first. Faults that the board reports are kept for
@@ -248,7 +253,7 @@ impl Board {
 
     /// What the stream has lost so far.
     pub fn losses(&self) -> Losses {
-        Losses { garbled: self.client.garbled(), ..self.rows.losses() }
+        Losses { garbled: self.client.garbled() - self.garbled_before, ..self.rows.losses() }
     }
 
     fn beat(&mut self) -> Result<(), LinkError> {

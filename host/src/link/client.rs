@@ -42,6 +42,12 @@ pub struct Client {
     buffer: Vec<u8>,
 }
 
+/// A number that is most likely not the one drawn last, in this process or another.
+pub(super) fn unlike_any_before() -> u32 {
+    use std::hash::{BuildHasher, RandomState};
+    RandomState::new().hash_one(std::process::id()) as u32
+}
+
 /// What the server of a simulated board sends a second tool before it hangs up.
 pub struct Occupied;
 
@@ -59,7 +65,8 @@ impl Client {
             deframer: Deframer::default(),
             answers: VecDeque::new(),
             topics: VecDeque::new(),
-            sequence: 0,
+            // What answers a tool before this one must not pass for an answer to this one.
+            sequence: unlike_any_before() as u16,
             key_kind: VarKeyKind::Key8,
             buffer: vec![0; 16 * 1024],
         }

@@ -96,11 +96,18 @@ impl std::fmt::Display for Losses {
 /// Unpacks batches and keeps account.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Rows {
+    /// The stream that is followed; batches of any other are left over from a tool that is gone.
+    stream: u32,
     losses: Losses,
     next: Option<(u32, u32)>,
 }
 
 impl Rows {
+    /// Those of one stream.
+    pub(super) fn of(stream: u32) -> Self {
+        Self { stream, ..Self::default() }
+    }
+
     pub(super) fn losses(&self) -> Losses {
         self.losses
     }
@@ -109,7 +116,7 @@ impl Rows {
     pub(super) fn take(&mut self, batch: &Batch, rows: &mut Vec<Row>) {
         let fields = Fields(batch.fields);
         let width = fields.width(usize::from(batch.axes));
-        if width == 0 || batch.divider == 0 {
+        if width == 0 || batch.divider == 0 || batch.stream != self.stream {
             return;
         }
         if let Some((step, number)) = self.next {
@@ -118,7 +125,7 @@ impl Rows {
             if ahead < u32::MAX / 2 / batch.divider {
                 self.losses.missing += u64::from(ahead);
             }
-            self.losses.batches_lost += u64::from(batch.number.wrapping_sub(number));
+            self.losses.batches_lost += u64::from(batch.number.saturating_sub(number));
         } else {
             self.losses.batches_lost += u64::from(batch.number);
         }
@@ -162,7 +169,7 @@ mod tests {
         for row in 0..rows {
             values.push(row as f32).unwrap();
         }
-        Batch { number, first_step, divider: 4, dropped, axes: 2, fields: Field::WallForce.bit(), values }
+        Batch { stream: 0, number, first_step, divider: 4, dropped, axes: 2, fields: Field::WallForce.bit(), values }
     }
 
     #[test]
@@ -179,6 +186,16 @@ mod tests {
         let steps: Vec<u32> = rows.iter().map(|row| row.step).collect();
         assert_eq!(steps, [100, 104, 108, 112, 116, 140, 152]);
         assert!(stream.losses().to_string().contains("7 lost (5 dropped by the board"));
+    }
+
+    #[test]
+    fn batches_of_another_stream_are_no_rows_and_no_losses() {
+        let (mut stream, mut rows) = (Rows::of(7), Vec::new());
+        stream.take(&Batch { stream: 6, ..batch(9, 100, 3, 5) }, &mut rows);
+        stream.take(&Batch { stream: 7, ..batch(0, 40, 2, 0) }, &mut rows);
+        // A number that went back is no loss of four thousand million batches.
+        stream.take(&Batch { stream: 7, ..batch(0, 48, 1, 0) }, &mut rows);
+        assert_eq!(stream.losses(), Losses { received: 3, ..Losses::default() });
     }
 
     #[test]

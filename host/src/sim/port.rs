@@ -51,10 +51,11 @@ impl Port {
         self.out.len() < self.capacity
     }
 
-    /// Forgets everything on its way.
+    /// Forgets everything on its way. What goes out next begins with a delimiter: the host may hold half a frame.
     pub(super) fn clear(&mut self) {
         self.deframer = Deframer::default();
         self.out.clear();
+        self.out.push_back(0);
     }
 
     /// Sends an answer. There is room for more of them than a tool asks for before it reads; to one that asks and does

@@ -111,6 +111,8 @@ pub(super) struct Touch<T: Real, const N: usize> {
     /// Distance to the deepest wall, m, and the velocity along its normal, m/s.
     pub distance: T,
     pub normal_velocity: T,
+    /// Its normal.
+    pub normal: SVector<T, N>,
     /// Sum of all forces, N.
     pub wall_force: T,
     /// Number of walls touched.
@@ -165,6 +167,7 @@ impl<T: Real> Walls<T> {
         let mut touch = Touch {
             distance: if self.running.is_empty() { T::zero() } else { T::INFINITY },
             normal_velocity: T::zero(),
+            normal: SVector::zeros(),
             wall_force: T::zero(),
             contacts: 0,
             energy: T::zero(),
@@ -185,6 +188,7 @@ impl<T: Real> Walls<T> {
             if !shallower {
                 touch.distance = contact.distance;
                 touch.normal_velocity = v;
+                touch.normal = contact.normal;
             }
             let inside = contact.distance < T::zero();
             if !inside && !wall.bilateral {

@@ -1,0 +1,132 @@
+//! What is recorded as force is what was asked for, what was left of it, and which motor fell short.
+
+mod rig;
+
+use haptic_bridge::render::controller::Gains;
+use haptic_bridge::render::scene::{FeedForward, Plane, Surface};
+use haptic_bridge::render::velocity::Washout;
+use haptic_bridge::servo::Command;
+use haptic_bridge::servo::frame::Frame;
+use rig::{COUNTS, RATE, Rig, five_bar, hardware, rules, scene, wall};
+
+/// A paddle of 0.1 m in a wall of 1 kN/m at -0.05 m, so many metres deep; its motor may push with 0.3 N m, so 3 N.
+fn pressed(depth: f64) -> Rig {
+    let mut rig = Rig::armed();
+    rig.turn(0, -(0.05 + depth) / 0.1, 2.0);
+    rig.settle();
+    rig
+}
+
+#[test]
+fn a_wall_within_the_motors_means_is_rendered_as_asked() {
+    let frame = *pressed(0.002).servo.frame();
+    assert!((frame.wall_force - 2.0).abs() < 0.02, "{frame:?}");
+    assert!((frame.rendered_force - frame.wall_force).abs() < 1e-5, "{frame:?}");
+    assert_eq!(frame.saturation(0), 0.0);
+}
+
+#[test]
+fn a_wall_beyond_the_motors_means_is_recorded_as_what_they_can() {
+    let frame = *pressed(0.008).servo.frame();
+    assert!((frame.wall_force - 8.0).abs() < 0.02, "asked for: {frame:?}");
+    assert!((frame.rendered_force - 3.0).abs() < 1e-4, "0.3 N m at 0.1 m: {frame:?}");
+    assert_eq!(frame.saturation(0), 1.0, "and the motor is marked");
+    assert_eq!((frame.saturation(1), frame.saturation(2)), (0.0, 0.0), "no other is");
+}
+
+#[test]
+fn nothing_is_rendered_with_the_motors_off_nor_in_full_while_torque_ramps_up() {
+    let mut rig = pressed(0.002);
+    rig.execute(Command::Disarm).unwrap();
+    rig.step();
+    let off = *rig.servo.frame();
+    assert!(off.wall_force > 1.9 && off.rendered_force == 0.0, "{off:?}");
+
+    let mut rig = Rig::ready(&scene(1, &[wall(-0.05, 1_000.0)]));
+    rig.execute(Command::Arm).unwrap();
+    // In 0.03 s of the half second's ramp the tip is 2 mm deep.
+    rig.turn(0, -0.52, 18.0);
+    let ramp = *rig.servo.frame();
+    assert!(ramp.wall_force > 1.9 && ramp.rendered_force > 0.0, "{ramp:?}");
+    assert!(ramp.rendered_force < 0.2 * ramp.wall_force, "{ramp:?}");
+}
+
+/// The tip (m) of `five_bar` at two joint angles (rad), from the circles about its elbows.
+fn tip(q: [f64; 2]) -> [f64; 2] {
+    let c = [-0.025 + 0.07 * q[0].cos(), 0.07 * q[0].sin()];
+    let d = [0.025 + 0.07 * q[1].cos(), 0.07 * q[1].sin()];
+    let (dx, dy) = (d[0] - c[0], d[1] - c[1]);
+    let half = 0.5 * dx.hypot(dy);
+    let height = (0.09_f64.powi(2) - half * half).sqrt() / (2.0 * half);
+    [0.5 * (c[0] + d[0]) - dy * height, 0.5 * (c[1] + d[1]) + dx * height]
+}
+
+/// The force (N) along `n` that joint torques (N m) hold against a tip that cannot move: n·F of τ = Jᵀ F.
+fn held(q: [f64; 2], n: [f64; 2], torque: [f64; 2]) -> f64 {
+    let h = 1e-6;
+    let mut j = [[0.0; 2]; 2];
+    for k in 0..2 {
+        let (mut high, mut low) = (q, q);
+        high[k] += h;
+        low[k] -= h;
+        let (high, low) = (tip(high), tip(low));
+        for i in 0..2 {
+            j[i][k] = (high[i] - low[i]) / (2.0 * h);
+        }
+    }
+    let determinant = j[0][0] * j[1][1] - j[0][1] * j[1][0];
+    let force = [
+        (j[1][1] * torque[0] - j[1][0] * torque[1]) / determinant,
+        (j[0][0] * torque[1] - j[0][1] * torque[0]) / determinant,
+    ];
+    n[0] * force[0] + n[1] * force[1]
+}
+
+#[test]
+fn on_two_joints_it_is_the_force_that_the_recorded_torques_hold() {
+    for feed_forward in [FeedForward::Off, FeedForward::Full] {
+        let n = [0.28, 0.96];
+        let home = tip([2.4, 0.7]);
+        let point = [(home[0] - 0.004 * n[0]) as f32, (home[1] - 0.004 * n[1]) as f32, 0.0];
+        let mut askew = wall(0.0, 3_000.0);
+        askew.surface = Surface::Plane(Plane { point, normal: [0.28, 0.96, 0.0] });
+        askew.feed_forward = feed_forward;
+        let mut rig = Rig::with(&five_bar(), &scene(2, &[askew]), hardware(), rules());
+        rig.arm();
+        let mut saturated = 0;
+        for _ in 0..40 {
+            // Down into the wall: the left arm outward, the right arm inward.
+            for (i, turn) in [(0, 30), (1, -30)] {
+                rig.samples.counts[i] += turn;
+            }
+            rig.run(0.02);
+            let frame = *rig.servo.frame();
+            // The counts' own angles: 2.4 and 0.7 rad at home.
+            let angle = |i: usize| f64::from(frame.counts[i]) / COUNTS * core::f64::consts::TAU + [2.4, 0.7][i];
+            let torque = [f64::from(frame.torque[0]), f64::from(frame.torque[1])];
+            let expected = held([angle(0), angle(1)], n, torque);
+            let got = f64::from(frame.rendered_force);
+            // 1e-4: f32 in the step (2e-5 of the torque), and the differences' own 1e-7.
+            assert!((got - expected).abs() < 1e-4 * (1.0 + expected.abs()), "{got} for {expected}: {frame:?}");
+            if frame.saturation(0) + frame.saturation(1) > 0.0 {
+                saturated += 1;
+                assert!(frame.rendered_force < 0.999 * frame.wall_force, "{frame:?}");
+            }
+        }
+        assert!((5..35).contains(&saturated), "{saturated} of 40 saturated with {feed_forward:?}");
+    }
+}
+
+#[test]
+fn a_duty_at_its_end_is_marked_by_itself() {
+    let mut rig = pressed(0.001);
+    assert_eq!(rig.servo.frame().saturation(0), 0.0);
+    // 2 N more within one step: a winding of 1 mH would need 44 V for that in a carrier period.
+    let gains = Gains { wall: 0, stiffness: 2_900.0, damping: 0.0, feed_forward: FeedForward::Off, washout_hz: 2.0 };
+    rig.execute(Command::Gains(gains, Washout::new(2.0, RATE).unwrap())).unwrap();
+    rig.servo.control(&rig.samples);
+    rig.servo.duties(24.0, &rig.samples.currents);
+    let frame = *rig.servo.frame();
+    assert_eq!(frame.saturation(0), 2.0, "{frame:?}");
+    assert_eq!(Frame { limited: 0b101, ..frame }.saturation(0), 3.0);
+}
