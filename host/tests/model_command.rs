@@ -112,8 +112,11 @@ fn a_normal_of_any_length_is_the_same_wall() {
     let short = json("haply-2diy", &["--normal=3e-30,4e-30", "--force=2"]);
     let long = json("haply-2diy", &["--normal=0.6,0.8", "--force=2"]);
     for key in ["torque", "torque_without_feed_forward"] {
-        for (a, b) in short[key].as_array().into_iter().flatten().zip(long[key].as_array().into_iter().flatten()) {
+        let (short, long) = (short[key].as_array().expect("a list"), long[key].as_array().expect("a list"));
+        assert_eq!((short.len(), long.len()), (2, 2), "{key} of two joints");
+        for (a, b) in short.iter().zip(long) {
             let (a, b) = (a.as_f64().expect("a number"), b.as_f64().expect("a number"));
+            assert!(a != 0.0, "{key}: the force is 2 N");
             assert!((a - b).abs() < 1.0e-12, "{key}: {a} {b}");
         }
     }

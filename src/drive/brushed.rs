@@ -24,7 +24,9 @@ const MIN_VOLTAGE: f32 = 1.0;
 const MAX_VOLTAGE: f32 = 1.0e3;
 
 /// Share of the loop's bandwidth where the device file leaves the inductance at 0. The motor may have one all the same:
-/// up to L/R = 1 ms its current then overshoots by less than an eighth.
+/// the whole voltage of the target is applied at once, so its current rises with L/R and overshoots by what the loop
+/// has integrated meanwhile, with the boards' 1 kHz by 7 % at L/R = 0.3 ms, 14 % at 0.8 ms and 16 % at 1 ms
+/// (tests/drive.rs).
 pub const UNKNOWN_WINDING: f32 = 0.05;
 
 /// The current below which dead-time compensation fades, A: its sign is noise around zero.

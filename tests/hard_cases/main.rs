@@ -58,14 +58,18 @@ fn where_the_feed_forward_acts_in_full_its_torque_keeps_four_digits() {
 
 #[test]
 fn without_feed_forward_a_serial_singularity_costs_nothing() {
-    for row in ROWS.singular.iter().filter(serial) {
+    let rows: Vec<_> = ROWS.singular.iter().filter(serial).collect();
+    assert_eq!(rows.len(), 42, "six ways into a serial singularity, seven rows each");
+    for row in rows {
         assert!(row.board.plain < USABLE, "{row:?}");
     }
 }
 
 #[test]
 fn the_schur_form_loses_its_digits_at_serial_singularities_and_the_joint_route_keeps_them() {
-    for row in ROWS.singular.iter().filter(serial).filter(|row| conditioned(row) >= 1e3) {
+    let rows: Vec<_> = ROWS.singular.iter().filter(serial).filter(|row| conditioned(row) >= 1e3).collect();
+    assert_eq!(rows.len(), 18, "six ways into a serial singularity, three decades each");
+    for row in rows {
         assert!(row.board.w_eff_schur > 1e-2, "{row:?}");
         assert!(row.board.w_eff_joint < 2e-4, "{row:?}");
     }
@@ -73,7 +77,9 @@ fn the_schur_form_loses_its_digits_at_serial_singularities_and_the_joint_route_k
 
 #[test]
 fn at_parallel_singularities_the_closed_form_in_task_space_keeps_what_joint_space_loses() {
-    for row in ROWS.singular.iter().filter(|row| !serial(row) && conditioned(row) >= 1e3) {
+    let rows: Vec<_> = ROWS.singular.iter().filter(|row| !serial(row) && conditioned(row) >= 1e3).collect();
+    assert_eq!(rows.len(), 6, "two kinds of closed loop, three decades each");
+    for row in rows {
         assert!(row.board.w_rr_kernel * 10.0 < row.board.w_rr_joint, "{row:?}");
         assert!(row.board.w_rr_kernel < 1e-2, "{row:?}");
     }
@@ -81,6 +87,7 @@ fn at_parallel_singularities_the_closed_form_in_task_space_keeps_what_joint_spac
 
 #[test]
 fn double_precision_keeps_five_digits_everywhere() {
+    assert_eq!(ROWS.singular.len(), 56, "eight ways into a singularity, seven rows each");
     for row in &ROWS.singular {
         for error in [row.double.w_rr_kernel, row.double.torque, row.double.torque_moving] {
             assert!(error < 1e-5, "{row:?}");
@@ -91,7 +98,9 @@ fn double_precision_keeps_five_digits_everywhere() {
 #[test]
 fn in_106_bits_all_routes_agree_so_that_the_reference_is_one() {
     // Closer than 1e-6 the closed form clamps its reciprocals on purpose.
-    for row in ROWS.singular.iter().filter(|row| row.regularity > 2e-6) {
+    let rows: Vec<_> = ROWS.singular.iter().filter(|row| row.regularity > 2e-6).collect();
+    assert!(rows.len() >= 54, "all but the five-bar's last elbow rows: {}", rows.len());
+    for row in rows {
         assert!(row.reference < 1e-13, "{row:?}");
     }
 }
@@ -146,6 +155,7 @@ fn a_hit_at_ten_metres_a_second_keeps_four_digits_and_never_pulls() {
 #[test]
 fn a_wall_of_a_million_newtons_per_metre_is_held_to_the_last_digit_of_the_tips_position() {
     // A tip at 0.4 m is known to 0.1 µm: two units in f32's last place, and the sines' own error.
+    assert_eq!(ROWS.steps.len(), 5);
     for row in &ROWS.steps {
         assert!(row.press < 1e-7 * 1e6, "{row:?}");
     }

@@ -307,7 +307,7 @@ pub fn table(rows: &[Row]) -> Table {
             "singularity",
             "at",
             "poses",
-            "sine",
+            "least sine",
             "Weff, Schur form",
             "Weff, 1/(Jr M⁻¹ Jrᵀ)",
             "Weff, 1/(nᵀ Λ⁻¹ n)",
