@@ -31,6 +31,7 @@ pub mod math;
 
 /// What the device is: the maker's description, one file for each mechanism, and the inertia it feels like.
 pub mod model {
+    pub mod admissible;
     pub mod catalogue;
     pub mod description;
     pub mod device;

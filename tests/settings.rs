@@ -6,7 +6,7 @@ use haptic_bridge::board::settings::{BoardName, Damage, Key, MAX_ENTRY, Polarity
 use haptic_bridge::checksum::crc32;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::MassModelData;
-use haptic_bridge::render::scene::{Cylinder, FeedForward, Scene, Sphere, Spring, Surface};
+use haptic_bridge::render::scene::{Cylinder, FeedForward, Scene, Sphere, Spring, Surface, VelocityTerms};
 use haptic_bridge::servo::{HostAction, Rules};
 use std::fmt::Debug;
 use std::fmt::Write as _;
@@ -151,6 +151,41 @@ fn the_largest_scene_fits_an_entry_with_room_to_spare() {
 #[test]
 fn the_checksum_is_the_published_crc_32() {
     assert_eq!(crc32(b"123456789"), 0xCBF4_3926);
+}
+
+#[test]
+fn a_scene_stored_before_it_had_a_gain_comes_back_with_its_terms_as_they_were() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/scene-1.txt");
+    let hex = std::fs::read_to_string(path).expect("the golden file is there");
+    let hex = hex.trim();
+    let entry: Vec<u8> =
+        (0..hex.len() / 2).map(|i| u8::from_str_radix(&hex[2 * i..2 * i + 2], 16).expect("hexadecimal")).collect();
+    assert_eq!(entry[..2], [2, 1], "a scene of version 1");
+    let expected = Scene { velocity_terms: VelocityTerms::Paper, feed_forward_gain: 1.0, ..full_scene() };
+    assert_eq!(decode::<Scene<f32>>(&entry), Ok(expected.clone()));
+    // The flag stood behind rate, cutoff, estimator and weight.
+    let off = resealed(&entry, |body| body[13] = 0);
+    assert_eq!(decode::<Scene<f32>>(&off), Ok(Scene { velocity_terms: VelocityTerms::Off, ..expected }));
+    let cut = resealed(&entry, |body| body.truncate(body.len() - 1));
+    assert_eq!(decode::<Scene<f32>>(&cut), Err(Damage::Corrupt));
+}
+
+#[test]
+fn a_backup_in_words_of_that_time_reads_too() {
+    let words = serde_json::to_value(full_scene()).expect("a scene in words");
+    assert_eq!(words["velocity_terms"], "rendered");
+    for (said, meant) in [(true, VelocityTerms::Paper), (false, VelocityTerms::Off)] {
+        let mut old = words.clone();
+        let fields = old.as_object_mut().expect("fields");
+        fields.insert("velocity_terms".into(), said.into());
+        fields.remove("feed_forward_gain").expect("a field");
+        fields.remove("admissible").expect("a field");
+        let read: Scene<f32> = serde_json::from_value(old).expect("it reads");
+        assert_eq!(read, Scene { velocity_terms: meant, ..full_scene() });
+    }
+    let mut wrong = words;
+    wrong.as_object_mut().expect("fields").insert("velocity_terms".into(), "some".into());
+    assert!(serde_json::from_value::<Scene<f32>>(wrong).is_err());
 }
 
 /// What boards in the field hold: these bytes were written once and must decode to the same values for ever, or their

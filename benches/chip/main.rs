@@ -21,7 +21,7 @@ use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModel, TABLE_VALUES, tabulate};
 use haptic_bridge::render::controller::Controller;
-use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Sphere, Surface, Wall};
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Sphere, Surface, VelocityTerms, Wall};
 use haptic_bridge::with_mechanism;
 use heapless::String;
 use nalgebra::SVector;
@@ -71,18 +71,18 @@ enum Walls {
 }
 
 /// The terms, by name: what stands in the scene, whether it is shaped, whether with velocity terms.
-const TERMS: &[(&str, Walls, FeedForward, bool)] = &[
-    ("none", Walls::One, FeedForward::Off, false),
-    ("feed-forward", Walls::One, FeedForward::Full, false),
-    ("feed-forward+z", Walls::One, FeedForward::Full, true),
-    ("washout", Walls::One, FeedForward::Washout, false),
-    ("washout+z", Walls::One, FeedForward::Washout, true),
-    ("free", Walls::None, FeedForward::Off, false),
-    ("edge, none", Walls::Two, FeedForward::Off, false),
-    ("edge, washout", Walls::Two, FeedForward::Washout, false),
-    ("edge, washout+z", Walls::Two, FeedForward::Washout, true),
-    ("ball, washout", Walls::Ball, FeedForward::Washout, false),
-    ("ball, washout+z", Walls::Ball, FeedForward::Washout, true),
+const TERMS: &[(&str, Walls, FeedForward, VelocityTerms)] = &[
+    ("none", Walls::One, FeedForward::Off, VelocityTerms::Off),
+    ("feed-forward", Walls::One, FeedForward::Full, VelocityTerms::Off),
+    ("feed-forward+z", Walls::One, FeedForward::Full, VelocityTerms::Rendered),
+    ("washout", Walls::One, FeedForward::Washout, VelocityTerms::Off),
+    ("washout+z", Walls::One, FeedForward::Washout, VelocityTerms::Rendered),
+    ("free", Walls::None, FeedForward::Off, VelocityTerms::Off),
+    ("edge, none", Walls::Two, FeedForward::Off, VelocityTerms::Off),
+    ("edge, washout", Walls::Two, FeedForward::Washout, VelocityTerms::Off),
+    ("edge, washout+z", Walls::Two, FeedForward::Washout, VelocityTerms::Rendered),
+    ("ball, washout", Walls::Ball, FeedForward::Washout, VelocityTerms::Off),
+    ("ball, washout+z", Walls::Ball, FeedForward::Washout, VelocityTerms::Rendered),
 ];
 /// A table's points along each coordinate, and how far it reaches from home, rad.
 const POINTS: u8 = 10;
@@ -214,7 +214,7 @@ fn scene<M: Mechanism<f32, N>, const N: usize>(
     tip: &SVector<f32, N>,
     walls: Walls,
     feed_forward: FeedForward,
-    velocity_terms: bool,
+    velocity_terms: VelocityTerms,
 ) -> Scene<f32> {
     let task = M::SPEC.task;
     let directions = match task {

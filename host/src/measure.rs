@@ -17,7 +17,7 @@ pub mod swing;
 use std::time::Duration;
 
 use haptic_bridge::render::controller::Gains;
-use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::{HostAction, Rules};
 use nalgebra::DVector;
@@ -463,7 +463,7 @@ fn scene(
         task: task as u8,
         rate_hz: setup.rate_hz as f32,
         cutoff_hz: setup.cutoff_hz as f32,
-        velocity_terms: false,
+        velocity_terms: VelocityTerms::Off,
         ..Scene::default()
     };
     let padded = |v: &DVector<f64>| -> [f32; 3] { core::array::from_fn(|i| v.get(i).map_or(0.0, |v| *v as f32)) };

@@ -12,7 +12,7 @@ use crate::bench::probe::{Probe, on_surface};
 use crate::error::Failure;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::Interpolation;
-use haptic_bridge::render::scene::{FeedForward, Scene};
+use haptic_bridge::render::scene::{FeedForward, Scene, VelocityTerms};
 use serde::Serialize;
 
 /// Share of the budget that the poses looked at may use up: between them the error may be larger.
@@ -118,16 +118,21 @@ fn plan_on(
     }
     if probes.is_empty() {
         scene.walls.iter_mut().for_each(|wall| wall.feed_forward = FeedForward::Off);
-        scene.velocity_terms = false;
+        scene.velocity_terms = VelocityTerms::Off;
         let instructions = cost(device, &scene, "exact");
         let (mass, errors) = (Precomputed::default(), Errors::default());
         return Ok(Plan { scene, mass, terms: Terms::None, instructions, errors, candidates: Vec::new(), reasons });
     }
 
+    let wanted = scene.velocity_terms;
+    let used_of = |terms| if terms == Terms::FeedForwardZ { wanted } else { VelocityTerms::Off };
     let mut ways = Vec::new();
     for mass in models(device, &probes) {
         for terms in [Terms::FeedForward, Terms::FeedForwardZ] {
-            let with = Scene { velocity_terms: terms == Terms::FeedForwardZ, ..scene.clone() };
+            if terms == Terms::FeedForwardZ && wanted == VelocityTerms::Off {
+                continue;
+            }
+            let with = Scene { velocity_terms: used_of(terms), ..scene.clone() };
             ways.push((cost(device, &with, mass.name()), terms, mass.clone()));
         }
     }
@@ -158,7 +163,7 @@ fn plan_on(
         ))
         .remedy(format!("allow more with --error {:.2}", least * 1.1)));
     };
-    scene.velocity_terms = terms == Terms::FeedForwardZ;
+    scene.velocity_terms = used_of(terms);
     reasons.extend(explain(&candidates, terms, &mass, budget, speed));
     Ok(Plan { scene, mass, terms, instructions, errors, candidates, reasons })
 }
@@ -186,7 +191,7 @@ pub fn cost(device: &Device<f64>, scene: &Scene<f64>, model: &str) -> u32 {
     let name = device.mechanism.kind().spec().name;
     let counted = |model: &str, terms: &str| counts::instructions(name, SHIPPED, model, terms).unwrap_or(0);
     let free = counted("exact", "free");
-    let z = if scene.velocity_terms { "+z" } else { "" };
+    let z = if scene.velocity_terms == VelocityTerms::Off { "" } else { "+z" };
     let per_wall = counted("exact", "none").saturating_sub(free);
     let walls = scene.walls.len() as u32;
     let shaped: Vec<_> = scene.walls.iter().filter(|wall| wall.feed_forward != FeedForward::Off).collect();

@@ -8,6 +8,9 @@
 //! | `rate_hz` | 20000 |
 //! | `cutoff_hz` | 500, or a tenth of the rate where that is less |
 //! | `estimator` | `"butterworth"` (also `"first-order"`, `"backward-difference"`) |
+//! | `velocity_terms` | `"rendered"` (also `"paper"`, `"off"`) |
+//! | `feed_forward_gain` | 1 |
+//! | `admissible` | `"orientation"` (also `"joint-0"`, `"joint-1"`, `"joint-2"`, `"consistent"`; redundant devices only) |
 //! | `gravity_compensation` | true (nothing happens on a device without gravity) |
 //! | wall `shape` | `"plane"` (also `"sphere"`, `"cylinder"`) |
 //! | wall `damping`, spring `damping` | 0 |
@@ -21,8 +24,8 @@ use haptic_bridge::math::{Libm, Real};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::scene::{
-    Cylinder, FeedForward, MAX_RATE_HZ, MAX_SPRINGS, MAX_WALLS, MIN_RATE_HZ, Plane, Scene, SceneError, Sphere, Spring,
-    Surface, Wall,
+    Admissible, Cylinder, FeedForward, MAX_FEED_FORWARD_GAIN, MAX_RATE_HZ, MAX_SPRINGS, MAX_WALLS, MIN_RATE_HZ, Plane,
+    Scene, SceneError, Sphere, Spring, Surface, VelocityTerms, Wall,
 };
 use haptic_bridge::render::velocity::Estimator;
 use haptic_bridge::with_mechanism;
@@ -96,6 +99,9 @@ fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
         "cutoff_hz",
         "estimator",
         "gravity_compensation",
+        "velocity_terms",
+        "feed_forward_gain",
+        "admissible",
         "hand_speed",
         "wall",
         "spring",
@@ -118,6 +124,9 @@ fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
         cutoff_hz,
         estimator: top.word("estimator", &estimators)?.unwrap_or_default(),
         gravity_compensation: top.flag("gravity_compensation")?.unwrap_or(true),
+        velocity_terms: top.word("velocity_terms", &VELOCITY_TERMS)?.unwrap_or_default(),
+        feed_forward_gain: feed_forward_gain(top)?,
+        admissible: top.word("admissible", &Admissible::ALL)?.unwrap_or_default(),
         ..Scene::default()
     };
     let walls = top.tables("wall")?;
@@ -130,12 +139,30 @@ fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
         let spring = spring(table, task)?;
         scene.springs.push(spring).map_err(|_| too_many(table, "[[spring]]", springs.len(), MAX_SPRINGS))?;
     }
+    let shaped = scene.walls.iter().filter(|wall| wall.feed_forward != FeedForward::Off).count();
+    if scene.feed_forward_gain > 1.0 && shaped > 1 {
+        let must = "at most 1 where several walls have a feed-forward";
+        return Err(out_of_range(top, "feed_forward_gain", scene.feed_forward_gain, must));
+    }
     for table in top.tables("field")? {
         table.refuse_unknown_keys(&["damping"])?;
         let damping = table.number("damping", Must::NotBeNegative)?;
         scene.field_damping += table.required("damping", damping, "damping = 2.0")?;
     }
     Ok(scene)
+}
+
+/// The words of `velocity_terms`.
+const VELOCITY_TERMS: [(&str, VelocityTerms); 3] =
+    [("rendered", VelocityTerms::Rendered), ("paper", VelocityTerms::Paper), ("off", VelocityTerms::Off)];
+
+/// α, 1 unless the file says otherwise. How many walls it is for is checked with the scene.
+fn feed_forward_gain(top: &Table<'_>) -> Result<f64, FileError> {
+    let gain = top.number("feed_forward_gain", Must::NotBeNegative)?.unwrap_or(1.0);
+    if gain > MAX_FEED_FORWARD_GAIN {
+        return Err(out_of_range(top, "feed_forward_gain", gain, "from 0 to 3"));
+    }
+    Ok(gain)
 }
 
 fn too_many(table: &Table<'_>, name: &str, found: usize, most: usize) -> FileError {
@@ -271,6 +298,8 @@ pub fn rounded<T: Real>(scene: &Scene<f64>) -> Scene<T> {
         estimator: scene.estimator,
         gravity_compensation: scene.gravity_compensation,
         velocity_terms: scene.velocity_terms,
+        feed_forward_gain: r(scene.feed_forward_gain),
+        admissible: scene.admissible,
         walls: scene
             .walls
             .iter()

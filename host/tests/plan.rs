@@ -5,7 +5,7 @@ use haptic::device_file::DeviceFile;
 use haptic::plan::{Budget, HAND_SPEED, Plan, cost, plan, touched};
 use haptic::scene_file::SceneFile;
 use haptic_bridge::model::device::Device;
-use haptic_bridge::render::scene::{FeedForward, Scene};
+use haptic_bridge::render::scene::{FeedForward, Scene, VelocityTerms};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
@@ -64,7 +64,7 @@ fn instructions_fall_as_a_scene_gets_simpler() {
         let one = scene(&device, if name == "phantom-premium-1.5" { "table" } else { "wall" }).scene;
         let mut two = one.clone();
         two.walls.push(one.walls[0]).unwrap();
-        let without_terms = Scene { velocity_terms: false, ..one.clone() };
+        let without_terms = Scene { velocity_terms: VelocityTerms::Off, ..one.clone() };
         let mut plain = without_terms.clone();
         plain.walls[0].feed_forward = FeedForward::Off;
         let mut empty = plain.clone();

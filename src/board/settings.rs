@@ -58,6 +58,8 @@ pub trait Setting: Serialize + DeserializeOwned {
     const KEY: Key;
     /// Version of its encoding; raised whenever its fields change.
     const VERSION: u8;
+    /// Earlier versions that differ by lacking these bytes at the end: what the later fields were before there were any.
+    const SHORTER: &'static [(u8, &'static [u8])] = &[];
 }
 
 impl Setting for Device<f32> {
@@ -67,7 +69,10 @@ impl Setting for Device<f32> {
 }
 impl Setting for Scene<f32> {
     const KEY: Key = Key::Scene;
-    const VERSION: u8 = 1;
+    /// 2: a feed-forward gain, and what a redundant device holds; `velocity_terms` is no flag any more.
+    const VERSION: u8 = 2;
+    /// A gain of 1 and the orientation.
+    const SHORTER: &'static [(u8, &'static [u8])] = &[(1, &[0x00, 0x00, 0x80, 0x3f, 0x00])];
 }
 impl Setting for Rules {
     const KEY: Key = Key::Rules;
@@ -133,11 +138,22 @@ pub fn decode<S: Setting>(entry: &[u8]) -> Result<S, Damage> {
     }
     match body {
         [key, ..] if *key != S::KEY as u8 => Err(Damage::OtherKey),
-        [_, version, ..] if *version != S::VERSION => Err(Damage::UnknownVersion(*version)),
-        [_, _, value @ ..] => match postcard::take_from_bytes(value) {
-            Ok((value, [])) => Ok(value),
-            _ => Err(Damage::Corrupt),
-        },
+        [_, version, value @ ..] if *version != S::VERSION => {
+            let missing = S::SHORTER.iter().find(|(earlier, _)| earlier == version);
+            let (_, missing) = missing.ok_or(Damage::UnknownVersion(*version))?;
+            let mut whole = Entry::from_slice(value).map_err(|_| Damage::TooLong)?;
+            whole.extend_from_slice(missing).map_err(|_| Damage::TooLong)?;
+            value_of(&whole)
+        }
+        [_, _, value @ ..] => value_of(value),
+        _ => Err(Damage::Corrupt),
+    }
+}
+
+/// The value whose encoding is exactly these bytes.
+fn value_of<S: Setting>(bytes: &[u8]) -> Result<S, Damage> {
+    match postcard::take_from_bytes(bytes) {
+        Ok((value, [])) => Ok(value),
         _ => Err(Damage::Corrupt),
     }
 }

@@ -120,23 +120,36 @@ fn cross<T: Real, const N: usize>(a: &SVector<T, N>, b: &SVector<T, N>) -> SVect
 /// τ = M E Wrr⁻¹ (n·f - Eᵀ b) + b.
 #[inline(always)]
 pub fn shaped_torque<T: Real, const N: usize>(shaping: &Shaping<T, N>, force: T, b: &SVector<T, N>) -> SVector<T, N> {
-    shaping.me * ((force - shaping.e.dot(b)) / shaping.w_rr) + b
+    shaped_torque_beside(shaping, force, b, b)
 }
 
-/// As [`shaped_torque`] in the R rendered directions of `split`; `shapings` are those of its first R columns, `force`
+/// As [`shaped_torque`], with the rendered part of `met` alone left for the wall to meet: `b` itself by the paper's (4),
+/// zero where the wall's force is rendered whatever moves: τ = M E Wrr⁻¹ (n·f - Eᵀ met) + b.
+#[inline(always)]
+pub fn shaped_torque_beside<T: Real, const N: usize>(
+    shaping: &Shaping<T, N>,
+    force: T,
+    b: &SVector<T, N>,
+    met: &SVector<T, N>,
+) -> SVector<T, N> {
+    shaping.me * ((force - shaping.e.dot(met)) / shaping.w_rr) + b
+}
+
+/// As [`shaped_torque_beside`] in the R rendered directions of `split`; `shapings` are those of its first R columns, `force`
 /// the resultant as a task force.
 pub fn shaped_torque_in_span<T: Real, const N: usize>(
     split: &Split<T, N>,
     shapings: &[Shaping<T, N>; N],
     force: &SVector<T, N>,
     b: &SVector<T, N>,
+    met: &SVector<T, N>,
 ) -> SVector<T, N> {
     let rank = split.rendered.min(N);
     // Solve Wrr y = fr - Eᵀ b, the directions that are not rendered decoupled with a unit diagonal.
     let mut w_rr = SMatrix::<T, N, N>::identity();
     let mut right = SVector::<T, N>::zeros();
     for i in 0..rank {
-        right[i] = split.basis.column(i).dot(force) - shapings[i].e.dot(b);
+        right[i] = split.basis.column(i).dot(force) - shapings[i].e.dot(met);
         for j in 0..rank {
             if let Some(entry) = w_rr.get_mut((i, j)) {
                 *entry = shapings[i].e.dot(&shapings[j].me);
@@ -256,7 +269,7 @@ impl<T: Real, const N: usize> Inertia<T, N> {
         let torque = if rank == 1 {
             shaped_torque(&shapings[0], in_span[0], &b)
         } else {
-            shaped_torque_in_span(&split, &shapings, force, &b)
+            shaped_torque_in_span(&split, &shapings, force, &b, &b)
         };
         let mut w_rr = SMatrix::<T, N, N>::identity();
         let mut right = SVector::<T, N>::zeros();

@@ -10,10 +10,12 @@
 
 use crate::math::{Math, Real};
 use crate::model::device::Device;
-use crate::model::inertia::{Split, shaped_torque, shaped_torque_in_span};
+use crate::model::inertia::{Split, shaped_torque_beside, shaped_torque_in_span, solve_symmetric};
 use crate::model::mechanism::{Mechanism, Regularity, Shaping, shared_pose};
 use crate::model::precomputed::MassModel;
-use crate::render::scene::{FeedForward, MAX_SPRINGS, MAX_WALLS, Scene, SceneError, Spring, task_vector};
+use crate::render::scene::{
+    Admissible, FeedForward, MAX_SPRINGS, MAX_WALLS, Scene, SceneError, Spring, VelocityTerms, task_vector,
+};
 use crate::render::velocity::{Coefficients, Washout};
 use core::marker::PhantomData;
 use encoders::Encoders;
@@ -97,7 +99,10 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     guidance: Guidance<T>,
     viscous: SVector<T, N>,
     gravity: bool,
-    velocity_terms: bool,
+    velocity_terms: VelocityTerms,
+    /// α of the feed-forward where the inertia's pole could be reached: above 1.
+    gain: Option<T>,
+    admissible: Admissible,
     /// b of the shaped torque is not zero.
     biased: bool,
     math: PhantomData<K>,
@@ -139,7 +144,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     #[inline(never)]
     pub fn new(mechanism: M, device: &Device<T>, scene: &Scene<T>, mass: MassModel<T, N>) -> Result<Self, SceneError> {
         let Prepared { coefficients, walls, guidance } = prepare(scene, M::SPEC.task)?;
-        let biased = scene.velocity_terms || walls.damped;
+        let biased = scene.velocity_terms != VelocityTerms::Off || walls.damped;
         let moving = biased || guidance.any;
         Ok(Self {
             mechanism,
@@ -151,6 +156,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             viscous: SVector::from_fn(|i, _| device.joints[i].viscous),
             gravity: scene.gravity_compensation && device.weight,
             velocity_terms: scene.velocity_terms,
+            gain: (scene.feed_forward_gain > T::one()).then_some(scene.feed_forward_gain),
+            admissible: scene.admissible,
             biased,
             math: PhantomData,
         })
@@ -204,7 +211,13 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         }
 
         // (4): what is shaped goes through M E Wrr⁻¹, the rest straight through Jᵀ.
-        if let Some(first) = touch.first {
+        if let Some(mut first) = touch.first {
+            if let Some(gain) = self.gain {
+                let kept = first.shaped * self.below_the_pole(table, &turned, &pose, &first.normal, gain);
+                plain += first.normal * (first.shaped - kept);
+                first.shaped = kept;
+                straight = true;
+            }
             let parallel = regularity.parallel * T::from_f64(1.0 / PARALLEL_REGULARITY);
             let share = fade(regularity.serial.lesser(parallel));
             if share < T::one() || !more.is_empty() {
@@ -247,11 +260,42 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             MassModel::Frozen(mass) if N <= 2 => Shaping::of(mass, self.mechanism.inverse(pose, &only.normal)),
             mass => mass.shaping(&self.mechanism, table, q, pose, &only.normal),
         };
+        let shaping = self.held(shaping, pose);
         if !self.biased {
             return shaping.me * (only.shaped / shaping.w_rr);
         }
-        let b = self.bias(pose, place, qd, core::slice::from_ref(only), &only.normal);
-        shaped_torque(&shaping, only.shaped, &b)
+        let (b, met) = self.bias(pose, place, qd, core::slice::from_ref(only), &only.normal);
+        shaped_torque_beside(&shaping, only.shaped, &b, &met)
+    }
+
+    /// A unit motion of the tip, on a redundant device with the coordinate held that the scene names.
+    #[inline(always)]
+    fn held(&self, shaping: Shaping<T, N>, pose: &M::Pose) -> Shaping<T, N> {
+        if M::SPEC.task == N || self.admissible == Admissible::Orientation {
+            return shaping;
+        }
+        self.admissible.hold(&shaping, &self.null(pose))
+    }
+
+    /// The motion that moves no tip, on a redundant device.
+    #[inline(never)]
+    fn null(&self, pose: &M::Pose) -> Shaping<T, N> {
+        let mut turning = SVector::<T, N>::zeros();
+        turning[N - 1] = T::one();
+        self.mechanism.shaping(pose, &turning)
+    }
+
+    /// The share of the feed-forward that keeps a gain α above 1 away from the inertia's pole. The wall meets
+    /// m = Weff/(1 - α ρ), ρ = 1 - Weff/Wrr, which has no bound at α = 1/ρ; half way there, at (1 + 1/ρ)/2, it is twice
+    /// Wrr, and no more is given.
+    #[inline(never)]
+    fn below_the_pole(&self, table: &[T], q: &SVector<T, N>, pose: &M::Pose, n: &SVector<T, N>, gain: T) -> T {
+        let shaping = self.held(self.mass.shaping(&self.mechanism, table, q, pose, n), pose);
+        let row = self.mechanism.transpose(pose, n);
+        let w_eff = T::one() / row.dot(&solve_symmetric(&self.mechanism.mass(pose), &row));
+        let coupling = (T::one() - w_eff / shaping.w_rr).greater(T::EPSILON);
+        let most = T::from_f64(0.5) * (T::one() + T::one() / coupling);
+        (most / gain).lesser(T::one())
     }
 
     /// The feed-forward torques of one or several active walls, without gravity. Out of line: the usual single wall
@@ -276,24 +320,28 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             let _ = normals.push(a.normal);
         }
         if more.is_empty() {
-            let shaping = self.mass.shaping(&self.mechanism, table, q, pose, &first.normal);
-            return shaped_torque(&shaping, first.shaped, &self.bias(pose, place, qd, &active, &first.normal));
+            let shaping = self.held(self.mass.shaping(&self.mechanism, table, q, pose, &first.normal), pose);
+            let (b, met) = self.bias(pose, place, qd, &active, &first.normal);
+            return shaped_torque_beside(&shaping, first.shaped, &b, &met);
         }
         let split = Split::new::<K>(&normals, M::SPEC.task);
         if split.rendered == N {
             // Everything is rendered: nothing is admissible, and (4) adds nothing.
             return self.mechanism.transpose(pose, resultant);
         }
-        let shapings: [Shaping<T, N>; N] =
-            core::array::from_fn(|i| self.mass.shaping(&self.mechanism, table, q, pose, &split.direction(i)));
+        let shapings: [Shaping<T, N>; N] = core::array::from_fn(|i| {
+            self.held(self.mass.shaping(&self.mechanism, table, q, pose, &split.direction(i)), pose)
+        });
         // One rendered direction, or two in space with one admissible across them.
         let turning = if split.rendered == 1 { 0 } else { N - 1 };
-        let b = self.bias(pose, place, qd, &active, &split.direction(turning));
-        shaped_torque_in_span(&split, &shapings, resultant, &b)
+        let (b, met) = self.bias(pose, place, qd, &active, &split.direction(turning));
+        shaped_torque_in_span(&split, &shapings, resultant, &b, &met)
     }
 
-    /// b without gravity: c - M J⁻¹(J̇ q̇ + κ), and B q̇ where a wall asks for it. Zero when the scene has no velocity
-    /// terms. `line` is the direction that turns with curved walls (see [`frame_rate`](crate::model::inertia::frame_rate)).
+    /// b without gravity: c - M J⁻¹(J̇ q̇ + κ), and B q̇ where a wall asks for it; and what of it the walls shall meet:
+    /// all of it by the paper's (4), B q̇ alone where the force is rendered whatever moves. Zero when the scene has no
+    /// velocity terms. `line` is the direction that turns with curved walls (see
+    /// [`frame_rate`](crate::model::inertia::frame_rate)).
     #[inline(never)]
     fn bias(
         &self,
@@ -302,20 +350,23 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         qd: &SVector<T, N>,
         active: &[Active<T, N>],
         line: &SVector<T, N>,
-    ) -> SVector<T, N> {
+    ) -> (SVector<T, N>, SVector<T, N>) {
         let mut b = SVector::zeros();
-        if self.velocity_terms {
+        if self.velocity_terms != VelocityTerms::Off {
             b = self.mechanism.velocity_torque(pose, qd);
             if M::SPEC.task > 1 && self.walls.curved {
                 let velocity = task_part::<T, M, N>(&self.mechanism.velocity(pose, qd));
                 let acceleration = self.walls.turning::<K, N>(place, &velocity, active, line);
                 b += MassModel::Exact.shaping(&self.mechanism, &[], qd, pose, &acceleration).me;
             }
+            if M::SPEC.task < N && self.admissible != Admissible::Orientation {
+                let bent = self.mechanism.inverse(pose, &(self.mechanism.jacobian_rate(pose, qd) * qd));
+                b = self.admissible.hold_bias(&b, &bent, &self.null(pose));
+            }
         }
-        if self.walls.damps(active) {
-            b += self.viscous.component_mul(qd);
-        }
-        b
+        let damping = if self.walls.damps(active) { self.viscous.component_mul(qd) } else { SVector::zeros() };
+        let met = if self.velocity_terms == VelocityTerms::Rendered { damping } else { b + damping };
+        (b + damping, met)
     }
 
     /// Declares the joints to be at `q` (rad) for these counts. Estimators start anew.

@@ -8,6 +8,7 @@ mod plane;
 mod sphere;
 
 use crate::math::{Math, Real};
+pub use crate::model::admissible::Admissible;
 use crate::render::velocity::Estimator;
 pub use cylinder::Cylinder;
 use heapless::Vec;
@@ -95,6 +96,61 @@ pub enum FeedForward {
     Washout,
 }
 
+/// What the controller does about the forces that a moving linkage needs to go straight on, b of docs/model.md
+/// section 2.
+///
+/// The first two are what `false` and `true` were when this was a flag: settings and backups of that time still read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Schema)]
+#[serde(rename_all = "kebab-case")]
+pub enum VelocityTerms {
+    /// Nothing: τ = M E Wrr⁻¹ fr.
+    Off,
+    /// The paper's (4): in the admissible motion alone, so that the wall meets Wrr u̇r = fr - zr.
+    Paper,
+    /// In every motion, τ = M E Wrr⁻¹ fr + b: the wall meets Wrr u̇r = fr, the force that is rendered.
+    #[default]
+    Rendered,
+}
+
+impl<'de> Deserialize<'de> for VelocityTerms {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        #[derive(Deserialize)]
+        #[serde(rename_all = "kebab-case")]
+        enum Word {
+            Off,
+            Paper,
+            Rendered,
+        }
+        /// What a file in words says: one of the words, or the flag that it was once.
+        struct FlagOrWord;
+        impl<'de> serde::de::Visitor<'de> for FlagOrWord {
+            type Value = Word;
+            fn expecting(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                f.write_str("off, paper or rendered")
+            }
+            fn visit_bool<E>(self, on: bool) -> Result<Word, E> {
+                Ok(if on { Word::Paper } else { Word::Off })
+            }
+            fn visit_str<E: serde::de::Error>(self, word: &str) -> Result<Word, E> {
+                Word::deserialize(serde::de::value::StrDeserializer::new(word))
+            }
+        }
+        let word = if deserializer.is_human_readable() {
+            deserializer.deserialize_any(FlagOrWord)?
+        } else {
+            Word::deserialize(deserializer)?
+        };
+        Ok(match word {
+            Word::Off => Self::Off,
+            Word::Paper => Self::Paper,
+            Word::Rendered => Self::Rendered,
+        })
+    }
+}
+
+/// Largest `feed_forward_gain` that a scene may ask for; near the inertia's pole the board takes less.
+pub const MAX_FEED_FORWARD_GAIN: f64 = 3.0;
+
 /// One wall: fr = -stiffness x - damping v while x < 0.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Wall<T> {
@@ -129,6 +185,7 @@ pub struct Spring<T> {
 
 /// A whole scene.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
+#[serde(bound(deserialize = "T: Real + Deserialize<'de>"))]
 pub struct Scene<T> {
     /// The task dimension it was written for.
     pub task: u8,
@@ -140,14 +197,20 @@ pub struct Scene<T> {
     pub estimator: Estimator,
     /// Whether the device's own weight is held at all times.
     pub gravity_compensation: bool,
-    /// Whether the feed-forward includes the velocity terms z.
-    pub velocity_terms: bool,
+    /// What is done about the forces of motion.
+    pub velocity_terms: VelocityTerms,
     /// Walls.
     pub walls: Vec<Wall<T>, MAX_WALLS>,
     /// Springs.
     pub springs: Vec<Spring<T>, MAX_SPRINGS>,
     /// Sum of all damping fields, N s/m.
     pub field_damping: T,
+    /// α: the feed-forward is α times (4)'s, 0 to [`MAX_FEED_FORWARD_GAIN`]; above 1 with one shaped wall alone.
+    #[serde(default = "T::one")]
+    pub feed_forward_gain: T,
+    /// What a redundant device holds.
+    #[serde(default)]
+    pub admissible: Admissible,
 }
 
 /// Slowest control rate, Hz.
@@ -174,6 +237,8 @@ pub enum SceneError {
     Surface(u8),
     /// This shape does not exist in the device's task space (a cylinder needs three dimensions).
     Shape(u8),
+    /// The feed-forward gain is not from 0 to 3, or above 1 with several shaped walls.
+    FeedForwardGain,
 }
 
 impl core::fmt::Display for SceneError {
@@ -193,6 +258,9 @@ impl core::fmt::Display for SceneError {
                 write!(f, "wall {i}: its point must be finite, its normal or axis not zero, its radius positive")
             }
             Self::Shape(i) => write!(f, "wall {i}: this shape needs a three-dimensional device"),
+            Self::FeedForwardGain => f.write_str(
+                "feed_forward_gain must be from 0 to 3, and at most 1 where several walls have a feed-forward",
+            ),
         }
     }
 }
@@ -208,10 +276,12 @@ impl<T: Real> Default for Scene<T> {
             cutoff_hz: T::from_f64(500.0),
             estimator: Estimator::Butterworth,
             gravity_compensation: true,
-            velocity_terms: true,
+            velocity_terms: VelocityTerms::default(),
             walls: Vec::new(),
             springs: Vec::new(),
             field_damping: T::zero(),
+            feed_forward_gain: T::one(),
+            admissible: Admissible::default(),
         }
     }
 }
@@ -231,6 +301,11 @@ impl<T: Real> Scene<T> {
         let below_half = |hz: T| hz > T::zero() && hz < half_rate;
         if !below_half(self.cutoff_hz) {
             return Err(SceneError::Cutoff);
+        }
+        let shaped = self.walls.iter().filter(|wall| wall.feed_forward != FeedForward::Off).count();
+        let most = if shaped > 1 { T::one() } else { T::from_f64(MAX_FEED_FORWARD_GAIN) };
+        if !(T::zero()..=most).contains(&self.feed_forward_gain) {
+            return Err(SceneError::FeedForwardGain);
         }
         for (index, wall) in self.walls.iter().enumerate() {
             let index = index as u8;

@@ -5,7 +5,7 @@ use clap::ValueEnum;
 use haptic::error::{Failure, print};
 use haptic::link::BoardError;
 use haptic_bridge::render::controller::Gains;
-use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::render::scene::{FeedForward, VelocityTerms};
 use haptic_bridge::render::velocity::Estimator;
 use haptic_bridge::safety::refusal::Refusal;
 
@@ -91,7 +91,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         Estimator::FirstOrder => "first-order",
         Estimator::BackwardDifference => "no",
     };
-    if wall.feed_forward != FeedForward::Off && !scene.velocity_terms {
+    if wall.feed_forward != FeedForward::Off && scene.velocity_terms == VelocityTerms::Off {
         eprintln!(
             "the feed-forward is without velocity terms, as this scene was loaded; `haptic scene FILE` decides anew"
         );

@@ -99,6 +99,8 @@ pub(super) struct Walls<T: Real> {
     running: Vec<Running<T>, MAX_WALLS>,
     /// Whether the passivity controller is on.
     passivity: bool,
+    /// α: how much of (4)'s feed-forward there is.
+    gain: T,
     /// Some wall is curved.
     pub curved: bool,
     /// Some wall compensates joint damping.
@@ -150,6 +152,7 @@ impl<T: Real> Walls<T> {
         Ok(Self {
             running,
             passivity: false,
+            gain: scene.feed_forward_gain,
             curved: scene.walls.iter().any(|wall| wall.surface.curved()),
             damped: scene.walls.iter().any(|wall| wall.damping_compensation),
         })
@@ -214,10 +217,10 @@ impl<T: Real> Walls<T> {
             touch.energy += running.passivity.energy;
             let shaped = match feed_forward {
                 FeedForward::Off => T::zero(),
-                FeedForward::Full => force,
-                FeedForward::Washout => running.washout.step(force),
+                FeedForward::Full => force * self.gain,
+                FeedForward::Washout => running.washout.step(force) * self.gain,
             };
-            if feed_forward != FeedForward::Full {
+            if feed_forward != FeedForward::Full || self.gain != T::one() {
                 touch.plain += contact.normal * (force - shaped);
                 touch.straight = true;
             }
