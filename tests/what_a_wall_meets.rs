@@ -34,8 +34,10 @@ fn shipped(name: &str) -> Description {
     description
 }
 
-/// The shipped devices with a pose and joint velocities, and the normal of a wall.
-const CASES: [(&str, [f64; 3], [f64; 3], [f64; 3]); 4] = [
+/// A shipped device, its pose (rad), joint velocities (rad/s), and the normal of a wall.
+type Case = (&'static str, [f64; 3], [f64; 3], [f64; 3]);
+
+const CASES: [Case; 4] = [
     ("coupled-five-bar", [2.6, 1.75, 0.0], [1.5, -1.1, 0.0], [0.2588190451025208, 0.9659258262890683, 0.0]),
     ("fictive-five-bar-turret", [0.3, 2.4, 1.1], [2.0, -1.0, 0.8], [0.36, 0.48, 0.8]),
     ("phantom-premium-1.5", [0.3, 0.9, -0.3], [1.5, -0.7, 1.2], [0.36, 0.48, 0.8]),
