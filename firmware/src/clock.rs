@@ -1,7 +1,6 @@
 //! Clocks: an 8 MHz crystal to 168 MHz for the core, 84 MHz for the fast peripheral bus (168 MHz at its timers,
-//! [`haptic_bridge::drive::carrier::TIMER_HZ`]), 42 MHz for
-//! the slow one (84 MHz at its timers), 48 MHz for USB. STM32F405 reference manual RM0090, section 7.2. The clock of the
-//! tasks is embassy's, on TIM5.
+//! [`TIMER_HZ`]), 42 MHz for the slow one (84 MHz at its timers), 48 MHz for USB. STM32F405 reference manual RM0090,
+//! section 7.2. The clock of the tasks is embassy's, on TIM5.
 
 use embassy_stm32::rcc::{
     AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllMul, PllPDiv, PllPreDiv, PllQDiv, PllSource, Sysclk, mux,
@@ -10,6 +9,9 @@ use embassy_stm32::time::Hertz;
 use embassy_stm32::{Config, Peripherals, pac};
 
 use crate::critical;
+
+/// Frequency that the PWM timers count at, Hz.
+pub const TIMER_HZ: u32 = 168_000_000;
 
 /// Starts the clocks and takes the chip's peripherals.
 pub fn start() -> Peripherals {

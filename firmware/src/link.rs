@@ -9,7 +9,7 @@ use embassy_time::{Duration, Instant, Timer};
 use embassy_usb::class::cdc_acm::{CdcAcmClass, State};
 use embassy_usb::{Builder, UsbDevice};
 use haptic_bridge::board::dispatch::{self, After};
-use haptic_bridge::board::protocol::{FaultSeen, MAX_FRAME, USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR};
+use haptic_bridge::board::protocol::{FaultSeen, MAX_FRAME};
 use haptic_bridge::board::service::{Machine as _, Service};
 use haptic_bridge::safety::fault::FaultRecord;
 use haptic_bridge::servo::Command;
@@ -24,6 +24,14 @@ use crate::{board, faults, supervisor, watchdog};
 bind_interrupts!(struct Irqs {
     OTG_FS => usb::InterruptHandler<USB_OTG_FS>;
 });
+
+// The tool looks for these (host/src/link/ports.rs); a test on the emulated chip holds the two together.
+/// USB vendor identifier: pid.codes, for open hardware and firmware.
+const USB_VENDOR: u16 = 0x1209;
+/// USB product identifier: the one pid.codes leaves to testing; a maker who sells boards gets one of their own.
+const USB_PRODUCT: u16 = 0x0001;
+/// The product string by which the tool tells these boards from others that test with the same identifier.
+const USB_PRODUCT_NAME: &str = "haptic-bridge";
 
 /// The USB driver of this chip.
 pub type UsbDriver = Driver<'static, USB_OTG_FS>;

@@ -20,6 +20,7 @@ use heapless::{String, Vec};
 use static_cell::StaticCell;
 
 use crate::board::{self, Gate};
+use crate::clock::TIMER_HZ;
 use crate::servo::{self, Answer, Request};
 use crate::stack;
 use crate::storage::Storage;
@@ -145,7 +146,7 @@ impl Machine for Panel {
     }
 
     fn retime(&mut self, rate_hz: f32) {
-        let carrier = Carrier::for_rate(rate_hz);
+        let carrier = Carrier::for_rate(TIMER_HZ, rate_hz);
         if carrier != self.carrier {
             let _ = self.ask(Request::Retime(carrier));
             self.carrier = carrier;

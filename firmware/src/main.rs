@@ -60,9 +60,10 @@ async fn main(spawner: Spawner) {
         start.file
     );
 
-    let hardware = Hardware { axes: board::AXES, real: true, bus_sensed: true, bridge: board::BRIDGE };
+    let hardware =
+        Hardware { axes: board::AXES, real: true, bus_sensed: true, bridge: board::BRIDGE, timer_hz: clock::TIMER_HZ };
     let rules = Rules { limits: board::LIMITS, ..Rules::default() };
-    let carrier = Carrier::for_rate(CARRIER_MIN_HZ as f32);
+    let carrier = Carrier::for_rate(clock::TIMER_HZ, CARRIER_MIN_HZ as f32);
     let (io, gate, common) = board::split(chip, carrier);
     let servo = servo::start(io, hardware, rules);
     let storage = storage::open(common.flash);

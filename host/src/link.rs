@@ -19,6 +19,6 @@ pub use client::{Client, Occupied, TopicFrame};
 pub use error::{BoardError, LinkError};
 pub use framing::{Deframer, Frame, MAX_FRAME, encode, envelope};
 pub use past::disarm_past;
-pub use ports::{BoardPort, PortSpec, boards};
+pub use ports::{BoardPort, PortSpec, USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR, boards};
 pub use telemetry::{Column, Losses, Row, columns, fields};
 pub use wire::{SerialWire, TcpWire, Wire};

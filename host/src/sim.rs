@@ -14,7 +14,7 @@ mod random;
 pub mod server;
 mod wire;
 
-pub use board::{BoardOptions, DriveModel, SimulatedBoard};
+pub use board::{BoardOptions, DriveModel, SimulatedBoard, TIMER_HZ};
 pub use device::{Device, DeviceError, Options};
 pub use encoder::EncoderModel;
 pub use hand::{Hand, HandSettings, Intent, Waypoint};

@@ -24,13 +24,6 @@ use serde::{Deserialize, Serialize};
 /// Version of this table. Raised by any change to it.
 pub const PROTOCOL: u16 = 3;
 
-/// USB vendor identifier: pid.codes, for open hardware and firmware.
-pub const USB_VENDOR: u16 = 0x1209;
-/// USB product identifier: the one pid.codes leaves to testing; a maker who sells boards gets one of their own.
-pub const USB_PRODUCT: u16 = 0x0001;
-/// The product string by which the tool tells these boards from others that test with the same identifier.
-pub const USB_PRODUCT_NAME: &str = "haptic-bridge";
-
 /// Largest COBS frame on the link, bytes.
 pub const MAX_FRAME: usize = 1536;
 
@@ -47,7 +40,7 @@ pub struct Info {
     pub protocol: u16,
     /// Firmware version.
     pub firmware: String<16>,
-    /// Kind of board: `odrive-v3`, `h-bridge-f405`, `simulated`.
+    /// Kind of board: what the firmware is for, or `simulated`.
     pub board: String<16>,
     /// Serial number.
     pub serial: String<24>,

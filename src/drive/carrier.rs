@@ -6,9 +6,6 @@
 
 use crate::drive::brushed::limited;
 
-/// Frequency that the PWM timers count at, Hz.
-pub const TIMER_HZ: u32 = 168_000_000;
-
 /// Slowest carrier, Hz: above what people hear.
 pub const CARRIER_MIN_HZ: u32 = 20_000;
 
@@ -22,28 +19,30 @@ pub struct Carrier {
     pub top: u16,
     /// Carrier periods in a control step, at least 1.
     pub divider: u16,
+    /// Frequency that the timer counts at, Hz.
+    pub timer_hz: u32,
 }
 
 impl Carrier {
-    /// The carrier for a control rate in Hz; rates outside [`RATE_HZ`], and what is no number, are moved to the nearer
-    /// end.
+    /// The carrier that a timer counting at `timer_hz` (Hz, at most 2.6 GHz) makes for a control rate in Hz. Rates
+    /// outside [`RATE_HZ`] are moved to the nearer end, and NaN to the lower.
     ///
-    /// It is the smallest multiple of the rate from 20 kHz up, so it lies between 20 and 50 kHz and a duty has at
-    /// least 1680 steps.
-    pub fn for_rate(rate_hz: f32) -> Self {
+    /// It is the smallest multiple of the rate from 20 kHz up, so it lies between 20 and 50 kHz, and a duty has at
+    /// least `timer_hz` / 100 kHz steps.
+    pub fn for_rate(timer_hz: u32, rate_hz: f32) -> Self {
         let rate_hz = (rate_hz as u32).clamp(RATE_HZ.0, RATE_HZ.1);
         let divider = CARRIER_MIN_HZ.div_ceil(rate_hz);
         let twice = 2 * divider * rate_hz;
-        let top = (TIMER_HZ + twice / 2) / twice;
-        Self { top: top as u16, divider: divider as u16 }
+        let top = (timer_hz + twice / 2) / twice;
+        Self { top: top as u16, divider: divider as u16, timer_hz }
     }
 
     /// Frequency of the carrier, Hz.
     pub fn carrier_hz(&self) -> f32 {
-        TIMER_HZ as f32 / (2.0 * f32::from(self.top))
+        self.timer_hz as f32 / (2.0 * f32::from(self.top))
     }
 
-    /// The control rate that comes out, Hz: within 0.05 % of the one asked for.
+    /// The control rate that comes out, Hz: within 0.05 % of the one asked for with a timer of 168 MHz.
     pub fn rate_hz(&self) -> f32 {
         self.carrier_hz() / f32::from(self.divider)
     }
@@ -70,20 +69,23 @@ impl Carrier {
 mod tests {
     use super::*;
 
+    /// A usual one, Hz.
+    const TIMER_HZ: u32 = 168_000_000;
+
     #[test]
     fn the_usual_rates_come_out_exactly() {
         for (rate, top, divider) in [(200.0, 4200, 100), (1000.0, 4200, 20), (20_000.0, 4200, 1), (50_000.0, 1680, 1)] {
-            let carrier = Carrier::for_rate(rate);
+            let carrier = Carrier::for_rate(TIMER_HZ, rate);
             assert_eq!((carrier.top, carrier.divider), (top, divider));
             assert_eq!(carrier.rate_hz(), rate);
         }
-        assert_eq!(Carrier::for_rate(1000.0).delay_samples(), 0.025);
+        assert_eq!(Carrier::for_rate(TIMER_HZ, 1000.0).delay_samples(), 0.025);
     }
 
     #[test]
     fn every_rate_has_an_inaudible_carrier_and_comes_out_close() {
         for rate in (200..=50_000).step_by(7) {
-            let carrier = Carrier::for_rate(rate as f32);
+            let carrier = Carrier::for_rate(TIMER_HZ, rate as f32);
             assert!((19_990.0..=50_000.0).contains(&carrier.carrier_hz()), "{rate} Hz: {carrier:?}");
             assert!((carrier.rate_hz() / rate as f32 - 1.0).abs() < 5.0e-4, "{rate} Hz: {carrier:?}");
         }
@@ -91,12 +93,12 @@ mod tests {
 
     #[test]
     fn legs_stand_apart_by_the_duty_and_together_for_nonsense() {
-        let carrier = Carrier { top: 4200, divider: 1 };
+        let carrier = Carrier { top: 4200, divider: 1, timer_hz: TIMER_HZ };
         for (duty, legs) in [(0.0, [2100, 2100]), (0.5, [3150, 1050]), (-1.0, [0, 4200]), (9.0, [4200, 0])] {
             assert_eq!(carrier.legs(duty), legs, "{duty}");
         }
         // An odd top has no tick in its middle: the legs still stand at the same one, and as far from it either way.
-        let odd = Carrier { top: 1681, divider: 1 };
+        let odd = Carrier { top: 1681, divider: 1, timer_hz: TIMER_HZ };
         for (duty, legs) in [(0.0, [841, 841]), (0.5, [1261, 421]), (-0.5, [421, 1261])] {
             assert_eq!(odd.legs(duty), legs, "{duty}");
         }
@@ -108,7 +110,7 @@ mod tests {
     #[test]
     fn nonsense_becomes_the_nearest_rate() {
         for (asked, rate) in [(f32::NAN, 200.0), (-1.0, 200.0), (f32::INFINITY, 50_000.0), (1.0e9, 50_000.0)] {
-            assert_eq!(Carrier::for_rate(asked).rate_hz(), rate);
+            assert_eq!(Carrier::for_rate(TIMER_HZ, asked).rate_hz(), rate);
         }
     }
 }

@@ -26,6 +26,8 @@ pub struct Hardware {
     pub bus_sensed: bool,
     /// Its bridges.
     pub bridge: Bridge,
+    /// Frequency that its PWM timers count at, Hz.
+    pub timer_hz: u32,
 }
 
 macro_rules! define {
@@ -179,7 +181,8 @@ impl<K: Math<f32>> Program<K> {
         }
         let controller = AnyController::new(device, scene, mass)?;
         // The current loops run once a carrier period, and the carrier follows the control rate.
-        let bridge = Bridge { carrier_hz: Carrier::for_rate(scene.rate_hz).carrier_hz(), ..hardware.bridge };
+        let bridge =
+            Bridge { carrier_hz: Carrier::for_rate(hardware.timer_hz, scene.rate_hz).carrier_hz(), ..hardware.bridge };
         let mut axes = [Axis::default(); MAX_JOINTS];
         let mut unarmable = if device.home.is_none() && hardware.real { Some(Refusal::NoHome) } else { None };
         for (i, joint) in device.joints.iter().enumerate().take(joints) {

@@ -34,6 +34,7 @@ pub fn hardware() -> Hardware {
         real: true,
         bus_sensed: true,
         bridge: Bridge { carrier_hz: 20_000.0, dead_time: 200.0e-9, bandwidth_hz: 1_000.0, current_sensed: true },
+        timer_hz: 168_000_000,
     }
 }
 

@@ -1,6 +1,6 @@
 //! From power-on to a configured serial port.
 
-use haptic_bridge::board::protocol::{USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR};
+use haptic::link::{USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR};
 use virtual_board::boards::BoardKind;
 use virtual_board::log::Decoder;
 use virtual_board::rig::{Rig, firmware};

@@ -68,7 +68,8 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
 
         let rules = rig.tool.rules().expect("it answers");
         let bridge = Bridge { carrier_hz: 20_000.0, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true };
-        let hardware = Hardware { axes: kind.wiring().motors.len(), real: true, bus_sensed: true, bridge };
+        let hardware =
+            Hardware { axes: kind.wiring().motors.len(), real: true, bus_sensed: true, bridge, timer_hz: 168_000_000 };
         let device = Device::new(&file.name, &file.description).expect("a device");
         let scene = SceneFile::parse(&scene, "scene", task).expect("a scene").scene().expect("it fits f32");
         let program: Program<Minimax> =

@@ -11,13 +11,14 @@ use embassy_stm32::time::Hertz;
 use embassy_stm32::{Peripherals, peripherals, rcc};
 use embassy_time::{Duration, block_for};
 use haptic_bridge::drive::brushed::Bridge;
-use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier, TIMER_HZ};
+use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::safety::limits::Limits;
 
 use super::{Analog, Common, GateError, Zeros, learn_zeros};
 use crate::adc;
+use crate::clock::TIMER_HZ;
 use crate::drv8301::{self, Drv8301};
 use crate::encoder::Encoder;
 use crate::index;

@@ -2,7 +2,7 @@
 //! corner.
 
 use super::{CASES, Case, FULL, Mode, measured, measured_area, predicted};
-use haptic::sim::BoardOptions;
+use haptic::sim::{BoardOptions, TIMER_HZ};
 use haptic_bridge::drive::carrier::Carrier;
 use std::fmt::Write as _;
 
@@ -50,7 +50,7 @@ fn share(off: f64, full: f64, washed: f64) -> f64 {
 
 fn kept(case: &Case, corner: f64) -> Result<f64, Box<dyn std::error::Error>> {
     // As the simulated board reports it.
-    let divider = f64::from(Carrier::for_rate(case.rate_hz as f32).divider);
+    let divider = f64::from(Carrier::for_rate(TIMER_HZ, case.rate_hz as f32).divider);
     let range = predicted(case, BoardOptions::default().delay / divider, Some(corner))?;
     let washed = range.washout.as_ref().ok_or("a washout was asked for")?;
     Ok(share(range.off.area, range.full.area, washed.area))

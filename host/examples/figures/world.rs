@@ -5,7 +5,7 @@
 
 use super::{Case, FULL, Mode, drawn_as, measured_area, measured_in, predicted};
 use haptic::measure::progress::Progress;
-use haptic::sim::BoardOptions;
+use haptic::sim::{BoardOptions, TIMER_HZ};
 use haptic_bridge::drive::carrier::Carrier;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -80,7 +80,7 @@ part of what acts there, and what it buys shrinks from 57 to 18 %, with all of i
 
 /// The table, its figure written to `folder`.
 pub fn section(folder: &Path) -> Result<String, Box<dyn std::error::Error>> {
-    let divider = f64::from(Carrier::for_rate(CASE.rate_hz as f32).divider);
+    let divider = f64::from(Carrier::for_rate(TIMER_HZ, CASE.rate_hz as f32).divider);
     let theory = predicted(&CASE, BoardOptions::default().delay / divider, None)?;
     let ran = std::thread::scope(|scope| {
         let threads: Vec<_> = WORLDS

@@ -2,12 +2,18 @@
 
 use super::error::LinkError;
 use super::wire::{SerialWire, TcpWire, Wire};
-use haptic_bridge::board::protocol::{USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR};
 use serialport::{ErrorKind, SerialPortType};
 use std::io;
 use std::net::{TcpStream, ToSocketAddrs};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
+
+/// USB vendor identifier: pid.codes, for open hardware and firmware.
+pub const USB_VENDOR: u16 = 0x1209;
+/// USB product identifier: the one pid.codes leaves to testing; a maker who sells boards gets one of their own.
+pub const USB_PRODUCT: u16 = 0x0001;
+/// The product string by which the tool tells these boards from others that test with the same identifier.
+pub const USB_PRODUCT_NAME: &str = "haptic-bridge";
 
 /// Where a board is, as `--port` says it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -163,7 +169,6 @@ pub(super) fn open_tcp(address: &str) -> Result<Box<dyn Wire>, LinkError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use haptic_bridge::board::protocol::{USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR};
     use serialport::{SerialPortInfo, UsbPortInfo};
 
     fn usb(name: &str, vid: u16, product: &str, serial: &str) -> SerialPortInfo {

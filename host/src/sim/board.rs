@@ -25,6 +25,9 @@ use haptic_bridge::servo::program::{Hardware, Program};
 use haptic_bridge::servo::{Command, Reply, Rules, Servo, Status};
 use std::collections::BTreeMap;
 
+/// Frequency that the PWM timers count at, as those of the real boards do, Hz.
+pub const TIMER_HZ: u32 = 168_000_000;
+
 /// How the motors are driven.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum DriveModel {
@@ -98,7 +101,7 @@ impl Machine for Innards {
     }
     fn release(&mut self, _held: Self::Held) {}
     fn retime(&mut self, rate_hz: f32) {
-        self.carrier = Carrier::for_rate(rate_hz);
+        self.carrier = Carrier::for_rate(TIMER_HZ, rate_hz);
     }
     fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
         self.staged.insert(key as u8, Entry::from_slice(entry).map_err(|_| Refusal::Flash)?);
@@ -190,6 +193,7 @@ impl SimulatedBoard {
                 bandwidth_hz: if wound { 1_500.0 } else { 1_500.0 / UNKNOWN_WINDING },
                 current_sensed: true,
             },
+            timer_hz: TIMER_HZ,
         };
         let seen = device.counts();
         let mut board = Self {
@@ -198,7 +202,7 @@ impl SimulatedBoard {
                 servo: Servo::new(hardware, Rules::default()),
                 flash: BTreeMap::new(),
                 staged: BTreeMap::new(),
-                carrier: Carrier::for_rate(CARRIER_MIN_HZ as f32),
+                carrier: Carrier::for_rate(TIMER_HZ, CARRIER_MIN_HZ as f32),
                 options: options.clone(),
             },
             device,
