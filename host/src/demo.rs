@@ -4,6 +4,7 @@
 //! the same tremor. And twice: the stiffness is raised until the loop oscillates, beside what theory predicts. Only
 //! the simulated device's truth is hidden from the board; everything else goes through the link.
 
+pub mod comparison;
 pub mod crossing;
 pub mod picture;
 pub mod stiffness;
@@ -114,6 +115,30 @@ impl Demo {
         let seen = Linearised::at(&self.file.description, self.q(), &self.normal)?;
         let rendered = seen.w_rr();
         Ok(Inertia { effective: seen.w_eff().unwrap_or(rendered), rendered })
+    }
+
+    /// The command line that prints what the wall meets, Weff and Wrr.
+    pub fn model_line(&self) -> String {
+        format!("haptic model devices/{}.toml {}", self.file.name, self.pose_options())
+    }
+
+    /// The command line that prints the predicted stiffness: its highest kp without feed-forward and with the washout.
+    pub fn range_line(&self, delay_samples: f64) -> String {
+        format!(
+            "haptic range devices/{}.toml {} --rate {} --cutoff {} --delay {delay_samples:.6} --undamped --kd {} --washout {}",
+            self.file.name,
+            self.pose_options(),
+            self.rate_hz,
+            self.cutoff_hz,
+            self.damping,
+            self.washout_hz
+        )
+    }
+
+    fn pose_options(&self) -> String {
+        let q: Vec<String> = self.q().iter().map(ToString::to_string).collect();
+        let [nx, ny] = self.normal;
+        format!("--q {} --normal {nx:.6},{ny:.6}", q.join(","))
     }
 
     /// A scene with the demo's wall through `point`.

@@ -58,4 +58,52 @@ fn the_command_prints_its_table_and_draws_its_picture() {
     let picture = std::fs::read_to_string(&svg).unwrap();
     assert!(picture.starts_with("<svg") && picture.trim_end().ends_with("</svg>"));
     assert_eq!(picture.matches("<polyline").count(), 6, "three panels of two runs");
+    for letter in 'a'..='f' {
+        assert!(picture.contains(&format!(">({letter}) ")), "panel {letter}");
+    }
+    // What got worse stands beside what got better, in both.
+    for sentence in ["Better with it: ", "Worse with it: "] {
+        let line = said.lines().find(|line| line.starts_with(sentence)).unwrap_or_else(|| panic!("{sentence}\n{said}"));
+        assert!(picture.contains(line), "{line}");
+    }
+    for (what, worse) in [("penetration, mm", "deeper penetration"), ("peak force, N", "higher peak force")] {
+        let [without, with] = *numbers(&said, what) else { panic!("{what}") };
+        assert_eq!(said.contains(worse), with > without * 1.005, "{worse}: {without}, {with}");
+    }
+}
+
+/// The numbers of the table's row that begins so.
+fn numbers(said: &str, row: &str) -> Vec<f64> {
+    let line = said.lines().find_map(|line| line.trim_start().strip_prefix(row)).unwrap();
+    line.split_whitespace().filter_map(|word| word.parse().ok()).collect()
+}
+
+#[test]
+fn the_lines_that_it_prints_give_its_numbers() {
+    let directory = tempfile::tempdir().unwrap();
+    let svg = directory.path().join("demo.svg");
+    let output = Command::cargo_bin("haptic").unwrap().arg("demo").arg("--svg").arg(&svg).output().unwrap();
+    let said = String::from_utf8(output.stdout).unwrap();
+    let run = |subcommand: &str| {
+        let line = said.lines().find_map(|line| line.strip_prefix(&format!("    haptic {subcommand} "))).unwrap();
+        let mut command = Command::cargo_bin("haptic").unwrap();
+        command.current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/..")).arg(subcommand);
+        let output = command.args(line.split_whitespace()).arg("--json").output().unwrap();
+        assert!(output.status.success(), "haptic {subcommand} {line}");
+        serde_json::from_slice::<serde_json::Value>(&output.stdout).unwrap()
+    };
+    // To the last digit that is printed.
+    let agree = |row: &str, lines: [f64; 2], digits: f64| {
+        let printed = numbers(&said, row);
+        for (printed, line) in printed.iter().zip(lines) {
+            assert!((printed - line).abs() < 0.6 * digits, "{row}: {printed} is printed, the line gives {line}");
+        }
+        assert_eq!(printed.len(), 2, "{row}");
+    };
+    let model = run("model");
+    let grams = |name: &str| 1e3 * model[name][0][0].as_f64().unwrap();
+    agree("inertia that the wall meets, g", [grams("w_eff"), grams("w_rr")], 0.1);
+    let range = run("range");
+    let stiffness = |mode: &str| range[mode]["boundary"][0]["kp"].as_f64().unwrap() / 1000.0;
+    agree("predicted", [stiffness("off"), stiffness("washout")], 0.01);
 }

@@ -1,5 +1,6 @@
 //! `haptic demo`: what the feed-forward buys, in a few seconds, without hardware.
 
+use haptic::demo::comparison::Comparison;
 use haptic::demo::crossing::{Crossing, run as cross};
 use haptic::demo::picture::draw;
 use haptic::demo::stiffness::{Limit, limit};
@@ -118,6 +119,7 @@ fn report(demo: &Demo, results: &Results) -> String {
     let stiffness = |newtons: f64| format!("{:.2}", newtons / 1000.0);
     row("highest stable stiffness, kN/m: measured", stiffness(low.measured), stiffness(high.measured));
     row("                                predicted", stiffness(low.predicted), stiffness(high.predicted));
+    row("contact lost while pressing, times", without.bounces.to_string(), with.bounces.to_string());
     row("rows of telemetry lost", without.lost.to_string(), with.lost.to_string());
     text.push_str(&format!(
         "\n  Weff = {:.1} g, Wrr = {:.1} g, coupling Wrr - Weff = {:.1} g\n\n",
@@ -131,6 +133,11 @@ fn report(demo: &Demo, results: &Results) -> String {
             text.push_str(&format!("The board stopped a run: {fault}.\n"));
         }
     }
+    text.push_str(&format!(
+        "Weff and Wrr, and what is predicted, are also printed by (in a checkout of the sources)\n    {}\n    {}\n",
+        demo.model_line(),
+        demo.range_line(low.delay_samples)
+    ));
     text.push_str(
         "The stable stiffness is measured with friction, hand and encoder steps left out, as in the theory; with them the\n\
          limit itself moves, by up to a few times.\n\n",
@@ -149,11 +156,8 @@ fn bought(demo: &Demo, results: &Results) -> String {
     if low.measured < demo.stiffness && demo.stiffness < high.measured {
         text.push_str("The wall that was pressed lies between the two limits: only with the feed-forward is it stable by itself.\n");
     }
-    if with.ripple < without.ripple {
-        text.push_str(&format!(
-            "Under the hand it vibrates {:.0} % less.\n",
-            100.0 * (1.0 - with.ripple / without.ripple)
-        ));
+    for sentence in Comparison::of(without, with).sentences() {
+        text.push_str(&format!("{sentence}\n"));
     }
     text
 }

@@ -1,21 +1,24 @@
 //! The crossing as a picture: position, force and duty over time, without and with the feed-forward.
 
 use super::Demo;
+use super::comparison::Comparison;
 use super::crossing::{Crossing, Moment};
 use crate::plot::Picture;
-use crate::plot::axes::{Axis, Frame, Mark};
+use crate::plot::axes::{Axis, Frame};
 use crate::plot::canvas::{Anchor, Canvas, Stroke};
 use crate::plot::colour::{FAINT, OFF, WASHOUT};
 
-const WIDTH: f64 = 920.0;
-const LEFT: f64 = 92.0;
-const RIGHT: f64 = 28.0;
-const TOP: f64 = 112.0;
-const PANEL: f64 = 178.0;
+const WIDTH: f64 = 1000.0;
+const LEFT: f64 = 80.0;
+const RIGHT: f64 = 24.0;
+const TOP: f64 = 158.0;
+const PANEL: f64 = 170.0;
 const GAP: f64 = 74.0;
+/// Between the two columns: room for the right one's scale.
+const BETWEEN: f64 = 84.0;
 
-/// What one panel shows.
-struct Panel {
+/// What one row of panels shows; both panels of a row have the same scale.
+struct Row {
     title: &'static str,
     axis: &'static str,
     unit: &'static str,
@@ -29,25 +32,25 @@ pub fn draw(demo: &Demo, without: &Crossing, with: &Crossing) -> Picture {
     let both = || without.moments.iter().chain(&with.moments);
     let top = |value: fn(&Moment) -> f64| both().map(value).fold(0.0, f64::max);
     let depth = both().map(|moment| moment.distance).fold(0.0, f64::min);
-    let panels = [
-        Panel {
-            title: "Position: distance of the tip from the wall (shaded: inside)",
+    let rows = [
+        Row {
+            title: "distance of the tip from the wall (shaded: inside)",
             axis: "distance",
             unit: "m",
             value: |moment| moment.distance,
             low: 1.6 * depth,
             high: (-4.0 * depth).max(2.1e-3),
         },
-        Panel {
-            title: "Force of the wall",
+        Row {
+            title: "force of the wall",
             axis: "force",
             unit: "N",
             value: |moment| moment.force,
             low: 0.0,
             high: 1.08 * top(|moment| moment.force),
         },
-        Panel {
-            title: "Duty of the harder working motor",
+        Row {
+            title: "duty of the harder working motor",
             axis: "duty",
             unit: "",
             value: |moment| moment.duty,
@@ -65,39 +68,52 @@ pub fn draw(demo: &Demo, without: &Crossing, with: &Crossing) -> Picture {
         demo.rate_hz / 1000.0
     );
     canvas.text((LEFT, 58.0), 12.5, Anchor::Start, false, &about);
-    let entries = [
-        (Mark::Line(Stroke::solid(OFF, 1.6)), "without feed-forward".to_string()),
-        (Mark::Line(Stroke::solid(WASHOUT, 1.6)), format!("with feed-forward (washout {} Hz)", demo.washout_hz)),
-    ];
-    Frame::legend(&mut canvas, WIDTH - RIGHT, 22.0, &entries);
-
+    for (line, sentence) in Comparison::of(without, with).sentences().iter().enumerate() {
+        canvas.text((LEFT, 80.0 + 19.0 * line as f64), 12.5, Anchor::Start, false, sentence);
+    }
     let end = both().map(|moment| moment.time).fold(0.1, f64::max);
-    for (index, panel) in panels.iter().enumerate() {
-        let axis = |name: &str, unit: &str, low, high| Axis { name: name.into(), unit: unit.into(), low, high };
-        let frame = Frame {
-            at: (LEFT, TOP + index as f64 * (PANEL + GAP)),
-            size: (WIDTH - LEFT - RIGHT, PANEL),
-            x: axis("time", "s", 0.0, end),
-            y: axis(panel.axis, panel.unit, panel.low, panel.high),
-        };
-        if panel.low < 0.0 {
-            let inside = [(0.0, panel.low), (end, panel.low), (end, 0.0), (0.0, 0.0)];
-            let corners = inside.map(|(x, y)| frame.pixel(x, y));
-            canvas.polygon(&corners, FAINT, 0.22);
-        }
-        frame.clipped(&mut canvas, |canvas| {
-            for (crossing, colour) in [(without, OFF), (with, WASHOUT)] {
-                let points: Vec<(f64, f64)> =
-                    crossing.moments.iter().map(|moment| (moment.time, (panel.value)(moment))).collect();
-                frame.curve(canvas, &points, Stroke::solid(colour, 1.1));
+    let width = (WIDTH - LEFT - RIGHT - BETWEEN) / 2.0;
+    let columns = [
+        (without, OFF, "without feed-forward".to_string()),
+        (with, WASHOUT, format!("with feed-forward (washout {} Hz)", demo.washout_hz)),
+    ];
+    let mut letters = 'a'..;
+    for (index, row) in rows.iter().enumerate() {
+        let top = TOP + index as f64 * (PANEL + GAP);
+        for (column, (crossing, colour, name)) in columns.iter().enumerate() {
+            let axis = |name: &str, unit: &str, low, high| Axis { name: name.into(), unit: unit.into(), low, high };
+            let left = LEFT + column as f64 * (width + BETWEEN);
+            let frame = Frame {
+                at: (left, top),
+                size: (width, PANEL),
+                x: axis("time", "s", 0.0, end),
+                y: axis(row.axis, row.unit, row.low, row.high),
+            };
+            if index == 0 {
+                canvas.line((left, top - 34.0), (left + 26.0, top - 34.0), Stroke::solid(colour, 2.4));
+                canvas.text((left + 34.0, top - 29.5), 14.0, Anchor::Start, false, name);
             }
-        });
-        frame.draw(&mut canvas, panel.title);
+            if row.low < 0.0 {
+                let inside = [(0.0, row.low), (end, row.low), (end, 0.0), (0.0, 0.0)];
+                let corners = inside.map(|(x, y)| frame.pixel(x, y));
+                canvas.polygon(&corners, FAINT, 0.22);
+            }
+            frame.clipped(&mut canvas, |canvas| {
+                let points: Vec<(f64, f64)> =
+                    crossing.moments.iter().map(|moment| (moment.time, (row.value)(moment))).collect();
+                frame.curve(canvas, &points, Stroke::solid(colour, 1.0));
+            });
+            let letter = letters.next().unwrap_or(' ');
+            frame.draw(&mut canvas, &format!("({letter}) {}", row.title));
+        }
     }
     let description = format!(
-        "Penetration {:.2} mm without and {:.2} mm with feed-forward; ripple of the force {:.2} N and {:.2} N rms.",
+        "Penetration {:.3} mm without and {:.3} mm with feed-forward; peak force {:.2} N and {:.2} N; ripple of the force \
+         {:.2} N and {:.2} N rms.",
         1e3 * without.penetration,
         1e3 * with.penetration,
+        without.peak_force,
+        with.peak_force,
         without.ripple,
         with.ripple
     );

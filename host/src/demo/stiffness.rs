@@ -19,6 +19,8 @@ pub struct Limit {
     pub measured: f64,
     /// Where theory says that it does.
     pub predicted: f64,
+    /// The delay that the board reports and theory reckons with, control samples.
+    pub delay_samples: f64,
 }
 
 /// Measures and predicts the largest stable stiffness at the demo's damping.
@@ -47,7 +49,7 @@ pub fn limit(demo: &Demo, feed_forward: FeedForward) -> Result<Limit, DemoError>
     bench.finish()?;
     // Predicted for the delay that the board itself reports.
     let delay_samples = f64::from(board.details()?.delay_samples);
-    Ok(Limit { measured, predicted: predict(&demo, feed_forward, delay_samples)? })
+    Ok(Limit { measured, predicted: predict(&demo, feed_forward, delay_samples)?, delay_samples })
 }
 
 fn predict(demo: &Demo, feed_forward: FeedForward, delay_samples: f64) -> Result<f64, DemoError> {

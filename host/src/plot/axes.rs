@@ -59,7 +59,7 @@ impl Axis {
         if unit.is_empty() { self.name.clone() } else { format!("{} ({unit})", self.name) }
     }
 
-    /// Round values inside the axis, about `count` of them, with their texts.
+    /// Round values inside the axis, about `count` of them and at least four, with their texts.
     fn ticks(&self, count: f64) -> Vec<(f64, String)> {
         let factor = self.prefixed().0;
         let (low, high) = (self.low * factor, self.high * factor);
@@ -69,11 +69,14 @@ impl Axis {
         }
         let raw = span / count;
         let power = 10f64.powf(raw.log10().floor());
-        let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|s| s * power).find(|s| *s >= raw).unwrap_or(raw);
+        let first = |step: f64| (low / step - 1e-9).ceil() as i64;
+        let last = |step: f64| (high / step + 1e-9).floor() as i64;
+        // The steps from coarse to fine; the first one is never finer than was asked for.
+        let steps = [10.0, 5.0, 2.0, 1.0, 0.5].map(|s| s * power);
+        let coarse = steps.into_iter().rposition(|step| step >= raw).unwrap_or(0);
+        let step = steps[coarse..].iter().copied().find(|step| last(*step) - first(*step) >= 3).unwrap_or(steps[4]);
         let decimals = (-(step.log10() + 1e-9).floor()).clamp(0.0, 9.0) as usize;
-        let first = (low / step - 1e-9).ceil() as i64;
-        let last = (high / step + 1e-9).floor() as i64;
-        (first..=last)
+        (first(step)..=last(step))
             .map(|i| {
                 let value = i as f64 * step;
                 (value / factor, format!("{value:.decimals$}"))
@@ -185,6 +188,9 @@ mod tests {
         let texts = |axis: Axis| axis.ticks(6.0).into_iter().map(|t| t.1).collect::<Vec<_>>();
         assert_eq!(texts(axis(0.0, 0.103, "m")), ["0", "20", "40", "60", "80", "100"]);
         assert_eq!(texts(axis(-0.5, 0.5, "")), ["-0.4", "-0.2", "0.0", "0.2", "0.4"]);
+        // A low panel still has a scale: two ticks are none.
+        let low = axis(0.0, 17.3, "N").ticks(3.2).into_iter().map(|t| t.1).collect::<Vec<_>>();
+        assert_eq!(low, ["0", "5", "10", "15"]);
         assert_eq!(axis(0.0, 12_000.0, "N/m").label(), "x (kN/m)");
         assert!(axis(1.0, 1.0, "m").ticks(5.0).is_empty());
     }

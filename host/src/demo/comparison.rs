@@ -1,0 +1,62 @@
+//! What became better and what became worse with the feed-forward, in the words that the report and the picture share.
+
+use super::crossing::Crossing;
+
+/// Changes smaller than this are none: they are not seen in the digits that are printed.
+const SAME: f64 = 0.005;
+
+/// What changed for the hand.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Comparison {
+    /// Such as "83 % less vibration under the resting hand".
+    pub better: Vec<String>,
+    /// Such as "4 % deeper penetration".
+    pub worse: Vec<String>,
+}
+
+impl Comparison {
+    /// Of a crossing with the feed-forward, to one without it.
+    pub fn of(without: &Crossing, with: &Crossing) -> Self {
+        let mut comparison = Self::default();
+        let mut compare = |without: f64, with: f64, less: &str, more: &str| {
+            let change = with / without - 1.0;
+            let percent = 100.0 * change.abs();
+            if change < -SAME {
+                comparison.better.push(format!("{percent:.0} % {less}"));
+            } else if change > SAME {
+                comparison.worse.push(format!("{percent:.0} % {more}"));
+            }
+        };
+        let vibration = "vibration under the resting hand";
+        compare(without.ripple, with.ripple, &format!("less {vibration}"), &format!("more {vibration}"));
+        compare(without.penetration, with.penetration, "shallower penetration", "deeper penetration");
+        compare(without.peak_force, with.peak_force, "lower peak force", "higher peak force");
+        compare(without.bounces as f64, with.bounces as f64, "fewer losses of contact", "more losses of contact");
+        comparison
+    }
+
+    /// Both in one sentence each; nothing is said to be "nothing".
+    pub fn sentences(&self) -> [String; 2] {
+        let listed = |changes: &[String]| if changes.is_empty() { "nothing".into() } else { changes.join(", ") };
+        [format!("Better with it: {}.", listed(&self.better)), format!("Worse with it: {}.", listed(&self.worse))]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn crossing(penetration: f64, peak_force: f64, ripple: f64) -> Crossing {
+        Crossing { moments: vec![], penetration, peak_force, ripple, bounces: 0, lost: 0, fault: None }
+    }
+
+    #[test]
+    fn what_got_worse_stands_beside_what_got_better() {
+        let comparison = Comparison::of(&crossing(1e-3, 10.0, 2.0), &crossing(1.2e-3, 10.01, 0.5));
+        let [better, worse] = comparison.sentences();
+        assert_eq!(better, "Better with it: 75 % less vibration under the resting hand.");
+        assert_eq!(worse, "Worse with it: 20 % deeper penetration.");
+        let same = crossing(1.0, 1.0, 1.0);
+        assert_eq!(Comparison::of(&same, &same).sentences()[1], "Worse with it: nothing.");
+    }
+}
