@@ -3,6 +3,7 @@
 //! [`Device`] is the physics alone (drive in; encoder counts and currents out); it also stands behind the emulated
 //! chip. Nothing here reads a clock or an unseeded random number: the same inputs give the same numbers, bit for bit.
 
+mod around;
 mod board;
 mod device;
 mod encoder;
@@ -14,6 +15,7 @@ mod random;
 pub mod server;
 mod wire;
 
+pub use around::Around;
 pub use board::{BoardOptions, DriveModel, SimulatedBoard, TIMER_HZ};
 pub use device::{Device, DeviceError, Options};
 pub use encoder::EncoderModel;

@@ -6,7 +6,7 @@ use haptic::error::{Failure, print};
 use haptic::interrupt;
 use haptic::scene_file::SceneFile;
 use haptic::sim::server::{Pace, serve, tcp};
-use haptic::sim::{BoardOptions, DriveModel, Hand, HandSettings, Intent, SHIPPED_DEVICE, Waypoint, ready_board};
+use haptic::sim::{Around, BoardOptions, DriveModel, Hand, HandSettings, SHIPPED_DEVICE, ready_board};
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::PathBuf;
 
@@ -51,7 +51,7 @@ pub struct Args {
 enum HandKind {
     /// No hand
     None,
-    /// A hand that moves the tip around a small loop, over and over
+    /// A hand that moves the tip around a small loop, over and over: on a wall of the scene where it gets to one
     Loop,
 }
 
@@ -70,15 +70,22 @@ pub fn run(args: Args) -> Result<(), Failure> {
     options.device.friction = !args.frictionless;
     let wrong = |error: &dyn std::fmt::Display| Failure::wrong(format!("{}: {error}", file.path.display()));
     let mut board = ready_board(&file, options).map_err(|error| wrong(&error))?;
+    let mut walls = None;
     if let Some(path) = &args.scene {
-        let scene = SceneFile::load(path, file.spec().task)?;
-        let scene = scene.scene::<f32>().map_err(|error| Failure::wrong(format!("{}: {error}", path.display())))?;
+        let unusable = |error: &dyn std::fmt::Display| Failure::wrong(format!("{}: {error}", path.display()));
+        let loaded = SceneFile::load(path, file.spec().task)?;
+        walls = Some(loaded.scene::<f64>().map_err(|error| unusable(&error))?);
+        let scene = loaded.scene::<f32>().map_err(|error| unusable(&error))?;
         board.load(&file.name, &file.description, Some(scene)).map_err(|refusal| wrong(&refusal))?;
     }
     if args.hand == HandKind::Loop {
         let tip = board.device().tip();
         let settings = HandSettings { tremor: 2e-4, seed: args.seed, ..HandSettings::default() };
-        board.device_mut().set_hand(Hand::new(settings, small_loop(tip), tip, 0.0));
+        let around = Around::find(&file, walls.as_ref(), tip);
+        if args.scene.is_some() && !around.on_a_wall {
+            eprintln!("the hand gets to none of the scene's walls from home: it moves where it is");
+        }
+        board.device_mut().set_hand(Hand::new(settings, around.intent(), tip, 0.0));
     }
     let door = match &args.tcp {
         Some(text) => {
@@ -116,13 +123,4 @@ fn address(text: &str) -> Result<SocketAddr, Failure> {
     let full = if text.contains(':') { text.to_string() } else { format!("127.0.0.1:{text}") };
     let found = full.to_socket_addrs().ok().and_then(|mut addresses| addresses.next());
     found.ok_or_else(|| Failure::wrong(format!("--tcp {text} is not PORT or HOST:PORT")).remedy("try --tcp 7710"))
-}
-
-/// Three centimetres across, four seconds around, for an hour.
-fn small_loop(centre: [f64; 3]) -> Intent {
-    let corners = [[0.0, 0.0], [0.015, 0.015], [0.0, 0.03], [-0.015, 0.015]];
-    let points = (0..3600)
-        .zip(corners.iter().cycle())
-        .map(|(second, [x, y])| Waypoint { time: f64::from(second), value: [centre[0] + x, centre[1] + y, centre[2]] });
-    Intent::Follow(points.collect())
 }

@@ -1,0 +1,154 @@
+//! Where the hand of `haptic sim --hand loop` goes: around on a wall that it can reach, else around where it is.
+
+use super::{Intent, Waypoint};
+use crate::device_file::DeviceFile;
+use crate::model::{Precision, evaluate};
+use haptic_bridge::math::Libm;
+use haptic_bridge::render::scene::{Scene, Surface};
+use nalgebra::{DMatrix, DVector, Vector3};
+
+/// Half the length and half the width of the loop, m.
+const REACH: f64 = 0.015;
+/// Worst conditioned Jacobian that the hand goes through: nearer to a singular pose a board may trip.
+const CONDITION: f64 = 30.0;
+/// Farthest that a path may miss its goal, m.
+const MISSED: f64 = 1e-5;
+
+/// A loop that never ends, three centimetres across and four seconds around.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Around {
+    /// Its middle, m.
+    pub centre: Vector3<f64>,
+    /// Unit vectors across and along the wall.
+    across: Vector3<f64>,
+    along: Vector3<f64>,
+    /// Whether it goes through the surface of a wall.
+    pub on_a_wall: bool,
+}
+
+impl Around {
+    /// The loop in this scene, for a tip that starts at the device's home.
+    pub fn find(file: &DeviceFile, scene: Option<&Scene<f64>>, tip: [f64; 3]) -> Self {
+        let tip = Vector3::from(tip);
+        let walls = scene.into_iter().flat_map(|scene| &scene.walls);
+        let mut places = walls.flat_map(|wall| {
+            let contact = wall.surface.contact::<Libm, 3>(&tip);
+            let nearest = tip - contact.normal * contact.distance;
+            let named = match &wall.surface {
+                Surface::Plane(plane) => Vector3::from(plane.point),
+                _ => nearest,
+            };
+            [nearest, named].map(|centre| Self {
+                centre,
+                across: contact.normal,
+                along: Vector3::new(-contact.normal.y, contact.normal.x, 0.0),
+                on_a_wall: true,
+            })
+        });
+        places.find(|place| place.is_within_reach(file)).unwrap_or(Self {
+            centre: tip + Vector3::y() * REACH,
+            across: Vector3::y(),
+            along: Vector3::x(),
+            on_a_wall: false,
+        })
+    }
+
+    fn corners(&self) -> [Vector3<f64>; 4] {
+        [-self.across, self.along, self.across, -self.along].map(|way| self.centre + way * REACH)
+    }
+
+    fn is_within_reach(&self, file: &DeviceFile) -> bool {
+        self.corners().iter().all(|corner| is_within_reach(file, corner))
+    }
+
+    /// What the hand follows, for an hour.
+    pub fn intent(&self) -> Intent {
+        let points = (0..3600)
+            .zip(self.corners().into_iter().cycle())
+            .map(|(second, corner)| Waypoint { time: f64::from(second), value: corner.into() });
+        Intent::Follow(points.collect())
+    }
+}
+
+/// Whether the tip gets from home straight to `goal` without coming near a singular pose or a joint limit.
+fn is_within_reach(file: &DeviceFile, goal: &Vector3<f64>) -> bool {
+    const STEPS: u32 = 20;
+    let Some(home) = file.description.home else { return false };
+    let count = file.spec().joints;
+    let mut q = DVector::from_column_slice(&home[..count]);
+    let at = |q: &DVector<f64>| evaluate(file, q.as_slice(), &vec![0.0; count], &[], Precision::F64);
+    let Ok(start) = at(&q) else { return false };
+    let start = DVector::from_vec(start.position);
+    let goal = DVector::from_column_slice(&goal.as_slice()[..start.len()]);
+    (1..=STEPS).all(|step| {
+        let aim = &start + (&goal - &start) * (f64::from(step) / f64::from(STEPS));
+        // Newton's method, which a twentieth of the way brings close enough to converge within a few rounds.
+        (0..8).any(|_| {
+            let Ok(here) = at(&q) else { return false };
+            if here.condition.jacobian > CONDITION {
+                return false;
+            }
+            let missing = &aim - DVector::from_column_slice(&here.position);
+            if missing.norm() < MISSED {
+                let limits = file.description.joints.iter().map(|joint| joint.limits);
+                return q
+                    .iter()
+                    .zip(limits)
+                    .all(|(q, limits)| limits.is_none_or(|(low, high)| (low..=high).contains(q)));
+            }
+            let jacobian = DMatrix::from_fn(missing.len(), count, |i, j| here.jacobian[i][j]);
+            match jacobian.pseudo_inverse(1e-9) {
+                Ok(inverse) => q += inverse * missing,
+                Err(_) => return false,
+            }
+            false
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene_file::SceneFile;
+    use std::fs;
+    use std::path::Path;
+
+    /// Every scene that ships is felt by the hand on the device that it ships for.
+    #[test]
+    fn the_hand_reaches_a_wall_of_every_shipped_scene() {
+        let devices = Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices");
+        let mut tried = 0;
+        for folder in fs::read_dir(devices.join("scenes")).unwrap().map(|entry| entry.unwrap().path()) {
+            let name = folder.file_name().unwrap().to_string_lossy().into_owned();
+            let file = DeviceFile::load(devices.join(name + ".toml")).unwrap();
+            let home = file.description.home.unwrap();
+            let count = file.spec().joints;
+            let pose = evaluate(&file, &home[..count], &vec![0.0; count], &[], Precision::F64).unwrap();
+            let mut tip = [0.0; 3];
+            tip[..pose.position.len()].copy_from_slice(&pose.position);
+            for path in fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().path()) {
+                let scene = SceneFile::load(&path, file.spec().task).unwrap().scene::<f64>().unwrap();
+                if scene.walls.is_empty() {
+                    continue;
+                }
+                let around = Around::find(&file, Some(&scene), tip);
+                assert!(around.on_a_wall, "{}", path.display());
+                let corners = around.corners();
+                let inside = |surface: &Surface<f64>| {
+                    corners.iter().any(|corner| surface.contact::<Libm, 3>(corner).distance < -0.01)
+                };
+                assert!(scene.walls.iter().any(|wall| inside(&wall.surface)), "{}", path.display());
+                tried += 1;
+            }
+        }
+        assert!(tried > 10, "{tried}");
+    }
+
+    #[test]
+    fn what_lies_outside_of_the_workspace_is_not_reached() {
+        let file = DeviceFile::parse(super::super::SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
+        assert!(is_within_reach(&file, &Vector3::new(-0.1, 0.18, 0.0)));
+        // The arms are 23 cm long.
+        assert!(!is_within_reach(&file, &Vector3::new(-0.0962, 0.2144, 0.0)));
+    }
+}
