@@ -89,6 +89,25 @@ fn a_simulated_board_needs_no_other_process() {
         .success()
         .stdout(contains("hapkit-paddle"));
     haptic(&["info", "--port", "sim:no-such.toml"]).assert().code(2).stderr(contains("no-such.toml"));
+    // It ends with the command: there is nothing to say "saved" or "armed" of.
+    for lasting in [&["save"][..], &["arm"], &["backup", "folder"]] {
+        haptic(lasting).args(["--port", "sim"]).assert().code(2).stderr(contains("haptic sim"));
+    }
+}
+
+#[test]
+fn the_port_may_stand_in_the_environment() {
+    let sim = Sim::start(&["--fast", &file("hapkit-paddle.toml")]);
+    let info = || haptic(&["info"]);
+    info().env("HAPTIC_PORT", &sim.port).assert().success().stdout(contains("hapkit-paddle"));
+    // What is written goes first.
+    info()
+        .args(["--port", "sim"])
+        .env("HAPTIC_PORT", &sim.port)
+        .assert()
+        .success()
+        .stdout(contains("coupled-five-bar"));
+    info().env("HAPTIC_PORT", "tcp:nowhere").assert().code(2).stderr(contains("tcp:HOST:PORT"));
 }
 
 #[test]

@@ -15,7 +15,7 @@ pub struct Args {
 
 /// Arms.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let mut board = args.port.open()?;
+    let mut board = args.port.open_to_stay()?;
     board.arm()?;
     print(&format!(
         "armed: torque ramps up over {ARM_SECONDS} s; `haptic disarm` or the supply's switch turns the motors off\n"

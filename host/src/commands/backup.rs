@@ -18,7 +18,7 @@ pub struct Args {
 
 /// Reads the board, then writes the file.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let mut board = args.port.open()?;
+    let mut board = args.port.open_to_stay()?;
     let backup = Backup::read(&mut board)?;
     if backup.settings.is_empty() {
         return Err(Failure::impossible("the board keeps nothing in flash").remedy("`haptic save` first"));

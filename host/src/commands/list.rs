@@ -31,7 +31,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         if !others.is_empty() {
             report.push_str(&format!("other serial ports: {}\n", others.join(", ")));
         }
-        report.push_str("without a board: `haptic demo`, `haptic sim`, or `--port sim` on any command\n");
+        report.push_str("without a board: `haptic demo`; `haptic sim`; `--port sim`, for a board that lives as long as one command\n");
     }
     print(&report)
 }

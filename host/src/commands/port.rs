@@ -8,9 +8,9 @@ use std::path::Path;
 /// Which board.
 #[derive(clap::Args)]
 pub struct Port {
-    /// The board: a serial port or a board's serial number, tcp:HOST:PORT, sim, or sim:DEVICE.toml [default: the only
-    /// board connected]
-    #[arg(long, value_name = "PORT")]
+    /// The board: a serial port or a board's serial number, tcp:HOST:PORT, sim, or sim:DEVICE.toml [default: HAPTIC_PORT
+    /// where that is set, else the only board connected]
+    #[arg(long, value_name = "PORT", env = "HAPTIC_PORT")]
     port: Option<PortSpec>,
 }
 
@@ -23,6 +23,17 @@ impl Port {
     /// What was asked for.
     pub fn spec(&self) -> &PortSpec {
         self.port.as_ref().unwrap_or(&PortSpec::Find)
+    }
+
+    /// Opens the board for a command that leaves something in it: not one that ends with the command.
+    pub fn open_to_stay(&self) -> Result<Board, Failure> {
+        match &self.port {
+            Some(PortSpec::Sim(_)) => {
+                Err(Failure::wrong("a board on --port sim ends with this command, and nothing of it is left")
+                    .remedy("run `haptic sim` in another terminal and use the port that it prints"))
+            }
+            _ => self.open(),
+        }
     }
 
     /// Opens the board; a simulated one for which no device was named has the device of `file` on it.

@@ -14,7 +14,7 @@ pub struct Args {
 
 /// Saves.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let mut board = args.port.open()?;
+    let mut board = args.port.open_to_stay()?;
     eprintln!("writing flash: the board pauses for up to a second");
     board.save()?;
     print("saved: the board starts with this device and scene from now on\n")
