@@ -30,7 +30,14 @@ pub fn all(install: bool) -> Result<()> {
     stage("images and their sizes", &|| firmware::size(install))?;
     stage("no panic in the control step", &|| no_panic::prove(install))?;
     stage("instructions of the control step", &|| bench::check(install))?;
-    stage("images on the emulated chip", &|| board(&[], install))
+    stage("images on the emulated chip", &|| board(&[], install))?;
+    stage("what the documents say to type, the longer part", &documents)
+}
+
+/// Types what the documents say to type and what takes longer than a test of the tool may (host/tests/documents).
+fn documents() -> Result<()> {
+    let test = ["test", "--locked", "--package", "haptic", "--test", "documents", "--", "--ignored"];
+    run(cargo().current_dir(firmware::root()).args(test))
 }
 
 /// The tests of the real images on the emulated chip. Further arguments go to `cargo test`.

@@ -1,0 +1,130 @@
+//! The fenced blocks of a document, and what their info string says about running them.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// The repository.
+pub fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap()
+}
+
+/// How a block is tried.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Kind {
+    /// `sh`: typed as it is.
+    Quick,
+    /// `sh board`: typed with a board connected, here a simulated one that asks what a real one asks.
+    Board,
+    /// `sh slow: REASON`: typed as it is, in the longer run.
+    Slow,
+    /// `sh no-run: REASON`, and the same for another language.
+    NoRun,
+    /// `toml device`, `toml scene`: a file that `haptic check` finds sound.
+    File,
+    /// `text`: nothing to run.
+    Text,
+}
+
+/// A fenced block.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Block {
+    /// Document and line, for messages.
+    pub place: String,
+    pub kind: Kind,
+    pub lines: Vec<String>,
+}
+
+impl Block {
+    fn kind(info: &str) -> Result<Kind, String> {
+        let reasoned = |kind: Kind, reason: &str| match reason.split_whitespace().count() {
+            0..=2 => Err(format!("`{info}` says no reason")),
+            _ => Ok(kind),
+        };
+        match info.split_once(": ").unwrap_or((info, "")) {
+            ("sh", "") => Ok(Kind::Quick),
+            ("sh board", "") => Ok(Kind::Board),
+            ("sh slow", reason) => reasoned(Kind::Slow, reason),
+            (what, reason) if what.ends_with(" no-run") => reasoned(Kind::NoRun, reason),
+            ("toml device" | "toml scene", "") => Ok(Kind::File),
+            ("text", "") => Ok(Kind::Text),
+            _ => Err(format!("`{info}` says neither how to run this block nor why not")),
+        }
+    }
+
+    /// The commands: without comment lines, with continued lines joined.
+    pub fn commands(&self) -> Vec<String> {
+        let mut commands = Vec::new();
+        let mut open = String::new();
+        for line in self.lines.iter().map(|line| line.trim()).filter(|line| !line.is_empty() && !line.starts_with('#'))
+        {
+            match line.strip_suffix('\\') {
+                Some(begun) => open.push_str(begun),
+                None => commands.push(std::mem::take(&mut open) + line),
+            }
+        }
+        commands
+    }
+}
+
+/// README.md and everything in docs/ that a person writes.
+pub fn documents() -> Vec<PathBuf> {
+    let mut paths: Vec<PathBuf> =
+        fs::read_dir(root().join("docs")).unwrap().map(|entry| entry.unwrap().path()).collect();
+    paths.retain(|path| path.extension().is_some_and(|end| end == "md"));
+    paths.push(root().join("README.md"));
+    paths.sort();
+    paths
+}
+
+/// Its blocks. What is wrong with the document is the error: a block without a word on running it, or a command outside
+/// of any block.
+pub fn blocks(path: &Path) -> Result<Vec<Block>, String> {
+    let name = path.file_name().unwrap().to_string_lossy().into_owned();
+    parse(&name, &fs::read_to_string(path).unwrap())
+}
+
+fn parse(name: &str, text: &str) -> Result<Vec<Block>, String> {
+    let mut blocks = Vec::new();
+    let mut open: Option<Block> = None;
+    for (index, line) in text.lines().enumerate() {
+        let place = format!("{name}:{}", index + 1);
+        match (line.trim_start().strip_prefix("```"), open.take()) {
+            (Some(""), Some(block)) => blocks.push(block),
+            (Some(info), None) => {
+                let kind = Block::kind(info).map_err(|error| format!("{place}: {error}"))?;
+                open = Some(Block { place, kind, lines: Vec::new() });
+            }
+            (None, Some(mut block)) => {
+                block.lines.push(line.into());
+                open = Some(block);
+            }
+            (None, None) => {
+                let indented = line.strip_prefix("    ").unwrap_or("");
+                if ["haptic ", "cargo ", "apt-get ", "dfu-util ", "rustup "]
+                    .iter()
+                    .any(|word| indented.starts_with(word))
+                {
+                    return Err(format!("{place}: a command outside of a fenced block: {line}"));
+                }
+            }
+            (Some(_), Some(_)) => return Err(format!("{place}: a block inside of a block")),
+        }
+    }
+    match open {
+        Some(block) => Err(format!("{}: a block without an end", block.place)),
+        None => Ok(blocks),
+    }
+}
+
+#[test]
+fn a_block_says_how_it_is_run_or_why_not() {
+    let kinds = |text: &str| parse("x.md", text).map(|blocks| blocks.into_iter().map(|b| b.kind).collect::<Vec<_>>());
+    assert_eq!(kinds("```sh\nhaptic demo\n```\ntext\n```sh board\n```\n"), Ok(vec![Kind::Quick, Kind::Board]));
+    assert_eq!(kinds("```sh no-run: needs a board on USB\n```\n"), Ok(vec![Kind::NoRun]));
+    assert_eq!(kinds("```python no-run: needs pandas and a recording\n```\n"), Ok(vec![Kind::NoRun]));
+    for wrong in ["```\n```\n", "```sh no-run:\n```\n", "```sh slow: later\n```\n", "    haptic demo\n", "```sh\n"] {
+        assert!(kinds(wrong).is_err(), "{wrong}");
+    }
+    let block = &parse("x.md", "```sh\n# first\nhaptic range \\\n  --q 1\n\nhaptic demo # then\n```\n").unwrap()[0];
+    assert_eq!(block.commands(), ["haptic range --q 1", "haptic demo # then"]);
+}

@@ -1,0 +1,105 @@
+//! What README.md and docs/ tell a reader to type works as it is written. Their fenced blocks say in the info string how
+//! each is run, or why it cannot be:
+//!
+//! - `sh`: typed as it is. `sh board`: with a board connected; here it is a simulated one that asks for everything that a
+//!   real one asks for (`haptic sim --strict`), at HAPTIC_PORT, and `my-device.toml` and `my-scene.toml` are there.
+//! - `sh slow: REASON`: typed by the last stage of `cargo xtask test`, when the images are built.
+//! - `sh no-run: REASON`, `python no-run: REASON` and so on.
+//! - `toml device`, `toml scene`: a file that `haptic check` finds sound.
+//! - `text`: nothing to run.
+#![cfg(unix)]
+
+mod blocks;
+mod session;
+
+use blocks::{Block, Kind, blocks, documents, root};
+use std::collections::BTreeMap;
+use std::fs;
+use std::process::Command;
+use std::time::Duration;
+
+/// Runs what `chosen` picks of all documents' blocks, and fails with everything that did not work.
+fn all(chosen: fn(&Kind) -> bool, mut run: impl FnMut(&Block) -> Result<(), String>) -> usize {
+    let (mut wrong, mut count) = (Vec::new(), 0);
+    for path in documents() {
+        match blocks(&path) {
+            Err(error) => wrong.push(error),
+            Ok(blocks) => {
+                for block in blocks.iter().filter(|block| chosen(&block.kind)) {
+                    count += 1;
+                    wrong.extend(run(block).err());
+                }
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n\n"));
+    count
+}
+
+#[test]
+fn what_the_documents_say_to_type_works() {
+    let run = |block: &Block| session::run(block, Duration::from_secs(60));
+    assert!(all(|kind| *kind == Kind::Quick, run) >= 2, "README alone has two");
+}
+
+#[test]
+fn what_they_say_to_type_with_a_board_works() {
+    assert!(all(|kind| *kind == Kind::Board, |block| session::run(block, Duration::from_secs(60))) >= 1);
+}
+
+#[test]
+fn the_files_that_they_show_are_sound() {
+    assert!(all(|kind| *kind == Kind::File, session::check) >= 1, "docs/model.md shows one");
+}
+
+#[test]
+#[ignore = "minutes, and needs the images: `cargo xtask test` runs it"]
+fn what_takes_longer_works_as_well() {
+    assert!(all(|kind| *kind == Kind::Slow, |block| session::run(block, Duration::from_secs(1200))) >= 1);
+}
+
+/// Words between backticks that begin with `haptic` or `cargo xtask` name commands and options that there are.
+#[test]
+fn commands_in_sentences_exist() {
+    let tool = |arguments: &[&str]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_haptic")).args(arguments).output().unwrap();
+        output.status.success().then(|| String::from_utf8(output.stdout).unwrap())
+    };
+    let xtask = fs::read_to_string(root().join("xtask/src/main.rs")).unwrap();
+    let mut help: BTreeMap<String, Option<String>> = BTreeMap::new();
+    let (mut wrong, mut seen) = (Vec::new(), 0);
+    for path in documents() {
+        let text = fs::read_to_string(&path).unwrap();
+        for quoted in text.split('`').skip(1).step_by(2) {
+            let words: Vec<&str> = quoted.split_whitespace().collect();
+            let complain = |what: &str| format!("{}: `{quoted}`: {what}", path.display());
+            match words.as_slice() {
+                ["haptic", name, rest @ ..] if name.chars().all(|c| c.is_ascii_lowercase() || c == '-') => {
+                    seen += 1;
+                    let help = help.entry((*name).into()).or_insert_with(|| tool(&[name, "--help"]));
+                    match help {
+                        None => wrong.push(complain("no such command")),
+                        Some(help) => {
+                            let options = rest.iter().map(|word| word.trim_start_matches('[').trim_end_matches(']'));
+                            for option in options.filter(|word| word.starts_with("--") && word.len() > 2) {
+                                let name = option.split('=').next().unwrap();
+                                if !help.split(|c: char| c.is_whitespace() || c == ',').any(|word| word == name) {
+                                    wrong.push(complain(&format!("no option {name}")));
+                                }
+                            }
+                        }
+                    }
+                }
+                ["cargo", "xtask", name, ..] => {
+                    seen += 1;
+                    if !xtask.contains(&format!("[\"{name}\"")) {
+                        wrong.push(complain("no such command"));
+                    }
+                }
+                _ => {}
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(seen > 50, "{seen}");
+}
