@@ -204,6 +204,11 @@ where
         Frame { state: self.state, ..self.frame }
     }
 
+    /// For how long no heartbeat has come, s, counted from the start, a change of rules or arming.
+    pub fn host_silent(&self) -> f32 {
+        self.host_silent
+    }
+
     /// The state as a tool sees it.
     pub fn status(&self) -> Status {
         Status {

@@ -16,7 +16,7 @@ pub mod server;
 mod wire;
 
 pub use around::Around;
-pub use board::{BoardOptions, DriveModel, SimulatedBoard, TIMER_HZ};
+pub use board::{BoardOptions, DriveModel, IDEAL_BOARD, SimulatedBoard, TIMER_HZ};
 pub use device::{Device, DeviceError, Options};
 pub use encoder::EncoderModel;
 pub use hand::{Hand, HandSettings, Intent, Waypoint};

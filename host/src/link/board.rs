@@ -23,7 +23,7 @@ const ANSWER: Duration = Duration::from_secs(2);
 /// How long it may take when it writes flash: two sector erases of 16 KB and what is written (STM32F405 data sheet).
 const FLASH_ANSWER: Duration = Duration::from_secs(6);
 /// How often the host says that it is there, when it was asked to.
-const HEARTBEAT: Duration = Duration::from_millis(100);
+const HEARTBEAT: Duration = Duration::from_millis(50);
 
 /// An open board of this tool's protocol version.
 pub struct Board {

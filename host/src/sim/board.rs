@@ -17,12 +17,12 @@ use haptic_bridge::math::Minimax;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device as BoardDevice;
 use haptic_bridge::render::scene::Scene;
-use haptic_bridge::safety::fault::{Fault, FaultRecord};
+use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::frame::{Crest, Samples};
 use haptic_bridge::servo::program::{Hardware, Program};
-use haptic_bridge::servo::{Command, Reply, Rules, Servo, Status};
+use haptic_bridge::servo::{Command, HostAction, Reply, Rules, Servo, Status};
 use std::collections::BTreeMap;
 
 /// Frequency that the PWM timers count at, as those of the real boards do, Hz.
@@ -123,13 +123,25 @@ impl Machine for Innards {
     }
 }
 
+/// What a board with torque that acts at once calls itself: whoever predicts its range must know.
+pub const IDEAL_BOARD: &str = "simulated-ideal";
+
+impl Innards {
+    fn board_name(&self) -> &'static str {
+        match self.options.drive {
+            DriveModel::Electric => "simulated",
+            DriveModel::Ideal => IDEAL_BOARD,
+        }
+    }
+}
+
 impl Described for Innards {
     fn info(&self) -> Info {
         // What does not fit is cut: these are short names of this tool's own.
         Info {
             protocol: PROTOCOL,
             firmware: env!("CARGO_PKG_VERSION").chars().take(16).collect(),
-            board: "simulated".chars().take(16).collect(),
+            board: self.board_name().chars().take(16).collect(),
             serial: self.options.serial.chars().take(24).collect(),
         }
     }
@@ -361,6 +373,14 @@ impl SimulatedBoard {
     /// Lets the hardware report a fault at the next sample.
     pub fn inject(&mut self, fault: Fault, axis: Option<u8>, value: f32) {
         self.injected = Some((fault, axis, value));
+    }
+
+    /// For how long the host has sent no heartbeat, and for how long it may before the board acts, s; none while the
+    /// board would not.
+    pub fn host_silence(&self) -> Option<(f64, f64)> {
+        let rules = self.service.rules();
+        let minds = rules.host_action != HostAction::Ignore && self.status().state == State::Armed;
+        minds.then(|| (f64::from(self.innards.servo.host_silent()), f64::from(rules.host_seconds)))
     }
 
     /// The device behind the board.

@@ -29,6 +29,10 @@ pub trait Hosted {
     fn hang_up(&mut self);
     /// Lets seconds pass.
     fn run(&mut self, seconds: f64);
+    /// For how long the host has sent no heartbeat, and for how long it may, s; none where the board does not mind.
+    fn host_silence(&self) -> Option<(f64, f64)> {
+        None
+    }
 }
 
 impl Hosted for SimulatedBoard {
@@ -44,6 +48,9 @@ impl Hosted for SimulatedBoard {
     fn run(&mut self, seconds: f64) {
         Self::run(self, seconds);
     }
+    fn host_silence(&self) -> Option<(f64, f64)> {
+        Self::host_silence(self)
+    }
 }
 
 /// How simulated time passes.
@@ -51,7 +58,9 @@ impl Hosted for SimulatedBoard {
 pub enum Pace {
     /// With the wall clock; when the computer is too slow, later.
     RealTime,
-    /// As fast as the computer can while a tool is connected and reads; no telemetry is dropped.
+    /// As fast as the computer can while a tool is connected and reads; no telemetry is dropped. Where the board turns
+    /// its motors off when the tool is silent, simulated time does not run away from the tool: from a quarter of that
+    /// silence on it passes no faster than the wall clock, so that only a silence that is one is taken for one.
     AsFastAsItCan,
 }
 
@@ -319,12 +328,23 @@ pub fn serve(board: &mut impl Hosted, door: &Door, pace: Pace, stop: &AtomicBool
     let began = Instant::now();
     let mut ran = 0.0;
     let mut skipped = 0.0;
+    // Since when the host is silent on the wall clock, and for how long it was by the board's.
+    let mut heard = (Instant::now(), 0.0);
     while !stop.load(Ordering::SeqCst) {
         let now = began.elapsed().as_secs_f64() - skipped;
         let behind = now - ran;
         let idle = match pace {
             Pace::RealTime => behind < SLICE,
-            Pace::AsFastAsItCan => tools.none_reads(),
+            Pace::AsFastAsItCan => {
+                let runs_away = board.host_silence().is_some_and(|(silent, allowed)| {
+                    if silent < heard.1 {
+                        heard.0 = Instant::now();
+                    }
+                    heard.1 = silent;
+                    silent > (0.25 * allowed).max(heard.0.elapsed().as_secs_f64())
+                });
+                tools.none_reads() || runs_away
+            }
         };
         let event = if idle {
             door.events.recv_timeout(Duration::from_secs_f64(SLICE))
@@ -335,7 +355,10 @@ pub fn serve(board: &mut impl Hosted, door: &Door, pace: Pace, stop: &AtomicBool
             })
         };
         match event {
-            Ok(Event::Connected(outgoing)) => tools.holder = Some(outgoing),
+            Ok(Event::Connected(outgoing)) => {
+                tools.holder = Some(outgoing);
+                heard = (Instant::now(), 0.0);
+            }
             Ok(Event::Bytes(bytes)) => board.receive(&bytes),
             Ok(Event::Gone) => {
                 tools.holder = None;
