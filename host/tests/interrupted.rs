@@ -8,6 +8,7 @@ use haptic::device_file::DeviceFile;
 use haptic::link::Board;
 use haptic::measure::{Bench, Setup};
 use haptic::recorder::Recording;
+use haptic::scene_file::SceneFile;
 use haptic::sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, ready_board};
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::{Fault, State};
@@ -205,6 +206,8 @@ fn simulated() -> (DeviceFile, SharedBoard, Board) {
 #[test]
 fn a_measurement_that_ends_anywhere_has_its_motors_off_and_the_rules_as_they_were() {
     let (device, shared, mut board) = simulated();
+    let scene = SceneFile::load(Path::new(&file("scenes/coupled-five-bar/wall.toml")), 2).unwrap().scene().unwrap();
+    board.set_scene(&scene).unwrap();
     let before = board.rules().unwrap();
     for most in [1, 30, 300, 1000] {
         let asked = std::cell::Cell::new(0);
@@ -217,6 +220,7 @@ fn a_measurement_that_ends_anywhere_has_its_motors_off_and_the_rules_as_they_wer
         assert_eq!(ended.is_err(), asked.get() > most, "{ended:?}");
         assert_eq!(shared.lock().status().state, State::Disarmed, "after {most}");
         assert_eq!(board.rules().unwrap(), before);
+        assert_eq!(board.scene().unwrap().as_ref(), Some(&scene));
     }
 }
 

@@ -1,7 +1,12 @@
 //! `haptic measure-range` on the simulated board that ships: friction, encoders and drive as they are.
 
+mod sim;
+
 use assert_cmd::Command;
+use predicates::prelude::*;
+use predicates::str::contains;
 use serde_json::Value;
+use sim::{Sim, file};
 
 const DEVICE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/coupled-five-bar.toml");
 
@@ -42,4 +47,113 @@ fn what_makes_no_sense_is_refused_before_anything_moves() {
     measure(&progress, &SLOW, &["--torque-limit", "0"]).code(2);
     measure(&progress, &SLOW, &["--pull", "50"]).code(2);
     assert!(!progress.exists());
+}
+
+/// The arguments of a command line as a document has it, its device file found from anywhere.
+fn arguments(line: &str) -> Vec<String> {
+    let mut words = line.split('#').next().unwrap().split_whitespace();
+    assert_eq!(words.next(), Some("haptic"), "{line}");
+    words.map(|word| word.strip_prefix("devices/").map_or(word.to_string(), file)).collect()
+}
+
+/// Runs a line in a folder of its own, with more arguments.
+fn typed(line: &str, more: &[&str]) -> assert_cmd::assert::Assert {
+    let folder = tempfile::tempdir().unwrap();
+    Command::cargo_bin("haptic").unwrap().current_dir(&folder).args(arguments(line)).args(more).assert()
+}
+
+fn document(assert: assert_cmd::assert::Assert) -> Value {
+    serde_json::from_slice(&assert.success().get_output().stdout).unwrap()
+}
+
+/// The measurements that a document tells its readers to type.
+fn lines(document: &str) -> Vec<String> {
+    let text = std::fs::read_to_string(format!("{}/../{document}", env!("CARGO_MANIFEST_DIR"))).unwrap();
+    let words =
+        text.lines().map(|line| line.trim().trim_matches('`')).filter(|line| line.starts_with("haptic measure-range "));
+    words.map(str::to_string).collect()
+}
+
+#[test]
+fn what_the_readme_says_ends_with_boundaries_near_those_of_theory() {
+    let lines = lines("README.md");
+    let [line] = lines.as_slice() else { panic!("{lines:?}") };
+    let document = document(typed(line, &["--json"]));
+    let points = document["points"].as_array().unwrap();
+    assert_eq!(points.len(), 4);
+    for point in points {
+        assert_eq!(point["repeats"].as_array().unwrap().len(), 5, "{point}");
+        // Friction makes the range larger, by more than half at these pulls; 56 kN/m, as once, is no boundary.
+        let share = point["kp"].as_f64().unwrap() / point["theory_kp"].as_f64().unwrap();
+        assert!((0.97..2.5).contains(&share), "{point}");
+    }
+}
+
+#[test]
+fn its_defaults_end_well_and_say_what_friction_does() {
+    let line = format!("haptic measure-range {DEVICE} --port sim --normal 0,1 --points 2 --repeats 1");
+    typed(&line, &[]).success().stdout(contains("Coulomb friction").and(contains("haptic range")));
+}
+
+#[test]
+fn the_line_printed_beside_the_numbers_gives_the_theory_that_is_printed() {
+    let line = format!(
+        "haptic measure-range {DEVICE} --port sim --q 2.6,1.75 --normal 0.94,-0.34 --kd 15 --repeats 1 --pull 0.1 \
+         --feed-forward off --frictionless --counts 8388608"
+    );
+    let measured = document(typed(&line, &["--json"]));
+    let point = &measured["points"][0];
+    let theory = point["theory_kp"].as_f64().unwrap();
+    let predicted = document(typed(measured["theory"].as_str().unwrap(), &["--kd", "15", "--json"]));
+    assert_eq!(predicted["off"]["boundary"][0]["kp"].as_f64(), Some(theory));
+    assert!((point["kp"].as_f64().unwrap() / theory - 1.0).abs() < 0.02, "{point}");
+    assert!(measured["drive"].as_str().unwrap().contains("current"), "{measured}");
+}
+
+#[test]
+fn where_the_encoders_are_too_coarse_it_says_so_and_how_far_it_is_stable() {
+    let line = format!(
+        "haptic measure-range {} --port sim --normal 0.6,0.8,0 --rate 5000 --cutoff 200 --kd 20 --frictionless --repeats 1",
+        file("phantom-premium-1.5.toml")
+    );
+    typed(&line, &[])
+        .code(1)
+        .stdout(contains("> ").and(contains("times the counts")))
+        .stderr(contains("saturate").and(contains("--counts")));
+    // Nothing has moved where not even the soft hold could be told.
+    let line = format!("haptic measure-range {DEVICE} --port sim --normal 0,1 --rate 20000 --cutoff 500");
+    typed(&line, &[]).code(1).stdout("").stderr(contains("saturate"));
+}
+
+#[test]
+fn what_only_a_simulation_can_have_is_refused_elsewhere() {
+    typed(&format!("haptic measure-range {DEVICE} --port tcp:127.0.0.1:1 --normal 0,1 --frictionless"), &[])
+        .code(2)
+        .stderr(contains("--port sim"));
+}
+
+#[test]
+fn a_board_that_holds_another_device_is_refused_unless_asked_and_has_its_own_again_afterwards() {
+    let sim = Sim::start(&["--fast", "--frictionless", DEVICE]);
+    sim.run(&["device", &file("haply-2diy.toml")]).success();
+    sim.run(&["scene", &file("scenes/haply-2diy/wall-stiff.toml")]).success();
+    let held = || {
+        let info = sim.run(&["info", "--json"]).success().get_output().stdout.clone();
+        let rules = sim.run(&["rules"]).success().get_output().stdout.clone();
+        let info: Value = serde_json::from_slice(&info).unwrap();
+        (["device", "walls", "rate_hz", "state"].map(|key| info[key].clone()), rules)
+    };
+    let before = held();
+    let folder = tempfile::tempdir().unwrap();
+    let progress = folder.path().join("progress.json");
+    let fixed = ["measure-range", DEVICE, "--normal=0,1", "--kd=15", "--repeats=1", "--feed-forward=off", "--pull=2"];
+    let arguments = [&fixed[..], &["--progress", progress.to_str().unwrap()]].concat();
+    sim.run(&arguments)
+        .code(1)
+        .stderr(contains("the board holds haply-2diy, the file is coupled-five-bar").and(contains("--load")));
+    assert!(!progress.exists());
+    assert_eq!(held(), before);
+    // Simulated time runs as fast as it can, and does not run away from the tool.
+    sim.run(&[&arguments[..], &["--load"]].concat()).success().stdout(contains("off"));
+    assert_eq!(held(), before);
 }

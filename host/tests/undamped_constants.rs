@@ -41,8 +41,8 @@ fn measure(rate_hz: f64, cutoff_hz: f64, share: f64) -> (f64, f64) {
     let mut board = Board::over(shared.wire(), "sim").unwrap();
     let setup = Setup { normal: vec![1.0], rate_hz, cutoff_hz, washout_hz: 2.0, torque_limit: 5.0, largest_pull: 1e-3 };
     let mut bench = Bench::new(&mut board, &file, setup, &|| false).unwrap();
-    let end = bench.damping_end(FeedForward::Off).unwrap();
-    let summit = bench.boundary(FeedForward::Off, share * end, 0, None).unwrap();
+    let end = bench.damping_end(FeedForward::Off).unwrap().gain;
+    let summit = bench.boundary(FeedForward::Off, share * end, 0, None).unwrap().gain;
     bench.finish().unwrap();
     (summit / MASS / rate_hz.powi(2), end / MASS / rate_hz)
 }

@@ -1,31 +1,36 @@
 //! `haptic measure-range`: the stable range as a board has it, by raising the stiffness until the loop oscillates.
 
+mod meter;
+mod report;
+
 use super::port::Port;
 use crate::cli::Numbers;
 use clap::ValueEnum;
-use haptic::analysis::plant::{Drive, Linearised};
-use haptic::analysis::range::{Range, predict};
-use haptic::analysis::sampled::{Estimator, Loop};
+use haptic::analysis::plant::Linearised;
 use haptic::device_file::DeviceFile;
-use haptic::error::{Failure, print};
+use haptic::error::Failure;
 use haptic::interrupt;
-use haptic::link::Board;
+use haptic::link::{Board, PortSpec};
+use haptic::measure::before::Before;
 use haptic::measure::campaign::{self, Plan};
-use haptic::measure::progress::{Mode, Point, Progress};
-use haptic::measure::{Bench, Setup};
-use haptic::plot::range::{Contents, MeasuredPoint, draw};
+use haptic::measure::progress::{Mode, Progress, ProgressError};
+use haptic::measure::simulated::{Friction, World};
+use haptic::measure::{Bench, MeasureError, Setup};
 use haptic_bridge::model::device::Device;
-use indicatif::{ProgressBar, ProgressStyle};
-use std::fmt::Write;
+use meter::Meter;
+use report::{Report, Theory};
 use std::io::{IsTerminal, Write as _};
 use std::path::PathBuf;
 
 /// Measure on a board which walls stay stable; moves the motors
 ///
-/// For every damping the stiffness is raised until the telemetry shows a growing oscillation, taken back at once, and
-/// the boundary bisected; the median of the repeats and their bounds are reported. The theory is not consulted, only
-/// drawn beside it. Take the hand off the device. Ctrl-C at any moment turns the motors off; the same command then goes
-/// on where it stopped.
+/// For every damping the stiffness is raised until the telemetry shows a motion that builds up, or that goes on as a
+/// vibration larger than encoder steps explain; it is taken back at once, and the boundary bisected. The median of the
+/// repeats and their bounds are reported. The theory is not consulted, only printed beside it, with the `haptic range` line
+/// that gives it. Take the hand off the device. Ctrl-C at any moment turns the motors off; the same command then goes on
+/// where it stopped. What the board held before (scene, rate, rules) is put back.
+///
+/// On --port sim the device of the file is simulated in this process, as fast as the computer can.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML) of the device on the board
@@ -36,13 +41,13 @@ pub struct Args {
     #[arg(long, value_name = "X,Y,..", allow_hyphen_values = true)]
     normal: Numbers,
     /// Control rate in Hz
-    #[arg(long, value_name = "HZ", default_value_t = 20_000.0)]
+    #[arg(long, value_name = "HZ", default_value_t = 1_000.0)]
     rate: f64,
     /// Cutoff of the velocity filter in Hz
-    #[arg(long, value_name = "HZ", default_value_t = 500.0)]
+    #[arg(long, value_name = "HZ", default_value_t = 20.0)]
     cutoff: f64,
     /// Measure at exactly these dampings, in N s/m [default: --points even ones up to where the range ends]
-    #[arg(long, value_name = "A,B,..")]
+    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     kd: Option<Numbers>,
     /// How many dampings
     #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u16).range(1..=200))]
@@ -62,6 +67,27 @@ pub struct Args {
     /// Farthest the tip is pulled aside to set it swinging, in mm
     #[arg(long, value_name = "MM", default_value_t = 0.5)]
     pull: f64,
+    /// On --port sim: joint angles in rad where it is measured [default: the device file's home]
+    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
+    q: Option<Numbers>,
+    /// On --port sim: leave all friction out
+    #[arg(long, conflicts_with = "friction")]
+    frictionless: bool,
+    /// On --port sim: which friction of the device file acts
+    #[arg(long, value_name = "KIND")]
+    friction: Option<FrictionKind>,
+    /// On --port sim: let commanded torques act at once, without bridges, windings and current loops
+    #[arg(long)]
+    ideal_drive: bool,
+    /// On --port sim: counts per turn of every encoder [default: the device file's]
+    #[arg(long, value_name = "N")]
+    counts: Option<f64>,
+    /// On --port sim: a relaxed grip holds the tip (0.12 kg behind 1200 N/m)
+    #[arg(long)]
+    grip: bool,
+    /// Load the device file onto a simulated board that holds another device, and put that one back afterwards
+    #[arg(long)]
+    load: bool,
     /// Keep what was measured in this file, and go on from it
     #[arg(long, value_name = "FILE", default_value = "measured-range.json")]
     progress: PathBuf,
@@ -80,10 +106,12 @@ pub struct Args {
 }
 
 /// Which feed-forward.
-#[derive(Clone, Copy, Debug, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Kinds {
     /// Without, then with equation (4)
     Both,
+    /// Without, with equation (4), and with it behind a washout
+    All,
     /// Without
     Off,
     /// With equation (4)
@@ -92,10 +120,20 @@ enum Kinds {
     Washout,
 }
 
+/// Which friction is simulated.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum FrictionKind {
+    All,
+    Viscous,
+    Coulomb,
+    None,
+}
+
 impl Kinds {
     fn modes(self) -> Vec<Mode> {
         match self {
             Kinds::Both => vec![Mode::Off, Mode::Full],
+            Kinds::All => vec![Mode::Off, Mode::Full, Mode::Washout],
             Kinds::Off => vec![Mode::Off],
             Kinds::Full => vec![Mode::Full],
             Kinds::Washout => vec![Mode::Washout],
@@ -103,40 +141,45 @@ impl Kinds {
     }
 }
 
-/// One point of `--json`.
-#[derive(serde::Serialize)]
-struct JsonPoint<'a> {
-    mode: Mode,
-    kd: f64,
-    kp: f64,
-    low: f64,
-    high: f64,
-    repeats: &'a [f64],
-}
-
 /// Measures, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let file = DeviceFile::load(&args.device)?;
+    let mut file = DeviceFile::load(&args.device)?;
     let spec = file.spec();
     let normal = args.normal.clone().unit(spec.task, "--normal")?;
-    if !(args.torque_limit > 0.0 && args.torque_limit.is_finite() && args.pull > 0.0 && args.pull <= 5.0) {
-        return Err(Failure::wrong("--torque-limit must be positive, and --pull from 0 to 5 mm"));
+    let plan = plan(&args)?;
+    let world = world(&args, &file)?;
+    let simulated = matches!(args.port.spec(), PortSpec::Sim(_));
+    if simulated {
+        world.apply(&mut file);
+    } else if world != World::default() {
+        return Err(Failure::wrong(
+            "--q, --friction, --frictionless, --ideal-drive, --counts and --grip change a simulation",
+        )
+        .remedy("use them with --port sim; a board is measured where and as it is"));
     }
-    let kd = match args.kd.clone() {
-        Some(Numbers(kd)) if kd.iter().any(|kd| *kd < 0.0) => {
-            return Err(Failure::wrong("--kd takes dampings that are not negative"));
-        }
-        kd => kd.map(|kd| kd.0),
-    };
-    let plan = Plan { modes: args.feed_forward.modes(), kd, points: args.points.into(), repeats: args.repeats.into() };
-    let what = format!(
-        "{} along {normal:?} at {} Hz, cutoff {} Hz, washout {} Hz",
-        file.name, args.rate, args.cutoff, args.washout
+    let mut what = format!(
+        "{} along {normal:?} at {} Hz, cutoff {} Hz, washout {} Hz, pull {} mm, {} N m",
+        file.name, args.rate, args.cutoff, args.washout, args.pull, args.torque_limit
     );
-    let mut progress = Progress::open(&args.progress, &what)?;
+    if world != World::default() {
+        what.push_str(&format!(", {world:?}"));
+    }
+    let mut progress = Progress::open(&args.progress, &what).map_err(progress_failure)?;
 
     let interrupt = interrupt::watch();
-    let mut board = args.port.open_with(&args.device)?;
+    let mut board = match args.port.spec() {
+        PortSpec::Sim(other) => {
+            if let Some(other) = other {
+                holds(&DeviceFile::load(other)?.name, &file)?;
+            }
+            let shared = world
+                .board(&file, args.rate)
+                .map_err(|error| Failure::wrong(format!("{}: {error}", args.device.display())))?;
+            Board::over(shared.wire(), "sim")?
+        }
+        _ => args.port.open()?,
+    };
+    let before = Before::of(&mut board)?;
     ready(&mut board, &file, &args)?;
     let setup = Setup {
         normal: normal.clone(),
@@ -146,64 +189,139 @@ pub fn run(args: Args) -> Result<(), Failure> {
         torque_limit: args.torque_limit,
         largest_pull: args.pull * 1e-3,
     };
-    let stop = || interrupt.is_set();
-    let q = {
-        let mut bench = Bench::new(&mut board, &file, setup, &stop)?;
-        let q = bench.pose().to_vec();
-        let bar = ProgressBar::new(plan.total() as u64);
-        if let Ok(style) = ProgressStyle::with_template("{bar:32} {pos}/{len} repeats, {eta} to go{msg}") {
-            bar.set_style(style);
+    let earlier = progress.measured(&plan);
+    if earlier > 0 {
+        eprintln!("{earlier} of {} repeats are in {} already", plan.total(), args.progress.display());
+    }
+    let meter = Meter::new(plan.total(), plan.repeats, earlier);
+    let stop = || {
+        meter.tick();
+        interrupt.is_set()
+    };
+    let mut theory = None;
+    let measured = Bench::new(&mut board, &file, setup, &stop).and_then(|mut bench| {
+        let q = rounded(bench.pose());
+        if !progress.q.is_empty() && progress.q.iter().zip(&q).any(|(then, now)| (then - now).abs() > SAME_POSE) {
+            return Err(MeasureError::Moved);
         }
+        if progress.q.is_empty() {
+            progress.q.clone_from(&q);
+        }
+        let device = Linearised::at(&file.description, &q, &normal)?;
+        let (info, details) = (bench.board().info().clone(), bench.board().details()?);
+        theory = Some(Theory::new(&args, device, &q, &info, &details, *bench.excitation()));
         campaign::run(&mut bench, &plan, &mut progress, |progress, done| {
-            bar.set_position(done as u64);
+            meter.done(done);
             Ok(progress.save(&args.progress)?)
         })?;
-        bar.finish_and_clear();
-        bench.finish()?;
-        q
-    };
-
-    let details = board.details()?;
-    let device = Linearised::at(&file.description, &q, &normal)?;
-    let around = Loop {
-        rate_hz: args.rate,
-        delay_samples: f64::from(details.delay_samples),
-        estimator: Estimator::Butterworth(args.cutoff),
-        drive: Drive::Ideal,
-        damping_compensation: false,
-    };
-    let washout = plan.modes.contains(&Mode::Washout).then_some(args.washout);
-    if args.svg.is_some() || args.png.is_some() {
-        let range = predict(&device, &around, None, washout)?;
-        let picture = picture(&file.name, &args, &progress, &range);
-        args.svg.as_deref().map(|path| picture.save_svg(path)).transpose()?;
-        args.png.as_deref().map(|path| picture.save_png(path)).transpose()?;
+        bench.finish()
+    });
+    meter.finish();
+    // A device that was loaded for this goes, too.
+    let back = before.put_back(&mut board);
+    let missing = before.missing(&mut board).unwrap_or_else(|_| vec!["device", "scene", "rules"]);
+    if back.is_err() || !missing.is_empty() {
+        eprintln!("not put back on the board: {}; load it again", missing.join(", "));
     }
-    if args.json {
-        let points: Vec<JsonPoint<'_>> =
-            plan.modes.iter().flat_map(|mode| progress.of(*mode)).map(json_point).collect();
-        let json = serde_json::to_string(&serde_json::json!({ "points": points })).map_err(Failure::impossible)?;
-        return print(&(json + "\n"));
+    let report =
+        theory.map(|theory| Report { name: &file.name, args: &args, plan: &plan, progress: &progress, theory });
+    match (measured, report) {
+        (Ok(()), Some(report)) if report.measured() => report.out(),
+        (measured, report) => {
+            // What there is, and then why it is no more.
+            if let Some(report) = report.filter(Report::any) {
+                report.out()?;
+            }
+            Err(match (measured, progress.points.iter().find_map(|point| point.open.as_ref())) {
+                (Err(error), _) => failure(error, &args),
+                (Ok(()), open) => {
+                    let reason = open.map_or_else(String::new, |open| open.reason.clone());
+                    Failure::impossible(format!("no boundary was found: {reason}")).remedy(REMEDY)
+                }
+            })
+        }
     }
-    print(&table(&file.name, &plan, &progress, &device, &around, washout)?)
 }
 
-/// Sees that the board has the device, and that the user wants its motors to move.
+/// What to do where the encoders are too coarse or friction hides everything.
+const REMEDY: &str = "use finer encoders (--counts on --port sim), a lower --rate and --cutoff, a larger --pull or \
+                      --torque-limit, another pose or normal";
+
+/// Poses closer than this are the same, rad.
+const SAME_POSE: f64 = 0.02;
+
+/// To a millionth of a radian, as they are printed: theory and printed line then agree in every digit.
+fn rounded(q: &[f64]) -> Vec<f64> {
+    q.iter().map(|angle| (angle * 1e6).round() / 1e6).collect()
+}
+
+fn plan(args: &Args) -> Result<Plan, Failure> {
+    if !(args.torque_limit > 0.0 && args.torque_limit.is_finite() && args.pull > 0.0 && args.pull <= 5.0) {
+        return Err(Failure::wrong("--torque-limit must be positive, and --pull from 0 to 5 mm"));
+    }
+    let kd = match args.kd.clone() {
+        Some(Numbers(kd)) if kd.iter().any(|kd| *kd < 0.0) => {
+            return Err(Failure::wrong("--kd takes dampings that are not negative"));
+        }
+        kd => kd.map(|kd| kd.0),
+    };
+    Ok(Plan { modes: args.feed_forward.modes(), kd, points: args.points.into(), repeats: args.repeats.into() })
+}
+
+fn world(args: &Args, file: &DeviceFile) -> Result<World, Failure> {
+    if args.counts.is_some_and(|counts| !(counts >= 1.0 && counts.is_finite())) {
+        return Err(Failure::wrong("--counts must be at least 1"));
+    }
+    let q = match &args.q {
+        Some(q) => {
+            let q = q.clone().exactly(file.spec().joints, "--q", "joint angles")?;
+            Linearised::at(&file.description, &q, &args.normal.clone().unit(file.spec().task, "--normal")?)?;
+            Some(core::array::from_fn(|i| q.get(i).copied().unwrap_or(0.0)))
+        }
+        None => None,
+    };
+    let friction = match args.friction {
+        _ if args.frictionless => Friction::None,
+        None | Some(FrictionKind::All) => Friction::All,
+        Some(FrictionKind::Viscous) => Friction::Viscous,
+        Some(FrictionKind::Coulomb) => Friction::Coulomb,
+        Some(FrictionKind::None) => Friction::None,
+    };
+    Ok(World { q, friction, ideal_drive: args.ideal_drive, counts: args.counts, grip: args.grip })
+}
+
+/// Refuses a board that holds something else.
+fn holds(found: &str, file: &DeviceFile) -> Result<(), Failure> {
+    if found == file.name {
+        return Ok(());
+    }
+    Err(Failure::impossible(format!("the board holds {found}, the file is {}", file.name))
+        .remedy("name the file of the device that is on the board"))
+}
+
+/// Sees that the board holds the device, and that the user wants its motors to move.
 fn ready(board: &mut Board, file: &DeviceFile, args: &Args) -> Result<(), Failure> {
     let details = board.details()?;
-    if !details.real {
-        let device = Device::new(&file.name, &file.description).map_err(Failure::wrong)?;
-        return Ok(board.set_device(&device)?);
+    let device = Device::new(&file.name, &file.description).map_err(Failure::wrong)?;
+    let held = board.device()?;
+    if held.as_ref() != Some(&device) {
+        let found = held.map_or("no device".into(), |held| match held.name == device.name {
+            true => format!("another version of {}", held.name),
+            false => held.name.to_string(),
+        });
+        if args.load && !details.real {
+            board.set_device(&device)?;
+        } else {
+            let remedy = match details.real {
+                true => "load it with `haptic device`, home it and check its polarity first",
+                false => "name the other file, load this one with `haptic device`, or measure it with --load",
+            };
+            return Err(
+                Failure::impossible(format!("the board holds {found}, the file is {}", file.name)).remedy(remedy)
+            );
+        }
     }
-    if details.device.as_deref() != Some(file.name.as_str()) {
-        return Err(Failure::impossible(format!(
-            "the board has {}, not {}",
-            details.device.as_deref().unwrap_or("no device"),
-            file.name
-        ))
-        .remedy("load it with `haptic device`, home it and check its polarity first"));
-    }
-    if args.yes {
+    if !details.real || args.yes {
         return Ok(());
     }
     eprintln!(
@@ -225,73 +343,34 @@ fn ready(board: &mut Board, file: &DeviceFile, args: &Args) -> Result<(), Failur
     }
 }
 
-fn json_point(point: &Point) -> JsonPoint<'_> {
-    let (low, high) = point.bounds();
-    JsonPoint { mode: point.mode, kd: point.kd, kp: point.median(), low, high, repeats: &point.repeats }
-}
-
-fn picture(name: &str, args: &Args, progress: &Progress, range: &Range) -> haptic::plot::Picture {
-    let dots = |mode| -> Vec<MeasuredPoint> {
-        progress
-            .of(mode)
-            .into_iter()
-            .map(|point| {
-                let (low, high) = point.bounds();
-                MeasuredPoint { kd: point.kd, kp: point.median(), low, high }
-            })
-            .collect()
-    };
-    let (off, full, washed) = (dots(Mode::Off), dots(Mode::Full), dots(Mode::Washout));
-    draw(&Contents {
-        title: format!("{name}: stable walls, measured and predicted"),
-        subtitle: [
-            format!("{} Hz, cutoff {} Hz", args.rate, args.cutoff),
-            "lines: linear theory with joint damping, no friction, no hand; dots: measured on the board".into(),
-        ],
-        range,
-        passivity: None,
-        measured_off: &off,
-        measured_full: if full.is_empty() { &washed } else { &full },
-    })
-}
-
-fn table(
-    name: &str,
-    plan: &Plan,
-    progress: &Progress,
-    device: &Linearised,
-    around: &Loop,
-    washout: Option<f64>,
-) -> Result<String, Failure> {
-    let mut text = format!("{name}: largest stable stiffness, measured (median of {} repeats)\n", plan.repeats);
-    let _ = writeln!(
-        text,
-        "{:>10}{:>12}{:>12}{:>12}{:>12}{:>14}",
-        "", "kd N s/m", "kp N/m", "lowest", "highest", "linear theory"
-    );
-    for &mode in &plan.modes {
-        let points = progress.of(mode);
-        let kds: Vec<f64> = points.iter().map(|point| point.kd).collect();
-        let range = predict(device, around, Some(&kds), washout)?;
-        let predicted = match mode {
-            Mode::Off => &range.off,
-            Mode::Full => &range.full,
-            Mode::Washout => range.washout.as_ref().unwrap_or(&range.full),
-        };
-        for (point, theory) in points.iter().zip(&predicted.boundary) {
-            let (low, high) = point.bounds();
-            let label = format!("{mode:?}").to_lowercase();
-            let _ = writeln!(
-                text,
-                "{label:>10}{:>12.4}{:>12.2}{low:>12.2}{high:>12.2}{:>14.2}",
-                point.kd,
-                point.median(),
-                theory.kp
-            );
-        }
+fn progress_failure(error: ProgressError) -> Failure {
+    let failure = Failure::wrong(&error);
+    match error {
+        ProgressError::Another { .. } => failure.remedy("remove it or choose another file with --progress"),
+        ProgressError::File { .. } => failure,
     }
-    text.push_str(
-        "The theory knows no Coulomb friction, hand, quantisation or saturation; where they act, the two differ.\n",
-    );
-    Ok(text)
+}
+
+/// Why a measurement ended, and what to do.
+fn failure(error: MeasureError, args: &Args) -> Failure {
+    let again = format!("run the same command again to go on where it stopped ({})", args.progress.display());
+    match error {
+        MeasureError::Board(error) => error.into(),
+        MeasureError::Link(error) => error.into(),
+        MeasureError::Pose(error) => error.into(),
+        MeasureError::Progress(error) => progress_failure(error),
+        MeasureError::Interrupted => Failure::impossible(error).remedy(again),
+        MeasureError::Fault(_) => {
+            Failure::impossible(error).remedy(format!("see `haptic faults`, put the device back and {again}"))
+        }
+        MeasureError::Moved => {
+            Failure::impossible(error).remedy("put it back there, or choose another file with --progress")
+        }
+        MeasureError::Restless => Failure::impossible(error)
+            .remedy("measure away from stops and singularities, at a lower --rate and --cutoff, and check the inertia in the device file"),
+        MeasureError::Stuck | MeasureError::Unbounded | MeasureError::Saturates { .. } | MeasureError::Open { .. } => {
+            Failure::impossible(error).remedy(REMEDY)
+        }
+        MeasureError::Scene(_) => Failure::wrong(error),
+    }
 }

@@ -3,7 +3,6 @@
 use haptic::error::Failure;
 use haptic::link::{Board, PortSpec};
 use haptic_bridge::safety::fault::{FaultRecord, State};
-use std::path::Path;
 
 /// Which board.
 #[derive(clap::Args)]
@@ -32,14 +31,6 @@ impl Port {
                 Err(Failure::wrong("a board on --port sim ends with this command, and nothing of it is left")
                     .remedy("run `haptic sim` in another terminal and use the port that it prints"))
             }
-            _ => self.open(),
-        }
-    }
-
-    /// Opens the board; a simulated one for which no device was named has the device of `file` on it.
-    pub fn open_with(&self, file: &Path) -> Result<Board, Failure> {
-        match &self.port {
-            Some(PortSpec::Sim(None)) => Ok(Board::open(&PortSpec::Sim(Some(file.into())))?),
             _ => self.open(),
         }
     }

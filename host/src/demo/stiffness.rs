@@ -45,10 +45,10 @@ pub fn limit(demo: &Demo, feed_forward: FeedForward) -> Result<Limit, DemoError>
         largest_pull: 1e-3,
     };
     let mut bench = Bench::new(&mut board, &demo.file, setup, &|| false)?;
-    let measured = bench.boundary(feed_forward, demo.damping, 0, None)?;
+    let measured = bench.boundary(feed_forward, demo.damping, 0, None)?.gain;
+    // Predicted for the delay that the board itself reports, while it runs at the demo's rate.
+    let delay_samples = f64::from(bench.board().details()?.delay_samples);
     bench.finish()?;
-    // Predicted for the delay that the board itself reports.
-    let delay_samples = f64::from(board.details()?.delay_samples);
     Ok(Limit { measured, predicted: predict(&demo, feed_forward, delay_samples)?, delay_samples })
 }
 

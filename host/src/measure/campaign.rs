@@ -2,7 +2,8 @@
 
 use haptic_bridge::render::scene::FeedForward;
 
-use super::progress::{Mode, Progress};
+use super::progress::{Mode, Open, Progress, same_damping};
+use super::swing::Verdict;
 use super::{Bench, MeasureError};
 
 /// What is to be measured.
@@ -25,6 +26,18 @@ impl Plan {
     }
 }
 
+impl Progress {
+    /// Repeats of `plan` that are there already.
+    #[must_use]
+    pub fn measured(&self, plan: &Plan) -> usize {
+        let planned = |kd: f64| plan.kd.as_ref().is_none_or(|kds| kds.iter().any(|other| same_damping(kd, *other)));
+        let points = self.points.iter().filter(|point| plan.modes.contains(&point.mode) && planned(point.kd));
+        points
+            .map(|point| if point.open.is_some() { plan.repeats } else { point.repeats.len().min(plan.repeats) })
+            .sum()
+    }
+}
+
 impl From<Mode> for FeedForward {
     fn from(mode: Mode) -> Self {
         match mode {
@@ -35,7 +48,8 @@ impl From<Mode> for FeedForward {
     }
 }
 
-/// Measures what `progress` lacks. `saved` is called after every repeat, with how many of the plan are done.
+/// Measures what `progress` lacks. `saved` is called after every repeat, with how many of the plan are done. A damping
+/// at which nothing can be told is noted with the reason, its other repeats are left out, and the next one follows.
 pub fn run(
     bench: &mut Bench<'_>,
     plan: &Plan,
@@ -50,8 +64,7 @@ pub fn run(
                 let end = match progress.end(mode) {
                     Some(end) => end,
                     None => {
-                        let end = bench.damping_end(mode.into())?;
-                        progress.ends.push((mode, end));
+                        let end = damping_end(bench, mode, progress)?;
                         saved(progress, done)?;
                         end
                     }
@@ -63,10 +76,22 @@ pub fn run(
         for kd in kds {
             for repeat in 0..plan.repeats {
                 let earlier = progress.point(mode, kd);
-                if earlier.repeats.len() <= repeat {
+                if earlier.repeats.len() <= repeat && earlier.open.is_none() {
                     let guess = earlier.repeats.last().copied();
-                    let found = bench.boundary(mode.into(), kd, repeat, guess)?;
-                    progress.point(mode, kd).repeats.push(found);
+                    let found = bench.boundary(mode.into(), kd, repeat, guess);
+                    let point = progress.point(mode, kd);
+                    match found {
+                        Ok(found) => {
+                            point.repeats.push(found.gain);
+                            if let Verdict::Vibrates(size) = found.beyond {
+                                point.vibration_m = Some(point.vibration_m.map_or(size, |other| other.max(size)));
+                            }
+                        }
+                        Err(MeasureError::Open { stable, why }) => {
+                            point.open = Some(Open { stable_up_to: stable, reason: why.to_string() });
+                        }
+                        Err(error) => return Err(error),
+                    }
                 }
                 done += 1;
                 saved(progress, done)?;
@@ -74,4 +99,19 @@ pub fn run(
         }
     }
     Ok(())
+}
+
+/// Where the range of a mode ends; where that cannot be told, as far as it is known to reach.
+fn damping_end(bench: &mut Bench<'_>, mode: Mode, progress: &mut Progress) -> Result<f64, MeasureError> {
+    let end = match bench.damping_end(mode.into()) {
+        Ok(found) => found.gain,
+        Err(MeasureError::Open { stable, why }) if stable > 0.0 => {
+            progress.open_ends.push((mode, why.to_string()));
+            stable
+        }
+        Err(MeasureError::Open { why, .. }) => return Err(*why),
+        Err(error) => return Err(error),
+    };
+    progress.ends.push((mode, end));
+    Ok(end)
 }

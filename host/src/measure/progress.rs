@@ -27,6 +27,21 @@ pub struct Point {
     pub kd: f64,
     /// Largest stable stiffness of each repeat, N/m.
     pub repeats: Vec<f64>,
+    /// The largest vibration seen just beyond, m from peak to peak; none where the motion built up instead.
+    #[serde(default)]
+    pub vibration_m: Option<f64>,
+    /// Why there are not more repeats, where nothing more could be told.
+    #[serde(default)]
+    pub open: Option<Open>,
+}
+
+/// A search that found no boundary.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Open {
+    /// The stiffest wall that was seen to be stable, N/m.
+    pub stable_up_to: f64,
+    /// What kept the search from going on.
+    pub reason: String,
 }
 
 impl Point {
@@ -57,6 +72,12 @@ pub struct Progress {
     /// Dampings at which the range ends, N s/m, where they were measured.
     #[serde(default)]
     pub ends: Vec<(Mode, f64)>,
+    /// Modes whose range ends somewhere beyond, and why that was not found.
+    #[serde(default)]
+    pub open_ends: Vec<(Mode, String)>,
+    /// Joint angles where it is measured, rad.
+    #[serde(default)]
+    pub q: Vec<f64>,
     /// The points with their repeats so far.
     pub points: Vec<Point>,
 }
@@ -73,7 +94,7 @@ pub enum ProgressError {
         reason: String,
     },
     /// It belongs to something else.
-    #[error("{path} holds another measurement ({found}); remove it or choose another file with --progress")]
+    #[error("{path} holds another measurement ({found})")]
     Another {
         /// Which.
         path: String,
@@ -82,16 +103,10 @@ pub enum ProgressError {
     },
 }
 
-impl From<ProgressError> for crate::error::Failure {
-    fn from(error: ProgressError) -> Self {
-        Self::wrong(error)
-    }
-}
-
 impl Progress {
     /// Nothing measured yet.
     pub fn new(what: &str) -> Self {
-        Self { what: what.into(), ends: Vec::new(), points: Vec::new() }
+        Self { what: what.into(), ends: Vec::new(), open_ends: Vec::new(), q: Vec::new(), points: Vec::new() }
     }
 
     /// Reads the file at `path` when it exists, else begins anew.
@@ -123,22 +138,33 @@ impl Progress {
         self.ends.iter().find(|(measured, _)| *measured == mode).map(|(_, end)| *end)
     }
 
-    /// The points of a mode, by damping.
+    /// The measured points of a mode, by damping.
     pub fn of(&self, mode: Mode) -> Vec<&Point> {
-        let mut found: Vec<&Point> = self.points.iter().filter(|p| p.mode == mode && !p.repeats.is_empty()).collect();
+        self.all(mode).into_iter().filter(|point| !point.repeats.is_empty()).collect()
+    }
+
+    /// The points of a mode, also those where no boundary was found, by damping.
+    pub fn all(&self, mode: Mode) -> Vec<&Point> {
+        let mut found: Vec<&Point> =
+            self.points.iter().filter(|p| p.mode == mode && !(p.repeats.is_empty() && p.open.is_none())).collect();
         found.sort_by(|a, b| a.kd.total_cmp(&b.kd));
         found
     }
 
     /// The point of a mode at a damping, added when it is new.
     pub fn point(&mut self, mode: Mode, kd: f64) -> &mut Point {
-        let found = self.points.iter().position(|p| p.mode == mode && (p.kd - kd).abs() <= 1e-9 * kd.abs());
+        let found = self.points.iter().position(|p| p.mode == mode && same_damping(p.kd, kd));
         let index = found.unwrap_or_else(|| {
-            self.points.push(Point { mode, kd, repeats: Vec::new() });
+            self.points.push(Point { mode, kd, repeats: Vec::new(), vibration_m: None, open: None });
             self.points.len() - 1
         });
         &mut self.points[index]
     }
+}
+
+/// Whether two dampings (N s/m) are one, whatever rounding a file did to them.
+pub(super) fn same_damping(one: f64, other: f64) -> bool {
+    (one - other).abs() <= 1e-9 * other.abs()
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 use haptic_bridge::render::scene::FeedForward;
 
+use super::swing::Verdict;
 use super::{Bench, MeasureError};
 
 /// Ratio of the bracket at which the search ends.
@@ -19,14 +20,37 @@ pub fn strength(repeat: usize) -> f64 {
     STRENGTHS[repeat % STRENGTHS.len()]
 }
 
-/// Finds where `oscillates` turns true, from `start` upward; zero when it is true already at a thousandth of it.
+/// Where stable walls end.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Boundary {
+    /// The largest gain that is stable, N/m or N s/m.
+    pub gain: f64,
+    /// What the tip does just beyond: builds up, or goes on vibrating.
+    pub beyond: Verdict,
+}
+
+/// Finds where `judge` turns from [`Verdict::Decays`] to another, from `start` upward; zero when it has already at a
+/// thousandth of it. What cannot be judged, though stable so far, is [`MeasureError::Open`].
 ///
 /// `guess` from an earlier repeat narrows the bracket; it is only a place to begin.
 fn climb(
     start: f64,
     guess: Option<f64>,
-    mut oscillates: impl FnMut(f64) -> Result<bool, MeasureError>,
-) -> Result<f64, MeasureError> {
+    mut judge: impl FnMut(f64) -> Result<Verdict, MeasureError>,
+) -> Result<Boundary, MeasureError> {
+    let (mut stable, mut beyond) = (0.0_f64, Verdict::Grows);
+    let mut oscillates = |gain: f64| match judge(gain) {
+        Ok(Verdict::Decays) => {
+            stable = stable.max(gain);
+            Ok(false)
+        }
+        Ok(verdict) => {
+            beyond = verdict;
+            Ok(true)
+        }
+        Err(why) if why.is_local() => Err(MeasureError::Open { stable, why: Box::new(why) }),
+        Err(error) => Err(error),
+    };
     let raise = if guess.is_some() { 1.08 } else { RAISE };
     let mut low = guess.map_or(start, |g| g / 1.05);
     let mut step: f64 = raise;
@@ -34,7 +58,7 @@ fn climb(
         low /= step;
         step = (step * step).min(2.0);
         if low < start * 1e-3 {
-            return Ok(0.0);
+            return Ok(Boundary { gain: 0.0, beyond });
         }
     }
     let mut high = low * raise;
@@ -44,33 +68,33 @@ fn climb(
         high *= raise;
         raises += 1;
         if raises > RAISES {
-            return Err(MeasureError::Unbounded(high));
+            return Err(MeasureError::Open { stable: low, why: Box::new(MeasureError::Unbounded) });
         }
     }
     while high > low * RESOLUTION {
         let middle = (low * high).sqrt();
         if oscillates(middle)? { high = middle } else { low = middle }
     }
-    Ok((low * high).sqrt())
+    Ok(Boundary { gain: (low * high).sqrt(), beyond })
 }
 
 impl Bench<'_> {
-    /// Measures the largest stable stiffness at one damping, N/m.
+    /// Measures the largest stable stiffness (N/m) at one damping.
     pub fn boundary(
         &mut self,
         feed_forward: FeedForward,
         kd: f64,
         repeat: usize,
         guess: Option<f64>,
-    ) -> Result<f64, MeasureError> {
+    ) -> Result<Boundary, MeasureError> {
         let start = self.gentle_stiffness();
-        climb(start, guess.filter(|g| *g > 0.0), |kp| self.oscillates(feed_forward, kp, kd, strength(repeat)))
+        climb(start, guess.filter(|g| *g > 0.0), |kp| self.judge(feed_forward, kp, kd, strength(repeat)))
     }
 
-    /// Measures the damping at which even a soft wall oscillates, N s/m: where the range ends.
-    pub fn damping_end(&mut self, feed_forward: FeedForward) -> Result<f64, MeasureError> {
+    /// Measures the damping (N s/m) at which even a soft wall oscillates: where the range ends.
+    pub fn damping_end(&mut self, feed_forward: FeedForward) -> Result<Boundary, MeasureError> {
         let (kp, start) = (0.02 * self.gentle_stiffness(), self.gentle_damping());
-        climb(start, None, |kd| self.oscillates(feed_forward, kp, kd, 1.0))
+        climb(start, None, |kd| self.judge(feed_forward, kp, kd, 1.0))
     }
 }
 
@@ -78,15 +102,32 @@ impl Bench<'_> {
 mod tests {
     use super::*;
 
+    /// A loop that vibrates from `edge` on.
+    fn vibrating(edge: f64) -> impl Fn(f64) -> Result<Verdict, MeasureError> {
+        move |gain| Ok(if gain > edge { Verdict::Vibrates(1e-4) } else { Verdict::Decays })
+    }
+
     #[test]
     fn the_climb_ends_within_its_resolution() {
         for edge in [0.4, 1.0, 7.3, 900.0] {
             for guess in [None, Some(edge * 1.2), Some(edge * 0.9)] {
-                let found = climb(1.0, guess, |kp| Ok(kp > edge)).unwrap();
-                assert!((found / edge - 1.0).abs() < RESOLUTION - 1.0, "{edge}: {found}");
+                let found = climb(1.0, guess, vibrating(edge)).unwrap();
+                assert!((found.gain / edge - 1.0).abs() < RESOLUTION - 1.0, "{edge}: {found:?}");
+                assert_eq!(found.beyond, Verdict::Vibrates(1e-4));
             }
         }
-        assert_eq!(climb(1.0, None, |_| Ok(true)).unwrap(), 0.0);
-        assert!(matches!(climb(1.0, None, |_| Ok(false)), Err(MeasureError::Unbounded(_))));
+        assert_eq!(climb(1.0, None, |_| Ok(Verdict::Grows)).unwrap().gain, 0.0);
+    }
+
+    #[test]
+    fn where_nothing_can_be_told_it_says_up_to_where_it_was_stable() {
+        let unbounded = climb(1.0, None, |_| Ok(Verdict::Decays)).unwrap_err();
+        assert!(matches!(&unbounded, MeasureError::Open { stable, why } if *stable > 1e6 && why.is_local()));
+        let saturates = climb(1.0, None, |gain| match gain {
+            gain if gain < 10.0 => Ok(Verdict::Decays),
+            stiffness => Err(MeasureError::Saturates { stiffness, pull: 1e-4, force: 1.0 }),
+        });
+        let Err(MeasureError::Open { stable, .. }) = saturates else { panic!("{saturates:?}") };
+        assert!(stable < 10.0 && stable * RAISE >= 10.0, "{stable}");
     }
 }

@@ -1,57 +1,97 @@
-//! Whether a motion grows or decays, judged from sampled positions alone.
+//! What a motion does: it dies out, it builds up, or it goes on as a vibration of constant size. Judged from sampled
+//! positions alone.
 //!
-//! Turning points of the *velocity* are followed, because a slow return to the wall would hide a small fast oscillation
-//! in the position. The swing between successive turning points then grows or shrinks by a constant factor for every
-//! half cycle of the dominant mode; the sign of a straight line through its logarithm is the verdict.
+//! The position is high-passed below the velocity filter's cutoff, because a slow return to the wall would hide a small fast
+//! oscillation; every oscillation of the loop lies below that cutoff and seldom far below it. The swing between two turning
+//! points then grows or shrinks by a constant factor for every half cycle of the dominant mode, and the slope of a straight
+//! line through its logarithm, against that slope's own uncertainty, tells which.
+//!
+//! **What encoder steps explain.** A quantiser in a stable loop can sustain a vibration. Its describing function, the share of
+//! a sine's first harmonic that it passes on, is at most 1.0365 for a sine that spans six steps and falls from there
+//! (1.023 at eight): a vibration of more than [`ENCODER_STEPS`] steps from peak to peak can last only where 3.6 % more gain
+//! would make the loop unstable without any steps. So what is larger counts as not stable, at the price of a boundary
+//! that is found at most 3.6 % low; what is smaller is what any loop with these encoders does at rest.
 
+use std::f64::consts::TAU;
+
+/// Peak-to-peak size of the largest vibration that encoder steps explain, in steps.
+pub const ENCODER_STEPS: f64 = 6.0;
+
+/// Corner of the high-pass as a share of the velocity filter's cutoff.
+const SLOW: f64 = 0.125;
 /// Turning points left out at the start, while faster modes die out.
 const SETTLING: usize = 8;
-/// Turning points after which the trend is judged.
-const ENOUGH: usize = 30;
+/// Turning points of one look at the trend.
+const LOOK: usize = 22;
+/// Looks after which what neither grows nor shrinks is a vibration.
+const LOOKS: usize = 4;
+/// Standard errors by which a slope must differ from zero to be one. Many, as encoder steps disturb neighbouring swings
+/// alike, which the standard error does not know.
+const SIGNIFICANT: f64 = 4.0;
+/// Slope, in parts per swing, below which a motion goes on: 0.4 % over one look.
+const FLAT: f64 = 2e-4;
 /// Growth over the first swings at which nobody waits for the trend.
 const RUNAWAY: f64 = 4.0;
 /// Share of the largest swing below which a motion has died out.
 const GONE: f64 = 0.02;
-/// Rows without a verdict after which the motion is taken at its present trend.
-const LONGEST: usize = 6000;
+/// Periods of the cutoff without a turning point after which a motion is over, and after which it is judged as it is.
+const SILENT: f64 = 10.0;
+const LONGEST: f64 = 200.0;
 
 /// What a motion does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Verdict {
-    /// It dies out.
+    /// It dies out, or what is left of it is no more than encoder steps explain.
     Decays,
     /// It builds up: the loop oscillates.
     Grows,
+    /// It goes on at this size (m, from peak to peak), more than encoder steps explain: not stable either.
+    Vibrates(f64),
 }
 
 /// A motion being followed.
 #[derive(Clone, Debug)]
 pub struct Swing {
-    row_seconds: f64,
-    /// Changes of velocity smaller than this are quantisation, m/s.
+    /// Share of the way that the slow part takes in a row.
+    share: f64,
+    slow: Option<[f64; 2]>,
+    /// Swings smaller than this are encoder steps, and so is what is smaller than this from peak to peak for good, m.
     noise: f64,
+    explained: f64,
     /// Farthest distance from the wall that is still a trial, m.
     farthest: f64,
-    last: Option<f64>,
-    /// The extreme since the last turning point, and whether the velocity rises.
+    /// Rows without a turning point, and rows in all, after which a motion is judged.
+    silent: f64,
+    longest: f64,
+    /// The extreme since the last turning point, and whether the motion rises.
     extreme: Option<(f64, bool)>,
     turned: Option<f64>,
     swings: Vec<f64>,
+    /// Lowest and highest position since the last turning point, and the span of each swing, m.
+    reach: (f64, f64),
+    spans: Vec<(f64, f64)>,
     rows: usize,
     since_turn: usize,
 }
 
 impl Swing {
-    /// Follows rows `row_seconds` apart of positions with steps of `quantum` (m), pulled aside by `pull` (m) at first.
-    pub fn new(row_seconds: f64, quantum: f64, pull: f64) -> Self {
+    /// Follows positions every `row_seconds`, in steps of `quantum` (m), of a loop whose velocity filter cuts off at
+    /// `cutoff_hz`, pulled aside by `pull` (m) at first.
+    pub fn new(row_seconds: f64, cutoff_hz: f64, quantum: f64, pull: f64) -> Self {
+        let rows_a_period = 1.0 / (row_seconds * cutoff_hz);
         Self {
-            row_seconds,
-            noise: 3.0 * quantum / row_seconds,
+            share: 1.0 - (-TAU * SLOW / rows_a_period).exp(),
+            slow: None,
+            noise: 1.5 * quantum,
+            explained: ENCODER_STEPS * quantum,
             farthest: 12.0 * pull,
-            last: None,
+            silent: SILENT * rows_a_period,
+            longest: LONGEST * rows_a_period,
             extreme: None,
             turned: None,
             swings: Vec::new(),
+            reach: NOWHERE,
+            spans: Vec::new(),
             rows: 0,
             since_turn: 0,
         }
@@ -64,82 +104,122 @@ impl Swing {
         if place.abs() > self.farthest {
             return Some(Verdict::Grows);
         }
-        if let Some(last) = self.last.replace(place) {
-            self.velocity((place - last) / self.row_seconds);
+        let [first, second] = self.slow.get_or_insert([place, 0.0]);
+        *first += self.share * (place - *first);
+        let fast = place - *first;
+        *second += self.share * (fast - *second);
+        let fast = fast - *second;
+        self.reach = (self.reach.0.min(place), self.reach.1.max(place));
+        if self.turns(fast)
+            && let Some(verdict) = self.at_turn()
+        {
+            return Some(verdict);
         }
-        self.verdict()
+        // Much longer than the turning points so far were apart.
+        let apart = (self.rows - self.since_turn) as f64 / (self.swings.len() + 1) as f64;
+        let rest = self.since_turn as f64 > self.silent.max(6.0 * apart);
+        match rest {
+            true => Some(Verdict::Decays),
+            false => (self.rows as f64 >= self.longest).then(|| self.lasting()),
+        }
     }
 
-    /// Notes a turning point when the velocity has come back from its extreme by more than noise.
-    fn velocity(&mut self, v: f64) {
+    /// Notes a turning point when the motion has come back from its extreme by more than noise.
+    fn turns(&mut self, fast: f64) -> bool {
         let Some((extreme, rising)) = self.extreme else {
-            self.extreme = Some((v, true));
-            return;
+            self.extreme = Some((fast, true));
+            return false;
         };
-        let further = if rising { v > extreme } else { v < extreme };
-        if further {
-            self.extreme = Some((v, rising));
-        } else if (v - extreme).abs() > self.noise.max(self.floor()) {
-            if let Some(before) = self.turned.replace(extreme) {
-                self.swings.push((extreme - before).abs());
-            }
-            self.extreme = Some((v, !rising));
-            self.since_turn = 0;
+        if if rising { fast > extreme } else { fast < extreme } {
+            self.extreme = Some((fast, rising));
+            return false;
         }
-    }
-
-    /// Swings smaller than this are not followed.
-    fn floor(&self) -> f64 {
-        0.2 * GONE * self.largest()
+        if (fast - extreme).abs() <= self.noise.max(0.2 * GONE * self.largest()) {
+            return false;
+        }
+        if let Some(before) = self.turned.replace(extreme) {
+            self.swings.push((extreme - before).abs());
+            self.spans.push(std::mem::replace(&mut self.reach, NOWHERE));
+        }
+        self.extreme = Some((fast, !rising));
+        self.since_turn = 0;
+        self.swings.len() > 3
     }
 
     fn largest(&self) -> f64 {
         self.swings.iter().copied().fold(0.0, f64::max)
     }
 
-    fn verdict(&self) -> Option<Verdict> {
+    fn at_turn(&self) -> Option<Verdict> {
         let count = self.swings.len();
-        if count >= 4 {
-            let latest = self.swings[count - 1];
-            let early = self.swings[1..4.min(count)].iter().copied().fold(0.0, f64::max);
-            if latest > RUNAWAY * early {
-                return Some(Verdict::Grows);
-            }
-            if latest < GONE * self.largest() {
-                return Some(Verdict::Decays);
-            }
+        let latest = self.swings[count - 1];
+        let early = self.swings[1..4].iter().copied().fold(0.0, f64::max);
+        if latest > RUNAWAY * early.max(self.explained) {
+            return Some(Verdict::Grows);
         }
-        if count >= ENOUGH {
-            return Some(self.trend());
+        if latest < GONE * self.largest() {
+            return Some(Verdict::Decays);
         }
-        // No turning point for much longer than the ones before took: it has died out into the noise.
-        let silent = self.since_turn > 400.max(6 * self.rows / (count + 1));
-        if silent || self.rows >= LONGEST {
-            return Some(if count > SETTLING + 4 && !silent { self.trend() } else { Verdict::Decays });
+        // A look at the trend, and another whenever half of what it saw is new.
+        let seen = count.checked_sub(SETTLING + LOOK)?;
+        if !seen.is_multiple_of(LOOK / 2) {
+            return None;
         }
-        None
+        let recent = &self.swings[count - LOOK..];
+        let (slope, error) = trend(recent);
+        let sure = slope.abs() > FLAT.max(SIGNIFICANT * error);
+        if sure && slope > 0.0 && self.size() > self.explained {
+            return Some(Verdict::Grows);
+        }
+        // What shrinks ever more slowly is about to stay.
+        let (earlier, later) = (trend(&recent[..LOOK / 2]).0, trend(&recent[LOOK / 2..]).0);
+        if sure && slope < 0.0 && later < 0.5 * earlier {
+            return Some(Verdict::Decays);
+        }
+        (seen / (LOOK / 2) >= LOOKS).then(|| self.lasting())
     }
 
-    /// The sign of the slope of ln(swing) after the settling.
-    fn trend(&self) -> Verdict {
-        let kept: Vec<f64> = self.swings.iter().skip(SETTLING).filter(|s| **s > 0.0).map(|s| s.ln()).collect();
-        let n = kept.len() as f64;
-        let mean = kept.iter().sum::<f64>() / n;
-        let slope: f64 = kept.iter().enumerate().map(|(i, s)| (i as f64 - (n - 1.0) / 2.0) * (s - mean)).sum();
-        if slope > 0.0 { Verdict::Grows } else { Verdict::Decays }
+    /// The verdict on a motion that is as it is.
+    fn lasting(&self) -> Verdict {
+        let size = self.size();
+        if size > self.explained { Verdict::Vibrates(size) } else { Verdict::Decays }
     }
+
+    /// How far the latest swings reach from peak to peak, m: the median of pairs, which one stray swing does not move.
+    fn size(&self) -> f64 {
+        let recent = &self.spans[self.spans.len().saturating_sub(LOOK / 2)..];
+        let mut sizes: Vec<f64> =
+            recent.windows(2).map(|two| two[0].1.max(two[1].1) - two[0].0.min(two[1].0)).collect();
+        sizes.sort_by(f64::total_cmp);
+        sizes.get(sizes.len() / 2).copied().unwrap_or(0.0)
+    }
+}
+
+const NOWHERE: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
+
+/// Slope of ln(swing) over the swings, and its standard error.
+fn trend(swings: &[f64]) -> (f64, f64) {
+    let logs: Vec<f64> = swings.iter().filter(|s| **s > 0.0).map(|s| s.ln()).collect();
+    let n = logs.len() as f64;
+    let middle = |i: usize| i as f64 - (n - 1.0) / 2.0;
+    let mean = logs.iter().sum::<f64>() / n;
+    let weight: f64 = (0..logs.len()).map(|i| middle(i).powi(2)).sum();
+    let slope = logs.iter().enumerate().map(|(i, log)| middle(i) * (log - mean)).sum::<f64>() / weight;
+    let rest: f64 = logs.iter().enumerate().map(|(i, log)| (log - mean - slope * middle(i)).powi(2)).sum();
+    (slope, (rest / ((n - 2.0) * weight)).sqrt())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn judged(growth_per_second: f64, drift: f64, quantum: f64) -> Verdict {
-        let dt = 1e-3;
-        let mut swing = Swing::new(dt, quantum, 1e-3);
-        for k in 0..20_000 {
-            let t = f64::from(k) * dt;
-            let x = 1e-3 * (growth_per_second * t).exp() * (40.0 * t).sin() + drift * (-2.0 * t).exp();
+    const DT: f64 = 1e-3;
+    const CUTOFF: f64 = 20.0;
+
+    fn judged(quantum: f64, motion: impl Fn(f64) -> f64) -> Verdict {
+        let mut swing = Swing::new(DT, CUTOFF, quantum, 1e-3);
+        for k in 0..60_000 {
+            let x = motion(f64::from(k) * DT);
             let x = if quantum > 0.0 { (x / quantum).round() * quantum } else { x };
             if let Some(verdict) = swing.take(x) {
                 return verdict;
@@ -148,18 +228,63 @@ mod tests {
         panic!("no verdict");
     }
 
+    /// A swing that grows, with a slow return to the wall besides.
+    fn growing(per_second: f64, drift: f64) -> impl Fn(f64) -> f64 {
+        move |t| 1e-3 * (per_second * t).exp() * (70.0 * t).sin() + drift * (-2.0 * t).exp()
+    }
+
     #[test]
     fn slow_growth_is_told_from_slow_decay() {
         for drift in [0.0, 2e-3] {
-            assert_eq!(judged(0.1, drift, 0.0), Verdict::Grows);
-            assert_eq!(judged(-0.1, drift, 0.0), Verdict::Decays);
+            assert_eq!(judged(0.0, growing(0.1, drift)), Verdict::Grows);
+            assert_eq!(judged(0.0, growing(-0.1, drift)), Verdict::Decays);
         }
     }
 
     #[test]
     fn quantisation_does_not_change_the_verdict() {
-        assert_eq!(judged(0.5, 0.0, 1e-6), Verdict::Grows);
-        assert_eq!(judged(-0.5, 0.0, 1e-6), Verdict::Decays);
-        assert_eq!(judged(-40.0, 0.0, 1e-5), Verdict::Decays);
+        for quantum in [1e-6, 3e-5] {
+            assert_eq!(judged(quantum, growing(0.5, 0.0)), Verdict::Grows);
+            assert_eq!(judged(quantum, growing(-0.5, 0.0)), Verdict::Decays);
+            assert_eq!(judged(quantum, growing(-40.0, 0.0)), Verdict::Decays);
+        }
+    }
+
+    #[test]
+    fn a_swing_that_stays_is_a_vibration_wherever_it_began() {
+        // As it is, down from three times its size, up from nine tenths of it.
+        for begin in [0.0, 2.0, -0.1] {
+            let verdict = judged(2e-5, |t| 3e-4 * (1.0 + begin * (-6.0 * t).exp()) * (70.0 * t).sin());
+            let Verdict::Vibrates(size) = verdict else { panic!("{begin}: {verdict:?}") };
+            assert!((size - 6e-4).abs() < 4e-5, "{begin}: {size} m from peak to peak");
+        }
+    }
+
+    #[test]
+    fn a_swing_as_small_as_encoder_steps_explain_is_none() {
+        let chatter = |steps: f64| move |t: f64| (1e-3 * (-6.0 * t).exp() + 0.5 * steps * 1e-4) * (70.0 * t).sin();
+        assert_eq!(judged(1e-4, chatter(4.0)), Verdict::Decays);
+        for steps in [8.0, 9.0, 10.0, 12.0] {
+            let verdict = judged(1e-4, chatter(steps));
+            assert!(matches!(verdict, Verdict::Vibrates(_)), "{steps} steps: {verdict:?}");
+        }
+    }
+
+    /// The describing function of a quantiser, by its definition: the first harmonic of a quantised sine.
+    fn passed_on(amplitude: f64) -> f64 {
+        let parts = 20_000;
+        let sum: f64 = (0..parts)
+            .map(|i| TAU * (f64::from(i) + 0.5) / f64::from(parts))
+            .map(|angle| (amplitude * angle.sin()).round() * angle.sin())
+            .sum();
+        2.0 * sum / f64::from(parts) / amplitude
+    }
+
+    #[test]
+    fn what_encoder_steps_explain_is_derived() {
+        // Sines of which a quantiser shows more than ENCODER_STEPS steps span more than one step less.
+        let largest = |from: f64| (0..4000).map(|i| passed_on(0.5 * from + f64::from(i) * 1e-3)).fold(0.0, f64::max);
+        assert!((largest(ENCODER_STEPS - 1.0) - 1.0365).abs() < 1e-3);
+        assert!((largest(ENCODER_STEPS + 1.0) - 1.023).abs() < 1e-3);
     }
 }

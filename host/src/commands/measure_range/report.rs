@@ -1,0 +1,286 @@
+//! What a measurement says: its points beside the theory of the same loop, as a table, a document or a picture.
+
+use super::Args;
+use haptic::analysis::plant::{Drive, Linearised};
+use haptic::analysis::range::{BoundaryPoint, Range, predict};
+use haptic::analysis::sampled::{Estimator, Loop};
+use haptic::error::{Failure, print};
+use haptic::measure::campaign::Plan;
+use haptic::measure::excitation::{Excitation, millimetres};
+use haptic::measure::progress::{Mode, Point, Progress};
+use haptic::plot::range::{Contents, MeasuredPoint, draw};
+use haptic_bridge::board::protocol::{Details, Info};
+use serde_json::json;
+use std::fmt::Write;
+
+/// The linear theory of the board that was measured.
+pub struct Theory {
+    device: Linearised,
+    around: Loop,
+    excitation: Excitation,
+    /// The command that predicts the same.
+    line: String,
+    q: Vec<f64>,
+}
+
+/// Lag of the boards' current loops at a carrier of 20 kHz, Hz: half a carrier period, as `haptic range` has it.
+const CURRENT_HZ: f64 = 6400.0;
+const CARRIER_HZ: f64 = 20_000.0;
+
+impl Theory {
+    /// Of `device` at `q` behind the board of `info` and `details`: its own delay, and its own drive.
+    pub fn new(
+        args: &Args,
+        device: Linearised,
+        q: &[f64],
+        info: &Info,
+        details: &Details,
+        excitation: Excitation,
+    ) -> Self {
+        let delay_samples = (f64::from(details.delay_samples) * 1e6).round() / 1e6;
+        let bandwidth_hz = (CURRENT_HZ * f64::from(details.carrier_hz) / CARRIER_HZ).round();
+        let ideal = info.board.as_str() == haptic::sim::IDEAL_BOARD;
+        let drive = if ideal { Drive::Ideal } else { Drive::Current { bandwidth_hz } };
+        let list = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
+        let mut line = format!(
+            "haptic range {} --q={} --normal={} --rate {} --cutoff {} --delay {delay_samples}",
+            args.device.display(),
+            list(q),
+            list(&args.normal.0),
+            args.rate,
+            args.cutoff
+        );
+        if !ideal {
+            line.push_str(" --drive current");
+            if bandwidth_hz != CURRENT_HZ {
+                let _ = write!(line, " --current-bandwidth {bandwidth_hz}");
+            }
+        }
+        if device.viscous.iter().all(|damping| *damping == 0.0) {
+            line.push_str(" --undamped");
+        }
+        if args.feed_forward.modes().contains(&Mode::Washout) {
+            let _ = write!(line, " --washout {}", args.washout);
+        }
+        let around = Loop {
+            rate_hz: args.rate,
+            delay_samples,
+            estimator: Estimator::Butterworth(args.cutoff),
+            drive,
+            damping_compensation: false,
+        };
+        Self { device, around, excitation, line, q: q.to_vec() }
+    }
+
+    fn predict(&self, kd: Option<&[f64]>, washout: Option<f64>) -> Result<Range, Failure> {
+        Ok(predict(&self.device, &self.around, kd, washout)?)
+    }
+}
+
+/// Everything that is told.
+pub struct Report<'a> {
+    pub name: &'a str,
+    pub args: &'a Args,
+    pub plan: &'a Plan,
+    pub progress: &'a Progress,
+    pub theory: Theory,
+}
+
+impl Report<'_> {
+    /// Whether there is anything to tell.
+    pub fn any(&self) -> bool {
+        self.plan.modes.iter().any(|mode| !self.progress.all(*mode).is_empty())
+    }
+
+    /// Whether a boundary was found.
+    pub fn measured(&self) -> bool {
+        self.plan.modes.iter().any(|mode| !self.progress.of(*mode).is_empty())
+    }
+
+    /// Writes the pictures and prints the table or the document.
+    pub fn out(&self) -> Result<(), Failure> {
+        let args = self.args;
+        if args.svg.is_some() || args.png.is_some() {
+            let picture = self.picture()?;
+            args.svg.as_deref().map(|path| picture.save_svg(path)).transpose()?;
+            args.png.as_deref().map(|path| picture.save_png(path)).transpose()?;
+        }
+        if args.json {
+            let text = serde_json::to_string(&self.document()?).map_err(Failure::impossible)?;
+            return print(&(text + "\n"));
+        }
+        print(&self.table()?)
+    }
+
+    fn washout(&self) -> Option<f64> {
+        self.plan.modes.contains(&Mode::Washout).then_some(self.args.washout)
+    }
+
+    /// The points of a mode with the theory's at the same dampings.
+    fn beside(&self, mode: Mode) -> Result<Vec<(&Point, BoundaryPoint)>, Failure> {
+        let points = self.progress.all(mode);
+        let kd: Vec<f64> = points.iter().map(|point| point.kd).collect();
+        let range = self.theory.predict(Some(&kd), self.washout())?;
+        let domain = match mode {
+            Mode::Off => range.off,
+            Mode::Full => range.full,
+            Mode::Washout => range.washout.unwrap_or(range.full),
+        };
+        Ok(points.into_iter().zip(domain.boundary).collect())
+    }
+
+    fn drive(&self) -> String {
+        match self.theory.around.drive {
+            Drive::Current { bandwidth_hz } => format!("current loop of {bandwidth_hz} Hz"),
+            _ => "ideal drive".into(),
+        }
+    }
+
+    /// Where and how, in two lines.
+    fn setting(&self) -> [String; 2] {
+        let joined = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(", ");
+        let (args, around) = (self.args, &self.theory.around);
+        [
+            format!("q = ({}) rad, n = ({})", joined(&self.theory.q), joined(&args.normal.0)),
+            format!(
+                "{} Hz, cutoff {} Hz, delay {} samples, {}",
+                args.rate,
+                args.cutoff,
+                around.delay_samples,
+                self.drive()
+            ),
+        ]
+    }
+
+    fn table(&self) -> Result<String, Failure> {
+        let [place, around] = self.setting();
+        let mut text =
+            format!("{}: largest stable stiffness, measured (median of {} repeats)\n", self.name, self.plan.repeats);
+        let _ = writeln!(text, "  {place}\n  {around}\n");
+        let _ = writeln!(
+            text,
+            "{:>9}{:>11}{:>13}{:>12}{:>12}{:>12}  beyond it",
+            "", "kd N s/m", "kp N/m", "lowest", "highest", "theory"
+        );
+        let mut open = Vec::new();
+        for &mode in &self.plan.modes {
+            for (point, theory) in self.beside(mode)? {
+                let label = format!("{mode:?}").to_lowercase();
+                let _ = write!(text, "{label:>9}{:>11.4}", point.kd);
+                let (low, high) = point.bounds();
+                let _ = match (&point.open, point.repeats.is_empty()) {
+                    (Some(why), true) => {
+                        write!(text, "{:>13}{:>12}{:>12}", format!("> {:.0}", why.stable_up_to), "", "")
+                    }
+                    _ => write!(text, "{:>13.2}{low:>12.2}{high:>12.2}", point.median()),
+                };
+                let beyond = match (&point.open, point.vibration_m) {
+                    (Some(_), _) if point.repeats.is_empty() => "not told".into(),
+                    (_, Some(size)) => format!("vibrates by {} mm", millimetres(size)),
+                    (_, None) => "grows".into(),
+                };
+                let _ = writeln!(text, "{:>12.2}  {beyond}", theory.kp);
+                if let Some(why) = &point.open {
+                    open.push((label, point, why, theory.kp));
+                }
+            }
+        }
+        text.push('\n');
+        for (label, point, why, theory) in open {
+            let _ = writeln!(
+                text,
+                "{label} at kd {:.4}, repeat {}: stable up to {:.0} N/m, then: {}{}",
+                point.kd,
+                point.repeats.len() + 1,
+                why.stable_up_to,
+                why.reason,
+                self.finer(theory.max(why.stable_up_to))
+            );
+        }
+        for (mode, why) in &self.progress.open_ends {
+            let _ = writeln!(text, "{mode:?}: the damping where the range ends was not found: {why}");
+        }
+        let Excitation { quantum, friction, .. } = self.theory.excitation;
+        let _ = writeln!(
+            text,
+            "An encoder step is {} mm here. What goes on by more than 6 steps from peak to peak counts as vibrating.",
+            millimetres(quantum)
+        );
+        if friction > 0.0 {
+            let _ = writeln!(
+                text,
+                "Coulomb friction of {friction:.3} N at the tip stops small swings: the boundary found is that of the pulls \
+                 made, higher than theory's, and may not repeat."
+            );
+        }
+        let _ = writeln!(
+            text,
+            "The theory knows no Coulomb friction, hand, encoder steps or saturation. It is that of:\n  {}",
+            self.theory.line
+        );
+        Ok(text)
+    }
+
+    /// Encoders that could tell up to `stiffness` (N/m), where these cannot.
+    fn finer(&self, stiffness: f64) -> String {
+        let Excitation { force, .. } = self.theory.excitation;
+        let factor = 2.0 * self.theory.excitation.smallest() * stiffness / force;
+        if factor <= 1.0 {
+            return String::new();
+        }
+        format!("; encoders with {:.0} times the counts could tell", factor.ceil())
+    }
+
+    fn document(&self) -> Result<serde_json::Value, Failure> {
+        let mut points = Vec::new();
+        for &mode in &self.plan.modes {
+            for (point, theory) in self.beside(mode)? {
+                let (low, high) = point.bounds();
+                let found = (!point.repeats.is_empty()).then(|| (point.median(), low, high));
+                points.push(json!({
+                    "mode": mode,
+                    "kd": point.kd,
+                    "kp": found.map(|found| found.0),
+                    "low": found.map(|found| found.1),
+                    "high": found.map(|found| found.2),
+                    "repeats": point.repeats,
+                    "vibration_m": point.vibration_m,
+                    "open": point.open,
+                    "theory_kp": theory.kp,
+                }));
+            }
+        }
+        Ok(json!({
+            "q": self.theory.q,
+            "normal": self.args.normal.0,
+            "rate_hz": self.args.rate,
+            "cutoff_hz": self.args.cutoff,
+            "delay_samples": self.theory.around.delay_samples,
+            "drive": self.drive(),
+            "theory": self.theory.line,
+            "encoder_step_m": self.theory.excitation.quantum,
+            "ends": self.progress.ends,
+            "points": points,
+        }))
+    }
+
+    fn picture(&self) -> Result<haptic::plot::Picture, Failure> {
+        let range = self.theory.predict(None, self.washout())?;
+        let dots = |mode| -> Vec<MeasuredPoint> {
+            let dot = |point: &Point| {
+                let (low, high) = point.bounds();
+                MeasuredPoint { kd: point.kd, kp: point.median(), low, high }
+            };
+            self.progress.of(mode).into_iter().map(dot).collect()
+        };
+        let (off, full, washed) = (dots(Mode::Off), dots(Mode::Full), dots(Mode::Washout));
+        Ok(draw(&Contents {
+            title: format!("{}: stable walls, measured and predicted", self.name),
+            subtitle: self.setting(),
+            range: &range,
+            passivity: None,
+            measured_off: &off,
+            measured_full: if full.is_empty() { &washed } else { &full },
+        }))
+    }
+}

@@ -1,0 +1,73 @@
+//! A simulated board to measure on, whose world is as simple as the question asks: the device as its file describes it, or
+//! without friction, with finer encoders, with torque that acts at once, at any pose.
+
+use crate::device_file::DeviceFile;
+use crate::sim::{
+    BoardOptions, DeviceError, DriveModel, Hand, HandSettings, Intent, Options, SharedBoard, Waypoint, ready_board,
+};
+
+/// Which friction of the device file acts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Friction {
+    /// All of it.
+    #[default]
+    All,
+    /// The viscous part.
+    Viscous,
+    /// The Coulomb part.
+    Coulomb,
+    /// None.
+    None,
+}
+
+/// The simulated world.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct World {
+    /// Where the device stands, rad; its home when `None`.
+    pub q: Option<[f64; 3]>,
+    /// Which friction acts.
+    pub friction: Friction,
+    /// Commanded torques act at once, without bridges, windings and current loops.
+    pub ideal_drive: bool,
+    /// Counts per turn of every encoder; the device file's when `None`.
+    pub counts: Option<f64>,
+    /// A relaxed grip at rest holds the tip ([`HandSettings::default`]).
+    pub grip: bool,
+}
+
+/// Simulation steps in a control period. The torque is held for a whole period, so slow loops need no finer ones.
+const STEPS: f64 = 100.0;
+/// Shortest and longest simulation step, s. The longest is half a carrier period at 20 kHz.
+const STEP: (f64, f64) = (2e-6, 2.5e-5);
+
+impl World {
+    /// The device as it is in this world: what is left out is left out of its description, so that whoever predicts from it
+    /// predicts the same world.
+    pub fn apply(&self, file: &mut DeviceFile) {
+        for joint in &mut file.description.joints {
+            if matches!(self.friction, Friction::Coulomb | Friction::None) {
+                joint.viscous = 0.0;
+            }
+            if matches!(self.friction, Friction::Viscous | Friction::None) {
+                joint.coulomb = 0.0;
+            }
+            if let (Some(encoder), Some(counts)) = (&mut joint.encoder, self.counts) {
+                encoder.counts_per_turn = counts;
+            }
+        }
+    }
+
+    /// A board with the device of `file`, to which [`World::apply`] was done, that will run at `rate_hz`.
+    pub fn board(&self, file: &DeviceFile, rate_hz: f64) -> Result<SharedBoard, DeviceError> {
+        let device =
+            Options { start: self.q, substep: (1.0 / (STEPS * rate_hz)).clamp(STEP.0, STEP.1), ..Options::default() };
+        let drive = if self.ideal_drive { DriveModel::Ideal } else { DriveModel::Electric };
+        let mut board = ready_board(file, BoardOptions { device, drive, ..BoardOptions::default() })?;
+        if self.grip {
+            let tip = board.device().tip();
+            let rest = Intent::Follow(vec![Waypoint { time: 0.0, value: tip }]);
+            board.device_mut().set_hand(Hand::new(HandSettings::default(), rest, tip, 0.0));
+        }
+        Ok(SharedBoard::new(board))
+    }
+}
