@@ -3,6 +3,7 @@
 use crate::commands::{Command, HEADINGS};
 use clap::{CommandFactory, FromArgMatches, Parser};
 use haptic::error::Failure;
+use haptic_bridge::model::admissible::Admissible;
 use std::ffi::OsString;
 
 /// Configure, watch, simulate and analyse haptic-bridge boards: motor drivers that render hard walls on a device
@@ -107,6 +108,12 @@ impl Numbers {
         let length = largest * values.iter().map(|value| (value / largest).powi(2)).sum::<f64>().sqrt();
         Ok(values.into_iter().map(|value| value / length).collect())
     }
+}
+
+/// What a redundant device holds, by its name.
+pub fn admissible(text: &str) -> Result<Admissible, String> {
+    let known = Admissible::ALL.iter().find(|(name, _)| *name == text).map(|(_, choice)| *choice);
+    known.ok_or_else(|| format!("write one of {}", Admissible::ALL.map(|(name, _)| name).join(", ")))
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@
 
 use crate::device_file::DeviceFile;
 use haptic_bridge::math::{Libm, Math, Minimax, Real};
+use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::inertia::Inertia;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::with_mechanism;
@@ -168,9 +169,23 @@ pub fn evaluate(
     walls: &[WallForce],
     precision: Precision,
 ) -> Result<Report, ModelError> {
+    evaluate_holding(device, q, qd, walls, precision, Admissible::default())
+}
+
+/// As [`evaluate`], a redundant device holding `admissible` instead of φ.
+pub fn evaluate_holding(
+    device: &DeviceFile,
+    q: &[f64],
+    qd: &[f64],
+    walls: &[WallForce],
+    precision: Precision,
+    admissible: Admissible,
+) -> Result<Report, ModelError> {
     with_mechanism!(&device.mechanism, m => regular(m, q))?;
     let report = match precision {
-        Precision::F64 => with_mechanism!(&device.mechanism, m => report::<f64, Libm, _, _>(m, q, qd, walls)),
+        Precision::F64 => {
+            with_mechanism!(&device.mechanism, m => report::<f64, Libm, _, _>(m, q, qd, walls, admissible))
+        }
         Precision::F32 => {
             // The controller hands the step angles within a turn, where the board's trigonometry is accurate.
             let turn = core::f64::consts::TAU;
@@ -178,7 +193,7 @@ pub fn evaluate(
                 |angle: &f64| if device.spec().periodic { angle - turn * (angle / turn).round() } else { *angle };
             let q: Vec<f64> = q.iter().map(wrap).collect();
             let mechanism = AnyMechanism::<f32>::new(&device.description).map_err(|_| ModelError::NotFinite)?;
-            with_mechanism!(&mechanism, m => report::<f32, Minimax, _, _>(m, &q, qd, walls))
+            with_mechanism!(&mechanism, m => report::<f32, Minimax, _, _>(m, &q, qd, walls, admissible))
         }
     };
     if report.is_finite() { Ok(report) } else { Err(ModelError::NotFinite) }
@@ -227,6 +242,7 @@ fn report<T: Real, K: Math<T>, const N: usize, M: Mechanism<T, N>>(
     q: &[f64],
     qd: &[f64],
     walls: &[WallForce],
+    admissible: Admissible,
 ) -> Report {
     let task = M::SPEC.task;
     let pose = mechanism.pose::<K>(&vector_of(q));
@@ -236,7 +252,7 @@ fn report<T: Real, K: Math<T>, const N: usize, M: Mechanism<T, N>>(
         .iter()
         .zip(&normals)
         .fold(SVector::<T, N>::zeros(), |sum, (wall, normal)| sum + normal * T::from_f64(wall.force));
-    let inertia = Inertia::new::<K, M>(mechanism, &pose, &qd, &normals, &force);
+    let inertia = Inertia::holding::<K, M>(mechanism, &pose, &qd, &normals, &force, admissible);
     let jacobian = mechanism.jacobian(&pose);
     let mass = mechanism.mass(&pose);
     let bias = mechanism.coriolis(&pose, &qd) + mechanism.gravity(&pose);

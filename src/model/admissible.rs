@@ -54,7 +54,7 @@ const HELD: [f64; 2] = [0.02 * 0.02, 0.05 * 0.05];
 
 impl Admissible {
     /// The joint that is held.
-    fn joint(self) -> Option<usize> {
+    pub fn joint(self) -> Option<usize> {
         match self {
             Self::Joint0 => Some(0),
             Self::Joint1 => Some(1),
@@ -66,9 +66,14 @@ impl Admissible {
     /// `shaping` of a tip direction with φ held, turned into one with this coordinate held; `null` is that of the null
     /// motion (φ alone).
     pub fn hold<T: Real, const N: usize>(self, shaping: &Shaping<T, N>, null: &Shaping<T, N>) -> Shaping<T, N> {
-        let added = self.null_motion(null, &shaping.e, shaping.e.dot(&null.me));
+        let added = self.added(shaping, null);
         let (e, me) = (shaping.e + null.e * added, shaping.me + null.me * added);
         Shaping { e, me, w_rr: e.dot(&me) }
+    }
+
+    /// The null motion in what [`Admissible::hold`] makes of `shaping`, rad/m of φ.
+    pub fn added<T: Real, const N: usize>(self, shaping: &Shaping<T, N>, null: &Shaping<T, N>) -> T {
+        self.null_motion(null, &shaping.e, shaping.e.dot(&null.me))
     }
 
     /// The velocity torques `b` (N m) with φ held, turned into those with this coordinate held. `bent` = J⁻¹ J̇ q̇ is what

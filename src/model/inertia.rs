@@ -9,6 +9,7 @@
 //! for the analysis.
 
 use crate::math::{Math, Real};
+use crate::model::admissible::Admissible;
 use crate::model::mechanism::{Mechanism, Shaping};
 use nalgebra::{SMatrix, SVector};
 
@@ -236,9 +237,37 @@ impl<T: Real, const N: usize> Inertia<T, N> {
         normals: &[SVector<T, N>],
         force: &SVector<T, N>,
     ) -> Self {
+        Self::holding::<K, M>(mechanism, pose, qd, normals, force, Admissible::Orientation)
+    }
+
+    /// As [`Inertia::new`], a redundant device holding `admissible` instead of φ. The basis then holds the null motion
+    /// that goes with each tip direction.
+    pub fn holding<K: Math<T>, M: Mechanism<T, N>>(
+        mechanism: &M,
+        pose: &M::Pose,
+        qd: &SVector<T, N>,
+        normals: &[SVector<T, N>],
+        force: &SVector<T, N>,
+        admissible: Admissible,
+    ) -> Self {
         let split = Split::new::<K>(normals, M::SPEC.task);
         let rank = split.rendered;
-        let b = mechanism.velocity_torque(pose, qd) + mechanism.gravity(pose);
+        let tip = split.basis;
+        let mut b = mechanism.velocity_torque(pose, qd);
+        let mut split = split;
+        if M::SPEC.task < N && admissible != Admissible::Orientation {
+            let null = mechanism.shaping(pose, &tip.column(N - 1).into_owned());
+            let bent = mechanism.inverse(pose, &(mechanism.jacobian_rate(pose, qd) * qd));
+            b = admissible.hold_bias(&b, &bent, &null);
+            for i in 0..M::SPEC.task {
+                let along = mechanism.shaping(pose, &tip.column(i).into_owned());
+                split.basis[(N - 1, i)] = admissible.added(&along, &null);
+            }
+            if let Some(moves) = admissible.joint().and_then(|joint| null.e.get(joint)) {
+                split.basis[(N - 1, N - 1)] = T::one() / *moves;
+            }
+        }
+        let b = b + mechanism.gravity(pose);
         let shapings: [Shaping<T, N>; N] =
             core::array::from_fn(|i| mechanism.shaping(pose, &split.basis.column(i).into_owned()));
         let operational = mechanism.operational_inertia(pose);
@@ -246,8 +275,7 @@ impl<T: Real, const N: usize> Inertia<T, N> {
         let z = SVector::from_fn(|i, _| shapings[i].e.dot(&b));
 
         let mass = mechanism.mass(pose);
-        let rows: [SVector<T, N>; N] =
-            core::array::from_fn(|i| mechanism.transpose(pose, &split.basis.column(i).into_owned()));
+        let rows: [SVector<T, N>; N] = core::array::from_fn(|i| mechanism.transpose(pose, &tip.column(i).into_owned()));
         let mut mobility = SMatrix::<T, N, N>::identity();
         for j in 0..rank {
             let accelerations = solve_symmetric(&mass, &rows[j]);
@@ -265,7 +293,7 @@ impl<T: Real, const N: usize> Inertia<T, N> {
             }
         }
 
-        let in_span = split.basis.tr_mul(force);
+        let in_span = tip.tr_mul(force);
         let torque = if rank == 1 {
             shaped_torque(&shapings[0], in_span[0], &b)
         } else {

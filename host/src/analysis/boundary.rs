@@ -269,7 +269,13 @@ mod tests {
         let viscous = DVector::from_fn(joints, |_, _| {
             if random.between(0.0, 1.0) < 0.25 { 0.0 } else { scale * random.between(0.1, 1.0) }
         });
-        Linearised { row: jacobian.tr_mul(&n), unit_motion: jacobian.try_inverse().unwrap() * n, mass, viscous }
+        Linearised {
+            gain: 1.0,
+            row: jacobian.tr_mul(&n),
+            unit_motion: jacobian.try_inverse().unwrap() * n,
+            mass,
+            viscous,
+        }
     }
 
     fn random_loop(random: &mut Random, joints: usize) -> Loop {

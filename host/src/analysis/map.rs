@@ -8,6 +8,7 @@
 //! redundant arm's tip meets two different matrices, Λ's own block and the inverse of the mobility's block; there the
 //! normal is searched, and the axes are those of the tip's inertia (J M⁻¹ Jᵀ)⁻¹.
 
+use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
@@ -271,13 +272,24 @@ impl Reachable {
 
 /// The map of a device for one normal (d entries, any length but zero), over about `points` grid poses.
 pub fn map(description: &Description, normal: &[f64], points: usize) -> Result<Vec<MapPoint>, PoseError> {
+    map_holding(description, normal, points, Admissible::default())
+}
+
+/// As [`map`], a redundant device holding `admissible` instead of φ.
+pub fn map_holding(
+    description: &Description,
+    normal: &[f64],
+    points: usize,
+    admissible: Admissible,
+) -> Result<Vec<MapPoint>, PoseError> {
     let spec = description.kind.spec();
     let normal = unit_normal(normal, spec.task, spec.joints)?;
     let per_joint = (points as f64).powf(1.0 / spec.joints as f64).round().max(2.0) as usize;
     let reachable = Reachable::from_home(description, per_joint, None)?;
     let mut found = Vec::new();
     for index in reachable.indices() {
-        found.extend(at(description, &reachable.angles(index), &normal)?);
+        let q = reachable.angles(index);
+        found.extend(evaluate(&TaskPose::at(description, &q)?.holding(admissible), &q, &normal));
     }
     Ok(found)
 }

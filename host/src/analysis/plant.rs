@@ -25,6 +25,8 @@ pub struct Linearised {
     pub row: DVector<f64>,
     /// E = T⁻¹ e₁, rad/m: joint motion of unit rendered motion with no admissible motion.
     pub unit_motion: DVector<f64>,
+    /// α: how much of (4)'s feed-forward there is where there is any.
+    pub gain: f64,
 }
 
 impl Linearised {
@@ -39,9 +41,27 @@ impl Linearised {
         self.unit_motion.dot(&(&self.mass * &self.unit_motion))
     }
 
-    /// Joint torque per newton of wall with the feed-forward (4) on: M E / Wrr, m.
+    /// What the wall meets with α times the feed-forward, Weff/(1 - α (1 - Weff/Wrr)), kg: Wrr for α = 1. `None` at and
+    /// beyond the pole.
+    pub fn inertia_met(&self) -> Option<f64> {
+        if self.gain == 1.0 {
+            return Some(self.w_rr());
+        }
+        let w_eff = self.w_eff()?;
+        let met = w_eff / (1.0 - self.gain * (1.0 - w_eff / self.w_rr()));
+        (met > 0.0 && met.is_finite()).then_some(met)
+    }
+
+    /// The gain that a board gives at most here: half way from (4)'s to the pole of the inertia, where it is twice Wrr.
+    pub fn most_gain(&self) -> Option<f64> {
+        Some(0.5 * (1.0 + 1.0 / (1.0 - self.w_eff()? / self.w_rr()).max(f64::EPSILON)))
+    }
+
+    /// Joint torque per newton of wall with the feed-forward on, m: M E / Wrr, and for α other than 1 that much more or
+    /// less beside Jr.
     pub fn shaped_torque(&self) -> DVector<f64> {
-        &self.mass * &self.unit_motion / self.w_rr()
+        let shaped = &self.mass * &self.unit_motion / self.w_rr();
+        if self.gain == 1.0 { shaped } else { &self.row + (shaped - &self.row) * self.gain }
     }
 }
 

@@ -1,10 +1,12 @@
 //! From a device description and joint angles to the matrices the analysis works on.
 
 use haptic_bridge::math::Libm;
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::{Description, DescriptionError};
-use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism, Regularity};
+use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism, Regularity, Shaping};
 use haptic_bridge::with_mechanism;
-use nalgebra::{DMatrix, DVector, SVector};
+use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 use thiserror::Error;
 
 use super::plant::{Linearised, MotorElectrics};
@@ -89,6 +91,33 @@ impl TaskPose {
         with_mechanism!(mechanism, m => evaluate(m, q))
     }
 
+    /// The pose with another coordinate than φ as the last of a redundant device's task: its row of J, and with it J⁻¹
+    /// and Λ.
+    pub fn holding(mut self, admissible: Admissible) -> Self {
+        let joints = self.mass.nrows();
+        if self.task == joints || admissible == Admissible::Orientation {
+            return self;
+        }
+        let shaping = |e: SVector<f64, MAX_JOINTS>| Shaping::of(&SMatrix::from_fn(|i, j| self.mass[(i, j)]), e);
+        let column = |i: usize| SVector::<f64, MAX_JOINTS>::from_fn(|j, _| self.inverse[(j, i)]);
+        let null = shaping(column(joints - 1));
+        let mut inverse = self.inverse.clone();
+        for i in 0..self.task {
+            let held = admissible.hold(&shaping(column(i)), &null);
+            inverse.column_mut(i).copy_from(&held.e);
+        }
+        // The row that goes with these columns, in the scale of a joint's angle or of the null motion's own.
+        if let Some(joint) = admissible.joint() {
+            let scaled = inverse.column(joints - 1) / inverse[(joint, joints - 1)];
+            inverse.set_column(joints - 1, &scaled);
+        }
+        if let Some(jacobian) = inverse.clone().try_inverse() {
+            self.operational = inverse.tr_mul(&(&self.mass * &inverse));
+            (self.jacobian, self.inverse) = (jacobian, inverse);
+        }
+        self
+    }
+
     /// The pose, unless it is singular.
     pub fn regular(self) -> Result<Self, PoseError> {
         if self.regularity.parallel.is_nan() || self.regularity.parallel < SINGULAR_SINE {
@@ -140,10 +169,21 @@ pub fn unit_normal(normal: &[f64], task: usize, joints: usize) -> Result<DVector
 impl Linearised {
     /// The device at rest at `q` (rad), seen along `normal` (d entries, any length but zero), with its joint damping.
     pub fn at(description: &Description, q: &[f64], normal: &[f64]) -> Result<Self, PoseError> {
-        let pose = TaskPose::at(description, q)?.regular()?;
+        Self::holding(description, q, normal, Admissible::default())
+    }
+
+    /// As [`Linearised::at`], a redundant device holding `admissible`.
+    pub fn holding(
+        description: &Description,
+        q: &[f64],
+        normal: &[f64],
+        admissible: Admissible,
+    ) -> Result<Self, PoseError> {
+        let pose = TaskPose::at(description, q)?.regular()?.holding(admissible);
         let joints = q.len();
         let n = unit_normal(normal, pose.task, joints)?;
         Ok(Linearised {
+            gain: 1.0,
             row: pose.jacobian.tr_mul(&n),
             unit_motion: &pose.inverse * &n,
             viscous: DVector::from_fn(joints, |j, _| description.joints[j].viscous),

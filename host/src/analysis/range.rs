@@ -58,6 +58,12 @@ pub struct Range {
     pub w_eff: f64,
     /// Rendered inertia, kg: what it meets with it.
     pub w_rr: f64,
+    /// α and what the wall meets with that much of the feed-forward (kg), where it is not 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub feed_forward_gain: Option<f64>,
+    /// See `feed_forward_gain`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub inertia_met: Option<f64>,
     /// Without feed-forward.
     pub off: Domain,
     /// With equation (4).
@@ -84,7 +90,9 @@ pub fn predict(
     let washout = washout_hz.map(|hz| domain(device, around, FeedForward::Washout(hz), kd)).transpose()?;
     let area_ratio = if off.area > 0.0 { full.area / off.area } else { 0.0 };
     let w_eff = device.w_eff().ok_or(AnalysisError::Singular)?;
-    Ok(Range { w_eff, w_rr: device.w_rr(), off, full, washout, area_ratio })
+    let feed_forward_gain = (device.gain != 1.0).then_some(device.gain);
+    let inertia_met = feed_forward_gain.and_then(|_| device.inertia_met());
+    Ok(Range { w_eff, w_rr: device.w_rr(), feed_forward_gain, inertia_met, off, full, washout, area_ratio })
 }
 
 /// Predicts the stable domain for one kind of feed-forward.
@@ -171,6 +179,7 @@ mod tests {
 
     fn mass(m: f64, b: f64) -> Linearised {
         Linearised {
+            gain: 1.0,
             mass: DMatrix::from_element(1, 1, m),
             viscous: DVector::from_element(1, b),
             row: DVector::from_element(1, 1.0),

@@ -271,7 +271,7 @@ impl OpenLoop {
         let w_eff = device.w_eff().ok_or(AnalysisError::Singular)?;
         let mass = match mode {
             FeedForward::Off => w_eff,
-            _ => device.w_rr(),
+            _ => device.inertia_met().ok_or(AnalysisError::Singular)?,
         };
         if !(mass.is_finite() && mass > 0.0) {
             return Err(AnalysisError::Singular);
@@ -287,10 +287,11 @@ impl OpenLoop {
             FeedForward::Washout(_) => vec![device.row.clone(), &shaped - &device.row],
         };
         let walls = directions.len();
+        let projected = &device.mass * &device.unit_motion / device.w_rr();
         if compensated {
             // τ += (I - M E Wrr⁻¹ Eᵀ) B q̇, one input per damped joint, its velocity per sample.
             for joint in (0..joints).filter(|&j| damps(device, j, sample_s)) {
-                let mut column = &shaped * -device.unit_motion[joint];
+                let mut column = &projected * -device.unit_motion[joint];
                 column[joint] += 1.0;
                 directions.push(column * (device.viscous[joint] * sample_s / mass));
             }

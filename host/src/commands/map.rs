@@ -1,10 +1,11 @@
 //! `haptic map`: how the inertia that a wall meets varies over the workspace, and where the feed-forward pays.
 
-use crate::cli::Numbers;
-use haptic::analysis::map::{MapPoint, map};
+use crate::cli::{self, Numbers};
+use haptic::analysis::map::{MapPoint, map_holding};
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::plot::map::draw;
+use haptic_bridge::model::admissible::Admissible;
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -23,6 +24,9 @@ pub struct Args {
     /// Poses of the joint grid, before those that cannot be reached are left out
     #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     points: u32,
+    /// What a redundant device holds: orientation, joint-0, joint-1, joint-2 or consistent
+    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = cli::admissible)]
+    admissible: Admissible,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -44,11 +48,16 @@ struct Document {
 pub fn run(args: Args) -> Result<(), Failure> {
     let file = DeviceFile::load(&args.device)?;
     let normal = args.normal.unit(file.spec().task, "--normal")?;
-    let points = map(&file.description, &normal, args.points as usize)?;
+    let pictured = args.svg.is_some() || args.png.is_some();
+    if pictured && args.admissible != Admissible::Orientation {
+        return Err(Failure::wrong("a picture shows what is met with the orientation held")
+            .remedy("leave out --admissible, or --svg and --png"));
+    }
+    let points = map_holding(&file.description, &normal, args.points as usize, args.admissible)?;
     if points.is_empty() {
         return Err(Failure::impossible("no pose of this grid is regular").remedy("ask for more --points"));
     }
-    if args.svg.is_some() || args.png.is_some() {
+    if pictured {
         let picture = draw(&file.description, &file.name, &normal)?;
         args.svg.as_deref().map(|path| picture.save_svg(path)).transpose()?;
         args.png.as_deref().map(|path| picture.save_png(path)).transpose()?;

@@ -1,10 +1,11 @@
 //! `haptic model`: the inertia a wall meets at one configuration, and the feed-forward that changes it.
 
-use crate::cli::Numbers;
+use crate::cli::{self, Numbers};
 use clap::ValueEnum;
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
-use haptic::model::{Precision, Report, Rows, WallForce, evaluate};
+use haptic::model::{Precision, Report, Rows, WallForce, evaluate_holding};
+use haptic_bridge::model::admissible::Admissible;
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -28,6 +29,9 @@ pub struct Args {
     /// Force of the wall along its normal, in N [default: 0]
     #[arg(long, value_name = "N", allow_hyphen_values = true)]
     force: Vec<Numbers>,
+    /// What a redundant device holds: orientation, joint-0, joint-1, joint-2 or consistent
+    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = cli::admissible)]
+    admissible: Admissible,
     /// Arithmetic: f64, or f32 to run the very code that the board runs
     #[arg(long, value_name = "f32|f64", default_value = "f64")]
     precision: Arithmetic,
@@ -63,14 +67,30 @@ pub fn run(args: Args) -> Result<(), Failure> {
         Arithmetic::F32 => Precision::F32,
         Arithmetic::F64 => Precision::F64,
     };
-    let report = evaluate(&device, &q, &qd, &walls, precision)?;
+    let report = evaluate_holding(&device, &q, &qd, &walls, precision, args.admissible)?;
     if args.json {
         let json = serde_json::to_string(&report).map_err(Failure::impossible)?;
         return print(&(json + "\n"));
     }
     let board = if precision == Precision::F32 { ", f32 as on the board" } else { "" };
     let heading = format!("{} ({}){board}\n", device.name, spec.name);
-    print(&(heading + &readable(&report, &q, &qd, &walls)))
+    let mut text = heading + &readable(&report, &q, &qd, &walls);
+    if let ([only], true) = (walls.as_slice(), spec.joints > spec.task) {
+        text.push_str(&held(&device, &q, only, args.admissible)?);
+    }
+    print(&text)
+}
+
+/// Wrr/Weff of a redundant device for every coordinate that it may hold: it belongs to the choice.
+fn held(device: &DeviceFile, q: &[f64], wall: &WallForce, chosen: Admissible) -> Result<String, Failure> {
+    let mut text =
+        format!("This device is redundant: Wrr is that with {} held. Wrr/Weff here, by what is held:", chosen.name());
+    for (name, admissible) in Admissible::ALL {
+        let still = vec![0.0; q.len()];
+        let report = evaluate_holding(device, q, &still, std::slice::from_ref(wall), Precision::F64, admissible)?;
+        let _ = write!(text, " {name} {:.2}", report.gain() + 1.0);
+    }
+    Ok(text + ".\n")
 }
 
 /// Pairs normals with forces, the normals made unit vectors.

@@ -1,6 +1,6 @@
 //! `haptic range`: which walls stay stable on a device, predicted, without and with the feed-forward.
 
-use crate::cli::Numbers;
+use crate::cli::{self, Numbers};
 use clap::{Args as ClapArgs, ValueEnum};
 use haptic::analysis::passivity::Passivity;
 use haptic::analysis::plant::{Drive, Linearised};
@@ -10,6 +10,7 @@ use haptic::analysis::sampled::{Estimator, Loop};
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::plot::range::{Contents, draw};
+use haptic_bridge::model::admissible::Admissible;
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -52,6 +53,12 @@ pub struct Args {
     /// Let the feed-forward compensate the joints' own damping too
     #[arg(long)]
     damping_compensation: bool,
+    /// How much of (4)'s feed-forward there is; below the pole of the inertia, which the board enforces
+    #[arg(long, value_name = "ALPHA", default_value_t = 1.0)]
+    feed_forward_gain: f64,
+    /// What a redundant device holds: orientation, joint-0, joint-1, joint-2 or consistent
+    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = cli::admissible)]
+    admissible: Admissible,
     /// How the motors are driven: ideal (torque at once), voltage (resistance, inductance and back-EMF of the device
     /// file's motors), current (a current loop of --current-bandwidth)
     #[arg(long, value_name = "KIND", default_value = "ideal")]
@@ -103,7 +110,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
         }
     };
     let normal = args.normal.clone().unit(spec.task, "--normal")?;
-    let mut device = Linearised::at(&file.description, &q, &normal)?;
+    let mut device = Linearised::holding(&file.description, &q, &normal, args.admissible)?;
+    device.gain = args.feed_forward_gain;
+    let most = device.most_gain().unwrap_or(1.0);
+    if !(0.0..=most).contains(&device.gain) {
+        let reason = format!("--feed-forward-gain {} is not from 0 to {most:.3}", device.gain);
+        return Err(Failure::wrong(reason).remedy("a board gives no more here: beyond lies the pole of the inertia"));
+    }
     if args.undamped {
         device = device.undamped();
     }
@@ -172,6 +185,10 @@ fn readable(name: &str, args: &Args, q: &[f64], normal: &[f64], range: &Range, p
     line(format!("  {around}"));
     line(format!("  effective inertia Weff, met without feed-forward  {:>12.6} kg", range.w_eff));
     line(format!("  rendered inertia Wrr, met with feed-forward       {:>12.6} kg", range.w_rr));
+    if let Some((gain, met)) = range.feed_forward_gain.zip(range.inertia_met) {
+        line(format!("  met with {gain} times the feed-forward{:>28.6} kg", met));
+        line(format!("  {}", price(range.w_eff, range.w_rr, gain)));
+    }
     line(String::new());
     line(format!("  {:<26}{:>14}{:>14}{:>18}", "", "max kp N/m", "kd_max N s/m", "area N²s/m²"));
     let mut row = |label: &str, domain: &Domain| {
@@ -209,6 +226,17 @@ fn readable(name: &str, args: &Args, q: &[f64], normal: &[f64], range: &Range, p
     }
     line(verdict(range));
     text
+}
+
+/// What a gain costs, in a sentence.
+fn price(w_eff: f64, w_rr: f64, gain: f64) -> String {
+    let coupling = 1.0 - w_eff / w_rr;
+    format!(
+        "its price: {gain} times (4)'s push along the wall at rest, and a coupling off by 1 % changes the inertia met by \
+         {:.2} % ({:.2} % at a gain of 1)",
+        gain * coupling / (1.0 - gain * coupling),
+        coupling / (1.0 - coupling)
+    )
 }
 
 /// What the feed-forward buys, in a sentence.
