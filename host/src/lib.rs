@@ -1,5 +1,39 @@
-//! The `haptic` library: device and scene files, and everything the command-line tool does with them.
+//! Configure, watch, simulate and analyse haptic devices: everything that the `haptic` tool does, for programs.
+//!
+//! A board, real or simulated, is a [`link::Board`]: one method for every request, and rows of telemetry.
+//!
+//! ```no_run
+//! use haptic::{device_file::DeviceFile, link::Board, scene_file::SceneFile};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let device = DeviceFile::load("devices/coupled-five-bar.toml")?;
+//! let scene = SceneFile::load("devices/scenes/coupled-five-bar/wall.toml", device.spec().task)?;
+//! // A serial number or a port, as `haptic --port` takes it; "sim" is a simulated board.
+//! let mut board = Board::open(&"sim".parse()?)?;
+//! board.set_device(&device.device()?)?;
+//! board.set_scene(&scene.scene()?)?;
+//! board.arm()?;
+//! # board.disarm()?;
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! | to | begin at |
+//! |---|---|
+//! | talk to a board | [`link`] |
+//! | read device and scene files | [`device_file`], [`scene_file`] |
+//! | simulate a board, a device and a hand | [`sim`] |
+//! | evaluate the inertia of a pose | [`model`] |
+//! | predict which walls are stable | [`analysis`] |
+//! | measure it on a board | [`measure`] |
+//! | find the cheapest step that is good enough | [`plan`], [`bench`] |
+//! | draw | [`plot`] |
+//!
+//! The programs in `examples/` press a wall, follow telemetry and predict a range in about twenty lines each.
+//! [`haptic_bridge`] is the code that runs on the board itself; its types (scenes, gains, faults) are those used here.
 #![forbid(unsafe_code)]
+
+pub use haptic_bridge;
 
 pub mod analysis;
 pub mod backup;

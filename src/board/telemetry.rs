@@ -108,7 +108,7 @@ impl Fields {
             | Field::State.bit(),
     );
     /// Everything.
-    pub const ALL: Fields = Fields((1 << 17) - 1);
+    pub const ALL: Fields = Fields(every_bit());
 
     /// Whether a field is in the set.
     pub const fn has(self, field: Field) -> bool {
@@ -120,6 +120,16 @@ impl Fields {
         let numbers = |field: &Field| if field.is_vector() { axes } else { 1 };
         Field::ALL.iter().filter(|field| self.has(**field)).map(numbers).sum()
     }
+}
+
+/// The bits of all fields.
+const fn every_bit() -> u32 {
+    let (mut bits, mut i) = (0, 0);
+    while i < Field::ALL.len() {
+        bits |= Field::ALL[i].bit();
+        i += 1;
+    }
+    bits
 }
 
 /// What a tool asks to be sent.

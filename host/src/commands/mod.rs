@@ -18,11 +18,13 @@ mod list;
 mod map;
 mod measure_range;
 mod model;
+mod name;
 mod plan;
 mod polarity;
 mod port;
 mod precompute;
 mod range;
+mod restart;
 mod restore;
 mod rules;
 mod save;
@@ -82,6 +84,8 @@ commands! {
         (Save, save)
         (Backup, backup)
         (Restore, restore)
+        (Name, name)
+        (Restart, restart)
         (Dfu, dfu)
         (Sim, sim)
     }

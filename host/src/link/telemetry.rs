@@ -9,6 +9,25 @@ pub struct Row {
     pub step: u32,
     /// One number for each of [`columns`].
     pub values: Vec<f64>,
+    /// The fields of the stream.
+    pub fields: Fields,
+    /// Axes that a vector field has.
+    pub axes: usize,
+}
+
+impl Row {
+    /// The numbers of one field, one for each of its columns; none where the stream has no such field.
+    pub fn get(&self, wanted: Field) -> &[f64] {
+        let columns = |field: Field| match field {
+            Field::State => 2,
+            field if field.is_vector() => self.axes,
+            _ => 1,
+        };
+        let before = Field::ALL.iter().copied().take_while(|field| *field != wanted);
+        let start: usize = before.filter(|field| self.fields.has(*field)).map(columns).sum();
+        let count = if self.fields.has(wanted) { columns(wanted) } else { 0 };
+        self.values.get(start..start + count).unwrap_or_default()
+    }
 }
 
 /// A column of telemetry.
@@ -132,7 +151,8 @@ impl Rows {
         self.losses.dropped_by_board = u64::from(batch.dropped);
         let mut step = batch.first_step;
         for packed in batch.values.chunks_exact(width) {
-            rows.push(Row { step, values: unpack(fields, usize::from(batch.axes), packed) });
+            let axes = usize::from(batch.axes);
+            rows.push(Row { step, values: unpack(fields, axes, packed), fields, axes });
             self.losses.received += 1;
             step = step.wrapping_add(batch.divider);
         }
@@ -213,6 +233,16 @@ mod tests {
         assert_eq!(unpack(fields, 2, &packed), [-123_456_789.0, 7.0, 1.0, 2.0]);
         let labels: Vec<String> = columns(fields, 2).into_iter().map(|column| column.label).collect();
         assert_eq!(labels, ["counts0", "counts1", "state", "contacts"]);
+    }
+
+    #[test]
+    fn a_field_is_found_among_the_others() {
+        let row =
+            Row { step: 0, values: vec![1.0, 2.0, 3.0, 4.0, 5.0], fields: fields("tip,force,state").unwrap(), axes: 2 };
+        assert_eq!(row.get(Field::Tip), [1.0, 2.0]);
+        assert_eq!(row.get(Field::WallForce), [3.0]);
+        assert_eq!(row.get(Field::State), [4.0, 5.0]);
+        assert_eq!(row.get(Field::Torque), [0.0; 0]);
     }
 
     #[test]

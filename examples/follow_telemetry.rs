@@ -1,0 +1,32 @@
+//! Follows what a board does and says what was lost: `cargo run --example follow_telemetry [PORT]`, by default on a
+//! simulated board. PORT is what `haptic --port` takes.
+
+use haptic::haptic_bridge::board::telemetry::Field;
+use haptic::link::{Board, fields};
+use std::time::Duration;
+
+/// Follows the board at a port.
+pub fn follow(port: &str) -> Result<(), Box<dyn std::error::Error>> {
+    let mut board = Board::open(&port.parse()?)?;
+    println!("{} {} on {}", board.info().board, board.info().serial, board.port());
+    // Every 100th control step; the board drops whole rows where the link is too slow, and counts them.
+    board.start_stream(fields("q,tip,state")?, 100)?;
+    for _ in 0..10 {
+        for row in board.rows(Duration::from_millis(50))? {
+            println!(
+                "step {:6}: angles {:.4?} rad, tip {:.5?} m",
+                row.step,
+                row.get(Field::Angle),
+                row.get(Field::Tip)
+            );
+        }
+    }
+    board.stop_stream()?;
+    println!("{}", board.losses());
+    Ok(())
+}
+
+#[allow(dead_code, reason = "the tests call `follow`")]
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    follow(&std::env::args().nth(1).unwrap_or_else(|| "sim".into()))
+}

@@ -1,0 +1,26 @@
+//! How stiff a wall may be, predicted without and with the feed-forward: `cargo run --example predict_range`.
+
+use haptic::analysis::plant::{Drive, Linearised};
+use haptic::analysis::range::predict;
+use haptic::analysis::sampled::{Estimator, Loop};
+use haptic::device_file::DeviceFile;
+
+/// Runs it.
+pub fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let device = DeviceFile::load("devices/coupled-five-bar.toml")?;
+    // Joint angles (rad), and the wall's unit normal out of the solid.
+    let seen = Linearised::at(&device.description, &[2.6, 1.75], &[0.6, 0.8])?;
+    let around = Loop {
+        rate_hz: 20_000.0,
+        delay_samples: 0.5,
+        estimator: Estimator::Butterworth(500.0),
+        drive: Drive::Ideal,
+        damping_compensation: false,
+    };
+    let range = predict(&seen, &around, Some(&[5.0, 20.0, 80.0]), None)?;
+    println!("the wall meets {:.1} g without the feed-forward, {:.1} g with it", 1e3 * range.w_eff, 1e3 * range.w_rr);
+    for (off, full) in range.off.boundary.iter().zip(&range.full.boundary) {
+        println!("damping {:3} N s/m: up to {:6.0} N/m, with it {:6.0} N/m", off.kd, off.kp, full.kp);
+    }
+    Ok(())
+}

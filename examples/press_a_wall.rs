@@ -1,0 +1,32 @@
+//! A hand presses into a wall: `cargo run --example press_a_wall`. Board, device and hand are simulated; to a real board
+//! a program talks in the same way, opened by `Board::open(&"SERIAL_NUMBER".parse()?)`.
+
+use haptic::device_file::DeviceFile;
+use haptic::haptic_bridge::board::telemetry::Field;
+use haptic::link::{Board, fields};
+use haptic::scene_file::SceneFile;
+use haptic::sim::{BoardOptions, Hand, HandSettings, Intent, SharedBoard, Waypoint, ready_board};
+use std::time::Duration;
+
+/// Runs it.
+pub fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let device = DeviceFile::load("devices/coupled-five-bar.toml")?;
+    let scene = SceneFile::load("devices/scenes/coupled-five-bar/wall.toml", device.spec().task)?;
+    let simulated = SharedBoard::new(ready_board(&device, BoardOptions::default())?);
+    let mut board = Board::over(simulated.wire(), "sim")?;
+    board.set_scene(&scene.scene()?)?;
+    board.arm()?;
+    let tip = simulated.lock().device().tip();
+    let now = simulated.lock().time();
+    // Into the wall, against its normal, with 4 N a second after arming.
+    let push = Intent::Push(vec![Waypoint { time: 1.0, value: [-3.76, 1.36, 0.0] }]);
+    simulated.lock().device_mut().set_hand(Hand::new(HandSettings::default(), push, tip, now));
+    board.start_stream(fields("distance,force")?, 2000)?;
+    for _ in 0..20 {
+        for row in board.rows(Duration::from_millis(100))? {
+            let (distance, force) = (row.get(Field::Distance)[0], row.get(Field::WallForce)[0]);
+            println!("step {:6}: {:7.3} mm from the wall, which pushes with {force:.2} N", row.step, 1e3 * distance);
+        }
+    }
+    Ok(board.disarm()?)
+}
