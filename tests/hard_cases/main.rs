@@ -180,6 +180,10 @@ fn the_page_shows_what_the_code_gives() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/hard-cases.md");
     let page = std::fs::read_to_string(path).expect("docs/hard-cases.md is there");
     let computed = ROWS.markdown();
+    if std::env::var_os("UPDATE_DOCS").is_some() {
+        std::fs::write(path, computed).expect("docs/hard-cases.md can be written");
+        return;
+    }
     for (number, (shown, computed)) in page.lines().zip(computed.lines()).enumerate() {
         let agree = shown.split_whitespace().count() == computed.split_whitespace().count()
             && shown.split_whitespace().zip(computed.split_whitespace()).all(|(a, b)| same(a, b));

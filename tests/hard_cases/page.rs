@@ -88,7 +88,7 @@ impl Rows {
 const PREFACE: &str = "\
 # Hard cases: what the numbers keep where they are hard to keep
 
-Made by `cargo run --release --example hard_cases > docs/hard-cases.md`; `cargo test --test hard_cases` computes every
+Made by `UPDATE_DOCS=1 cargo test --test hard_cases`; without that the test computes every
 row again, asserts the bounds said here, and asserts that this page says what the code gives, each number within a
 factor of four. The reference is the library's own generic code in double-double numbers (106 bits), whose routes agree
 with each other to 1e-13 or better.

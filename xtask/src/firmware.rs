@@ -16,14 +16,6 @@ pub const BOARDS: [&str; 2] = ["odrive-v3", "h-bridge-f405"];
 const BINARY: &str = "haptic-bridge-firmware";
 const CHIP: &str = "STM32F405RGTx";
 
-/// A board by name.
-pub fn board(name: &str) -> Result<&'static str> {
-    BOARDS
-        .into_iter()
-        .find(|board| *board == name)
-        .with_context(|| format!("no board {name:?}; there are {}", BOARDS.join(", ")))
-}
-
 /// The root of the repository.
 pub fn root() -> PathBuf {
     let mut path = PathBuf::from(env!("CARGO_MANIFEST_DIR"));

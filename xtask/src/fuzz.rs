@@ -9,6 +9,7 @@ use std::sync::Mutex;
 use std::thread;
 
 use anyhow::{Context as _, Result, bail};
+use clap::builder::PossibleValuesParser;
 
 use crate::firmware::{root, target_directory};
 use crate::report;
@@ -19,49 +20,36 @@ use crate::tools;
 const TARGETS: [&str; 8] =
     ["bytes", "requests", "answers", "settings", "device_file", "scene_file", "kept_file", "command_line"];
 
-/// Seconds a target gets when nothing else is said.
-const SECONDS: u32 = 60;
-
 /// What libFuzzer needs the compiler to put into the code (its documentation, "Advanced features"; as cargo-fuzz does).
 const INSTRUMENTATION: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
     -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
     -Cllvm-args=-sanitizer-coverage-trace-compares";
 
 /// What to run.
-#[derive(Debug, PartialEq)]
+#[derive(Debug, PartialEq, clap::Args)]
 pub struct Options {
-    targets: Vec<&'static str>,
+    /// What is fed; everything when none is named
+    #[arg(value_name = "TARGET", value_parser = PossibleValuesParser::new(TARGETS))]
+    targets: Vec<String>,
+    /// Seconds that each target gets
+    #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..))]
     seconds: u32,
-    /// What libFuzzer's choices start from; none is another one every time.
+    /// What libFuzzer's choices start from; none is another one every time
+    #[arg(skip)]
     seed: Option<u32>,
+    /// Write docs/results/fuzz.md
+    #[arg(long)]
     record: bool,
 }
 
 impl Options {
     /// Every target for so many seconds, from the same seed every time: what a test run says is not up to chance.
     pub fn short(seconds: u32) -> Self {
-        Self { targets: TARGETS.to_vec(), seconds, seed: Some(1), record: false }
+        Self { targets: Vec::new(), seconds, seed: Some(1), record: false }
     }
 
-    /// Reads `[TARGET] [--seconds N] [--record]`.
-    pub fn parse(arguments: &[&str]) -> Result<Self> {
-        let mut options = Self { seed: None, ..Self::short(SECONDS) };
-        let mut rest = arguments.iter();
-        while let Some(argument) = rest.next() {
-            match *argument {
-                "--record" => options.record = true,
-                "--seconds" => {
-                    let number = rest.next().and_then(|number| number.parse().ok()).filter(|number| *number > 0);
-                    options.seconds = number.context("--seconds takes a number of seconds")?;
-                }
-                name => {
-                    let known = TARGETS.into_iter().find(|target| *target == name);
-                    options.targets =
-                        vec![known.with_context(|| format!("no target {name:?}; there are {}", TARGETS.join(", ")))?];
-                }
-            }
-        }
-        Ok(options)
+    fn targets(&self) -> Vec<&'static str> {
+        TARGETS.into_iter().filter(|name| self.targets.is_empty() || self.targets.iter().any(|t| t == name)).collect()
     }
 }
 
@@ -81,7 +69,7 @@ pub fn run(options: &Options, install: bool) -> Result<()> {
     let occasion = report::occasion();
     let out = target_directory().join("fuzz");
     let program = build(&out)?;
-    let queue = Mutex::new(options.targets.clone());
+    let queue = Mutex::new(options.targets());
     let outcomes = Mutex::new(Vec::new());
     let next = || queue.lock().ok().and_then(|mut queue| queue.pop());
     let workers = thread::available_parallelism().map_or(1, Into::into);
@@ -180,12 +168,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn arguments_name_known_targets() {
-        assert_eq!(Options::parse(&[]).unwrap(), Options { seed: None, ..Options::short(SECONDS) });
-        let one = Options::parse(&["requests", "--seconds", "5"]).unwrap();
-        assert_eq!(one, Options { targets: vec!["requests"], seconds: 5, seed: None, record: false });
-        assert!(Options::parse(&["request"]).unwrap_err().to_string().contains("scene_file"));
-        assert!(Options::parse(&["--seconds", "soon"]).is_err());
+    fn no_target_is_every_target() {
+        assert_eq!(Options::short(5).targets(), TARGETS);
+        assert_eq!(Options { targets: vec!["requests".into()], ..Options::short(5) }.targets(), ["requests"]);
     }
 
     #[test]

@@ -4,6 +4,7 @@ mod bench;
 mod deny;
 mod dfu;
 mod firmware;
+mod format;
 mod fuzz;
 mod image;
 mod no_panic;
@@ -17,44 +18,100 @@ mod undefined;
 
 use std::process::ExitCode;
 
-use anyhow::{Result, bail};
+use anyhow::Result;
+use clap::builder::PossibleValuesParser;
+use clap::{Parser, Subcommand};
 
-const HELP: &str = "\
-cargo xtask COMMAND
+use crate::firmware::BOARDS;
 
-  fw [BOARD]        build the firmware of one board, or of all; also `cargo fw`
-  size              build all boards, print flash and RAM, fail above the limits
-  clippy-fw         clippy for the chip, warnings are errors
-  flash BOARD       build and flash with probe-rs; also `cargo flash-BOARD`
-  dfu BOARD         build and write a .dfu update file that leaves the settings alone
-  no-panic          prove that the control step cannot panic, and bound its stack
-  bench             count instructions of every variant of the control step, remake the report
-  bench --check     fail when a variant's instructions grew by more than 5 % over the kept figures
-  tools             say whether everything that the tests need is on this computer, or what is missing
-  test              every test: this computer's, both images, the emulated board
-  test-board        of these, the tests that run the images on the emulated board
-  timing            count the control interrupt's instructions, stage by stage, into docs/results/timing.md
-  fuzz [TARGET] [--seconds N] [--record]
-                    wild input for everything that reads any, guided by coverage; N seconds a target (60),
-                    --record writes docs/results/fuzz.md
-  sanitize          the library's tests under the address sanitizer
-  miri              some of them under Miri, which needs a nightly toolchain
-  deny              licences, sources and known advisories of everything that is linked; with cargo-deny, today's too
-  soak [--chip] [--hours N] [--record]
-                    simulated hours (24) of contact with telemetry: nothing lost, no drift, no growth; with --chip (1 hour) on
-                    the emulated chip, random bytes into another one beside it; --record writes docs/results/soak.md, or
-                    soak-chip.md
-  range             measure the range of stable walls on the emulated board (half an hour), into docs/results.md
-  faults            bring every fault about on the emulated board, into docs/results/faults.md
-  board [BOARD] [--device FILE] [--tcp PORT] [--fast]
-                    the real firmware on an emulated board with a simulated device, to talk to
+/// What takes more than one cargo call.
+#[derive(Parser)]
+#[command(name = "cargo xtask", bin_name = "cargo xtask", max_term_width = 120)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+    /// Put missing Debian packages in place (as root)
+    #[arg(long, global = true)]
+    install: bool,
+}
 
-Boards: odrive-v3, h-bridge-f405. Options: --install puts missing Debian packages in place (root).";
+#[derive(Subcommand)]
+enum Command {
+    /// Build the firmware of one board, or of all; also `cargo fw`
+    Fw {
+        #[arg(value_parser = PossibleValuesParser::new(BOARDS))]
+        board: Option<String>,
+    },
+    /// Build all boards, print flash and RAM, fail above the limits
+    Size,
+    /// Clippy for the chip, warnings are errors
+    ClippyFw,
+    /// Build and flash with probe-rs; also `cargo flash-BOARD`
+    Flash {
+        #[arg(value_parser = PossibleValuesParser::new(BOARDS))]
+        board: String,
+    },
+    /// Build and write a .dfu update file that leaves the settings alone
+    Dfu {
+        #[arg(value_parser = PossibleValuesParser::new(BOARDS))]
+        board: String,
+    },
+    /// Prove that the control step cannot panic, and bound its stack
+    NoPanic,
+    /// Count instructions of every variant of the control step, remake the report
+    Bench {
+        /// Only fail where a variant's instructions grew by more than 5 % over the kept figures
+        #[arg(long)]
+        check: bool,
+    },
+    /// Say whether everything that the tests need is on this computer, or what is missing
+    Tools,
+    /// Every test: this computer's, both images, the emulated board
+    Test,
+    /// Of these, the tests that run the images on the emulated board
+    TestBoard {
+        /// Further arguments of `cargo test`
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        rest: Vec<String>,
+    },
+    /// Count the control interrupt's instructions, stage by stage, into docs/results/timing.md
+    Timing,
+    /// Wild input for everything that reads any, guided by coverage
+    Fuzz(fuzz::Options),
+    /// The library's tests under the address sanitizer
+    Sanitize {
+        /// Further arguments of `cargo test`
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        rest: Vec<String>,
+    },
+    /// Some of them under Miri, which needs a nightly toolchain
+    Miri,
+    /// Licences, sources and known advisories of everything that is linked; with cargo-deny, today's too
+    Deny,
+    /// Check the formatting of every source here, whatever declares it
+    Fmt,
+    /// Simulated hours of contact with telemetry: nothing lost, no drift, no growth
+    Soak(soak::Options),
+    /// Measure ranges of stable walls on simulated boards and draw them, into docs/results.md (some minutes)
+    Figures {
+        /// The cases to run; all, and the document, when none is named
+        cases: Vec<String>,
+    },
+    /// Measure the range of stable walls on the emulated board, into docs/results.md (half an hour)
+    Range,
+    /// Bring every fault about on the emulated board, into docs/results/faults.md
+    Faults,
+    /// The real firmware on an emulated board with a simulated device, to talk to
+    Board {
+        /// [BOARD] [--device FILE] [--tcp PORT] [--fast]
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        rest: Vec<String>,
+    },
+}
 
 fn main() -> ExitCode {
-    let mut arguments: Vec<String> = std::env::args().skip(1).collect();
-    let install = arguments.iter().position(|a| a == "--install").map(|at| arguments.remove(at)).is_some();
-    match run(&arguments, install) {
+    let Arguments { command, install } = Arguments::parse();
+    match run(command, install) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("xtask: {error:#}");
@@ -63,34 +120,51 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(arguments: &[String], install: bool) -> Result<()> {
-    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
-    match arguments.as_slice() {
-        ["fw"] => firmware::build_all(install).map(drop),
-        ["fw", board] => firmware::build(firmware::board(board)?, install).map(drop),
-        ["size"] => firmware::size(install),
-        ["clippy-fw"] => firmware::clippy(install),
-        ["flash", board] => firmware::flash(firmware::board(board)?, install),
-        ["dfu", board] => firmware::dfu(firmware::board(board)?, install),
-        ["no-panic"] => no_panic::prove(install),
-        ["bench"] => bench::refresh(install),
-        ["bench", "--check"] => bench::check(install),
-        ["tools"] => tools::check(install),
-        ["test"] => tests::all(install),
-        ["test-board", rest @ ..] => tests::board(rest, install),
-        ["faults"] => tests::measure("faults", &[], install),
-        ["range"] => tests::measure("range", &[], install),
-        ["timing"] => tests::measure("timing", &[], install),
-        ["fuzz", rest @ ..] => fuzz::run(&fuzz::Options::parse(rest)?, install),
-        ["sanitize", rest @ ..] => undefined::sanitize(rest),
-        ["miri"] => undefined::miri(),
-        ["deny"] => deny::run(),
-        ["soak", rest @ ..] => soak::run(rest, install),
-        ["board", rest @ ..] => tests::play(rest, install),
-        [] | ["help" | "--help" | "-h"] => {
-            println!("{HELP}");
-            Ok(())
-        }
-        _ => bail!("unknown command: {}\n\n{HELP}", arguments.join(" ")),
+fn run(command: Command, install: bool) -> Result<()> {
+    match command {
+        Command::Fw { board: None } => firmware::build_all(install).map(drop),
+        Command::Fw { board: Some(board) } => firmware::build(&board, install).map(drop),
+        Command::Size => firmware::size(install),
+        Command::ClippyFw => firmware::clippy(install),
+        Command::Flash { board } => firmware::flash(&board, install),
+        Command::Dfu { board } => firmware::dfu(&board, install),
+        Command::NoPanic => no_panic::prove(install),
+        Command::Bench { check: false } => bench::refresh(install),
+        Command::Bench { check: true } => bench::check(install),
+        Command::Tools => tools::check(install),
+        Command::Test => tests::all(install),
+        Command::TestBoard { rest } => tests::board(&rest, install),
+        Command::Timing => tests::measure("timing", &[], install),
+        Command::Fuzz(options) => fuzz::run(&options, install),
+        Command::Sanitize { rest } => undefined::sanitize(&rest),
+        Command::Miri => undefined::miri(),
+        Command::Deny => deny::run(),
+        Command::Fmt => format::check(),
+        Command::Soak(options) => soak::run(&options, install),
+        Command::Figures { cases } => report::figures(&cases),
+        Command::Range => tests::measure("range", &[], install),
+        Command::Faults => tests::measure("faults", &[], install),
+        Command::Board { rest } => tests::play(&rest, install),
+    }
+}
+
+#[cfg(test)]
+mod arguments {
+    use super::*;
+    use clap::CommandFactory as _;
+
+    #[test]
+    fn the_command_line_is_sound() {
+        Arguments::command().debug_assert();
+    }
+
+    #[test]
+    fn what_follows_goes_on_to_cargo() {
+        let parsed = Arguments::parse_from(["xtask", "test-board", "--install", "walls", "--nocapture"]);
+        assert!(parsed.install);
+        assert!(matches!(parsed.command, Command::TestBoard { rest } if rest == ["walls", "--nocapture"]));
+        let parsed = Arguments::parse_from(["xtask", "board", "odrive-v3", "--fast"]);
+        assert!(matches!(parsed.command, Command::Board { rest } if rest == ["odrive-v3", "--fast"]));
+        assert!(Arguments::try_parse_from(["xtask", "fw", "no-such-board"]).is_err());
     }
 }

@@ -7,6 +7,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use anyhow::{Context as _, Result};
 
 use crate::firmware::root;
+use crate::toolchain::{cargo, run};
 
 /// Writes `docs/results/NAME` and says so.
 pub fn write(name: &str, text: &str) -> Result<()> {
@@ -14,6 +15,12 @@ pub fn write(name: &str, text: &str) -> Result<()> {
     fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
     println!("docs/results/{name} is written");
     Ok(())
+}
+
+/// Draws the figures of docs/results.md: the program in docs/figures.
+pub fn figures(cases: &[String]) -> Result<()> {
+    let program = ["run", "--quiet", "--locked", "--release", "--package", "figures", "--"];
+    run(cargo().current_dir(root()).args(program).args(cases))
 }
 
 /// Today and the commit that is checked out, as in "2026-01-31, commit 0123abc".

@@ -3,7 +3,7 @@
 
 use std::fs;
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result};
 
 use crate::firmware::{root, target_directory};
 use crate::toolchain::{cargo, run as run_command};
@@ -12,14 +12,34 @@ use crate::{report, tests};
 /// Simulated hours when nothing else is said: on the simulated board, and on the emulated chip.
 const HOURS: (f64, f64) = (24.0, 1.0);
 
-/// Runs `[--chip] [--hours N] [--record]`.
-pub fn run(arguments: &[&str], install: bool) -> Result<()> {
-    let chip = arguments.contains(&"--chip");
-    let (hours, record) = parse(arguments, if chip { HOURS.1 } else { HOURS.0 })?;
+/// How long, and on what.
+#[derive(clap::Args)]
+pub struct Options {
+    /// On the emulated chip, random bytes into another one beside it
+    #[arg(long)]
+    chip: bool,
+    /// Simulated hours, 0.05 to 1000 [default: 24, with --chip 1]
+    #[arg(long, value_name = "N", value_parser = hours)]
+    hours: Option<f64>,
+    /// Write docs/results/soak.md, or soak-chip.md
+    #[arg(long)]
+    record: bool,
+}
+
+/// A twentieth of an hour is what the test needs to know what is usual.
+fn hours(text: &str) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|hours| (0.05..=1000.0).contains(hours));
+    number.ok_or_else(|| "it takes 0.05 to 1000".into())
+}
+
+/// Runs a soak.
+pub fn run(options: &Options, install: bool) -> Result<()> {
+    let Options { chip, record, .. } = *options;
+    let hours = options.hours.unwrap_or(if chip { HOURS.1 } else { HOURS.0 });
     let occasion = report::occasion();
     let figures = target_directory().join("soak.md");
     if chip {
-        tests::measure("soak", &[&hours.to_string(), &figures.to_string_lossy()], install)?;
+        tests::measure("soak", &[hours.to_string(), figures.to_string_lossy().into_owned()], install)?;
     } else {
         run_command(
             cargo()
@@ -38,22 +58,4 @@ pub fn run(arguments: &[&str], install: bool) -> Result<()> {
         report::write(name, &(heading + &text))?;
     }
     Ok(())
-}
-
-fn parse(arguments: &[&str], usual: f64) -> Result<(f64, bool)> {
-    let (mut hours, mut record) = (usual, false);
-    let mut rest = arguments.iter();
-    while let Some(argument) = rest.next() {
-        match *argument {
-            "--chip" => {}
-            "--record" => record = true,
-            "--hours" => {
-                let number = rest.next().and_then(|number| number.parse().ok());
-                // A twentieth of an hour: what the test needs to know what is usual.
-                hours = number.filter(|hours| (0.05..=1000.0).contains(hours)).context("--hours takes 0.05 to 1000")?;
-            }
-            other => bail!("unknown option {other}; there are --chip, --hours N and --record"),
-        }
-    }
-    Ok((hours, record))
 }

@@ -41,17 +41,17 @@ fn documents() -> Result<()> {
 }
 
 /// The tests of the real images on the emulated chip. Further arguments go to `cargo test`.
-pub fn board(arguments: &[&str], install: bool) -> Result<()> {
+pub fn board(arguments: &[String], install: bool) -> Result<()> {
     run(emulated("test", install)?.args(arguments))
 }
 
 /// The real firmware on an emulated board, for a person. Further arguments go to the board.
-pub fn play(arguments: &[&str], install: bool) -> Result<()> {
+pub fn play(arguments: &[String], install: bool) -> Result<()> {
     run(emulated("run", install)?.args(["--quiet", "--bin", "board", "--"]).args(arguments))
 }
 
 /// A program of the virtual board's that measures on the emulated chip and writes a document.
-pub fn measure(program: &str, arguments: &[&str], install: bool) -> Result<()> {
+pub fn measure(program: &str, arguments: &[String], install: bool) -> Result<()> {
     let mut command = emulated("run", install)?;
     command.args(["--quiet", "--bin", program, "--"]).args(arguments);
     run(command.env("HAPTIC_OCCASION", report::occasion()))

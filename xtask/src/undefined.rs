@@ -9,7 +9,7 @@ use crate::toolchain::{cargo, host, run};
 
 /// The library's tests under the address sanitizer, which watches memory. The switch is one of the compiler's unstable
 /// ones. Further arguments go to `cargo test`.
-pub fn sanitize(arguments: &[&str]) -> Result<()> {
+pub fn sanitize(arguments: &[String]) -> Result<()> {
     let mut test = cargo();
     test.current_dir(firmware::root()).args(["test", "--locked", "--package", "haptic-bridge", "--lib", "--tests"]);
     // Of its own, because everything is compiled anew; with a target named, the flag does not reach build scripts.

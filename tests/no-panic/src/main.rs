@@ -7,9 +7,9 @@
 #![no_main]
 
 use haptic_bridge::math::Minimax;
-use haptic_bridge::servo::program::Program;
 use haptic_bridge::servo::Servo;
 use haptic_bridge::servo::frame::{Crest, Outputs, Samples};
+use haptic_bridge::servo::program::Program;
 
 type OnBoard = Servo<&'static mut Program<Minimax>>;
 

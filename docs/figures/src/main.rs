@@ -1,5 +1,5 @@
 //! Regenerates the impedance-range and map figures, the washout's table, and their section of docs/results.md:
-//! `cargo run --release -p haptic --example figures`.
+//! `cargo xtask figures`.
 //!
 //! A strongly coupled five-bar, at a pose and along the normal where its coupling is worst, on the simulated board;
 //! theory as lines, what `haptic::measure` found through the protocol as dots. Everything is deterministic: the same
@@ -32,7 +32,7 @@ const POSE: [f64; 3] = [2.6, 1.75, 0.0];
 const POINTS: usize = 12;
 const REPEATS: usize = 5;
 /// Where the generated section of docs/results.md begins and ends.
-const BEGIN: &str = "<!-- impedance range: begin, written by host/examples/figures/main.rs -->";
+const BEGIN: &str = "<!-- impedance range: begin, written by docs/figures/src/main.rs -->";
 const END: &str = "<!-- impedance range: end -->";
 
 struct Case {
@@ -62,7 +62,7 @@ struct Outcome {
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let root = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/.."));
+    let root = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
     let folder = root.join("docs/results");
     std::fs::create_dir_all(&folder)?;
     let wanted: Vec<String> = std::env::args().skip(1).collect();
@@ -264,7 +264,7 @@ fn deviation(points: &[&Point], domain: &Domain) -> f64 {
 
 fn heading() -> String {
     let mut text = String::from(
-        "Regenerate with `cargo run --release -p haptic --example figures`. The device is the shipped coupled-five-bar at\n\
+        "Regenerate with `cargo xtask figures`. The device is the shipped coupled-five-bar at\n\
          q = (2.6, 1.75) rad, the wall along the normal of the largest Wrr/Weff there. Lines are the linear theory of\n\
          `haptic range` with the board's own delay; dots are what `haptic measure-range` does, through the protocol of a\n\
          simulated board: the median of 5 repeats at 12 dampings, bars from the lowest to the highest repeat.\n\n\

@@ -1,0 +1,20 @@
+//! Formatting of every source: `cargo fmt` finds files by the modules that declare them, and so misses what a macro or a
+//! `#[path]` declares.
+
+use std::process::Command;
+
+use anyhow::{Context as _, Result, ensure};
+
+use crate::firmware::root;
+use crate::toolchain::run;
+
+/// Holds every Rust file that git knows against rustfmt.
+pub fn check() -> Result<()> {
+    let listed = Command::new("git").current_dir(root()).args(["ls-files", "-z", "*.rs"]).output();
+    let listed = String::from_utf8(listed.context("cannot run git")?.stdout).context("a file's name is not UTF-8")?;
+    let files: Vec<&str> = listed.split('\0').filter(|file| root().join(file).is_file()).collect();
+    ensure!(files.len() > 200, "git lists only {} sources", files.len());
+    run(Command::new("rustfmt").current_dir(root()).args(["--check", "--edition", "2024"]).args(&files))?;
+    println!("{} files are formatted", files.len());
+    Ok(())
+}
