@@ -99,6 +99,7 @@ impl Press {
             axes: 3,
             real: false,
             bus_sensed: false,
+            timer_hz: 168_000_000,
             bridge: Bridge { carrier_hz: 20_000.0, dead_time: 0.0, bandwidth_hz: 1_000.0, current_sensed: false },
         };
         let device = Device::new(&file.name, &description).expect("a sound device");

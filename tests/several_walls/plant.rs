@@ -10,7 +10,7 @@ use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism, Parallelogram};
 use haptic_bridge::model::precomputed::MassModel;
 use haptic_bridge::render::controller::Controller;
-use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
 use nalgebra::SVector;
 
 const RATE: f64 = 1_000.0;
@@ -72,6 +72,7 @@ impl Run<'_> {
             rate_hz: RATE as f32,
             cutoff_hz: 100.0,
             walls: walls.collect(),
+            velocity_terms: VelocityTerms::Off,
             ..Scene::default()
         };
         let device = Device::new("device", &description).expect("a sound device");
