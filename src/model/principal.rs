@@ -173,7 +173,7 @@ fn rotation<T: Real, K: Math<T>>(aa: T, bb: T, ab: T) -> Option<(T, T)> {
     }
     let half = T::from_f64(0.5);
     let long = K::sqrt(difference * difference + (ab + ab) * (ab + ab));
-    if !(long > T::zero()) {
+    if long <= T::zero() {
         return None;
     }
     // Half of the angle whose cosine is difference/long, from its larger part.

@@ -34,6 +34,7 @@ impl Asked {
 
     #[cold]
     #[inline(never)]
+    #[allow(clippy::needless_range_loop, reason = "one number for four arrays")]
     fn cut(&self, limit: &[f32; MAX_JOINTS], joints: usize) -> [f32; MAX_JOINTS] {
         let joints = joints.min(MAX_JOINTS);
         let mut torque = [0.0; MAX_JOINTS];

@@ -72,8 +72,7 @@ impl Case {
 
     /// Largest |z| of the sampled loop at a total stiffness (N/m), motions that no wall sees (z = 1) left out.
     pub fn radius(&self, stiffness: f64) -> f64 {
-        let (n, w) = self.rows.shape();
-        let (walls, joints) = (n, w);
+        let (walls, joints) = self.rows.shape();
         // q, q̇ T, and for every wall its last distance and two filter states.
         let size = 2 * joints + 3 * walls;
         let inverse = self.mass.clone().try_inverse().expect("a mass matrix");

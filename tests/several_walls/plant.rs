@@ -233,7 +233,7 @@ fn the_feed_forward_of_several_walls_fades_near_a_singularity() {
     for k in 0..600 {
         let q = [2.6, 1.75 + 1.0e-3 * f64::from(k)];
         let (full, off) = (step(q, FeedForward::Full), step(q, FeedForward::Off));
-        if !(full.regularity.parallel > 0.2) {
+        if full.regularity.parallel <= 0.2 {
             break;
         }
         assert!(full.torque.iter().all(|t| t.is_finite()));
