@@ -182,7 +182,7 @@ fn touching_a_second_wall_does_not_step_the_shaping_of_the_first() {
         let task = file.spec().task;
         let with = |walls: &[(Vec<f64>, f64, f64)]| with_mechanism!(AnyMechanism::<f64>::new(&file.description).unwrap(), m => step(m, &file, &q, walls));
         let first = (turned(task, 0.0, 0.4), 5_000.0, 2.0e-3);
-        let alone = with(&[first.clone()]);
+        let alone = with(std::slice::from_ref(&first));
         for angle in [0.05, 0.8, std::f64::consts::FRAC_PI_2] {
             // 10 nm deep: a wall of 5 kN/m pushes with 0.05 mN.
             let touched = with(&[first.clone(), (turned(task, angle, 0.4), 5_000.0, 1.0e-8)]);
