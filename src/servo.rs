@@ -401,7 +401,7 @@ where
         // Motors are as warm as they were, whatever is said about them now.
         if let Some(old) = &self.program {
             for (axis, old) in program.axes.iter_mut().zip(&old.axes) {
-                axis.inherit_heat(old);
+                axis.inherit(old);
             }
         }
         self.limit_currents(&mut program);

@@ -40,6 +40,18 @@ fn pressing(stiffness: f32) -> Rig {
     rig
 }
 
+/// Rests there for so many seconds. The encoder moves, so that it is the motor's heat and nothing else.
+fn tremble(rig: &mut Rig, seconds: f32) {
+    let there = rig.samples.counts[0];
+    for step in 0..(seconds * RATE) as i32 {
+        rig.samples.counts[0] = there + step % 2;
+        rig.step();
+        if rig.state() == State::Fault {
+            break;
+        }
+    }
+}
+
 fn origin(fault: Fault) -> Origin {
     use Origin::{Step, Told};
     match fault {
@@ -96,16 +108,8 @@ fn origin(fault: Fault) -> Origin {
             rig
         }),
         Fault::ThermalBudget => Step(|| {
-            let mut rig = Rig::armed();
-            rig.shown_current = Some(2.9);
-            for step in 0..(10.0 * RATE) as u32 {
-                // The encoder moves, so that it is the motor's heat and nothing else.
-                rig.samples.counts[0] = (step % 2) as i32;
-                rig.step();
-                if rig.state() == State::Fault {
-                    break;
-                }
-            }
+            let mut rig = pressing(290.0);
+            tremble(&mut rig, 10.0);
             rig
         }),
         Fault::BusUnderVoltage => Step(|| {
@@ -153,6 +157,17 @@ fn origin(fault: Fault) -> Origin {
             rig.turn(0, 0.85, 10.0);
             rig
         }),
+        Fault::CurrentSensor => Step(|| {
+            let mut rig = pressing(250.0);
+            rig.imbalance[0] = 1.0;
+            rig
+        }),
+        Fault::MotorModel => Step(|| {
+            let mut rig = pressing(250.0);
+            rig.shown_current = Some(0.0);
+            rig.run(0.001);
+            rig
+        }),
         Fault::PolarityWrong => Step(|| {
             let mut rig = Rig::ready(&quiet());
             rig.execute(Command::CheckPolarity).unwrap();
@@ -174,7 +189,9 @@ fn origin(fault: Fault) -> Origin {
         | Fault::HardFault
         | Fault::Panic
         | Fault::BreakInput
-        | Fault::SensorStale => Told,
+        | Fault::SensorStale
+        | Fault::DriverReset
+        | Fault::StrayCurrent => Told,
     }
 }
 
@@ -185,7 +202,7 @@ fn injection(fault: Fault) -> (&'static str, &'static str) {
         Fault::ControlOverrun => ("a step made longer than its period", at_once),
         Fault::EncoderJump => ("4000 counts between two samples", at_once),
         Fault::EncoderStall => ("85 % of the motor's torque and not one count", "after 5 s of it"),
-        Fault::EncoderLoss => ("back-EMF without counts", "after 50 ms of it"),
+        Fault::EncoderLoss => ("back-EMF without counts", "as the motor's model shows it, or after 50 ms of it"),
         Fault::EncoderIllegal => ("both lines change at once", at_once),
         Fault::IndexMismatch => ("an index 12 counts beside the first", at_once),
         Fault::JointLimit => ("a joint turned past its limit", at_once),
@@ -208,6 +225,12 @@ fn injection(fault: Fault) -> (&'static str, &'static str) {
         Fault::PolarityWrong => ("a joint that turns backward", at_once),
         Fault::PolarityNoMotion => ("a joint that does not turn", "after 2 s of it"),
         Fault::SensorStale => ("a converter that stops", at_once),
+        Fault::CurrentSensor => ("1 A between two sensors of a motor of 3 A", at_once),
+        Fault::MotorModel => ("a current sensor that shows none", "as the loop's integrator grows: some 0.2 ms"),
+        Fault::DriverReset => {
+            ("a driver's register that reads other than it was written", "at the next look, within 20 ms")
+        }
+        Fault::StrayCurrent => ("more than 0.5 A with the bridges off", "never on: seen before arming"),
     }
 }
 
@@ -510,31 +533,26 @@ fn a_board_without_bus_voltage_does_not_mistake_that_for_a_lost_encoder() {
 #[test]
 fn a_hot_motor_cools_while_it_is_off_and_stays_hot_when_a_device_is_loaded_anew() {
     let mut rig = provoked(Fault::ThermalBudget);
-    rig.shown_current = None;
     rig.execute(Command::Clear).unwrap();
-    rig.load(&paddle(), &quiet(), false).unwrap();
+    rig.turn(0, 0.0, 1.0);
+    rig.load(&paddle(), &scene(1, &[wall(-0.005, 290.0)]), false).unwrap();
     rig.settle();
     rig.execute(Command::Home).unwrap();
     rig.settle();
     rig.execute(Command::PolarityKnown).unwrap();
-    rig.execute(Command::Arm).unwrap();
-    rig.shown_current = Some(2.9);
-    for step in 0..(0.5 * RATE) as u32 {
-        rig.samples.counts[0] = (step % 2) as i32;
-        rig.step();
-    }
+    let press = |rig: &mut Rig, seconds: f32| {
+        rig.arm();
+        rig.turn(0, -0.15, 1.0);
+        tremble(rig, seconds);
+    };
+    press(&mut rig, 0.5);
     assert_eq!(rig.fault(), Some(Fault::ThermalBudget), "it had no time to cool");
 
     // The budget is (3² - 1²) A² for 4 s; at rest it gains 1 A² every second.
-    rig.shown_current = None;
     rig.execute(Command::Clear).unwrap();
+    rig.turn(0, 0.0, 1.0);
     rig.run(33.0);
-    rig.execute(Command::Arm).unwrap();
-    rig.shown_current = Some(2.9);
-    for step in 0..(2.0 * RATE) as u32 {
-        rig.samples.counts[0] = (step % 2) as i32;
-        rig.step();
-    }
+    press(&mut rig, 2.0);
     assert_eq!(rig.fault(), None, "it has cooled");
 }
 
@@ -569,7 +587,7 @@ fn crests_until_off(rig: &mut Rig, speed: f64, most: u32, shown: [f32; 3]) -> Op
     (1..=most).find(|nth| {
         let moved = f64::from(*nth) * speed / 20_000.0 / core::f64::consts::TAU * rig::COUNTS;
         let counts = [start + moved as i32, 0, 0];
-        !rig.servo.guard(&Crest { counts, bus_voltage: 24.0, currents: shown }).bridges
+        !rig.servo.guard(&Crest { counts, bus_voltage: 24.0, currents: shown, ..Crest::default() }).bridges
     })
 }
 
@@ -625,7 +643,7 @@ fn a_coarse_encoder_is_given_a_few_counts_before_it_is_called_fast() {
         rig.arm();
         let counts = |nth: u32| [(f64::from(nth) * speed / 20_000.0 / core::f64::consts::TAU * 400.0) as i32, 0, 0];
         let off = (1..=1_200).find(|nth| {
-            !rig.servo.guard(&Crest { counts: counts(*nth), bus_voltage: 24.0, currents: [0.0; 3] }).bridges
+            !rig.servo.guard(&Crest { counts: counts(*nth), bus_voltage: 24.0, ..Crest::default() }).bridges
         });
         (off.map(|nth| counts(nth)[0]), rig.fault())
     };
@@ -633,4 +651,68 @@ fn a_coarse_encoder_is_given_a_few_counts_before_it_is_called_fast() {
     let (travel, fault) = run(40.0);
     assert_eq!(fault, Some(Fault::SpeedLimit));
     assert!(travel.is_some_and(|counts| counts <= 6), "{travel:?} counts");
+}
+
+/// The largest current of motor 0 from here until the bridges float, A, and the fault; `None` where they do not within
+/// 50 ms.
+fn worst_current(rig: &mut Rig) -> (f32, Option<Fault>) {
+    let mut most = 0.0_f32;
+    for _ in 0..(0.05 * rig.rate) as u32 {
+        rig.step();
+        most = most.max(rig.peak);
+        if rig.state() == State::Fault {
+            break;
+        }
+    }
+    (most, rig.fault())
+}
+
+#[test]
+fn a_current_sensor_that_lies_does_not_let_the_motor_run_beyond_its_limit() {
+    for rate in RATES {
+        for shown in [0.0_f32, 1.0, -2.0] {
+            let mut scene = scene(1, &[wall(-0.005, 250.0)]);
+            (scene.rate_hz, scene.cutoff_hz) = (rate, 0.2 * rate);
+            let mut rig = Rig::ready(&scene);
+            rig.arm();
+            rig.turn(0, -0.15, 1.0);
+            rig.shown_current = Some(shown);
+            let (most, fault) = worst_current(&mut rig);
+            assert_eq!(fault, Some(Fault::MotorModel), "{shown} A at {rate} Hz");
+            // Half again the limit of 3 A and an ampere: what a current that is seen may reach.
+            assert!(most < 5.5, "{shown} A at {rate} Hz: {most} A");
+        }
+    }
+}
+
+#[test]
+fn an_open_winding_is_seen_as_soon_as_it_should_carry_current() {
+    for rate in RATES {
+        let mut scene = scene(1, &[wall(-0.005, 250.0)]);
+        (scene.rate_hz, scene.cutoff_hz) = (rate, 0.2 * rate);
+        let mut rig = Rig::ready(&scene);
+        rig.arm();
+        rig.turn(0, -0.15, 1.0);
+        rig.resistance = f32::INFINITY;
+        let (_, fault) = worst_current(&mut rig);
+        assert_eq!(fault, Some(Fault::MotorModel), "{rate} Hz");
+    }
+}
+
+#[test]
+fn a_sound_motor_is_never_called_strange() {
+    // Hot and cold windings, walls hit and left at speed, at every rate.
+    for rate in RATES {
+        for resistance in [1.7, 2.0, 2.8] {
+            let mut scene = scene(1, &[wall(-0.005, 250.0)]);
+            (scene.rate_hz, scene.cutoff_hz) = (rate, 0.2 * rate);
+            let mut rig = Rig::ready(&scene);
+            rig.resistance = resistance;
+            rig.arm();
+            for (angle, speed) in [(-0.15, 8.0), (0.5, 8.0), (-0.12, 15.0), (-0.14, 0.5), (0.2, 15.0)] {
+                rig.turn(0, angle, speed);
+            }
+            assert_eq!(rig.fault(), None, "{resistance} ohm at {rate} Hz");
+        }
+    }
 }

@@ -14,6 +14,9 @@ const FAULT: u16 = 1 << 10;
 /// The gain of the shunt amplifiers by control register 2, bits 3:2.
 const GAINS: [f64; 4] = [10.0, 20.0, 40.0, 80.0];
 
+/// Control register 2, bits 5:4: inputs of the amplifiers shorted.
+const CALIBRATE: u16 = 0b11 << 4;
+
 /// One gate driver.
 #[derive(Debug, Default)]
 pub struct Drv8301 {
@@ -51,10 +54,16 @@ impl Drv8301 {
         self.stuck = stuck;
     }
 
-    /// What its shunt amplifiers multiply by, or `None` while they are off.
+    /// Puts its registers where power-on puts them, as a dip of its supply does.
+    pub fn forget(&mut self) {
+        self.control = [0; 2];
+    }
+
+    /// What its shunt amplifiers multiply by (nothing while their inputs are shorted), or `None` while they are off.
     #[must_use]
     pub fn gain(&self) -> Option<f64> {
-        self.on.then(|| GAINS[usize::from(self.control[1] >> 2) & 3])
+        let shorted = self.control[1] & CALIBRATE != 0;
+        self.on.then(|| if shorted { 0.0 } else { GAINS[usize::from(self.control[1] >> 2) & 3] })
     }
 
     /// The control registers as written.

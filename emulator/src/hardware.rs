@@ -21,6 +21,7 @@ use rigless::soc::stm32f427::peripherals::tim::Channel;
 use rigless::time::VirtualNanos;
 
 use crate::boards::{BoardKind, EncoderWires, HalfBridge, MotorWires, Pin, Wiring};
+use crate::broken::{Broken, Peaks};
 use crate::chip::Chip;
 use crate::chip::trigger::Span;
 use crate::drv8301::Drv8301;
@@ -67,9 +68,13 @@ pub struct Hardware {
     pub encoders_unplugged: [bool; 3],
     /// Edges of each encoder that its timer will still miss.
     pub edges_lost: [u32; 3],
-    /// What the current sensors show on top of the currents, A.
-    pub sensed_extra: [f64; 3],
+    /// What else is broken.
+    pub broken: Broken,
+    /// The most current, speed and travel since this was last set to its default.
+    pub peaks: Peaks,
     encoders: [EncoderDrive; 3],
+    /// Times that the encoders were looked at.
+    looks: u64,
     next_step: u64,
     drives: [Drive; 3],
     faults_wired: Option<Level>,
@@ -102,8 +107,10 @@ impl Hardware {
             fault_line_shorted: false,
             encoders_unplugged: [false; 3],
             edges_lost: [0; 3],
-            sensed_extra: [0.0; 3],
+            broken: Broken::default(),
+            peaks: Peaks::default(),
             encoders: [EncoderDrive::default(); 3],
+            looks: 0,
             next_step: 0,
             drives: [Drive::Floating; 3],
             faults_wired: None,
@@ -188,9 +195,11 @@ impl Hardware {
             self.drives[axis] = self.drive(wiring, motor, &spans[usize::from(motor.timer == 8)], enabled);
         }
         if spans[0].whole > 0 {
-            self.plant.step(&self.drives, spans[0].whole as f64 * 1e-9);
+            self.plant.step(&self.broken.drives(self.drives), spans[0].whole as f64 * 1e-9);
+            self.peaks.take(&mut *self.plant);
+            self.looks += 1;
         }
-        for (encoder, counts) in self.encoders.iter_mut().zip(self.plant.counts()) {
+        for (encoder, counts) in self.encoders.iter_mut().zip(self.broken.counts(self.plant.counts(), self.looks)) {
             encoder.wanted = counts;
         }
         self.show_analog(wiring);
@@ -226,17 +235,16 @@ impl Hardware {
         for (axis, motor) in wiring.motors.iter().enumerate() {
             let gain = if wiring.drivers.is_empty() { Some(1.0) } else { self.driver(axis).gain() };
             for &(channel, volts_per_ampere) in motor.sensors {
+                let current = self.broken.sensor_gain[nth] * currents[axis] + self.broken.sensor_extra[axis];
                 let seen = gain.map_or(0.0, |gain| {
-                    MID_SUPPLY
-                        + wiring.sensor_offsets[nth]
-                        + gain * volts_per_ampere * (currents[axis] + self.sensed_extra[axis])
+                    MID_SUPPLY + wiring.sensor_offsets[nth] + gain * volts_per_ampere * current
                 });
                 self.show_volts(channel, seen);
                 nth += 1;
             }
         }
         let (channel, divider) = wiring.bus;
-        self.show_volts(channel, self.plant.bus_voltage() / divider);
+        self.show_volts(channel, self.broken.bus_shown.unwrap_or(self.plant.bus_voltage()) / divider);
     }
 
     fn show_volts(&mut self, channel: u8, volts: f64) {

@@ -195,7 +195,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a current sensor shows 8 A more",
             in_contact,
             |rig| {
-                rig.with(|bench| bench.hardware().sensed_extra[0] = 8.0);
+                rig.with(|bench| bench.hardware().broken.sensor_extra[0] = 8.0);
             },
             5,
         ),

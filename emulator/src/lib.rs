@@ -5,6 +5,7 @@
 
 pub mod boards;
 pub mod bridge;
+pub mod broken;
 pub mod chip;
 pub mod contact;
 pub mod count;

@@ -25,7 +25,7 @@ pub const SAMPLING: &str = "waiting for the converters";
 pub const STAGES: &[(&str, &[&str])] = &[
     ("entry, exit, overrun check", &["::TIM1_UP_TIM10", "Step::keep_time"]),
     (SAMPLING, &["adc::wait"]),
-    ("currents and bus voltage", &["Io::analog", "Zeros::take"]),
+    ("currents and bus voltage", &["Io::analog", "Zeros::less"]),
     ("order of a crest", &["Step::crest"]),
     (REQUEST, &["Step::take"]),
     ("encoders", &["Io::counts", "Encoder::read", "Io::index"]),

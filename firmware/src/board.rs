@@ -21,14 +21,15 @@ mod odrive_v3;
 #[cfg(feature = "odrive-v3")]
 pub use odrive_v3::*;
 
-use core::sync::atomic::{AtomicU16, Ordering};
+use core::sync::atomic::{AtomicU8, AtomicU16, Ordering};
 
 use embassy_stm32::Peri;
 use embassy_stm32::peripherals::{FLASH, IWDG, PA11, PA12, USB_OTG_FS};
 use embassy_time::{Duration, block_for};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::safety::fault::Fault;
 
-use crate::{adc, servo};
+use crate::adc;
 
 /// Readings of one crest.
 #[derive(Clone, Copy)]
@@ -37,6 +38,8 @@ pub struct Analog {
     pub bus_v: f32,
     /// Current of each axis, A, positive for positive duty.
     pub current_a: [f32; MAX_JOINTS],
+    /// What the two sensors of each axis differ by, A; 0 where there is one.
+    pub imbalance_a: [f32; MAX_JOINTS],
     /// Whether the conversions came.
     pub fresh: bool,
 }
@@ -66,6 +69,8 @@ pub enum GateError {
     Fault(u16, u16),
     /// The current sensors' zero is this many counts from the middle of their range.
     Offset(u16),
+    /// So many counts of current flow though the bridges are off.
+    Stray(u16),
 }
 
 impl GateError {
@@ -74,7 +79,15 @@ impl GateError {
         match self {
             Self::Bus | Self::Readback => 0.0,
             Self::Fault(status, _) => f32::from(status),
-            Self::Offset(counts) => f32::from(counts),
+            Self::Offset(counts) | Self::Stray(counts) => f32::from(counts) * AMPERES_PER_COUNT,
+        }
+    }
+
+    /// Which fault it is.
+    pub fn fault(self) -> Fault {
+        match self {
+            Self::Bus | Self::Readback | Self::Fault(..) => Fault::GateDriver,
+            Self::Offset(_) | Self::Stray(_) => Fault::StrayCurrent,
         }
     }
 }
@@ -82,21 +95,45 @@ impl GateError {
 /// Weight of one reading in a current sensor's zero, learned while no current flows: settled after a hundred readings.
 const ZERO_WEIGHT: f32 = 1.0 / 32.0;
 
-/// Farthest that a zero may be from the middle of the converter's range, counts.
-const ZERO_MAX: u16 = 512;
-
 /// Time for the zeros to settle, ms: at least 200 carrier periods.
 const ZERO_MS: u64 = 12;
 
-/// Farthest zero from the middle, counts, as the control interrupt last saw it.
+/// Current that may seem to flow once the zeros are learned and the bridges are still off, A: noise, and an amplifier
+/// whose inputs are no longer shorted.
+#[cfg_attr(not(feature = "odrive-v3"), expect(dead_code, reason = "only an amplifier can be shorted"))]
+const STRAY_A: f32 = 0.5;
+
+/// What the control interrupt does with readings while the bridges are off.
+#[derive(Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+enum Zeroing {
+    /// Nothing.
+    No,
+    /// Takes them for zeros.
+    Learn,
+    /// Looks what is left of them beyond the zeros.
+    #[cfg_attr(not(feature = "odrive-v3"), expect(dead_code, reason = "only an amplifier can be shorted"))]
+    Check,
+}
+
+/// Which it is.
+static ZEROING: AtomicU8 = AtomicU8::new(Zeroing::No as u8);
+
+/// Farthest zero from the middle, or farthest reading from its zero, counts, as the control interrupt last saw it.
 static ZERO_WORST: AtomicU16 = AtomicU16::new(0);
 
-/// The zeros of a board's current sensors.
-struct Zeros<const N: usize>([f32; N]);
+/// The zeros of a board's current sensors, and what their readings have been beyond them.
+struct Zeros<const N: usize>([f32; N], [f32; N]);
 
 impl<const N: usize> Zeros<N> {
     const fn new() -> Self {
-        Self([adc::FULL_SCALE / 2.0; N])
+        Self([adc::FULL_SCALE / 2.0; N], [0.0; N])
+    }
+
+    /// Whether readings are for [`Zeros::take`].
+    #[inline(always)]
+    fn wanted() -> bool {
+        ZEROING.load(Ordering::Relaxed) != Zeroing::No as u8
     }
 
     /// A sensor's reading less its zero, counts.
@@ -105,30 +142,33 @@ impl<const N: usize> Zeros<N> {
         f32::from(raw) - self.0[sensor]
     }
 
-    /// Takes readings without current for zeros.
+    /// Takes readings while the bridges are off for zeros, or sees what they are beyond them.
     #[cold]
     #[inline(never)]
-    fn learn(&mut self, raw: [u16; N]) {
+    fn take(&mut self, raw: [u16; N]) {
+        let learn = ZEROING.load(Ordering::Relaxed) == Zeroing::Learn as u8;
         let mut worst = 0.0_f32;
-        for (raw, zero) in raw.into_iter().zip(&mut self.0) {
-            *zero += (f32::from(raw) - *zero) * ZERO_WEIGHT;
-            worst = worst.max((*zero - adc::FULL_SCALE / 2.0).abs());
+        for ((raw, zero), beyond) in raw.into_iter().zip(&mut self.0).zip(&mut self.1) {
+            let left = f32::from(raw) - *zero;
+            if learn {
+                *zero += left * ZERO_WEIGHT;
+                *beyond = 0.0;
+                worst = worst.max((*zero - adc::FULL_SCALE / 2.0).abs());
+            } else {
+                *beyond += (left - *beyond) * ZERO_WEIGHT;
+                worst = worst.max(beyond.abs());
+            }
         }
         ZERO_WORST.store(worst as u16, Ordering::Relaxed);
     }
 }
 
-/// Says that no current can flow and waits until the zeros are learned; an error when one is far off.
-fn learn_zeros() -> Result<(), GateError> {
+/// Has the control interrupt look at the current sensors while the bridges are off, for as long as their zeros take to
+/// settle; the farthest it saw, counts.
+fn settle(how: Zeroing) -> u16 {
     ZERO_WORST.store(0, Ordering::Relaxed);
-    servo::GATE_READY.store(true, Ordering::Relaxed);
+    ZEROING.store(how as u8, Ordering::Relaxed);
     block_for(Duration::from_millis(ZERO_MS));
-    match ZERO_WORST.load(Ordering::Relaxed) {
-        ..=ZERO_MAX => Ok(()),
-        far => {
-            servo::GATE_READY.store(false, Ordering::Relaxed);
-            off();
-            Err(GateError::Offset(far))
-        }
-    }
+    ZEROING.store(Zeroing::No as u8, Ordering::Relaxed);
+    ZERO_WORST.load(Ordering::Relaxed)
 }

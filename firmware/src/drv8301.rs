@@ -21,8 +21,26 @@ const CONTROL_2: u16 = 3;
 /// 1.7 A of gate current, six independent gate signals, over-current latches the driver off, at 0.730 V over a switch.
 const CONTROL_1_VALUE: u16 = (21 << 6) | (1 << 4);
 
-/// Amplifier gain 80 V/V, no DC calibration, over-temperature and over-current both reported.
+/// Amplifier gain 80 V/V, inputs connected, over-temperature and over-current both reported.
 const CONTROL_2_VALUE: u16 = 3 << 2;
+
+/// Inputs of both amplifiers shorted and off the shunts.
+const CALIBRATE: u16 = 0b11 << 4;
+
+/// What the shunt amplifiers see.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Inputs {
+    /// Nothing: what they show is their offset.
+    Shorted,
+    /// The shunts.
+    Shunts,
+}
+
+impl Inputs {
+    fn control_2(self) -> u16 {
+        CONTROL_2_VALUE | if self == Self::Shorted { CALIBRATE } else { 0 }
+    }
+}
 
 /// The SPI bus that both drivers share.
 pub type Bus = Spi<'static, Blocking, Master>;
@@ -68,20 +86,24 @@ impl Drv8301 {
 
     /// Writes the control registers and reads them back; clears and checks the status. EN_GATE must have been high for
     /// 10 ms.
-    pub fn configure(&mut self, bus: &mut Bus) -> Result<(), GateError> {
+    pub fn configure(&mut self, bus: &mut Bus, inputs: Inputs) -> Result<(), GateError> {
         self.write(bus, CONTROL_1, CONTROL_1_VALUE)?;
-        self.write(bus, CONTROL_2, CONTROL_2_VALUE)?;
-        let control_1 = self.read(bus, CONTROL_1)?;
-        let control_2 = self.read(bus, CONTROL_2)?;
-        if control_1 != CONTROL_1_VALUE || control_2 != CONTROL_2_VALUE {
-            return Err(GateError::Readback);
-        }
+        self.write(bus, CONTROL_2, inputs.control_2())?;
+        self.read_back(bus, inputs)?;
         let (status_1, status_2) = self.status(bus)?;
         // Bit 10 of status 1 is FAULT, bit 7 of status 2 GVDD_OV.
         if status_1 & (1 << 10) != 0 || status_2 & (1 << 7) != 0 {
             return Err(GateError::Fault(status_1, status_2));
         }
         Ok(())
+    }
+
+    /// Whether the control registers are as [`Drv8301::configure`] wrote them.
+    pub fn read_back(&mut self, bus: &mut Bus, inputs: Inputs) -> Result<(), GateError> {
+        let control_1 = self.read(bus, CONTROL_1)?;
+        let control_2 = self.read(bus, CONTROL_2)?;
+        let kept = control_1 == CONTROL_1_VALUE && control_2 == inputs.control_2();
+        if kept { Ok(()) } else { Err(GateError::Readback) }
     }
 
     /// The two status registers.

@@ -145,6 +145,7 @@ pub async fn serve(mut panel: Panel, hardware: Hardware, previous: Option<FaultR
         }
         if Instant::now() >= watch {
             watch = Instant::now() + WATCH;
+            panel.watch_gate();
             if let Some(record) = service.poll(&mut panel)
                 && let Some(message) = dispatch::publish::<FaultSeen>(sequence, &record, frame)
             {

@@ -9,7 +9,7 @@ use haptic_bridge::board::service::Machine;
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::board::storage::StorageError;
 use haptic_bridge::drive::carrier::Carrier;
-use haptic_bridge::safety::fault::{Fault, FaultRecord};
+use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::compiled::{BoardMath, BoardProgram};
 use haptic_bridge::servo::frame::Frame;
@@ -94,10 +94,24 @@ impl Panel {
             Ok(()) => Ok(()),
             Err(error) => {
                 defmt::error!("the gate drivers cannot be readied: {}", error);
-                let record = FaultRecord { fault: Fault::GateDriver, axis: None, value: error.value(), step: 0 };
+                let record = FaultRecord { fault: error.fault(), axis: None, value: error.value(), step: 0 };
                 let _ = self.ask(Request::Command(Command::Fault(record)));
-                Err(Refusal::Faulted(Fault::GateDriver))
+                Err(Refusal::Faulted(error.fault()))
             }
+        }
+    }
+
+    /// Looks whether the gate drivers still are as they were set, while they are up: call a few times a second.
+    pub fn watch_gate(&mut self) {
+        if !servo::GATE_READY.load(Ordering::Relaxed) {
+            return;
+        }
+        let Err(error) = self.gate.check() else { return };
+        // A fault that came between lets the drivers forget what they knew: no news.
+        if servo::GATE_READY.load(Ordering::Relaxed) {
+            defmt::error!("a gate driver is no longer as it was set: {}", error);
+            let record = FaultRecord { fault: Fault::DriverReset, axis: None, value: error.value(), step: 0 };
+            let _ = self.ask(Request::Command(Command::Fault(record)));
         }
     }
 }
@@ -107,9 +121,11 @@ impl Machine for Panel {
     type Held = BoardProgram;
 
     fn execute(&mut self, command: Command<BoardProgram>) -> Reply<BoardProgram> {
-        let powers_up = matches!(command, Command::Arm | Command::CheckPolarity);
+        let status = self.status();
+        // With the motors on, what would switch them on is refused by the servo and has no business with the gate.
+        let on = matches!(status.state, State::Armed | State::CheckingPolarity);
+        let powers_up = matches!(command, Command::Arm | Command::CheckPolarity) && !on;
         if powers_up {
-            let status = self.status();
             if let Some(record) = status.fault {
                 return (Err(Refusal::Faulted(record.fault)), None);
             }

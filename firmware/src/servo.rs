@@ -150,18 +150,21 @@ impl Step {
     /// Everything there is to do at a crest.
     #[inline(always)]
     fn crest(&mut self) {
-        // While the gate drivers are up and the bridges are not connected, what the amplifiers show is their offset.
-        let learn = !self.driving && GATE_READY.load(Ordering::Relaxed);
-        let analog = self.io.analog(learn);
+        let analog = self.io.analog();
         if let Some((fault, axis, value)) = self.hardware_fault(analog.fresh) {
             self.servo.trip(fault, axis, value);
         }
-        let seen = Crest { counts: self.io.counts(), bus_voltage: analog.bus_v, currents: analog.current_a };
+        let seen = Crest {
+            counts: self.io.counts(),
+            bus_voltage: analog.bus_v,
+            currents: analog.current_a,
+            imbalance: analog.imbalance_a,
+        };
         let mut outputs = compiled::guard(&mut self.servo, &seen);
         self.countdown -= 1;
         if self.countdown == 0 {
             self.countdown = self.io.carrier().divider;
-            let Crest { counts, bus_voltage, currents } = seen;
+            let Crest { counts, bus_voltage, currents, .. } = seen;
             let samples = Samples { counts, bus_voltage, currents, index: self.io.index(), fault: None };
             outputs = compiled::control(&mut self.servo, &samples);
             self.connect(outputs.bridges);

@@ -35,6 +35,19 @@ const DEAD_TIME_KNEE: f32 = 0.1;
 /// Share by which a winding's resistance may exceed the device file's: copper gains 40 % per 100 K.
 const RESISTANCE_DOUBT: f32 = 0.5;
 
+/// Voltage of a motor that nothing here accounts for and that is no fault, V: brushes, ripple, zeros.
+const VOLTAGE_DOUBT: f32 = 1.0;
+/// Share of the back-EMF by which it may differ from the data sheet's.
+const EMF_DOUBT: f32 = 0.2;
+/// Weight of one sample in the mean difference between expected and measured current; and where the winding is not
+/// known, whose current may lag behind what is expected for a millisecond or so.
+const ERROR_WEIGHT: f32 = 1.0 / 4.0;
+const SLOW_ERROR_WEIGHT: f32 = 1.0 / 64.0;
+/// What is left after a carrier period of the largest current of late: the loop has forgotten it faster.
+const RECENT: f32 = 15.0 / 16.0;
+/// What such a lag may look like while a current is reversed, as a share of the voltage at the largest.
+const LAG_DOUBT: f32 = 1.3;
+
 /// How one board drives its motors.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Bridge {
@@ -71,10 +84,18 @@ pub struct Axis {
     /// The current that the duties so far lead to, and the one that the next sample should show, A.
     reached: f32,
     expected: f32,
+    /// Mean of what samples were below that, A, and the weight of one.
+    missing: f32,
+    error_weight: f32,
+    /// The largest current reached of late, A: what the integrator holds for a hot winding outlasts it.
+    recent: f32,
+    /// What a sound motor may differ by from its model at rest without current, V.
+    doubt: f32,
     /// What the controller asked for, A.
     target: f32,
-    /// Voltage that the present speed needs, V.
+    /// Voltage that the present speed needs, V, and what that may be off by.
     emf: f32,
+    emf_doubt: f32,
     /// Duty that makes up for the dead time.
     regained: f32,
     /// I²t accumulator, A² s above what the motor stands for ever.
@@ -122,6 +143,12 @@ impl Axis {
             ..Self::default()
         };
         axis.limit(max_current, continuous_current);
+        axis.doubt = match (bridge.current_sensed, inductance > 0.0) {
+            (false, _) => f32::INFINITY,
+            (true, true) => VOLTAGE_DOUBT,
+            (true, false) => VOLTAGE_DOUBT + LAG_DOUBT * motor.resistance * axis.max_current,
+        };
+        axis.error_weight = if inductance > 0.0 { ERROR_WEIGHT } else { SLOW_ERROR_WEIGHT };
         axis
     }
 
@@ -145,10 +172,12 @@ impl Axis {
         self.target
     }
 
-    /// Takes the joint's speed (rad/s) of this carrier period.
+    /// Takes the joint's speed (rad/s) of this carrier period: filtered, and as it is.
     #[inline(always)]
-    pub fn follow(&mut self, speed: f32) {
+    pub fn follow(&mut self, speed: f32, raw: f32) {
         self.emf = self.back_emf * speed;
+        // A speed that jumps is ahead of its filter.
+        self.emf_doubt = EMF_DOUBT * self.emf.abs() + (self.back_emf * raw - self.emf).abs();
     }
 
     /// The duty for the next carrier period from the bus voltage (V) and the measured current (A, of no effect
@@ -160,6 +189,7 @@ impl Axis {
             return 0.0;
         }
         let error = self.expected - current;
+        self.missing += self.error_weight * (error - self.missing);
         // What the current reached needs to stay, as the motor and the bridge really are.
         let hold = self.emf
             + self.resistance * self.reached
@@ -179,11 +209,32 @@ impl Axis {
         };
         self.expected = self.reached + self.halfway * rise;
         self.reached += rise;
+        let (reached, fading) = (self.reached.abs(), RECENT * self.recent);
+        self.recent = if reached > fading { reached } else { fading };
         if integrates {
             self.integrator = limited(self.integrator + self.integral * error, available);
         }
         // One division for all motors: the compiler takes it out of the caller's loop.
         voltage * (1.0 / bus_voltage)
+    }
+
+    /// Volts by which a motor at this current and speed differs from the one in the device file, and what it may differ
+    /// by. The loop's integrator is what such a motor would not need; where the bus leaves it no room, a current that
+    /// stays behind says as much.
+    #[inline(always)]
+    pub fn strain(&self) -> (f32, f32) {
+        let strain = self.integrator + self.resistance * self.missing;
+        (strain, self.doubt + RESISTANCE_DOUBT * self.resistance * self.recent + self.emf_doubt)
+    }
+
+    /// The speed (rad/s) whose back-EMF would be so many volts.
+    pub fn turning(&self, volts: f32) -> f32 {
+        if self.back_emf.abs() > 1.0e-6 { volts / self.back_emf } else { 0.0 }
+    }
+
+    /// Whether the measured current is about what the duties so far make of a sound motor.
+    pub fn flows_as_expected(&self) -> bool {
+        self.missing.abs() <= 0.25 * self.reached.abs() + DEAD_TIME_KNEE
     }
 
     /// Warms the motor model by `squares`, the integral of i² (A² s) over the last `dt` (s); true when its budget is
@@ -204,15 +255,18 @@ impl Axis {
         self.integrator = 0.0;
         self.reached = 0.0;
         self.expected = 0.0;
+        self.missing = 0.0;
+        self.recent = 0.0;
         self.target = 0.0;
         self.emf = 0.0;
         self.regained = 0.0;
     }
 
-    /// Keeps the heat of the drive this one replaces, so that loading a scene does not cool a motor.
-    pub fn inherit_heat(&mut self, other: &Self) {
-        self.heat = other.heat;
-        self.heat_rest = other.heat_rest;
+    /// Goes on where the drive that this one replaces stands: loading a scene neither cools a motor nor stops the
+    /// current that flows.
+    pub fn inherit(&mut self, other: &Self) {
+        let Self { heat, heat_rest, integrator, reached, expected, missing, recent, target, .. } = *other;
+        *self = Self { heat, heat_rest, integrator, reached, expected, missing, recent, target, ..*self };
     }
 
     /// Torque (N m) at the current limit.

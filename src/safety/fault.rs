@@ -125,6 +125,18 @@ faults! {
         "free the joint, check motor wires and encoder, then check again";
     /// The control interrupt's inputs went stale (ADC or SPI stopped); value: periods.
     SensorStale = 26, "a measurement of the board stopped arriving", "power-cycle the board; report it if it returns";
+    /// Two sensors of one motor's current disagree; value: A.
+    CurrentSensor = 27, "the two current sensors of a motor disagree",
+        "power-cycle the board; if it returns, a shunt, its amplifier or a third phase's wire is at fault";
+    /// Voltage, current and speed of a motor do not belong together; value: V unaccounted for.
+    MotorModel = 28, "a motor's voltage, current and speed contradict each other",
+        "check the motor's wires, its encoder's direction and coupling, the current sensor, and resistance, inductance and back-EMF in the device file";
+    /// A gate driver forgot its settings while the motors were on; value: the register as it was read.
+    DriverReset = 29, "a gate driver lost its settings while the motors were on",
+        "check the supply for dips and the driver's soldering, then clear";
+    /// Current flows though the bridges are off; value: A.
+    StrayCurrent = 30, "current flows through a motor though the bridges are off",
+        "switch the supply off: a switch of the bridge is broken, or a motor wire touches another; or a current sensor is off its zero";
 }
 
 impl Fault {

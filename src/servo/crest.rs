@@ -19,6 +19,13 @@ pub const SPEED_HZ: f32 = 200.0;
 /// the joint has moved by a few counts.
 const COUNT_SHARE: f32 = 0.25;
 
+/// What two current sensors may differ by: a share of the current limit (gains, settling at the edge of the duty) and
+/// amperes (zeros, noise).
+const IMBALANCE_SHARE: f32 = 0.15;
+const IMBALANCE_FLOOR: f32 = 0.5;
+/// Speed below which an encoder stands still, counts in a carrier period: one count in 1000 periods.
+const STANDSTILL: f32 = 1.0e-3;
+
 /// What a carrier period is held to, made ready whenever device, homing, rules or rate change.
 #[derive(Clone, Copy, Debug, Default)]
 struct Bounds {
@@ -34,6 +41,8 @@ struct Bounds {
     limited: i32,
     /// Measured current that is not the loop's overshoot any more, A.
     current: f32,
+    /// What two current sensors may differ by, A.
+    imbalance: f32,
     /// Speed of a count in a carrier period, rad/s, with its sign.
     radians: f32,
 }
@@ -125,6 +134,7 @@ where
                 limited: if range.is_some() { -1 } else { 0 },
                 // The loop may overshoot a little; half again as much as the limit is not the loop.
                 current: 1.5 * axis.max_current() + 1.0,
+                imbalance: IMBALANCE_SHARE * axis.max_current() + IMBALANCE_FLOOR,
                 radians: scale * program.carrier_hz,
             };
         }
@@ -152,16 +162,22 @@ where
             let moved = seen.counts[i].wrapping_sub(crests.counts[i]);
             moves[i] = moved;
             worst |= left_of(moved.unsigned_abs(), bounds.jump);
-            crests.speed[i] += bounds.gain * (moved as f32 - crests.speed[i]);
+            let raw = moved as f32;
+            crests.speed[i] += bounds.gain * (raw - crests.speed[i]);
             let sensed = self.hardware.bridge.current_sensed;
             let current = if sensed { seen.currents[i] } else { self.frame.current[i] };
             crests.squares[i] += current * current;
-            program.axes[i].follow(crests.speed[i] * bounds.radians);
+            let speed = crests.speed[i] * bounds.radians;
+            program.axes[i].follow(speed, raw * bounds.radians);
             if active {
                 worst |= left(crests.speed[i], bounds.speed);
                 worst |= bounds.room(seen.counts[i]);
                 worst |= left(current, bounds.current);
-                power += self.frame.torque[i] * (crests.speed[i] * bounds.radians);
+                if sensed {
+                    let (strain, doubt) = program.axes[i].strain();
+                    worst |= left(seen.imbalance[i], bounds.imbalance) | left(strain, doubt);
+                }
+                power += self.frame.torque[i] * speed;
             }
         }
         crests.counts = seen.counts;
@@ -205,6 +221,17 @@ where
                 let out = bounds.room(seen.counts[i]) < 0;
                 note(out, Fault::JointLimit, Some(i), self.angle(i, seen.counts[i]));
                 note(left(current(i), bounds.current) < 0, Fault::OverCurrent, Some(i), current(i));
+            }
+            if active && sensed {
+                let differ = left(seen.imbalance[i], bounds.imbalance) < 0;
+                note(differ, Fault::CurrentSensor, Some(i), seen.imbalance[i]);
+                let axis = &program.axes[i];
+                let (strain, doubt) = axis.strain();
+                let strained = left(strain, doubt) < 0;
+                // A current as it should be and a voltage that only motion explains: the encoder is what stands still.
+                let unseen = axis.flows_as_expected() && crests.speed[i].abs() < STANDSTILL;
+                note(strained && unseen, Fault::EncoderLoss, Some(i), axis.turning(strain));
+                note(strained, Fault::MotorModel, Some(i), strain);
             }
         }
         if active {

@@ -31,12 +31,14 @@ pub struct Crest {
     pub bus_voltage: f32,
     /// Motor currents, A; ignored where they are not sensed.
     pub currents: [f32; MAX_JOINTS],
+    /// What two sensors of a motor's current differ by, A; 0 where it has one.
+    pub imbalance: [f32; MAX_JOINTS],
 }
 
 impl From<&Samples> for Crest {
     fn from(samples: &Samples) -> Self {
         let Samples { counts, bus_voltage, currents, .. } = *samples;
-        Self { counts, bus_voltage, currents }
+        Self { counts, bus_voltage, currents, imbalance: [0.0; MAX_JOINTS] }
     }
 }
 

@@ -168,8 +168,9 @@ impl Board {
 
     /// One control period.
     pub fn tick(&mut self) {
-        self.machine.servo.guard(&Crest::from(&self.samples));
-        self.bridges = self.machine.servo.control(&self.samples).bridges;
+        let samples = self.seen();
+        self.machine.servo.guard(&Crest::from(&samples));
+        self.bridges = self.machine.servo.control(&samples).bridges;
         self.samples.fault = None;
         self.samples.index = [None; MAX_JOINTS];
         let frame = *self.machine.servo.frame();
@@ -183,12 +184,25 @@ impl Board {
         assert!(within, "torque {torque:?} above {limits:?}");
     }
 
+    /// The samples, with currents that flow as they were asked for on top of what a sensor is off by.
+    fn seen(&self) -> Samples {
+        let mut samples = self.samples;
+        let torque = self.machine.servo.frame().torque;
+        for (axis, joint) in self.service.device().iter().flat_map(|device| &device.joints).enumerate() {
+            if let Some(motor) = joint.motor.filter(|motor| motor.torque_constant != 0.0) {
+                samples.currents[axis] += torque[axis] / motor.torque_constant;
+            }
+        }
+        samples
+    }
+
     /// What holds after every control period and every request.
     pub fn keeps_its_promises(&mut self) {
         let state = self.state();
         let limits = self.service.rules().limits;
         assert!(limits.within(&self.most), "limits above the board's own: {limits:?}");
-        self.duties = self.machine.servo.duties(self.samples.bus_voltage, &self.samples.currents);
+        let seen = self.seen();
+        self.duties = self.machine.servo.duties(seen.bus_voltage, &seen.currents);
         let duties = self.duties;
         assert!(duties.iter().all(|duty| duty.abs() <= MAX_DUTY), "{duties:?} with {:?}", self.samples);
         if !driving(state) {

@@ -138,6 +138,10 @@ pub struct Rig {
     pub currents: [f32; MAX_JOINTS],
     /// Their windings, ohm.
     pub resistance: f32,
+    /// What the two sensors of each current differ by, A.
+    pub imbalance: [f32; MAX_JOINTS],
+    /// The largest current of motor 0 in the last step, A.
+    pub peak: f32,
     /// Control rate of the scene, Hz.
     pub rate: f32,
 }
@@ -157,6 +161,8 @@ impl Rig {
             shown_current: None,
             currents: [0.0; MAX_JOINTS],
             resistance: 2.0,
+            imbalance: [0.0; MAX_JOINTS],
+            peak: 0.0,
             rate: RATE,
         }
     }
@@ -215,6 +221,7 @@ impl Rig {
     pub fn step(&mut self) {
         let first = self.servo.frame().step == 0;
         let before = if first { self.samples.counts } else { self.servo.frame().counts };
+        self.peak = 0.0;
         let carrier = 20_000.0;
         let carriers = (carrier / self.rate) as u32;
         for nth in 1..=carriers {
@@ -225,7 +232,8 @@ impl Rig {
                 let moved = i64::from(self.samples.counts[i].wrapping_sub(before[i]));
                 before[i].wrapping_add((moved * i64::from(nth) / i64::from(carriers)) as i32)
             });
-            let seen = Crest { counts, bus_voltage: self.samples.bus_voltage, currents: measured };
+            let (bus_voltage, imbalance) = (self.samples.bus_voltage, self.imbalance);
+            let seen = Crest { counts, bus_voltage, currents: measured, imbalance };
             self.outputs = self.servo.guard(&seen);
             if nth == carriers {
                 self.samples.currents = measured;
@@ -236,10 +244,11 @@ impl Rig {
                 let turned = self.samples.counts[i].wrapping_sub(before[i]) as f32 * core::f32::consts::TAU;
                 let voltage = self.duties[i] * 24.0 - 0.1 * turned / COUNTS as f32 * self.rate;
                 *current += (voltage - self.resistance * *current) / 1.0e-3 / carrier;
-                if !self.outputs.bridges {
+                if !self.outputs.bridges || self.resistance.is_infinite() {
                     *current = 0.0;
                 }
             }
+            self.peak = self.peak.max(self.currents[0].abs());
         }
         self.samples.index = [None; MAX_JOINTS];
         self.samples.fault = None;

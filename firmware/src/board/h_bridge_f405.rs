@@ -4,6 +4,8 @@
 //! Off is the enable line (PC6 low), not the inputs: both inputs low brakes on many bridges. A low level on PB12 cuts
 //! the outputs in hardware, whatever the program does. Pins: docs/wiring-h-bridge-f405.md.
 
+use core::sync::atomic::Ordering;
+
 use embassy_stm32::gpio::{AfType, Flex, Level, Output, Pull, Speed};
 use embassy_stm32::pac;
 use embassy_stm32::pac::timer::TimGp16;
@@ -14,11 +16,12 @@ use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::safety::limits::Limits;
 
-use super::{Analog, Common, GateError, Zeros, learn_zeros};
+use super::{Analog, Common, GateError, Zeroing, Zeros, settle};
 use crate::adc;
 use crate::encoder::Encoder;
 use crate::index;
 use crate::pwm;
+use crate::servo;
 
 /// Name of the board, as the host shows it.
 pub const NAME: &str = "h-bridge-f405";
@@ -51,6 +54,13 @@ pub const UNSENSED: &[Fault] = &[Fault::EncoderIllegal, Fault::GateDriver];
 /// Amperes per volt at a current input, and the voltage of no current: a 185 mV/A Hall sensor behind a 5 V to 3.3 V
 /// divider.
 const AMPERES_PER_VOLT: f32 = 1.0 / (0.185 * 0.66);
+
+/// Amperes per count of the converter.
+pub const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE * AMPERES_PER_VOLT;
+
+/// Farthest that a zero may be from the middle of the converter's range, counts: 40 mV of the sensor's own and 5 % of a
+/// supply that it halves, behind the divider. More is a current: 0.9 A through a bridge that is off.
+const ZERO_MAX: u16 = 136;
 
 /// Bus divider: 10 kohm over 1 kohm.
 pub const BUS_DIVIDER: f32 = 11.0;
@@ -93,18 +103,18 @@ impl Io {
         [at(0), at(1), at(2)]
     }
 
-    /// The readings that the crest started; `learn` says that no current flows.
+    /// The readings that the crest started.
     #[inline(always)]
-    pub fn analog(&mut self, learn: bool) -> Analog {
+    pub fn analog(&mut self) -> Analog {
         let fresh = adc::wait(pac::ADC1) & adc::wait(pac::ADC2);
         let raw = [adc::result(pac::ADC1, 0), adc::result(pac::ADC2, 0), adc::result(pac::ADC1, 1)];
-        if learn && fresh {
-            self.zeros.learn(raw);
+        if Zeros::<3>::wanted() && fresh {
+            self.zeros.take(raw);
         }
-        let current = |axis| self.zeros.less(axis, raw[axis]) * (adc::REFERENCE_V / adc::FULL_SCALE * AMPERES_PER_VOLT);
+        let current = |axis| self.zeros.less(axis, raw[axis]) * AMPERES_PER_COUNT;
         let current_a = [current(0), current(1), current(2)];
         let bus_v = f32::from(adc::result(pac::ADC2, 1)) * (adc::REFERENCE_V / adc::FULL_SCALE * BUS_DIVIDER);
-        Analog { bus_v, current_a, fresh }
+        Analog { bus_v, current_a, imbalance_a: [0.0; 3], fresh }
     }
 
     /// Compare values of each axis's two legs, applied at the next valley: the second leg is the first one's complement
@@ -159,7 +169,14 @@ pub struct Gate;
 impl Gate {
     /// Learns the current sensors' zeros, 12 ms. The enable line rises when the control interrupt connects the bridges.
     pub fn raise(&mut self) -> Result<(), GateError> {
-        learn_zeros()
+        let zero = settle(Zeroing::Learn);
+        servo::GATE_READY.store(zero <= ZERO_MAX, Ordering::Relaxed);
+        if zero > ZERO_MAX { Err(GateError::Offset(zero)) } else { Ok(()) }
+    }
+
+    /// Nothing to look at: bridges without registers.
+    pub fn check(&mut self) -> Result<(), GateError> {
+        Ok(())
     }
 }
 

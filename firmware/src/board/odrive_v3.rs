@@ -3,6 +3,8 @@
 //! A brushed motor sits between phases B and C of its axis: both carry the same carrier at 0.5 +- duty/2 and phase A
 //! stays off. Pins: docs/wiring-odrive-v3.md. EN_GATE is common to both drivers, and low resets their registers.
 
+use core::sync::atomic::Ordering;
+
 use embassy_stm32::gpio::{Flex, Level, Output, Speed};
 use embassy_stm32::pac;
 use embassy_stm32::pac::timer::TimAdv;
@@ -16,13 +18,14 @@ use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::safety::limits::Limits;
 
-use super::{Analog, Common, GateError, Zeros, learn_zeros};
+use super::{Analog, Common, GateError, STRAY_A, Zeroing, Zeros, settle};
 use crate::adc;
 use crate::clock::TIMER_HZ;
-use crate::drv8301::{self, Drv8301};
+use crate::drv8301::{self, Drv8301, Inputs};
 use crate::encoder::Encoder;
 use crate::index;
 use crate::pwm;
+use crate::servo;
 
 /// Name of the board, as the host shows it.
 pub const NAME: &str = "odrive-v3";
@@ -62,7 +65,11 @@ pub const UNSENSED: &[Fault] = &[Fault::EncoderIllegal, Fault::BreakInput];
 const SHUNT_OHM: f32 = 500e-6;
 
 /// Amperes per count of the converter.
-const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE / drv8301::AMPLIFIER_GAIN / SHUNT_OHM;
+pub const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE / drv8301::AMPLIFIER_GAIN / SHUNT_OHM;
+
+/// Farthest that a zero may be from the middle of the converter's range, counts: 4 mV of input offset (SLOS719F section
+/// 6.5) times the gain, and half as much again. It is learned with shorted inputs, so no current hides in it.
+const ZERO_MAX: u16 = 600;
 
 /// Bus divider of the 56 V boards, 18 kohm over 1 kohm; the 24 V ones have 10 kohm over 1 kohm (11).
 pub const BUS_DIVIDER: f32 = 19.0;
@@ -107,9 +114,9 @@ impl Io {
         [at(0), at(1), None]
     }
 
-    /// The readings that the crest started; `learn` says that no current flows and the amplifiers' supply is up.
+    /// The readings that the crest started.
     #[inline(always)]
-    pub fn analog(&mut self, learn: bool) -> Analog {
+    pub fn analog(&mut self) -> Analog {
         let fresh = adc::wait(pac::ADC1) & adc::wait(pac::ADC2);
         let raw = [
             adc::result(pac::ADC1, 0),
@@ -117,15 +124,15 @@ impl Io {
             adc::result(pac::ADC1, 1),
             adc::result(pac::ADC2, 1),
         ];
-        if learn && fresh {
-            self.zeros.learn(raw);
+        if Zeros::<4>::wanted() && fresh {
+            self.zeros.take(raw);
         }
         // What leaves phase B comes back through C.
-        let first = self.zeros.less(0, raw[0]) - self.zeros.less(1, raw[1]);
-        let second = self.zeros.less(2, raw[2]) - self.zeros.less(3, raw[3]);
-        let current_a = [first * (0.5 * AMPERES_PER_COUNT), second * (0.5 * AMPERES_PER_COUNT), 0.0];
+        let [b0, c0, b1, c1] = [0, 1, 2, 3].map(|sensor| self.zeros.less(sensor, raw[sensor]) * AMPERES_PER_COUNT);
+        let current_a = [0.5 * (b0 - c0), 0.5 * (b1 - c1), 0.0];
+        let imbalance_a = [b0 + c0, b1 + c1, 0.0];
         let bus_v = f32::from(adc::result(pac::ADC1, 2)) * (adc::REFERENCE_V / adc::FULL_SCALE * BUS_DIVIDER);
-        Analog { bus_v, current_a, fresh }
+        Analog { bus_v, current_a, imbalance_a, fresh }
     }
 
     /// Compare values of each axis's two legs, applied at the next valley.
@@ -183,19 +190,38 @@ pub struct Gate {
 }
 
 impl Gate {
-    /// Raises EN_GATE, sets both drivers up and learns the amplifiers' zeros: about 23 ms. On an error everything is
-    /// off again.
+    /// Raises EN_GATE, sets both drivers up, learns the amplifiers' zeros with their inputs shorted and sees that no
+    /// current flows: about 35 ms. On an error everything is off again.
     pub fn raise(&mut self) -> Result<(), GateError> {
         pac::GPIOB.bsrr().write(|w| w.set_bs(EN_GATE, true));
         // SLOS719F 6.7: up to 10 ms until the driver answers.
         block_for(Duration::from_millis(10));
-        for driver in &mut self.drivers {
-            if let Err(error) = driver.configure(&mut self.bus) {
-                off();
-                return Err(error);
-            }
+        let result = self.set_up();
+        if result.is_err() {
+            off();
         }
-        learn_zeros()
+        servo::GATE_READY.store(result.is_ok(), Ordering::Relaxed);
+        result
+    }
+
+    fn set_up(&mut self) -> Result<(), GateError> {
+        for driver in &mut self.drivers {
+            driver.configure(&mut self.bus, Inputs::Shorted)?;
+        }
+        let zero = settle(Zeroing::Learn);
+        if zero > ZERO_MAX {
+            return Err(GateError::Offset(zero));
+        }
+        for driver in &mut self.drivers {
+            driver.configure(&mut self.bus, Inputs::Shunts)?;
+        }
+        let stray = settle(Zeroing::Check);
+        if f32::from(stray) * AMPERES_PER_COUNT > STRAY_A { Err(GateError::Stray(stray)) } else { Ok(()) }
+    }
+
+    /// Whether both drivers still are as [`Gate::raise`] left them: 130 us.
+    pub fn check(&mut self) -> Result<(), GateError> {
+        self.drivers.iter_mut().try_for_each(|driver| driver.read_back(&mut self.bus, Inputs::Shunts))
     }
 }
 

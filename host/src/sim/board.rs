@@ -203,7 +203,8 @@ impl SimulatedBoard {
                 dead_time: bridge.dead_time as f32,
                 // The drive is slower where it knows no inductance; a simulated winding then really has none.
                 bandwidth_hz: if wound { 1_500.0 } else { 1_500.0 / UNKNOWN_WINDING },
-                current_sensed: true,
+                // An ideal drive has neither voltage nor winding that a model could be held against.
+                current_sensed: options.drive == DriveModel::Electric,
             },
             timer_hz: TIMER_HZ,
         };
@@ -263,7 +264,7 @@ impl SimulatedBoard {
         let bus_voltage = self.device.bus_voltage() as f32;
         let due = self.countdown == 0;
         let counts = self.device.counts();
-        self.guard(&Crest { counts, bus_voltage, currents }, carriers);
+        self.guard(&Crest { counts, bus_voltage, currents, imbalance: [0.0; 3] }, carriers);
         if due {
             self.countdown = self.innards.carrier.divider.into();
             let index = core::array::from_fn(|axis| self.device.index()[axis].then_some(counts[axis]));
