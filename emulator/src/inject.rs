@@ -485,7 +485,7 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
         let backup = Backup::read(&mut rig.tool).expect("the board answers");
         let kept = |key: Key| backup.settings.contains_key(key.name());
         assert!(kept(Key::Device) && !kept(Key::Name), "{:?}", backup.settings.keys());
-        assert!(backup.ready("").is_ok(), "what is left can be restored");
+        assert!(backup.ready().is_ok(), "what is left can be restored");
     }
     let listed = rig.tool.faults().expect("the board answers");
     assert!(listed.iter().any(|listed| listed.fault == fault), "{name}: not listed: {listed:?}");

@@ -28,7 +28,7 @@ pub struct Backup {
     pub firmware: String,
     /// Kind of board.
     pub board: String,
-    /// Its serial number: a polarity check is only good for the board it was made with.
+    /// Its serial number.
     pub serial: String,
     /// The settings by name; those that were never saved are not there.
     pub settings: BTreeMap<String, Kept>,
@@ -69,8 +69,8 @@ pub enum Restored {
     AsItWas,
     /// Encoded anew from its value, because the backup's bytes are of another version.
     Translated,
-    /// Left out: a polarity check is good only for the board it was made with.
-    OtherBoard,
+    /// Left out: a polarity check is good only for the wires it was made with, and nobody has watched those.
+    MadeAnew,
 }
 
 /// A setting ready to be sent.
@@ -123,8 +123,8 @@ impl Backup {
         serde_json::from_value(value).map_err(|error| BackupError::NotABackup(error.to_string()))
     }
 
-    /// Every setting in this version's bytes, in the order to send them, for a board of this serial number.
-    pub fn ready(&self, serial: &str) -> Result<Vec<Ready>, BackupError> {
+    /// Every setting in this version's bytes, in the order to send them.
+    pub fn ready(&self) -> Result<Vec<Ready>, BackupError> {
         if let Some(unknown) = self.settings.keys().find(|name| Key::ALL.iter().all(|key| key.name() != **name)) {
             return Err(BackupError::UnknownSetting(unknown.clone()));
         }
@@ -133,8 +133,8 @@ impl Backup {
             match self.settings.get(key.name()) {
                 Some(kept) => {
                     let (entry, mut how) = usable(key, kept)?;
-                    if key == Key::Polarity && self.serial != serial {
-                        how = Restored::OtherBoard;
+                    if key == Key::Polarity {
+                        how = Restored::MadeAnew;
                     }
                     ready.push(Ready { key, entry, how });
                 }
@@ -154,7 +154,7 @@ impl Backup {
 /// power goes, the board has all of them or none. Motors must be off.
 pub fn restore(board: &mut Board, ready: &[Ready]) -> Result<(), BoardError> {
     let mut keys = KeyList::new();
-    for setting in ready.iter().filter(|setting| setting.how != Restored::OtherBoard) {
+    for setting in ready.iter().filter(|setting| setting.how != Restored::MadeAnew) {
         board.stage_entry(setting.key, setting.entry.clone())?;
         // A backup has each key once.
         let _ = keys.push(setting.key);

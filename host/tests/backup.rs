@@ -55,7 +55,7 @@ fn what_was_kept_comes_back_byte_for_byte_on_an_empty_board() {
     assert!(kept.len() >= 5, "{:?}", kept.keys());
     let text = Backup::read(&mut source).unwrap().to_text();
     let mut target = empty("SIM0001");
-    let ready = Backup::parse(&text).unwrap().ready("SIM0001").unwrap();
+    let ready = Backup::parse(&text).unwrap().ready().unwrap();
     assert!(ready.iter().all(|setting| setting.how == Restored::AsItWas));
     restore(&mut target, &ready).unwrap();
     assert_eq!(entries(&mut target), kept);
@@ -78,7 +78,7 @@ fn a_backup_of_another_version_is_translated_by_its_values() {
         setting.version = 77;
         setting.bytes = body.iter().map(|byte| format!("{byte:02x}")).collect();
     }
-    let ready = Backup::parse(&backup.to_text()).unwrap().ready("SIM0001").unwrap();
+    let ready = Backup::parse(&backup.to_text()).unwrap().ready().unwrap();
     assert!(ready.iter().all(|setting| setting.how == Restored::Translated));
     let mut target = empty("SIM0001");
     restore(&mut target, &ready).unwrap();
@@ -94,23 +94,22 @@ fn damage_is_found_before_anything_is_sent() {
         let flipped = if bytes.ends_with('0') { '1' } else { '0' };
         bytes.pop();
         bytes.push(flipped);
-        assert!(matches!(damaged.ready("SIM0001"), Err(BackupError::Damaged(..))), "{name}");
+        assert!(matches!(damaged.ready(), Err(BackupError::Damaged(..))), "{name}");
     }
     let mut unknown = backup.clone();
     unknown.settings.insert("colour".into(), backup.settings["rules"].clone());
-    assert_eq!(unknown.ready("SIM0001"), Err(BackupError::UnknownSetting("colour".into())));
+    assert_eq!(unknown.ready(), Err(BackupError::UnknownSetting("colour".into())));
 }
 
 #[test]
-fn a_polarity_check_is_restored_only_to_the_board_it_was_made_with() {
+fn a_polarity_check_is_never_restored() {
     let mut backup = Backup::read(&mut full()).unwrap();
     let entry = haptic_bridge::board::settings::encode(&haptic_bridge::board::settings::Polarity(7)).unwrap();
     let bytes = entry.iter().map(|byte| format!("{byte:02x}")).collect();
     let kept = haptic::backup::Kept { version: 1, value: None, bytes };
     backup.settings.insert("polarity".into(), kept);
-    let how = |serial: &str| backup.ready(serial).unwrap().into_iter().find(|s| s.key == Key::Polarity).unwrap().how;
-    assert_eq!(how("SIM0001"), Restored::AsItWas);
-    assert_eq!(how("SIM0002"), Restored::OtherBoard);
+    let ready = backup.ready().unwrap().into_iter().find(|setting| setting.key == Key::Polarity).unwrap();
+    assert_eq!(ready.how, Restored::MadeAnew);
 }
 
 #[test]
@@ -118,7 +117,7 @@ fn a_backup_without_a_mass_model_does_not_leave_the_old_one_behind() {
     let mut backup = Backup::read(&mut full()).unwrap();
     backup.settings.remove("mass-model");
     let mut target = full();
-    restore(&mut target, &backup.ready("SIM0001").unwrap()).unwrap();
+    restore(&mut target, &backup.ready().unwrap()).unwrap();
     let entry = target.read_entry(Key::MassModel).unwrap().unwrap();
     assert_eq!(haptic_bridge::board::settings::decode::<MassModelData>(&entry), Ok(MassModelData::Exact));
 }

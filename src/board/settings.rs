@@ -29,7 +29,8 @@ pub enum Key {
     Rules = 3,
     /// The mass model.
     MassModel = 4,
-    /// The fingerprint of the device whose polarity has been checked.
+    /// The fingerprint of a device whose polarity was checked once. Kept by boards in the field and in their backups; a
+    /// check that was stored passes for none any more.
     Polarity = 5,
     /// What the board is called.
     Name = 6,

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 /// Put a backup back into the board's flash
 ///
-/// The motors must be off. The polarity check is restored only to the board that it was made with.
+/// The motors must be off. A polarity check is not restored: it has to be made anew.
 #[derive(clap::Args)]
 pub struct Args {
     /// A file that `haptic backup` wrote
@@ -24,9 +24,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let wrong = |error| Failure::wrong(format!("{place}: {error}"));
     let backup = Backup::parse(document.text()).map_err(wrong)?;
     // Damage is found before a board is looked for.
-    backup.ready("").map_err(wrong)?;
+    backup.ready().map_err(wrong)?;
     let mut board = args.port.open()?;
-    let ready = backup.ready(&board.info().serial.clone()).map_err(wrong)?;
+    let ready = backup.ready().map_err(wrong)?;
     eprintln!("writing flash: the board pauses for up to a second");
     restore(&mut board, &ready)?;
     let mut report = String::new();
@@ -34,11 +34,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         report += &match setting.how {
             Restored::AsItWas => format!("{}: restored\n", setting.key.name()),
             Restored::Translated => format!("{}: restored, in this firmware's version\n", setting.key.name()),
-            Restored::OtherBoard => format!(
-                "{}: left out, because it belongs to board {}; run `haptic polarity`\n",
-                setting.key.name(),
-                backup.serial
-            ),
+            Restored::MadeAnew => format!("{}: left out, to be made anew: `haptic polarity`\n", setting.key.name()),
         };
     }
     print(&report)
