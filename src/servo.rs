@@ -39,15 +39,15 @@ pub const TABLE_PIECE: usize = 16;
 /// Speed below which a device counts as at rest, rad/s.
 pub const REST_SPEED: f32 = 0.2;
 
-/// How the host is watched.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
+/// How the host is watched, the least watchful first.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Serialize, Deserialize, Schema)]
 pub enum HostAction {
     /// A silent host is no fault.
-    #[default]
     Ignore,
     /// The scene goes on; the fault is listed, and arming anew waits until it is cleared.
     Hold,
     /// The motors go off.
+    #[default]
     Disarm,
 }
 
@@ -70,11 +70,24 @@ impl Default for Rules {
     fn default() -> Self {
         Self {
             limits: Limits::default(),
-            host_action: HostAction::Ignore,
+            host_action: HostAction::default(),
             host_seconds: 0.5,
             passivity: false,
             index_period: [0; MAX_JOINTS],
         }
+    }
+}
+
+impl Rules {
+    /// Whether nothing that protects is looser than in `other`: such a change is safe at any time.
+    pub fn no_looser_than(&self, other: &Self) -> bool {
+        let watched = self.host_action >= other.host_action
+            && (other.host_action == HostAction::Ignore || self.host_seconds <= other.host_seconds);
+        let mut index = self.index_period.iter().zip(&other.index_period);
+        self.limits.no_higher_than(&other.limits)
+            && watched
+            && (self.passivity || !other.passivity)
+            && index.all(|(period, before)| *before == 0 || period == before)
     }
 }
 
@@ -161,6 +174,8 @@ pub struct Servo<P> {
     motion: [f32; MAX_JOINTS],
     crests: crest::Crests,
     budgets: watch::Budgets,
+    /// What heat the motors of the first program have, see [`Servo::start_heat`].
+    heat: Option<[f32; MAX_JOINTS]>,
     /// Values of the mass model's table, beside the program because one copy of them is all the memory that they get.
     table: [f32; TABLE_VALUES],
 }
@@ -194,7 +209,22 @@ where
             motion: [0.0; MAX_JOINTS],
             crests: crest::Crests::default(),
             budgets: watch::Budgets::default(),
+            heat: Some([0.0; MAX_JOINTS]),
             table: [0.0; TABLE_VALUES],
+        }
+    }
+
+    /// What the motors' heat was when this run began, A² s above what they stand for ever; `None` where nobody knows,
+    /// and then they count as half way to their budget. Without this call they are cold.
+    pub fn start_heat(&mut self, heat: Option<[f32; MAX_JOINTS]>) {
+        self.heat = heat;
+    }
+
+    /// The motors' heat, to be handed to [`Servo::start_heat`] of the run after this; `None` while nobody knows.
+    pub fn heat(&self) -> Option<[f32; MAX_JOINTS]> {
+        match &self.program {
+            Some(program) => Some(core::array::from_fn(|i| program.axes[i].heat_held())),
+            None => self.heat,
         }
     }
 
@@ -405,6 +435,11 @@ where
             }
         }
         self.limit_currents(&mut program);
+        if self.program.is_none() {
+            for (i, axis) in program.axes.iter_mut().enumerate() {
+                axis.start_from(self.heat.map(|heat| heat[i]));
+            }
+        }
         // What acts now fades into what the new scene asks for.
         self.from = self.frame.torque;
         self.ramp = 0.0;
@@ -423,7 +458,7 @@ where
 
     fn set_rules(&mut self, rules: Rules) -> Result<(), Refusal> {
         let off = matches!(self.state, State::Disarmed | State::Fault);
-        if !off && !rules.limits.no_higher_than(&self.rules.limits) {
+        if !off && !rules.no_looser_than(&self.rules) {
             return Err(Refusal::Armed);
         }
         self.rules = rules;

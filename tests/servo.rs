@@ -8,7 +8,7 @@ use haptic_bridge::render::velocity::Washout;
 use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_bridge::servo::{ARM_SECONDS, Command, Rules};
+use haptic_bridge::servo::{ARM_SECONDS, Command, HostAction, Rules};
 use rig::{RATE, Rig, five_bar, hardware, limits, paddle, rules, scene, wall};
 
 fn gains(stiffness: f32, damping: f32, feed_forward: FeedForward) -> Command<rig::Held> {
@@ -247,6 +247,53 @@ fn limits_are_raised_only_with_the_motors_off_and_lowered_at_any_time() {
         assert_eq!(rig.execute(changed(1.0)), Err(Refusal::Armed), "{name}: back up again");
         rig.execute(Command::Disarm).unwrap();
         assert_eq!(rig.execute(changed(1.0)), Ok(()), "{name}");
+    }
+}
+
+#[test]
+fn what_protects_can_only_be_tightened_while_the_motors_are_on() {
+    let watched = Rules {
+        host_action: HostAction::Disarm,
+        host_seconds: 0.5,
+        passivity: true,
+        index_period: [60_000, 0, 0],
+        ..rules()
+    };
+    type Change = fn(&mut Rules);
+    let looser: [(&str, Change); 6] = [
+        ("no host watch", |rules| rules.host_action = HostAction::Ignore),
+        ("a host only listed", |rules| rules.host_action = HostAction::Hold),
+        ("a longer silence", |rules| rules.host_seconds = 0.6),
+        ("no passivity", |rules| rules.passivity = false),
+        ("no index", |rules| rules.index_period[0] = 0),
+        ("another index", |rules| rules.index_period[0] = 30_000),
+    ];
+    let tighter: [(&str, Change); 3] = [
+        ("a shorter silence", |rules| rules.host_seconds = 0.4),
+        ("an index more", |rules| rules.index_period[1] = 60_000),
+        ("the same", |_| ()),
+    ];
+    let changed = |change: Change| {
+        let mut rules = watched;
+        change(&mut rules);
+        Command::Rules(rules)
+    };
+    let mut rig = Rig::with(&paddle(), &scene(1, &[]), hardware(), watched);
+    rig.arm();
+    for (name, change) in looser {
+        assert_eq!(rig.execute(changed(change)), Err(Refusal::Armed), "{name}");
+    }
+    rig.run(0.4);
+    assert_eq!(rig.state(), State::Armed);
+    rig.run(0.2);
+    assert_eq!(rig.fault(), Some(Fault::HostLost), "the refused rules are not in force");
+    rig.execute(Command::Clear).unwrap();
+    rig.arm();
+    for (name, change) in tighter {
+        assert_eq!(rig.execute(changed(change)), Ok(()), "{name}");
+        rig.execute(Command::Disarm).unwrap();
+        rig.execute(Command::Rules(watched)).unwrap();
+        rig.arm();
     }
 }
 

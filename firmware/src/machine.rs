@@ -24,6 +24,7 @@ use crate::clock::TIMER_HZ;
 use crate::servo::{self, Answer, Request};
 use crate::stack;
 use crate::storage::Storage;
+use crate::warmth;
 use crate::watchdog;
 
 /// Programs that exist at most: the one that runs and the one that replaces it.
@@ -66,6 +67,10 @@ impl Panel {
         let _ = self.requests.enqueue(request);
         loop {
             if let Some(answer) = self.answers.dequeue() {
+                // At every look at the servo, a few times a second, what a reset must not cool is put where it stays.
+                if let Some(heat) = answer.heat {
+                    warmth::keep(heat);
+                }
                 return answer;
             }
         }

@@ -24,6 +24,7 @@ mod stack;
 mod storage;
 mod supervisor;
 mod telemetry;
+mod warmth;
 mod watchdog;
 
 use defmt_rtt as _;
@@ -65,7 +66,7 @@ async fn main(spawner: Spawner) {
     let rules = Rules { limits: board::LIMITS, ..Rules::default() };
     let carrier = Carrier::for_rate(clock::TIMER_HZ, CARRIER_MIN_HZ as f32);
     let (io, gate, common) = board::split(chip, carrier);
-    let servo = servo::start(io, hardware, rules);
+    let servo = servo::start(io, hardware, rules, warmth::take());
     let storage = storage::open(common.flash);
     let serial_number = link::serial_number();
     let panel = Panel::new(servo, gate, storage, serial_number, carrier);

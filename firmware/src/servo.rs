@@ -18,6 +18,7 @@ use embassy_stm32::interrupt::InterruptExt;
 use embassy_stm32::pac;
 use embassy_stm32::pac::timer::vals::Dir;
 use haptic_bridge::drive::carrier::Carrier;
+use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::compiled::{self, BoardProgram, BoardServo};
 use haptic_bridge::servo::frame::{Crest, Frame, Samples};
@@ -45,6 +46,8 @@ pub struct Answer {
     pub reply: Reply<BoardProgram>,
     /// The servo's state after it.
     pub status: Status,
+    /// The motors' heat, A² s, where it is known.
+    pub heat: Option<[f32; MAX_JOINTS]>,
 }
 
 /// Most requests and answers under way.
@@ -103,8 +106,9 @@ unsafe impl<T> Sync for Owned<T> {}
 
 static STEP: Owned<Step> = Owned(UnsafeCell::new(None));
 
-/// Gives the board to the control interrupt and starts the carrier. Call once.
-pub fn start(mut io: Io, hardware: Hardware, rules: Rules) -> Link {
+/// Gives the board to the control interrupt and starts the carrier; `heat` is what the run before left of it in the
+/// motors. Call once.
+pub fn start(mut io: Io, hardware: Hardware, rules: Rules, heat: Option<[f32; MAX_JOINTS]>) -> Link {
     static REQUEST_QUEUE: StaticCell<Queue<Request, REQUESTS>> = StaticCell::new();
     static ANSWER_QUEUE: StaticCell<Queue<Answer, REQUESTS>> = StaticCell::new();
     static FRAME_QUEUE: StaticCell<Queue<Frame, FRAMES>> = StaticCell::new();
@@ -113,7 +117,8 @@ pub fn start(mut io: Io, hardware: Hardware, rules: Rules) -> Link {
     let (frames, from_steps) = FRAME_QUEUE.init(Queue::new()).split();
 
     io.start();
-    let servo = BoardServo::new(hardware, rules);
+    let mut servo = BoardServo::new(hardware, rules);
+    servo.start_heat(heat);
     let step = Step { io, servo, requests, answers, frames, countdown: 1, driving: false, overrun: false };
     // SAFETY: the interrupt is not enabled yet.
     unsafe { *STEP.0.get() = Some(step) };
@@ -196,7 +201,7 @@ impl Step {
         if !matches!(status.state, State::Armed | State::CheckingPolarity) {
             self.connect(false);
         }
-        let _ = self.answers.enqueue(Answer { reply, status });
+        let _ = self.answers.enqueue(Answer { reply, status, heat: self.servo.heat() });
     }
 
     /// Connects the bridges or lets them float. Floating drops the gate drivers as well; connecting needs them ready.

@@ -16,7 +16,7 @@ use crate::render::velocity::{Coefficients, Washout};
 use crate::safety::fault::{FaultRecord, State};
 use crate::safety::refusal::Refusal;
 use crate::servo::program::{Hardware, Program};
-use crate::servo::{Command, Reply, Rules, Status, TABLE_PIECE};
+use crate::servo::{Command, HostAction, Reply, Rules, Status, TABLE_PIECE};
 use core::ops::DerefMut;
 use heapless::Vec;
 
@@ -58,6 +58,8 @@ pub struct Service {
     receiving: Receiving,
     rules: Rules,
     name: Name,
+    /// The device whose polarity was found right since the board started. What flash says of earlier checks does not
+    /// count: wires are changed while a board is without power.
     polarity: Option<u32>,
     damage: Vec<(Key, Damage), 6>,
     faults: FaultList,
@@ -74,7 +76,12 @@ impl Service {
             scene: None,
             mass: MassModelData::Exact,
             receiving: Receiving::default(),
-            rules: Rules { limits: most, ..Rules::default() },
+            rules: Rules {
+                limits: most,
+                // Where no motor can hurt anyone there is nothing to switch off.
+                host_action: if hardware.real { HostAction::Disarm } else { HostAction::Ignore },
+                ..Rules::default()
+            },
             name: Name::new(),
             polarity: None,
             damage: Vec::new(),
@@ -97,7 +104,6 @@ impl Service {
         if let Some(mass) = self.read(machine).filter(|mass| !matches!(mass, MassModelData::Table(..))) {
             self.mass = mass;
         }
-        self.polarity = self.read::<Polarity>(machine).map(|Polarity(fingerprint)| fingerprint);
         let scene = self.read::<Scene<f32>>(machine);
         if let Some(device) = self.read::<Device<f32>>(machine)
             && self.set_device_keeping_mass(machine, device.clone()).is_err()
@@ -404,10 +410,6 @@ impl Service {
             MassModelData::Table(..) => stage(machine, &MassModelData::Exact, &mut keys)?,
             kept => stage(machine, kept, &mut keys)?,
         }
-        // The fingerprint of no device takes the place of a check that is no longer true.
-        if self.polarity.is_some() || machine.load(Key::Polarity).is_some() {
-            stage(machine, &Polarity(self.polarity.unwrap_or_default()), &mut keys)?;
-        }
         stage(machine, &BoardName(self.name.clone()), &mut keys)?;
         if keys.is_empty() { Ok(()) } else { machine.commit(&keys) }
     }
@@ -442,7 +444,6 @@ impl Service {
         let device: Option<Device<f32>> = self.taken(machine, keys)?;
         let scene: Option<Scene<f32>> = self.taken(machine, keys)?;
         let mass: Option<MassModelData> = self.taken(machine, keys)?;
-        let polarity: Option<Polarity> = self.taken(machine, keys)?;
         let name: Option<BoardName> = self.taken(machine, keys)?;
 
         let rules = rules.unwrap_or(self.rules);
@@ -466,7 +467,6 @@ impl Service {
             machine.commit(keys)?;
             machine.execute(Command::Rules(rules)).0?;
             (self.rules, self.name) = (rules, name.map_or(self.name.clone(), |BoardName(name)| name));
-            self.polarity = polarity.map_or(self.polarity, |Polarity(fingerprint)| Some(fingerprint));
             return Ok(());
         };
         let task = device.mechanism.kind().spec().task;
@@ -493,9 +493,6 @@ impl Service {
         (self.rules, self.mass, self.scene) = (rules, mass, scene);
         if let Some(BoardName(name)) = name {
             self.name = name;
-        }
-        if let Some(Polarity(fingerprint)) = polarity {
-            self.polarity = Some(fingerprint);
         }
         if !same_device && self.polarity.is_some() && self.polarity == fingerprint(&device) {
             machine.execute(Command::PolarityKnown).0?;

@@ -269,6 +269,18 @@ impl Axis {
         *self = Self { heat, heat_rest, integrator, reached, expected, missing, recent, target, ..*self };
     }
 
+    /// What the motor model holds, A² s above what the motor stands for ever.
+    pub fn heat_held(&self) -> f32 {
+        self.heat
+    }
+
+    /// Starts the motor model from what another run left, or, where nothing is known, half way to its budget.
+    pub fn start_from(&mut self, heat: Option<f32>) {
+        let unknown = if self.heat_budget.is_finite() { 0.5 * self.heat_budget } else { 0.0 };
+        self.heat = heat.filter(|heat| heat.is_finite() && *heat >= 0.0).unwrap_or(unknown);
+        self.heat_rest = 0.0;
+    }
+
     /// Torque (N m) at the current limit.
     pub fn max_torque(&self) -> f32 {
         self.max_current * self.torque_per_amp.abs()

@@ -218,11 +218,11 @@ impl Board {
     /// Answers a frame, decoded from COBS, and carries out what is left to do.
     pub fn answer(&mut self, frame: &[u8]) -> Option<Vec<u8>> {
         let mut out = [0; MAX_FRAME];
-        let before = (self.state(), self.service.rules().limits);
+        let before = (self.state(), *self.service.rules());
         let (answer, after) = dispatch::answer(&mut self.service, &mut self.machine, frame, &mut out);
         let answer = answer.map(<[u8]>::to_vec);
         if driving(before.0) && driving(self.state()) {
-            assert!(self.service.rules().limits.no_higher_than(&before.1), "limits raised while the motors are on");
+            assert!(self.service.rules().no_looser_than(&before.1), "rules loosened while the motors are on");
         }
         self.keeps_its_promises();
         match after {

@@ -16,7 +16,7 @@ use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::frame::{Crest, Outputs, Samples};
 use haptic_bridge::servo::program::Hardware;
 use haptic_bridge::servo::program::Program;
-use haptic_bridge::servo::{Command, Rules, Servo};
+use haptic_bridge::servo::{Command, HostAction, Rules, Servo};
 
 pub mod board;
 
@@ -40,7 +40,7 @@ pub fn hardware() -> Hardware {
 
 /// Rules with every limit in reach of a test.
 pub fn rules() -> Rules {
-    Rules { limits: limits(), ..Rules::default() }
+    Rules { limits: limits(), host_action: HostAction::Ignore, ..Rules::default() }
 }
 
 pub fn limits() -> Limits {

@@ -25,6 +25,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if board.details()?.real && !args.yes {
         confirm("each joint will be moved by a small torque; is the device free to move and are hands off it? [y/N] ")?;
     }
+    board.keep_alive();
     board.check_polarity()?;
     loop {
         // Waiting for telemetry is waiting: there is none, and a simulated board's time passes meanwhile.

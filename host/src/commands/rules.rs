@@ -8,8 +8,8 @@ use haptic_bridge::servo::{HostAction, Rules};
 
 /// Show or change the limits and rules that the board enforces
 ///
-/// What is not named stays as it is. Limits can be lowered at any time and raised only with the motors off, never above
-/// the board's own. `haptic save` keeps them over a power cycle.
+/// What is not named stays as it is. Limits can be lowered and the host be watched more closely at any time; the other
+/// way only with the motors off, and never above the board's own limits. `haptic save` keeps them over a power cycle.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -98,7 +98,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if rules != before {
         board.set_rules(&rules)?;
     }
-    print(&in_words(&board.rules()?))
+    let now = board.rules()?;
+    if now.host_action != HostAction::Disarm && before.host_action == HostAction::Disarm {
+        eprintln!(
+            "the host is no longer watched: if this tool is killed or its cable pulled, the motors stay on as they are"
+        );
+    }
+    print(&in_words(&now))
 }
 
 /// Puts what was given for the first joints in its place.

@@ -28,6 +28,9 @@ pub struct Args {
     /// Rows per second, at most the control rate [default: 10 on the terminal, 1000 to a file]
     #[arg(long, value_name = "HZ", value_parser = positive)]
     rate: Option<f64>,
+    /// Switch the motors on once rows come, and off at the end
+    #[arg(long)]
+    arm: bool,
     /// Stop after so many seconds of the board's time [default: until Ctrl-C]
     #[arg(long, value_name = "SECONDS", value_parser = positive)]
     seconds: Option<f64>,
@@ -73,6 +76,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let stop = interrupt::watch();
     board.keep_alive();
     board.start_stream(args.fields, divider)?;
+    if args.arm {
+        board.arm()?;
+    }
     let mut follow = Follow { rate_hz, first_step: None, shown: Losses::default(), last_note: board.now() };
     let ended = loop {
         if stop.is_set() {
@@ -93,7 +99,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
             }
         }
     };
-    finish(ended, board, sink, args.csv)
+    // Motors first: what may go wrong with a file comes after that.
+    let disarmed = match ended {
+        Ended::BoardLost(_) => Ok(()),
+        _ if args.arm => board.disarm(),
+        _ => Ok(()),
+    };
+    finish(ended, board, sink, args.csv).and(disarmed.map_err(Failure::from))
 }
 
 /// How the stream came to its end.

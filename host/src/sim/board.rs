@@ -427,7 +427,10 @@ impl SimulatedBoard {
     /// What pressing reset does: flash stays, everything else starts anew, motors off.
     fn restart(&mut self) {
         self.innards.staged.clear();
+        // RAM is not cleared, and motors do not cool by a reset.
+        let heat = self.innards.servo.heat();
         self.innards.servo = Servo::new(self.hardware, Rules::default());
+        self.innards.servo.start_heat(heat);
         self.service = Service::new(self.hardware, Limits::default());
         self.drive = [Drive::Floating; 3];
         self.bridges = false;
