@@ -363,6 +363,42 @@ pub fn injection(fault: Fault) -> Injection {
             },
             5,
         ),
+        Fault::CurrentSensor => chip(
+            "one of a motor's two shunts shows nothing",
+            in_contact,
+            |rig| {
+                rig.with(|bench| bench.hardware().broken.sensor_gain[0] = 0.0);
+            },
+            5,
+        ),
+        Fault::MotorModel => chip(
+            "both current sensors of a motor show nothing",
+            in_contact,
+            |rig| {
+                rig.with(|bench| {
+                    bench.hardware().broken.sensor_gain[0] = 0.0;
+                    bench.hardware().broken.sensor_gain[1] = 0.0;
+                });
+            },
+            5,
+        ),
+        Fault::DriverReset => chip(
+            "a gate driver forgets its registers where nothing pushes",
+            free,
+            |rig| {
+                rig.with(|bench| bench.hardware().driver(0).forget());
+            },
+            50,
+        ),
+        Fault::StrayCurrent => chip(
+            "a bridge that stands at 20 % before arming",
+            disarmed,
+            |rig| {
+                rig.with(|bench| bench.hardware().broken.stuck_on[0] = Some(0.2));
+                let _ = rig.tool.check_polarity();
+            },
+            500,
+        ),
     }
 }
 

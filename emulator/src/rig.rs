@@ -6,6 +6,7 @@ use haptic::scene_file::SceneFile;
 use haptic::sim::{Bridge, Device, Options};
 use haptic_bridge::model::device::Device as DeviceData;
 use haptic_bridge::safety::fault::State;
+use haptic_bridge::servo::{HostAction, Rules};
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -111,7 +112,9 @@ impl Rig {
         assert!(board.run_until(2 * SECOND, MILLISECOND, |bench| bench.usb().ready()), "no USB after two seconds");
         let shared = Shared::new(board);
         let tool = Board::over(shared.wire(), "virtual").unwrap_or_else(|error| panic!("{error}"));
-        Self { kind, shared, tool, file }
+        let mut rig = Self { kind, shared, tool, file };
+        rig.watch_nobody();
+        rig
     }
 
     /// The board after a press of its reset button, the tool connected again.
@@ -130,7 +133,19 @@ impl Rig {
             board.with(|bench| bench.usb().take());
         }
         let tool = Board::over(shared.wire(), "virtual").unwrap_or_else(|error| panic!("{error}"));
-        Self { kind, shared, tool, file }
+        let mut rig = Self { kind, shared, tool, file };
+        rig.watch_nobody();
+        rig
+    }
+
+    /// Tells the board not to watch its host: virtual time passes without one.
+    ///
+    /// # Panics
+    ///
+    /// When the board refuses.
+    pub fn watch_nobody(&mut self) {
+        let rules = self.tool.rules().expect("the board answers");
+        self.tool.set_rules(&Rules { host_action: HostAction::Ignore, ..rules }).expect("the motors are off");
     }
 
     /// Loads the device at the connectors, and a scene.
