@@ -3,6 +3,7 @@
 //!
 //! Nothing here talks to a board: a pose, a direction and a few numbers about the loop go in, predictions come out.
 //!
+//! - [`cut`]: the plane of that map that is drawn, in tiles
 //! - [`map`]: inertia over the workspace: what `haptic map` prints
 //! - [`passivity`]: the classical bounds of walls that no hand can make oscillate
 //! - [`plant`]: the device linearised at a pose, its joint damping and its drives, in continuous time
@@ -16,6 +17,7 @@
 //! theory as in Åström and Wittenmark, *Computer-Controlled Systems*, chapters 2 and 3.
 
 pub mod boundary;
+pub mod cut;
 mod eigenvalues;
 pub mod map;
 pub mod passivity;

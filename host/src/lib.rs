@@ -52,4 +52,5 @@ pub mod precision;
 pub mod recorder;
 pub mod scene_file;
 pub mod sim;
+pub mod skeleton;
 pub mod toml_file;

@@ -3,7 +3,9 @@
 //! - [`canvas`]: an SVG document and its few shapes
 //! - [`axes`]: a framed coordinate system with round ticks, curves, dots with error bars, and a legend
 //! - [`colour`]: the palette, and a colour scale that reads the same in print
+//! - [`linkage`]: a device's links and joints
 //! - [`map`]: inertia over the workspace (the paper's Fig. 1)
+//! - [`paddle`]: what a map is to a device with one joint
 //! - [`range`]: the stable domain of a device (the paper's Fig. 3)
 //!
 //! PNG is rendered by resvg with the DejaVu fonts compiled in, so a picture looks the same on every machine.
@@ -11,7 +13,9 @@
 pub mod axes;
 pub mod canvas;
 pub mod colour;
+pub mod linkage;
 pub mod map;
+pub mod paddle;
 pub mod range;
 
 use std::path::Path;

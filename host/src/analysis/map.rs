@@ -10,7 +10,7 @@
 
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
-use haptic_bridge::model::device::Device;
+use haptic_bridge::model::device::{Device, Joint};
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use serde::Serialize;
 
@@ -54,15 +54,28 @@ pub struct MapPoint {
     pub eigenvectors: Vec<Vec<f64>>,
 }
 
+/// What stays fixed while the other joints sweep a plane.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Held {
+    /// A joint at an angle, rad.
+    Joint(usize, f64),
+    /// The redundant arm's orientation φ, rad: its last joint follows the others, so that each tip appears once.
+    Orientation(f64),
+}
+
 /// A grid over the joints, and which of its poses can be reached.
 #[derive(Clone, Debug)]
 pub struct Reachable {
-    /// Angles of the grid along each joint, rad.
+    /// Angles of the grid along each joint, rad; one angle where a joint does not sweep.
     pub axes: Vec<Vec<f64>>,
     /// The joints whose grid closes on itself.
-    wraps: Vec<bool>,
+    pub wraps: Vec<bool>,
     /// Reached, by flat index, joint 0 slowest.
     reached: Vec<bool>,
+    held: Option<Held>,
+    device: Device<f64>,
+    /// On which side of the singularities the reached poses lie.
+    side: Option<bool>,
 }
 
 /// Evaluates one pose; `None` where it is singular.
@@ -71,15 +84,21 @@ pub fn at(description: &Description, q: &[f64], normal: &DVector<f64>) -> Result
     Ok(evaluate(&pose, q, normal))
 }
 
+/// Weff and Wrr (kg) along a normal of N entries; `None` where a singularity makes them infinite.
+pub fn along(pose: &TaskPose, normal: &DVector<f64>) -> Option<(f64, f64)> {
+    let force = pose.jacobian.tr_mul(normal);
+    let w_eff = 1.0 / force.dot(&pose.mass.clone().cholesky()?.solve(&force));
+    let w_rr = normal.dot(&(&pose.operational * normal));
+    (w_eff.is_finite() && w_rr.is_finite()).then_some((w_eff, w_rr))
+}
+
 fn evaluate(pose: &TaskPose, q: &[f64], normal: &DVector<f64>) -> Option<MapPoint> {
     let d = pose.task;
     let mobility = &pose.jacobian * pose.mass.clone().cholesky()?.solve(&pose.jacobian.transpose());
     let held = pose.operational.view((0, 0), (d, d)).into_owned();
     let free = mobility.view((0, 0), (d, d)).into_owned();
-    let n = normal.rows(0, d).into_owned();
     let quadratic = |m: &DMatrix<f64>, n: &DVector<f64>| n.dot(&(m * n));
-    let w_rr = quadratic(&held, &n);
-    let w_eff = 1.0 / quadratic(&free, &n);
+    let (w_eff, w_rr) = along(pose, normal)?;
 
     let axes = SymmetricEigen::new(free.clone().cholesky()?.inverse());
     let mut order: Vec<usize> = (0..d).collect();
@@ -159,6 +178,13 @@ fn searched(value: impl Fn(&DVector<f64>) -> f64) -> Worst {
 
 /// Whether a pose may be walked through, and on which side of the singularities it lies.
 fn side(device: &Device<f64>, q: &[f64]) -> Result<Option<bool>, PoseError> {
+    // A grid angle that is meant to lie on a limit may be rounded to beyond it.
+    let allowed = |(angle, joint): (&f64, &Joint<f64>)| {
+        joint.limits.is_none_or(|(low, high)| (low - 1e-9..=high + 1e-9).contains(angle))
+    };
+    if !q.iter().zip(&device.joints).all(allowed) {
+        return Ok(None);
+    }
     let pose = TaskPose::of(&device.mechanism, q)?;
     let regular = pose.regularity.serial >= WALKABLE_SINE && pose.regularity.parallel >= WALKABLE_SINE;
     Ok(regular.then(|| pose.jacobian.determinant() > 0.0))
@@ -166,24 +192,24 @@ fn side(device: &Device<f64>, q: &[f64]) -> Result<Option<bool>, PoseError> {
 
 impl Reachable {
     /// Floods a grid of `per_joint` angles per joint from the home pose (or, without one, the most regular pose).
-    /// `held` fixes one joint at an angle.
-    pub fn from_home(
-        description: &Description,
-        per_joint: usize,
-        held: Option<(usize, f64)>,
-    ) -> Result<Self, PoseError> {
+    /// `held` leaves a plane of them.
+    pub fn from_home(description: &Description, per_joint: usize, held: Option<Held>) -> Result<Self, PoseError> {
         Self::of(&Device::new("", description)?, per_joint, held)
     }
 
     /// As [`Reachable::from_home`], of a device that is lumped already.
-    pub fn of(device: &Device<f64>, per_joint: usize, held: Option<(usize, f64)>) -> Result<Self, PoseError> {
+    pub fn of(device: &Device<f64>, per_joint: usize, held: Option<Held>) -> Result<Self, PoseError> {
         let spec = device.mechanism.kind().spec();
         let mut axes = Vec::new();
         let mut wraps = Vec::new();
         for joint in 0..spec.joints {
             match (held, device.joints[joint].limits) {
-                (Some((at, angle)), _) if at == joint => {
+                (Some(Held::Joint(at, angle)), _) if at == joint => {
                     axes.push(vec![angle]);
+                    wraps.push(false);
+                }
+                (Some(Held::Orientation(_)), _) if joint + 1 == spec.joints => {
+                    axes.push(vec![0.0]);
                     wraps.push(false);
                 }
                 (_, Some((low, high))) => {
@@ -199,7 +225,7 @@ impl Reachable {
                 }
             }
         }
-        let mut grid = Self { axes, wraps, reached: Vec::new() };
+        let mut grid = Self { axes, wraps, reached: Vec::new(), held, device: device.clone(), side: None };
         grid.flood(device)?;
         Ok(grid)
     }
@@ -219,6 +245,7 @@ impl Reachable {
         let Some(start) = (0..count).filter(|&i| sides[i].is_some()).min_by(|&a, &b| far(a).total_cmp(&far(b))) else {
             return Ok(());
         };
+        self.side = sides[start];
         let mut waiting = vec![start];
         self.reached[start] = true;
         while let Some(index) = waiting.pop() {
@@ -239,7 +266,28 @@ impl Reachable {
             q[joint] = self.axes[joint][index % self.axes[joint].len()];
             index /= self.axes[joint].len();
         }
+        self.complete(&mut q);
         q
+    }
+
+    /// Fills in the joint that follows the others, within its limits where a whole turn brings it there.
+    pub fn complete(&self, q: &mut [f64]) {
+        let Some(Held::Orientation(phi)) = self.held else { return };
+        let Some((last, others)) = q.split_last_mut() else { return };
+        let turn = std::f64::consts::TAU;
+        let angle = phi - others.iter().sum::<f64>();
+        let low = self.device.joints[others.len()].limits.map_or(-std::f64::consts::PI, |limits| limits.0);
+        *last = low + (angle - low).rem_euclid(turn);
+    }
+
+    /// Whether `q` (rad) is a pose on the reached side of the singularities, and within the limits.
+    pub fn walkable(&self, q: &[f64]) -> bool {
+        self.side.is_some() && side(&self.device, q).is_ok_and(|found| found == self.side)
+    }
+
+    /// Whether the pose of a flat index was reached.
+    pub fn is_reached(&self, index: usize) -> bool {
+        self.reached.get(index) == Some(&true)
     }
 
     /// Flat indices of the reached poses.

@@ -98,10 +98,17 @@ impl Canvas {
         self.push(format_args!(r#"<polygon points="{points}" fill="{fill}" fill-opacity="{opacity}"/>"#));
     }
 
-    /// A small filled area outlined in its own colour, so that no seam shows between neighbours.
-    pub fn cell(&mut self, points: &[(f64, f64)], fill: &str) {
-        let points = points.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect::<Vec<_>>().join(" ");
-        self.push(format_args!(r#"<polygon points="{points}" fill="{fill}" stroke="{fill}" stroke-width=".6"/>"#));
+    /// Filled areas of one colour, outlined in it so that no seam shows between neighbours.
+    pub fn tiles(&mut self, outlines: &[Vec<(f64, f64)>], fill: &str) {
+        let mut path = String::new();
+        for outline in outlines {
+            for (i, (x, y)) in outline.iter().enumerate() {
+                // Writing to a String cannot fail.
+                let _ = write!(path, "{}{x:.1} {y:.1}", if i == 0 { "M" } else { "L" });
+            }
+            path.push('Z');
+        }
+        self.push(format_args!(r#"<path d="{path}" fill="{fill}" stroke="{fill}" stroke-width=".6"/>"#));
     }
 
     /// A rectangle, filled and (with a width above zero) outlined.
@@ -117,6 +124,22 @@ impl Canvas {
     pub fn circle(&mut self, at: (f64, f64), radius: f64, fill: &str, stroke: Stroke<'_>) {
         let style = stroke.attributes();
         self.push(format_args!(r#"<circle cx="{:.2}" cy="{:.2}" r="{radius}" fill="{fill}" {style}/>"#, at.0, at.1));
+    }
+
+    /// Text of 11 pixels centred on a point, turned by `degrees` clockwise.
+    pub fn slanted_text(&mut self, at: (f64, f64), degrees: f64, text: &str) {
+        let text = escaped(text);
+        self.push(format_args!(
+            r#"<text transform="translate({:.2} {:.2}) rotate({degrees:.2})" font-size="11" text-anchor="middle">{text}</text>"#,
+            at.0, at.1
+        ));
+    }
+
+    /// Text of `size` pixels in a colour.
+    pub fn coloured_text(&mut self, at: (f64, f64), size: f64, anchor: Anchor, colour: &str, text: &str) {
+        self.push(format_args!(r#"<g fill="{colour}">"#));
+        self.text(at, size, anchor, false, text);
+        self.push(format_args!("</g>"));
     }
 
     /// Text of `size` pixels; `turned` by -90° where it labels a vertical axis.

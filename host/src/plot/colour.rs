@@ -15,6 +15,9 @@ pub const INK: &str = "#222222";
 /// What should stay behind.
 pub const FAINT: &str = "#9a9a9a";
 
+/// Above the end of the scale.
+pub const ABOVE: &str = "#f4a58a";
+
 /// Viridis at even steps.
 const SCALE: [(u8, u8, u8); 11] = [
     (68, 1, 84),

@@ -1,0 +1,246 @@
+//! The plane of the workspace that a map shows, in tiles fine enough to see: the numbers of [`super::map`] between its
+//! grid poses.
+//!
+//! Two joints sweep the plane from home, within their limits and up to the singularities, exactly as the map's grid is
+//! flooded. Every corner of a tile is a pose that was evaluated; nothing is interpolated between tiles.
+//!
+//! A device on a turret is cut at joint 0 = 0 (or, if its limits exclude that, at home's joint 0) and looked at in its
+//! linkage's plane. The redundant arm keeps the orientation it has at home.
+
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::device::Device;
+use nalgebra::DVector;
+
+use super::map::{Held, MapPoint, Reachable, along, at};
+use super::pose::{PoseError, TaskPose, unit_normal};
+use crate::skeleton::{Point, Turret};
+
+/// Grid angles per swept joint before tiles are divided.
+const GRID: usize = 64;
+/// How often a tile is halved at most; at its last size a tile on the edge is cut where the workspace ends.
+const DEPTH: usize = 4;
+/// The same for tiles on the edge: two halvings leave 1.4° of a whole turn, which a straight cut follows.
+const EDGE_DEPTH: usize = 2;
+
+/// One pose of the plane.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Node {
+    /// Angles of the two swept joints, rad.
+    pub swept: [f64; 2],
+    /// Tip in the linkage's plane, m.
+    pub place: Point,
+    /// The coupling's share of the rendered inertia, (Wrr - Weff)/Wrr.
+    pub share: f64,
+}
+
+/// A piece of the plane.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tile {
+    /// Its outline, m.
+    pub outline: Vec<Point>,
+    /// Mean share at its corners.
+    pub share: f64,
+}
+
+impl Tile {
+    /// m²
+    pub fn area(&self) -> f64 {
+        let next = self.outline.iter().cycle().skip(1);
+        let twice: f64 = self.outline.iter().zip(next).map(|(a, b)| a.0 * b.1 - b.0 * a.1).sum();
+        twice.abs() / 2.0
+    }
+}
+
+/// How finely the plane is divided.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fineness {
+    /// Largest side of a tile, m.
+    pub side: f64,
+    /// Tiles of this size are not divided for their shares' sake, m.
+    pub least: f64,
+    /// Largest difference of the share between a tile's corners, where it is below `top`.
+    pub step: f64,
+    /// Shares above this are all the same.
+    pub top: f64,
+}
+
+/// The drawn plane of one device and normal.
+#[derive(Clone, Debug)]
+pub struct Cut {
+    description: Description,
+    device: Device<f64>,
+    reachable: Reachable,
+    swept: [usize; 2],
+    /// What is held, in words; empty when nothing is.
+    pub caption: String,
+    normal: DVector<f64>,
+    /// The plane's x and y in the task's frame.
+    axes: [[f64; 3]; 2],
+}
+
+impl Cut {
+    /// The plane of a device with at least two joints, for a normal of d entries.
+    pub fn new(description: &Description, normal: &[f64]) -> Result<Self, PoseError> {
+        let spec = description.kind.spec();
+        let device = Device::new("", description)?;
+        let home = description.home.unwrap_or_default();
+        let (held, swept, caption) = match (spec.joints, spec.task) {
+            (3, 3) => {
+                let allowed = |angle: &f64| device.joints[0].limits.is_none_or(|(l, h)| (l..=h).contains(angle));
+                let middle = device.joints[0].limits.map_or(0.0, |(l, h)| (l + h) / 2.0);
+                let angle = [0.0, home[0]].into_iter().find(allowed).unwrap_or(middle);
+                (Some(Held::Joint(0, angle)), [1, 2], format!("joint 0 at {angle:.3} rad"))
+            }
+            (3, _) => {
+                let phi: f64 = home.iter().sum();
+                (Some(Held::Orientation(phi)), [0, 1], format!("orientation held at {phi:.3} rad, as at home"))
+            }
+            _ => (None, [0, 1], String::new()),
+        };
+        let turned = if let Some(Held::Joint(_, angle)) = held { angle } else { 0.0 };
+        let (sin, cos) = turned.sin_cos();
+        let axes = match Turret::of(description.kind) {
+            Some(Turret::AboutX) => [[1.0, 0.0, 0.0], [0.0, cos, sin]],
+            Some(Turret::AboutY) => [[cos, 0.0, -sin], [0.0, 1.0, 0.0]],
+            None => [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        };
+        let reachable = Reachable::of(&device, GRID, held)?;
+        let normal = unit_normal(normal, spec.task, spec.joints)?;
+        Ok(Self { description: *description, device, reachable, swept, caption, normal, axes })
+    }
+
+    /// A task vector as seen in the plane.
+    pub fn seen(&self, vector: &[f64]) -> Point {
+        let on = |axis: &[f64; 3]| vector.iter().zip(axis).map(|(v, a)| v * a).sum();
+        (on(&self.axes[0]), on(&self.axes[1]))
+    }
+
+    /// Joint angles of two swept ones, rad.
+    pub fn q(&self, swept: [f64; 2]) -> Vec<f64> {
+        let mut q: Vec<f64> = self.reachable.axes.iter().map(|axis| axis[0]).collect();
+        q[self.swept[0]] = swept[0];
+        q[self.swept[1]] = swept[1];
+        self.reachable.complete(&mut q);
+        q
+    }
+
+    /// The pose at two swept angles, where the device can be.
+    pub fn node(&self, swept: [f64; 2]) -> Option<Node> {
+        let q = self.q(swept);
+        self.reachable.walkable(&q).then(|| self.evaluated(&q, swept)).flatten()
+    }
+
+    fn evaluated(&self, q: &[f64], swept: [f64; 2]) -> Option<Node> {
+        let pose = TaskPose::of(&self.device.mechanism, q).ok()?;
+        let (w_eff, w_rr) = along(&pose, &self.normal)?;
+        Some(Node { swept, place: self.seen(&pose.position), share: ((w_rr - w_eff) / w_rr).max(0.0) })
+    }
+
+    /// Everything about the reached grid poses at the places that are `wanted`.
+    pub fn points(&self, wanted: impl Fn(Point) -> bool) -> Result<Vec<MapPoint>, PoseError> {
+        let angles = self.reachable.indices().map(|index| self.reachable.angles(index));
+        let there =
+            |q: &Vec<f64>| TaskPose::of(&self.device.mechanism, q).is_ok_and(|pose| wanted(self.seen(&pose.position)));
+        angles.filter(there).filter_map(|q| at(&self.description, &q, &self.normal).transpose()).collect()
+    }
+
+    /// The plane in tiles.
+    pub fn tiles(&self, fineness: Fineness) -> Vec<Tile> {
+        let mut tiles = Vec::new();
+        for corners in self.cells() {
+            self.divide(corners, &fineness, 0, &mut tiles);
+        }
+        tiles
+    }
+
+    /// The cells of the grid with at least one reached corner: the swept angles of the corners, and what is there.
+    fn cells(&self) -> Vec<[Corner; 4]> {
+        let [first, second] = self.swept.map(|joint| &self.reachable.axes[joint]);
+        let ends =
+            |axis: &Vec<f64>, joint: usize| if self.reachable.wraps[joint] { axis.len() } else { axis.len() - 1 };
+        let angle = |axis: &Vec<f64>, i: usize| match axis.get(i) {
+            Some(angle) => *angle,
+            // Once round: the first angle again, a turn on.
+            None => axis[0] + std::f64::consts::TAU,
+        };
+        let corner = |i: usize, j: usize| {
+            let swept = [angle(first, i), angle(second, j)];
+            let index = (i % first.len()) * second.len() + j % second.len();
+            let node = self.reachable.is_reached(index).then(|| self.evaluated(&self.q(swept), swept)).flatten();
+            Corner { swept, node }
+        };
+        let mut cells = Vec::new();
+        for i in 0..ends(first, self.swept[0]) {
+            for j in 0..ends(second, self.swept[1]) {
+                let corners = [corner(i, j), corner(i + 1, j), corner(i + 1, j + 1), corner(i, j + 1)];
+                if corners.iter().any(|c| c.node.is_some()) {
+                    cells.push(corners);
+                }
+            }
+        }
+        cells
+    }
+
+    fn divide(&self, corners: [Corner; 4], fineness: &Fineness, depth: usize, tiles: &mut Vec<Tile>) {
+        let nodes: Vec<Node> = corners.iter().filter_map(|c| c.node).collect();
+        if nodes.is_empty() {
+            return;
+        }
+        let whole = nodes.len() == 4;
+        if depth < if whole { DEPTH } else { EDGE_DEPTH } && (!whole || too_coarse(&nodes, fineness)) {
+            let [a, b, c, d] = corners;
+            let between = |a: &Corner, b: &Corner| {
+                let swept = [(a.swept[0] + b.swept[0]) / 2.0, (a.swept[1] + b.swept[1]) / 2.0];
+                Corner { swept, node: self.node(swept) }
+            };
+            let (ab, bc, cd, da, middle) =
+                (between(&a, &b), between(&b, &c), between(&c, &d), between(&d, &a), between(&a, &c));
+            for part in [[a, ab, middle, da], [ab, b, bc, middle], [middle, bc, c, cd], [da, middle, cd, d]] {
+                self.divide(part, fineness, depth + 1, tiles);
+            }
+            return;
+        }
+        let mut outline = Vec::with_capacity(6);
+        for (corner, next) in corners.iter().zip(corners.iter().cycle().skip(1)) {
+            match (corner.node, next.node) {
+                (Some(here), None) => outline.extend([Some(here), self.last_before(here, next.swept)]),
+                (None, Some(there)) => outline.push(self.last_before(there, corner.swept)),
+                (here, _) => outline.push(here),
+            }
+        }
+        let outline: Vec<Node> = outline.into_iter().flatten().collect();
+        let share = outline.iter().map(|n| n.share.min(2.0 * fineness.top)).sum::<f64>() / outline.len() as f64;
+        tiles.push(Tile { outline: outline.iter().map(|n| n.place).collect(), share });
+    }
+
+    /// The last pose on the way from `inside` to swept angles where the device cannot be.
+    fn last_before(&self, inside: Node, outside: [f64; 2]) -> Option<Node> {
+        let mut last = inside;
+        let mut beyond = outside;
+        for _ in 0..12 {
+            let middle = [(last.swept[0] + beyond[0]) / 2.0, (last.swept[1] + beyond[1]) / 2.0];
+            match self.node(middle) {
+                Some(node) => last = node,
+                None => beyond = middle,
+            }
+        }
+        Some(last)
+    }
+}
+
+/// A corner of a cell: swept angles, and the pose there if the device can take it.
+#[derive(Clone, Copy, Debug)]
+struct Corner {
+    swept: [f64; 2],
+    node: Option<Node>,
+}
+
+fn too_coarse(nodes: &[Node], fineness: &Fineness) -> bool {
+    let spread = |values: [f64; 4]| {
+        values.iter().copied().fold(f64::MIN, f64::max) - values.iter().copied().fold(f64::MAX, f64::min)
+    };
+    let of = |pick: fn(&Node) -> f64| spread(std::array::from_fn(|i| pick(&nodes[i])));
+    let shares: [f64; 4] = std::array::from_fn(|i| nodes[i].share.min(fineness.top + fineness.step));
+    let side = of(|n| n.place.0).max(of(|n| n.place.1));
+    side > fineness.side || (side > fineness.least && spread(shares) > fineness.step)
+}

@@ -1,0 +1,203 @@
+//! Where the links and joints of a mechanism lie in its own plane: what a drawing of the device is made of.
+//!
+//! A device on a turret is looked at in the plane that joint 0 turns, x and y as at joint 0 = 0.
+
+use haptic_bridge::model::catalogue::Kind;
+use haptic_bridge::model::description::Description;
+
+/// A point of the linkage's plane, m.
+pub type Point = (f64, f64);
+
+/// One rigid link, drawn as a straight bar.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Bar {
+    /// Its name, as in device files.
+    pub name: &'static str,
+    /// End at the joint nearer to the base.
+    pub from: Point,
+    /// Other end.
+    pub to: Point,
+    /// Its length as the device file has it, m.
+    pub length: f64,
+}
+
+/// Where an actuated joint's angle can be seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Angle {
+    /// The joint, from 0.
+    pub joint: usize,
+    /// Corner of the angle.
+    pub at: Point,
+    /// Direction in which the joint's angle is zero, rad from +x.
+    pub zero: f64,
+    /// The joint's angle, rad, counter-clockwise from `zero`.
+    pub angle: f64,
+    /// Length of the link that stands at this angle, m.
+    pub arm: f64,
+}
+
+/// The axis of a turret in the linkage's plane.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Turret {
+    /// Joint 0 turns the plane about its x axis.
+    AboutX,
+    /// Joint 0 turns the plane about its y axis.
+    AboutY,
+}
+
+impl Turret {
+    /// The turret of a mechanism.
+    pub fn of(kind: Kind) -> Option<Self> {
+        match kind {
+            Kind::FiveBarTurret => Some(Self::AboutX),
+            Kind::Parallelogram => Some(Self::AboutY),
+            Kind::Paddle | Kind::FiveBar | Kind::Serial3r => None,
+        }
+    }
+}
+
+/// A device at one pose.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Skeleton {
+    /// The links.
+    pub bars: Vec<Bar>,
+    /// The angles of the joints that act in the plane.
+    pub angles: Vec<Angle>,
+    /// Pivots that are fixed to the base.
+    pub base: Vec<Point>,
+    /// Points with a letter that the docs call them by.
+    pub letters: Vec<(&'static str, Point)>,
+    /// The tip.
+    pub tip: Point,
+}
+
+fn along(from: Point, length: f64, angle: f64) -> Point {
+    (from.0 + length * angle.cos(), from.1 + length * angle.sin())
+}
+
+/// The device at joint angles `q` (rad); `None` where its linkage does not close, or `q` has too few angles.
+pub fn skeleton(description: &Description, q: &[f64]) -> Option<Skeleton> {
+    if q.len() < description.kind.spec().joints {
+        return None;
+    }
+    match description.kind {
+        Kind::Paddle => Some(paddle(description, q[0])),
+        Kind::FiveBar => five_bar(description, [q[0], q[1]], 0),
+        Kind::FiveBarTurret => five_bar(description, [q[1], q[2]], 1),
+        Kind::Parallelogram => Some(parallelogram(description, q[1], q[2])),
+        Kind::Serial3r => Some(serial(description, q)),
+    }
+}
+
+fn paddle(description: &Description, q: f64) -> Skeleton {
+    let length = description.geometry[0];
+    let tip = along((0.0, 0.0), length, q);
+    Skeleton {
+        bars: vec![Bar { name: "paddle", from: (0.0, 0.0), to: tip, length }],
+        angles: vec![Angle { joint: 0, at: (0.0, 0.0), zero: 0.0, angle: q, arm: length }],
+        base: vec![(0.0, 0.0)],
+        letters: Vec::new(),
+        tip,
+    }
+}
+
+fn five_bar(description: &Description, q: [f64; 2], first: usize) -> Option<Skeleton> {
+    let [base, l1, l2, r1, r2, assembly] = description.geometry;
+    let (a, b) = ((-base / 2.0, 0.0), (base / 2.0, 0.0));
+    let (c, d) = (along(a, l1, q[0]), along(b, l2, q[1]));
+    let (dx, dy) = (d.0 - c.0, d.1 - c.1);
+    let apart = dx.hypot(dy);
+    // The tip's foot on the line from C to D, and its height above it.
+    let foot = (r1 * r1 - r2 * r2 + apart * apart) / (2.0 * apart);
+    let height = (r1 * r1 - foot * foot).sqrt() * assembly;
+    let tip = (c.0 + (foot * dx - height * dy) / apart, c.1 + (foot * dy + height * dx) / apart);
+    (tip.0.is_finite() && tip.1.is_finite()).then(|| Skeleton {
+        bars: vec![
+            Bar { name: "proximal-1", from: a, to: c, length: l1 },
+            Bar { name: "proximal-2", from: b, to: d, length: l2 },
+            Bar { name: "distal-1", from: c, to: tip, length: r1 },
+            Bar { name: "distal-2", from: d, to: tip, length: r2 },
+        ],
+        angles: vec![
+            Angle { joint: first, at: a, zero: 0.0, angle: q[0], arm: l1 },
+            Angle { joint: first + 1, at: b, zero: 0.0, angle: q[1], arm: l2 },
+        ],
+        base: vec![a, b],
+        letters: vec![("A", a), ("B", b), ("C", c), ("D", d)],
+        tip,
+    })
+}
+
+fn parallelogram(description: &Description, q1: f64, q2: f64) -> Skeleton {
+    let [upper, fore, crank, ..] = description.geometry;
+    let o = (0.0, 0.0);
+    let e = along(o, upper, q1);
+    let tip = along(e, fore, q2);
+    let (crank_tip, rear) = (along(o, -crank, q2), along(e, -crank, q2));
+    Skeleton {
+        bars: vec![
+            Bar { name: "upper", from: o, to: e, length: upper },
+            // Drawn from its rear end; length and centre of mass count from E.
+            Bar { name: "fore", from: rear, to: tip, length: fore },
+            Bar { name: "crank", from: o, to: crank_tip, length: crank },
+            Bar { name: "coupler", from: crank_tip, to: rear, length: upper },
+        ],
+        angles: vec![
+            Angle { joint: 1, at: o, zero: 0.0, angle: q1, arm: upper },
+            Angle { joint: 2, at: e, zero: 0.0, angle: q2, arm: fore },
+        ],
+        base: vec![o],
+        letters: vec![("O", o), ("E", e)],
+        tip,
+    }
+}
+
+fn serial(description: &Description, q: &[f64]) -> Skeleton {
+    let names = ["link-1", "link-2", "link-3"];
+    let (mut at, mut heading) = ((0.0, 0.0), 0.0);
+    let (mut bars, mut angles) = (Vec::new(), Vec::new());
+    for (joint, name) in names.into_iter().enumerate() {
+        let length = description.geometry[joint];
+        angles.push(Angle { joint, at, zero: heading, angle: q[joint], arm: length });
+        heading += q[joint];
+        let to = along(at, length, heading);
+        bars.push(Bar { name, from: at, to, length });
+        at = to;
+    }
+    Skeleton { bars, angles, base: vec![(0.0, 0.0)], letters: Vec::new(), tip: at }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::analysis::pose::TaskPose;
+    use crate::device_file::DeviceFile;
+
+    #[test]
+    fn every_drawn_tip_is_where_the_model_has_it() {
+        for name in
+            ["pantograph-mk2", "fictive-five-bar-turret", "phantom-premium-1.5", "serial-3r", "coupled-five-bar"]
+        {
+            let path = format!("{}/../devices/{name}.toml", env!("CARGO_MANIFEST_DIR"));
+            let description = DeviceFile::load(path).unwrap().description;
+            let mut seen = 0;
+            for i in 0..200 {
+                let angle = |step: f64| (f64::from(i) * step).sin() * 3.0;
+                let mut q = vec![angle(0.7), angle(1.3), angle(2.9)];
+                q.truncate(description.kind.spec().joints);
+                let drawn = skeleton(&description, &q);
+                if Turret::of(description.kind).is_some() {
+                    q[0] = 0.0;
+                }
+                let pose = TaskPose::at(&description, &q).unwrap();
+                if pose.regularity.parallel < 1e-6 {
+                    continue;
+                }
+                let tip = drawn.unwrap().tip;
+                assert!((tip.0 - pose.position[0]).hypot(tip.1 - pose.position[1]) < 1e-12, "{name} {q:?}");
+                seen += 1;
+            }
+            assert!(seen > 50, "{name}: {seen}");
+        }
+    }
+}

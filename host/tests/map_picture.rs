@@ -1,0 +1,210 @@
+//! What a map shows is what `haptic model` computes: pixels against numbers, for every shipped device, with and without
+//! joint limits.
+
+use haptic::analysis::map::map;
+use haptic::device_file::DeviceFile;
+use haptic::model::{Precision, WallForce, evaluate};
+use haptic::plot::colour::ABOVE;
+use haptic::plot::map::{Chart, chart, colour};
+use haptic_bridge::model::catalogue::Kind;
+use haptic_bridge::model::description::Description;
+use resvg::tiny_skia::Pixmap;
+
+/// Pixels of the PNG per unit of the drawing.
+const SCALE: f64 = 2.0;
+/// How far the shown share may be from the computed one, as a share of the scale: one level of rounding to a colour
+/// and two of difference within a tile, then as much again for what changes within the pixels searched.
+const TOLERANCE: f64 = 0.06;
+/// Pixels around the pose's own in which its colour must be found: half the width of an ellipse's or a link's line.
+const AROUND: i32 = 6;
+
+fn shipped() -> Vec<DeviceFile> {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices");
+    let paths = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    paths.filter(|p| p.extension().is_some_and(|e| e == "toml")).map(|p| DeviceFile::load(p).unwrap()).collect()
+}
+
+/// A generator of numbers in [0, 1): reproducible, and good enough to scatter poses.
+struct Scatter(u64);
+
+impl Scatter {
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 11) as f64 / (1_u64 << 53) as f64
+    }
+}
+
+fn at(image: &Pixmap, x: i32, y: i32) -> Option<[u8; 3]> {
+    let pixel = image.pixel(u32::try_from(x).ok()?, u32::try_from(y).ok()?)?.demultiply();
+    Some([pixel.red(), pixel.green(), pixel.blue()])
+}
+
+fn rgb(hex: &str) -> [u8; 3] {
+    std::array::from_fn(|i| u8::from_str_radix(&hex[1 + 2 * i..3 + 2 * i], 16).unwrap())
+}
+
+fn distance(a: [u8; 3], b: [u8; 3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (f64::from(*a) - f64::from(b)).powi(2)).sum::<f64>().sqrt()
+}
+
+/// Whether a colour that stands for `share`, give or take the tolerance, is at this place of the picture.
+fn shows(chart: &Chart, image: &Pixmap, place: &[f64], share: f64) -> bool {
+    let (x, y) = chart.frame.pixel(place[0], place[1]);
+    let (x, y) = ((SCALE * x) as i32, (SCALE * y) as i32);
+    let wanted: Vec<[u8; 3]> = (-6..=6)
+        .map(|i| share + f64::from(i) / 6.0 * TOLERANCE * chart.top)
+        .map(|share| rgb(&colour(share.max(0.0), chart.top)))
+        .collect();
+    (-AROUND..=AROUND).any(|dy| {
+        (-AROUND..=AROUND).any(|dx| {
+            at(image, x + dx, y + dy).is_some_and(|found| wanted.iter().any(|wanted| distance(found, *wanted) < 6.0))
+        })
+    })
+}
+
+/// The description with joint limits that cut its workspace around home, unlike on either side.
+fn limited(mut description: Description) -> Description {
+    let home = description.home.unwrap();
+    for (i, joint) in description.joints.iter_mut().enumerate().take(description.kind.spec().joints) {
+        let below = [0.9, 0.8, 0.7][i];
+        joint.limits = Some((home[i] - below, home[i] + 0.6));
+    }
+    description
+}
+
+/// A random pose of the drawn plane, within the limits.
+fn pose(description: &Description, scatter: &mut Scatter) -> Vec<f64> {
+    let home = description.home.unwrap();
+    let joints = description.kind.spec().joints;
+    let mut q: Vec<f64> = (0..joints)
+        .map(|i| {
+            let (low, high) = description.joints[i].limits.unwrap_or((home[i] - 1.2, home[i] + 1.2));
+            low + (high - low) * scatter.next()
+        })
+        .collect();
+    match description.kind {
+        Kind::FiveBarTurret | Kind::Parallelogram => q[0] = 0.0,
+        Kind::Serial3r => q[2] = home[..3].iter().sum::<f64>() - q[0] - q[1],
+        Kind::Paddle | Kind::FiveBar => {}
+    }
+    q
+}
+
+fn allowed(description: &Description, q: &[f64]) -> bool {
+    q.iter().zip(&description.joints).all(|(q, j)| j.limits.is_none_or(|(low, high)| (low..=high).contains(q)))
+}
+
+#[test]
+fn every_picture_shows_what_the_model_computes_and_nothing_elsewhere() {
+    for file in shipped().into_iter().filter(|file| file.spec().joints > 1) {
+        for (which, description) in [("as shipped", file.description), ("with limits", limited(file.description))] {
+            let file = DeviceFile { description, name: format!("{} {which}", file.name), ..file.clone() };
+            let normal = &[0.6, 0.8, 0.0][..file.spec().task];
+            let chart = chart(&file.description, &file.name, normal).unwrap();
+            let image = Pixmap::decode_png(&chart.picture.png().unwrap()).unwrap();
+            colours_are_numbers(&file, normal, &chart, &image);
+            if file.spec().joints == 2 {
+                nothing_outside(&file, normal, &chart, &image);
+            }
+            scale_is_round(&file.name, &chart);
+        }
+    }
+}
+
+/// At random poses that are reached from home.
+fn colours_are_numbers(file: &DeviceFile, normal: &[f64], chart: &Chart, image: &Pixmap) {
+    let mut scatter = Scatter(7);
+    let (mut compared, mut wrong) = (0, Vec::new());
+    let home = evaluate_share(file, &file.description.home.unwrap()[..file.spec().joints], normal).unwrap();
+    for _ in 0..800 {
+        let q = pose(&file.description, &mut scatter);
+        if compared == 50 || !allowed(&file.description, &q) {
+            continue;
+        }
+        let Some(found) = evaluate_share(file, &q, normal) else { continue };
+        if found.regular < 0.2 || !straight_from_home(file, &q, normal, home.side) {
+            continue;
+        }
+        compared += 1;
+        if !shows(chart, image, &found.place, found.share) {
+            wrong.push((q, found.place, found.share));
+        }
+    }
+    assert!(compared >= 20, "{}: only {compared} poses", file.name);
+    assert!(wrong.is_empty(), "{}: {} of {compared} wrong: {:?}", file.name, wrong.len(), wrong.first());
+}
+
+/// Where no pose of the JSON is.
+fn nothing_outside(file: &DeviceFile, normal: &[f64], chart: &Chart, image: &Pixmap) {
+    let points = map(&file.description, normal, 20_000).unwrap();
+    let places: Vec<(f64, f64)> = points.iter().map(|p| chart.frame.pixel(p.position[0], p.position[1])).collect();
+    let mut scatter = Scatter(11);
+    let (mut outside, mut coloured) = (0, Vec::new());
+    for _ in 0..400 {
+        let x = chart.frame.at.0 + chart.frame.size.0 * scatter.next();
+        let y = chart.frame.at.1 + chart.frame.size.1 * scatter.next();
+        // Grid poses are at most a dozen units apart; what is farther than that from all of them is outside.
+        if places.iter().any(|p| (p.0 - x).hypot(p.1 - y) < 20.0) {
+            continue;
+        }
+        outside += 1;
+        let found = at(image, (SCALE * x) as i32, (SCALE * y) as i32).unwrap();
+        // White ground, or the grey of a line of the linkage.
+        let grey = found.iter().max().unwrap() - found.iter().min().unwrap() < 12;
+        if !grey {
+            coloured.push((x, y));
+        }
+    }
+    assert!(outside > 20, "{}: only {outside} places are outside", file.name);
+    assert!(coloured.is_empty(), "{}: {} of {outside} at {coloured:?}", file.name, coloured.len());
+}
+
+/// It ends on a round number, and what is above it is said.
+fn scale_is_round(name: &str, chart: &Chart) {
+    let svg = chart.picture.svg();
+    let percent = (100.0 * chart.top * 1e6).round() / 1e6;
+    assert_eq!(svg.contains(ABOVE), svg.contains(&format!("&gt; {percent}")), "{name}: {percent}");
+    assert!(svg.contains(&format!(">{percent} %<")), "{name}: no tick at the top, {percent} %");
+    assert!(svg.contains("g in every direction"), "{name}");
+    assert!(svg.len() < 3_000_000, "{name}: {} bytes", svg.len());
+}
+
+struct Found {
+    place: Vec<f64>,
+    share: f64,
+    side: bool,
+    regular: f64,
+}
+
+/// What `haptic model` says at a pose.
+fn evaluate_share(file: &DeviceFile, q: &[f64], normal: &[f64]) -> Option<Found> {
+    let walls = [WallForce { normal: normal.to_vec(), force: 0.0 }];
+    let report = evaluate(file, q, &vec![0.0; q.len()], &walls, Precision::F64).ok()?;
+    let pose = haptic::analysis::pose::TaskPose::at(&file.description, q).ok()?;
+    Some(Found {
+        share: report.coupling[0][0] / report.w_rr[0][0],
+        place: report.position,
+        side: pose.jacobian.determinant() > 0.0,
+        regular: pose.regularity.serial.min(pose.regularity.parallel),
+    })
+}
+
+/// Whether the straight way from home in joint angles stays regular, so that the pose is reached for certain.
+fn straight_from_home(file: &DeviceFile, q: &[f64], normal: &[f64], side: bool) -> bool {
+    let mut home = file.description.home.unwrap()[..q.len()].to_vec();
+    if matches!(file.description.kind, Kind::FiveBarTurret | Kind::Parallelogram) {
+        home[0] = 0.0;
+    }
+    (0..=20).all(|i| {
+        let way: Vec<f64> = home.iter().zip(q).map(|(h, q)| h + (q - h) * f64::from(i) / 20.0).collect();
+        evaluate_share(file, &way, normal).is_some_and(|found| found.side == side && found.regular > 0.1)
+    })
+}
+
+#[test]
+fn a_paddle_shows_its_arc_and_its_inertia() {
+    let paddle = shipped().into_iter().find(|file| file.name == "hapkit-paddle").unwrap();
+    let picture = haptic::plot::map::draw(&paddle.description, &paddle.name, &[1.0]).unwrap();
+    // 0.0008 kg m² at 70 mm.
+    assert!(picture.svg().contains("163.3 g"), "{}", picture.svg());
+}
