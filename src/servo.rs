@@ -10,10 +10,9 @@ mod crest;
 pub mod frame;
 mod polarity;
 pub mod program;
-mod saturation;
 mod watch;
 
-use crate::drive::brushed::Axis;
+use crate::drive::brushed::{Axis, limited};
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::precomputed::TABLE_VALUES;
@@ -25,7 +24,6 @@ use crate::safety::refusal::Refusal;
 use crate::servo::frame::{Frame, Outputs, Samples};
 use crate::servo::program::Hardware;
 use crate::servo::program::Program;
-use crate::servo::saturation::Asked;
 use core::ops::DerefMut;
 pub use crest::SPEED_HZ;
 use heapless::Vec;
@@ -162,8 +160,6 @@ pub struct Servo<P> {
     ramp: f32,
     /// Torques that the ramp starts from, N m: none when arming, the old scene's when one replaces another.
     from: [f32; MAX_JOINTS],
-    /// What each joint may be asked for, N m.
-    most_torque: [f32; MAX_JOINTS],
     /// Regularity of the closed loop at the last step.
     parallel: f32,
     host_silent: f32,
@@ -200,7 +196,6 @@ where
             period: 1.0 / 20_000.0,
             ramp: 0.0,
             from: [0.0; MAX_JOINTS],
-            most_torque: [0.0; MAX_JOINTS],
             parallel: 1.0,
             host_silent: 0.0,
             last_counts: [0; MAX_JOINTS],
@@ -344,11 +339,10 @@ where
         }
         if let Some(program) = self.program.as_mut() {
             let acted = self.frame.torque;
-            let (regularity, asked) =
-                program.controller.step(&samples.counts, &self.table, &mut self.frame, &mut self.motion);
+            let regularity = program.controller.step(&samples.counts, &self.table, &mut self.frame, &mut self.motion);
             self.parallel = regularity.parallel;
             self.watch(samples, &acted, &regularity);
-            self.drive(asked);
+            self.drive();
         }
         self.last_counts = samples.counts;
         self.frame.state = self.state;
@@ -545,24 +539,23 @@ where
 
     /// Sets each motor's current from the step's torques.
     #[inline(always)]
-    fn drive(&mut self, asked: Asked) {
+    fn drive(&mut self) {
         self.frame.rendered_force = 0.0;
         self.frame.limited = 0;
+        let asked = self.frame.torque;
         match self.state {
             State::Armed => {
                 self.ramp = (self.ramp + self.period * (1.0 / ARM_SECONDS)).min(1.0);
-                if self.ramp < 1.0 {
-                    self.command(&self.faded(&asked));
-                } else {
-                    self.command(&asked);
+                for (torque, from) in self.frame.torque.iter_mut().zip(&self.from) {
+                    *torque = from + (*torque - from) * self.ramp;
                 }
-                self.frame.rendered_force = self.rendered(&asked.total);
+                self.command();
+                self.frame.rendered_force = self.rendered(&asked);
             }
             State::CheckingPolarity => {
                 self.check_polarity();
                 if self.state == State::CheckingPolarity {
-                    let torque = self.frame.torque;
-                    self.command(&Asked { total: torque, gravity: torque, ..Asked::default() });
+                    self.command();
                 }
             }
             State::Disarmed | State::Fault => {
@@ -583,30 +576,18 @@ where
         lost.fold(self.frame.wall_force, |force, (motion, torque)| force - motion * torque)
     }
 
-    /// While the ramp lasts, part of what acted before, which stands first like gravity, and part of what is asked.
-    #[inline(never)]
-    fn faded(&self, asked: &Asked) -> Asked {
-        let part = |from: f32, to: f32| from + (to - from) * self.ramp;
-        Asked {
-            total: core::array::from_fn(|i| part(self.from[i], asked.total[i])),
-            gravity: core::array::from_fn(|i| part(self.from[i], asked.gravity[i])),
-            rendered: asked.rendered.map(|torque| torque * self.ramp),
-        }
-    }
-
-    /// Commands the torques asked for within limits, and records in the frame what is left of them.
+    /// Commands the frame's torques within limits, and records there what is left of them.
     #[inline(always)]
-    fn command(&mut self, asked: &Asked) {
+    fn command(&mut self) {
         let Some(program) = self.program.as_mut() else { return };
         let joints = program.joints.min(MAX_JOINTS);
-        let torque = asked.within(&self.most_torque, joints);
         for (i, axis) in program.axes.iter_mut().enumerate().take(joints) {
-            let current = axis.command(torque[i], self.crests.speed(i));
+            let asked = self.frame.torque[i];
+            let wanted = limited(asked, self.rules.limits.torque[i]);
+            let current = axis.command(wanted, self.crests.speed(i));
             self.frame.torque[i] = axis.torque_of(current);
-            // At its limit and short of what was asked, by more than a torque's way through a current rounds.
-            let left = self.frame.torque[i].abs();
-            let most = self.most_torque[i] * (1.0 - 1.0e-5);
-            let short = left >= most && asked.total[i].abs() * (1.0 - 1.0e-5) > left;
+            // As much as a limit takes at least, and more than a torque's way through a current rounds.
+            let short = asked.abs() * (1.0 - 1.0e-5) > self.frame.torque[i].abs();
             self.frame.limited |= u8::from(short) << i;
             if !self.hardware.bridge.current_sensed {
                 self.frame.current[i] = current;

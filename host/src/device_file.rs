@@ -75,7 +75,8 @@ impl DeviceFile {
         lacks
     }
 
-    fn read(document: &Document) -> Result<Self, FileError> {
+    /// Checks a document.
+    pub fn read(document: &Document) -> Result<Self, FileError> {
         document.read(|top| {
             let (name, description, mechanism) = device(top)?;
             Ok(Self { path: document.path().into(), name, description, mechanism })
@@ -84,6 +85,10 @@ impl DeviceFile {
 }
 
 fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>), FileError> {
+    if !top.has("mechanism") && ["wall", "spring", "field", "rate_hz", "cutoff_hz"].iter().any(|key| top.has(key)) {
+        let reason = "this looks like a scene file, not a device file";
+        return Err(top.error_here(impossible(reason, "name the device file first, then its scene files")));
+    }
     top.refuse_unknown_keys(&["name", "mechanism", "gravity", "geometry", "link", "joint", "handle", "home"])?;
     let name = top.required("name", top.string("name")?, "name = \"my-device\"")?;
     if name.trim().is_empty() || name.chars().any(char::is_control) {

@@ -3,6 +3,7 @@
 //! - [`canvas`]: an SVG document and its few shapes
 //! - [`axes`]: a framed coordinate system with round ticks, curves, dots with error bars, and a legend
 //! - [`colour`]: the palette, and a colour scale that reads the same in print
+//! - [`device`]: a device at home, with its joints
 //! - [`linkage`]: a device's links and joints
 //! - [`map`]: inertia over the workspace (the paper's Fig. 1)
 //! - [`paddle`]: what a map is to a device with one joint
@@ -13,6 +14,7 @@
 pub mod axes;
 pub mod canvas;
 pub mod colour;
+pub mod device;
 pub mod linkage;
 pub mod map;
 pub mod paddle;

@@ -3,6 +3,7 @@
 use crate::error::Failure;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::AnyMechanism;
+use haptic_bridge::render::scene::Scene;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -17,6 +18,11 @@ fn converted<A: Serialize, B: DeserializeOwned>(value: &A) -> Result<B, Failure>
 /// The coefficients as the board computes with them.
 pub fn rounded(mechanism: &AnyMechanism<f64>) -> Result<AnyMechanism<f32>, Failure> {
     converted(mechanism)
+}
+
+/// A scene as the board has it, for the analysis.
+pub fn widened_scene(scene: &Scene<f32>) -> Result<Scene<f64>, Failure> {
+    converted(scene)
 }
 
 /// A device as the board has it, for the analysis.

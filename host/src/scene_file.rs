@@ -61,7 +61,7 @@ impl SceneFile {
         Self::read(&Document::new(text, origin), task)
     }
 
-    /// The one-sided walls (from 1) that the tip would be inside of at joint angles `q` (rad).
+    /// The one-sided walls (from 0) that the tip would be inside of at joint angles `q` (rad).
     pub fn walls_entered(&self, device: &DeviceFile, q: &[f64; MAX_JOINTS]) -> Vec<usize> {
         fn entered<const N: usize, M: Mechanism<f64, N>>(
             m: &M,
@@ -72,7 +72,7 @@ impl SceneFile {
             (M::SPEC.task..N).for_each(|i| tip[i] = 0.0);
             let walls = scene.walls.iter().enumerate().filter(|(_, wall)| !wall.bilateral);
             let inside = walls.filter(|(_, wall)| wall.surface.contact::<Libm, N>(&tip).distance < 0.0);
-            inside.map(|(index, _)| index + 1).collect()
+            inside.map(|(index, _)| index).collect()
         }
         with_mechanism!(&device.mechanism, m => entered(m, &self.scene, q))
     }
@@ -94,6 +94,11 @@ impl SceneFile {
 }
 
 fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
+    if top.has("mechanism") || top.has("geometry") {
+        let reason = "this looks like a device file, not a scene file".into();
+        let remedy = "name the device file first, then scene files".into();
+        return Err(top.error_here(Problem::Impossible { reason, remedy }));
+    }
     top.refuse_unknown_keys(&[
         "rate_hz",
         "cutoff_hz",

@@ -32,7 +32,7 @@ impl Document {
     /// Reads a file.
     pub fn load(path: &Path) -> Result<Self, FileError> {
         let whole = |problem| FileError { path: path.into(), position: None, problem: Box::new(problem) };
-        let bytes = std::fs::read(path).map_err(|error| whole(Problem::Unreadable(error.to_string())))?;
+        let bytes = crate::input::read(path).map_err(|error| whole(Problem::Unreadable(error.to_string())))?;
         String::from_utf8(bytes).map(|text| Self { path: path.into(), text }).map_err(|error| {
             let good = error.utf8_error().valid_up_to();
             let before = String::from_utf8_lossy(&error.as_bytes()[..good]).into_owned();
@@ -66,6 +66,27 @@ impl Document {
             self.error(span, Problem::Syntax(error.message().to_string()))
         })?;
         read(&Table { document: self, place: String::new(), span: 0..0, entries: root.get_ref() })
+    }
+
+    /// Line and column of a key's value: in `part` of the `index`-th table `table` (either may be empty). The table's
+    /// own place where the key is not written.
+    pub fn find(&self, table: &str, index: Option<usize>, part: &str, key: &str) -> Option<(usize, usize)> {
+        let root = DeTable::parse(&self.text).ok()?;
+        let mut here = root.get_ref();
+        let mut span = 0..0;
+        for (name, index) in [(table, index), (part, None)] {
+            if name.is_empty() {
+                continue;
+            }
+            let found = here.get(name)?;
+            let found = match (found.get_ref(), index) {
+                (DeValue::Array(tables), Some(index)) => tables.get(index)?,
+                _ => found,
+            };
+            span = found.span();
+            here = found.get_ref().as_table()?;
+        }
+        Some(position(&self.text, here.get(key).map_or(span.start, |value| value.span().start)))
     }
 
     fn error(&self, span: Range<usize>, problem: Problem) -> FileError {

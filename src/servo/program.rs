@@ -14,7 +14,6 @@ use crate::render::velocity::{Coefficients, Washout};
 use crate::safety::limits::Limits;
 use crate::safety::refusal::Refusal;
 use crate::servo::frame::Frame;
-use crate::servo::saturation::Asked;
 
 /// What a board is, as far as the servo cares.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,7 +58,7 @@ macro_rules! define {
             }
 
             /// One control step with the values of the mass model's table, if it has one; fills what a frame records of
-            /// it and [`Step::motion`], and returns the distances from singularities and what the torques are for.
+            /// it and [`Step::motion`], and returns the distances from singularities.
             #[inline(always)]
             pub(crate) fn step(
                 &mut self,
@@ -67,7 +66,7 @@ macro_rules! define {
                 table: &[f32],
                 frame: &mut Frame,
                 motion: &mut [f32; MAX_JOINTS],
-            ) -> (Regularity<f32>, Asked) {
+            ) -> Regularity<f32> {
                 match self {
                     $(Self::$Variant(controller) => {
                         record(controller.step_with(&head(counts), table), frame, motion)
@@ -129,11 +128,7 @@ fn pad<V: Copy + Default, const N: usize>(values: &[V; N]) -> [V; MAX_JOINTS] {
 }
 
 #[inline(always)]
-fn record<const N: usize>(
-    step: Step<f32, N>,
-    frame: &mut Frame,
-    motion: &mut [f32; MAX_JOINTS],
-) -> (Regularity<f32>, Asked) {
+fn record<const N: usize>(step: Step<f32, N>, frame: &mut Frame, motion: &mut [f32; MAX_JOINTS]) -> Regularity<f32> {
     *motion = pad(&step.motion.data.0[0]);
     frame.q = pad(&step.q.data.0[0]);
     frame.qd = pad(&step.qd.data.0[0]);
@@ -146,8 +141,7 @@ fn record<const N: usize>(
     frame.shaping = step.shaping;
     frame.energy = step.energy;
     frame.passivity_damping = step.passivity_damping;
-    let (gravity, rendered) = (pad(&step.gravity.data.0[0]), pad(&step.rendered.data.0[0]));
-    (step.regularity, Asked { total: frame.torque, gravity, rendered })
+    step.regularity
 }
 
 /// A device in a scene on a board, ready to run: what is handed to the servo whole.

@@ -4,6 +4,7 @@ use haptic_bridge::math::Libm;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::{Description, DescriptionError};
+use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism, Regularity, Shaping};
 use haptic_bridge::with_mechanism;
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
@@ -179,14 +180,19 @@ impl Linearised {
         normal: &[f64],
         admissible: Admissible,
     ) -> Result<Self, PoseError> {
-        let pose = TaskPose::at(description, q)?.regular()?.holding(admissible);
+        Self::of(&Device::new("", description)?, q, normal, admissible)
+    }
+
+    /// As [`Linearised::holding`], of a device that is lumped already.
+    pub fn of(device: &Device<f64>, q: &[f64], normal: &[f64], admissible: Admissible) -> Result<Self, PoseError> {
+        let pose = TaskPose::of(&device.mechanism, q)?.regular()?.holding(admissible);
         let joints = q.len();
         let n = unit_normal(normal, pose.task, joints)?;
         Ok(Linearised {
             gain: 1.0,
             row: pose.jacobian.tr_mul(&n),
             unit_motion: &pose.inverse * &n,
-            viscous: DVector::from_fn(joints, |j, _| description.joints[j].viscous),
+            viscous: DVector::from_fn(joints, |j, _| device.joints[j].viscous),
             mass: pose.mass,
         })
     }

@@ -139,6 +139,23 @@ pub fn domain(
     Ok(Domain { area: area * damping_unit * stiffness_unit, kd_max: kd_max * damping_unit, boundary, islands })
 }
 
+/// The largest stiffness (N/m) that is stable with damping `kd` (N s/m), zero where none is, and the damping at which
+/// that ends.
+pub fn stiffness_at(
+    device: &Linearised,
+    around: &Loop,
+    mode: FeedForward,
+    kd: f64,
+) -> Result<(f64, f64), AnalysisError> {
+    let open = OpenLoop::new(device, around, mode)?;
+    let damping_unit = open.mass / open.sample_s;
+    let mut circle = Circle::new(&open, around.delay_samples);
+    let support = circle.damping_intervals()?;
+    let kd_max = support.last().map_or(0.0, |last| last.high);
+    let kp = supported_stiffness(&support, kd / damping_unit, &circle.stiffness_intervals(kd / damping_unit)?);
+    Ok((kp * damping_unit / open.sample_s, kd_max * damping_unit))
+}
+
 /// kp_max of one damping value: the end of the interval that starts at the smallest stiffness; zero outside the
 /// support.
 fn supported_stiffness(support: &[Interval], kd_hat: f64, stable: &[Interval]) -> f64 {

@@ -1,14 +1,21 @@
-//! `haptic check`: says whether a device file and scene files for it are sound, without a board.
+//! `haptic check`: says whether a device file and scene files for it are sound, what they describe, and what in them
+//! can hardly be meant, without a board.
 
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
+use haptic::plausible::scene::Contact;
+use haptic::plausible::{Warning, device, scene, warn, with_unit};
+use haptic::plot::device::draw;
 use haptic::scene_file::SceneFile;
-use std::path::PathBuf;
+use haptic::summary::Summary;
+use haptic::toml_file::Document;
+use std::path::{Path, PathBuf};
 
 /// Check a device file, and scene files for that device
 ///
-/// Stops at the first file that is wrong and names the line and the remedy. Says also what a sound file still lacks
-/// before a real board arms.
+/// Stops at the first file that is wrong and names the line and the remedy. Says also what a sound file describes
+/// (reach, force and inertia at the tip), what in it can hardly be meant (on standard error; the exit code stays 0), and
+/// what it still lacks before a real board arms.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML)
@@ -16,40 +23,143 @@ pub struct Args {
     /// Scene files (TOML) to check against the device
     #[arg(value_name = "SCENE")]
     scenes: Vec<PathBuf>,
+    /// Draw the device at home into this SVG file: links, joints with their zero angles and directions, reach
+    #[arg(long, value_name = "FILE")]
+    svg: Option<PathBuf>,
+    /// The same as a PNG file
+    #[arg(long, value_name = "FILE")]
+    png: Option<PathBuf>,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+/// The document of `--json`.
+#[derive(serde::Serialize)]
+struct Report {
+    path: String,
+    name: String,
+    mechanism: &'static str,
+    joints: usize,
+    task: usize,
+    summary: Summary,
+    lacks: Vec<String>,
+    scenes: Vec<SceneReport>,
+    warnings: Vec<Warning>,
+}
+
+/// One scene of it.
+#[derive(serde::Serialize)]
+struct SceneReport {
+    path: String,
+    walls: usize,
+    springs: usize,
+    rate_hz: f64,
+    entered_at_home: Vec<usize>,
+    contacts: Vec<Contact>,
 }
 
 /// Checks every file.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let device = DeviceFile::load(&args.device)?;
-    let spec = device.spec();
-    let mut report = format!(
-        "{}: sound: {}, a {} of {} and {}\n",
-        args.device.display(),
-        device.name,
-        spec.name,
-        counted(spec.joints, "joint"),
-        counted(spec.task, "task direction"),
-    );
-    for lack in device.lacks_for_a_board() {
-        report.push_str(&format!("  before a real board arms: {lack}\n"));
+    let document = Document::load(&args.device)?;
+    let file = DeviceFile::read(&document)?;
+    let spec = file.spec();
+    let mut warnings: Vec<Warning> =
+        device::doubts(&file.description).into_iter().map(|doubt| doubt.about(&document)).collect();
+    let mut scenes = Vec::new();
+    for path in &args.scenes {
+        let (scene, doubts) = scene_report(path, &file)?;
+        scenes.push(scene);
+        warnings.extend(doubts);
     }
-    for path in args.scenes {
-        let file = SceneFile::load(&path, spec.task)?;
-        file.scene::<f32>().map_err(|error| Failure::wrong(format!("{}: {error}", path.display())))?;
-        let scene = &file.scene;
-        report.push_str(&format!(
+    let summary = Summary::of(&file)?;
+    if args.svg.is_some() || args.png.is_some() {
+        picture(&file, &summary, args.svg.as_deref(), args.png.as_deref())?;
+    }
+    warn(&warnings);
+    let report = Report {
+        path: args.device.display().to_string(),
+        name: file.name.clone(),
+        mechanism: spec.name,
+        joints: spec.joints,
+        task: spec.task,
+        summary,
+        lacks: file.lacks_for_a_board(),
+        scenes,
+        warnings,
+    };
+    if args.json {
+        let json = serde_json::to_string(&report).map_err(Failure::impossible)?;
+        return print(&(json + "\n"));
+    }
+    print(&readable(&report))
+}
+
+fn scene_report(path: &Path, device: &DeviceFile) -> Result<(SceneReport, Vec<Warning>), Failure> {
+    let document = Document::load(path)?;
+    let file = SceneFile::read(&document, device.spec().task)?;
+    file.scene::<f32>().map_err(|error| Failure::wrong(format!("{}: {error}", path.display())))?;
+    let lumped = device.device::<f64>().map_err(Failure::wrong)?;
+    let (doubts, contacts) = scene::doubts(&lumped, &file.scene);
+    let report = SceneReport {
+        path: path.display().to_string(),
+        walls: file.scene.walls.len(),
+        springs: file.scene.springs.len(),
+        rate_hz: file.scene.rate_hz,
+        entered_at_home: device.description.home.map(|home| file.walls_entered(device, &home)).unwrap_or_default(),
+        contacts,
+    };
+    Ok((report, doubts.into_iter().map(|doubt| doubt.about(&document)).collect()))
+}
+
+fn picture(file: &DeviceFile, summary: &Summary, svg: Option<&Path>, png: Option<&Path>) -> Result<(), Failure> {
+    let no_pose = || Failure::wrong(format!("{} has no [home], so there is no pose to draw", file.path.display()));
+    let home = file.description.home.ok_or_else(|| no_pose().remedy("add [home] q"))?;
+    let drawn = draw(&file.description, &file.name, &home[..file.spec().joints], &summary.lines())?;
+    let picture = drawn.ok_or_else(|| Failure::impossible("the linkage does not close at home"))?;
+    svg.map(|path| picture.save_svg(path)).transpose()?;
+    png.map(|path| picture.save_png(path)).transpose()?;
+    Ok(())
+}
+
+fn readable(report: &Report) -> String {
+    let mut text = format!(
+        "{}: sound: {}, a {} of {} and {}\n",
+        report.path,
+        report.name,
+        report.mechanism,
+        counted(report.joints, "joint"),
+        counted(report.task, "task direction"),
+    );
+    for line in report.summary.lines() {
+        text.push_str(&format!("  {line}\n"));
+    }
+    for lack in &report.lacks {
+        text.push_str(&format!("  before a real board arms: {lack}\n"));
+    }
+    for scene in &report.scenes {
+        text.push_str(&format!(
             "{}: sound: {}, {} at {} Hz\n",
-            path.display(),
-            counted(scene.walls.len(), "wall"),
-            counted(scene.springs.len(), "spring"),
+            scene.path,
+            counted(scene.walls, "wall"),
+            counted(scene.springs, "spring"),
             scene.rate_hz,
         ));
-        let entered = device.description.home.map(|home| file.walls_entered(&device, &home)).unwrap_or_default();
-        for wall in entered {
-            report.push_str(&format!("  the home pose is inside [[wall]] {wall}: a board will not arm there\n"));
+        for contact in &scene.contacts {
+            let force =
+                contact.force.map_or(String::new(), |force| format!("; the motors have {}", with_unit(force, "N")));
+            text.push_str(&format!(
+                "  wall {}: predicted stable up to {} with its damping, up to {} damping{force}\n",
+                contact.wall,
+                with_unit(contact.stable_to, "N/m"),
+                with_unit(contact.damping_to, "N s/m"),
+            ));
+        }
+        for wall in &scene.entered_at_home {
+            text.push_str(&format!("  the home pose is inside wall {wall}: a board will not arm there\n"));
         }
     }
-    print(&report)
+    text
 }
 
 fn counted(count: usize, noun: &str) -> String {

@@ -3,8 +3,10 @@
 use super::port::Port;
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
+use haptic::plausible::{device::doubts, warn};
+use haptic::toml_file::Document;
 use haptic_bridge::model::device::Device;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Load a device onto a board
 ///
@@ -20,14 +22,16 @@ pub struct Args {
 
 /// Checks the file, then the board, then loads.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let file = DeviceFile::load(&args.file)?;
+    let document = Document::load(&args.file)?;
+    let file = DeviceFile::read(&document)?;
     let device = Device::new(&file.name, &file.description)
         .map_err(|error| Failure::wrong(format!("{}: {error}", args.file.display())))?;
+    warn(&doubts(&file.description).into_iter().map(|doubt| doubt.about(&document)).collect::<Vec<_>>());
     let mut board = args.port.open()?;
     let details = board.details()?;
     let joints = file.spec().joints;
     if joints > usize::from(details.axes) {
-        let line = line_of_joint(&args.file, usize::from(details.axes));
+        let line = document.find("joint", Some(usize::from(details.axes)), "", "").map_or(1, |at| at.0);
         let reason = format!(
             "{}:{line}: the device has {joints} joints and the board {} axes",
             args.file.display(),
@@ -50,11 +54,4 @@ pub fn run(args: Args) -> Result<(), Failure> {
         report.push_str("next: `haptic scene FILE`, then `haptic home`\n");
     }
     print(&report)
-}
-
-/// The line on which the `index`-th joint begins; 1 when the file cannot be read again.
-fn line_of_joint(path: &Path, index: usize) -> usize {
-    let text = std::fs::read_to_string(path).unwrap_or_default();
-    let mut joints = text.lines().enumerate().filter(|(_, line)| line.trim_start().starts_with("[[joint]]"));
-    joints.nth(index).map_or(1, |(line, _)| line + 1)
 }

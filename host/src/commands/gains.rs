@@ -3,9 +3,12 @@
 use super::port::Port;
 use clap::ValueEnum;
 use haptic::error::{Failure, print};
-use haptic::link::BoardError;
+use haptic::link::{Board, BoardError};
+use haptic::plausible::scene::{at, beyond};
+use haptic::plausible::{Doubt, warn};
+use haptic::precision::{widened, widened_scene};
 use haptic_bridge::render::controller::Gains;
-use haptic_bridge::render::scene::{FeedForward, VelocityTerms};
+use haptic_bridge::render::scene::{FeedForward, Scene, VelocityTerms};
 use haptic_bridge::render::velocity::Estimator;
 use haptic_bridge::safety::refusal::Refusal;
 
@@ -54,6 +57,21 @@ fn gain(text: &str) -> Result<f32, String> {
     }
 }
 
+/// Says what of a wall's gains is beyond the loop or the motors where the device is now, or at home before homing.
+fn doubt(board: &mut Board, scene: &Scene<f32>, index: usize) -> Result<(), Failure> {
+    let (Some(device), status, details) = (board.device()?, board.status()?, board.details()?) else { return Ok(()) };
+    let (device, scene) = (widened(&device)?, widened_scene(scene)?);
+    let q = match device.home {
+        Some(home) if !status.homed => home,
+        _ => status.q.map(f64::from),
+    };
+    let Some(contact) = at(&device, &scene, index, &q[..device.axes()], f64::from(details.delay_samples)) else {
+        return Ok(());
+    };
+    warn(&beyond(&scene.walls[index], &contact, false).into_iter().map(Doubt::typed).collect::<Vec<_>>());
+    Ok(())
+}
+
 /// Reads what is in force, changes what is named, reports what is in force then.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.port.open()?;
@@ -86,6 +104,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let Some(wall) = scene.walls.get(usize::from(args.wall)) else {
         return Err(BoardError::Refused(Refusal::NoScene).into());
     };
+    if named || args.cutoff.is_some() {
+        doubt(&mut board, &scene, usize::from(args.wall))?;
+    }
     let estimator = match scene.estimator {
         Estimator::Butterworth => "Butterworth",
         Estimator::FirstOrder => "first-order",

@@ -19,6 +19,7 @@ mod map;
 mod measure_range;
 mod model;
 mod name;
+mod new;
 mod plan;
 mod polarity;
 mod port;
@@ -58,6 +59,7 @@ macro_rules! commands {
 commands! {
     "Without a board" {
         (Demo, demo)
+        (New, new)
         (Check, check)
         (Model, model)
         (Map, map)

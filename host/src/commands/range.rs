@@ -9,6 +9,7 @@ use haptic::analysis::range::{Domain, Range, WORTHWHILE_RATIO, predict};
 use haptic::analysis::sampled::{Estimator, Loop};
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
+use haptic::plausible::{Doubt, angles, warn};
 use haptic::plot::range::{Contents, draw};
 use haptic_bridge::model::admissible::Admissible;
 use std::fmt::Write;
@@ -109,6 +110,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
                 .remedy("say which with --q"));
         }
     };
+    warn(&angles(&q, "--q").into_iter().map(Doubt::typed).collect::<Vec<_>>());
     let normal = args.normal.clone().unit(spec.task, "--normal")?;
     let mut device = Linearised::holding(&file.description, &q, &normal, args.admissible)?;
     device.gain = args.feed_forward_gain;

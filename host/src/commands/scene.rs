@@ -7,6 +7,7 @@ use haptic::bench::precompute::Precomputed;
 use haptic::error::{Failure, print};
 use haptic::link::{Board, BoardError};
 use haptic::plan::plan;
+use haptic::plausible::{scene::doubts, warn};
 use haptic::precision::widened;
 use haptic::scene_file::{SceneFile, rounded};
 use haptic::toml_file::Document;
@@ -49,11 +50,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let file = SceneFile::parse(text, &args.file, device.mechanism.kind().spec().task)?;
     let written = file.scene::<f32>().map_err(|error| Failure::wrong(format!("{}: {error}", args.file.display())))?;
     let name = args.file.display();
+    let device = widened(&device)?;
+    let (doubts, _) = doubts(&device, &file.scene);
+    warn(&doubts.into_iter().map(|doubt| doubt.about(&document)).collect::<Vec<_>>());
     if args.as_written || board.status()?.state == State::Armed {
         board.set_scene(&written)?;
         return print(&loaded(&name.to_string(), &board, &written));
     }
-    let device = widened(&device)?;
     let plan = plan(&device, &file.scene, budget, speed(args.speed, &file)?)?;
     let scene = rounded(&plan.scene);
     board.set_scene(&scene)?;

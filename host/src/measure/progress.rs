@@ -112,7 +112,7 @@ impl Progress {
     /// Reads the file at `path` when it exists, else begins anew.
     pub fn open(path: &Path, what: &str) -> Result<Self, ProgressError> {
         let file = |reason: String| ProgressError::File { path: path.display().to_string(), reason };
-        match std::fs::read_to_string(path) {
+        match crate::input::read_to_string(path) {
             Ok(text) => {
                 let found: Self = serde_json::from_str(&text).map_err(|e| file(e.to_string()))?;
                 if found.what != what {

@@ -1,0 +1,28 @@
+//! Files that a person names: read whole, so only regular ones of a sane size are.
+
+use std::io::{Error, Read};
+use std::path::Path;
+
+/// Largest file that is read, bytes. The largest shipped one has four thousand.
+pub const LARGEST: u64 = 1 << 20;
+
+/// Reads a regular file (following links) of at most [`LARGEST`] bytes. A pipe or a device is refused before it is
+/// opened: it might never end, or never begin.
+pub fn read(path: &Path) -> Result<Vec<u8>, Error> {
+    let found = std::fs::metadata(path)?;
+    if !found.is_file() && !found.is_dir() {
+        return Err(Error::other("it is a pipe or a device, not a file"));
+    }
+    let mut bytes = Vec::new();
+    // A file may grow, or hide its size as those in /proc do.
+    std::fs::File::open(path)?.take(LARGEST + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > LARGEST {
+        return Err(Error::other("it has more than 1 MiB, which no file of this kind has"));
+    }
+    Ok(bytes)
+}
+
+/// As [`read`], as text.
+pub fn read_to_string(path: &Path) -> Result<String, Error> {
+    String::from_utf8(read(path)?).map_err(|_| Error::other("it is not UTF-8 text"))
+}

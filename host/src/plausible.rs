@@ -1,0 +1,126 @@
+//! What a file says is allowed, but can it be meant? Lengths in millimetres, masses in grams, angles in degrees and
+//! walls beyond what is stable all parse, and all are doubted here, with the number that gives them away.
+//!
+//! Nothing here refuses: a device may be stranger than these rules. Bounds come from solid steel, from what one file
+//! says in two places, and from the prediction of `haptic range`.
+//!
+//! - [`device`]: a device file by itself
+//! - [`scene`]: walls on a device
+
+pub mod device;
+pub mod scene;
+
+use crate::toml_file::Document;
+use serde::Serialize;
+
+/// Where in a file a doubt is: a table (with its place in a list of tables, from 0), perhaps a table in it, and a key.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Key {
+    /// `geometry`, `link`, `joint`, `wall`, …; empty at the top of the file.
+    pub table: &'static str,
+    /// Which of several.
+    pub index: Option<usize>,
+    /// `encoder` or `motor` in a joint; else empty.
+    pub part: &'static str,
+    /// The key.
+    pub name: &'static str,
+}
+
+/// Something that parses but can hardly be meant.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Doubt {
+    /// Where, in a file.
+    pub key: Option<Key>,
+    /// What, and what was probably meant: one sentence without its final stop.
+    pub text: String,
+}
+
+/// A doubt about a file, as programs read it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Warning {
+    /// The file; empty for what was typed.
+    pub path: String,
+    /// Line, from 1.
+    pub line: Option<usize>,
+    /// Column, from 1.
+    pub column: Option<usize>,
+    /// The sentence.
+    pub text: String,
+}
+
+impl Doubt {
+    fn new(key: Key, text: String) -> Self {
+        Self { key: Some(key), text }
+    }
+
+    /// With its place in the file that it is about.
+    pub fn about(self, document: &Document) -> Warning {
+        let at = self.key.and_then(|key| document.find(key.table, key.index, key.part, key.name));
+        Warning {
+            path: document.path().display().to_string(),
+            line: at.map(|at| at.0),
+            column: at.map(|at| at.1),
+            text: self.text,
+        }
+    }
+
+    /// Of something that was typed.
+    pub fn typed(self) -> Warning {
+        Warning { path: String::new(), line: None, column: None, text: self.text }
+    }
+}
+
+impl core::fmt::Display for Warning {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        if !self.path.is_empty() {
+            f.write_str(&self.path)?;
+            if let (Some(line), Some(column)) = (self.line, self.column) {
+                write!(f, ":{line}:{column}")?;
+            }
+            f.write_str(": ")?;
+        }
+        f.write_str(&self.text)
+    }
+}
+
+/// Says doubts on standard error, one line each.
+pub fn warn(warnings: &[Warning]) {
+    for warning in warnings {
+        eprintln!("haptic: warning: {warning}");
+    }
+}
+
+/// Doubts about joint angles that were typed: degrees, mostly.
+pub fn angles(q: &[f64], what: &str) -> Vec<Doubt> {
+    let doubted = q.iter().enumerate().filter(|(_, angle)| angle.abs() > core::f64::consts::TAU);
+    doubted
+        .map(|(joint, angle)| Doubt { key: None, text: turns(&format!("{what} of joint {joint}"), *angle) })
+        .collect()
+}
+
+/// An angle that is more than a turn.
+fn turns(what: &str, angle: f64) -> String {
+    format!(
+        "{what} is {angle} rad, {:.1} turns: angles are in radians ({angle} degrees are {:.4} rad)",
+        (angle / core::f64::consts::TAU).abs(),
+        angle.to_radians()
+    )
+}
+
+/// A number for people: three significant digits, and a prefix where the unit takes one.
+pub fn with_unit(value: f64, unit: &str) -> String {
+    let size = value.abs();
+    let (factor, prefix) = match unit {
+        "kg" if size < 1.0 => return with_unit(1e3 * value, "g"),
+        "kg" | "g" => (1.0, ""),
+        _ if size >= 1e9 => (1e9, "G"),
+        _ if size >= 1e6 => (1e6, "M"),
+        _ if size >= 1e3 => (1e3, "k"),
+        _ if size >= 1.0 || size == 0.0 => (1.0, ""),
+        _ if size >= 1e-3 => (1e-3, "m"),
+        _ => (1e-6, "µ"),
+    };
+    let scaled = value / factor;
+    let decimals = if scaled == 0.0 { 0 } else { (2 - scaled.abs().log10().floor() as i32).clamp(0, 3) as usize };
+    format!("{scaled:.decimals$} {prefix}{unit}")
+}

@@ -1,0 +1,218 @@
+//! Doubts about walls on a device: out of reach, beyond what is stable there, beyond the motors.
+
+use super::device::force_along;
+use super::{Doubt, Key, with_unit};
+use crate::analysis::map::Reachable;
+use crate::analysis::plant::{Drive, Linearised};
+use crate::analysis::pose::TaskPose;
+use crate::analysis::range::stiffness_at;
+use crate::analysis::sampled::{Estimator as Analysed, FeedForward as Mode, Loop};
+use crate::bench::probe::on_surface;
+use haptic_bridge::math::Libm;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::render::scene::{FeedForward, Scene, Surface, Wall};
+use haptic_bridge::render::velocity::Estimator;
+use nalgebra::{DVector, SVector};
+use serde::Serialize;
+
+/// Hand speed (m/s) at which a wall's damping alone should not take all of the motors.
+const SLOW: f64 = 0.1;
+/// Carrier of the boards, Hz: torque follows the encoders by half a period of it.
+const CARRIER_HZ: f64 = 20_000.0;
+
+/// What a wall meets where the tip touches it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Contact {
+    /// The wall, from 0.
+    pub wall: usize,
+    /// A pose of the device on the wall, rad.
+    pub q: Vec<f64>,
+    /// The wall's normal there.
+    pub normal: Vec<f64>,
+    /// Largest stiffness that is stable with this wall's damping and feed-forward by prediction, N/m.
+    pub stable_to: f64,
+    /// Largest damping with which anything is stable, N s/m.
+    pub damping_to: f64,
+    /// The most that the motors give along the normal, N; none where a joint has no motor.
+    pub force: Option<f64>,
+    /// How far the tip moves along the normal in one encoder count, m.
+    pub count: f64,
+}
+
+/// The delay of a board at a control rate when nothing else is known, control samples: half a period of the carrier.
+pub fn usual_delay(rate_hz: f64) -> f64 {
+    0.5 / (CARRIER_HZ / rate_hz).round().max(1.0)
+}
+
+/// Everything doubtful about the walls of a scene, and what each meets where the device touches it.
+pub fn doubts(device: &Device<f64>, scene: &Scene<f64>) -> (Vec<Doubt>, Vec<Contact>) {
+    let (mut doubts, mut contacts) = (Vec::new(), Vec::new());
+    for (index, wall) in scene.walls.iter().enumerate() {
+        match touched(device, &wall.surface) {
+            Touched::At(q, normal) => {
+                let Some(contact) = meets(device, scene, index, &q, &normal, usual_delay(scene.rate_hz)) else {
+                    continue;
+                };
+                doubts.extend(beyond(wall, &contact, true));
+                contacts.push(contact);
+            }
+            Touched::Never(nearest) => doubts.push(out_of_reach(index, &wall.surface, nearest)),
+            Touched::Unknown => {}
+        }
+    }
+    (doubts, contacts)
+}
+
+/// What wall `index` of a scene meets at a pose, in a loop with this delay (control samples); `None` at a singularity.
+pub fn meets(
+    device: &Device<f64>,
+    scene: &Scene<f64>,
+    index: usize,
+    q: &[f64],
+    normal: &[f64],
+    delay_samples: f64,
+) -> Option<Contact> {
+    let wall = scene.walls.get(index)?;
+    let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?;
+    let around = Loop {
+        rate_hz: scene.rate_hz,
+        delay_samples,
+        estimator: match scene.estimator {
+            Estimator::Butterworth => Analysed::Butterworth(scene.cutoff_hz),
+            Estimator::FirstOrder => Analysed::FirstOrder(scene.cutoff_hz),
+            Estimator::BackwardDifference => Analysed::BackwardDifference,
+        },
+        drive: Drive::Ideal,
+        damping_compensation: wall.damping_compensation,
+    };
+    let mode = match wall.feed_forward {
+        FeedForward::Off => Mode::Off,
+        FeedForward::Full => Mode::Full,
+        FeedForward::Washout => Mode::Washout(wall.washout_hz),
+    };
+    let mut linearised = Linearised::of(device, q, normal, scene.admissible).ok()?;
+    linearised.gain = scene.feed_forward_gain;
+    let (stable_to, damping_to) = stiffness_at(&linearised, &around, mode, wall.damping).ok()?;
+    let along = DVector::from_fn(pose.jacobian.nrows(), |i, _| normal.get(i).copied().unwrap_or(0.0));
+    let per_radian = pose.jacobian.tr_mul(&along);
+    let count = per_radian.iter().zip(&device.joints).map(|(move_, joint)| (move_ * joint.radians_per_count).abs());
+    Some(Contact {
+        wall: index,
+        q: q.to_vec(),
+        normal: normal.to_vec(),
+        stable_to,
+        damping_to,
+        force: force_along(device, &pose, normal),
+        count: count.fold(0.0, f64::max),
+    })
+}
+
+/// What wall `index` of a scene meets if it is touched at a pose, wherever the wall is.
+pub fn at(device: &Device<f64>, scene: &Scene<f64>, index: usize, q: &[f64], delay_samples: f64) -> Option<Contact> {
+    let pose = TaskPose::of(&device.mechanism, q).ok()?;
+    let tip = SVector::<f64, 3>::from_fn(|i, _| pose.position.get(i).copied().unwrap_or(0.0));
+    let normal = scene.walls.get(index)?.surface.contact::<Libm, 3>(&tip).normal;
+    meets(device, scene, index, q, &normal.as_slice()[..pose.task], delay_samples)
+}
+
+/// What of a wall's gains is beyond the loop or the motors. `in_file`: the doubts have a place in a scene file.
+pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> {
+    let index = contact.wall;
+    let doubt = |name: &'static str, text: String| Doubt {
+        key: in_file.then_some(Key { table: "wall", index: Some(index), part: "", name }),
+        text,
+    };
+    let pose = contact.q.iter().map(|angle| format!("{angle:.2}")).collect::<Vec<_>>().join(",");
+    let mut doubts = Vec::new();
+    if wall.damping > contact.damping_to {
+        let text = format!(
+            "the damping of wall {index}, {} N s/m, is beyond what is predicted stable: up to {:.3} N s/m here (`haptic \
+             range` at --q {pose}); it will vibrate unless friction or a hand damps it",
+            wall.damping, contact.damping_to
+        );
+        doubts.push(doubt("damping", text));
+    } else if wall.stiffness > contact.stable_to {
+        let text = format!(
+            "the stiffness of wall {index}, {}, is beyond what is predicted stable: up to {} here (`haptic range` at \
+             --q {pose}); this is {} times that, and it will vibrate unless friction or a hand damps it",
+            with_unit(wall.stiffness, "N/m"),
+            with_unit(contact.stable_to, "N/m"),
+            times(wall.stiffness / contact.stable_to.max(1e-9))
+        );
+        doubts.push(doubt("stiffness", text));
+    }
+    let Some(force) = contact.force else { return doubts };
+    let per_count = wall.stiffness * contact.count;
+    if per_count > force {
+        let text = format!(
+            "one encoder count into wall {index} ({}) asks for {}, and the motors have {} there: it can only be on or off",
+            with_unit(contact.count, "m"),
+            with_unit(per_count, "N"),
+            with_unit(force, "N")
+        );
+        doubts.push(doubt("stiffness", text));
+    }
+    if wall.damping * SLOW > force {
+        let text = format!(
+            "the damping of wall {index} asks for {} at {SLOW} m/s, and the motors have {} there",
+            with_unit(wall.damping * SLOW, "N"),
+            with_unit(force, "N")
+        );
+        doubts.push(doubt("damping", text));
+    }
+    doubts
+}
+
+/// A ratio with two significant digits.
+fn times(ratio: f64) -> String {
+    if ratio < 10.0 { format!("{ratio:.1}") } else { crate::plausible::with_unit(ratio, "").trim().to_string() }
+}
+
+enum Touched {
+    /// At these joint angles, with this normal.
+    At(Vec<f64>, Vec<f64>),
+    /// Nowhere; the nearest distance of a tip outside, m, or none when the tip is always inside.
+    Never(Option<f64>),
+    /// The workspace could not be walked.
+    Unknown,
+}
+
+/// The pose on a surface that is nearest to home.
+fn touched(device: &Device<f64>, surface: &Surface<f64>) -> Touched {
+    let spec = device.mechanism.kind().spec();
+    let per_joint = [400, 60, 16][spec.joints - 1];
+    let home = device.home.unwrap_or_default();
+    let far = |q: &[f64]| q.iter().zip(home).map(|(q, home)| (q - home).powi(2)).sum::<f64>();
+    let Ok(found) = on_surface(device, surface, per_joint, 0.0) else { return Touched::Unknown };
+    if let Some(nearest) = found.iter().min_by(|a, b| far(&a.q[..spec.joints]).total_cmp(&far(&b.q[..spec.joints]))) {
+        return Touched::At(nearest.q[..spec.joints].to_vec(), nearest.normal[..spec.task].to_vec());
+    }
+    let Ok(grid) = Reachable::of(device, per_joint, None) else { return Touched::Unknown };
+    let distances = grid.indices().filter_map(|index| {
+        let pose = TaskPose::of(&device.mechanism, &grid.angles(index)).ok()?;
+        let tip = SVector::<f64, 3>::from_fn(|i, _| pose.position.get(i).copied().unwrap_or(0.0));
+        Some(surface.contact::<Libm, 3>(&tip).distance)
+    });
+    let (low, high) = distances.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), d| (l.min(d), h.max(d)));
+    match (low, high) {
+        (low, _) if low > 0.0 && low.is_finite() => Touched::Never(Some(low)),
+        (_, high) if high < 0.0 && high.is_finite() => Touched::Never(None),
+        _ => Touched::Unknown,
+    }
+}
+
+fn out_of_reach(index: usize, surface: &Surface<f64>, nearest: Option<f64>) -> Doubt {
+    let (name, point) = match surface {
+        Surface::Plane(plane) => ("point", plane.point),
+        Surface::Sphere(sphere) => ("point", sphere.center),
+        Surface::Cylinder(cylinder) => ("point", cylinder.point),
+    };
+    let metres = if point.iter().any(|p| p.abs() > 3.0) { ": points are in metres" } else { "" };
+    let text = match nearest {
+        Some(nearest) => {
+            format!("wall {index} is out of reach: the tip comes no nearer than {}{metres}", with_unit(nearest, "m"))
+        }
+        None => format!("the whole workspace is inside wall {index}{metres}; does its normal point out of the solid?"),
+    };
+    Doubt::new(Key { table: "wall", index: Some(index), part: "", name }, text)
+}

@@ -1,0 +1,223 @@
+//! The drawing of a device: its linkage at home, where each joint's angle is zero and which way it grows, how far the
+//! tip reaches. What a mirrored assembly or swapped motors would look wrong in.
+
+use haptic_bridge::model::catalogue::Kind;
+use haptic_bridge::model::description::Description;
+
+use super::axes::{Axis, Frame};
+use super::canvas::{Anchor, Canvas, Stroke};
+use super::colour::{FAINT, FULL, INK, OFF, WASHOUT};
+use super::map::bounds;
+use super::{Picture, linkage};
+use crate::analysis::cut::{Cut, Fineness};
+use crate::analysis::pose::PoseError;
+use crate::skeleton::{Angle, Point, Skeleton, Turret, skeleton};
+
+/// Longest side of the plane, pixels.
+const SIDE: f64 = 460.0;
+/// Ground of the workspace.
+const REACH: &str = "#e6edf5";
+/// Links.
+const LINK: &str = "#b9bec6";
+/// Largest radius of an angle's arc, pixels.
+const ARC: f64 = 46.0;
+
+/// Draws a device at joint angles `q` (rad); `None` where its linkage does not close. `lines` are written below it.
+pub fn draw(description: &Description, name: &str, q: &[f64], lines: &[String]) -> Result<Option<Picture>, PoseError> {
+    let Some(skeleton) = skeleton(description, q) else { return Ok(None) };
+    let spec = description.kind.spec();
+    let reach = reach(description)?;
+    let bars = skeleton.bars.iter().flat_map(|bar| [bar.from, bar.to]);
+    let limited = description.joints[..spec.joints].iter().all(|joint| joint.limits.is_some());
+    let (low, high) = if limited { bounds(bars.chain(reach.iter().flatten().copied())) } else { bounds(bars) };
+    // Room for arcs and labels around a linkage drawn by itself.
+    let room = if limited { 0.08 } else { 0.22 } * (high.0 - low.0).max(high.1 - low.1);
+    let (low, high) = ((low.0 - room, low.1 - room), (high.0 + room, high.1 + room));
+    let pixels = SIDE / (high.0 - low.0).max(high.1 - low.1);
+    let frame = Frame {
+        at: (86.0, 62.0),
+        size: ((high.0 - low.0) * pixels, (high.1 - low.1) * pixels),
+        x: Axis { name: "x".into(), unit: "m".into(), low: low.0, high: high.0 },
+        y: Axis { name: "y".into(), unit: "m".into(), low: low.1, high: high.1 },
+    };
+    let notes: Vec<String> = notes(description).into_iter().chain(lines.iter().cloned()).collect();
+    let bottom = frame.at.1 + frame.size.1 + 68.0;
+    let mut canvas = Canvas::new((frame.at.0 + frame.size.0 + 30.0).max(640.0), bottom + 17.0 * notes.len() as f64);
+    frame.clipped(&mut canvas, |canvas| {
+        let tiles: Vec<Vec<Point>> =
+            reach.iter().map(|tile| tile.iter().map(|&(x, y)| frame.pixel(x, y)).collect()).collect();
+        canvas.tiles(&tiles, REACH);
+        turret_axis(canvas, &frame, description.kind);
+        links(canvas, &frame, &skeleton);
+        for (angle, colour) in skeleton.angles.iter().zip([OFF, FULL, WASHOUT]) {
+            arc(canvas, &frame, angle, pixels, description, colour, &skeleton);
+        }
+        for base in &skeleton.base {
+            linkage::base_pivot(canvas, frame.pixel(base.0, base.1));
+        }
+        let tip = frame.pixel(skeleton.tip.0, skeleton.tip.1);
+        linkage::tip(canvas, tip);
+        let name = if skeleton.letters.is_empty() { "tip" } else { "tip P" };
+        canvas.text((tip.0, tip.1 - 12.0), 12.5, Anchor::Middle, false, name);
+    });
+    frame.draw(&mut canvas, "");
+    let title = if name == spec.name { name.to_string() } else { format!("{name}: a {}", spec.name) };
+    canvas.text((frame.at.0, 28.0), 15.0, Anchor::Start, false, &title);
+    let what =
+        if description.home.is_some_and(|home| home[..spec.joints] == *q) { "at home" } else { "at the pose given" };
+    canvas.text((frame.at.0, 47.0), 12.0, Anchor::Start, false, &format!("{what}; grey ground: where the tip can be"));
+    for (i, line) in notes.iter().enumerate() {
+        canvas.text((40.0, bottom + 17.0 * i as f64), 12.0, Anchor::Start, false, line);
+    }
+    Ok(Some(canvas.finish(&title, "The linkage, its joints with their zero angles and directions, and its reach.")))
+}
+
+/// Where the tip can be, as outlines; nothing for a paddle, whose reach is a line.
+fn reach(description: &Description) -> Result<Vec<Vec<Point>>, PoseError> {
+    let spec = description.kind.spec();
+    if spec.joints == 1 {
+        return Ok(Vec::new());
+    }
+    let cut = Cut::new(description, &[1.0, 0.0, 0.0][..spec.task])?;
+    let coarse = Fineness { side: f64::INFINITY, least: f64::INFINITY, step: f64::INFINITY, top: 1.0 };
+    Ok(cut.tiles(coarse).into_iter().map(|tile| tile.outline).collect())
+}
+
+/// What the drawing of a mechanism cannot say by itself.
+fn notes(description: &Description) -> Vec<String> {
+    let side = if description.geometry[5] < 0.0 { "right" } else { "left" };
+    let assembly =
+        format!("assembly = {}: the tip P lies to the {side} of the way from C to D", description.geometry[5]);
+    let angles = "angles count from the dashed line (zero) and grow counter-clockwise";
+    match description.kind {
+        Kind::Paddle => vec![angles.into(), "the task coordinate is length × angle, along the arc".into()],
+        Kind::FiveBar => vec![angles.into(), assembly],
+        Kind::FiveBarTurret => vec![
+            angles.into(),
+            assembly,
+            "joint 0 turns this plane about the x axis: (X, Y, Z) = (x, y cos q0, y sin q0)".into(),
+        ],
+        Kind::Parallelogram => vec![
+            angles.into(),
+            "joints 1 and 2 both count from the horizontal".into(),
+            "joint 2 turns the crank; its angle is the forearm's".into(),
+            "joint 0 turns this plane about the y axis: (X, Y, Z) = (x cos q0, y, -x sin q0)".into(),
+        ],
+        Kind::Serial3r => vec![angles.into(), "each joint counts from the link before".into()],
+    }
+}
+
+fn links(canvas: &mut Canvas, frame: &Frame, skeleton: &Skeleton) {
+    for bar in &skeleton.bars {
+        let ends = [bar.from, bar.to].map(|p| frame.pixel(p.0, p.1));
+        canvas.polyline(&ends, Stroke::solid(INK, 9.0));
+        canvas.polyline(&ends, Stroke::solid(LINK, 7.0));
+    }
+    let middles = skeleton.bars.iter().map(|bar| ((bar.from.0 + bar.to.0) / 2.0, (bar.from.1 + bar.to.1) / 2.0));
+    let sum = middles.fold((0.0, 0.0), |sum, p| (sum.0 + p.0, sum.1 + p.1));
+    let count = skeleton.bars.len() as f64;
+    let centre = frame.pixel(sum.0 / count, sum.1 / count);
+    for bar in &skeleton.bars {
+        let (from, to) = (frame.pixel(bar.from.0, bar.from.1), frame.pixel(bar.to.0, bar.to.1));
+        for end in [from, to] {
+            canvas.circle(end, 3.4, "white", Stroke::solid(INK, 1.4));
+        }
+        // Along the link, on the side that looks away from the rest.
+        let (dx, dy) = (to.0 - from.0, to.1 - from.1);
+        let (mut slope, length) = (dy.atan2(dx).to_degrees(), dx.hypot(dy).max(1e-9));
+        if !(-90.0..=90.0).contains(&slope) {
+            slope -= 180.0 * slope.signum();
+        }
+        let middle = ((from.0 + to.0) / 2.0, (from.1 + to.1) / 2.0);
+        let (nx, ny) = (dy / length, -dx / length);
+        let outward = if (middle.0 - centre.0) * nx + (middle.1 - centre.1) * ny < 0.0 { -1.0 } else { 1.0 };
+        let (nx, ny) = (outward * nx, outward * ny);
+        // The baseline lies below the letters.
+        let away = if ny > 0.0 { 17.0 } else { 8.0 };
+        let text = format!("{}, {} mm", bar.name, (bar.length * 1e5).round() / 100.0);
+        canvas.slanted_text((middle.0 + away * nx, middle.1 + away * ny), slope, &text);
+    }
+    for (letter, at) in &skeleton.letters {
+        let (x, y) = frame.pixel(at.0, at.1);
+        let (dx, dy) = (x - centre.0, y - centre.1);
+        let away = 17.0 / dx.hypot(dy).max(1e-9);
+        let fixed = skeleton.base.contains(at);
+        let (x, y) = if fixed { (x, y + 19.0) } else { (x + away * dx, y + away * dy + 4.0) };
+        canvas.text((x, y), 12.5, Anchor::Middle, false, letter);
+    }
+}
+
+/// A joint's angle: its zero, its arc with an arrow, its limits.
+fn arc(
+    canvas: &mut Canvas,
+    frame: &Frame,
+    angle: &Angle,
+    pixels: f64,
+    description: &Description,
+    colour: &str,
+    skeleton: &Skeleton,
+) {
+    let centre = frame.pixel(angle.at.0, angle.at.1);
+    let apart = match skeleton.base.as_slice() {
+        [a, b] if a != b => 0.46 * pixels * (a.0 - b.0).hypot(a.1 - b.1),
+        _ => ARC,
+    };
+    let radius = (0.42 * pixels * angle.arm).min(ARC).min(apart.max(24.0));
+    let on = |radius: f64, direction: f64| (centre.0 + radius * direction.cos(), centre.1 - radius * direction.sin());
+    canvas.line(centre, on(radius + 16.0, angle.zero), Stroke { colour, width: 1.2, dash: "4 3" });
+    let drawn =
+        angle.angle.rem_euclid(std::f64::consts::TAU) - if angle.angle < 0.0 { std::f64::consts::TAU } else { 0.0 };
+    let steps = 40;
+    let along = |from: f64, to: f64, radius: f64| -> Vec<(f64, f64)> {
+        (0..=steps).map(|i| on(radius, angle.zero + from + (to - from) * f64::from(i) / f64::from(steps))).collect()
+    };
+    canvas.polyline(&along(0.0, drawn, radius), Stroke::solid(colour, 1.8));
+    if drawn.abs() > 0.05 {
+        // The head lies on the arc's tangent at its end.
+        let end = on(radius, angle.zero + drawn);
+        let head = (0.6 * radius * drawn.abs()).min(9.0);
+        let back = drawn - drawn.signum() * head / radius;
+        for side in [-0.45 * head, 0.45 * head] {
+            canvas.line(end, on(radius + side, angle.zero + back), Stroke::solid(colour, 1.8));
+        }
+    }
+    if let Some((low, high)) = description.joints[angle.joint].limits
+        && high - low < std::f64::consts::TAU
+    {
+        canvas.polyline(&along(low, high, radius + 7.0), Stroke { colour, width: 1.2, dash: "1.5 2.5" });
+    }
+    let text = format!("joint {}: {:.1}°", angle.joint, angle.angle.to_degrees());
+    // Below the pivot, where links of usual poses are not; two base pivots keep apart.
+    let left = skeleton.base.first().is_some_and(|first| skeleton.base.len() > 1 && *first == angle.at);
+    let right = skeleton.base.len() > 1 && !left;
+    let (shift, anchor) = if left {
+        (-2.0, Anchor::End)
+    } else if right {
+        (2.0, Anchor::Start)
+    } else {
+        (8.0, Anchor::Start)
+    };
+    let box_width = 6.9 * text.chars().count() as f64;
+    let at = (centre.0 + shift, centre.1 + if skeleton.base.contains(&angle.at) { 38.0 } else { 22.0 });
+    let start = if anchor == Anchor::End { at.0 - box_width } else { at.0 };
+    canvas.rectangle((start - 3.0, at.1 - 11.0), (box_width + 6.0, 15.0), "#ffffffdd", Stroke::solid(FAINT, 0.0));
+    canvas.coloured_text(at, 12.0, anchor, colour, &text);
+}
+
+fn turret_axis(canvas: &mut Canvas, frame: &Frame, kind: Kind) {
+    let axis = Stroke { colour: INK, width: 1.2, dash: "14 4 3 4" };
+    let (left, top) = frame.at;
+    let (right, bottom) = (left + frame.size.0, top + frame.size.1);
+    let origin = frame.pixel(0.0, 0.0);
+    match Turret::of(kind) {
+        Some(Turret::AboutX) => {
+            canvas.line((left, origin.1), (right, origin.1), axis);
+            canvas.text((left + 8.0, origin.1 - 6.0), 11.5, Anchor::Start, false, "joint 0 turns about this axis");
+        }
+        Some(Turret::AboutY) => {
+            canvas.line((origin.0, top), (origin.0, bottom), axis);
+            canvas.text((origin.0 - 6.0, top + 8.0), 11.5, Anchor::End, true, "joint 0 turns about this axis");
+        }
+        None => {}
+    }
+}

@@ -1,0 +1,192 @@
+//! What parses but can hardly be meant is said, on standard error and in JSON; what is shipped is not doubted.
+
+use assert_cmd::Command;
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+
+fn devices() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices")
+}
+
+fn haptic(arguments: &[&str]) -> (i32, String, String) {
+    let done = Command::cargo_bin("haptic").unwrap().args(arguments).output().unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    (done.status.code().unwrap(), text(done.stdout), text(done.stderr))
+}
+
+/// The shipped device with one thing changed, checked with `--json`: the document and standard error.
+fn checked(changes: &[(&str, &str)], scene: Option<&str>) -> (Value, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let mut text = std::fs::read_to_string(devices().join("haply-2diy.toml")).unwrap();
+    for (from, to) in changes {
+        assert!(text.contains(from), "{from}");
+        text = text.replace(from, to);
+    }
+    let device = folder.path().join("device.toml");
+    std::fs::write(&device, text).unwrap();
+    let mut arguments = vec!["check".to_string(), device.display().to_string(), "--json".into()];
+    if let Some(scene) = scene {
+        let path = folder.path().join("scene.toml");
+        std::fs::write(&path, scene).unwrap();
+        arguments.push(path.display().to_string());
+    }
+    let (code, out, err) = haptic(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
+    assert_eq!(code, 0, "{err}");
+    (serde_json::from_str(&out).unwrap(), err)
+}
+
+#[test]
+fn wrong_units_are_doubted_at_their_line() {
+    for (changes, key, said) in [
+        (
+            &[("0.07, 0.07", "70, 70"), ("0.09, 0.09", "90, 90"), ("base = 0.038", "base = 38")][..],
+            "base = 38",
+            "metres",
+        ),
+        (&[("mass = 0.018", "mass = 18")], "mass = 18", "18 g are 0.018 kg"),
+        (&[("inertia = 9e-06", "inertia = 9000")], "inertia = 9000", "longest link"),
+        (&[("inertia = 9e-06", "inertia = 9e-12")], "inertia = 9e-12", "steel ball"),
+        (&[("inertia = 1.4e-06", "inertia = 14")], "inertia = 14", "1 g cm² is 1e-7"),
+        (&[("q = [2.3, 0.84159265358979]", "q = [132, 48]")], "[132, 48]", "132 degrees are 2.3038 rad"),
+        (&[("coulomb = 0.002", "coulomb = 0.002\nlimits = [-180, 180]")], "[-180, 180]", "turns"),
+        (&[("torque_constant = 0.033333", "torque_constant = 33.3")], "torque_constant", "mN m/A"),
+        (&[("max_current = 3.0", "max_current = 3000.0")], "max_current", "current in A"),
+        (&[("inductance = 0.001", "inductance = 1.0")], "inductance", "1 mH is 0.001"),
+        (&[("counts_per_turn = 10752", "counts_per_turn = 48")], "counts_per_turn = 48", "gear ratio"),
+        (&[("coulomb = 0.002", "coulomb = 0.2")], "coulomb = 0.2", "cannot move itself"),
+    ] {
+        let (json, err) = checked(changes, None);
+        let warnings = json["warnings"].as_array().unwrap();
+        assert!(!warnings.is_empty(), "{changes:?} is not doubted");
+        let found = warnings.iter().find(|w| w["text"].as_str().unwrap().contains(said));
+        let found = found.unwrap_or_else(|| panic!("{changes:?}: {err}"));
+        assert!(err.contains(found["text"].as_str().unwrap()), "{err}");
+        assert!(err.lines().all(|line| line.starts_with("haptic: warning: ")), "{err}");
+        // The line that is named is the line that was changed.
+        let mut text = std::fs::read_to_string(devices().join("haply-2diy.toml")).unwrap();
+        changes.iter().for_each(|(from, to)| text = text.replace(from, to));
+        let line = text.lines().nth(found["line"].as_u64().unwrap() as usize - 1).unwrap().to_string();
+        assert!(line.contains(key), "{line} is not {key}");
+    }
+}
+
+#[test]
+fn walls_beyond_reach_loop_and_motors_are_doubted() {
+    let wall = |point: &str, stiffness: &str, damping: &str| {
+        format!("[[wall]]\npoint = {point}\nnormal = [0.0, -1.0]\nstiffness = {stiffness}\ndamping = {damping}\n")
+    };
+    for (scene, said) in [
+        (wall("[0.0, 100.0]", "3000.0", "6.0"), "out of reach"),
+        (wall("[0.0, 0.125]", "3.0e9", "6.0"), "times that"),
+        (wall("[0.0, 0.125]", "3.0e9", "6.0"), "one encoder count into wall 0"),
+        (wall("[0.0, 0.125]", "3000.0", "6.0e4"), "the damping of wall 0"),
+    ] {
+        let (json, err) = checked(&[], Some(&scene));
+        assert!(
+            json["warnings"].as_array().unwrap().iter().any(|w| w["text"].as_str().unwrap().contains(said)),
+            "{err}"
+        );
+    }
+}
+
+#[test]
+fn the_limit_that_is_named_is_that_of_haptic_range() {
+    let scene = "[[wall]]\npoint = [0.0, 0.125]\nnormal = [0.0, -1.0]\nstiffness = 3e9\ndamping = 6.0\nfeed_forward = \"off\"\n";
+    let (json, _) = checked(&[], Some(scene));
+    let contact = &json["scenes"][0]["contacts"][0];
+    let q: Vec<String> =
+        contact["q"].as_array().unwrap().iter().map(|v| format!("{:e}", v.as_f64().unwrap())).collect();
+    let device = devices().join("haply-2diy.toml");
+    let q = format!("--q={}", q.join(","));
+    let (code, out, err) = haptic(&[
+        "range",
+        device.to_str().unwrap(),
+        &q,
+        "--normal",
+        "0,-1",
+        "--rate",
+        "20000",
+        "--cutoff",
+        "500",
+        "--delay",
+        "0.5",
+        "--kd",
+        "6",
+        "--json",
+    ]);
+    assert_eq!(code, 0, "{err}");
+    let range: Value = serde_json::from_str(&out).unwrap();
+    let (named, predicted) =
+        (contact["stable_to"].as_f64().unwrap(), range["off"]["boundary"][0]["kp"].as_f64().unwrap());
+    assert!((named / predicted - 1.0).abs() < 1e-9, "{named} {predicted}");
+}
+
+#[test]
+fn nothing_shipped_is_doubted() {
+    let toml = |folder: &Path| -> Vec<PathBuf> {
+        let found = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+        found.filter(|path| path.extension().is_some_and(|e| e == "toml")).collect()
+    };
+    let shipped = toml(&devices());
+    assert!(shipped.len() >= 7);
+    for device in shipped {
+        let scenes = toml(&devices().join("scenes").join(device.file_stem().unwrap()));
+        let mut arguments = vec!["check", device.to_str().unwrap()];
+        arguments.extend(scenes.iter().map(|path| path.to_str().unwrap()));
+        let (code, out, err) = haptic(&arguments);
+        assert_eq!((code, err.as_str()), (0, ""), "{out}");
+        assert!(out.contains("tip at home") && out.contains("largest force"), "{out}");
+    }
+}
+
+#[test]
+fn model_doubts_angles_in_degrees() {
+    let device = devices().join("haply-2diy.toml");
+    let (code, _, err) = haptic(&["model", device.to_str().unwrap(), "--q", "132,48"]);
+    assert!(code != 2 && err.contains("132 degrees are 2.3038 rad"), "{code} {err}");
+}
+
+#[test]
+fn a_scene_given_as_a_device_is_named_so_and_the_other_way_round() {
+    let device = devices().join("haply-2diy.toml");
+    let scene = devices().join("scenes/haply-2diy/wall-soft.toml");
+    let (code, _, err) = haptic(&["check", scene.to_str().unwrap()]);
+    assert!(code == 2 && err.contains("looks like a scene file"), "{err}");
+    let (code, _, err) = haptic(&["check", device.to_str().unwrap(), device.to_str().unwrap()]);
+    assert!(code == 2 && err.contains("looks like a device file"), "{err}");
+}
+
+#[test]
+fn what_never_ends_or_is_huge_is_not_read() {
+    let (code, _, err) = haptic(&["check", "/dev/zero"]);
+    assert!(code == 2 && err.contains("a pipe or a device"), "{err}");
+    let folder = tempfile::tempdir().unwrap();
+    let fifo = folder.path().join("fifo");
+    assert!(std::process::Command::new("mkfifo").arg(&fifo).status().unwrap().success());
+    let (code, _, err) = haptic(&["check", fifo.to_str().unwrap()]);
+    assert!(code == 2 && err.contains("a pipe or a device"), "{err}");
+    let huge = folder.path().join("huge.toml");
+    std::fs::write(&huge, "#".repeat((1 << 20) + 1)).unwrap();
+    let (code, _, err) = haptic(&["check", huge.to_str().unwrap()]);
+    assert!(code == 2 && err.contains("1 MiB"), "{err}");
+}
+
+#[test]
+fn a_new_file_passes_check_and_is_never_written_over() {
+    let folder = tempfile::tempdir().unwrap();
+    for kind in ["paddle", "five-bar", "five-bar-turret", "parallelogram", "serial-3r"] {
+        let path = folder.path().join(format!("{kind}.toml"));
+        let path = path.to_str().unwrap();
+        assert_eq!(haptic(&["new", kind, "-o", path]).0, 0);
+        let drawing = folder.path().join("drawing.svg");
+        let (code, out, err) = haptic(&["check", path, "--svg", drawing.to_str().unwrap()]);
+        assert_eq!((code, err.as_str()), (0, ""), "{out}");
+        assert!(std::fs::read_to_string(&drawing).unwrap().contains("joint "), "{kind}");
+        std::fs::write(path, "mine").unwrap();
+        assert_eq!(haptic(&["new", kind, "-o", path]).0, 2);
+        assert_eq!(std::fs::read_to_string(path).unwrap(), "mine");
+        assert_eq!(haptic(&["new", kind, "-o", path, "--force"]).0, 0);
+        assert!(std::fs::read_to_string(path).unwrap().contains("[[joint]]"));
+    }
+    assert_eq!(haptic(&["new", "six-bar"]).0, 2);
+}
