@@ -27,7 +27,8 @@ const SHIPPED: &str = "minimax";
 /// How much error a plan may leave.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Budget {
-    /// Percent of the largest joint torque that the motors' whole force takes at the same pose.
+    /// Percent of what the motors give at the same pose: of the worst joint's torque, and so of the largest force at the
+    /// tip in the direction of the error.
     Percent(f64),
     /// What the duty's resolution hides anyway.
     OneDutyStep,
@@ -213,22 +214,30 @@ pub fn cost(device: &Device<f64>, scene: &Scene<f64>, model: &str) -> u32 {
 
 fn explain(candidates: &[Candidate], terms: Terms, mass: &Precomputed, budget: Budget, speed: f64) -> Vec<String> {
     let find = |model: &str, terms: Terms| candidates.iter().find(|c| c.model == model && c.terms == terms.name());
-    let size = |candidate: &Candidate| match budget {
-        Budget::Percent(_) => format!("{:.3} %", 100.0 * candidate.errors.share.max),
-        Budget::OneDutyStep => format!("{:.3} duty steps", candidate.errors.duty.max),
+    // As a person feels it; 99 of 100 situations, because the last of them are those next to singularities.
+    let size = |candidate: &Candidate| {
+        let Errors { force, share, duty, .. } = &candidate.errors;
+        let most = match budget {
+            Budget::Percent(_) => format!("{} of what the motors give", percent(share.max)),
+            Budget::OneDutyStep => format!("{:.1} steps of the duty", duty.max),
+        };
+        format!("up to {} at the tip nearly everywhere, at worst {most}", newtons(force.most))
     };
     let mut reasons = Vec::new();
     if let Some(without) = find("exact", Terms::FeedForward) {
-        let verdict = if terms == Terms::FeedForward { "so they are left out" } else { "so they are computed" };
         let size = size(without);
-        reasons.push(format!("leaving out the velocity terms costs {size} at {speed} m/s, {verdict}"));
+        reasons.push(if terms == Terms::FeedForward {
+            format!("at {speed} m/s the forces of motion are {size}: too little to compute")
+        } else {
+            format!("at {speed} m/s the forces of motion are {size}: they are compensated")
+        });
     }
     if let Some(one) = find("frozen", terms) {
         let verdict = match mass.name() {
             "frozen" => "so one matrix does",
             _ => "so the matrix has to follow the pose",
         };
-        reasons.push(format!("one matrix for all of the walls leaves {}, {verdict}", size(one)));
+        reasons.push(format!("one mass matrix for all of the walls is wrong by {}, {verdict}", size(one)));
     }
     if let (Some(exact), Some(table), false) = (find("exact", terms), find("bilinear", terms), mass.name() == "frozen")
     {
@@ -239,4 +248,24 @@ fn explain(candidates: &[Candidate], terms: Terms, mass: &Precomputed, budget: B
         ));
     }
     reasons
+}
+
+/// A force in the digits that count.
+pub fn newtons(force: f64) -> String {
+    match force {
+        f if f >= 10.0 => format!("{f:.0} N"),
+        f if f >= 0.1 => format!("{f:.1} N"),
+        f if f >= 1.0e-4 => format!("{:.1} mN", 1.0e3 * f),
+        _ => "less than 0.1 mN".into(),
+    }
+}
+
+/// A share in percent; beyond the whole it has no meaning of its own.
+pub fn percent(share: f64) -> String {
+    match 100.0 * share {
+        p if p > 100.0 => "more than all".into(),
+        p if p >= 10.0 => format!("{p:.0} %"),
+        p if p >= 0.01 => format!("{p:.2} %"),
+        _ => "less than 0.01 %".into(),
+    }
 }

@@ -1,4 +1,7 @@
 //! The torque a variant renders, by the board's own code in the board's precision, against f64 and the closed form.
+//!
+//! The reference renders the wall's force whatever moves (docs/model.md section 2), so what a variant leaves out counts.
+//! Torques are told as forces at the tip, J⁻ᵀ Δτ: what a hand there would have to hold.
 
 use crate::bench::precompute::Precomputed;
 use crate::bench::probe::Probe;
@@ -6,10 +9,11 @@ use crate::error::Failure;
 use crate::precision::rounded;
 use haptic_bridge::math::{Libm, Math, Micromath, Minimax, Real};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
-use haptic_bridge::model::device::Device;
-use haptic_bridge::model::inertia::{frame_rate, shaped_torque};
+use haptic_bridge::model::device::{Device, Motor};
+use haptic_bridge::model::inertia::{frame_rate, shaped_torque_beside, solve_symmetric};
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::model::precomputed::MassModel;
+use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 use serde::Serialize;
 
@@ -84,7 +88,10 @@ impl Size {
 pub struct Errors {
     /// N m
     pub torque: Size,
-    /// In shares of the largest joint torque of the whole force there.
+    /// At the tip, N.
+    pub force: Size,
+    /// In shares of the torque that the motor of the worst joint gives: the same share as of the largest force that
+    /// the motors give at the tip in the direction of the error.
     pub share: Size,
     /// In steps of the duty: torque / torque constant · resistance, on a 24 V bus.
     pub duty: Size,
@@ -111,7 +118,8 @@ pub fn torque<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
             let turning = -frame_rate(&n, &vector(&probe.normal_rate), &tip);
             b = mechanism.velocity_torque(&pose, &vector(&probe.qd)) + mechanism.shaping(&pose, &turning).me;
         }
-        shaped_torque(&shaping, force, &b)
+        // The rendered law: b is added whole, and none of it is left for the wall to meet.
+        shaped_torque_beside(&shaping, force, &b, &SVector::zeros())
     };
     std::array::from_fn(|i| if i < N { torque[i].to_f64() } else { 0.0 })
 }
@@ -136,6 +144,25 @@ macro_rules! define {
                 _ => Errors::default(),
             })
         }
+
+        /// Where the error of a variant over `probes` comes from.
+        pub fn parts(
+            device: &Device<f64>,
+            probes: &[Probe],
+            model: &Precomputed,
+            terms: Terms,
+            trigonometry: Trigonometry,
+        ) -> Result<Parts, Failure> {
+            let board = rounded(&device.mechanism)?;
+            Ok(match (&device.mechanism, &board) {
+                $((AnyMechanism::$Variant(exact), AnyMechanism::$Variant(board)) => match trigonometry {
+                    Trigonometry::Minimax => parts_of::<Minimax, _, _, $n>(exact, board, probes, model, terms),
+                    Trigonometry::Micromath => parts_of::<Micromath, _, _, $n>(exact, board, probes, model, terms),
+                    Trigonometry::Libm => parts_of::<Libm, _, _, $n>(exact, board, probes, model, terms),
+                },)*
+                _ => Parts::default(),
+            })
+        }
     };
 }
 haptic_bridge::mechanisms!(define);
@@ -150,21 +177,119 @@ fn compare<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: us
 ) -> Errors {
     let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data) else { return Errors::default() };
     let steps = duty_steps(device);
-    let (mut torques, mut shares, mut duties) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut torques, mut forces, mut shares, mut duties) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for probe in probes {
-        let right = torque::<f64, Libm, E, N>(exact, (&MassModel::Exact, &[]), Terms::FeedForwardZ, probe);
-        let found = torque::<f32, K, B, N>(board, (&mass, &model.values), terms, probe);
-        let whole = torque::<f64, Libm, E, N>(exact, (&MassModel::Exact, &[]), Terms::None, probe);
-        let off: [f64; MAX_JOINTS] = std::array::from_fn(|i| {
-            let off = (found[i] - right[i]).abs();
-            if off.is_finite() { off } else { f64::INFINITY }
-        });
-        let largest = |values: [f64; MAX_JOINTS]| values.into_iter().fold(0.0, f64::max);
+        let right = reference::<E, N>(exact, Terms::FeedForwardZ, probe);
+        let off = difference(torque::<f32, K, B, N>(board, (&mass, &model.values), terms, probe), right);
+        let whole = largest(reference::<E, N>(exact, Terms::None, probe));
+        let share = |i: usize| off[i].abs() / device.joints[i].motor.map_or(whole, |motor| strongest(&motor));
         torques.push(largest(off));
-        shares.push(largest(off) / largest(whole.map(f64::abs)));
+        forces.push(at_the_tip::<E, N>(exact, probe, off));
+        shares.push((0..N).map(share).fold(0.0, f64::max));
         duties.push(largest(std::array::from_fn(|i| off[i] * steps[i])));
     }
-    Errors { torque: Size::of(torques), share: Size::of(shares), duty: Size::of(duties) }
+    Errors { torque: Size::of(torques), force: Size::of(forces), share: Size::of(shares), duty: Size::of(duties) }
+}
+
+/// The most that a motor gives at its joint, N m.
+pub fn strongest(motor: &Motor<f64>) -> f64 {
+    motor.torque_constant.abs() * motor.max_current
+}
+
+fn reference<E: Mechanism<f64, N>, const N: usize>(exact: &E, terms: Terms, probe: &Probe) -> [f64; MAX_JOINTS] {
+    torque::<f64, Libm, E, N>(exact, (&MassModel::Exact, &[]), terms, probe)
+}
+
+/// Infinite where it is no number.
+fn difference(found: [f64; MAX_JOINTS], right: [f64; MAX_JOINTS]) -> [f64; MAX_JOINTS] {
+    std::array::from_fn(|i| {
+        let off = found[i] - right[i];
+        if off.is_finite() { off } else { f64::INFINITY }
+    })
+}
+
+fn largest(values: [f64; MAX_JOINTS]) -> f64 {
+    values.into_iter().fold(0.0, |most, value| most.max(value.abs()))
+}
+
+/// The force at the tip that these joint torques make, N.
+fn at_the_tip<E: Mechanism<f64, N>, const N: usize>(exact: &E, probe: &Probe, torque: [f64; MAX_JOINTS]) -> f64 {
+    let pose = exact.pose::<Libm>(&SVector::from_fn(|i, _| probe.q[i]));
+    let force = exact.jacobian_inverse(&pose).tr_mul(&SVector::from_fn(|i, _| torque[i]));
+    force.iter().take(E::SPEC.task).map(|entry| entry * entry).sum::<f64>().sqrt()
+}
+
+/// Stiffness by which an error of the tip's position becomes one of force, N/m.
+pub const STIFFNESS: f64 = 20_000.0;
+
+/// Where a variant's error comes from, each the largest over the situations and by itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Parts {
+    /// Terms left out, computed exactly: N at the tip.
+    pub dropped: f64,
+    /// The mass model instead of the closed form: N at the tip.
+    pub model: f64,
+    /// Rounding in f32 and the trigonometry, of the torque of a given force: N at the tip.
+    pub rounding: f64,
+    /// The same, of the tip's position, times [`STIFFNESS`]: N.
+    pub tip: f64,
+    /// Least share of the stable area of the exact feed-forward that is left: (inertia met / Wrr)².
+    pub area: f64,
+}
+
+fn parts_of<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: usize>(
+    exact: &E,
+    board: &B,
+    probes: &[Probe],
+    model: &Precomputed,
+    terms: Terms,
+) -> Parts {
+    let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data) else { return Parts::default() };
+    let mut parts = Parts { area: f64::INFINITY, ..Parts::default() };
+    let more = |most: &mut f64, value: f64| *most = most.max(value);
+    for probe in probes {
+        let felt = |a, b| at_the_tip::<E, N>(exact, probe, difference(a, b));
+        let closed = torque::<f32, K, B, N>(board, (&MassModel::Exact, &[]), terms, probe);
+        let same = reference::<E, N>(exact, terms, probe);
+        more(&mut parts.dropped, felt(same, reference::<E, N>(exact, Terms::FeedForwardZ, probe)));
+        more(&mut parts.rounding, felt(closed, same));
+        let prepared = torque::<f32, K, B, N>(board, (&mass, &model.values), terms, probe);
+        more(&mut parts.model, felt(prepared, closed));
+
+        let (q, q32) = (SVector::<f64, N>::from_fn(|i, _| probe.q[i]), SVector::from_fn(|i, _| probe.q[i] as f32));
+        let pose = exact.pose::<Libm>(&q);
+        let seen = board.tip(&board.pose::<K>(&q32));
+        // The angles as f32 has them are what both are told.
+        let told = exact.tip(&exact.pose::<Libm>(&q32.map(f64::from)));
+        let off = (0..E::SPEC.task).map(|i| (f64::from(seen[i]) - told[i]).powi(2)).sum::<f64>().sqrt();
+        more(&mut parts.tip, STIFFNESS * off);
+
+        // The inertia met at rest: a newton's torque on the real mobility.
+        let resting = Probe { qd: [0.0; MAX_JOINTS], force: 1.0, ..*probe };
+        let without = if terms == Terms::None { Terms::None } else { Terms::FeedForward };
+        let newton = torque::<f32, K, B, N>(board, (&mass, &model.values), without, &resting);
+        let n = SVector::<f64, N>::from_fn(|i, _| probe.normal[i]);
+        let moved = solve_symmetric(&exact.mass(&pose), &SVector::from_fn(|i, _| newton[i]));
+        let met = 1.0 / exact.transpose(&pose, &n).dot(&moved);
+        let ratio = met / exact.shaping(&pose, &n).w_rr;
+        parts.area = parts.area.min(if ratio > 0.0 { ratio * ratio } else { 0.0 });
+    }
+    parts
+}
+
+/// The farthest that one encoder step moves the tip over `probes`, m; 0 without encoders.
+pub fn encoder_step(device: &Device<f64>, probes: &[Probe]) -> f64 {
+    fn farthest<M: Mechanism<f64, N>, const N: usize>(m: &M, device: &Device<f64>, probes: &[Probe]) -> f64 {
+        let moves = |probe: &Probe| {
+            let jacobian = m.jacobian(&m.pose::<Libm>(&SVector::from_fn(|i, _| probe.q[i])));
+            (0..N).map(move |joint| {
+                let column = (0..M::SPEC.task).map(|i| jacobian[(i, joint)].powi(2)).sum::<f64>().sqrt();
+                column * device.joints[joint].radians_per_count.abs()
+            })
+        };
+        probes.iter().flat_map(moves).fold(0.0, f64::max)
+    }
+    with_mechanism!(&device.mechanism, m => farthest(m, device, probes))
 }
 
 /// Duty steps per N m at each joint; 0 where the device file names no motor.

@@ -1,8 +1,9 @@
-//! Where errors are looked at: poses with a wall's normal, the largest force the motors give along it, and a hand
-//! motion.
+//! Where errors are looked at: poses with a wall's normal, a hand motion, and the largest force the motors give along
+//! the normal beside it. A motion that takes more than the motors give is none that the device makes, and is left out.
 
 use crate::analysis::map::Reachable;
 use crate::analysis::pose::PoseError;
+use crate::bench::error::strongest;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::device::Device;
@@ -31,7 +32,7 @@ pub struct Probe {
     pub normal_rate: [f64; MAX_JOINTS],
     /// Task velocity, m/s (and rad/s for φ).
     pub velocity: [f64; MAX_JOINTS],
-    /// The most that the motors give along the normal here, N.
+    /// The most that the motors give along the normal here beside the weight and the motion, N.
     pub force: f64,
 }
 
@@ -134,12 +135,15 @@ fn push<M: Mechanism<f64, N>, const N: usize>(
     if regularity.serial < FULL_REGULARITY || regularity.parallel < FULL_REGULARITY * PARALLEL_REGULARITY {
         return;
     }
-    let per_newton = m.transpose(&pose, &n);
-    let strongest = (0..N)
-        .filter_map(|i| device.joints[i].motor.map(|motor| (i, motor)))
-        .map(|(i, motor)| motor.torque_constant.abs() * motor.max_current / per_newton[i].abs().max(1.0e-9))
-        .fold(f64::INFINITY, f64::min);
-    let force = if strongest.is_finite() { strongest } else { FORCE_WITHOUT_MOTORS };
+    let weight = m.gravity(&pose);
+    let (plain, shaping) = (m.transpose(&pose, &n), m.shaping(&pose, &n));
+    let per_newton = SVector::<f64, N>::from_fn(|i, _| plain[i].abs().max((shaping.me[i] / shaping.w_rr).abs()));
+    // What the motors give beside the weight and the motion; nothing where these alone are too much.
+    let left = |b: &SVector<f64, N>| {
+        let joints = (0..N).filter_map(|i| device.joints[i].motor.map(|motor| (i, strongest(&motor))));
+        let share = joints.map(|(i, most)| (most - weight[i].abs() - b[i].abs()) / per_newton[i].max(1.0e-9));
+        share.fold(f64::INFINITY, f64::min)
+    };
     let here = place::<M, N>(&m.tip(&pose));
     // Faster joints trip the guard: no torque is rendered then.
     let fastest = f64::from(Limits::default().speed[0]);
@@ -149,6 +153,11 @@ fn push<M: Mechanism<f64, N>, const N: usize>(
         if qd.iter().any(|rate| rate.abs() > fastest) {
             continue;
         }
+        let force = left(&m.velocity_torque(&pose, &qd));
+        if force <= 0.0 {
+            continue;
+        }
+        let force = if force.is_finite() { force } else { FORCE_WITHOUT_MOTORS };
         let rate = surface.map_or(SVector::zeros(), |s| s.normal_rate::<Libm, N>(&here, &place::<M, N>(&velocity)));
         probes.push(Probe {
             q: *q,

@@ -1,5 +1,6 @@
 //! `haptic bench`: every variant of the control step with its cost and its error.
 
+use haptic::bench::error::Parts;
 use haptic::bench::report::{Variant, devices, page, picture, variants};
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
@@ -20,6 +21,19 @@ pub struct Args {
     #[arg(long)]
     json: bool,
 }
+
+/// What the columns and the words of a variant's name mean.
+const LEGEND: &str = "
+variant: mechanism/trigonometry/mass matrix/terms
+  trigonometry: minimax (polynomials, what the firmware runs), minimax+vsqrt (with the FPU's own root), micromath, libm
+  mass matrix: exact (closed form), frozen (one for the workspace), bilinear and bicubic (tables)
+  terms: none (Jᵀ f alone), feed-forward, feed-forward+z (with the forces of motion)
+errors, N at the tip at the worst of the poses and speeds that the motors can make, each by itself:
+  left out: terms that are not computed; matrix: the mass matrix instead of the closed form;
+  rounding: f32 and trigonometry in the torque; tip: the same in the tip's position, times 20 kN/m
+area: stable area of stiffness and damping that is left of the exact feed-forward's
+front: nothing of the same mechanism is both cheaper and nearer to the force that should be felt
+";
 
 /// Computes and prints, or writes the report.
 pub fn run(args: Args) -> Result<(), Failure> {
@@ -46,21 +60,21 @@ pub fn run(args: Args) -> Result<(), Failure> {
         return print(&format!("{}\n", serde_json::json!({ "variants": variants })));
     }
     let mut text = format!(
-        "{:<52}{:>11}{:>14}{:>10}{:>12}{:>12}{:>12}\n",
-        "variant", "target", "instructions", "ns", "max N m", "RMS N m", "duty steps"
+        "{:<52}{:>11}{:>14}{:>10}{:>12}{:>12}{:>12}{:>12}{:>9}\n",
+        "variant", "target", "instructions", "ns", "left out", "matrix", "rounding", "tip", "area"
     );
     for variant in every.iter().flat_map(|(_, variants)| variants) {
+        let Parts { dropped, model, rounding, tip, area } = variant.parts;
         text.push_str(&format!(
-            "{:<52}{:>11}{:>14}{:>10}{:>12.2e}{:>12.2e}{:>12.3}{}\n",
+            "{:<52}{:>11}{:>14}{:>10}{dropped:>12.1e}{model:>12.1e}{rounding:>12.1e}{tip:>12.1e}{:>7.1} %{}\n",
             variant.name,
             variant.target,
             variant.instructions.map_or("-".into(), |count| count.to_string()),
             variant.nanoseconds.map_or("-".into(), |time| format!("{time:.0}")),
-            variant.error_max,
-            variant.error_rms,
-            variant.errors.duty.max,
+            100.0 * area,
             if variant.pareto { "  front" } else { "" }
         ));
     }
+    text.push_str(LEGEND);
     print(&text)
 }

@@ -3,7 +3,7 @@
 use clap::builder::NonEmptyStringValueParser;
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
-use haptic::plan::{Budget, DEFAULT_PERCENT, HAND_SPEED, Plan, plan};
+use haptic::plan::{Budget, DEFAULT_PERCENT, HAND_SPEED, Plan, newtons, percent, plan};
 use haptic::scene_file::SceneFile;
 use haptic_bridge::model::device::Device;
 use std::fmt::Write;
@@ -20,7 +20,7 @@ pub struct Args {
     device: PathBuf,
     /// Scene file (TOML)
     scene: PathBuf,
-    /// Allowed error: percent of the torque of the motors' whole force, or `one-duty-step` [default: 1]
+    /// Allowed error: percent of what the motors give, or `one-duty-step` [default: 1]
     #[arg(long, value_name = "PERCENT|one-duty-step", value_parser = NonEmptyStringValueParser::new())]
     error: Option<String>,
     /// Fastest motion of the hand, m/s [default: the scene's hand_speed, or 0.5]
@@ -85,8 +85,9 @@ pub fn readable(device: &Device<f64>, plan: &Plan) -> String {
     }
     let _ = writeln!(
         text,
-        "  error left: {:.4} % of the torque of the whole force at most, {:.3} duty steps",
-        100.0 * plan.errors.share.max,
+        "  error left: {} at the tip nearly everywhere, at worst {} of what the motors give ({:.1} steps of the duty)",
+        newtons(plan.errors.force.most),
+        percent(plan.errors.share.max),
         plan.errors.duty.max
     );
     for reason in &plan.reasons {
@@ -95,20 +96,20 @@ pub fn readable(device: &Device<f64>, plan: &Plan) -> String {
     if !plan.candidates.is_empty() {
         let _ = writeln!(
             text,
-            "\n  {:<12}{:<18}{:>14}{:>12}{:>14}",
-            "matrix", "terms", "instructions", "error", "duty steps"
+            "\n  {:<12}{:<18}{:>14}{:>18}{:>18}",
+            "matrix", "terms", "instructions", "99 % below", "at worst"
         );
         for way in &plan.candidates {
             let chosen = way.model == plan.mass.name() && way.terms == plan.terms.name();
             let _ = writeln!(
                 text,
-                "{} {:<12}{:<18}{:>14}{:>11.4}%{:>14.3}",
+                "{} {:<12}{:<18}{:>14}{:>18}{:>18}",
                 if chosen { ">" } else { " " },
                 way.model,
                 way.terms,
                 way.instructions,
-                100.0 * way.errors.share.max,
-                way.errors.duty.max
+                newtons(way.errors.force.most),
+                percent(way.errors.share.max)
             );
         }
     }

@@ -29,7 +29,7 @@ pub struct Args {
     /// Load what the file says, with the closed form of the mass matrix, and plan nothing
     #[arg(long)]
     as_written: bool,
-    /// Allowed error: percent of the torque of the motors' whole force, or `one-duty-step` [default: 1]
+    /// Allowed error: percent of what the motors give, or `one-duty-step` [default: 1]
     #[arg(long, value_name = "PERCENT|one-duty-step", value_parser = NonEmptyStringValueParser::new())]
     error: Option<String>,
     /// Fastest motion of the hand, m/s [default: the scene's hand_speed, or 0.5]
