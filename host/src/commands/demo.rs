@@ -140,7 +140,7 @@ fn report(demo: &Demo, results: &Results) -> String {
     ));
     text.push_str(
         "The stable stiffness is measured with friction, hand and encoder steps left out, as in the theory; with them the\n\
-         limit itself moves, by up to a few times.\n\n",
+         limit lies higher, several times with a hand (docs/results.md).\n\n",
     );
     text
 }

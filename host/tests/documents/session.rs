@@ -4,7 +4,7 @@
 //! `cargo run … --package haptic --`, are the tool of this very build; other calls of cargo run in the repository. What
 //! serves until Ctrl-C (`haptic sim`, `cargo xtask board`) stays while the rest of its block is typed, as in another
 //! terminal; another line that says Ctrl-C in its comment gets one after two seconds; one that says that it asks is
-//! answered with `y`. The TCP port 7710 of the documents becomes one that is free here.
+//! answered with `y`; what a comment quotes after the word prints is in the output. The TCP port 7710 of the documents becomes one that is free here.
 
 use crate::blocks::{Block, Kind, root};
 use serialport::{SerialPort, TTYPort};
@@ -107,7 +107,14 @@ impl Session {
         }
         let status = wait(&mut child, self.patience)?;
         let said = said.map(|said| said.join().unwrap()).concat();
-        if status == Some(0) { Ok(()) } else { Err(format!("exit code {status:?}, and said\n{said}")) }
+        if status != Some(0) {
+            return Err(format!("exit code {status:?}, and said\n{said}"));
+        }
+        let promised = comment.split_once("prints ").map_or("", |(_, promised)| promised);
+        match promised.split('"').skip(1).step_by(2).find(|words| !said.contains(words)) {
+            Some(words) => Err(format!("does not print \"{words}\", but\n{said}")),
+            None => Ok(()),
+        }
     }
 
     fn shell(&self, command: &str) -> Command {
@@ -206,10 +213,13 @@ fn copy(from: &Path, to: &Path) {
 #[test]
 fn a_line_that_fails_is_found_out() {
     let block = |line: &str| Block { place: "x.md:1".into(), kind: Kind::Quick, lines: vec![line.into()] };
-    let run = |line: &str| run(&block(line), Duration::from_secs(5));
+    let run = |line: &str| run(&block(line), Duration::from_secs(2));
     assert_eq!(run("haptic model devices/coupled-five-bar.toml --q 2.6,1.75   # a remark"), Ok(()));
     let wrong = run("haptic model devices/coupled-five-bar.toml --no-such-option").unwrap_err();
     assert!(wrong.contains("x.md:1") && wrong.contains("no-such-option"), "{wrong}");
     assert!(run("haptic sim no-such-file.toml").unwrap_err().contains("exit code Some(2)"));
+    let line = "haptic model devices/haply-2diy.toml --normal 0,1 # prints";
+    assert_eq!(run(&format!("{line} \"buys next to nothing\"")), Ok(()));
+    assert!(run(&format!("{line} \"buys a lot\"")).unwrap_err().contains("does not print \"buys a lot\""));
     assert!(run("sleep 20").unwrap_err().contains("did not end"));
 }
