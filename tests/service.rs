@@ -13,7 +13,7 @@ use haptic_bridge::model::precomputed::MassModelData;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_bridge::safety::fault::{Fault, State};
-use haptic_bridge::safety::limits::Limits;
+use haptic_bridge::safety::limits::{BadLimit, Limit, Limits};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::Rules;
 use postcard_rpc::Endpoint;
@@ -102,8 +102,14 @@ fn restore_rules(board: &mut Board) -> Result<(), Refusal> {
     board.ask::<CommitEntries>(&[Key::Rules].into_iter().collect()).expect("understood")
 }
 
+/// What a board says of [`rules`] with a share above 1: the first number of the first limit.
+fn too_high(share: f32) -> Refusal {
+    let value = share * Limits::default().torque[0];
+    Refusal::BadLimit(BadLimit { limit: Limit::Torque, joint: Some(0), value, least: 0.0, most: 5.0 })
+}
+
 fn table() -> Vec<Line> {
-    use Refusal::{Armed as On, BadLimits, BadTable, NoDevice, NotHomed};
+    use Refusal::{Armed as On, BadTable, NoDevice, NotHomed};
     let ok = Ok(());
     let fault = Err(Refusal::Faulted(Fault::GateDriver));
     let always = [ok; 6];
@@ -131,7 +137,7 @@ fn table() -> Vec<Line> {
         ("gains", ask!(SetGains, gains(0, 300.0)), [Err(NoDevice), ok, ok, ok, ok, ok]),
         ("rules as they are", ask!(SetRules, rules(1.0)), always),
         ("lower limits", ask!(SetRules, rules(0.5)), always),
-        ("limits above the board's", ask!(SetRules, rules(1.01)), [Err(BadLimits); 6]),
+        ("limits above the board's", ask!(SetRules, rules(1.01)), [Err(too_high(1.01)); 6]),
         ("save", ask!(Save), while_off),
         (
             "stage a setting",
@@ -209,34 +215,48 @@ fn the_table_above_leaves_no_endpoint_out() {
 #[test]
 fn no_limit_beyond_the_boards_own_and_no_wild_number_passes() {
     type Set = fn(&mut Limits, usize, f32);
-    let sets: [(&str, f32, Set); 5] = [
-        ("torque", 5.0, |limits, axis, to| limits.torque[axis] = to),
-        ("current", 10.0, |limits, axis, to| limits.current[axis] = to),
-        ("continuous current", 10.0, |limits, axis, to| limits.continuous_current[axis] = to),
-        ("speed", 60.0, |limits, axis, to| limits.speed[axis] = to),
-        ("power", 20.0, |limits, _, to| limits.power = to),
+    let sets: [(Limit, f32, Set); 5] = [
+        (Limit::Torque, 5.0, |limits, axis, to| limits.torque[axis] = to),
+        (Limit::Current, 10.0, |limits, axis, to| limits.current[axis] = to),
+        (Limit::ContinuousCurrent, 10.0, |limits, axis, to| limits.continuous_current[axis] = to),
+        (Limit::Speed, 60.0, |limits, axis, to| limits.speed[axis] = to),
+        (Limit::Power, 20.0, |limits, _, to| limits.power = to),
     ];
+    /// What was refused, when nothing else was.
+    fn refused(answer: Result<(), Refusal>) -> BadLimit {
+        match answer {
+            Err(Refusal::BadLimit(bad)) => bad,
+            other => panic!("{other:?}"),
+        }
+    }
     let mut board = board(Now::Ready);
     for (name, most, set) in sets {
         for axis in 0..3 {
             for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, 0.0, -0.0, -1.0, 1.000_001 * most] {
                 let mut wild = rules(0.5);
                 set(&mut wild.limits, axis, bad);
-                assert_eq!(board.ask::<SetRules>(&wild).unwrap(), Err(Refusal::BadLimits), "{name} {bad}");
+                let said = refused(board.ask::<SetRules>(&wild).unwrap());
+                let joint = (name != Limit::Power).then_some(axis as u8);
+                assert_eq!((said.limit, said.joint, said.most), (name, joint, most), "{bad}");
+                assert_eq!(said.value.to_bits(), bad.to_bits(), "the number itself comes back");
+                let (words, unit) = name.words();
+                let text = Refusal::BadLimit(said).to_string();
+                assert!(text.contains(words) && text.contains(&format!("at most {most}{unit}")), "{text}");
             }
             let mut edge = rules(0.5);
             set(&mut edge.limits, axis, most);
-            assert_eq!(board.ask::<SetRules>(&edge).unwrap(), Ok(()), "{name} at the board's own");
+            assert_eq!(board.ask::<SetRules>(&edge).unwrap(), Ok(()), "{name:?} at the board's own");
         }
     }
     for (low, high) in [(7.9, 24.0), (10.0, 28.1), (20.0, 20.0), (f32::NAN, 24.0), (10.0, f32::NAN)] {
         let mut wild = rules(0.5);
         (wild.limits.bus_min, wild.limits.bus_max) = (low, high);
-        assert_eq!(board.ask::<SetRules>(&wild).unwrap(), Err(Refusal::BadLimits), "{low} to {high} V");
+        let said = refused(board.ask::<SetRules>(&wild).unwrap());
+        assert!(matches!(said.limit, Limit::BusMin | Limit::BusMax), "{low} to {high} V: {said}");
     }
     for host_seconds in [f32::NAN, f32::INFINITY, 0.0, -1.0, 0.009, 60.1] {
         let wild = Rules { host_seconds, ..rules(0.5) };
-        assert_eq!(board.ask::<SetRules>(&wild).unwrap(), Err(Refusal::BadLimits), "{host_seconds} s");
+        assert_eq!(refused(board.ask::<SetRules>(&wild).unwrap()).limit, Limit::HostSeconds, "{host_seconds} s");
     }
 }
 
@@ -425,7 +445,7 @@ fn a_restore_is_one_change_or_none() {
     // One of the settings cannot be: none is.
     let mut refused = board(false);
     staged(&mut refused, &rules(1.5)).unwrap();
-    assert_eq!(refused.ask::<CommitEntries>(&both).unwrap(), Err(Refusal::BadLimits));
+    assert_eq!(refused.ask::<CommitEntries>(&both).unwrap(), Err(too_high(1.5)));
     assert_eq!(now(&mut refused), before);
 
     // All of it.

@@ -14,6 +14,7 @@ use crate::model::precomputed::{MassModelData, Receiving};
 use crate::render::scene::{FeedForward, Scene, SceneError};
 use crate::render::velocity::{Coefficients, Washout};
 use crate::safety::fault::{FaultRecord, State};
+use crate::safety::limits::{BadLimit, Limit};
 use crate::safety::refusal::Refusal;
 use crate::servo::program::{Hardware, Program};
 use crate::servo::{Command, HostAction, Reply, Rules, Status, TABLE_PIECE};
@@ -315,11 +316,20 @@ impl Service {
 
     fn check_rules(&self, rules: &Rules) -> Result<(), Refusal> {
         // A silence is summed up in single steps, which beyond a minute are too small for an f32 to take in.
-        let seconds = (0.01..=60.0).contains(&rules.host_seconds);
-        if !rules.limits.within(&self.most) || !seconds || rules.index_period.iter().any(|period| *period < 0) {
-            return Err(Refusal::BadLimits);
+        let (least, most) = (0.01, 60.0);
+        let silence = BadLimit { limit: Limit::HostSeconds, joint: None, value: rules.host_seconds, least, most };
+        let period = (0..).zip(&rules.index_period).find(|(_, period)| **period < 0).map(|(joint, period)| BadLimit {
+            limit: Limit::IndexPeriod,
+            joint: Some(joint),
+            value: *period as f32,
+            least: 0.0,
+            most: f32::INFINITY,
+        });
+        let silence = (!(least..=most).contains(&rules.host_seconds)).then_some(silence);
+        match rules.limits.wrong(&self.most).or(silence).or(period) {
+            Some(bad) => Err(Refusal::BadLimit(bad)),
+            None => Ok(()),
         }
-        Ok(())
     }
 
     /// Declares the present pose to be the device's home.

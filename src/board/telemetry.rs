@@ -37,7 +37,7 @@ macro_rules! fields {
             pub const fn unit(self) -> &'static str {
                 match self { $(Field::$Name => $unit,)* }
             }
-            /// What it is, for people: docs/telemetry.md and `haptic stream --list` hold these sentences.
+            /// What it is, for people: docs/telemetry.md and `haptic stream --help` hold these sentences.
             pub const fn meaning(self) -> &'static str {
                 match self { $(Field::$Name => $meaning,)* }
             }

@@ -40,21 +40,109 @@ impl Default for Limits {
     }
 }
 
+/// What a number was meant to limit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub enum Limit {
+    /// Joint torque, N m.
+    Torque,
+    /// Motor current, A.
+    Current,
+    /// Motor current that may flow for ever, A.
+    ContinuousCurrent,
+    /// Joint speed, rad/s.
+    Speed,
+    /// Mean power into the hand, W.
+    Power,
+    /// Lowest bus voltage, V.
+    BusMin,
+    /// Highest bus voltage, V.
+    BusMax,
+    /// How long a host may be silent, s.
+    HostSeconds,
+    /// Counts between two index pulses.
+    IndexPeriod,
+}
+
+impl Limit {
+    /// What it is called, and its unit.
+    pub const fn words(self) -> (&'static str, &'static str) {
+        match self {
+            Self::Torque => ("torque", " N m"),
+            Self::Current => ("current", " A"),
+            Self::ContinuousCurrent => ("continuous current", " A"),
+            Self::Speed => ("speed", " rad/s"),
+            Self::Power => ("power into the hand", " W"),
+            Self::BusMin => ("lowest supply voltage", " V"),
+            Self::BusMax => ("highest supply voltage", " V"),
+            Self::HostSeconds => ("silence of the host", " s"),
+            Self::IndexPeriod => ("index period", " counts"),
+        }
+    }
+}
+
+/// A number that a board does not take for a limit.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct BadLimit {
+    /// Of what.
+    pub limit: Limit,
+    /// Of which joint, from 0, where it is a joint's.
+    pub joint: Option<u8>,
+    /// The number.
+    pub value: f32,
+    /// What it must not be below; torque, current, speed and power must be above.
+    pub least: f32,
+    /// What it must not be above.
+    pub most: f32,
+}
+
+impl core::fmt::Display for BadLimit {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        let (name, unit) = self.limit.words();
+        write!(f, "the {name}")?;
+        if let Some(joint) = self.joint {
+            write!(f, " of joint {joint}")?;
+        }
+        write!(f, " cannot be {}{unit}: this board takes ", self.value)?;
+        match (self.least, self.most) {
+            (0.0, f32::INFINITY) => f.write_str("0 or more"),
+            (0.0, most) => write!(f, "more than 0 and at most {most}{unit}"),
+            (least, most) => write!(f, "{least} to {most}{unit}"),
+        }
+    }
+}
+
 impl Limits {
     /// Whether every number is finite, positive and no larger than what `most` allows.
     pub fn within(&self, most: &Self) -> bool {
-        let below = |values: &[f32; MAX_JOINTS], bounds: &[f32; MAX_JOINTS]| {
-            values.iter().zip(bounds).all(|(value, bound)| *value > 0.0 && value <= bound)
-        };
-        below(&self.torque, &most.torque)
-            && below(&self.current, &most.current)
-            && below(&self.continuous_current, &most.current)
-            && below(&self.speed, &most.speed)
-            && self.power > 0.0
-            && self.power <= most.power
-            && self.bus_min >= most.bus_min
-            && self.bus_max <= most.bus_max
-            && self.bus_min < self.bus_max
+        self.wrong(most).is_none()
+    }
+
+    /// The first number that is not positive, or larger than what `most` allows.
+    pub fn wrong(&self, most: &Self) -> Option<BadLimit> {
+        let each = [
+            (Limit::Torque, &self.torque, &most.torque),
+            (Limit::Current, &self.current, &most.current),
+            (Limit::ContinuousCurrent, &self.continuous_current, &most.current),
+            (Limit::Speed, &self.speed, &most.speed),
+        ];
+        for (limit, values, bounds) in each {
+            for (joint, (value, most)) in (0..).zip(values.iter().zip(bounds)) {
+                if !(*value > 0.0 && value <= most) {
+                    return Some(BadLimit { limit, joint: Some(joint), value: *value, least: 0.0, most: *most });
+                }
+            }
+        }
+        let one = |limit, value, least, most| Some(BadLimit { limit, joint: None, value, least, most });
+        if !(self.power > 0.0 && self.power <= most.power) {
+            return one(Limit::Power, self.power, 0.0, most.power);
+        }
+        if !(self.bus_min >= most.bus_min && self.bus_min < most.bus_max) {
+            return one(Limit::BusMin, self.bus_min, most.bus_min, most.bus_max);
+        }
+        if !(self.bus_max > self.bus_min && self.bus_max <= most.bus_max) {
+            return one(Limit::BusMax, self.bus_max, self.bus_min, most.bus_max);
+        }
+        None
     }
 
     /// Whether no limit is higher than in `other`: such a change is safe at any time.

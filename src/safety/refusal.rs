@@ -1,11 +1,12 @@
 //! Why the board will not do what it was asked, each with what to do about it.
 
 use crate::safety::fault::Fault;
+use crate::safety::limits::BadLimit;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 /// Why the board will not do what it was asked.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub enum Refusal {
     /// No device has been loaded.
     NoDevice,
@@ -49,7 +50,7 @@ pub enum Refusal {
     /// The bus voltage is out of range.
     BusVoltage,
     /// Limits may not exceed what the board can do.
-    BadLimits,
+    BadLimit(BadLimit),
     /// The pose is singular.
     Singular,
     /// Another request of the kind is under way.
@@ -96,7 +97,7 @@ impl core::fmt::Display for Refusal {
             }
             Self::Armed => f.write_str("the motors are armed: `haptic disarm` first"),
             Self::BusVoltage => f.write_str("the supply voltage is out of range: check the supply"),
-            Self::BadLimits => f.write_str("limits must be finite, positive, and within what the board can do"),
+            Self::BadLimit(bad) => write!(f, "{bad}"),
             Self::Singular => f.write_str("the linkage is in a singular pose: move it by hand"),
             Self::Busy => f.write_str("the board is busy with an earlier request: try again"),
             Self::HeldByAnother => f.write_str("another tool holds the board: close it first"),
