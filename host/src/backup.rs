@@ -57,6 +57,12 @@ pub enum BackupError {
     /// A setting that nobody knows.
     #[error("the backup holds a setting {0:?} that this tool does not know: update the tool")]
     UnknownSetting(String),
+    /// Its value and its bytes do not say the same: somebody edited one of them.
+    #[error(
+        "the setting {0:?} in the backup has a \"value\" that is not what its \"bytes\" hold, and these go back to the board: \
+         undo the edit, or change the setting with a device file, a scene file or `haptic rules`"
+    )]
+    Disagree(&'static str),
     /// Neither its bytes nor its value can be used.
     #[error("the setting {0:?} in the backup is damaged: {1}")]
     Damaged(&'static str, String),
@@ -174,7 +180,7 @@ fn damaged(key: Key, damage: Damage) -> BackupError {
 
 fn kept(key: Key, entry: &[u8]) -> Kept {
     fn value<S: Setting>(entry: &[u8]) -> Option<Value> {
-        serde_json::to_value(decode::<S>(entry).ok()?).ok()
+        serde_json::to_value(decode::<S>(entry).ok()?).ok().map(shortest)
     }
     let value = match key {
         Key::Device => value::<Device<f32>>(entry),
@@ -203,7 +209,11 @@ fn usable(key: Key, kept: &Kept) -> Result<(Entry, Restored), BackupError> {
 fn usable_as<S: Setting>(kept: &Kept) -> Result<(Entry, Restored), BackupError> {
     let bytes = from_hex(&kept.bytes).ok_or_else(|| damaged(S::KEY, Damage::Corrupt))?;
     match decode::<S>(&bytes) {
-        Ok(_) => {
+        Ok(value) => {
+            let said = serde_json::to_value(&value).ok().map(shortest);
+            if kept.value.clone().is_some_and(|written| Some(shortest(written)) != said) {
+                return Err(BackupError::Disagree(S::KEY.name()));
+            }
             let entry = Entry::from_slice(&bytes).map_err(|_| damaged(S::KEY, Damage::TooLong))?;
             Ok((entry, Restored::AsItWas))
         }
@@ -214,6 +224,19 @@ fn usable_as<S: Setting>(kept: &Kept) -> Result<(Entry, Restored), BackupError> 
             Ok((encode(&value).map_err(|error| damaged(S::KEY, error))?, Restored::Translated))
         }
         Err(other) => Err(damaged(S::KEY, other)),
+    }
+}
+
+/// The same value with every number in the fewest digits that are the same f32, as the board holds it.
+fn shortest(value: Value) -> Value {
+    match value {
+        Value::Number(number) if number.is_f64() => {
+            let short = number.as_f64().and_then(|number| (number as f32).to_string().parse::<f64>().ok());
+            short.and_then(serde_json::Number::from_f64).map_or(Value::Number(number), Value::Number)
+        }
+        Value::Array(values) => values.into_iter().map(shortest).collect(),
+        Value::Object(map) => Value::Object(map.into_iter().map(|(key, value)| (key, shortest(value))).collect()),
+        other => other,
     }
 }
 

@@ -1,6 +1,6 @@
 //! The command line as a whole: the help page with its commands under headings, and how angles and vectors are read.
 
-use crate::commands::{Command, HEADINGS};
+use crate::commands::{Command, HEADINGS, list_of_fields};
 use clap::{CommandFactory, FromArgMatches, Parser};
 use haptic::error::Failure;
 use haptic_bridge::model::admissible::Admissible;
@@ -35,11 +35,68 @@ pub fn command() -> clap::Command {
         listing.push('\n');
     }
     let template = format!(
-        "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{listing}\
-         `haptic COMMAND --help` explains one command; `haptic --version` prints the version.\n\
+        "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{listing}{START}\n\
+         `haptic help COMMAND` explains one command; `haptic --version` prints the version.\n\
          Exit codes: 0 done, 1 it could not be done, 2 the command or a file is wrong."
     );
-    command.help_template(template).disable_help_subcommand(true)
+    command.help_template(template).mut_subcommands(|sub| {
+        let examples = examples(sub.get_name());
+        let mut more = String::new();
+        if sub.get_name() == "stream" {
+            more.push_str(&list_of_fields());
+            more.push('\n');
+        }
+        if !examples.is_empty() {
+            more.push_str(&format!("Examples:\n  {}", examples.join("\n  ")));
+        }
+        // A number may be negative: it is then refused for what it is, not taken for an option.
+        let sub = sub.mut_args(|arg| {
+            let valued = arg.get_action().takes_values() && !arg.is_positional();
+            if valued && !arg.is_allow_hyphen_values_set() { arg.allow_negative_numbers(true) } else { arg }
+        });
+        if more.is_empty() { sub } else { sub.after_help(more) }
+    })
+}
+
+/// Where a newcomer begins.
+const START: &str = "Start here, without hardware:
+  haptic demo                     what the feed-forward buys, in seconds
+  haptic sim                      a simulated board; it prints the PORT for the commands \"With a board\"
+  haptic info --port PORT
+";
+
+/// Lines to type, for the help of a command and its page of the manual. Every one of them is understood: a test reads
+/// them.
+pub fn examples(command: &str) -> &'static [&'static str] {
+    match command {
+        "check" => &["haptic check devices/haply-2diy.toml devices/scenes/haply-2diy/wall.toml"],
+        "model" => &["haptic model devices/coupled-five-bar.toml --q 2.6,1.75 --normal 0.94,-0.34 --force 1"],
+        "map" => &["haptic map devices/coupled-five-bar.toml --normal 0,1 --png map.png"],
+        "plan" => &["haptic plan devices/haply-2diy.toml devices/scenes/haply-2diy/wall.toml"],
+        "precompute" => &["haptic precompute devices/haply-2diy.toml --kind frozen --box 1.8,2.2,0.9,1.3"],
+        "range" => &["haptic range devices/coupled-five-bar.toml --normal 0.6,0.8 --rate 20000 --cutoff 500"],
+        "sim" => &["haptic sim", "haptic sim devices/haply-2diy.toml --tcp 7710 --hand loop"],
+        "info" => &["haptic info --port sim", "haptic info --port /dev/ttyACM0 --json"],
+        "device" => &["haptic device devices/haply-2diy.toml"],
+        "scene" => &["haptic scene devices/scenes/haply-2diy/wall.toml"],
+        "gains" => &["haptic gains --stiffness 800 --damping 2", "haptic gains --wall 1 --feed-forward off"],
+        "rules" => &["haptic rules --torque 0.1,0.1 --host disarm", "haptic rules --json"],
+        "stream" => &[
+            "haptic stream",
+            "haptic stream --csv contact.csv --seconds 10",
+            "haptic stream --csv - --fields q,force,rendered --rate 5000 | head -n 100",
+        ],
+        "measure-range" => {
+            &["haptic measure-range devices/coupled-five-bar.toml --port sim --normal 0.6,0.8 --rate 1000 --cutoff 20"]
+        }
+        "backup" => &["haptic backup board.json"],
+        "restore" => &["haptic restore board.json"],
+        "completions" => &[
+            "haptic completions bash > ~/.local/share/bash-completion/completions/haptic",
+            "haptic completions --man ~/.local/share/man/man1",
+        ],
+        _ => &[],
+    }
 }
 
 /// Parses the process's arguments; prints help or what is wrong with them and exits, as clap does.
@@ -132,6 +189,40 @@ mod tests {
             let about = found.get_about().map(ToString::to_string).unwrap_or_default();
             assert!(about.len() > 10 && !about.ends_with('.'), "{}: \"{about}\"", found.get_name());
             assert!(help.contains(&about), "{} is not on the help page", found.get_name());
+        }
+    }
+
+    #[test]
+    fn every_example_is_understood() {
+        for command in command().get_subcommands() {
+            for line in examples(command.get_name()) {
+                // What a shell does with the rest of the line is not ours.
+                let words = line.split(['|', '>']).next().unwrap_or_default().split_whitespace();
+                let read = read(words.map(OsString::from).collect());
+                assert!(read.is_ok(), "{line}: {}", read.err().unwrap());
+                assert_eq!(line.split_whitespace().nth(1), Some(command.get_name()));
+            }
+        }
+    }
+
+    #[test]
+    fn negative_numbers_are_values_of_every_numeric_option() {
+        let cases = [
+            "range devices/a.toml --normal 0,1 --cutoff 20 --rate -5",
+            "plan a.toml b.toml --speed -5",
+            "measure-range a.toml --normal 0,1 --kd -5 --washout -1",
+            "gains --stiffness -5",
+            "gains --wall -1",
+            "stream --seconds -5",
+            "stream --rate -5",
+            "demo --seed -5",
+            "rules --torque -1,2",
+            "rules --bus-min -3",
+        ];
+        for case in cases {
+            let words = format!("haptic {case}");
+            let Err(error) = read(words.split_whitespace().map(OsString::from).collect()) else { continue };
+            assert!(error.to_string().contains("invalid value '-"), "{case}: {error}");
         }
     }
 

@@ -54,7 +54,7 @@ impl DeviceFile {
     pub fn lacks_for_a_board(&self) -> Vec<String> {
         let mut lacks = Vec::new();
         for (index, joint) in self.description.joints.iter().take(self.spec().joints).enumerate() {
-            let place = format!("[[joint]] {}", index + 1);
+            let place = format!("[[joint]] {index}");
             if joint.limits.is_none() {
                 lacks.push(format!("{place} needs limits = [lowest, highest]"));
             }
@@ -170,7 +170,7 @@ fn links(top: &Table<'_>, spec: &Spec) -> Result<[Link; MAX_LINKS], FileError> {
     counted(top, &tables, "link", spec.links.len(), meaning)?;
     let mut links = [Link::default(); MAX_LINKS];
     for ((index, table), name) in tables.into_iter().enumerate().zip(spec.links) {
-        let table = table.called(format!("[[link]] {} ({name})", index + 1));
+        let table = table.called(format!("[[link]] {index} ({name})"));
         table.refuse_unknown_keys(&["mass", "com", "inertia", "inertia_axial", "inertia_transverse"])?;
         let mass = table.required("mass", table.number("mass", Must::NotBeNegative)?, "mass = 0.02")?;
         let com = table.required("com", table.number("com", Must::BeFinite)?, "com = 0.03")?;
@@ -215,7 +215,7 @@ fn joints(top: &Table<'_>, spec: &Spec) -> Result<[Joint; MAX_JOINTS], FileError
     counted(top, &tables, "joint", spec.joints, "one per actuated joint, joint 0 first".into())?;
     let mut joints = [Joint::default(); MAX_JOINTS];
     for (index, table) in tables.into_iter().enumerate() {
-        let place = format!("[[joint]] {}", index + 1);
+        let place = format!("[[joint]] {index}");
         let table = table.called(place.clone());
         table.refuse_unknown_keys(&["inertia", "viscous", "coulomb", "limits", "encoder", "motor"])?;
         let inertia = table.number("inertia", Must::NotBeNegative)?;

@@ -16,7 +16,7 @@ pub struct FileError {
     pub problem: Box<Problem>,
 }
 
-/// Everything a file can be refused for. `place` is the table, such as `[geometry]` or `[[link]] 2 (proximal-2)`.
+/// Everything a file can be refused for. `place` is the table, such as `[geometry]` or `[[link]] 1 (proximal-2)`: counted from 0.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Problem {
     /// The file cannot be read at all.
@@ -134,7 +134,7 @@ impl Problem {
             Self::WrongType { expected, .. } => format!("write {expected}"),
             Self::WrongLength { expected: 1, meaning, .. } => format!("write one number: {meaning}"),
             Self::WrongLength { expected, meaning, .. } => format!("write {expected} numbers: {meaning}"),
-            Self::NotFinite { .. } => "write an ordinary number, at most 3.4e38 in size".into(),
+            Self::NotFinite { .. } => "write an ordinary number, in SI units".into(),
             Self::OutOfRange { must, .. } => format!("it must be {must}"),
             Self::UnknownWord { found, known, .. } => match nearest(found, known) {
                 Some(nearest) => format!("did you mean \"{nearest}\"? known: {}", known.join(", ")),

@@ -47,6 +47,7 @@ pub mod interrupt;
 pub mod link;
 pub mod measure;
 pub mod model;
+pub mod output;
 pub mod plan;
 pub mod plausible;
 pub mod plot;

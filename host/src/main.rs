@@ -11,7 +11,7 @@ fn main() -> ExitCode {
     match commands::run(cli::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            eprintln!("haptic: {failure}");
+            eprintln!("error: {failure}");
             failure.exit_code()
         }
     }

@@ -23,6 +23,8 @@ pub mod range;
 use std::path::Path;
 use std::sync::Arc;
 
+use crate::error::Failure;
+use crate::output::{self, Overwrite};
 use resvg::{tiny_skia, usvg};
 use thiserror::Error;
 
@@ -33,21 +35,19 @@ const PNG_SCALE: f32 = 2.0;
 #[derive(Debug, Error)]
 pub enum PictureError {
     /// The file could not be written.
-    #[error("{path} could not be written: {reason}")]
-    File {
-        /// Where to.
-        path: String,
-        /// What the system says.
-        reason: String,
-    },
+    #[error(transparent)]
+    File(#[from] Failure),
     /// The drawing could not be turned into pixels.
     #[error("the picture could not be drawn: {0}")]
     Drawing(String),
 }
 
-impl From<PictureError> for crate::error::Failure {
+impl From<PictureError> for Failure {
     fn from(error: PictureError) -> Self {
-        Self::impossible(error)
+        match error {
+            PictureError::File(failure) => failure,
+            PictureError::Drawing(_) => Self::impossible(error),
+        }
     }
 }
 
@@ -63,14 +63,15 @@ impl Picture {
         &self.svg
     }
 
-    /// Writes it as SVG.
+    /// Writes it as SVG, in the place of what is there: whether it may be is asked before the work is done
+    /// ([`output::check`]).
     pub fn save_svg(&self, path: &Path) -> Result<(), PictureError> {
-        write(path, self.svg.as_bytes())
+        Ok(output::write(path, self.svg.as_bytes(), Overwrite::Replace)?)
     }
 
-    /// Writes it as PNG, two pixels per unit.
+    /// Writes it as PNG, two pixels per unit; as [`Picture::save_svg`].
     pub fn save_png(&self, path: &Path) -> Result<(), PictureError> {
-        write(path, &self.png()?)
+        Ok(output::write(path, &self.png()?, Overwrite::Replace)?)
     }
 
     /// The PNG's bytes.
@@ -89,9 +90,4 @@ impl Picture {
         resvg::render(&tree, tiny_skia::Transform::from_scale(PNG_SCALE, PNG_SCALE), &mut pixels.as_mut());
         pixels.encode_png().map_err(|e| drawing(e.to_string()))
     }
-}
-
-fn write(path: &Path, bytes: &[u8]) -> Result<(), PictureError> {
-    std::fs::write(path, bytes)
-        .map_err(|e| PictureError::File { path: path.display().to_string(), reason: e.to_string() })
 }

@@ -1,9 +1,11 @@
 //! Recordings: telemetry rows in a CSV file that is whole at every moment.
 //!
-//! Rows reach the file in blocks of whole lines; a block that could not be written (a full disk) is taken back. A file
-//! whose writer was killed in the middle of a block is still read up to its last whole line.
+//! Rows reach the file in blocks of whole lines. What does not fit onto a disk that is full is taken back to the last
+//! whole line, and the rows that are there are counted. A file whose writer was killed in the middle of a block is
+//! still read up to its last whole line.
 
 use crate::error::Failure;
+use crate::output::{self, Overwrite};
 use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
@@ -12,40 +14,91 @@ use std::path::{Path, PathBuf};
 /// Bytes gathered before they are written; `flush` writes them earlier.
 const BLOCK: usize = 64 * 1024;
 
+/// The states' words in a recording, by their numbers.
+pub const STATES: [&str; 4] = ["Disarmed", "Armed", "CheckingPolarity", "Fault"];
+
+/// A number, or what it is called.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Value {
+    /// As it is.
+    Number(f64),
+    /// One of a few.
+    Word(&'static str),
+}
+
+impl std::fmt::Display for Value {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Number(number) => write!(f, "{number}"),
+            Self::Word(word) => f.write_str(word),
+        }
+    }
+}
+
+/// Where the lines go.
+#[derive(Debug)]
+enum Sink {
+    /// `whole`: bytes of the file in whole lines; none where it cannot be cut (a pipe).
+    File {
+        file: File,
+        whole: Option<u64>,
+    },
+    StandardOutput,
+}
+
 /// A CSV file being written.
 #[derive(Debug)]
 pub struct Recorder {
-    file: File,
+    sink: Sink,
     path: PathBuf,
     block: String,
-    /// Length of the file in whole lines, bytes; `None` when it cannot be cut (a pipe).
-    whole: Option<u64>,
     columns: usize,
     /// Rows in the file, and in the block.
     rows: u64,
     gathered: u64,
 }
 
+/// Why rows could not be written.
+#[derive(Debug)]
+pub enum RecordError {
+    /// Nobody reads the pipe any more: no error of anybody's.
+    ReaderGone,
+    /// Anything else.
+    Failed(Failure),
+}
+
 impl Recorder {
-    /// Creates the file and writes `about` as comment lines (`# …`) and the names of the columns.
-    pub fn create(path: &Path, about: &str, columns: &[String]) -> Result<Self, Failure> {
-        let file = File::create(path).map_err(|error| cannot_write(path, &error))?;
-        let whole = file.metadata().ok().filter(|about| about.is_file()).map(|_| 0);
+    /// Creates the file (`-`: standard output) and writes `about` as comment lines (`# …`) and the names of the columns.
+    pub fn create(path: &Path, about: &str, columns: &[String], overwrite: Overwrite) -> Result<Self, Failure> {
+        let sink = if path == Path::new("-") {
+            Sink::StandardOutput
+        } else {
+            let (file, cut) = output::open(path, overwrite)?;
+            Sink::File { file, whole: cut.then_some(0) }
+        };
         let mut recorder =
-            Self { file, path: path.into(), block: String::new(), whole, columns: columns.len(), rows: 0, gathered: 0 };
-        for line in about.lines() {
-            recorder.block.push_str("# ");
-            recorder.block.push_str(line);
-            recorder.block.push('\n');
-        }
+            Self { sink, path: path.into(), block: String::new(), columns: columns.len(), rows: 0, gathered: 0 };
+        recorder.comment(about);
         recorder.block.push_str(&columns.join(","));
         recorder.block.push('\n');
-        recorder.flush()?;
-        Ok(recorder)
+        match recorder.flush() {
+            Err(RecordError::Failed(failure)) => Err(failure),
+            // Said again, and then acted on, at the first row.
+            Ok(()) | Err(RecordError::ReaderGone) => Ok(recorder),
+        }
     }
 
-    /// Adds a row of as many numbers as there are columns; missing ones are left empty, further ones left out.
-    pub fn row(&mut self, values: &[f64]) -> Result<(), Failure> {
+    /// Adds lines that are no rows.
+    pub fn comment(&mut self, text: &str) {
+        for line in text.lines() {
+            self.block.push_str("# ");
+            self.block.push_str(line);
+            self.block.push('\n');
+        }
+    }
+
+    /// Adds a row of as many values as there are columns; missing ones are left empty, further ones left out.
+    pub fn row(&mut self, values: &[Value]) -> Result<(), RecordError> {
         for column in 0..self.columns {
             if column > 0 {
                 self.block.push(',');
@@ -60,25 +113,44 @@ impl Recorder {
         if self.block.len() >= BLOCK { self.flush() } else { Ok(()) }
     }
 
-    /// Writes what was gathered. On an error the file is cut back to its last whole line.
-    pub fn flush(&mut self) -> Result<(), Failure> {
-        let written = self.file.write_all(self.block.as_bytes());
+    /// Writes what was gathered. Where not all of it fits, what does fit of it in whole lines is kept.
+    pub fn flush(&mut self) -> Result<(), RecordError> {
+        let block = std::mem::take(&mut self.block);
         let gathered = std::mem::take(&mut self.gathered);
-        match written {
-            Ok(()) => {
+        let failed = |path: &Path, error: io::Error| match error.kind() {
+            io::ErrorKind::BrokenPipe => RecordError::ReaderGone,
+            _ => RecordError::Failed(output::refused(path, &error)),
+        };
+        match &mut self.sink {
+            Sink::StandardOutput => {
+                let mut out = io::stdout().lock();
+                out.write_all(block.as_bytes())
+                    .and_then(|()| out.flush())
+                    .map_err(|error| failed(&self.path, error))?;
                 self.rows += gathered;
-                if let Some(whole) = &mut self.whole {
-                    *whole += self.block.len() as u64;
-                }
-                self.block.clear();
                 Ok(())
             }
-            Err(error) => {
-                self.block.clear();
-                if let Some(whole) = self.whole {
-                    let _ = self.file.set_len(whole).and_then(|()| self.file.seek(SeekFrom::End(0)));
+            Sink::File { file, whole } => {
+                let Err(error) = file.write_all(block.as_bytes()) else {
+                    self.rows += gathered;
+                    whole.iter_mut().for_each(|whole| *whole += block.len() as u64);
+                    return Ok(());
+                };
+                if let Some(whole) = whole {
+                    let mut at = *whole;
+                    let cut = |file: &mut File, at: u64| file.set_len(at).and_then(|()| file.seek(SeekFrom::Start(at)));
+                    let _ = cut(file, at);
+                    for line in block.split_inclusive('\n') {
+                        if file.write_all(line.as_bytes()).is_err() {
+                            let _ = cut(file, at);
+                            break;
+                        }
+                        at += line.len() as u64;
+                        self.rows += u64::from(line.starts_with(|c: char| c.is_ascii_digit()));
+                    }
+                    *whole = at;
                 }
-                Err(cannot_write(&self.path, &error))
+                Err(failed(&self.path, error))
             }
         }
     }
@@ -86,6 +158,14 @@ impl Recorder {
     /// Rows that are in the file.
     pub fn rows(&self) -> u64 {
         self.rows
+    }
+
+    /// Where they are, in words.
+    pub fn place(&self) -> String {
+        match self.sink {
+            Sink::StandardOutput => "standard output".into(),
+            Sink::File { .. } => self.path.display().to_string(),
+        }
     }
 }
 
@@ -95,11 +175,6 @@ impl Drop for Recorder {
     }
 }
 
-fn cannot_write(path: &Path, error: &io::Error) -> Failure {
-    Failure::impossible(format!("{} cannot be written: {error}", path.display()))
-        .remedy("what was recorded before is kept; free space or choose another file")
-}
-
 /// A recording that was read.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Recording {
@@ -107,7 +182,7 @@ pub struct Recording {
     pub about: Vec<String>,
     /// Names of the columns.
     pub columns: Vec<String>,
-    /// The rows.
+    /// The rows; a state's word is its number.
     pub rows: Vec<Vec<f64>>,
     /// The file ended within a line, which was left out.
     pub torn: bool,
@@ -119,16 +194,20 @@ impl Recording {
         let mut recording = Self::default();
         let whole = text.rfind('\n').map_or(0, |end| end + 1);
         recording.torn = whole < text.len();
-        for (number, line) in text[..whole].lines().enumerate() {
+        let number = |field: &str| {
+            let state = STATES.iter().position(|state| *state == field);
+            state.map_or_else(|| field.parse().ok(), |state| Some(state as f64))
+        };
+        for (line_number, line) in text[..whole].lines().enumerate() {
             if let Some(comment) = line.strip_prefix('#') {
                 recording.about.push(comment.trim().into());
             } else if recording.columns.is_empty() {
                 recording.columns = line.split(',').map(Into::into).collect();
             } else {
-                let row: Result<Vec<f64>, _> = line.split(',').map(str::parse).collect();
+                let row: Option<Vec<f64>> = line.split(',').map(number).collect();
                 match row {
-                    Ok(row) if row.len() == recording.columns.len() => recording.rows.push(row),
-                    _ => return Err(format!("line {}: not {} numbers", number + 1, recording.columns.len())),
+                    Some(row) if row.len() == recording.columns.len() => recording.rows.push(row),
+                    _ => return Err(format!("line {}: not {} values", line_number + 1, recording.columns.len())),
                 }
             }
         }
@@ -141,24 +220,29 @@ mod tests {
     use super::*;
 
     fn columns() -> Vec<String> {
-        vec!["step".into(), "force_n".into()]
+        vec!["step".into(), "force_n".into(), "state".into()]
     }
 
     #[test]
     fn what_is_recorded_is_read_back_exactly() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.csv");
-        let mut recorder = Recorder::create(&path, "a device\n20 kHz", &columns()).unwrap();
+        let mut recorder = Recorder::create(&path, "a device\n20 kHz", &columns(), Overwrite::Never).unwrap();
         for step in 0..10_000 {
-            recorder.row(&[f64::from(step), 0.1 * f64::from(step) / 3.0]).unwrap();
+            let force = 0.1 * f64::from(step) / 3.0;
+            recorder.row(&[Value::Number(f64::from(step)), Value::Number(force), Value::Word("Fault")]).unwrap();
         }
+        recorder.comment("10000 rows");
         drop(recorder);
-        let recording = Recording::parse(&std::fs::read_to_string(&path).unwrap()).unwrap();
-        assert_eq!(recording.about, ["a device", "20 kHz"]);
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(text.contains("\n1,0.03333333333333333,Fault\n"), "{}", &text[..200]);
+        let recording = Recording::parse(&text).unwrap();
+        assert_eq!(recording.about, ["a device", "20 kHz", "10000 rows"]);
         assert_eq!(recording.columns, columns());
         assert_eq!(recording.rows.len(), 10_000);
-        assert_eq!(recording.rows[9_999], [9999.0, 0.1 * 9999.0 / 3.0]);
+        assert_eq!(recording.rows[9_999], [9999.0, 0.1 * 9999.0 / 3.0, 3.0]);
         assert!(!recording.torn);
+        assert!(Recorder::create(&path, "", &columns(), Overwrite::Never).is_err(), "a recording is not overwritten");
     }
 
     #[test]
@@ -172,7 +256,8 @@ mod tests {
     #[test]
     #[cfg(target_os = "linux")]
     fn a_full_disk_is_an_error_with_a_remedy() {
-        let refused = Recorder::create(Path::new("/dev/full"), "", &columns()).unwrap_err();
+        let refused = Recorder::create(Path::new("/dev/full"), "", &columns(), Overwrite::Never).unwrap_err();
         assert!(refused.to_string().contains("/dev/full cannot be written"), "{refused}");
+        assert!(refused.to_string().contains("free space"), "{refused}");
     }
 }

@@ -119,7 +119,7 @@ pub struct Table<'a> {
 }
 
 impl<'a> Table<'a> {
-    /// The same table under a name that says more, such as `[[link]] 2 (proximal-2)`.
+    /// The same table under a name that says more, such as `[[link]] 1 (proximal-2)`.
     pub fn called(mut self, place: impl Into<String>) -> Self {
         self.place = place.into();
         self
@@ -318,7 +318,7 @@ impl<'a> Table<'a> {
             .map(|(index, value)| match value.get_ref() {
                 DeValue::Table(entries) => Ok(Table {
                     document: self.document,
-                    place: format!("[[{key}]] {}", index + 1),
+                    place: format!("[[{key}]] {index}"),
                     span: value.span(),
                     entries,
                 }),

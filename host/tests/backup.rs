@@ -102,6 +102,20 @@ fn damage_is_found_before_anything_is_sent() {
 }
 
 #[test]
+fn a_value_that_was_edited_is_not_silently_ignored() {
+    let text = Backup::read(&mut full()).unwrap().to_text();
+    assert!(text.contains("3.3,") && !text.contains("3.2999"), "as people write it: {text}");
+    let edited = text.replace("3.3,", "1000.0,");
+    assert_ne!(edited, text);
+    let refused = Backup::parse(&edited).unwrap().ready().unwrap_err();
+    assert_eq!(refused, BackupError::Disagree("rules"));
+    assert!(refused.to_string().contains("haptic rules"));
+    // Written otherwise, but the same number.
+    assert!(Backup::parse(&text.replace("3.3,", "3.30,")).unwrap().ready().is_ok());
+    assert!(Backup::parse(&text.replace("3.3,", "3.299999952316284,")).unwrap().ready().is_ok());
+}
+
+#[test]
 fn a_polarity_check_is_never_restored() {
     let mut backup = Backup::read(&mut full()).unwrap();
     let entry = haptic_bridge::board::settings::encode(&haptic_bridge::board::settings::Polarity(7)).unwrap();

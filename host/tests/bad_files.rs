@@ -121,12 +121,12 @@ fn the_examples_themselves_are_sound() {
 fn a_wrong_device_is_refused_by_line_and_remedy() {
     // What is written, what is written instead, the line and column named, words that must be said.
     let mistakes: &[(&str, &str, &str, &[&str])] = &[
-        ("mass = 0.02", "mas = 0.02", ":12:1:", &["`mas`", "[[link]] 1 (proximal-1)", "did you mean `mass`?"]),
-        ("mass = 0.02\n", "", ":11:1:", &["`mass`", "[[link]] 1", "missing", "add `mass = 0.02`"]),
+        ("mass = 0.02", "mas = 0.02", ":12:1:", &["`mas`", "[[link]] 0 (proximal-1)", "did you mean `mass`?"]),
+        ("mass = 0.02\n", "", ":11:1:", &["`mass`", "[[link]] 0", "missing", "add `mass = 0.02`"]),
         ("mass = 0.02", "mass = -0.02", ":12:8:", &["`mass`", "-0.02", "zero or more"]),
         ("mass = 0.02", "mass = nan", ":12:8:", &["`mass`", "not a finite number"]),
         ("mass = 0.02", "mass = -inf", ":12:8:", &["`mass`", "not a finite number"]),
-        ("mass = 0.02", "mass = 1e39", ":12:8:", &["`mass`", "not a finite number", "3.4e38"]),
+        ("mass = 0.02", "mass = 1e39", ":12:8:", &["`mass`", "not a finite number", "ordinary number"]),
         ("mass = 0.02", "mass = \"0.02\"", ":12:8:", &["`mass`", "a string, not a number"]),
         ("mass = 0.02", "mass = [0.02]", ":12:8:", &["`mass`", "a list, not a number"]),
         ("inertia = 1.0e-5", "inertia = -1.0e-5", ":14:11:", &["`inertia`", "zero or more"]),
@@ -159,7 +159,7 @@ fn a_wrong_device_is_refused_by_line_and_remedy() {
         ("limits = [-1.0, 3.0]", "limits = [-1.0, 2.0]", ":49:6:", &["home", "outside its limits"]),
         ("resistance = 2.0", "resistance = 0.0", ":42:14:", &["`resistance`", "more than zero"]),
         ("resistance = 2.0", "resistance = 2.0\ninductance = -1", ":43:14:", &["`inductance`", "zero or more"]),
-        ("max_current = 3.0\n", "", ":40:1:", &["`max_current`", "[joint.motor] of [[joint]] 1"]),
+        ("max_current = 3.0\n", "", ":40:1:", &["`max_current`", "[joint.motor] of [[joint]] 0"]),
         ("q = [2.4, 0.7]", "q = [2.4]", ":49:5:", &["1 number instead of 2", "one angle per joint"]),
         ("distal = [0.09, 0.09]", "distal = [0.09, 0.04]", ":49:5:", &["home", "cannot close"]),
         ("inertia = 2.0e-6\nlimits", "limits", ":31:1:", &["`inertia`", "missing"]),
@@ -187,7 +187,7 @@ fn a_wrong_scene_is_refused_by_line_and_remedy() {
         ("stiffness = 1000.0", "stiffness = -1000.0", ":7:13:", &["`stiffness`", "zero or more"]),
         ("stiffness = 1000.0", "stiffness = nan", ":7:13:", &["`stiffness`", "not a finite number"]),
         ("damping = 1.0", "damping = -1.0", ":8:11:", &["`damping`", "zero or more"]),
-        ("damping = 1.0", "radius = 1.0", ":8:1:", &["unknown key `radius`", "[[wall]] 1 (plane)"]),
+        ("damping = 1.0", "radius = 1.0", ":8:1:", &["unknown key `radius`", "[[wall]] 0 (plane)"]),
         ("damping = 1.0", "feed_forward = \"on\"", ":8:16:", &["off, full, washout"]),
         ("damping = 1.0", "feed_forward = true", ":8:16:", &["a string in quotes"]),
         ("damping = 1.0", "washout_hz = 0", ":8:14:", &["`washout_hz`", "more than zero"]),

@@ -12,11 +12,11 @@ fn a_session_from_a_bare_board_to_a_recording() {
     let sim = Sim::start(&["--fast"]);
     sim.run(&["device", &file("coupled-five-bar.toml")]).success().stdout(contains("coupled-five-bar is loaded"));
     sim.run(&["arm"]).code(1).stderr(contains("no scene is loaded"));
-    sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success().stdout(contains("1 walls"));
+    sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success().stdout(contains("1 wall,"));
     sim.run(&["gains", "--stiffness", "300", "--damping", "2"]).success().stdout(contains("stiffness 300 N/m"));
     sim.run(&["gains", "--wall", "4"]).code(2).stderr(contains("there is no wall 4"));
     sim.run(&["arm"]).success();
-    sim.run(&["save"]).code(1).stderr(contains("haptic disarm"));
+    sim.run(&["save"]).code(1).stderr(contains("haptic disarm").and(contains("writing flash").not()));
 
     let directory = tempfile::tempdir().unwrap();
     let csv = directory.path().join("run.csv");
@@ -27,6 +27,37 @@ fn a_session_from_a_bare_board_to_a_recording() {
     let recording = Recording::parse(&std::fs::read_to_string(csv).unwrap()).unwrap();
     assert_eq!(recording.columns, ["step", "time_s", "q0_rad", "q1_rad", "force_n", "state", "contacts"]);
     assert_eq!(recording.rows.len(), 2500);
+    assert_eq!(recording.about.last().unwrap(), "2500 rows, none lost");
+    let about = recording.about.join("\n");
+    for said in [
+        "date 20",
+        "protocol ",
+        "board simulated SIM0001",
+        "device coupled-five-bar",
+        "wall 0: plane, 300 N/m, 2 N s/m",
+        "scene {",
+        "rules {",
+    ] {
+        assert!(about.contains(said), "{said} in {about}");
+    }
+    let text = std::fs::read_to_string(csv).unwrap();
+    assert!(text.contains(",Armed,0\n"), "states are words");
+    let again = ["stream", "--csv", csv, "--seconds", "0.1"];
+    sim.run(&again).code(1).stderr(contains("run.csv exists").and(contains("--force")));
+    assert_eq!(std::fs::read_to_string(csv).unwrap(), text, "a recording is not overwritten");
+    sim.run(&[&again[..], &["--force"]].concat()).success().stderr(contains("100 rows are in"));
+    let piped = sim.run(&["stream", "--csv", "-", "--seconds", "0.1", "--rate", "100"]).success();
+    let piped = Recording::parse(&String::from_utf8_lossy(&piped.get_output().stdout)).unwrap();
+    assert_eq!((piped.rows.len(), piped.about.last().unwrap().as_str()), (10, "10 rows, none lost"));
+    assert!(!std::path::Path::new("-").exists());
+    let shown = sim.run(&["stream", "--seconds", "0.5"]).success();
+    let (lines, said) = (&shown.get_output().stdout, String::from_utf8_lossy(&shown.get_output().stderr));
+    assert_eq!(lines.iter().filter(|byte| **byte == b'\n').count(), 1 + 5, "a head and five rows");
+    assert!(said.contains("5 rows, none lost"), "{said}");
+    let json = sim.run(&["stream", "--seconds", "0.5", "--json"]).success();
+    let json: serde_json::Value = serde_json::from_slice(&json.get_output().stdout).unwrap();
+    assert_eq!((json["values"].as_array().unwrap().len(), &json["rows"]), (5, &serde_json::json!(5)));
+    sim.run(&["stream", "--rate", "1e9", "--seconds", "0.01"]).success().stderr(contains("20000 rows a second"));
     assert!(recording.rows.windows(2).all(|pair| pair[1][0] - pair[0][0] == 4.0), "every fourth step");
 
     sim.run(&["disarm"]).success();
@@ -125,15 +156,23 @@ fn wrong_ports_and_gains_are_refused_by_the_command_line() {
 fn rules_are_shown_lowered_and_never_raised_above_the_boards_own() {
     let sim = Sim::start(&["--fast"]);
     sim.run(&["rules"]).success().stdout(contains("a silent host is ignored"));
-    sim.run(&["rules", "--torque", "0.5,0.4", "--host", "disarm", "--passivity", "true"])
-        .success()
-        .stdout(contains("[0.5, 0.4, ").and(contains("turns the motors off")).and(contains("passivity control   on")));
-    sim.run(&["rules", "--power", "1e9"]).code(1).stderr(contains("limits must be"));
-    sim.run(&["rules", "--torque", "1,1,1,1"]).code(2).stderr(contains("4 numbers"));
+    sim.run(&["rules", "--torque", "0.5,0.4", "--host", "disarm", "--passivity", "true"]).success().stdout(
+        contains("torque              0.5, 0.4 N m")
+            .and(contains("turns the motors off"))
+            .and(contains("passivity control   on")),
+    );
+    sim.run(&["rules", "--power", "1e9"])
+        .code(1)
+        .stderr(contains("the power into the hand cannot be 1000000000 W").and(contains("at most 20 W")));
+    for (given, said) in [("1,1,1,1", "4 numbers"), ("0.05", "1 number, and coupled-five-bar has 2 joints")] {
+        sim.run(&["rules", "--torque", given]).code(2).stderr(contains(said));
+    }
+    sim.run(&["rules", "--speed", "1,1e9"]).code(1).stderr(contains("the speed of joint 1 cannot be 1000000000 rad/s"));
+    sim.run(&["rules", "--bus-min", "20", "--bus-max", "12"]).code(1).stderr(contains("supply voltage cannot be 12 V"));
     sim.run(&["rules", "--power", "nan"]).code(2);
     sim.run(&["rules", "--host-seconds", "61"]).code(2).stderr(contains("between 0.01 and 60"));
-    sim.run(&["rules"]).success().stdout(contains("[0.5, 0.4, ").and(contains("index pulses        not watched")));
-    sim.run(&["rules", "--index-period", "4096,0"]).success().stdout(contains("every [4096, 0, 0] counts"));
+    sim.run(&["rules"]).success().stdout(contains("0.5, 0.4 N m").and(contains("index pulses        not watched")));
+    sim.run(&["rules", "--index-period", "4096,0"]).success().stdout(contains("every 4096, 0 counts"));
     sim.run(&["rules", "--index-period=-1"]).code(2).stderr(contains("-1"));
 }
 
@@ -153,13 +192,21 @@ fn a_file_that_is_none_is_refused_by_name_with_what_to_do() {
         ] {
             sim.run(&[command, path])
                 .code(2)
-                .stderr(contains(path).and(contains(reason)).and(contains(remedy)).and(contains("haptic:").count(1)));
+                .stderr(contains(path).and(contains(reason)).and(contains(remedy)).and(contains("error:").count(1)));
         }
     }
     sim.run(&["save"]).success();
-    sim.run(&["backup", folder]).code(1).stderr(contains(folder).and(contains("check the path")));
-    assert!(!directory.path().with_extension("partial").exists(), "what was begun is cleared away");
-    sim.run(&["stream", "--csv", folder]).code(1).stderr(contains(folder).and(contains("choose another file")));
+    for refused in [["backup", folder].as_slice(), &["stream", "--csv", folder]] {
+        sim.run(refused).code(1).stderr(contains(folder).and(contains("is a directory")));
+    }
+    let kept = directory.path().join("kept.json");
+    let backup = ["backup", kept.to_str().unwrap()];
+    sim.run(&backup).success();
+    sim.run(&backup).code(1).stderr(contains("kept.json exists"));
+    sim.run(&[&backup[..], &["--force"]].concat()).success();
+    // As root this once replaced the device node.
+    sim.run(&["backup", "/dev/full"]).code(1).stderr(contains("/dev/full cannot be written"));
+    assert!(!std::fs::metadata("/dev/full").unwrap().is_file());
     sim.run(&["info"]).success().stdout(contains("none; load one with `haptic scene FILE`"));
 }
 

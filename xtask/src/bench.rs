@@ -71,6 +71,7 @@ pub fn refresh(install: bool) -> Result<()> {
         "bench",
         "--report",
         "docs/results",
+        "--force",
     ]))
 }
 

@@ -1,11 +1,11 @@
 //! `haptic arm`: motors on, and somebody there while they are.
 
-use super::port::{Port, fault_in_words};
+use super::port::{Port, answer, fault_in_words};
 use haptic::error::{Failure, print};
 use haptic::interrupt;
-use haptic::link::Board;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::servo::{ARM_SECONDS, HostAction};
+use serde_json::json;
 use std::time::Duration;
 
 /// Switch the motors on and render the scene, until Ctrl-C
@@ -19,6 +19,9 @@ use std::time::Duration;
 pub struct Args {
     #[command(flatten)]
     port: Port,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
 }
 
 /// Arms, and stays for as long as the board wants somebody there.
@@ -27,14 +30,16 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let watched = board.rules()?.host_action;
     let stop = interrupt::watch();
     board.arm()?;
+    let document = json!({ "state": "Armed", "ramp_seconds": ARM_SECONDS, "host_action": watched });
     let ramp = format!("armed: torque ramps up over {ARM_SECONDS} s");
     if watched == HostAction::Ignore {
-        return print(&format!(
+        let said = format!(
             "{ramp}; nobody is watched (`haptic rules --host disarm` changes that): `haptic disarm` or the supply's \
              switch turns the motors off\n"
-        ));
+        );
+        return answer(args.json, document, &said);
     }
-    print(&format!("{ramp}; Ctrl-C turns the motors off\n"))?;
+    answer(args.json, document, &format!("{ramp}; Ctrl-C turns the motors off\n"))?;
     board.keep_alive();
     let rate = board.details()?.rate_hz;
     while !stop.is_set() {
@@ -45,15 +50,17 @@ pub fn run(args: Args) -> Result<(), Failure> {
                 let what = fault_in_words(&record, rate);
                 return Err(Failure::impossible(format!("the motors are off: {what}")).remedy(record.fault.remedy()));
             }
-            _ if status.state != State::Armed => return print("disarmed from elsewhere: the motors are off\n"),
+            _ if status.state != State::Armed => {
+                return told(args.json, "disarmed from elsewhere: the motors are off\n");
+            }
             _ => {}
         }
     }
-    disarm(&mut board)
+    board.disarm()?;
+    told(args.json, "disarmed: the motors are off\n")
 }
 
-/// Switches the motors off and says so.
-pub fn disarm(board: &mut Board) -> Result<(), Failure> {
-    board.disarm()?;
-    print("disarmed: the motors are off\n")
+/// Says how it ended, where that is not a second JSON document.
+fn told(json: bool, sentence: &str) -> Result<(), Failure> {
+    if json { Ok(()) } else { print(sentence) }
 }

@@ -1,8 +1,10 @@
 //! `haptic backup`: writes everything a board keeps in flash into one file.
 
+use super::force::Force;
 use super::port::Port;
 use haptic::backup::Backup;
 use haptic::error::{Failure, print};
+use haptic::output;
 use std::path::PathBuf;
 
 /// Write everything the board keeps in flash to a file
@@ -13,11 +15,17 @@ pub struct Args {
     /// The file to write (JSON)
     file: PathBuf,
     #[command(flatten)]
+    force: Force,
+    #[command(flatten)]
     port: Port,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
 }
 
 /// Reads the board, then writes the file.
 pub fn run(args: Args) -> Result<(), Failure> {
+    args.force.check([&args.file])?;
     let mut board = args.port.open_to_stay()?;
     let backup = Backup::read(&mut board)?;
     if backup.settings.is_empty() {
@@ -26,15 +34,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
     for (key, _) in board.details()?.damage.iter().filter(|(key, _)| !backup.settings.contains_key(key.name())) {
         eprintln!("left out: the stored {} is damaged", key.name());
     }
-    // First beside it, then in its place: an earlier backup is lost only to a whole new one.
-    let partial = args.file.with_extension("partial");
-    std::fs::write(&partial, backup.to_text()).and_then(|()| std::fs::rename(&partial, &args.file)).map_err(
-        |error| {
-            let _ = std::fs::remove_file(&partial);
-            let reason = format!("{} cannot be written: {error}", args.file.display());
-            Failure::impossible(reason).remedy("check the path, its permissions and the space left")
-        },
-    )?;
+    output::write(&args.file, backup.to_text().as_bytes(), args.force.overwrite())?;
     let names: Vec<&str> = backup.settings.keys().map(String::as_str).collect();
+    if args.json {
+        return print(&format!("{}\n", serde_json::json!({ "file": args.file, "settings": names })));
+    }
     print(&format!("{}: {}\n", args.file.display(), names.join(", ")))
 }

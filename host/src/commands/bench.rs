@@ -1,9 +1,11 @@
 //! `haptic bench`: every variant of the control step with its cost and its error.
 
+use super::force::Force;
 use haptic::bench::error::Parts;
 use haptic::bench::report::{Variant, devices, page, picture, variants};
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
+use haptic::output;
 use std::path::PathBuf;
 
 /// Show what each way of computing the control step costs and what error it leaves
@@ -17,6 +19,8 @@ pub struct Args {
     /// Write the page and the picture into this directory instead
     #[arg(long, value_name = "DIRECTORY")]
     report: Option<PathBuf>,
+    #[command(flatten)]
+    force: Force,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -37,6 +41,11 @@ front: nothing of the same mechanism is both cheaper and nearer to the force tha
 
 /// Computes and prints, or writes the report.
 pub fn run(args: Args) -> Result<(), Failure> {
+    let files = args
+        .report
+        .as_ref()
+        .map(|folder| [folder.join("speed-against-error.md"), folder.join("speed-against-error.svg")]);
+    args.force.check(files.iter().flatten())?;
     let devices = match args.device.as_slice() {
         [] => devices()?,
         paths => paths
@@ -49,11 +58,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
         .into_iter()
         .map(|device| variants(&device, timed).map(|variants| (device, variants)))
         .collect::<Result<Vec<_>, Failure>>()?;
-    if let Some(directory) = args.report {
-        let failed = |error: std::io::Error| Failure::impossible(format!("{}: {error}", directory.display()));
-        std::fs::create_dir_all(&directory).map_err(failed)?;
-        std::fs::write(directory.join("speed-against-error.md"), page(&every)).map_err(failed)?;
-        return Ok(picture(&every).save_svg(&directory.join("speed-against-error.svg"))?);
+    if let (Some(folder), Some([text, drawing])) = (&args.report, &files) {
+        std::fs::create_dir_all(folder).map_err(|error| output::refused(folder, &error))?;
+        output::write(text, page(&every).as_bytes(), args.force.overwrite())?;
+        return Ok(picture(&every).save_svg(drawing)?);
     }
     if args.json {
         let variants: Vec<&Variant> = every.iter().flat_map(|(_, variants)| variants).collect();

@@ -1,11 +1,13 @@
 //! `haptic demo`: what the feed-forward buys, in a few seconds, without hardware.
 
+use super::force::Force;
 use haptic::demo::comparison::Comparison;
 use haptic::demo::crossing::{Crossing, run as cross};
 use haptic::demo::picture::draw;
 use haptic::demo::stiffness::{Limit, limit};
 use haptic::demo::{Demo, Inertia};
 use haptic::error::{Failure, print};
+use haptic::output;
 use haptic_bridge::render::scene::FeedForward;
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
@@ -16,9 +18,11 @@ use std::path::PathBuf;
 /// seconds. Prints a table and draws position, force and duty into an SVG file.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Where the picture goes
-    #[arg(long, value_name = "FILE", default_value = "haptic-demo.svg")]
-    svg: PathBuf,
+    /// Where the picture goes [default: haptic-demo.svg, or with a number where that exists]
+    #[arg(long, value_name = "FILE")]
+    svg: Option<PathBuf>,
+    #[command(flatten)]
+    force: Force,
     /// Seed of the hand's tremor, the same for both runs
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -68,6 +72,7 @@ struct Results {
 
 /// Runs, reports, draws.
 pub fn run(args: Args) -> Result<(), Failure> {
+    args.force.check(&args.svg)?;
     let demo = Demo::shipped(args.seed)?;
     let mut bar = Bar::new(4);
     let mut crossing = |feed_forward, what: &str| {
@@ -91,8 +96,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     ];
     bar.finish();
     let results = Results { inertia: demo.inertia()?, crossings, limits };
-    draw(&demo, &results.crossings[0], &results.crossings[1]).save_svg(&args.svg)?;
-    let place = std::path::absolute(&args.svg).unwrap_or(args.svg);
+    let svg = args.svg.unwrap_or_else(|| output::unused("haptic-demo.svg".as_ref()));
+    draw(&demo, &results.crossings[0], &results.crossings[1]).save_svg(&svg)?;
+    let place = std::path::absolute(&svg).unwrap_or(svg);
     print(&format!("{}picture: {}\n", report(&demo, &results), place.display()))
 }
 

@@ -1,11 +1,12 @@
 //! `haptic device`: loads a device file onto a board.
 
-use super::port::Port;
+use super::port::{Port, answer};
 use haptic::device_file::DeviceFile;
-use haptic::error::{Failure, print};
+use haptic::error::Failure;
 use haptic::plausible::{device::doubts, warn};
 use haptic::toml_file::Document;
 use haptic_bridge::model::device::Device;
+use serde_json::json;
 use std::path::PathBuf;
 
 /// Load a device onto a board
@@ -18,6 +19,9 @@ pub struct Args {
     file: PathBuf,
     #[command(flatten)]
     port: Port,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
 }
 
 /// Checks the file, then the board, then loads.
@@ -53,5 +57,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if board.scene()?.is_none() {
         report.push_str("next: `haptic scene FILE`, then `haptic home`\n");
     }
-    print(&report)
+    let lacks = if details.real { file.lacks_for_a_board() } else { Vec::new() };
+    answer(args.json, json!({ "device": file.name, "port": board.port(), "lacks": lacks }), &report)
 }

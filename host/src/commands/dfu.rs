@@ -1,7 +1,9 @@
 //! `haptic dfu`: restarts a board into its boot loader, to be flashed over USB.
 
-use super::port::Port;
-use haptic::error::{Failure, print};
+use super::port::{Port, answer, confirm};
+use haptic::error::Failure;
+use haptic_bridge::safety::fault::State;
+use serde_json::json;
 
 /// Restart a board into its boot loader, to be flashed over USB
 ///
@@ -11,10 +13,21 @@ use haptic::error::{Failure, print};
 pub struct Args {
     #[command(flatten)]
     port: Port,
+    /// Do not ask before motors that are on go off
+    #[arg(long)]
+    yes: bool,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
 }
 
 /// Asks for the restart.
 pub fn run(args: Args) -> Result<(), Failure> {
-    args.port.open()?.enter_dfu()?;
-    print("the board restarts into its boot loader: flash it with dfu-util, or switch it off and on\n")
+    let mut board = args.port.open()?;
+    if matches!(board.status()?.state, State::Armed | State::CheckingPolarity) {
+        confirm(args.yes, "the motors are on and will go off: what has weight falls")?;
+    }
+    board.enter_dfu()?;
+    let said = "the board restarts into its boot loader: flash it with dfu-util, or switch it off and on\n";
+    answer(args.json, json!({ "restarts": "boot-loader" }), said)
 }

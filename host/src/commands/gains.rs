@@ -1,8 +1,8 @@
 //! `haptic gains`: shows or changes stiffness, damping, feed-forward and cutoff, also while a wall is touched.
 
-use super::port::Port;
+use super::port::{Port, answer, counted, feed_forward_in_words, short};
 use clap::ValueEnum;
-use haptic::error::{Failure, print};
+use haptic::error::Failure;
 use haptic::link::{Board, BoardError};
 use haptic::plausible::scene::{at, beyond};
 use haptic::plausible::{Doubt, warn};
@@ -11,6 +11,7 @@ use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::{FeedForward, Scene, VelocityTerms};
 use haptic_bridge::render::velocity::Estimator;
 use haptic_bridge::safety::refusal::Refusal;
+use serde_json::json;
 
 /// Show or change the gains of a wall, also while it is touched
 ///
@@ -19,6 +20,9 @@ use haptic_bridge::safety::refusal::Refusal;
 pub struct Args {
     #[command(flatten)]
     port: Port,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
     /// Which wall, from 0, in the order of the scene file
     #[arg(long, value_name = "INDEX", default_value_t = 0)]
     wall: u8,
@@ -77,7 +81,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.port.open()?;
     let scene = board.scene()?.ok_or(BoardError::Refused(Refusal::NoScene))?;
     let Some(wall) = scene.walls.get(usize::from(args.wall)) else {
-        let reason = format!("the scene has {} walls, so there is no wall {}", scene.walls.len(), args.wall);
+        let reason = format!("the scene has {}, so there is no wall {}", counted(scene.walls.len(), "wall"), args.wall);
         return Err(Failure::wrong(reason).remedy("count from 0 in the order of the scene file"));
     };
     let gains = Gains {
@@ -117,17 +121,19 @@ pub fn run(args: Args) -> Result<(), Failure> {
             "the feed-forward is without velocity terms, as this scene was loaded; `haptic scene FILE` decides anew"
         );
     }
-    print(&format!(
+    let said = format!(
         "wall {}: stiffness {} N/m, damping {} N s/m, feed-forward {}; {estimator} filter at {} Hz, control at {} Hz\n",
         args.wall,
-        wall.stiffness,
-        wall.damping,
-        match wall.feed_forward {
-            FeedForward::Off => "off".into(),
-            FeedForward::Full => "full".into(),
-            FeedForward::Washout => format!("washout at {} Hz", wall.washout_hz),
-        },
-        scene.cutoff_hz,
-        scene.rate_hz
-    ))
+        short(wall.stiffness),
+        short(wall.damping),
+        feed_forward_in_words(wall),
+        short(scene.cutoff_hz),
+        short(scene.rate_hz)
+    );
+    let document = json!({
+        "wall": args.wall, "stiffness": wall.stiffness, "damping": wall.damping, "feed_forward": wall.feed_forward,
+        "washout_hz": wall.washout_hz, "estimator": scene.estimator, "cutoff_hz": scene.cutoff_hz,
+        "rate_hz": scene.rate_hz,
+    });
+    answer(args.json, document, &said)
 }

@@ -1,7 +1,8 @@
 //! `haptic home`: declares the present pose to be the device file's home pose.
 
-use super::port::{Port, numbers};
-use haptic::error::{Failure, print};
+use super::port::{Port, answer, numbers};
+use haptic::error::Failure;
+use serde_json::json;
 
 /// Declare the present pose to be the device's home pose
 ///
@@ -11,6 +12,9 @@ use haptic::error::{Failure, print};
 pub struct Args {
     #[command(flatten)]
     port: Port,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
 }
 
 /// Homes, and reports where the board believes the device to be.
@@ -20,5 +24,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     // The next control step computes the new pose.
     let axes = board.device()?.map_or(0, |device| device.axes());
     let status = board.status()?;
-    print(&format!("homed: joints {}, tip {}\n", numbers(&status.q[..axes], "rad"), numbers(&status.tip[..axes], "m")))
+    let (q, tip) = (&status.q[..axes], &status.tip[..axes]);
+    let said = format!("homed: joints {}, tip {}\n", numbers(q, "rad"), numbers(tip, "m"));
+    answer(args.json, json!({ "homed": status.homed, "q": q, "tip": tip }), &said)
 }

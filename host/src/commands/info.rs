@@ -1,8 +1,7 @@
 //! `haptic info`: what a board is, what it has loaded, and how it is.
 
-use super::port::{Port, fault_in_words, numbers, state_in_words};
+use super::port::{Port, fault_in_words, numbers, scene_in_words, state_in_words, wall_in_words};
 use haptic::error::{Failure, print};
-use haptic_bridge::render::scene::{FeedForward, Surface};
 use haptic_bridge::safety::fault::Fault;
 use serde_json::json;
 
@@ -57,22 +56,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     match &scene {
         None => line("scene", "none; load one with `haptic scene FILE`".into()),
         Some(scene) => {
-            line("scene", format!("{} walls, {} springs", scene.walls.len(), scene.springs.len()));
+            line("scene", scene_in_words(scene));
             for (index, wall) in scene.walls.iter().enumerate() {
-                let shape = match wall.surface {
-                    Surface::Plane(_) => "plane",
-                    Surface::Sphere(_) => "sphere",
-                    Surface::Cylinder(_) => "cylinder",
-                };
-                let feed_forward = match wall.feed_forward {
-                    FeedForward::Off => "off".into(),
-                    FeedForward::Full => "full".into(),
-                    FeedForward::Washout => format!("washout at {} Hz", wall.washout_hz),
-                };
-                line(
-                    &format!("  wall {index}"),
-                    format!("{shape}, {} N/m, {} N s/m, feed-forward {feed_forward}", wall.stiffness, wall.damping),
-                );
+                line(&format!("  wall {index}"), wall_in_words(wall));
             }
         }
     }
@@ -81,8 +67,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     line("polarity", if status.polarity { "checked" } else { "not checked" }.into());
     line("bus", format!("{:.2} V", status.bus_voltage));
     if axes > 0 {
-        line("joints", numbers(&status.q[..axes], "rad"));
-        line("tip", numbers(&status.tip[..axes], "m"));
+        let unknown = if status.homed { "" } else { "  (not homed: counted from where the encoders began)" };
+        line("joints", numbers(&status.q[..axes], "rad") + unknown);
+        line("tip", numbers(&status.tip[..axes], "m") + unknown);
     }
     if let Some(record) = &status.fault {
         line("fault", fault_in_words(record, details.rate_hz));

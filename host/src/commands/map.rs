@@ -1,5 +1,6 @@
 //! `haptic map`: how the inertia that a wall meets varies over the workspace, and where the feed-forward pays.
 
+use super::force::Force;
 use crate::cli::{self, Numbers};
 use haptic::analysis::map::{MapPoint, map_holding};
 use haptic::device_file::DeviceFile;
@@ -36,6 +37,8 @@ pub struct Args {
     /// Draw the map into this PNG file
     #[arg(long, value_name = "FILE")]
     png: Option<PathBuf>,
+    #[command(flatten)]
+    force: Force,
 }
 
 /// The document of `--json`.
@@ -46,6 +49,7 @@ struct Document {
 
 /// Maps, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
+    args.force.check(args.svg.iter().chain(&args.png))?;
     let file = DeviceFile::load(&args.device)?;
     let normal = args.normal.unit(file.spec().task, "--normal")?;
     let pictured = args.svg.is_some() || args.png.is_some();

@@ -3,6 +3,7 @@
 mod meter;
 mod report;
 
+use super::force::Force;
 use super::port::Port;
 use crate::cli::Numbers;
 use clap::ValueEnum;
@@ -103,6 +104,8 @@ pub struct Args {
     /// Draw the same into this PNG file
     #[arg(long, value_name = "FILE")]
     png: Option<PathBuf>,
+    #[command(flatten)]
+    force: Force,
 }
 
 /// Which feed-forward.
@@ -143,6 +146,7 @@ impl Kinds {
 
 /// Measures, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
+    args.force.check(args.svg.iter().chain(&args.png))?;
     let mut file = DeviceFile::load(&args.device)?;
     let spec = file.spec();
     let normal = args.normal.clone().unit(spec.task, "--normal")?;

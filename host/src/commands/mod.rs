@@ -11,6 +11,7 @@ mod device;
 mod dfu;
 mod disarm;
 mod faults;
+mod force;
 mod gains;
 mod home;
 mod info;
@@ -34,6 +35,7 @@ mod sim;
 mod stream;
 
 use haptic::error::Failure;
+pub use stream::list_of_fields;
 
 /// Declares the subcommands: under each heading of `haptic --help`, `(Variant, module)` in the order of that page.
 macro_rules! commands {
@@ -59,6 +61,7 @@ macro_rules! commands {
 commands! {
     "Without a board" {
         (Demo, demo)
+        (Sim, sim)
         (New, new)
         (Check, check)
         (Model, model)
@@ -74,6 +77,7 @@ commands! {
         (Device, device)
         (Scene, scene)
         (Gains, gains)
+        (Rules, rules)
         (Home, home)
         (Polarity, polarity)
         (Arm, arm)
@@ -82,14 +86,12 @@ commands! {
         (MeasureRange, measure_range)
         (Faults, faults)
         (Clear, clear)
-        (Rules, rules)
         (Save, save)
         (Backup, backup)
         (Restore, restore)
         (Name, name)
         (Restart, restart)
         (Dfu, dfu)
-        (Sim, sim)
     }
     "Shell" {
         (Completions, completions)

@@ -134,8 +134,8 @@ fn readable(report: &Report, q: &[f64], qd: &[f64], walls: &[WallForce]) -> Stri
     line("bias c + g", "N m", row(&report.bias));
     line("condition of J, of M", "", row(&[report.condition.jacobian, report.condition.mass]));
     for (index, wall) in walls.iter().enumerate() {
-        line(&format!("wall {}: normal", index + 1), "", row(&wall.normal));
-        line(&format!("wall {}: force", index + 1), "N", row(&[wall.force]));
+        line(&format!("wall {index}: normal"), "", row(&wall.normal));
+        line(&format!("wall {index}: force"), "N", row(&[wall.force]));
     }
     if walls.is_empty() {
         text.push_str("\nNo wall: give --normal (and --force) to see what one meets here.\n");
@@ -197,7 +197,10 @@ fn verdict(report: &Report) -> String {
 }
 
 fn row(values: &[f64]) -> String {
-    values.iter().map(|value| format!("{:>13}", number(*value))).collect::<String>()
+    // Beside the others, what rounding left of a zero is one.
+    let least = 1e-12 * values.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
+    let clean = values.iter().map(|value| if value.abs() < least { 0.0 } else { *value });
+    clean.map(|value| format!("{:>13}", number(value))).collect::<String>()
 }
 
 fn matrix(rows: &Rows) -> String {

@@ -1,9 +1,9 @@
 //! `haptic polarity`: lets the board move each joint a little, to see that motors and encoders agree.
 
-use super::port::Port;
-use haptic::error::{Failure, print};
+use super::port::{Port, answer, confirm};
+use haptic::error::Failure;
 use haptic_bridge::safety::fault::State;
-use std::io::{BufRead, IsTerminal};
+use serde_json::json;
 use std::time::Duration;
 
 /// Check that every motor turns its joint the way its encoder counts (moves the device)
@@ -14,6 +14,9 @@ use std::time::Duration;
 pub struct Args {
     #[command(flatten)]
     port: Port,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
     /// Do not ask before the device moves
     #[arg(long)]
     yes: bool,
@@ -22,8 +25,8 @@ pub struct Args {
 /// Asks, starts the check and waits for its end.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.port.open()?;
-    if board.details()?.real && !args.yes {
-        confirm("each joint will be moved by a small torque; is the device free to move and are hands off it? [y/N] ")?;
+    if board.details()?.real {
+        confirm(args.yes, "each joint is moved by a small torque: the device must be free to move, and hands off it")?;
     }
     board.keep_alive();
     board.check_polarity()?;
@@ -37,21 +40,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
                 let axis = record.axis.map_or(String::new(), |axis| format!(" (joint {axis})"));
                 return Err(Failure::impossible(format!("{}{axis}", record.fault)).remedy(record.fault.remedy()));
             }
-            _ if status.polarity => return print("every motor turns its joint the right way\n"),
+            _ if status.polarity => {
+                let said = "every motor turns its joint the right way\n";
+                return answer(args.json, json!({ "polarity_checked": true }), said);
+            }
             _ => return Err(Failure::impossible("the check was ended from outside").remedy("start it again")),
         }
-    }
-}
-
-fn confirm(question: &str) -> Result<(), Failure> {
-    if !std::io::stdin().is_terminal() {
-        return Err(Failure::impossible("the device would move and nobody can be asked").remedy("repeat with --yes"));
-    }
-    eprint!("{question}");
-    let mut answer = String::new();
-    let read = std::io::stdin().lock().read_line(&mut answer);
-    match read {
-        Ok(_) if answer.trim().eq_ignore_ascii_case("y") => Ok(()),
-        _ => Err(Failure::impossible("not confirmed").remedy("nothing was moved")),
     }
 }

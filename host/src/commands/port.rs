@@ -1,8 +1,10 @@
 //! `--port`, which every command that talks to a board takes, and how they talk about what they found.
 
-use haptic::error::Failure;
+use haptic::error::{Failure, print};
 use haptic::link::{Board, PortSpec};
+use haptic_bridge::render::scene::{FeedForward, Scene, Surface, Wall};
 use haptic_bridge::safety::fault::{FaultRecord, State};
+use std::io::{BufRead, IsTerminal};
 
 /// Which board.
 #[derive(clap::Args)]
@@ -44,6 +46,78 @@ pub fn state_in_words(state: State) -> &'static str {
         State::CheckingPolarity => "checking motor polarity",
         State::Fault => "fault (motors off until it is cleared)",
     }
+}
+
+/// Prints what was done: one JSON document, or a sentence.
+pub fn answer(json: bool, document: serde_json::Value, sentence: &str) -> Result<(), Failure> {
+    if json { print(&format!("{document}\n")) } else { print(sentence) }
+}
+
+/// Asks somebody at the terminal, unless `yes` agreed beforehand; `what` would happen.
+pub fn confirm(yes: bool, what: &str) -> Result<(), Failure> {
+    if yes {
+        return Ok(());
+    }
+    if !std::io::stdin().is_terminal() {
+        return Err(Failure::impossible(format!("{what}, and nobody can be asked")).remedy("repeat with --yes"));
+    }
+    eprint!("{what}; go on? [y/N] ");
+    let mut answer = String::new();
+    let read = std::io::stdin().lock().read_line(&mut answer);
+    match read {
+        Ok(_) if answer.trim().eq_ignore_ascii_case("y") => Ok(()),
+        _ => Err(Failure::impossible("not confirmed").remedy("nothing was done")),
+    }
+}
+
+/// So many of a thing.
+pub fn counted(count: usize, noun: &str) -> String {
+    format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
+}
+
+/// What a scene holds.
+pub fn scene_in_words(scene: &Scene<f32>) -> String {
+    let mut parts = vec![counted(scene.walls.len(), "wall")];
+    if !scene.springs.is_empty() {
+        parts.push(counted(scene.springs.len(), "spring"));
+    }
+    if scene.field_damping > 0.0 {
+        parts.push(format!("a field of {} N s/m", short(scene.field_damping)));
+    }
+    parts.join(", ")
+}
+
+/// A wall in words.
+pub fn wall_in_words(wall: &Wall<f32>) -> String {
+    let shape = match wall.surface {
+        Surface::Plane(_) => "plane",
+        Surface::Sphere(_) => "sphere",
+        Surface::Cylinder(_) => "cylinder",
+    };
+    let (stiffness, damping) = (short(wall.stiffness), short(wall.damping));
+    format!("{shape}, {stiffness} N/m, {damping} N s/m, feed-forward {}", feed_forward_in_words(wall))
+}
+
+/// Its feed-forward in words.
+pub fn feed_forward_in_words(wall: &Wall<f32>) -> String {
+    match wall.feed_forward {
+        FeedForward::Off => "off".into(),
+        FeedForward::Full => "full".into(),
+        FeedForward::Washout => format!("washout at {} Hz", short(wall.washout_hz)),
+    }
+}
+
+/// A number to five digits, without zeros that say nothing.
+pub fn short(value: f32) -> String {
+    let digits = match value.abs() {
+        size if size > 0.0 && size.is_finite() => (4 - f64::from(size).log10().floor() as i32).max(0) as usize,
+        _ => 0,
+    };
+    if digits > 12 {
+        return format!("{value:.4e}");
+    }
+    let text = format!("{value:.digits$}");
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
 }
 
 /// A fault in words, with its remedy.

@@ -1,5 +1,6 @@
 //! `haptic precompute`: makes a frozen mass matrix or a table of it, and says what error it leaves.
 
+use super::force::Force;
 use crate::cli::Numbers;
 use clap::ValueEnum;
 use haptic::bench::error::{Terms, Trigonometry, errors};
@@ -7,6 +8,7 @@ use haptic::bench::precompute::{Precomputed, frozen, most_points, range, table};
 use haptic::bench::probe::{Probe, workspace};
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
+use haptic::output;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::{Interpolation, MassModelData, TABLE_VALUES};
 use std::path::PathBuf;
@@ -32,6 +34,11 @@ pub struct Args {
     /// Write it to this file (JSON)
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
+    #[command(flatten)]
+    force: Force,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
@@ -43,6 +50,7 @@ enum Kind {
 
 /// Makes, measures, prints and writes.
 pub fn run(args: Args) -> Result<(), Failure> {
+    args.force.check(&args.output)?;
     let device = DeviceFile::load(&args.device)?.device().map_err(Failure::wrong)?;
     let per_joint = [41, 25, 11][device.mechanism.kind().spec().joints.clamp(1, 3) - 1];
     let mut probes = workspace(&device, per_joint, 0.0)?;
@@ -82,12 +90,14 @@ pub fn run(args: Args) -> Result<(), Failure> {
         }
     };
     let errors = errors(&device, &probes, &made, Terms::FeedForward, Trigonometry::Minimax)?;
+    let document = serde_json::json!({
+        "device": device.name, "kind": made.name(), "model": made.data, "values": made.values, "errors": errors,
+    });
     if let Some(path) = &args.output {
-        let document = serde_json::json!({
-            "device": device.name, "kind": made.name(), "model": made.data, "values": made.values, "errors": errors,
-        });
-        std::fs::write(path, format!("{document:#}\n"))
-            .map_err(|error| Failure::impossible(format!("{}: {error}", path.display())))?;
+        output::write(path, format!("{document:#}\n").as_bytes(), args.force.overwrite())?;
+    }
+    if args.json {
+        return print(&format!("{document}\n"));
     }
     print(&readable(&device, &made, &errors, probes.len()))
 }
@@ -121,14 +131,28 @@ fn readable(
         MassModelData::Frozen(triangle) => format!("lower triangle {triangle:?} kg m²"),
         MassModelData::Exact => String::new(),
     };
+    let share = &errors.share;
+    let error = if share.max < 1.0 {
+        format!(
+            "at most {:.4} % of the torque there ({:.3} duty steps), 99 % below {:.4} %, RMS {:.4} %",
+            100.0 * share.max,
+            errors.duty.max,
+            100.0 * share.most,
+            100.0 * share.rms
+        )
+    } else {
+        let elsewhere = match share.most < 1.0 {
+            true => format!("99 % of them stay below {:.4} %", 100.0 * share.most),
+            false => "and so in more than one of a hundred".into(),
+        };
+        format!(
+            "larger than the torque itself in the worst, beside a singular pose; {elsewhere}\n  \
+             do not use it as it is: keep it to where you work with --box, give the joints limits, or let `haptic plan` choose"
+        )
+    };
     format!(
-        "{}: {} mass matrix\n  {size}\n  torque error over {situations} situations at rest, whole motor force: at most {:.4} % of \
-         the torque there ({:.3} duty steps), 99 % below {:.4} %, RMS {:.4} %\n",
+        "{}: {} mass matrix\n  {size}\n  torque error over {situations} situations at rest, whole motor force: {error}\n",
         device.name,
         made.name(),
-        100.0 * errors.share.max,
-        errors.duty.max,
-        100.0 * errors.share.most,
-        100.0 * errors.share.rms
     )
 }

@@ -1,5 +1,6 @@
 //! `haptic range`: which walls stay stable on a device, predicted, without and with the feed-forward.
 
+use super::force::Force;
 use crate::cli::{self, Numbers};
 use clap::{Args as ClapArgs, ValueEnum};
 use haptic::analysis::passivity::Passivity;
@@ -12,6 +13,7 @@ use haptic::error::{Failure, print};
 use haptic::plausible::{Doubt, angles, warn};
 use haptic::plot::range::{Contents, draw};
 use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::render::scene::{MAX_RATE_HZ, MIN_RATE_HZ};
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -77,6 +79,8 @@ pub struct Args {
     /// Draw the range into this PNG file
     #[arg(long, value_name = "FILE")]
     png: Option<PathBuf>,
+    #[command(flatten)]
+    force: Force,
 }
 
 /// Estimators of the analysis.
@@ -100,8 +104,13 @@ enum DriveKind {
 
 /// Analyses, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
+    args.force.check(args.svg.iter().chain(&args.png))?;
     let file = DeviceFile::load(&args.device)?;
     let spec = file.spec();
+    if !(MIN_RATE_HZ..=MAX_RATE_HZ).contains(&args.rate) {
+        let reason = format!("--rate {} Hz is none that a board has", args.rate);
+        return Err(Failure::wrong(reason).remedy(format!("write {MIN_RATE_HZ} to {MAX_RATE_HZ} Hz")));
+    }
     let q = match (&args.q, file.description.home) {
         (Some(q), _) => q.clone().exactly(spec.joints, "--q", "joint angles")?,
         (None, Some(home)) => home[..spec.joints].to_vec(),

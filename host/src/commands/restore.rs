@@ -1,9 +1,10 @@
 //! `haptic restore`: puts a backup back into a board.
 
-use super::port::Port;
-use haptic::backup::{Backup, Restored, restore};
-use haptic::error::{Failure, print};
+use super::port::{Port, answer};
+use haptic::backup::{Backup, Ready, Restored, restore};
+use haptic::error::Failure;
 use haptic::toml_file::Document;
+use serde_json::json;
 use std::path::PathBuf;
 
 /// Put a backup back into the board's flash
@@ -15,6 +16,9 @@ pub struct Args {
     file: PathBuf,
     #[command(flatten)]
     port: Port,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
 }
 
 /// Understands the whole file, then writes the board.
@@ -37,5 +41,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
             Restored::MadeAnew => format!("{}: left out, to be made anew: `haptic polarity`\n", setting.key.name()),
         };
     }
-    print(&report)
+    let how = |setting: &Ready| json!({ "setting": setting.key.name(), "how": format!("{:?}", setting.how) });
+    answer(args.json, json!({ "restored": ready.iter().map(how).collect::<Vec<_>>() }), &report)
 }

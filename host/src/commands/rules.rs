@@ -1,10 +1,11 @@
 //! `haptic rules`: shows or changes what the board enforces, whatever a tool asks for.
 
-use super::port::Port;
+use super::port::{Port, answer, counted};
 use clap::ValueEnum;
-use haptic::error::{Failure, print};
+use haptic::error::Failure;
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::servo::{HostAction, Rules};
+use serde_json::json;
 
 /// Show or change the limits and rules that the board enforces
 ///
@@ -14,17 +15,20 @@ use haptic_bridge::servo::{HostAction, Rules};
 pub struct Args {
     #[command(flatten)]
     port: Port,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
     /// Joint torques in N m, one per joint
-    #[arg(long, value_name = "N M,..", value_delimiter = ',', value_parser = limit)]
+    #[arg(long, value_name = "N M,..", value_delimiter = ',', value_parser = limit, allow_hyphen_values = true)]
     torque: Vec<f32>,
     /// Motor currents in A, one per joint
-    #[arg(long, value_name = "A,..", value_delimiter = ',', value_parser = limit)]
+    #[arg(long, value_name = "A,..", value_delimiter = ',', value_parser = limit, allow_hyphen_values = true)]
     current: Vec<f32>,
     /// Motor currents that may flow for ever, in A, one per joint
-    #[arg(long, value_name = "A,..", value_delimiter = ',', value_parser = limit)]
+    #[arg(long, value_name = "A,..", value_delimiter = ',', value_parser = limit, allow_hyphen_values = true)]
     continuous_current: Vec<f32>,
     /// Joint speeds in rad/s, one per joint
-    #[arg(long, value_name = "RAD/S,..", value_delimiter = ',', value_parser = limit)]
+    #[arg(long, value_name = "RAD/S,..", value_delimiter = ',', value_parser = limit, allow_hyphen_values = true)]
     speed: Vec<f32>,
     /// Mean power into the hand in W
     #[arg(long, value_name = "W", value_parser = limit)]
@@ -45,7 +49,7 @@ pub struct Args {
     #[arg(long, value_name = "BOOL", action = clap::ArgAction::Set)]
     passivity: Option<bool>,
     /// Counts between two index pulses of each encoder, one per joint; 0 where it has none
-    #[arg(long, value_name = "COUNTS,..", value_delimiter = ',', value_parser = clap::value_parser!(i32).range(0..))]
+    #[arg(long, value_name = "COUNTS,..", value_delimiter = ',', value_parser = clap::value_parser!(i32).range(0..), allow_hyphen_values = true)]
     index_period: Vec<i32>,
 }
 
@@ -77,13 +81,20 @@ fn seconds(text: &str) -> Result<f32, String> {
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.port.open()?;
     let before = board.rules()?;
+    let device = board.device()?;
+    let joints = match &device {
+        Some(device) => device.axes(),
+        None => usize::from(board.details()?.axes).min(before.limits.torque.len()),
+    };
+    let whose = device.as_ref().map_or("the board", |device| device.name.as_str()).to_string();
+    let whose = (whose.as_str(), joints);
     let mut rules = before;
     let limits = &mut rules.limits;
-    per_joint("torque", &args.torque, &mut limits.torque)?;
-    per_joint("current", &args.current, &mut limits.current)?;
-    per_joint("continuous-current", &args.continuous_current, &mut limits.continuous_current)?;
-    per_joint("speed", &args.speed, &mut limits.speed)?;
-    per_joint("index-period", &args.index_period, &mut rules.index_period)?;
+    per_joint(whose, "torque", &args.torque, &mut limits.torque)?;
+    per_joint(whose, "current", &args.current, &mut limits.current)?;
+    per_joint(whose, "continuous-current", &args.continuous_current, &mut limits.continuous_current)?;
+    per_joint(whose, "speed", &args.speed, &mut limits.speed)?;
+    per_joint(whose, "index-period", &args.index_period, &mut rules.index_period)?;
     limits.power = args.power.unwrap_or(limits.power);
     limits.bus_min = args.bus_min.unwrap_or(limits.bus_min);
     limits.bus_max = args.bus_max.unwrap_or(limits.bus_max);
@@ -104,15 +115,15 @@ pub fn run(args: Args) -> Result<(), Failure> {
             "the host is no longer watched: if this tool is killed or its cable pulled, the motors stay on as they are"
         );
     }
-    print(&in_words(&now))
+    answer(args.json, as_json(&now, joints), &in_words(&now, joints))
 }
 
-/// Puts what was given for the first joints in its place.
-fn per_joint<T: Copy>(name: &str, given: &[T], place: &mut [T]) -> Result<(), Failure> {
-    if given.len() > place.len() {
-        let reason =
-            format!("--{name} has {} numbers, and no device has more than {} joints", given.len(), place.len());
-        return Err(Failure::wrong(reason).remedy("give one number per joint"));
+/// Puts what was given, nothing or one for every joint, in its place.
+fn per_joint<T: Copy>((whose, joints): (&str, usize), name: &str, given: &[T], place: &mut [T]) -> Result<(), Failure> {
+    if !given.is_empty() && given.len() != joints {
+        let numbers = counted(given.len(), "number");
+        let reason = format!("--{name} has {numbers}, and {whose} has {}", counted(joints, "joint"));
+        return Err(Failure::wrong(reason).remedy("give one number per joint, joint 0 first, separated by commas"));
     }
     for (place, given) in place.iter_mut().zip(given) {
         *place = *given;
@@ -120,7 +131,22 @@ fn per_joint<T: Copy>(name: &str, given: &[T], place: &mut [T]) -> Result<(), Fa
     Ok(())
 }
 
-fn in_words(rules: &Rules) -> String {
+/// One value for every joint there is.
+fn listed<T: std::fmt::Display>(values: &[T], joints: usize) -> String {
+    values.iter().take(joints).map(ToString::to_string).collect::<Vec<_>>().join(", ")
+}
+
+fn as_json(rules: &Rules, joints: usize) -> serde_json::Value {
+    let Limits { torque, current, continuous_current, speed, power, bus_min, bus_max } = &rules.limits;
+    json!({
+        "torque": &torque[..joints], "current": &current[..joints],
+        "continuous_current": &continuous_current[..joints], "speed": &speed[..joints], "power": power,
+        "bus_min": bus_min, "bus_max": bus_max, "host_action": rules.host_action, "host_seconds": rules.host_seconds,
+        "passivity": rules.passivity, "index_period": &rules.index_period[..joints],
+    })
+}
+
+fn in_words(rules: &Rules, joints: usize) -> String {
     let Limits { torque, current, continuous_current, speed, power, bus_min, bus_max } = &rules.limits;
     let host = match rules.host_action {
         HostAction::Ignore => "a silent host is ignored".into(),
@@ -132,13 +158,15 @@ fn in_words(rules: &Rules) -> String {
     let passivity = if rules.passivity { "on" } else { "off" };
     let index = match rules.index_period {
         [0, 0, 0] => "not watched".into(),
-        periods => format!("every {periods:?} counts, 0 where none is watched"),
+        periods => format!("every {} counts, 0 where none is watched", listed(&periods, joints)),
     };
+    let [torque, current, continuous_current, speed] =
+        [torque, current, continuous_current, speed].map(|values| listed(values, joints));
     format!(
-        "torque              {torque:?} N m\n\
-         current             {current:?} A\n\
-         continuous current  {continuous_current:?} A\n\
-         speed               {speed:?} rad/s\n\
+        "torque              {torque} N m\n\
+         current             {current} A\n\
+         continuous current  {continuous_current} A\n\
+         speed               {speed} rad/s\n\
          power into the hand {power} W\n\
          supply              {bus_min} to {bus_max} V\n\
          host                {host}\n\

@@ -1,10 +1,10 @@
 //! `haptic scene`: loads a scene file onto a board, computed the cheapest way that is good enough.
 
 use super::plan::{budget, readable, speed};
-use super::port::Port;
+use super::port::{Port, answer, scene_in_words};
 use clap::builder::NonEmptyStringValueParser;
 use haptic::bench::precompute::Precomputed;
-use haptic::error::{Failure, print};
+use haptic::error::Failure;
 use haptic::link::{Board, BoardError};
 use haptic::plan::plan;
 use haptic::plausible::{scene::doubts, warn};
@@ -15,6 +15,7 @@ use haptic_bridge::model::precomputed::{MassModelData, TableChunk};
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::refusal::Refusal;
+use serde_json::json;
 use std::path::PathBuf;
 
 /// Load a scene (walls, springs, fields) onto a board
@@ -35,8 +36,14 @@ pub struct Args {
     /// Fastest motion of the hand, m/s [default: the scene's hand_speed, or 0.5]
     #[arg(long, value_name = "M/S")]
     speed: Option<f64>,
+    /// Show also how the board will compute it, and why: what `haptic plan` shows
+    #[arg(long)]
+    verbose: bool,
     #[command(flatten)]
     port: Port,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
 }
 
 /// Checks the file against the board's device, plans, loads.
@@ -55,13 +62,22 @@ pub fn run(args: Args) -> Result<(), Failure> {
     warn(&doubts.into_iter().map(|doubt| doubt.about(&document)).collect::<Vec<_>>());
     if args.as_written || board.status()?.state == State::Armed {
         board.set_scene(&written)?;
-        return print(&loaded(&name.to_string(), &board, &written));
+        return answer(
+            args.json,
+            json!({ "scene": written, "planned": false }),
+            &loaded(&name.to_string(), &board, &written),
+        );
     }
     let plan = plan(&device, &file.scene, budget, speed(args.speed, &file)?)?;
     let scene = rounded(&plan.scene);
     board.set_scene(&scene)?;
     send(&mut board, &plan.mass)?;
-    print(&format!("{}{}", loaded(&name.to_string(), &board, &scene), readable(&device, &plan)))
+    let more = if args.verbose { readable(&device, &plan) } else { String::new() };
+    let document = json!({
+        "scene": scene, "planned": true, "model": plan.mass.name(), "terms": plan.terms.name(),
+        "instructions": plan.instructions,
+    });
+    answer(args.json, document, &(loaded(&name.to_string(), &board, &scene) + &more))
 }
 
 /// Sends a prepared mass matrix; the closed form is what a scene comes with.
@@ -79,11 +95,5 @@ fn send(board: &mut Board, mass: &Precomputed) -> Result<(), Failure> {
 }
 
 fn loaded(file: &str, board: &Board, scene: &Scene<f32>) -> String {
-    format!(
-        "{file} is loaded on {}: {} walls, {} springs, {} Hz control\n",
-        board.port(),
-        scene.walls.len(),
-        scene.springs.len(),
-        scene.rate_hz
-    )
+    format!("{file} is loaded on {}: {}, {} Hz control\n", board.port(), scene_in_words(scene), scene.rate_hz)
 }

@@ -1,28 +1,31 @@
 //! `haptic stream`: telemetry to the terminal or to a CSV file, with every loss counted and shown.
 
-use super::port::{Port, fault_in_words};
-use haptic::error::Failure;
+use super::force::Force;
+use super::port::{Port, fault_in_words, short, wall_in_words};
+use haptic::error::{Failure, print};
 use haptic::interrupt;
 use haptic::link::{Board, Column, LinkError, Losses, Row, columns, fields};
-use haptic::recorder::Recorder;
-use haptic_bridge::board::telemetry::Fields;
+use haptic::recorder::{RecordError, Recorder, STATES, Value};
+use haptic_bridge::board::telemetry::{Field, Fields};
+use serde_json::json;
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 /// Show telemetry, or record it to a CSV file
 ///
-/// Fields: usual, all, or any of q, qd, tip, torque, current, duty, distance, velocity, force, shaping, energy,
-/// passivity, bus, counts, state. Losses are counted exactly and shown. A recording that is cut short (unplugged,
-/// killed, disk full) is whole up to its last line.
+/// Losses are counted exactly and shown. A recording that is cut short (unplugged, killed, disk full) is whole up to
+/// its last line.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
     port: Port,
-    /// Record to this CSV file instead of the terminal
+    /// Record to this CSV file instead of the terminal; - is standard output
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
-    /// Fields, separated by commas
+    #[command(flatten)]
+    force: Force,
+    /// Fields, separated by commas: usual, all, or any of the list below
     #[arg(long, value_name = "NAMES", default_value = "usual", value_parser = fields)]
     fields: Fields,
     /// Rows per second, at most the control rate [default: 10 on the terminal, 1000 to a file]
@@ -34,6 +37,9 @@ pub struct Args {
     /// Stop after so many seconds of the board's time [default: until Ctrl-C]
     #[arg(long, value_name = "SECONDS", value_parser = positive)]
     seconds: Option<f64>,
+    /// Print one JSON document at the end: the rows, or with --csv where they are, and what was lost
+    #[arg(long)]
+    json: bool,
 }
 
 fn positive(text: &str) -> Result<f64, String> {
@@ -44,33 +50,45 @@ fn positive(text: &str) -> Result<f64, String> {
     }
 }
 
+/// The fields with units and meaning, for the help page.
+pub fn list_of_fields() -> String {
+    let mut text = "Fields (docs/telemetry.md):\n".to_string();
+    for field in Field::ALL {
+        text.push_str(&format!("  {:<11}{:<7}{}\n", field.name(), field.unit(), field.meaning()));
+    }
+    text
+}
+
 /// Where rows go.
 enum Sink {
-    Terminal { columns: Vec<Column>, since_header: usize },
+    Terminal { since_header: usize },
+    Kept(Vec<Vec<Value>>),
     File(Box<Recorder>),
 }
 
 /// Streams until the time is over, Ctrl-C, or the board goes away.
 pub fn run(args: Args) -> Result<(), Failure> {
+    if let Some(path) = &args.csv {
+        args.force.check([path])?;
+    }
     let mut board = args.port.open()?;
-    let details = board.details()?;
+    let rate_hz = f64::from(board.details()?.rate_hz);
     let axes = board.device()?.map_or(0, |device| device.axes());
-    let rate_hz = f64::from(details.rate_hz);
     let wanted = args.rate.unwrap_or(if args.csv.is_some() { 1000.0 } else { 10.0 });
     let divider = (rate_hz / wanted).round().clamp(1.0, f64::from(u32::MAX)) as u32;
+    let got = rate_hz / f64::from(divider);
+    if (got - wanted).abs() > 1e-3 * wanted {
+        eprintln!("{} rows a second: every {} at {rate_hz} Hz control", short(got as f32), nth(divider));
+    }
     let columns = columns(args.fields, axes);
-    let mut sink = match &args.csv {
-        None => Sink::Terminal { columns, since_header: usize::MAX },
+    let sink = match &args.csv {
+        None if args.json => Sink::Kept(Vec::new()),
+        None => Sink::Terminal { since_header: usize::MAX },
         Some(path) => {
-            let about = format!(
-                "haptic-bridge recording\nboard {} {}\ndevice {}\ncontrol rate {rate_hz} Hz, every {divider}th step",
-                board.info().board,
-                board.info().serial,
-                details.device.as_deref().unwrap_or("none"),
-            );
+            let about = about(&mut board, divider)?;
             let mut names = vec!["step".to_string(), "time_s".to_string()];
-            names.extend(columns.into_iter().map(|column| column.label));
-            Sink::File(Box::new(Recorder::create(path, &about, &names)?))
+            names.extend(columns.iter().map(|column| column.label.clone()));
+            Sink::File(Box::new(Recorder::create(path, &about, &names, args.force.overwrite())?))
         }
     };
     let stop = interrupt::watch();
@@ -79,7 +97,18 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if args.arm {
         board.arm()?;
     }
-    let mut follow = Follow { rate_hz, first_step: None, shown: Losses::default(), last_note: board.now() };
+    let mut follow = Follow {
+        rate_hz,
+        divider,
+        columns,
+        sink,
+        first_step: None,
+        last_step: 0,
+        rows: 0,
+        missing: 0,
+        shown: Losses::default(),
+        last_note: board.now(),
+    };
     let ended = loop {
         if stop.is_set() {
             break Ended::AsAsked;
@@ -88,13 +117,14 @@ pub fn run(args: Args) -> Result<(), Failure> {
             Err(error) => break Ended::BoardLost(error),
             Ok(rows) => {
                 for record in board.take_reported_faults() {
-                    eprintln!("fault: {}", fault_in_words(&record, details.rate_hz));
+                    eprintln!("fault: {}", fault_in_words(&record, rate_hz as f32));
                 }
-                let over = follow.take(&rows, &mut sink, args.seconds);
-                match over.and_then(|over| follow.note(&board, &mut sink).map(|()| over)) {
+                let over = follow.take(&rows, args.seconds);
+                match over.and_then(|over| follow.note(&board).map(|()| over)) {
                     Ok(false) => {}
                     Ok(true) => break Ended::AsAsked,
-                    Err(failure) => break Ended::NoRoom(failure),
+                    Err(RecordError::ReaderGone) => break Ended::ReaderGone,
+                    Err(RecordError::Failed(failure)) => break Ended::NoRoom(failure),
                 }
             }
         }
@@ -105,12 +135,59 @@ pub fn run(args: Args) -> Result<(), Failure> {
         _ if args.arm => board.disarm(),
         _ => Ok(()),
     };
-    finish(ended, board, sink, args.csv).and(disarmed.map_err(Failure::from))
+    finish(ended, board, follow, args.json).and(disarmed.map_err(Failure::from))
+}
+
+/// What a recording is of: lines for its head.
+fn about(board: &mut Board, divider: u32) -> Result<String, Failure> {
+    let details = board.details()?;
+    let info = board.info().clone();
+    let scene = board.scene()?;
+    let rules = board.rules()?;
+    let name = if details.name.is_empty() { String::new() } else { format!(" \"{}\"", details.name) };
+    let mut text = format!(
+        "haptic-bridge recording, fields in docs/telemetry.md\n\
+         date {}\n\
+         tool {}, firmware {}, protocol {}\n\
+         board {} {}{name}\n\
+         device {}\n\
+         control rate {} Hz, every {}, delay {} samples\n",
+        humantime::format_rfc3339_seconds(SystemTime::now()),
+        env!("CARGO_PKG_VERSION"),
+        info.firmware,
+        info.protocol,
+        info.board,
+        info.serial,
+        details.device.as_deref().unwrap_or("none"),
+        details.rate_hz,
+        nth(divider),
+        details.delay_samples,
+    );
+    for (index, wall) in scene.iter().flat_map(|scene| scene.walls.iter().enumerate()) {
+        text.push_str(&format!("wall {index}: {}\n", wall_in_words(wall)));
+    }
+    // For programs: the same and the rest, as the board holds them at the start.
+    text.push_str(&format!("scene {}\n", serde_json::to_string(&scene).map_err(Failure::impossible)?));
+    text.push_str(&format!("rules {}\n", serde_json::to_string(&rules).map_err(Failure::impossible)?));
+    Ok(text)
+}
+
+/// "3rd step".
+fn nth(divider: u32) -> String {
+    let ending = match (divider % 10, divider % 100) {
+        (_, 11..=13) => "th",
+        (1, _) => "st",
+        (2, _) => "nd",
+        (3, _) => "rd",
+        _ => "th",
+    };
+    if divider == 1 { "step".into() } else { format!("{divider}{ending} step") }
 }
 
 /// How the stream came to its end.
 enum Ended {
     AsAsked,
+    ReaderGone,
     BoardLost(LinkError),
     NoRoom(Failure),
 }
@@ -118,34 +195,86 @@ enum Ended {
 /// The stream as it goes by.
 struct Follow {
     rate_hz: f64,
+    divider: u32,
+    columns: Vec<Column>,
+    sink: Sink,
     first_step: Option<u32>,
+    last_step: u32,
+    /// Rows passed on, and rows missing between them.
+    rows: u64,
+    missing: u64,
     shown: Losses,
     last_note: Duration,
 }
 
 impl Follow {
     /// Passes rows on; true when the time is over.
-    fn take(&mut self, rows: &[Row], sink: &mut Sink, seconds: Option<f64>) -> Result<bool, Failure> {
+    fn take(&mut self, rows: &[Row], seconds: Option<f64>) -> Result<bool, RecordError> {
         for row in rows {
             let first = *self.first_step.get_or_insert(row.step);
             let time = f64::from(row.step.wrapping_sub(first)) / self.rate_hz;
             if seconds.is_some_and(|seconds| time >= seconds) {
                 return Ok(true);
             }
-            sink.row(row, time)?;
+            if self.rows > 0 {
+                let steps = row.step.wrapping_sub(self.last_step);
+                self.missing += u64::from((steps / self.divider).saturating_sub(1));
+            }
+            (self.last_step, self.rows) = (row.step, self.rows + 1);
+            self.pass(row, time)?;
         }
         Ok(false)
     }
 
+    fn pass(&mut self, row: &Row, time: f64) -> Result<(), RecordError> {
+        let values = self.columns.iter().zip(&row.values).map(|(column, value)| in_words(column, *value));
+        match &mut self.sink {
+            Sink::File(recorder) => {
+                let values: Vec<Value> =
+                    [Value::Number(f64::from(row.step)), Value::Number(time)].into_iter().chain(values).collect();
+                recorder.row(&values)
+            }
+            Sink::Kept(kept) => {
+                kept.push(
+                    [Value::Number(f64::from(row.step)), Value::Number(time)].into_iter().chain(values).collect(),
+                );
+                Ok(())
+            }
+            Sink::Terminal { since_header } => {
+                let mut text = String::new();
+                if *since_header >= 30 {
+                    *since_header = 0;
+                    text.push_str(&format!("{:>10}", "time_s"));
+                    for column in &self.columns {
+                        text.push_str(&format!(" {:>13}", column.label));
+                    }
+                    text.push('\n');
+                }
+                *since_header += 1;
+                text.push_str(&format!("{time:>10.3}"));
+                for (column, value) in self.columns.iter().zip(values) {
+                    text.push_str(&format!(" {:>13}", shown(column, value)));
+                }
+                text.push('\n');
+                std::io::stdout().lock().write_all(text.as_bytes()).map_err(|error| match error.kind() {
+                    std::io::ErrorKind::BrokenPipe => RecordError::ReaderGone,
+                    _ => {
+                        RecordError::Failed(Failure::impossible(format!("standard output cannot be written: {error}")))
+                    }
+                })
+            }
+        }
+    }
+
     /// Twice a second: what is recorded is put on disk, and new losses are said.
-    fn note(&mut self, board: &Board, sink: &mut Sink) -> Result<(), Failure> {
+    fn note(&mut self, board: &Board) -> Result<(), RecordError> {
         let now = board.now();
         if now.saturating_sub(self.last_note) < Duration::from_millis(500) {
             return Ok(());
         }
         self.last_note = now;
-        let losses = board.losses();
-        if let Sink::File(recorder) = sink {
+        let losses = self.losses(board);
+        if let Sink::File(recorder) = &mut self.sink {
             recorder.flush()?;
             if std::io::stderr().is_terminal() {
                 eprint!("\r{losses}   ");
@@ -156,67 +285,96 @@ impl Follow {
         self.shown = losses;
         Ok(())
     }
-}
 
-impl Sink {
-    fn row(&mut self, row: &Row, time: f64) -> Result<(), Failure> {
-        match self {
-            Self::File(recorder) => {
-                let mut values = vec![f64::from(row.step), time];
-                values.extend(&row.values);
-                recorder.row(&values)
-            }
-            Self::Terminal { columns, since_header } => {
-                let mut text = String::new();
-                if *since_header >= 30 {
-                    *since_header = 0;
-                    text.push_str(&format!("{:>10}", "time_s"));
-                    for column in columns.iter() {
-                        text.push_str(&format!(" {:>13}", column.label));
-                    }
-                    text.push('\n');
-                }
-                *since_header += 1;
-                text.push_str(&format!("{time:>10.3}"));
-                for value in &row.values {
-                    // Counts and states are whole numbers, everything else is shown to five digits.
-                    let shown = if value.fract() == 0.0 && value.abs() >= 1.0 {
-                        format!("{value:.0}")
-                    } else {
-                        format!("{value:.5}")
-                    };
-                    text.push_str(&format!(" {shown:>13}"));
-                }
-                text.push('\n');
-                let written = std::io::stdout().lock().write_all(text.as_bytes());
-                written.map_err(|error| Failure::impossible(format!("standard output cannot be written: {error}")))
-            }
-        }
+    /// What is missing among the rows that were passed on.
+    fn losses(&self, board: &Board) -> Losses {
+        Losses { received: self.rows, missing: self.missing, ..board.losses() }
     }
 }
 
-/// Stops the stream and says what came of it.
-fn finish(ended: Ended, mut board: Board, sink: Sink, csv: Option<PathBuf>) -> Result<(), Failure> {
+/// A state by its name, everything else by its number.
+fn in_words(column: &Column, value: f64) -> Value {
+    let state = (column.field == Field::State && column.axis == 0).then(|| STATES.get(value as usize)).flatten();
+    state.map_or(Value::Number(value), |state| Value::Word(state))
+}
+
+/// Quantities to five digits, what is counted as it is.
+fn shown(column: &Column, value: Value) -> String {
+    match (column.field, value) {
+        (Field::Counts | Field::State | Field::Saturated, value) | (_, value @ Value::Word(_)) => value.to_string(),
+        (_, Value::Number(number)) => format!("{number:.5}"),
+    }
+}
+
+fn as_json(value: &Value) -> serde_json::Value {
+    match value {
+        Value::Number(number) => json!(number),
+        Value::Word(word) => json!(word),
+    }
+}
+
+/// Stops the stream and says what came of it: one count, in the file, on the terminal and in JSON.
+fn finish(ended: Ended, mut board: Board, mut follow: Follow, json: bool) -> Result<(), Failure> {
     let stopped = match ended {
         Ended::BoardLost(_) => Ok(()),
         _ => board.stop_stream(),
     };
-    let losses = board.losses();
-    let mut kept = String::new();
+    if matches!(ended, Ended::ReaderGone) {
+        return Ok(());
+    }
+    let losses = follow.losses(&board);
     let mut written = Ok(());
-    if let (Sink::File(mut recorder), Some(path)) = (sink, csv) {
-        written = recorder.flush();
-        kept = format!("{} rows are in {}", recorder.rows(), path.display());
+    let mut kept = losses.to_string();
+    let mut file = None;
+    if let Sink::File(recorder) = &mut follow.sink {
+        if !matches!(ended, Ended::NoRoom(_)) {
+            recorder.comment(&losses.to_string());
+            written = recorder.flush();
+        }
+        let all = format!("{} rows are in {}", recorder.rows(), recorder.place());
+        let unwritten = losses.received.saturating_sub(recorder.rows());
+        let and = if unwritten > 0 { format!(", {unwritten} that came could not be written") } else { String::new() };
+        kept = format!("{all}{and}{}", losses.to_string().trim_start_matches(|c: char| c != ','));
+        file = Some((recorder.place(), recorder.rows()));
         if std::io::stderr().is_terminal() {
             eprintln!();
         }
-        eprintln!("{kept}");
     }
-    eprintln!("received {losses}");
-    match ended {
-        Ended::NoRoom(failure) => Err(failure),
-        Ended::BoardLost(error) if kept.is_empty() => Err(error.into()),
-        Ended::BoardLost(error) => Err(Failure::impossible(error).remedy(kept)),
-        Ended::AsAsked => written.and(stopped.map_err(Failure::from)),
+    eprintln!("{kept}");
+    if json {
+        let names: Vec<&str> =
+            ["step", "time_s"].into_iter().chain(follow.columns.iter().map(|column| column.label.as_str())).collect();
+        let mut document = json!({
+            "columns": names, "rows": losses.received, "missing": losses.missing,
+            "dropped_by_board": losses.dropped_by_board, "batches_lost": losses.batches_lost,
+            "frames_garbled": losses.garbled,
+        });
+        if let Some((place, rows)) = &file {
+            document["file"] = json!(place);
+            document["rows"] = json!(rows);
+        }
+        if let Sink::Kept(rows) = &follow.sink {
+            document["values"] = rows.iter().map(|row| row.iter().map(as_json).collect::<Vec<_>>()).collect();
+        }
+        print(&format!("{document}\n"))?;
+    }
+    match (ended, written) {
+        (Ended::NoRoom(failure), _) | (_, Err(RecordError::Failed(failure))) => Err(failure),
+        (Ended::BoardLost(error), _) if file.is_none() => Err(error.into()),
+        (Ended::BoardLost(error), _) => Err(Failure::impossible(error).remedy(kept)),
+        _ => Ok(stopped?),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_are_counted_as_people_do() {
+        assert_eq!(
+            [1, 2, 3, 4, 11, 21, 22, 112].map(nth).join(", "),
+            "step, 2nd step, 3rd step, 4th step, 11th step, 21st step, 22nd step, 112th step"
+        );
     }
 }

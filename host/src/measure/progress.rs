@@ -1,6 +1,7 @@
 //! What has been measured so far, kept in a file after every repeat so that an interrupted measurement goes on where it
 //! stopped.
 
+use crate::output::{self, Overwrite};
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -129,8 +130,7 @@ impl Progress {
     pub fn save(&self, path: &Path) -> Result<(), ProgressError> {
         let file = |reason: String| ProgressError::File { path: path.display().to_string(), reason };
         let text = serde_json::to_string_pretty(self).map_err(|e| file(e.to_string()))?;
-        let beside = path.with_extension("part");
-        std::fs::write(&beside, text).and_then(|()| std::fs::rename(&beside, path)).map_err(|e| file(e.to_string()))
+        output::write(path, text.as_bytes(), Overwrite::Replace).map_err(|failure| file(failure.to_string()))
     }
 
     /// Where the range of a mode ends, if that was measured.

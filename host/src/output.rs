@@ -1,0 +1,195 @@
+//! Files that the tool writes: never one in another's place unasked, never half a one.
+//!
+//! A document is written beside its place and then put there whole, so a full disk or a killed tool leaves what was
+//! there before. Links are followed. What is no ordinary file (a device node, a pipe) is written through and stays
+//! what it is.
+
+use crate::error::Failure;
+use std::fs::{File, OpenOptions};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+/// Whether a file may take the place of one that is there.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Overwrite {
+    /// A file that exists is refused.
+    #[default]
+    Never,
+    /// It is replaced.
+    Replace,
+}
+
+/// What stands where a file is to go.
+enum Place {
+    /// Nothing yet, or an ordinary file that is replaced: this path, links followed.
+    File(PathBuf),
+    /// A device node or a pipe.
+    Special,
+}
+
+/// Refuses a path whose file would be overwritten unasked, or that cannot be one: before any work is done for it.
+pub fn check(path: &Path, overwrite: Overwrite) -> Result<(), Failure> {
+    place(path, overwrite).map(drop)
+}
+
+/// Writes a whole document.
+pub fn write(path: &Path, bytes: &[u8], overwrite: Overwrite) -> Result<(), Failure> {
+    match place(path, overwrite)? {
+        Place::Special => OpenOptions::new().write(true).open(path).and_then(|mut file| {
+            file.write_all(bytes)?;
+            file.flush()
+        }),
+        Place::File(target) => put(&target, bytes, overwrite),
+    }
+    .map_err(|error| refused(path, &error))
+}
+
+/// Opens a file to which rows are appended as they come; and whether it can be cut back to its last whole row.
+pub fn open(path: &Path, overwrite: Overwrite) -> Result<(File, bool), Failure> {
+    let opened = match place(path, overwrite)? {
+        Place::Special => OpenOptions::new().write(true).open(path).map(|file| (file, false)),
+        Place::File(target) => {
+            let mut options = OpenOptions::new();
+            options.write(true);
+            match overwrite {
+                Overwrite::Never => options.create_new(true),
+                Overwrite::Replace => options.create(true).truncate(true),
+            };
+            options.open(target).map(|file| (file, true))
+        }
+    };
+    opened.map_err(|error| refused(path, &error))
+}
+
+/// A name like this one that no file has yet: `name.svg`, `name-2.svg`, `name-3.svg`.
+pub fn unused(path: &Path) -> PathBuf {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let ending = path.extension().map_or(String::new(), |ending| format!(".{}", ending.to_string_lossy()));
+    let numbered = (2..10_000).map(|number| path.with_file_name(format!("{stem}-{number}{ending}")));
+    let mut names = std::iter::once(path.to_path_buf()).chain(numbered);
+    names.find(|name| name.symlink_metadata().is_err()).unwrap_or_else(|| path.into())
+}
+
+fn place(path: &Path, overwrite: Overwrite) -> Result<Place, Failure> {
+    let shown = path.display();
+    match std::fs::metadata(path) {
+        Ok(about) if about.is_dir() => {
+            Err(Failure::impossible(format!("{shown} is a directory")).remedy("name a file in it"))
+        }
+        Ok(about) if !about.is_file() => Ok(Place::Special),
+        Ok(_) if overwrite == Overwrite::Never => {
+            let reason = format!("{shown} exists, and is not overwritten");
+            Err(Failure::impossible(reason).remedy("choose another name, or say --force"))
+        }
+        Ok(_) => std::fs::canonicalize(path).map(Place::File).map_err(|error| refused(path, &error)),
+        Err(_) => {
+            // A link that leads nowhere yet says where the file is to be.
+            let target = std::fs::read_link(path).map(|to| path.parent().unwrap_or(Path::new("")).join(to));
+            Ok(Place::File(target.unwrap_or_else(|_| path.into())))
+        }
+    }
+}
+
+/// Writes beside `target`, then puts it there.
+fn put(target: &Path, bytes: &[u8], overwrite: Overwrite) -> io::Result<()> {
+    let folder = match target.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    };
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".haptic-").suffix(".partial");
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        // As any new file's, less the user's mask.
+        builder.permissions(std::fs::Permissions::from_mode(0o666));
+    }
+    let mut beside = builder.tempfile_in(folder)?;
+    beside.write_all(bytes)?;
+    beside.as_file().sync_all()?;
+    if let Ok(about) = std::fs::metadata(target) {
+        beside.as_file().set_permissions(about.permissions())?;
+    }
+    match overwrite {
+        Overwrite::Never => beside.persist_noclobber(target).map_err(|error| error.error)?,
+        Overwrite::Replace => beside.persist(target).map_err(|error| error.error)?,
+    };
+    Ok(())
+}
+
+/// Why a file could not be written, with what helps.
+pub fn refused(path: &Path, error: &io::Error) -> Failure {
+    let remedy = match error.kind() {
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::FileTooLarge => {
+            "free space, or choose another place"
+        }
+        io::ErrorKind::NotFound => "make the folder first, or choose another",
+        _ => "check the path and its permissions",
+    };
+    Failure::impossible(format!("{} cannot be written: {error}", path.display())).remedy(remedy)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_exists_is_kept_unless_it_may_be_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.txt");
+        write(&path, b"one", Overwrite::Never).unwrap();
+        let refused = write(&path, b"two", Overwrite::Never).unwrap_err().to_string();
+        assert!(refused.contains("a.txt exists") && refused.contains("--force"), "{refused}");
+        assert!(check(&path, Overwrite::Never).is_err() && open(&path, Overwrite::Never).is_err());
+        assert_eq!(std::fs::read(&path).unwrap(), b"one");
+        write(&path, b"two", Overwrite::Replace).unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"two");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left beside it");
+        assert_eq!(unused(&path), folder.path().join("a-2.txt"));
+    }
+
+    #[test]
+    fn directories_and_folders_that_are_not_there_are_refused_with_what_helps() {
+        let folder = tempfile::tempdir().unwrap();
+        let refused = write(folder.path(), b"", Overwrite::Replace).unwrap_err().to_string();
+        assert!(refused.contains("is a directory"), "{refused}");
+        let refused = write(&folder.path().join("no/a.txt"), b"", Overwrite::Never).unwrap_err().to_string();
+        assert!(refused.contains("make the folder first"), "{refused}");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_are_followed_and_stay_links() {
+        let folder = tempfile::tempdir().unwrap();
+        let (target, link) = (folder.path().join("target"), folder.path().join("link"));
+        std::os::unix::fs::symlink("target", &link).unwrap();
+        for text in ["where nothing was", "where something was"] {
+            write(&link, text.as_bytes(), Overwrite::Replace).unwrap();
+            assert!(link.symlink_metadata().unwrap().is_symlink());
+            assert_eq!(std::fs::read_to_string(&target).unwrap(), text);
+        }
+        assert!(write(&link, b"", Overwrite::Never).is_err(), "what it leads to is kept");
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn device_nodes_and_pipes_are_written_through_and_stay_what_they_are() {
+        use std::os::unix::fs::FileTypeExt;
+        write(Path::new("/dev/null"), b"gone", Overwrite::Never).unwrap();
+        let full = write(Path::new("/dev/full"), b"no", Overwrite::Never).unwrap_err().to_string();
+        assert!(full.contains("/dev/full cannot be written") && full.contains("free space"), "{full}");
+        assert!(std::fs::metadata("/dev/full").unwrap().file_type().is_char_device());
+        assert!(std::fs::metadata("/dev/null").unwrap().file_type().is_char_device());
+
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = folder.path().join("pipe");
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        let reader = std::thread::spawn({
+            let pipe = pipe.clone();
+            move || std::fs::read(pipe).unwrap()
+        });
+        write(&pipe, b"through", Overwrite::Never).unwrap();
+        assert_eq!(reader.join().unwrap(), b"through");
+        assert!(std::fs::metadata(&pipe).unwrap().file_type().is_fifo());
+    }
+}
