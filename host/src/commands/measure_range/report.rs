@@ -77,6 +77,25 @@ impl Theory {
     }
 }
 
+/// A whole range of one mode.
+#[derive(serde::Serialize)]
+struct Area {
+    mode: Mode,
+    /// ∫ kp dkd of the medians, and of the theory, N² s/m².
+    measured: f64,
+    theory: f64,
+    /// Largest distance of a median from the theory, as a share of the theory's highest stiffness.
+    furthest: f64,
+    /// The widest bar of a damping over its median.
+    spread: f64,
+}
+
+/// From the lowest to the highest repeat, over the median.
+fn spread(point: &Point) -> f64 {
+    let (low, high) = point.bounds();
+    if point.median() > 0.0 { (high - low) / point.median() } else { 0.0 }
+}
+
 /// Everything that is told.
 pub struct Report<'a> {
     pub name: &'a str,
@@ -200,6 +219,16 @@ impl Report<'_> {
         for (mode, why) in &self.progress.open_ends {
             let _ = writeln!(text, "{mode:?}: the damping where the range ends was not found: {why}");
         }
+        for area in self.areas()? {
+            let _ = writeln!(
+                text,
+                "{:?}: area {:.0} N²s/m², theory {:.0}; furthest from theory by {:.2} % of its highest stiffness",
+                area.mode,
+                area.measured,
+                area.theory,
+                100.0 * area.furthest
+            );
+        }
         let Excitation { quantum, friction, .. } = self.theory.excitation;
         let _ = writeln!(
             text,
@@ -231,6 +260,39 @@ impl Report<'_> {
         format!("; encoders with {:.0} times the counts could tell", factor.ceil())
     }
 
+    /// The areas under the boundaries, where whole ranges were measured.
+    fn areas(&self) -> Result<Vec<Area>, Failure> {
+        let mut areas = Vec::new();
+        if self.plan.kd.is_some() {
+            return Ok(areas);
+        }
+        let range = self.theory.predict(None, self.washout())?;
+        for &mode in &self.plan.modes {
+            let points = self.beside(mode)?;
+            let (Some(end), true) = (self.progress.end(mode), points.len() == self.plan.points) else { continue };
+            if points.iter().any(|(point, _)| point.repeats.is_empty()) {
+                continue;
+            }
+            let domain = match mode {
+                Mode::Off => &range.off,
+                Mode::Full => &range.full,
+                Mode::Washout => range.washout.as_ref().unwrap_or(&range.full),
+            };
+            let top = domain.boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
+            let apart = points.iter().map(|(point, theory)| (point.median() - theory.kp).abs() / top);
+            // The dampings lie at the middles of even cells.
+            let cell = end / self.plan.points as f64;
+            areas.push(Area {
+                mode,
+                measured: points.iter().map(|(point, _)| point.median() * cell).sum(),
+                theory: domain.area,
+                furthest: apart.fold(0.0, f64::max),
+                spread: points.iter().map(|(point, _)| spread(point)).fold(0.0, f64::max),
+            });
+        }
+        Ok(areas)
+    }
+
     fn document(&self) -> Result<serde_json::Value, Failure> {
         let mut points = Vec::new();
         for &mode in &self.plan.modes {
@@ -259,7 +321,7 @@ impl Report<'_> {
             "drive": self.drive(),
             "theory": self.theory.line,
             "encoder_step_m": self.theory.excitation.quantum,
-            "ends": self.progress.ends,
+            "areas": self.areas()?,
             "points": points,
         }))
     }
