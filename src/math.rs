@@ -36,9 +36,17 @@ pub trait Real:
     fn greater(self, other: Self) -> Self {
         if self > other { self } else { other }
     }
-    /// `self` limited to `[-bound, bound]`; NaN becomes `-bound`, so check finiteness first.
-    fn limited(self, bound: Self) -> Self {
-        self.greater(-bound).lesser(bound)
+}
+
+/// `value` within ±`bound`, which is not negative; 0 for what is not finite.
+#[inline(always)]
+pub(crate) fn limited(value: f32, bound: f32) -> f32 {
+    if value.abs() <= bound {
+        value
+    } else if value.is_finite() {
+        bound.copysign(value)
+    } else {
+        0.0
     }
 }
 

@@ -12,8 +12,9 @@ mod polarity;
 pub mod program;
 mod watch;
 
-use crate::drive::brushed::{Axis, limited};
+use crate::drive::brushed::Axis;
 use crate::math::Math;
+use crate::math::limited;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::precomputed::TABLE_VALUES;
 use crate::render::controller::Gains;
@@ -49,7 +50,7 @@ pub enum HostAction {
     Disarm,
 }
 
-/// What of the board's settings the servo obeys.
+/// The part of the board's settings that the servo obeys.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Rules {
     /// Enforced limits.
@@ -367,7 +368,7 @@ where
 
     /// Latches the first fault and turns the motors off.
     pub fn trip(&mut self, fault: Fault, axis: Option<u8>, value: f32) {
-        // A host that is only listed as silent is no reason for the motors to be off: what is comes in its place.
+        // A silent host may be listed while the motors stay on; the fault that turns them off replaces it.
         if self.fault.is_none() || self.state != State::Fault {
             self.fault = Some(FaultRecord { fault, axis, value, step: self.frame.step });
         }

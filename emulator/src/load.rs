@@ -23,7 +23,7 @@ pub struct Load {
     pub periods: u32,
     /// Steps that reached past the next crest.
     pub overruns: u32,
-    /// What of the telemetry came.
+    /// The part of the telemetry that arrived.
     pub losses: Losses,
     /// Rows of telemetry that were due.
     pub due: u64,

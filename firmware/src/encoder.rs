@@ -44,9 +44,9 @@ impl Encoder {
         self.total
     }
 
-    /// What was last read, if there is something to say about it.
+    /// The last reading where `wanted`, else nothing.
     #[inline(always)]
-    pub fn last(&self, if_so: bool) -> Option<i32> {
-        if_so.then_some(self.total)
+    pub fn last(&self, wanted: bool) -> Option<i32> {
+        wanted.then_some(self.total)
     }
 }

@@ -33,8 +33,8 @@ impl Watchdog {
     }
 }
 
-/// Runs something that stalls the program for long, with a watchdog that waits for it. It must be running: what is
-/// written before its oscillator runs never arrives, and keeps what is written after it from arriving.
+/// Runs something that stalls the program for long, with a watchdog that waits for it. It must be running:
+/// a write before its oscillator runs is lost, and blocks every write after it.
 pub fn patient<R>(work: impl FnOnce() -> R) -> R {
     set(PATIENT_TICKS);
     let result = work();

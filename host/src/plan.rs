@@ -186,8 +186,8 @@ fn models(device: &Device<f64>, probes: &[Probe]) -> Vec<Precomputed> {
     models
 }
 
-/// Instructions of the slowest control step of a scene: counted for one wall, a pair of walls, a ball and nothing;
-/// what a scene holds beyond that adds as one of its kind does.
+/// Instructions of the slowest control step of a scene: counted for one wall, a pair of walls, a ball and nothing.
+/// Each further wall adds what one of its kind adds.
 pub fn cost(device: &Device<f64>, scene: &Scene<f64>, model: &str) -> u32 {
     let name = device.mechanism.kind().spec().name;
     let counted = |model: &str, terms: &str| counts::instructions(name, SHIPPED, model, terms).unwrap_or(0);

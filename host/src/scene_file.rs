@@ -1,4 +1,4 @@
-//! Scene files (MODEL.md section 4): TOML in, a checked [`Scene`] out, or an error that names the line.
+//! Scene files (docs/model.md section 4): TOML in, a checked [`Scene`] out, or an error that names the line.
 //!
 //! A scene is written in the task coordinates of a device, so it is read for a task dimension: normals, points and
 //! directions must have exactly that many entries. Directions are made unit vectors here. Defaults:
@@ -36,7 +36,7 @@ use std::path::{Path, PathBuf};
 pub const DEFAULT_RATE_HZ: f64 = 20_000.0;
 /// Default cutoff, Hz, at rates of ten times that and more; below, a tenth of the rate (the paper's 20 Hz at 200 Hz).
 pub const DEFAULT_CUTOFF_HZ: f64 = 500.0;
-/// Default corner of the washout, Hz: keeps 99 % of the gained stable area at 20 kHz (MODEL.md section 3).
+/// Default corner of the washout, Hz: keeps 99 % of the gained stable area at 20 kHz (docs/model.md section 3).
 pub const DEFAULT_WASHOUT_HZ: f64 = 2.0;
 
 /// A scene file that was read and found sound.

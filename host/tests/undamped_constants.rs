@@ -1,5 +1,5 @@
 //! The simulated board against numbers that are known from elsewhere: undamped, a loop's boundary depends only on
-//! kp T²/m and kd T/m, and MODEL.md section 3 gives its largest values at delay 0.
+//! kp T²/m and kd T/m, and docs/model.md section 3 gives its largest values at delay 0.
 //!
 //! The board is raised until it oscillates, through the protocol; friction, hand and encoder steps are off.
 

@@ -385,7 +385,7 @@ impl Service {
             self.polarity = fingerprint(device);
         }
         let fault = status.fault?;
-        // Not by their values: one that is no number equals nothing, and would be news at every look.
+        // Values are not compared: NaN differs from itself, and such a fault would be reported again and again.
         if self.last_fault.is_some_and(|last| (last.fault, last.step) == (fault.fault, fault.step)) {
             return None;
         }

@@ -1,8 +1,8 @@
 //! The settings in flash: a map of one entry per setting, so that adding or removing a setting never loses the others.
 //!
 //! `sequential-storage` appends entries with checksums and moves to the next page when one is full, which keeps the old
-//! or the new value through a power cut at any point; tests/power_cut.rs cuts it at every single flash operation. An
-//! entry that is damaged it passes over in silence, for the one before. So every entry carries its generation, and
+//! or the new value through a power cut at any point; tests/power_cut.rs cuts it at every single flash operation. It
+//! silently skips a damaged entry and returns the one before. So every entry carries its generation, and
 //! after each write a catalogue of the newest generations follows: an entry older than the catalogue knows is not the
 //! one that was saved. A power cut between the two leaves an entry that is newer than that, which is no damage.
 //!

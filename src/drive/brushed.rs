@@ -8,6 +8,7 @@
 //! Limits (torque, current, voltage, duty) are enforced here and nowhere else. The duty returned is signed, -1..1 of
 //! the bus voltage across the motor; legs run at ½ ± duty/2.
 
+use crate::math::limited;
 use crate::model::device::Motor;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
@@ -316,21 +317,9 @@ fn growth(x: f32) -> f32 {
     (2..=9).rev().fold(1.0, |sum, n| 1.0 + x / n as f32 * sum)
 }
 
-/// Whether a bus voltage (V) is one. Bit patterns of positive floats order like the floats: one comparison, which no
-/// number that is none passes.
+/// Whether a bus voltage (V) can be believed. Bit patterns of positive floats are ordered as the floats are, so a single
+/// comparison suffices, and NaN, infinity and negative numbers fail it.
 #[inline(always)]
 fn usable(bus_voltage: f32) -> bool {
     bus_voltage.to_bits().wrapping_sub(MIN_VOLTAGE.to_bits()) <= MAX_VOLTAGE.to_bits() - MIN_VOLTAGE.to_bits()
-}
-
-/// `value` within ±`bound`, which is not negative; 0 for what is not finite.
-#[inline(always)]
-pub(crate) fn limited(value: f32, bound: f32) -> f32 {
-    if value.abs() <= bound {
-        value
-    } else if value.is_finite() {
-        bound.copysign(value)
-    } else {
-        0.0
-    }
 }

@@ -4,7 +4,7 @@
 //! The carrier is centre-aligned: a timer counts up to a crest and back down to a valley. Encoders and currents are
 //! sampled at the crest, and a duty written then applies at the next valley, half a carrier period later.
 
-use crate::drive::brushed::limited;
+use crate::math::limited;
 
 /// Slowest carrier, Hz: above what people hear.
 pub const CARRIER_MIN_HZ: u32 = 20_000;
@@ -47,8 +47,8 @@ impl Carrier {
         self.carrier_hz() / f32::from(self.divider)
     }
 
-    /// Compare values of the two legs of a bridge that put a duty (-1..1) across it; what is no number puts nothing
-    /// there. One is as far above the middle as the other is below, so no duty is no voltage, to the tick.
+    /// Compare values of a bridge's two legs for a duty of -1 to 1; a NaN or infinite duty counts as 0. One leg is as far
+    /// above the middle as the other is below, so a duty of 0 is no voltage, to the tick.
     #[inline(always)]
     pub fn legs(&self, duty: f32) -> [u16; 2] {
         const OFFSET: u32 = 1 << 15;

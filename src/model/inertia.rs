@@ -82,8 +82,9 @@ impl<T: Real, const N: usize> Split<T, N> {
     }
 }
 
-/// The unit vector of what of `vector` lies across the first `rank` columns of `basis`, unless it is within `tolerance`
-/// of their span. Orthogonalised twice, so that it is orthonormal to rounding also where little is left.
+/// The direction of the part of `vector` that is perpendicular to the first `rank` columns of `basis`, as a unit vector;
+/// none where `vector` is within `tolerance` of their span. Orthogonalised twice, so that it is orthonormal to rounding
+/// even where little is left.
 fn across<T: Real, K: Math<T>, const N: usize>(
     basis: &SMatrix<T, N, N>,
     rank: usize,

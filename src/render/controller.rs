@@ -116,7 +116,7 @@ struct Guidance<T> {
     any: bool,
 }
 
-/// What of a scene is the same for every mechanism.
+/// The part of a scene that is the same for every mechanism.
 struct Prepared<T: Real> {
     coefficients: Coefficients<T>,
     walls: Walls<T>,

@@ -59,7 +59,7 @@ faults! {
         "lower the scene's rate_hz, or give it fewer walls with feed-forward";
     /// An encoder moved further in one step than the speed limit allows; value: counts.
     EncoderJump = 2, "an encoder jumped further in one step than the device can move",
-        "check the encoder's cable, shield and supply; lengthen nothing that carries motor current beside it";
+        "check the encoder's cable, shield and supply; keep it short and away from wires that carry motor current";
     /// Torque near its limit without any motion; value: seconds.
     EncoderStall = 3, "a motor pushed hard for seconds and its encoder did not move at all",
         "check that the encoder is connected and the joint not blocked, then home again";

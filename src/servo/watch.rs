@@ -4,8 +4,8 @@
 
 use super::crest::left;
 use super::{HostAction, Servo};
-use crate::drive::brushed::limited;
 use crate::math::Math;
+use crate::math::limited;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::mechanism::Regularity;
 use crate::safety::fault::{Fault, FaultRecord, State};

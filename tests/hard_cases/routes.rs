@@ -1,6 +1,6 @@
 //! The ways to the rendered and the effective inertia, side by side, in any precision.
 //!
-//! All are the same in exact arithmetic (MODEL.md section 2) and lose different digits in f32.
+//! All are the same in exact arithmetic (docs/model.md section 2) and lose different digits in f32.
 
 use haptic_bridge::math::{Math, Real};
 use haptic_bridge::model::inertia::{Split, shaped_torque, solve_symmetric};

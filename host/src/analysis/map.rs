@@ -4,7 +4,7 @@
 //! ranges, flooded from home through regular poses of the same orientation of J. So each tip position appears once, in
 //! the device's own working mode.
 //!
-//! With one full task (J square) both worst normals are closed forms in the eigenvalues of Λ (MODEL.md section 2). The
+//! With one full task (J square) both worst normals are closed forms in the eigenvalues of Λ (docs/model.md section 2). The
 //! redundant arm's tip meets two different matrices, Λ's own block and the inverse of the mobility's block; there the
 //! normal is searched, and the axes are those of the tip's inertia (J M⁻¹ Jᵀ)⁻¹.
 
@@ -138,7 +138,7 @@ fn evaluate(pose: &TaskPose, q: &[f64], normal: &DVector<f64>) -> Option<MapPoin
     numbers.iter().all(|v| v.is_finite()).then_some(point)
 }
 
-/// Both worst normals in the plane of the eigenvectors of the smallest and largest eigenvalue (MODEL.md section 2).
+/// Both worst normals in the plane of the eigenvectors of the smallest and largest eigenvalue (docs/model.md section 2).
 fn closed_form(eigenvalues: &[f64], eigenvectors: &[DVector<f64>]) -> (Worst, Worst) {
     let (low, high) = (eigenvalues[0], eigenvalues[eigenvalues.len() - 1]);
     let (e_low, e_high) = (&eigenvectors[0], &eigenvectors[eigenvectors.len() - 1]);

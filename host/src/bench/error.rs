@@ -22,7 +22,7 @@ pub const BUS_VOLTAGE: f64 = 24.0;
 /// Steps of the duty: a centre-aligned carrier of 20 kHz from 168 MHz counts to 4200.
 pub const DUTY_STEPS: f64 = 4200.0;
 
-/// What of equation (4) a variant computes.
+/// Which terms of equation (4) a variant computes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Terms {
     /// Jᵀ f alone.

@@ -173,7 +173,7 @@ impl<'a> Bench<'a> {
         let mut trips = 0;
         loop {
             match self.swing_from_rest(feed_forward, pull) {
-                // What an oscillation before left behind tripped the guard: it is over now.
+                // The device was still ringing from the oscillation before, and that tripped the guard. It has stopped by now.
                 Err(MeasureError::Fault(fault)) if violent(fault) && trips < 3 => {
                     trips += 1;
                     self.arm_again()?;

@@ -89,7 +89,7 @@ pub(super) struct Active<T: Real, const N: usize> {
     pub wall: usize,
     /// Its unit normal here.
     pub normal: SVector<T, N>,
-    /// What of its force is shaped, N.
+    /// The part of its force that is shaped, N.
     pub shaped: T,
 }
 

@@ -36,7 +36,7 @@ impl<T: Real> Cylinder<T> {
         round_normal_rate::<T, K, N>(&arm, &self.across(velocity), self.inside)
     }
 
-    /// What of `v` lies across the axis.
+    /// The part of `v` perpendicular to the axis.
     #[inline(always)]
     fn across<const N: usize>(&self, v: &SVector<T, N>) -> SVector<T, N> {
         let axis = task_vector::<T, N>(&self.axis);
