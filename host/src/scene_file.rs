@@ -23,9 +23,10 @@ use crate::toml_file::{Document, FileError, Must, Problem, Table};
 use haptic_bridge::math::{Libm, Real};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::mechanism::Mechanism;
+use haptic_bridge::render::scene::shape::{Meaning, SHAPE_VALUES, ShapeSpec};
 use haptic_bridge::render::scene::{
-    Admissible, Cylinder, FeedForward, MAX_FEED_FORWARD_GAIN, MAX_RATE_HZ, MAX_SPRINGS, MAX_WALLS, MIN_RATE_HZ, Plane,
-    Scene, SceneError, Sphere, Spring, Surface, VelocityTerms, Wall,
+    Admissible, FeedForward, MAX_FEED_FORWARD_GAIN, MAX_RATE_HZ, MAX_SPRINGS, MAX_WALLS, MIN_RATE_HZ, Scene,
+    SceneError, Spring, Surface, VelocityTerms, Wall,
 };
 use haptic_bridge::render::velocity::Estimator;
 use haptic_bridge::with_mechanism;
@@ -88,7 +89,7 @@ impl SceneFile {
     ///
     /// Errors only where rounding makes a number impossible, such as a radius that vanishes.
     pub fn scene<T: Real>(&self) -> Result<Scene<T>, SceneError> {
-        let scene = rounded::<T>(&self.scene);
+        let scene = self.scene.cast::<T>();
         scene.check(usize::from(scene.task)).map(|()| scene)
     }
 }
@@ -118,18 +119,13 @@ fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
     }
     let cutoff_hz = top.number("cutoff_hz", Must::BePositive)?.unwrap_or(DEFAULT_CUTOFF_HZ.min(0.1 * rate_hz));
     below_half_the_rate(top, "cutoff_hz", cutoff_hz, rate_hz)?;
-    let estimators = [
-        ("butterworth", Estimator::Butterworth),
-        ("first-order", Estimator::FirstOrder),
-        ("backward-difference", Estimator::BackwardDifference),
-    ];
     let mut scene = Scene {
         task: task as u8,
         rate_hz,
         cutoff_hz,
-        estimator: top.word("estimator", &estimators)?.unwrap_or_default(),
+        estimator: top.word("estimator", &Estimator::ALL)?.unwrap_or_default(),
         gravity_compensation: top.flag("gravity_compensation")?.unwrap_or(true),
-        velocity_terms: top.word("velocity_terms", &VELOCITY_TERMS)?.unwrap_or_default(),
+        velocity_terms: top.word("velocity_terms", &VelocityTerms::ALL)?.unwrap_or_default(),
         feed_forward_gain: feed_forward_gain(top)?,
         admissible: top.word("admissible", &Admissible::ALL)?.unwrap_or_default(),
         ..Scene::default()
@@ -156,10 +152,6 @@ fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
     }
     Ok(scene)
 }
-
-/// The words of `velocity_terms`.
-const VELOCITY_TERMS: [(&str, VelocityTerms); 3] =
-    [("rendered", VelocityTerms::Rendered), ("paper", VelocityTerms::Paper), ("off", VelocityTerms::Off)];
 
 /// α, 1 unless the file says otherwise. How many walls it is for is checked with the scene.
 fn feed_forward_gain(top: &Table<'_>) -> Result<f64, FileError> {
@@ -191,45 +183,23 @@ fn below_half_the_rate(table: &Table<'_>, key: &str, found: f64, rate_hz: f64) -
     Err(out_of_range(table, key, found, &format!("below half the rate of {rate_hz} Hz")))
 }
 
-#[derive(Clone, Copy)]
-enum Shape {
-    Plane,
-    Sphere,
-    Cylinder,
-}
-
 fn wall(table: &Table<'_>, task: usize, rate_hz: f64) -> Result<Wall<f64>, FileError> {
-    let shapes = [("plane", Shape::Plane), ("sphere", Shape::Sphere), ("cylinder", Shape::Cylinder)];
-    let shape = table.word("shape", &shapes)?.unwrap_or(Shape::Plane);
-    let (name, own): (&str, &[&str]) = match shape {
-        Shape::Plane => ("plane", &["normal"]),
-        Shape::Sphere => ("sphere", &["radius", "inside"]),
-        Shape::Cylinder => ("cylinder", &["radius", "inside", "axis"]),
-    };
-    let table = table.clone().called(format!("{} ({name})", table.place()));
-    let every =
-        ["shape", "point", "stiffness", "damping", "feed_forward", "washout_hz", "damping_compensation", "bilateral"];
-    table.refuse_unknown_keys(&[own, &every].concat())?;
+    let shapes: Vec<(&str, ShapeSpec)> = Surface::<f64>::SPECS.iter().map(|spec| (spec.name, *spec)).collect();
+    let shape = table.word("shape", &shapes)?.unwrap_or(shapes[0].1);
+    let table = table.clone().called(format!("{} ({})", table.place(), shape.name));
+    let every = ["shape", "stiffness", "damping", "feed_forward", "washout_hz", "damping_compensation", "bilateral"];
+    let own: Vec<&str> = shape.keys.iter().map(|(key, _)| *key).collect();
+    table.refuse_unknown_keys(&[&own[..], &every].concat())?;
+    if task < shape.least_task {
+        let name = shape.name;
+        let problem = Problem::Impossible {
+            reason: format!("a {name} needs a device that moves in space, this one has {task} task directions"),
+            remedy: "use shape = \"sphere\", which is a disc in the plane".into(),
+        };
+        return Err(table.error_at("shape", problem));
+    }
+    let surface = surface(&table, &shape, task)?;
 
-    let point = vector(&table, "point", task, "a point in metres")?;
-    let radius = || table.required("radius", table.number("radius", Must::BePositive)?, "radius = 0.03");
-    let inside = table.flag("inside")?.unwrap_or(false);
-    let surface = match shape {
-        Shape::Plane => Surface::Plane(Plane { point, normal: direction(&table, "normal", task)? }),
-        Shape::Sphere => Surface::Sphere(Sphere { center: point, radius: radius()?, inside }),
-        Shape::Cylinder if task < 3 => {
-            let problem = Problem::Impossible {
-                reason: format!("a cylinder needs a device that moves in space, this one has {task} task directions"),
-                remedy: "use shape = \"sphere\", which is a disc in the plane".into(),
-            };
-            return Err(table.error_at("shape", problem));
-        }
-        Shape::Cylinder => {
-            Surface::Cylinder(Cylinder { point, axis: direction(&table, "axis", task)?, radius: radius()?, inside })
-        }
-    };
-
-    let words = [("off", FeedForward::Off), ("full", FeedForward::Full), ("washout", FeedForward::Washout)];
     let washout_hz = table.number("washout_hz", Must::BePositive)?.unwrap_or(DEFAULT_WASHOUT_HZ);
     below_half_the_rate(&table, "washout_hz", washout_hz, rate_hz)?;
     let stiffness = table.number("stiffness", Must::NotBeNegative)?;
@@ -237,11 +207,30 @@ fn wall(table: &Table<'_>, task: usize, rate_hz: f64) -> Result<Wall<f64>, FileE
         surface,
         stiffness: table.required("stiffness", stiffness, "stiffness = 2000.0")?,
         damping: table.number("damping", Must::NotBeNegative)?.unwrap_or(0.0),
-        feed_forward: table.word("feed_forward", &words)?.unwrap_or_default(),
+        feed_forward: table.word("feed_forward", &FeedForward::ALL)?.unwrap_or_default(),
         washout_hz,
         damping_compensation: table.flag("damping_compensation")?.unwrap_or(false),
         bilateral: table.flag("bilateral")?.unwrap_or(false),
     })
+}
+
+/// The shape that the table's own keys describe.
+fn surface(table: &Table<'_>, shape: &ShapeSpec, task: usize) -> Result<Surface<f64>, FileError> {
+    let mut values = Vec::with_capacity(SHAPE_VALUES);
+    for (key, meaning) in shape.keys {
+        match meaning {
+            Meaning::Point => values.extend(vector(table, key, task, "a point in metres")?),
+            Meaning::Direction => values.extend(direction(table, key, task)?),
+            Meaning::Length => {
+                let length = table.number(key, Must::BePositive)?;
+                values.push(table.required(key, length, format!("{key} = 0.03"))?);
+            }
+            Meaning::Flag => values.push(f64::from(u8::from(table.flag(key)?.unwrap_or(false)))),
+        }
+    }
+    values.resize(SHAPE_VALUES, 0.0);
+    let read = values.first_chunk().and_then(|values| Surface::from_values(shape.name, values));
+    Ok(read.expect("a shape is made by its own name, of at most as many values as there is room for"))
 }
 
 fn spring(table: &Table<'_>, task: usize) -> Result<Spring<f64>, FileError> {
@@ -278,56 +267,4 @@ fn direction(table: &Table<'_>, key: &str, task: usize) -> Result<[f64; 3], File
     let scaled = values.map(|value| value / largest);
     let length = scaled.iter().map(|value| value * value).sum::<f64>().sqrt();
     Ok(scaled.map(|value| value / length))
-}
-
-/// A scene in another precision.
-pub fn rounded<T: Real>(scene: &Scene<f64>) -> Scene<T> {
-    let r = T::from_f64;
-    let v = |values: [f64; 3]| values.map(T::from_f64);
-    let surface = |surface: &Surface<f64>| match surface {
-        Surface::Plane(plane) => Surface::Plane(Plane { point: v(plane.point), normal: v(plane.normal) }),
-        Surface::Sphere(sphere) => {
-            Surface::Sphere(Sphere { center: v(sphere.center), radius: r(sphere.radius), inside: sphere.inside })
-        }
-        Surface::Cylinder(cylinder) => Surface::Cylinder(Cylinder {
-            point: v(cylinder.point),
-            axis: v(cylinder.axis),
-            radius: r(cylinder.radius),
-            inside: cylinder.inside,
-        }),
-    };
-    Scene {
-        task: scene.task,
-        rate_hz: r(scene.rate_hz),
-        cutoff_hz: r(scene.cutoff_hz),
-        estimator: scene.estimator,
-        gravity_compensation: scene.gravity_compensation,
-        velocity_terms: scene.velocity_terms,
-        feed_forward_gain: r(scene.feed_forward_gain),
-        admissible: scene.admissible,
-        walls: scene
-            .walls
-            .iter()
-            .map(|wall| Wall {
-                surface: surface(&wall.surface),
-                stiffness: r(wall.stiffness),
-                damping: r(wall.damping),
-                feed_forward: wall.feed_forward,
-                washout_hz: r(wall.washout_hz),
-                damping_compensation: wall.damping_compensation,
-                bilateral: wall.bilateral,
-            })
-            .collect(),
-        springs: scene
-            .springs
-            .iter()
-            .map(|spring| Spring {
-                point: v(spring.point),
-                direction: v(spring.direction),
-                stiffness: r(spring.stiffness),
-                damping: r(spring.damping),
-            })
-            .collect(),
-        field_damping: r(scene.field_damping),
-    }
 }

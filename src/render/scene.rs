@@ -1,13 +1,14 @@
 //! What the device renders: walls, springs and damping fields, as the scene file says them and checked once.
 //!
 //! A [`Scene`] is plain data, the same on host and board; the controller builds its run-time form from it. A wall's
-//! shape is one file below this one and one line in [`Surface`].
+//! shape is one file below this one and one line in the list of [`shape`].
 
 mod cylinder;
 mod plane;
+pub mod shape;
 mod sphere;
 
-use crate::math::{Math, Real};
+use crate::math::Real;
 pub use crate::model::admissible::Admissible;
 use crate::render::velocity::Estimator;
 pub use cylinder::Cylinder;
@@ -16,6 +17,7 @@ use nalgebra::SVector;
 pub use plane::Plane;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
+pub use shape::Surface;
 pub use sphere::Sphere;
 
 /// Most walls in a scene.
@@ -32,57 +34,6 @@ pub struct Contact<T: Real, const N: usize> {
     pub normal: SVector<T, N>,
 }
 
-/// A wall's shape. Vectors are in the task frame; entries beyond the task dimension are zero.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
-pub enum Surface<T> {
-    /// A half-space.
-    Plane(Plane<T>),
-    /// A ball, or what is outside it (in the plane: a disc).
-    Sphere(Sphere<T>),
-    /// A cylinder, or what is outside it (in space only).
-    Cylinder(Cylinder<T>),
-}
-
-impl<T: Real> Surface<T> {
-    /// Distance and normal at the tip position `p` (m).
-    #[inline(always)]
-    pub fn contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N> {
-        match self {
-            Self::Plane(plane) => plane.contact(p),
-            curved => curved.curved_contact::<K, N>(p),
-        }
-    }
-
-    /// The contact of curved surfaces. Not inlined: mechanisms share it, and planes do not pay for it.
-    #[inline(never)]
-    fn curved_contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N> {
-        match self {
-            Self::Plane(plane) => plane.contact(p),
-            Self::Sphere(sphere) => sphere.contact::<K, N>(p),
-            Self::Cylinder(cylinder) => cylinder.contact::<K, N>(p),
-        }
-    }
-
-    /// ṅ (1/s) at the tip position `p` moving at `velocity` (m/s). Not inlined, as it is zero for planes.
-    #[inline(never)]
-    pub fn normal_rate<K: Math<T>, const N: usize>(
-        &self,
-        p: &SVector<T, N>,
-        velocity: &SVector<T, N>,
-    ) -> SVector<T, N> {
-        match self {
-            Self::Plane(_) => SVector::zeros(),
-            Self::Sphere(sphere) => sphere.normal_rate::<K, N>(p, velocity),
-            Self::Cylinder(cylinder) => cylinder.normal_rate::<K, N>(p, velocity),
-        }
-    }
-
-    /// Whether the normal turns with the tip.
-    pub fn curved(&self) -> bool {
-        !matches!(self, Self::Plane(_))
-    }
-}
-
 /// How much of the paper's feed-forward a wall gets.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "kebab-case")]
@@ -94,6 +45,16 @@ pub enum FeedForward {
     /// Equation (4) with the wall force high-passed: shaped where it would go unstable, at rest it is not there.
     #[default]
     Washout,
+}
+
+impl FeedForward {
+    /// Every kind with its name in scene files and on the command line.
+    pub const ALL: [(&'static str, Self); 3] = [("off", Self::Off), ("full", Self::Full), ("washout", Self::Washout)];
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        Self::ALL[self as usize].0
+    }
 }
 
 /// What the controller does about the forces that a moving linkage needs to go straight on, b of docs/model.md
@@ -110,6 +71,17 @@ pub enum VelocityTerms {
     /// In every motion, τ = M E Wrr⁻¹ fr + b: the wall meets Wrr u̇r = fr, the force that is rendered.
     #[default]
     Rendered,
+}
+
+impl VelocityTerms {
+    /// Every choice with its name in scene files.
+    pub const ALL: [(&'static str, Self); 3] =
+        [("off", Self::Off), ("paper", Self::Paper), ("rendered", Self::Rendered)];
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        Self::ALL[self as usize].0
+    }
 }
 
 impl<'de> Deserialize<'de> for VelocityTerms {
@@ -286,7 +258,51 @@ impl<T: Real> Default for Scene<T> {
     }
 }
 
+impl<T: Real> Wall<T> {
+    /// The same in another precision.
+    pub fn cast<U: Real>(&self) -> Wall<U> {
+        Wall {
+            surface: self.surface.cast(),
+            stiffness: cast(self.stiffness),
+            damping: cast(self.damping),
+            feed_forward: self.feed_forward,
+            washout_hz: cast(self.washout_hz),
+            damping_compensation: self.damping_compensation,
+            bilateral: self.bilateral,
+        }
+    }
+}
+
+impl<T: Real> Spring<T> {
+    /// The same in another precision.
+    pub fn cast<U: Real>(&self) -> Spring<U> {
+        Spring {
+            point: self.point.map(cast),
+            direction: self.direction.map(cast),
+            stiffness: cast(self.stiffness),
+            damping: cast(self.damping),
+        }
+    }
+}
+
 impl<T: Real> Scene<T> {
+    /// The same in another precision.
+    pub fn cast<U: Real>(&self) -> Scene<U> {
+        Scene {
+            task: self.task,
+            rate_hz: cast(self.rate_hz),
+            cutoff_hz: cast(self.cutoff_hz),
+            estimator: self.estimator,
+            gravity_compensation: self.gravity_compensation,
+            velocity_terms: self.velocity_terms,
+            walls: self.walls.iter().map(Wall::cast).collect(),
+            springs: self.springs.iter().map(Spring::cast).collect(),
+            field_damping: cast(self.field_damping),
+            feed_forward_gain: cast(self.feed_forward_gain),
+            admissible: self.admissible,
+        }
+    }
+
     /// Checks everything the controller relies on, for a device of task dimension `task`.
     pub fn check(&self, task: usize) -> Result<(), SceneError> {
         let gain = |value: T| value.is_finite() && value >= T::zero();
@@ -315,7 +331,7 @@ impl<T: Real> Scene<T> {
             if wall.feed_forward == FeedForward::Washout && !below_half(wall.washout_hz) {
                 return Err(SceneError::Washout(index));
             }
-            if matches!(wall.surface, Surface::Cylinder(_)) && task < 3 {
+            if task < wall.surface.spec().least_task {
                 return Err(SceneError::Shape(index));
             }
             if !wall.surface.valid(task) {
@@ -336,20 +352,8 @@ impl<T: Real> Scene<T> {
     }
 }
 
-impl<T: Real> Surface<T> {
-    fn valid(&self, task: usize) -> bool {
-        let flat = |v: &[T; 3]| finite(v) && v.iter().skip(task).all(|entry| *entry == T::zero());
-        match self {
-            Self::Plane(plane) => flat(&plane.point) && flat(&plane.normal) && is_unit(squared(&plane.normal)),
-            Self::Sphere(sphere) => flat(&sphere.center) && sphere.radius > T::zero() && sphere.radius.is_finite(),
-            Self::Cylinder(cylinder) => {
-                flat(&cylinder.point)
-                    && is_unit(squared(&cylinder.axis))
-                    && cylinder.radius > T::zero()
-                    && cylinder.radius.is_finite()
-            }
-        }
-    }
+fn cast<T: Real, U: Real>(value: T) -> U {
+    U::from_f64(value.to_f64())
 }
 
 fn finite<T: Real>(v: &[T; 3]) -> bool {

@@ -20,6 +20,20 @@ pub enum Estimator {
     BackwardDifference,
 }
 
+impl Estimator {
+    /// Every estimator with its name in scene files and on the command line.
+    pub const ALL: [(&'static str, Self); 3] = [
+        ("butterworth", Self::Butterworth),
+        ("first-order", Self::FirstOrder),
+        ("backward-difference", Self::BackwardDifference),
+    ];
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        Self::ALL[self as usize].0
+    }
+}
+
 /// A cutoff that is not between zero and half the rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BadCutoff;

@@ -2,7 +2,7 @@
 
 use haptic::error::{Failure, print};
 use haptic::link::{Board, PortSpec};
-use haptic_bridge::render::scene::{FeedForward, Scene, Surface, Wall};
+use haptic_bridge::render::scene::{FeedForward, Scene, Wall};
 use haptic_bridge::safety::fault::{FaultRecord, State};
 use std::io::{BufRead, IsTerminal};
 
@@ -89,11 +89,7 @@ pub fn scene_in_words(scene: &Scene<f32>) -> String {
 
 /// A wall in words.
 pub fn wall_in_words(wall: &Wall<f32>) -> String {
-    let shape = match wall.surface {
-        Surface::Plane(_) => "plane",
-        Surface::Sphere(_) => "sphere",
-        Surface::Cylinder(_) => "cylinder",
-    };
+    let shape = wall.surface.spec().name;
     let (stiffness, damping) = (short(wall.stiffness), short(wall.damping));
     format!("{shape}, {stiffness} N/m, {damping} N s/m, feed-forward {}", feed_forward_in_words(wall))
 }
@@ -101,9 +97,8 @@ pub fn wall_in_words(wall: &Wall<f32>) -> String {
 /// Its feed-forward in words.
 pub fn feed_forward_in_words(wall: &Wall<f32>) -> String {
     match wall.feed_forward {
-        FeedForward::Off => "off".into(),
-        FeedForward::Full => "full".into(),
         FeedForward::Washout => format!("washout at {} Hz", short(wall.washout_hz)),
+        other => other.name().into(),
     }
 }
 

@@ -9,7 +9,7 @@ use haptic::link::{Board, BoardError};
 use haptic::plan::plan;
 use haptic::plausible::{scene::doubts, warn};
 use haptic::precision::widened;
-use haptic::scene_file::{SceneFile, rounded};
+use haptic::scene_file::SceneFile;
 use haptic::toml_file::Document;
 use haptic_bridge::model::precomputed::{MassModelData, TableChunk};
 use haptic_bridge::render::scene::Scene;
@@ -69,7 +69,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         );
     }
     let plan = plan(&device, &file.scene, budget, speed(args.speed, &file)?)?;
-    let scene = rounded(&plan.scene);
+    let scene = plan.scene.cast();
     board.set_scene(&scene)?;
     send(&mut board, &plan.mass)?;
     let more = if args.verbose { readable(&device, &plan) } else { String::new() };

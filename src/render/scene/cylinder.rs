@@ -1,5 +1,6 @@
 //! A round wall along an axis: a rod to feel from outside, or a pipe to feel from inside.
 
+use super::shape::{Meaning, Shape, ShapeSpec, Values, number};
 use super::sphere::{round_contact, round_normal_rate};
 use super::{Contact, task_vector};
 use crate::math::{Math, Real};
@@ -18,24 +19,41 @@ pub struct Cylinder<T> {
     pub inside: bool,
 }
 
-impl<T: Real> Cylinder<T> {
+impl<T: Real> Shape<T> for Cylinder<T> {
+    const SPEC: ShapeSpec = ShapeSpec {
+        name: "cylinder",
+        least_task: 3,
+        keys: &[
+            ("point", Meaning::Point),
+            ("axis", Meaning::Direction),
+            ("radius", Meaning::Length),
+            ("inside", Meaning::Flag),
+        ],
+    };
+
+    fn from_values([a, b, c, x, y, z, radius, inside]: &Values<T>) -> Self {
+        Self { point: [*a, *b, *c], axis: [*x, *y, *z], radius: *radius, inside: *inside > T::zero() }
+    }
+
+    fn values(&self) -> Values<T> {
+        let ([a, b, c], [x, y, z]) = (self.point, self.axis);
+        [a, b, c, x, y, z, self.radius, number(self.inside)]
+    }
+
     /// Distance to the surface and the normal across the axis.
     #[inline(always)]
-    pub fn contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N> {
+    fn contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N> {
         round_contact::<T, K, N>(&self.across(&(p - task_vector::<T, N>(&self.point))), self.radius, self.inside)
     }
 
-    /// ṅ at the tip velocity `velocity` (m/s).
     #[inline(always)]
-    pub fn normal_rate<K: Math<T>, const N: usize>(
-        &self,
-        p: &SVector<T, N>,
-        velocity: &SVector<T, N>,
-    ) -> SVector<T, N> {
+    fn normal_rate<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
         let arm = self.across(&(p - task_vector::<T, N>(&self.point)));
         round_normal_rate::<T, K, N>(&arm, &self.across(velocity), self.inside)
     }
+}
 
+impl<T: Real> Cylinder<T> {
     /// The part of `v` perpendicular to the axis.
     #[inline(always)]
     fn across<const N: usize>(&self, v: &SVector<T, N>) -> SVector<T, N> {

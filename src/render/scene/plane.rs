@@ -1,7 +1,8 @@
 //! A flat wall.
 
+use super::shape::{Meaning, Shape, ShapeSpec, Values};
 use super::{Contact, task_vector};
-use crate::math::Real;
+use crate::math::{Math, Real};
 use nalgebra::SVector;
 
 /// The half-space behind a plane.
@@ -13,11 +14,29 @@ pub struct Plane<T> {
     pub normal: [T; 3],
 }
 
-impl<T: Real> Plane<T> {
+impl<T: Real> Shape<T> for Plane<T> {
+    const SPEC: ShapeSpec =
+        ShapeSpec { name: "plane", least_task: 1, keys: &[("point", Meaning::Point), ("normal", Meaning::Direction)] };
+    const CURVED: bool = false;
+
+    fn from_values([a, b, c, x, y, z, ..]: &Values<T>) -> Self {
+        Self { point: [*a, *b, *c], normal: [*x, *y, *z] }
+    }
+
+    fn values(&self) -> Values<T> {
+        let ([a, b, c], [x, y, z]) = (self.point, self.normal);
+        [a, b, c, x, y, z, T::zero(), T::zero()]
+    }
+
     /// x = n·(p - p₀), the normal everywhere the same.
     #[inline(always)]
-    pub fn contact<const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N> {
+    fn contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N> {
         let normal: SVector<T, N> = task_vector(&self.normal);
         Contact { distance: normal.dot(&(p - task_vector::<T, N>(&self.point))), normal }
+    }
+
+    #[inline(always)]
+    fn normal_rate<K: Math<T>, const N: usize>(&self, _: &SVector<T, N>, _: &SVector<T, N>) -> SVector<T, N> {
+        SVector::zeros()
     }
 }

@@ -1,5 +1,6 @@
 //! A round wall: a ball to feel from outside, or a bowl to feel from inside. In the plane, a disc.
 
+use super::shape::{Meaning, Shape, ShapeSpec, Values, number};
 use super::{Contact, task_vector};
 use crate::math::{Math, Real};
 use nalgebra::SVector;
@@ -15,23 +16,35 @@ pub struct Sphere<T> {
     pub inside: bool,
 }
 
-impl<T: Real> Sphere<T> {
+impl<T: Real> Shape<T> for Sphere<T> {
+    const SPEC: ShapeSpec = ShapeSpec {
+        name: "sphere",
+        least_task: 1,
+        keys: &[("point", Meaning::Point), ("radius", Meaning::Length), ("inside", Meaning::Flag)],
+    };
+
+    fn from_values([x, y, z, radius, inside, ..]: &Values<T>) -> Self {
+        Self { center: [*x, *y, *z], radius: *radius, inside: *inside > T::zero() }
+    }
+
+    fn values(&self) -> Values<T> {
+        let ([x, y, z], zero) = (self.center, T::zero());
+        [x, y, z, self.radius, number(self.inside), zero, zero, zero]
+    }
+
     /// Distance to the surface and the radial normal.
     #[inline(always)]
-    pub fn contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N> {
+    fn contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N> {
         round_contact::<T, K, N>(&self.arm(p), self.radius, self.inside)
     }
 
-    /// ṅ at the tip velocity `velocity` (m/s).
     #[inline(always)]
-    pub fn normal_rate<K: Math<T>, const N: usize>(
-        &self,
-        p: &SVector<T, N>,
-        velocity: &SVector<T, N>,
-    ) -> SVector<T, N> {
+    fn normal_rate<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
         round_normal_rate::<T, K, N>(&self.arm(p), velocity, self.inside)
     }
+}
 
+impl<T: Real> Sphere<T> {
     /// Centre to tip; coordinates beyond the task do not count.
     #[inline(always)]
     fn arm<const N: usize>(&self, p: &SVector<T, N>) -> SVector<T, N> {
