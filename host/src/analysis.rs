@@ -12,6 +12,7 @@
 //! - [`boundary`]: the stiffness at which a mode leaves the unit circle, and every other stable interval
 //! - [`pose`]: from a device description and joint angles to the matrices all of this works on
 //! - [`range`]: boundary, area and islands of one device: what `haptic range` prints
+//! - [`several`]: the same loop around walls that act together
 //!
 //! Source: "Inertia Properties and Their Role in Haptic Rendering", the stable domain of virtual walls; sampled-data
 //! theory as in Åström and Wittenmark, *Computer-Controlled Systems*, chapters 2 and 3.
@@ -25,4 +26,5 @@ pub mod plant;
 pub mod pose;
 pub mod range;
 pub mod sampled;
+pub mod several;
 pub mod spectrum;

@@ -11,6 +11,7 @@ use serde::Serialize;
 use super::boundary::{Circle, Interval};
 use super::plant::Linearised;
 use super::sampled::{AnalysisError, FeedForward, Loop, OpenLoop};
+use super::several::{Loops, WallSet};
 
 /// Damping values on a boundary when none are asked for.
 pub const BOUNDARY_POINTS: usize = 200;
@@ -54,7 +55,8 @@ pub struct Domain {
 /// What `haptic range` answers.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Range {
-    /// Effective inertia, kg: what the wall meets without the feed-forward.
+    /// Effective inertia, kg: what the wall meets without the feed-forward; of several walls, what their total stiffness
+    /// meets in the stiffest motion, without and with it.
     pub w_eff: f64,
     /// Rendered inertia, kg: what it meets with it.
     pub w_rr: f64,
@@ -106,9 +108,67 @@ pub fn domain(
         return Err(AnalysisError::Damping(refused));
     }
     let open = OpenLoop::new(device, around, mode)?;
-    let damping_unit = open.mass / open.sample_s;
-    let stiffness_unit = damping_unit / open.sample_s;
-    let mut circle = Circle::new(&open, around.delay_samples);
+    bounded(&mut Circle::new(&open, around.delay_samples), open.mass, open.sample_s, kd)
+}
+
+/// Predicts the stable domain of walls that act together, in the totals of stiffness and damping.
+pub fn predict_several(
+    set: &WallSet,
+    around: &Loop,
+    kd: Option<&[f64]>,
+    washout_hz: Option<f64>,
+) -> Result<Range, AnalysisError> {
+    let of = |mode| domain_of_several(set, around, mode, kd);
+    let (off, full) = (of(FeedForward::Off)?, of(FeedForward::Full)?);
+    let washout = washout_hz.map(|hz| of(FeedForward::Washout(hz))).transpose()?;
+    let area_ratio = if off.area > 0.0 { full.area / off.area } else { 0.0 };
+    let met = |feed_forward| set.met(feed_forward).ok_or(AnalysisError::Singular);
+    let (w_eff, w_rr) = (met(false)?, met(true)?);
+    Ok(Range { w_eff, w_rr, feed_forward_gain: None, inertia_met: None, off, full, washout, area_ratio })
+}
+
+/// As [`domain`] of walls that act together.
+pub fn domain_of_several(
+    set: &WallSet,
+    around: &Loop,
+    mode: FeedForward,
+    kd: Option<&[f64]>,
+) -> Result<Domain, AnalysisError> {
+    if let Some(&refused) = kd.unwrap_or_default().iter().find(|kd| !(kd.is_finite() && **kd >= 0.0)) {
+        return Err(AnalysisError::Damping(refused));
+    }
+    let mut loops = Loops::new(set, around, mode)?;
+    let (mass, sample_s) = (loops.mass, loops.sample_s);
+    bounded(&mut loops, mass, sample_s, kd)
+}
+
+/// Stable intervals of one gain with the other held, in sample units.
+trait Bounded {
+    fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError>;
+    fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError>;
+}
+
+impl Bounded for Circle<'_> {
+    fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError> {
+        Circle::stiffness_intervals(self, kd)
+    }
+    fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError> {
+        Circle::damping_intervals(self)
+    }
+}
+
+impl Bounded for Loops {
+    fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError> {
+        Loops::stiffness_intervals(self, kd)
+    }
+    fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError> {
+        Loops::damping_intervals(self)
+    }
+}
+
+fn bounded(circle: &mut impl Bounded, mass: f64, sample_s: f64, kd: Option<&[f64]>) -> Result<Domain, AnalysisError> {
+    let damping_unit = mass / sample_s;
+    let stiffness_unit = damping_unit / sample_s;
 
     let support = circle.damping_intervals()?;
     let kd_max = support.last().map_or(0.0, |last| last.high);

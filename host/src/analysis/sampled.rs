@@ -35,7 +35,7 @@ impl Estimator {
         }
     }
 
-    fn states(self) -> usize {
+    pub(super) fn states(self) -> usize {
         match self {
             Estimator::BackwardDifference => 0,
             Estimator::FirstOrder(_) => 1,
@@ -246,7 +246,7 @@ impl Loop {
         }
     }
 
-    fn check_cutoff(&self, cutoff: f64) -> Result<(), AnalysisError> {
+    pub(super) fn check_cutoff(&self, cutoff: f64) -> Result<(), AnalysisError> {
         if cutoff > 0.0 && cutoff < self.rate_hz / 2.0 {
             Ok(())
         } else {

@@ -6,8 +6,9 @@ use clap::{Args as ClapArgs, ValueEnum};
 use haptic::analysis::passivity::Passivity;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::pose::motors;
-use haptic::analysis::range::{Domain, Range, WORTHWHILE_RATIO, predict};
-use haptic::analysis::sampled::{Estimator, Loop};
+use haptic::analysis::range::{Domain, Range, WORTHWHILE_RATIO, predict, predict_several};
+use haptic::analysis::sampled::{AnalysisError, Estimator, Loop};
+use haptic::analysis::several::WallSet;
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::plausible::{Doubt, angles, warn};
@@ -19,7 +20,7 @@ use std::path::PathBuf;
 
 /// Predict which stiffness and damping a wall can have before it oscillates
 ///
-/// Exact sampled-data analysis (zero-order hold, delay, velocity filter, joint damping) of one wall at one pose,
+/// Exact sampled-data analysis (zero-order hold, delay, velocity filter, joint damping) of walls at one pose,
 /// without and with the feed-forward. Friction and a hand make the measured range larger; `haptic measure-range`
 /// measures it.
 #[derive(ClapArgs)]
@@ -29,9 +30,12 @@ pub struct Args {
     /// Joint angles in rad, such as 2.4,0.7 [default: the device file's home]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     q: Option<Numbers>,
-    /// Normal of the wall; any length
-    #[arg(long, value_name = "X,Y,..", allow_hyphen_values = true)]
-    normal: Numbers,
+    /// Normal of a wall, any length; once per wall that acts
+    #[arg(long, value_name = "X,Y,..", required = true, allow_hyphen_values = true)]
+    normal: Vec<Numbers>,
+    /// Each wall's part of stiffness and damping, with several --normal; results are the totals [default: equal parts]
+    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
+    share: Option<Numbers>,
     /// Control rate in Hz
     #[arg(long, value_name = "HZ")]
     rate: f64,
@@ -120,17 +124,15 @@ pub fn run(args: Args) -> Result<(), Failure> {
         }
     };
     warn(&angles(&q, "--q").into_iter().map(Doubt::typed).collect::<Vec<_>>());
-    let normal = args.normal.clone().unit(spec.task, "--normal")?;
-    let mut device = Linearised::holding(&file.description, &q, &normal, args.admissible)?;
-    device.gain = args.feed_forward_gain;
-    let most = device.most_gain().unwrap_or(1.0);
-    if !(0.0..=most).contains(&device.gain) {
-        let reason = format!("--feed-forward-gain {} is not from 0 to {most:.3}", device.gain);
-        return Err(Failure::wrong(reason).remedy("a board gives no more here: beyond lies the pole of the inertia"));
-    }
-    if args.undamped {
-        device = device.undamped();
-    }
+    let normals = args
+        .normal
+        .iter()
+        .map(|normal| normal.clone().unit(spec.task, "--normal"))
+        .collect::<Result<Vec<Vec<f64>>, Failure>>()?;
+    let shares = match args.share.clone() {
+        Some(share) => share.per_wall(normals.len(), "--share")?,
+        None => vec![1.0; normals.len()],
+    };
     let drive = match args.drive {
         DriveKind::Ideal => Drive::Ideal,
         DriveKind::Current => Drive::Current { bandwidth_hz: args.current_bandwidth },
@@ -150,16 +152,16 @@ pub fn run(args: Args) -> Result<(), Failure> {
         drive,
         damping_compensation: args.damping_compensation,
     };
-    let range = predict(&device, &around, args.kd.as_ref().map(|kd| kd.0.as_slice()), args.washout)?;
-    let passivity = Passivity::new(&device, &file.description, 1.0 / args.rate);
+    let (analyse, passivity) = walls(&args, &file, &q, &normals, &shares, &around)?;
+    let range = analyse(args.kd.as_ref().map(|kd| kd.0.as_slice()))?;
     if args.svg.is_some() || args.png.is_some() {
         // A picture always shows the whole boundary, whatever points were asked for.
-        let whole = if args.kd.is_some() { predict(&device, &around, None, args.washout)? } else { range.clone() };
+        let whole = if args.kd.is_some() { analyse(None)? } else { range.clone() };
         let picture = draw(&Contents {
             title: format!("{}: stable walls, predicted", file.name),
-            subtitle: subtitle(&args, &q, &normal, range.area_ratio),
+            subtitle: subtitle(&args, &q, &normals, range.area_ratio),
             range: &whole,
-            passivity: Some(&passivity),
+            passivity: passivity.as_ref(),
             measured_off: &[],
             measured_full: &[],
         });
@@ -170,13 +172,56 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let json = serde_json::to_string(&range).map_err(Failure::impossible)?;
         return print(&(json + "\n"));
     }
-    print(&readable(&file.name, &args, &q, &normal, &range, &passivity))
+    print(&readable(&file.name, &args, &q, &normals, &range, passivity.as_ref()))
 }
 
-fn subtitle(args: &Args, q: &[f64], normal: &[f64], ratio: f64) -> [String; 2] {
+/// What predicts the range at given dampings.
+type Analysis<'a> = Box<dyn Fn(Option<&[f64]>) -> Result<Range, AnalysisError> + 'a>;
+
+/// The analysis of one wall, with its passive limits, or of several.
+fn walls<'a>(
+    args: &'a Args,
+    file: &DeviceFile,
+    q: &[f64],
+    normals: &[Vec<f64>],
+    shares: &[f64],
+    around: &'a Loop,
+) -> Result<(Analysis<'a>, Option<Passivity>), Failure> {
+    let gain = args.feed_forward_gain;
+    if let [normal] = normals {
+        let mut device = Linearised::holding(&file.description, q, normal, args.admissible)?;
+        device.gain = gain;
+        let most = device.most_gain().unwrap_or(1.0);
+        if !(0.0..=most).contains(&gain) {
+            let reason = format!("--feed-forward-gain {gain} is not from 0 to {most:.3}");
+            return Err(
+                Failure::wrong(reason).remedy("a board gives no more here: beyond lies the pole of the inertia")
+            );
+        }
+        if args.undamped {
+            device = device.undamped();
+        }
+        let passivity = Passivity::new(&device, &file.description, 1.0 / args.rate);
+        return Ok((Box::new(move |kd| predict(&device, around, kd, args.washout)), Some(passivity)));
+    }
+    if gain != 1.0 {
+        let reason = format!("--feed-forward-gain {gain} with several --normal");
+        return Err(Failure::wrong(reason).remedy("several walls are analysed with a gain of 1; leave it out"));
+    }
+    let walls: Vec<(Vec<f64>, f64)> = normals.iter().cloned().zip(shares.iter().copied()).collect();
+    let set = WallSet::at(&file.description, q, &walls, args.admissible)?;
+    let set = if args.undamped { set.undamped() } else { set };
+    Ok((Box::new(move |kd| predict_several(&set, around, kd, args.washout)), None))
+}
+
+fn subtitle(args: &Args, q: &[f64], normals: &[Vec<f64>], ratio: f64) -> [String; 2] {
     let joined = |values: &[f64]| values.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");
     [
-        format!("q = ({}) rad, n = ({})", joined(q), joined(normal)),
+        format!(
+            "q = ({}) rad, n = {}",
+            joined(q),
+            normals.iter().map(|n| format!("({})", joined(n))).collect::<Vec<_>>().join(" + ")
+        ),
         format!(
             "{} Hz, cutoff {} Hz, delay {} samples, {:?} drive; area ratio {ratio:.3}",
             args.rate, args.cutoff, args.delay, args.drive
@@ -186,12 +231,19 @@ fn subtitle(args: &Args, q: &[f64], normal: &[f64], ratio: f64) -> [String; 2] {
     ]
 }
 
-fn readable(name: &str, args: &Args, q: &[f64], normal: &[f64], range: &Range, passivity: &Passivity) -> String {
+fn readable(
+    name: &str,
+    args: &Args,
+    q: &[f64],
+    normals: &[Vec<f64>],
+    range: &Range,
+    passivity: Option<&Passivity>,
+) -> String {
     let mut text = String::new();
     let mut line = |content: String| {
         let _ = writeln!(text, "{content}");
     };
-    let [pose, around] = subtitle(args, q, normal, range.area_ratio);
+    let [pose, around] = subtitle(args, q, normals, range.area_ratio);
     line(format!("{name}: {pose}"));
     line(format!("  {around}"));
     line(format!("  effective inertia Weff, met without feed-forward  {:>12.6} kg", range.w_eff));
@@ -225,15 +277,17 @@ fn readable(name: &str, args: &Args, q: &[f64], normal: &[f64], range: &Range, p
             "  {islands} stable intervals lie above the boundary (islands): listed with --json, not counted."
         ));
     }
-    line(format!(
-        "  passive without feed-forward (Colgate and Schenkel 1997): kp < {:.2} N/m at kd = 0, kd < {:.4} N s/m",
-        passivity.sampled(0.0),
-        passivity.damping
-    ));
-    if let Some(limit) = passivity.quantised() {
+    if let Some(passivity) = passivity {
         line(format!(
-            "  passive with quantisation and friction (Abbott and Okamura 2005): kp <= {limit:.2} N/m at kd = 0"
+            "  passive without feed-forward (Colgate and Schenkel 1997): kp < {:.2} N/m at kd = 0, kd < {:.4} N s/m",
+            passivity.sampled(0.0),
+            passivity.damping
         ));
+        if let Some(limit) = passivity.quantised() {
+            line(format!(
+                "  passive with quantisation and friction (Abbott and Okamura 2005): kp <= {limit:.2} N/m at kd = 0"
+            ));
+        }
     }
     line(verdict(range));
     text

@@ -1,0 +1,383 @@
+//! Walls that act together: which of them stay stable, in the totals of stiffness and damping.
+//!
+//! Each wall has a share of both. In the basis of the principal directions of the walls' stiffness their forces are
+//! φ_k = -κ_k (kp x_k + kd v_k) for each direction k, with κ the eigenvalues of Σ shareᵢ nᵢ nᵢᵀ; so the walls are as
+//! many feedback loops as they have directions, whatever their number. The torques of φ are those of the board's own
+//! law (docs/model.md section 2), or Jᵀ.
+//!
+//! One loop has exact crossings ([`super::boundary`]); several that are coupled by joint damping have not. Here the
+//! stable intervals of a gain are looked for on a fine grid and refined by bisection of the eigenvalues.
+
+use nalgebra::{DMatrix, DVector, SVector};
+
+use haptic_bridge::math::Libm;
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::inertia::NO_STIFFNESS;
+use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism, Shaping};
+use haptic_bridge::model::principal::{Principal, Pull};
+use haptic_bridge::with_mechanism;
+
+use super::boundary::{Interval, SMALLEST_STIFFNESS};
+use super::plant::Drive;
+use super::pose::{PoseError, TaskPose, unit_normal};
+use super::sampled::{AnalysisError, Estimator, FeedForward, Loop};
+use super::spectrum::{exp_minus_identity, growth};
+
+/// Several walls on a device at rest at one pose.
+#[derive(Clone, Debug)]
+pub struct WallSet {
+    /// M, N x N, kg m².
+    mass: DMatrix<f64>,
+    /// B of each joint, N m s/rad.
+    viscous: DVector<f64>,
+    /// Rendered directions as rows, R x N, m/rad.
+    rows: DMatrix<f64>,
+    /// κ, R: what of the total stiffness is along each direction.
+    stiffness: DVector<f64>,
+    /// Torques of a unit force along each direction with the feed-forward, N x R, m.
+    shaped: DMatrix<f64>,
+    /// What the feed-forward makes of the joint torques b, N x N: the torques of b and of what the walls meet of it.
+    bias: DMatrix<f64>,
+}
+
+impl WallSet {
+    /// Walls with these normals (d entries, any length but zero) and shares (positive) of stiffness and damping.
+    /// A redundant device holds `admissible`.
+    pub fn at(
+        description: &Description,
+        q: &[f64],
+        walls: &[(Vec<f64>, f64)],
+        admissible: Admissible,
+    ) -> Result<Self, PoseError> {
+        let mechanism = AnyMechanism::new(description)?;
+        TaskPose::of(&mechanism, q)?.regular()?;
+        with_mechanism!(&mechanism, m => linearised(m, description, q, walls, admissible))
+    }
+
+    /// The same without joint damping.
+    pub fn undamped(mut self) -> Self {
+        self.viscous.fill(0.0);
+        self
+    }
+
+    /// The mass that the walls' total stiffness meets: of the stiffest motion that the walls allow, with or without
+    /// the feed-forward, kg. For one wall Weff or Wrr.
+    pub fn met(&self, feed_forward: bool) -> Option<f64> {
+        let levers = if feed_forward { self.shaped.clone() } else { self.rows.transpose() };
+        let mobility = &self.rows * self.mass.clone().cholesky()?.solve(&levers);
+        let stiffest = (mobility * DMatrix::from_diagonal(&self.stiffness)).complex_eigenvalues();
+        let largest = stiffest.iter().map(|value| value.norm()).fold(0.0, f64::max);
+        (largest > 0.0 && largest.is_finite()).then(|| 1.0 / largest)
+    }
+}
+
+fn linearised<const N: usize, M: Mechanism<f64, N>>(
+    m: &M,
+    description: &Description,
+    q: &[f64],
+    walls: &[(Vec<f64>, f64)],
+    admissible: Admissible,
+) -> Result<WallSet, PoseError> {
+    let pose = m.pose::<Libm>(&SVector::from_column_slice(q));
+    let total: f64 = walls.iter().map(|wall| wall.1).sum();
+    let mut pulls: Vec<Pull<f64, N>> = Vec::new();
+    for (normal, share) in walls {
+        let unit = unit_normal(normal, M::SPEC.task, N)?;
+        pulls.push(Pull { normal: SVector::from_fn(|i, _| unit[i]), stiffness: share / total });
+    }
+    let principal = Principal::new::<Libm>(&pulls, M::SPEC.task);
+    let most = pulls.iter().map(|pull| pull.stiffness).fold(0.0, f64::max);
+    let seen: Vec<usize> = (0..N).filter(|i| principal.along(*i) > NO_STIFFNESS * principal.along(0)).collect();
+    let null = m.shaping(&pose, &SVector::from_fn(|i, _| f64::from(u8::from(i == N - 1))));
+    let shapings: [Shaping<f64, N>; N] = core::array::from_fn(|i| {
+        let along = m.shaping(&pose, &principal.direction(i));
+        let holds = i < M::SPEC.task && M::SPEC.task < N && admissible != Admissible::Orientation;
+        if holds { admissible.hold(&along, &null) } else { along }
+    });
+    let torque = |force: &SVector<f64, N>, b: Option<SVector<f64, N>>| {
+        let (torque, plain) = principal.shaped(&shapings, force, 1.0, |_| b.map(|b| (b, b)));
+        let torque = torque + m.transpose(&pose, &plain);
+        DVector::from_iterator(N, torque.iter().copied())
+    };
+    let dense = |v: SVector<f64, N>| DVector::from_iterator(N, v.iter().copied());
+    let rows: Vec<DVector<f64>> = seen.iter().map(|i| dense(m.transpose(&pose, &principal.direction(*i)))).collect();
+    let shaped: Vec<DVector<f64>> = seen.iter().map(|i| torque(&principal.direction(*i), None)).collect();
+    let bias: Vec<DVector<f64>> =
+        (0..N).map(|j| torque(&SVector::zeros(), Some(SVector::from_fn(|i, _| f64::from(u8::from(i == j)))))).collect();
+    let mass = m.mass(&pose);
+    Ok(WallSet {
+        mass: DMatrix::from_fn(N, N, |i, j| mass[(i, j)]),
+        viscous: DVector::from_fn(N, |j, _| description.joints[j].viscous),
+        rows: DMatrix::from_columns(&rows).transpose(),
+        stiffness: DVector::from_iterator(seen.len(), seen.iter().map(|i| principal.along(*i) * most)),
+        shaped: DMatrix::from_columns(&shaped),
+        bias: DMatrix::from_columns(&bias),
+    })
+}
+
+/// The loops cut at the walls' forces, in sample units: the change per sample of every state is `f` s + `input` φ.
+pub(crate) struct Loops {
+    f: DMatrix<f64>,
+    input: DMatrix<f64>,
+    position: DMatrix<f64>,
+    velocity: DMatrix<f64>,
+    stiffness: DVector<f64>,
+    /// Reference mass, kg, and sample period, s: stiffness unit `mass/T²`, damping unit `mass/T`.
+    pub mass: f64,
+    pub sample_s: f64,
+}
+
+/// |z|² - 1 below this is rounding. Constant motions that no wall sees rest on the unit circle by construction, and
+/// eigenvalues are found to 1e-15 of the fastest change.
+const STILL: f64 = 1.0e-11;
+
+/// Gains are looked at from this share of their unit up, in steps of [`STEP`], as far as [`FARTHEST`].
+const SMALLEST: f64 = 1.0e-6;
+const STEP: f64 = 1.15;
+const FARTHEST: f64 = 40.0;
+
+impl Loops {
+    /// Puts the loops around the device.
+    pub fn new(set: &WallSet, around: &Loop, mode: FeedForward) -> Result<Self, AnalysisError> {
+        around.check()?;
+        if let FeedForward::Washout(hz) = mode {
+            around.check_cutoff(hz)?;
+        }
+        let (directions, joints) = set.rows.shape();
+        let mass = set.met(mode != FeedForward::Off).ok_or(AnalysisError::Singular)?;
+        let inverse = set.mass.clone().cholesky().ok_or(AnalysisError::Singular)?.inverse();
+        let t = 1.0 / around.rate_hz;
+        let (lag, emf) = drives(&around.drive, joints, t)?;
+        let lagging: Vec<usize> = (0..joints).filter(|j| lag[*j].is_some()).collect();
+
+        // Continuous plant per sample: joint velocities (rad per sample), lagging torques, positions (m); then, where
+        // their damping is compensated, how far the joints turn, which nothing else depends on.
+        let compensated = around.damping_compensation && mode != FeedForward::Off;
+        let sensed = if compensated { joints } else { 0 };
+        let (torques, positions) = (joints, joints + lagging.len());
+        let plant = positions + directions;
+        let all = plant + sensed;
+        let mut joined = DMatrix::zeros(all + joints, all + joints);
+        for i in 0..joints {
+            for j in 0..joints {
+                let direct = if lag[j].is_none() { emf[j] } else { 0.0 };
+                joined[(i, j)] -= t * inverse[(i, j)] * (set.viscous[j] + direct);
+                // Torque in units of m/T² times metres.
+                if lag[j].is_none() {
+                    joined[(i, all + j)] = mass * inverse[(i, j)];
+                }
+            }
+            for (slot, j) in lagging.iter().enumerate() {
+                joined[(i, torques + slot)] = mass * inverse[(i, *j)];
+            }
+        }
+        for (slot, j) in lagging.iter().enumerate() {
+            let rate = lag[*j].unwrap_or_default();
+            joined[(torques + slot, torques + slot)] = -rate;
+            joined[(torques + slot, *j)] = -rate * emf[*j] * t / mass;
+            joined[(torques + slot, all + j)] = rate;
+        }
+        for k in 0..directions {
+            for j in 0..joints {
+                joined[(positions + k, j)] = set.rows[(k, j)];
+            }
+        }
+        for j in 0..sensed {
+            joined[(plant + j, j)] = 1.0;
+        }
+        let over = |time: f64| {
+            let e = exp_minus_identity(&(&joined * time));
+            (e.view((0, 0), (all, plant)).into_owned(), e.view((0, all), (all, joints)).into_owned())
+        };
+        let whole = around.delay_samples.floor();
+        let fraction = around.delay_samples - whole;
+        let (whole, fraction) = (whole as usize, if fraction < 1e-12 { 0.0 } else { fraction });
+        let (free, mut now) = over(1.0);
+        let mut before = DMatrix::zeros(all, joints);
+        if fraction > 0.0 {
+            let (_, early) = over(fraction);
+            let (rest, late) = over(1.0 - fraction);
+            before = &early + rest * early.rows(0, plant);
+            now = late;
+        }
+
+        // States beside the plant's: what filters remember of each direction (and joint), and commands on their way.
+        let per = around.estimator.states();
+        let moved = plant;
+        let filters = moved + directions + sensed;
+        let washout = filters + per * (directions + sensed);
+        let queue = washout + if matches!(mode, FeedForward::Washout(_)) { directions } else { 0 };
+        let held = queue + whole * joints;
+        let size = held + if fraction > 0.0 { joints } else { 0 };
+
+        let change = |s: &DVector<f64>, force: &DVector<f64>| {
+            let mut change = DVector::zeros(size);
+            let mut command = match mode {
+                FeedForward::Off => set.rows.tr_mul(force),
+                FeedForward::Full => &set.shaped * force,
+                FeedForward::Washout(hz) => {
+                    let g = (std::f64::consts::PI * hz * t).tan();
+                    let mut high = force.clone();
+                    for k in 0..directions {
+                        let step = (force[k] - s[washout + k]) * g / (1.0 + g);
+                        high[k] -= s[washout + k] + step;
+                        change[washout + k] = 2.0 * step;
+                    }
+                    set.rows.tr_mul(&(force - &high)) + &set.shaped * high
+                }
+            };
+            let mut estimates = DVector::zeros(directions + sensed);
+            for k in 0..directions + sensed {
+                let (found, steps) = filtered(around.estimator, t, s, filters + per * k, s[moved + k]);
+                estimates[k] = found;
+                for (i, step) in steps.iter().enumerate().take(per) {
+                    change[filters + per * k + i] = *step;
+                }
+            }
+            if compensated {
+                let damping = DVector::from_fn(joints, |j, _| set.viscous[j] * estimates[directions + j] * t / mass);
+                command += &set.bias * damping;
+            }
+            for place in 0..whole {
+                let at = queue + place * joints;
+                let waiting = s.rows(at, joints).into_owned();
+                change.rows_mut(at, joints).copy_from(&(&command - &waiting));
+                command = waiting;
+            }
+            let mut motion = &free * s.rows(0, plant) + &now * &command;
+            if fraction > 0.0 {
+                let last = s.rows(held, joints).into_owned();
+                motion += &before * &last;
+                change.rows_mut(held, joints).copy_from(&(&command - &last));
+            }
+            for k in 0..directions {
+                change[moved + k] = motion[positions + k] - s[moved + k];
+            }
+            for j in 0..sensed {
+                change[moved + directions + j] = motion[plant + j] - s[moved + directions + j];
+            }
+            change.rows_mut(0, plant).copy_from(&motion.rows(0, plant));
+            (change, estimates)
+        };
+
+        let none = DVector::zeros(directions);
+        let unit = |size: usize, at: usize| DVector::from_fn(size, |i, _| f64::from(u8::from(i == at)));
+        let mut f = DMatrix::zeros(size, size);
+        let mut velocity = DMatrix::zeros(directions, size);
+        let mut position = DMatrix::zeros(directions, size);
+        for column in 0..size {
+            let (changed, estimates) = change(&unit(size, column), &none);
+            f.set_column(column, &changed);
+            velocity.set_column(column, &estimates.rows(0, directions));
+        }
+        for k in 0..directions {
+            position[(k, positions + k)] = 1.0;
+        }
+        let mut input = DMatrix::zeros(size, directions);
+        for k in 0..directions {
+            input.set_column(k, &change(&DVector::zeros(size), &unit(directions, k)).0);
+        }
+        Ok(Self { f, input, position, velocity, stiffness: set.stiffness.clone(), mass, sample_s: t })
+    }
+
+    fn is_stable(&self, kp: f64, kd: f64) -> bool {
+        let mut feedback = &self.position * kp + &self.velocity * kd;
+        for (mut row, stiffness) in feedback.row_iter_mut().zip(self.stiffness.iter()) {
+            row *= *stiffness;
+        }
+        growth(&self.f - &self.input * feedback) < STILL
+    }
+
+    /// Stable intervals of the total stiffness at one damping; sample units. One that begins at the smallest stiffness
+    /// looked at counts as beginning at [`SMALLEST_STIFFNESS`].
+    pub fn stiffness_intervals(&self, kd: f64) -> Result<Vec<Interval>, AnalysisError> {
+        let mut found = intervals(|kp| self.is_stable(kp, kd))?;
+        if let Some(first) = found.first_mut().filter(|first| first.low <= SMALLEST) {
+            first.low = SMALLEST_STIFFNESS;
+        }
+        Ok(found)
+    }
+
+    /// Stable intervals of the total damping at the smallest stiffness; sample units.
+    pub fn damping_intervals(&self) -> Result<Vec<Interval>, AnalysisError> {
+        let mut found = intervals(|kd| self.is_stable(SMALLEST, kd))?;
+        if let Some(first) = found.first_mut().filter(|first| first.low <= SMALLEST)
+            && self.is_stable(SMALLEST, 0.0)
+        {
+            first.low = 0.0;
+        }
+        Ok(found)
+    }
+}
+
+/// Lag rate (per sample) and back-EMF damping (N m s/rad) of each joint's drive.
+fn drives(drive: &Drive, joints: usize, t: f64) -> Result<(Vec<Option<f64>>, Vec<f64>), AnalysisError> {
+    match drive {
+        Drive::Ideal => Ok((vec![None; joints], vec![0.0; joints])),
+        Drive::Current { bandwidth_hz } => {
+            Ok((vec![Some(std::f64::consts::TAU * bandwidth_hz * t); joints], vec![0.0; joints]))
+        }
+        Drive::Voltage(motors) if motors.len() == joints => Ok(motors
+            .iter()
+            .map(|motor| {
+                let rate = motor.resistance * t / motor.inductance;
+                let lags = rate.is_finite() && rate < 1e6;
+                (lags.then_some(rate), motor.torque_constant * motor.back_emf / motor.resistance)
+            })
+            .unzip()),
+        Drive::Voltage(_) => Err(AnalysisError::Motor),
+    }
+}
+
+/// The estimate from a change of position over the last sample, and the change of the filter's states (from `first`
+/// on): as [`super::sampled`] has it.
+fn filtered(estimator: Estimator, t: f64, s: &DVector<f64>, first: usize, signal: f64) -> (f64, [f64; 2]) {
+    let g = |hz: f64| (std::f64::consts::PI * hz * t).tan();
+    match estimator {
+        Estimator::BackwardDifference => (signal, [0.0; 2]),
+        Estimator::FirstOrder(hz) => {
+            let step = (signal - s[first]) * g(hz) / (1.0 + g(hz));
+            (s[first] + step, [2.0 * step, 0.0])
+        }
+        Estimator::Butterworth(hz) => {
+            let (g, damping) = (g(hz), std::f64::consts::SQRT_2);
+            let high = (signal - (damping + g) * s[first] - s[first + 1]) / (1.0 + g * (damping + g));
+            let band = s[first] + g * high;
+            (s[first + 1] + g * band, [2.0 * g * high, 2.0 * g * band])
+        }
+    }
+}
+
+/// Stable intervals of a gain on the grid, their ends bisected.
+fn intervals(is_stable: impl Fn(f64) -> bool) -> Result<Vec<Interval>, AnalysisError> {
+    let edge = |stable: f64, unstable: f64| {
+        let (mut stable, mut unstable) = (stable, unstable);
+        while (stable - unstable).abs() > 1.0e-9 * stable.max(unstable) {
+            let middle = (stable + unstable) / 2.0;
+            if is_stable(middle) { stable = middle } else { unstable = middle }
+        }
+        stable
+    };
+    let mut found: Vec<Interval> = Vec::new();
+    let (mut last, mut last_stable) = (SMALLEST, is_stable(SMALLEST));
+    if last_stable {
+        found.push(Interval { low: SMALLEST, high: f64::INFINITY });
+    }
+    while last < FARTHEST {
+        let next = last * STEP;
+        let stable = is_stable(next);
+        match (last_stable, stable) {
+            (false, true) => found.push(Interval { low: edge(next, last), high: f64::INFINITY }),
+            (true, false) => {
+                let high = edge(last, next);
+                if let Some(open) = found.last_mut() {
+                    open.high = high;
+                }
+            }
+            _ => {}
+        }
+        (last, last_stable) = (next, stable);
+    }
+    if last_stable { Err(AnalysisError::Unbounded) } else { Ok(found) }
+}

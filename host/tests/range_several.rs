@@ -1,0 +1,227 @@
+//! `haptic range` of several walls: one wall given twice is the wall (the independent domains hold it), and sets of
+//! walls end where loops built here from M, J and the torques of `haptic model` end.
+
+use assert_cmd::Command;
+use haptic::analysis::plant::Drive;
+use haptic::analysis::range::domain_of_several;
+use haptic::analysis::sampled::{Estimator, FeedForward, Loop};
+use haptic::analysis::several::WallSet;
+use haptic::device_file::DeviceFile;
+use haptic_bridge::model::admissible::Admissible;
+use nalgebra::{DMatrix, DVector};
+use serde_json::Value;
+
+fn numbers(value: &Value) -> Vec<f64> {
+    value.as_array().unwrap().iter().map(|number| number.as_f64().unwrap()).collect()
+}
+
+fn json(arguments: &[&str]) -> Value {
+    let done = Command::cargo_bin("haptic").unwrap().args(arguments).arg("--json").assert().success();
+    serde_json::from_slice(&done.get_output().stdout).unwrap()
+}
+
+fn device(name: &str) -> String {
+    format!("{}/../devices/{name}.toml", env!("CARGO_MANIFEST_DIR"))
+}
+
+#[test]
+fn one_wall_given_twice_is_the_wall_of_the_independent_domains() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/golden/range.json");
+    let golden: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+    let cases = golden["cases"].as_array().unwrap();
+    assert_eq!(cases.len(), 20);
+    for case in cases {
+        let id = case["id"].as_str().unwrap();
+        let file = DeviceFile::parse(case["device"].as_str().unwrap(), id).unwrap();
+        let n = numbers(&case["normal"]);
+        let walls = [(n.clone(), 0.3), (n, 0.7)];
+        let set = WallSet::at(&file.description, &numbers(&case["q"]), &walls, Admissible::default()).unwrap();
+        let around = Loop {
+            rate_hz: case["rate"].as_f64().unwrap(),
+            delay_samples: case["delay"].as_f64().unwrap(),
+            estimator: Estimator::Butterworth(case["cutoff"].as_f64().unwrap()),
+            drive: Drive::Ideal,
+            damping_compensation: false,
+        };
+        for (mode, key) in [(FeedForward::Off, "off"), (FeedForward::Full, "full")] {
+            let points = case["expect"][key]["boundary"].as_array().unwrap();
+            let kd: Vec<f64> = points.iter().map(|point| point["kd"].as_f64().unwrap()).collect();
+            let kp: Vec<f64> = points.iter().map(|point| point["kp"].as_f64().unwrap()).collect();
+            let found = domain_of_several(&set, &around, mode, Some(&kd)).unwrap();
+            let largest = kp.iter().fold(0.0_f64, |a, b| a.max(*b));
+            for (point, known) in found.boundary.iter().zip(&kp) {
+                let off = (point.kp - known) / largest;
+                // Bisection of a growth of 1e-11 a sample.
+                assert!(off.abs() < 1e-5, "{id} {key} at kd = {}: kp off by {off:e} of the largest", point.kd);
+            }
+        }
+    }
+}
+
+/// Largest |z| of the loop of walls (rows per joint angle, torques per newton, shares) at these totals; what no wall
+/// sees (z = 1) left out. Joint damping acts, 1 kHz, Butterworth at 100 Hz, a delay of one sample.
+struct Independent {
+    mass: DMatrix<f64>,
+    viscous: DVector<f64>,
+    rows: DMatrix<f64>,
+    levers: DMatrix<f64>,
+    share: Vec<f64>,
+}
+
+impl Independent {
+    fn radius(&self, kp: f64, kd: f64) -> f64 {
+        let t = 1.0e-3;
+        let (walls, n) = self.rows.shape();
+        let inverse = self.mass.clone().try_inverse().unwrap();
+        // Exact over a sample, by the series of the exponential: q, q̇ T and the torque held.
+        let mut a = DMatrix::zeros(3 * n, 3 * n);
+        for i in 0..n {
+            a[(i, n + i)] = 1.0;
+            for j in 0..n {
+                a[(n + i, n + j)] = -t * inverse[(i, j)] * self.viscous[j];
+                a[(n + i, 2 * n + j)] = t * t * inverse[(i, j)];
+            }
+        }
+        let mut step = DMatrix::identity(3 * n, 3 * n);
+        let mut term = step.clone();
+        for k in 1..40 {
+            term = &term * &a / f64::from(k);
+            step += &term;
+        }
+        let w = (std::f64::consts::PI * 100.0 * t).tan();
+        let scale = 1.0 / (1.0 + std::f64::consts::SQRT_2 * w + w * w);
+        let b = w * w * scale;
+        let (a1, a2) = (2.0 * (w * w - 1.0) * scale, (1.0 - std::f64::consts::SQRT_2 * w + w * w) * scale);
+        // The last torque, then for every wall its last distance and two filter states.
+        let size = 3 * n + 3 * walls;
+        let mut matrix = DMatrix::zeros(size, size);
+        for column in 0..size {
+            let s = DVector::from_fn(size, |i, _| f64::from(u8::from(i == column)));
+            let x = &self.rows * s.rows(0, n);
+            let mut next = DVector::zeros(size);
+            let mut force = DVector::zeros(walls);
+            for i in 0..walls {
+                let at = 3 * n + 3 * i;
+                let d = x[i] - s[at];
+                let y = b * d + s[at + 1];
+                next[at] = x[i];
+                next[at + 1] = 2.0 * b * d - a1 * y + s[at + 2];
+                next[at + 2] = b * d - a2 * y;
+                force[i] = -self.share[i] * (kp * x[i] + kd / t * y);
+            }
+            let moved = &step * s.rows(0, 3 * n);
+            next.rows_mut(0, 2 * n).copy_from(&moved.rows(0, 2 * n));
+            next.rows_mut(2 * n, n).copy_from(&(&self.levers * force));
+            matrix.set_column(column, &next);
+        }
+        let far = |z: &&nalgebra::Complex<f64>| (**z - 1.0).norm() > 1.0e-5;
+        matrix.complex_eigenvalues().iter().filter(far).map(|z| z.norm()).fold(0.0, f64::max)
+    }
+}
+
+#[test]
+fn sets_of_walls_end_where_independent_loops_do() {
+    for (name, q, normals, shares, kd) in [
+        ("coupled-five-bar", "2.6,1.75", vec!["0.2419219,0.9702957", "0.2756374,0.9612617"], "1,1", 15.0),
+        ("coupled-five-bar", "2.6,1.75", vec!["0.26,0.97", "-0.97,0.26"], "3,1", 15.0),
+        ("phantom-premium-1.5", "0.3,0.9,-0.3", vec!["0.6,0.8,0", "0,0.6,0.8", "1,0,0.2"], "1,0.5,0.02", 2.0),
+        ("serial-3r", "0.4,0.9,0.7", vec!["0.6,0.8", "-0.3,0.9"], "1,0.2", 2.0),
+    ] {
+        let path = device(name);
+        let share: Vec<f64> = shares.split(',').map(|part| part.parse().unwrap()).collect();
+        let total: f64 = share.iter().sum();
+        let share: Vec<f64> = share.iter().map(|part| part / total).collect();
+        let q = format!("--q={q}");
+        let n: Vec<String> = normals.iter().map(|normal| format!("--normal={normal}")).collect();
+        let mut common: Vec<&str> = vec![&path, &q];
+        common.extend(n.iter().map(String::as_str));
+
+        // Torques per newton of each wall: `haptic model` says them, less what the device weighs.
+        let torque = |forces: &[f64]| {
+            let forces: Vec<String> = forces.iter().map(|force| format!("--force={force}")).collect();
+            let mut all = vec!["model"];
+            all.extend(&common);
+            all.extend(forces.iter().map(String::as_str));
+            all.extend(["--stiffness", shares]);
+            json(&all)
+        };
+        let none = torque(&vec![0.0; share.len()]);
+        let mass: Vec<Vec<f64>> = none["mass"].as_array().unwrap().iter().map(numbers).collect();
+        let jacobian: Vec<Vec<f64>> = none["jacobian"].as_array().unwrap().iter().map(numbers).collect();
+        let joints = mass.len();
+        let unit = |normal: &str| {
+            let v: Vec<f64> = normal.split(',').map(|x| x.parse().unwrap()).collect();
+            let length = v.iter().map(|x| x * x).sum::<f64>().sqrt();
+            v.into_iter().map(|x| x / length).collect::<Vec<f64>>()
+        };
+        let rows = DMatrix::from_fn(share.len(), joints, |i, j| {
+            unit(normals[i]).iter().zip(&jacobian).map(|(n, row)| n * row[j]).sum()
+        });
+        let weight = numbers(&none["torque"]);
+        let levers: Vec<DVector<f64>> = (0..share.len())
+            .map(|pushing| {
+                let forces: Vec<f64> = (0..share.len()).map(|i| f64::from(u8::from(i == pushing))).collect();
+                let found = numbers(&torque(&forces)["torque"]);
+                DVector::from_fn(joints, |j, _| found[j] - weight[j])
+            })
+            .collect();
+        let description = DeviceFile::load(&path).unwrap().description;
+        let plain = Independent {
+            mass: DMatrix::from_fn(joints, joints, |i, j| mass[i][j]),
+            viscous: DVector::from_fn(joints, |j, _| description.joints[j].viscous),
+            levers: rows.transpose(),
+            rows: rows.clone(),
+            share: share.clone(),
+        };
+        let kd_text = format!("{kd}");
+        let mut all = vec!["range"];
+        all.extend(&common);
+        all.extend(["--share", shares, "--rate", "1000", "--cutoff", "100", "--delay", "1", "--kd", &kd_text]);
+        let range = json(&all);
+        let shaped = Independent { levers: DMatrix::from_columns(&levers), ..plain.clone_of() };
+        for (key, set) in [("off", &plain), ("full", &shaped)] {
+            let kp = range[key]["boundary"][0]["kp"].as_f64().unwrap();
+            assert!(kp > 0.0, "{name} {key}: nothing is stable at {kd} N s/m");
+            let (below, above) = (set.radius(kp * 0.999, kd), set.radius(kp * 1.001, kd));
+            assert!(below < 1.0 && above > 1.0, "{name} {key}: {below} below {kp} N/m and {above} above");
+        }
+    }
+}
+
+impl Independent {
+    fn clone_of(&self) -> Self {
+        Self {
+            mass: self.mass.clone(),
+            viscous: self.viscous.clone(),
+            rows: self.rows.clone(),
+            levers: self.levers.clone(),
+            share: self.share.clone(),
+        }
+    }
+}
+
+#[test]
+fn shares_that_do_not_fit_are_refused() {
+    let path = device("coupled-five-bar");
+    let of = |extra: &[&str], code: i32, says: &str| {
+        let mut all = vec![
+            "range",
+            &path,
+            "--q=2.6,1.75",
+            "--normal=0.26,0.97",
+            "--normal=0,1",
+            "--rate",
+            "1000",
+            "--cutoff",
+            "100",
+        ];
+        all.extend(extra);
+        let done = Command::cargo_bin("haptic").unwrap().args(all).assert().code(code);
+        let error = String::from_utf8(done.get_output().stderr.clone()).unwrap();
+        assert!(error.contains(says), "{error}");
+    };
+    of(&["--share", "1,2,3"], 2, "3 numbers for 2 walls");
+    of(&["--share", "1,0"], 2, "holds 0");
+    of(&["--share", "1,-2"], 2, "holds -2");
+    of(&["--feed-forward-gain", "1.2"], 2, "several --normal");
+}
