@@ -38,6 +38,7 @@ pub mod model {
     pub mod inertia;
     pub mod mechanism;
     pub mod precomputed;
+    pub mod principal;
 }
 
 /// From encoder counts to joint torques: the scene that is rendered, and the step that renders it.

@@ -10,6 +10,7 @@ mod crest;
 pub mod frame;
 mod polarity;
 pub mod program;
+mod saturation;
 mod watch;
 
 use crate::drive::brushed::Axis;
@@ -25,6 +26,7 @@ use crate::safety::refusal::Refusal;
 use crate::servo::frame::{Frame, Outputs, Samples};
 use crate::servo::program::Hardware;
 use crate::servo::program::Program;
+use crate::servo::saturation::Asked;
 use core::ops::DerefMut;
 pub use crest::SPEED_HZ;
 use heapless::Vec;
@@ -161,6 +163,8 @@ pub struct Servo<P> {
     ramp: f32,
     /// Torques that the ramp starts from, N m: none when arming, the old scene's when one replaces another.
     from: [f32; MAX_JOINTS],
+    /// What each joint may be asked for, N m.
+    most_torque: [f32; MAX_JOINTS],
     /// Regularity of the closed loop at the last step.
     parallel: f32,
     host_silent: f32,
@@ -197,6 +201,7 @@ where
             period: 1.0 / 20_000.0,
             ramp: 0.0,
             from: [0.0; MAX_JOINTS],
+            most_torque: [0.0; MAX_JOINTS],
             parallel: 1.0,
             host_silent: 0.0,
             last_counts: [0; MAX_JOINTS],
@@ -340,10 +345,11 @@ where
         }
         if let Some(program) = self.program.as_mut() {
             let acted = self.frame.torque;
-            let regularity = program.controller.step(&samples.counts, &self.table, &mut self.frame, &mut self.motion);
+            let (regularity, asked) =
+                program.controller.step(&samples.counts, &self.table, &mut self.frame, &mut self.motion);
             self.parallel = regularity.parallel;
             self.watch(samples, &acted, &regularity);
-            self.drive();
+            self.drive(asked);
         }
         self.last_counts = samples.counts;
         self.frame.state = self.state;
@@ -540,23 +546,24 @@ where
 
     /// Sets each motor's current from the step's torques.
     #[inline(always)]
-    fn drive(&mut self) {
+    fn drive(&mut self, asked: Asked) {
         self.frame.rendered_force = 0.0;
         self.frame.limited = 0;
-        let asked = self.frame.torque;
         match self.state {
             State::Armed => {
                 self.ramp = (self.ramp + self.period * (1.0 / ARM_SECONDS)).min(1.0);
-                for (torque, from) in self.frame.torque.iter_mut().zip(&self.from) {
-                    *torque = from + (*torque - from) * self.ramp;
+                if self.ramp < 1.0 {
+                    self.command(&self.faded(&asked));
+                } else {
+                    self.command(&asked);
                 }
-                self.command();
-                self.frame.rendered_force = self.rendered(&asked);
+                self.frame.rendered_force = self.rendered(&asked.total);
             }
             State::CheckingPolarity => {
                 self.check_polarity();
                 if self.state == State::CheckingPolarity {
-                    self.command();
+                    let torque = self.frame.torque;
+                    self.command(&Asked { total: torque, gravity: torque, ..Asked::default() });
                 }
             }
             State::Disarmed | State::Fault => {
@@ -577,18 +584,30 @@ where
         lost.fold(self.frame.wall_force, |force, (motion, torque)| force - motion * torque)
     }
 
-    /// Commands the frame's torques within limits, and records there what is left of them.
+    /// While the ramp lasts, part of what acted before, which stands first like gravity, and part of what is asked.
+    #[inline(never)]
+    fn faded(&self, asked: &Asked) -> Asked {
+        let part = |from: f32, to: f32| from + (to - from) * self.ramp;
+        Asked {
+            total: core::array::from_fn(|i| part(self.from[i], asked.total[i])),
+            gravity: core::array::from_fn(|i| part(self.from[i], asked.gravity[i])),
+            rendered: asked.rendered.map(|torque| torque * self.ramp),
+        }
+    }
+
+    /// Commands the torques asked for within limits, and records in the frame what is left of them.
     #[inline(always)]
-    fn command(&mut self) {
+    fn command(&mut self, asked: &Asked) {
         let Some(program) = self.program.as_mut() else { return };
         let joints = program.joints.min(MAX_JOINTS);
+        let torque = asked.within(&self.most_torque, joints);
         for (i, axis) in program.axes.iter_mut().enumerate().take(joints) {
-            let asked = self.frame.torque[i];
-            let wanted = limited(asked, self.rules.limits.torque[i]);
-            let current = axis.command(wanted, self.crests.speed(i));
+            let current = axis.command(torque[i], self.crests.speed(i));
             self.frame.torque[i] = axis.torque_of(current);
-            // As much as a limit takes at least, and more than a torque's way through a current rounds.
-            let short = asked.abs() * (1.0 - 1.0e-5) > self.frame.torque[i].abs();
+            // At its limit and short of what was asked, by more than a torque's way through a current rounds.
+            let left = self.frame.torque[i].abs();
+            let most = self.most_torque[i] * (1.0 - 1.0e-5);
+            let short = left >= most && asked.total[i].abs() * (1.0 - 1.0e-5) > left;
             self.frame.limited |= u8::from(short) << i;
             if !self.hardware.bridge.current_sensed {
                 self.frame.current[i] = current;

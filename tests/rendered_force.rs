@@ -110,7 +110,9 @@ fn on_two_joints_it_is_the_force_that_the_recorded_torques_hold() {
             assert!((got - expected).abs() < 1e-4 * (1.0 + expected.abs()), "{got} for {expected}: {frame:?}");
             if frame.saturation(0) + frame.saturation(1) > 0.0 {
                 saturated += 1;
-                assert!(frame.rendered_force < 0.999 * frame.wall_force, "{frame:?}");
+                // The feed-forward is cut before the force is.
+                let cut = frame.rendered_force < 0.999 * frame.wall_force;
+                assert!(cut || feed_forward == FeedForward::Full, "{frame:?}");
             }
         }
         assert!((5..35).contains(&saturated), "{saturated} of 40 saturated with {feed_forward:?}");

@@ -154,6 +154,18 @@ impl Numbers {
         Err(Failure::wrong(reason).remedy("separate them with commas, without spaces"))
     }
 
+    /// One positive number for each of `walls` walls.
+    pub fn per_wall(self, walls: usize, option: &str) -> Result<Vec<f64>, Failure> {
+        if self.0.len() != walls {
+            let reason = format!("{option} has {} numbers for {walls} walls (--normal)", self.0.len());
+            return Err(Failure::wrong(reason).remedy("give one number per --normal, separated by commas"));
+        }
+        if let Some(wrong) = self.0.iter().find(|value| **value <= 0.0) {
+            return Err(Failure::wrong(format!("{option} holds {wrong}")).remedy("every wall needs a positive number"));
+        }
+        Ok(self.0)
+    }
+
     /// A direction of `task` entries, made a unit vector.
     pub fn unit(self, task: usize, option: &str) -> Result<Vec<f64>, Failure> {
         let values = self.exactly(task, option, "task directions")?;

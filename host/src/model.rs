@@ -8,6 +8,7 @@ use haptic_bridge::math::{Libm, Math, Minimax, Real};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::inertia::Inertia;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::model::principal::{Principal, Pull};
 use haptic_bridge::with_mechanism;
 use nalgebra::{DMatrix, SMatrix, SVector};
 use serde::Serialize;
@@ -32,10 +33,24 @@ pub struct WallForce {
     pub normal: Vec<f64>,
     /// Force along the normal, N.
     pub force: f64,
+    /// Its stiffness in any unit that all walls share: with several walls it decides what is rendered.
+    pub stiffness: f64,
+}
+
+/// One direction of the stiffness of several walls (docs/model.md section 2).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Direction {
+    /// Unit vector, d entries.
+    pub along: Vec<f64>,
+    /// Stiffness along it over that of the stiffest wall.
+    pub stiffness: f64,
+    /// Share of the level that renders this direction and the stiffer ones; none for the last, where nothing is left
+    /// to shape.
+    pub share: Option<f64>,
 }
 
 /// Everything equation (4) is made of. R rendered directions, N joints, d task dimensions; the rendered basis is the
-/// normal itself for one wall and an orthonormal basis of the normals' span for several.
+/// normal itself for one wall, and for several the directions of their stiffness, the stiffest first.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// Tip, m (d).
@@ -62,12 +77,15 @@ pub struct Report {
     pub coupling: Rows,
     /// fa of (4) (N-R).
     pub f_a: Vec<f64>,
-    /// τ of (4) with g in z, N m (N).
+    /// τ of (4) with g in z, N m (N); of several walls by the levels of docs/model.md section 2.
     pub torque: Vec<f64>,
     /// Jrᵀ fr, N m (N).
     pub torque_without_feed_forward: Vec<f64>,
     /// Condition numbers.
     pub condition: Condition,
+    /// What several walls render, the stiffest direction first; empty for one wall.
+    #[serde(skip)]
+    pub directions: Vec<Direction>,
 }
 
 /// Condition numbers in the 2-norm.
@@ -247,12 +265,15 @@ fn report<T: Real, K: Math<T>, const N: usize, M: Mechanism<T, N>>(
     let task = M::SPEC.task;
     let pose = mechanism.pose::<K>(&vector_of(q));
     let qd = vector_of(qd);
-    let normals: Vec<SVector<T, N>> = walls.iter().map(|wall| vector_of(&wall.normal)).collect();
+    let pulls: Vec<Pull<T, N>> = walls
+        .iter()
+        .map(|wall| Pull { normal: vector_of(&wall.normal), stiffness: T::from_f64(wall.stiffness) })
+        .collect();
     let force = walls
         .iter()
-        .zip(&normals)
-        .fold(SVector::<T, N>::zeros(), |sum, (wall, normal)| sum + normal * T::from_f64(wall.force));
-    let inertia = Inertia::holding::<K, M>(mechanism, &pose, &qd, &normals, &force, admissible);
+        .zip(&pulls)
+        .fold(SVector::<T, N>::zeros(), |sum, (wall, pull)| sum + pull.normal * T::from_f64(wall.force));
+    let inertia = Inertia::holding::<K, M>(mechanism, &pose, &qd, &pulls, &force, admissible);
     let jacobian = mechanism.jacobian(&pose);
     let mass = mechanism.mass(&pose);
     let bias = mechanism.coriolis(&pose, &qd) + mechanism.gravity(&pose);
@@ -276,7 +297,18 @@ fn report<T: Real, K: Math<T>, const N: usize, M: Mechanism<T, N>>(
             jacobian: condition(&rows(&jacobian, 0..task, 0..N)),
             mass: condition(&rows(&mass, 0..N, 0..N)),
         },
+        directions: if walls.len() > 1 { directions(&Principal::new::<K>(&pulls, task), task) } else { Vec::new() },
     }
+}
+
+fn directions<T: Real, const N: usize>(principal: &Principal<T, N>, task: usize) -> Vec<Direction> {
+    (0..task)
+        .map(|i| Direction {
+            along: list(&principal.direction(i), 0..task),
+            stiffness: principal.along(i).to_f64(),
+            share: (i + 1 < N).then(|| principal.share(i + 1).to_f64()),
+        })
+        .collect()
 }
 
 fn list<T: Real, const N: usize>(values: &SVector<T, N>, range: core::ops::Range<usize>) -> Vec<f64> {
@@ -309,20 +341,11 @@ impl Report {
             && self.condition.mass.is_finite()
     }
 
-    /// Wrr/Weff - 1 for one rendered direction; for several, the largest such ratio over the rendered directions.
+    /// Wrr/Weff - 1 of one wall; 0 without a wall.
     pub fn gain(&self) -> f64 {
-        let size = self.w_rr.len();
-        if size == 0 {
-            return 0.0;
+        match (self.w_rr.as_slice(), self.w_eff.as_slice()) {
+            ([w_rr], [w_eff]) => w_rr[0] / w_eff[0] - 1.0,
+            _ => 0.0,
         }
-        let w_rr = DMatrix::from_fn(size, size, |i, j| self.w_rr[i][j]);
-        let w_eff = DMatrix::from_fn(size, size, |i, j| self.w_eff[i][j]);
-        // Largest generalised eigenvalue of Wrr against Weff, through the Cholesky factor of Weff.
-        let Some(factor) = w_eff.cholesky() else { return 0.0 };
-        let l = factor.l();
-        let Some(half) = l.solve_lower_triangular(&w_rr) else { return 0.0 };
-        let Some(whole) = l.solve_lower_triangular(&half.transpose()) else { return 0.0 };
-        let symmetric = (&whole + whole.transpose()) * 0.5;
-        symmetric.symmetric_eigenvalues().max() - 1.0
     }
 }

@@ -5,16 +5,18 @@
 //! with E = J⁻¹ Q (Q an orthonormal basis of the rendered directions) and b = c + g - M T⁻¹Ṫ q̇,
 //! Wrr = Eᵀ M E, zr = Eᵀ b and **τ = M E Wrr⁻¹ (fr - Eᵀ b) + b**.
 //!
-//! [`shaped_torque`] is that line, the one the board runs; [`Split`] and [`Inertia`] hold the paper's own quantities
-//! for the analysis.
+//! [`shaped_torque`] is that line, the one the board runs for a wall ([`crate::model::principal`] for several); [`Split`]
+//! and [`Inertia`] hold the paper's own quantities for the analysis.
 
 use crate::math::{Math, Real};
 use crate::model::admissible::Admissible;
 use crate::model::mechanism::{Mechanism, Shaping};
+use crate::model::principal::{Principal, Pull};
 use nalgebra::{SMatrix, SVector};
 
-/// A normal adds a rendered direction when this much of it (sine of the angle) lies outside the span of the others.
-pub const RANK_TOLERANCE: f64 = 1.0e-3;
+/// Directions along which the walls' stiffness is less than this share of the largest do not count as rendered in an
+/// [`Inertia`]: the square of the angle by which rounding in f32 parts two equal normals, and a hundred times more.
+pub const NO_STIFFNESS: f64 = 1.0e-12;
 
 /// An orthonormal basis of the task space whose first columns span the rendered directions.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,85 +28,42 @@ pub struct Split<T: Real, const N: usize> {
 }
 
 impl<T: Real, const N: usize> Split<T, N> {
-    /// The split for walls with these unit normals (zeros beyond the task dimension `task`).
+    /// The split for one wall with this unit normal (zeros beyond the task dimension `task`).
     ///
-    /// One normal in the plane is completed by (-n_y, n_x), in space by the normalised part of e_k across n
-    /// (k the smallest |n_k|) and its cross product; coordinates beyond the task are admissible as they stand.
-    /// A normal within [`RANK_TOLERANCE`] of the span of the earlier ones adds nothing.
-    pub fn new<K: Math<T>>(normals: &[SVector<T, N>], task: usize) -> Self {
-        let mut basis = SMatrix::<T, N, N>::zeros();
-        let mut rank = 0;
-        let tolerance = T::from_f64(RANK_TOLERANCE);
-        for normal in normals {
-            if rank < task
-                && let Some(unit) = across::<T, K, N>(&basis, rank, normal, tolerance)
-            {
-                basis.set_column(rank, &unit);
-                rank += 1;
-            }
+    /// It is completed in the plane by (-n_y, n_x), in space by the normalised part of e_k across n (k the smallest
+    /// |n_k|) and its cross product; coordinates beyond the task are admissible as they stand.
+    pub fn new<K: Math<T>>(normal: &SVector<T, N>, task: usize) -> Self {
+        let normal = &(normal / K::sqrt(normal.dot(normal)));
+        let mut basis = SMatrix::<T, N, N>::identity();
+        basis.set_column(0, normal);
+        if task == 2 && N >= 2 {
+            basis[(0, 1)] = -normal[1];
+            basis[(1, 1)] = normal[0];
+        } else if task == 3 && N >= 3 {
+            let smallest = (1..3).fold(0, |k, i| if normal[i].abs() < normal[k].abs() { i } else { k });
+            let mut across = SVector::<T, N>::zeros();
+            across[smallest] = T::one();
+            across -= normal * normal[smallest];
+            across /= K::sqrt(across.dot(&across));
+            basis.set_column(1, &across);
+            basis.set_column(2, &cross(normal, &across));
         }
-        let rendered = rank;
-        if task == 2 && rank == 1 {
-            let (x, y) = (basis[(0, 0)], basis[(1, 0)]);
-            basis[(0, 1)] = -y;
-            basis[(1, 1)] = x;
-            rank = 2;
-        } else if task == 3 && rank == 1 {
-            let n: SVector<T, N> = basis.column(0).into_owned();
-            let smallest = (1..task).fold(0, |k, i| if n[i].abs() < n[k].abs() { i } else { k });
-            let mut unit = SVector::<T, N>::zeros();
-            unit[smallest] = T::one();
-            if let Some(t1) = across::<T, K, N>(&basis, 1, &unit, tolerance) {
-                basis.set_column(1, &t1);
-                basis.set_column(2, &cross(&n, &t1));
-            }
-            rank = 3;
-        } else if task == 3 && rank == 2 {
-            let (a, b): (SVector<T, N>, SVector<T, N>) = (basis.column(0).into_owned(), basis.column(1).into_owned());
-            basis.set_column(2, &cross(&a, &b));
-            rank = 3;
-        } else if rank == 0 {
-            rank = task;
-            for i in 0..task {
-                basis[(i, i)] = T::one();
-            }
-        }
-        for i in rank..N {
-            basis[(i, i)] = T::one();
-        }
-        Self { basis, rendered }
+        Self { basis, rendered: 1 }
     }
 
-    /// Column `i` of the basis; zero beyond it, so that asking cannot panic.
-    #[inline(always)]
-    pub fn direction(&self, i: usize) -> SVector<T, N> {
-        SVector::from_fn(|row, _| self.basis.get((row, i)).copied().unwrap_or_default())
-    }
-}
-
-/// The direction of the part of `vector` that is perpendicular to the first `rank` columns of `basis`, as a unit vector;
-/// none where `vector` is within `tolerance` of their span. Orthogonalised twice, so that it is orthonormal to rounding
-/// even where little is left.
-fn across<T: Real, K: Math<T>, const N: usize>(
-    basis: &SMatrix<T, N, N>,
-    rank: usize,
-    vector: &SVector<T, N>,
-    tolerance: T,
-) -> Option<SVector<T, N>> {
-    let mut rest = *vector;
-    for pass in 0..2 {
-        for i in 0..rank {
-            let column = basis.column(i);
-            rest -= column * column.dot(&rest);
+    /// The split for these walls: one wall's by its normal, several walls' by the directions of their stiffness.
+    fn of<K: Math<T>>(walls: &[Pull<T, N>], task: usize) -> Self {
+        match walls {
+            [] => Self { basis: SMatrix::identity(), rendered: 0 },
+            [only] => Self::new::<K>(&only.normal, task),
+            several => {
+                let principal = Principal::new::<K>(several, task);
+                let least = principal.along(0) * T::from_f64(NO_STIFFNESS);
+                let rendered = principal.stiffness.iter().filter(|along| **along > least).count();
+                Self { basis: principal.basis, rendered }
+            }
         }
-        let length = K::sqrt(rest.dot(&rest));
-        let enough = if pass == 0 { length > tolerance } else { length > T::zero() };
-        if !enough {
-            return None;
-        }
-        rest /= length;
     }
-    Some(rest)
 }
 
 /// Cross product in the first three coordinates (zero where there are fewer).
@@ -135,31 +94,6 @@ pub fn shaped_torque_beside<T: Real, const N: usize>(
     met: &SVector<T, N>,
 ) -> SVector<T, N> {
     shaping.me * ((force - shaping.e.dot(met)) / shaping.w_rr) + b
-}
-
-/// As [`shaped_torque_beside`] in the R rendered directions of `split`; `shapings` are those of its first R columns, `force`
-/// the resultant as a task force.
-pub fn shaped_torque_in_span<T: Real, const N: usize>(
-    split: &Split<T, N>,
-    shapings: &[Shaping<T, N>; N],
-    force: &SVector<T, N>,
-    b: &SVector<T, N>,
-    met: &SVector<T, N>,
-) -> SVector<T, N> {
-    let rank = split.rendered.min(N);
-    // Solve Wrr y = fr - Eᵀ b, the directions that are not rendered decoupled with a unit diagonal.
-    let mut w_rr = SMatrix::<T, N, N>::identity();
-    let mut right = SVector::<T, N>::zeros();
-    for i in 0..rank {
-        right[i] = split.basis.column(i).dot(force) - shapings[i].e.dot(met);
-        for j in 0..rank {
-            if let Some(entry) = w_rr.get_mut((i, j)) {
-                *entry = shapings[i].e.dot(&shapings[j].me);
-            }
-        }
-    }
-    let y = solve_symmetric(&w_rr, &right);
-    (0..rank).fold(*b, |torque, i| torque + shapings[i].me * y[i])
 }
 
 /// x with A x = y for a symmetric positive definite A (N x N), by LDLᵀ without a square root. A pivot that is not
@@ -230,15 +164,15 @@ pub struct Inertia<T: Real, const N: usize> {
 
 impl<T: Real, const N: usize> Inertia<T, N> {
     /// Everything equation (4) says of a mechanism in `pose` at joint velocities `qd` (rad/s), against plane walls
-    /// with these unit `normals` whose forces add up to `force` (N, a task vector).
+    /// whose forces add up to `force` (N, a task vector).
     pub fn new<K: Math<T>, M: Mechanism<T, N>>(
         mechanism: &M,
         pose: &M::Pose,
         qd: &SVector<T, N>,
-        normals: &[SVector<T, N>],
+        walls: &[Pull<T, N>],
         force: &SVector<T, N>,
     ) -> Self {
-        Self::holding::<K, M>(mechanism, pose, qd, normals, force, Admissible::Orientation)
+        Self::holding::<K, M>(mechanism, pose, qd, walls, force, Admissible::Orientation)
     }
 
     /// As [`Inertia::new`], a redundant device holding `admissible` instead of φ. The basis then holds the null motion
@@ -247,11 +181,11 @@ impl<T: Real, const N: usize> Inertia<T, N> {
         mechanism: &M,
         pose: &M::Pose,
         qd: &SVector<T, N>,
-        normals: &[SVector<T, N>],
+        walls: &[Pull<T, N>],
         force: &SVector<T, N>,
         admissible: Admissible,
     ) -> Self {
-        let split = Split::new::<K>(normals, M::SPEC.task);
+        let split = Split::of::<K>(walls, M::SPEC.task);
         let rank = split.rendered;
         let tip = split.basis;
         let mut b = mechanism.velocity_torque(pose, qd);
@@ -295,24 +229,16 @@ impl<T: Real, const N: usize> Inertia<T, N> {
         }
 
         let in_span = tip.tr_mul(force);
-        let torque = if rank == 1 {
-            shaped_torque(&shapings[0], in_span[0], &b)
-        } else {
-            shaped_torque_in_span(&split, &shapings, force, &b, &b)
-        };
-        let mut w_rr = SMatrix::<T, N, N>::identity();
-        let mut right = SVector::<T, N>::zeros();
-        for i in 0..rank {
-            right[i] = in_span[i] - z[i];
-            for j in 0..rank {
-                w_rr[(i, j)] = w[(i, j)];
+        let torque = match walls {
+            [] => b,
+            [_] => shaped_torque(&shapings[0], in_span[0], &b),
+            several => {
+                let principal = Principal::new::<K>(several, M::SPEC.task);
+                let (shaped, plain) = principal.shaped(&shapings, force, T::one(), |_| Some((b, b)));
+                shaped + mechanism.transpose(pose, &plain)
             }
-        }
-        let y = solve_symmetric(&w_rr, &right);
-        let mut f_a = SVector::<T, N>::zeros();
-        for i in rank..N {
-            f_a[i - rank] = (0..rank).fold(z[i], |sum, j| sum + w[(i, j)] * y[j]);
-        }
+        };
+        let f_a = SVector::from_fn(|i, _| shapings.get(i + rank).map_or(T::zero(), |shaping| shaping.e.dot(&torque)));
         let mut without = SVector::<T, N>::zeros();
         for i in 0..rank {
             without += rows[i] * in_span[i];

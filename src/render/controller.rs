@@ -10,9 +10,10 @@
 
 use crate::math::{Math, Real};
 use crate::model::device::Device;
-use crate::model::inertia::{Split, shaped_torque_beside, shaped_torque_in_span, solve_symmetric};
+use crate::model::inertia::{shaped_torque_beside, solve_symmetric};
 use crate::model::mechanism::{Mechanism, Regularity, Shaping, shared_pose};
 use crate::model::precomputed::MassModel;
+use crate::model::principal::Principal;
 use crate::render::scene::{
     Admissible, FeedForward, MAX_SPRINGS, MAX_WALLS, Scene, SceneError, Spring, VelocityTerms, task_vector,
 };
@@ -23,7 +24,8 @@ use heapless::Vec;
 use nalgebra::SVector;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
-use walls::{Active, Walls};
+pub use walls::TOUCH_DEPTH;
+use walls::{Acting, Active, Walls};
 
 mod encoders;
 mod walls;
@@ -67,6 +69,10 @@ pub struct Step<T: Real, const N: usize> {
     pub tip: SVector<T, N>,
     /// Joint torques, N m.
     pub torque: SVector<T, N>,
+    /// What of them holds the device against gravity, N m.
+    pub gravity: SVector<T, N>,
+    /// What of them renders the forces that walls, springs and fields ask for, Jᵀ f, N m. The rest is the feed-forward.
+    pub rendered: SVector<T, N>,
     /// Distance to the deepest wall, m; negative inside it. Zero without walls.
     pub distance: T,
     /// Velocity along the normal of the deepest wall, m/s.
@@ -191,6 +197,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             qd,
             tip,
             torque: SVector::zeros(),
+            gravity: SVector::zeros(),
+            rendered: SVector::zeros(),
             distance: touch.distance,
             normal_velocity: touch.normal_velocity,
             wall_force: touch.wall_force,
@@ -212,34 +220,40 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
         // (4): what is shaped goes through M E Wrr⁻¹, the rest straight through Jᵀ.
         if let Some(mut first) = touch.first {
-            if let Some(gain) = self.gain {
+            if let Some(gain) = self.gain
+                && more.is_empty()
+            {
                 let kept = first.shaped * self.below_the_pole(table, &turned, &pose, &first.normal, gain);
                 plain += first.normal * (first.shaped - kept);
                 first.shaped = kept;
                 straight = true;
             }
+            let shaped = more.iter().fold(first.normal * first.shaped, |sum, a| sum + a.normal * a.shaped);
+            step.rendered = self.mechanism.transpose(&pose, &(plain + shaped));
             let parallel = regularity.parallel * T::from_f64(1.0 / PARALLEL_REGULARITY);
             let share = fade(regularity.serial.lesser(parallel));
             if share < T::one() || !more.is_empty() {
                 // Copies, so that the usual case need not keep these in memory.
                 let (pose, place, qd, turned, first) = (pose, place, qd, turned, first);
-                let resultant = more.iter().fold(first.normal * first.shaped, |sum, a| sum + a.normal * a.shaped);
-                if share > T::zero() {
-                    step.torque =
-                        self.shaped_by_several(table, &turned, &pose, &place, &qd, &first, &more, &resultant) * share;
-                }
+                let left;
+                (step.torque, left) =
+                    self.shaped_by_several(table, &turned, &pose, &place, &qd, &first, &more, &shaped, share);
                 step.shaping = share;
-                plain += resultant * (T::one() - share);
+                plain += left;
                 straight = true;
             } else {
                 step.torque = self.shaped_by_one(table, &turned, &pose, &place, &qd, &first);
             }
-        }
-        if straight {
-            step.torque += self.mechanism.transpose(&pose, &plain);
+            if straight {
+                step.torque += self.mechanism.transpose(&pose, &plain);
+            }
+        } else if straight {
+            step.torque = self.mechanism.transpose(&pose, &plain);
+            step.rendered = step.torque;
         }
         if self.gravity {
-            step.torque += self.mechanism.gravity(&pose);
+            step.gravity = self.mechanism.gravity(&pose);
+            step.torque += step.gravity;
         }
         step
     }
@@ -264,7 +278,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         if !self.biased {
             return shaping.me * (only.shaped / shaping.w_rr);
         }
-        let (b, met) = self.bias(pose, place, qd, core::slice::from_ref(only), &only.normal);
+        let (b, met) = self.bias(pose, place, qd, &Acting::One(only));
         shaped_torque_beside(&shaping, only.shaped, &b, &met)
     }
 
@@ -298,8 +312,9 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         (most / gain).lesser(T::one())
     }
 
-    /// The feed-forward torques of one or several active walls, without gravity. Out of line: the usual single wall
-    /// away from singularities does not come here.
+    /// The share `share` of the feed-forward of one or several active walls, whose resultant is `force` (N): torques
+    /// without gravity, and what of the force is left for Jᵀ. Out of line: the usual single wall away from
+    /// singularities does not come here.
     #[allow(clippy::too_many_arguments)]
     #[inline(never)]
     fn shaped_by_several(
@@ -311,52 +326,51 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         qd: &SVector<T, N>,
         first: &Active<T, N>,
         more: &[Active<T, N>],
-        resultant: &SVector<T, N>,
-    ) -> SVector<T, N> {
-        let mut active: Vec<Active<T, N>, MAX_WALLS> = Vec::new();
-        let mut normals: Vec<SVector<T, N>, MAX_WALLS> = Vec::new();
-        for a in core::iter::once(first).chain(more) {
-            let _ = active.push(*a);
-            let _ = normals.push(a.normal);
+        force: &SVector<T, N>,
+        share: T,
+    ) -> (SVector<T, N>, SVector<T, N>) {
+        if share <= T::zero() {
+            return (SVector::zeros(), *force);
         }
         if more.is_empty() {
             let shaping = self.held(self.mass.shaping(&self.mechanism, table, q, pose, &first.normal), pose);
-            let (b, met) = self.bias(pose, place, qd, &active, &first.normal);
-            return shaped_torque_beside(&shaping, first.shaped, &b, &met);
+            let (b, met) = self.bias(pose, place, qd, &Acting::One(first));
+            (shaped_torque_beside(&shaping, first.shaped, &b, &met) * share, force * (T::one() - share))
+        } else {
+            let together = self.walls.together::<K, N>(first, more, place, M::SPEC.task);
+            let along = |i| {
+                self.held(self.mass.shaping(&self.mechanism, table, q, pose, &together.principal.direction(i)), pose)
+            };
+            let unused = Shaping { e: SVector::zeros(), me: SVector::zeros(), w_rr: T::one() };
+            let shapings = core::array::from_fn(|i| if i + 1 < N { along(i) } else { unused });
+            let bias = |level| self.bias(pose, place, qd, &Acting::Level(&together, level));
+            let first = &together.principal.direction(0);
+            let gained = |gain| {
+                let most = gain * self.below_the_pole(table, q, pose, first, gain);
+                (T::one() + (most - T::one()) * lone(&together.principal)) / gain
+            };
+            let part = share * self.gain.map_or(T::one(), gained);
+            together.principal.shaped(&shapings, force, part, |level| self.biased.then(|| bias(level)))
         }
-        let split = Split::new::<K>(&normals, M::SPEC.task);
-        if split.rendered == N {
-            // Everything is rendered: nothing is admissible, and (4) adds nothing.
-            return self.mechanism.transpose(pose, resultant);
-        }
-        let shapings: [Shaping<T, N>; N] = core::array::from_fn(|i| {
-            self.held(self.mass.shaping(&self.mechanism, table, q, pose, &split.direction(i)), pose)
-        });
-        // One rendered direction, or two in space with one admissible across them.
-        let turning = if split.rendered == 1 { 0 } else { N - 1 };
-        let (b, met) = self.bias(pose, place, qd, &active, &split.direction(turning));
-        shaped_torque_in_span(&split, &shapings, resultant, &b, &met)
     }
 
     /// b without gravity: c - M J⁻¹(J̇ q̇ + κ), and B q̇ where a wall asks for it; and what of it the walls shall meet:
     /// all of it by the paper's (4), B q̇ alone where the force is rendered whatever moves. Zero when the scene has no
-    /// velocity terms. `line` is the direction that turns with curved walls (see
-    /// [`frame_rate`](crate::model::inertia::frame_rate)).
+    /// velocity terms.
     #[inline(never)]
     fn bias(
         &self,
         pose: &M::Pose,
         place: &SVector<T, N>,
         qd: &SVector<T, N>,
-        active: &[Active<T, N>],
-        line: &SVector<T, N>,
+        acting: &Acting<'_, T, N>,
     ) -> (SVector<T, N>, SVector<T, N>) {
         let mut b = SVector::zeros();
         if self.velocity_terms != VelocityTerms::Off {
             b = self.mechanism.velocity_torque(pose, qd);
             if M::SPEC.task > 1 && self.walls.curved {
                 let velocity = task_part::<T, M, N>(&self.mechanism.velocity(pose, qd));
-                let acceleration = self.walls.turning::<K, N>(place, &velocity, active, line);
+                let acceleration = self.walls.turning::<K, N>(place, &velocity, acting);
                 b += MassModel::Exact.shaping(&self.mechanism, &[], qd, pose, &acceleration).me;
             }
             if M::SPEC.task < N && self.admissible != Admissible::Orientation {
@@ -364,7 +378,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
                 b = self.admissible.hold_bias(&b, &bent, &self.null(pose));
             }
         }
-        let damping = if self.walls.damps(active) { self.viscous.component_mul(qd) } else { SVector::zeros() };
+        let share = self.walls.damping_share(acting);
+        let damping = if share > T::zero() { self.viscous.component_mul(qd) * share } else { SVector::zeros() };
         let met = if self.velocity_terms == VelocityTerms::Rendered { damping } else { b + damping };
         (b + damping, met)
     }
@@ -435,6 +450,15 @@ fn task_part<T: Real, M: Mechanism<T, N>, const N: usize>(v: &SVector<T, N>) -> 
         part[i] = T::zero();
     }
     part
+}
+
+/// How much several walls are like one, for which a gain of the feed-forward above 1 is meant: a smooth step from 1,
+/// where they are, to 0 where the second direction has a hundredth of the stiffness of the first (two equal facets 11°
+/// apart). Beyond, the proof that no set of walls is less stable than without the feed-forward needs a gain of 1.
+fn lone<T: Real, const N: usize>(principal: &Principal<T, N>) -> T {
+    let second = principal.along(1) * T::from_f64(100.0);
+    let s = (T::one() - second / principal.along(0).greater(T::EPSILON)).greater(T::zero());
+    s * s * (T::from_f64(3.0) - s - s)
 }
 
 /// The share of the feed-forward at a regularity: a smooth step from [`NO_REGULARITY`] to [`FULL_REGULARITY`].

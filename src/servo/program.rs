@@ -14,6 +14,7 @@ use crate::render::velocity::{Coefficients, Washout};
 use crate::safety::limits::Limits;
 use crate::safety::refusal::Refusal;
 use crate::servo::frame::Frame;
+use crate::servo::saturation::Asked;
 
 /// What a board is, as far as the servo cares.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -58,7 +59,7 @@ macro_rules! define {
             }
 
             /// One control step with the values of the mass model's table, if it has one; fills what a frame records of
-            /// it and [`Step::motion`], and returns the distances from singularities.
+            /// it and [`Step::motion`], and returns the distances from singularities and what the torques are for.
             #[inline(always)]
             pub(crate) fn step(
                 &mut self,
@@ -66,7 +67,7 @@ macro_rules! define {
                 table: &[f32],
                 frame: &mut Frame,
                 motion: &mut [f32; MAX_JOINTS],
-            ) -> Regularity<f32> {
+            ) -> (Regularity<f32>, Asked) {
                 match self {
                     $(Self::$Variant(controller) => {
                         record(controller.step_with(&head(counts), table), frame, motion)
@@ -128,7 +129,11 @@ fn pad<V: Copy + Default, const N: usize>(values: &[V; N]) -> [V; MAX_JOINTS] {
 }
 
 #[inline(always)]
-fn record<const N: usize>(step: Step<f32, N>, frame: &mut Frame, motion: &mut [f32; MAX_JOINTS]) -> Regularity<f32> {
+fn record<const N: usize>(
+    step: Step<f32, N>,
+    frame: &mut Frame,
+    motion: &mut [f32; MAX_JOINTS],
+) -> (Regularity<f32>, Asked) {
     *motion = pad(&step.motion.data.0[0]);
     frame.q = pad(&step.q.data.0[0]);
     frame.qd = pad(&step.qd.data.0[0]);
@@ -141,7 +146,8 @@ fn record<const N: usize>(step: Step<f32, N>, frame: &mut Frame, motion: &mut [f
     frame.shaping = step.shaping;
     frame.energy = step.energy;
     frame.passivity_damping = step.passivity_damping;
-    step.regularity
+    let (gravity, rendered) = (pad(&step.gravity.data.0[0]), pad(&step.rendered.data.0[0]));
+    (step.regularity, Asked { total: frame.torque, gravity, rendered })
 }
 
 /// A device in a scene on a board, ready to run: what is handed to the servo whole.

@@ -56,6 +56,10 @@ where
     /// Makes ready what steps and carrier periods are held to: after device, homing, rules or rate have changed.
     pub(super) fn set_bounds(&mut self) {
         let Some(program) = self.program.as_ref() else { return };
+        for (most, (limit, axis)) in self.most_torque.iter_mut().zip(self.rules.limits.torque.iter().zip(&program.axes))
+        {
+            *most = limit.min(axis.max_torque()).max(0.0);
+        }
         for (stall, axis) in self.budgets.stall.iter_mut().zip(&program.axes) {
             let torque = axis.max_torque();
             *stall = if torque > 0.0 { 0.8 * torque } else { f32::INFINITY };

@@ -3,14 +3,14 @@
 use serde_json::Value;
 use std::path::Path;
 
-/// The cases of `file` whose id is `mechanism-NNN` (`corner-mechanism-NNN` in corner.json).
+/// The cases of `file` whose id is `mechanism-NNN`.
 pub fn cases(file: &str, mechanism: &str) -> Vec<Value> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(file);
     let text = std::fs::read_to_string(&path).expect("the golden file is there");
     let mut document: Value = serde_json::from_str(&text).expect("the golden file is JSON");
     let Value::Array(cases) = document["cases"].take() else { panic!("{file} has no cases") };
     let of_mechanism = |case: &Value| {
-        let id = text_of(&case["id"]).trim_start_matches("corner-").to_string();
+        let id = text_of(&case["id"]).to_string();
         id.rsplit_once('-').is_some_and(|(kind, _)| kind == mechanism)
     };
     cases.into_iter().filter(of_mechanism).collect()

@@ -63,7 +63,7 @@ pub fn routes<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
 ) -> Routes<T, N> {
     let pose = m.pose::<K>(q);
     let (mass, jacobian) = (m.mass(&pose), m.jacobian(&pose));
-    let split = Split::new::<K>(&[*n], M::SPEC.task);
+    let split = Split::new::<K>(n, M::SPEC.task);
     // A unit vector to the last digit of this precision, the same for every route.
     let n = &split.basis.column(0).into_owned();
 

@@ -13,7 +13,8 @@ use std::path::PathBuf;
 /// Show what a wall meets at one pose: inertia, coupling, feed-forward torque
 ///
 /// Prints the mass matrix, the effective inertia Weff that a wall meets without the feed-forward, the inertia Wrr that
-/// it meets with it, and the joint torques of both. Give --normal and --force once per wall.
+/// it meets with it, and the joint torques of both. Give --normal and --force once per wall, and --stiffness once with
+/// one number per wall: several walls share the feed-forward by their stiffness.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML)
@@ -30,6 +31,9 @@ pub struct Args {
     /// Force of the wall along its normal, in N [default: 0]
     #[arg(long, value_name = "N", allow_hyphen_values = true)]
     force: Vec<Numbers>,
+    /// Stiffness of each wall, in N/m or any other unit [default: all alike]
+    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
+    stiffness: Option<Numbers>,
     /// What a redundant device holds: orientation, joint-0, joint-1, joint-2 or consistent
     #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = cli::admissible)]
     admissible: Admissible,
@@ -64,7 +68,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         None => vec![0.0; spec.joints],
     };
     warn(&angles(&q, "--q").into_iter().map(Doubt::typed).collect::<Vec<_>>());
-    let walls = walls(&args.normal, &args.force, spec.task)?;
+    let walls = walls(&args.normal, &args.force, args.stiffness, spec.task)?;
     let precision = match args.precision {
         Arithmetic::F32 => Precision::F32,
         Arithmetic::F64 => Precision::F64,
@@ -95,22 +99,32 @@ fn held(device: &DeviceFile, q: &[f64], wall: &WallForce, chosen: Admissible) ->
     Ok(text + ".\n")
 }
 
-/// Pairs normals with forces, the normals made unit vectors.
-fn walls(normals: &[Numbers], forces: &[Numbers], task: usize) -> Result<Vec<WallForce>, Failure> {
+/// Joins normals, made unit vectors, with forces and stiffness.
+fn walls(
+    normals: &[Numbers],
+    forces: &[Numbers],
+    stiffness: Option<Numbers>,
+    task: usize,
+) -> Result<Vec<WallForce>, Failure> {
     if !forces.is_empty() && forces.len() != normals.len() {
         let reason = format!("--normal is given {} times and --force {} times", normals.len(), forces.len());
         return Err(Failure::wrong(reason).remedy("give them in pairs, one pair per wall"));
     }
+    let stiffness = match stiffness {
+        Some(stiffness) => stiffness.per_wall(normals.len(), "--stiffness")?,
+        None => vec![1.0; normals.len()],
+    };
     normals
         .iter()
+        .zip(stiffness)
         .enumerate()
-        .map(|(index, normal)| {
+        .map(|(index, (normal, stiffness))| {
             let normal = normal.clone().unit(task, "--normal")?;
             let force = match forces.get(index) {
                 Some(force) => force.clone().exactly(1, "--force", "force")?[0],
                 None => 0.0,
             };
-            Ok(WallForce { normal, force })
+            Ok(WallForce { normal, force, stiffness })
         })
         .collect()
 }
@@ -140,6 +154,14 @@ fn readable(report: &Report, q: &[f64], qd: &[f64], walls: &[WallForce]) -> Stri
     if walls.is_empty() {
         text.push_str("\nNo wall: give --normal (and --force) to see what one meets here.\n");
         return text;
+    }
+    for (index, direction) in report.directions.iter().enumerate() {
+        let number = index + 1;
+        line(&format!("direction {number} of the stiffness"), "", row(&direction.along));
+        line("stiffness along it, relative", "", row(&[direction.stiffness]));
+        if let Some(share) = direction.share {
+            line(&format!("share of level {number}"), "", row(&[share]));
+        }
     }
     line("Weff, without feed-forward", "kg", matrix(&report.w_eff));
     line("Wrr, with feed-forward", "kg", matrix(&report.w_rr));
@@ -174,21 +196,22 @@ fn sideways(report: &Report) -> Option<f64> {
 /// What the feed-forward buys here, in a sentence. The stable area of an undamped device grows by (Wrr/Weff)².
 fn verdict(report: &Report) -> String {
     let gain = report.gain();
-    let directions = match report.w_rr.len() {
-        1 => "this wall meets",
-        _ => "a wall meets at most",
-    };
-    if report.w_aa.is_empty() {
+    if !report.directions.is_empty() {
+        "Several walls share the feed-forward by their stiffness: level 1 shapes what acts along direction 1, and so on; \
+         the less, the nearer the next direction comes in stiffness. `haptic range` with the same --normal and --share \
+         tells what it buys.\n"
+            .into()
+    } else if report.w_aa.is_empty() {
         "No direction is left free: nothing couples, and the feed-forward adds only the compensation of z.\n".into()
     } else if gain < 0.03 {
         format!(
-            "With the feed-forward {directions} {:.1} % more inertia here: it buys next to nothing at this pose and \
+            "With the feed-forward this wall meets {:.1} % more inertia here: it buys next to nothing at this pose and \
              normal; leave it off.\n",
             100.0 * gain.max(0.0)
         )
     } else {
         format!(
-            "With the feed-forward {directions} {:.1} % more inertia here: the stable range of stiffness and damping \
+            "With the feed-forward this wall meets {:.1} % more inertia here: the stable range of stiffness and damping \
              grows to about {:.2} times the area.\n",
             100.0 * gain,
             (1.0 + gain) * (1.0 + gain)

@@ -5,6 +5,7 @@
 use super::Gains;
 use crate::math::{Math, Real};
 use crate::model::inertia::frame_rate;
+use crate::model::principal::{Principal, Pull};
 use crate::render::scene::{FeedForward, MAX_WALLS, Scene, SceneError, Wall};
 use crate::render::velocity::{Coefficients, Velocity, Washout};
 use heapless::Vec;
@@ -91,6 +92,34 @@ pub(super) struct Active<T: Real, const N: usize> {
     pub normal: SVector<T, N>,
     /// The part of its force that is shaped, N.
     pub shaped: T,
+}
+
+/// Walls that act together: where they are touched, their stiffness, and the directions that it singles out.
+#[derive(Clone, Debug)]
+pub(super) struct Together<T: Real, const N: usize> {
+    active: Vec<Active<T, N>, MAX_WALLS>,
+    pulls: Vec<Pull<T, N>, MAX_WALLS>,
+    pub principal: Principal<T, N>,
+}
+
+/// For what b of the feed-forward is asked.
+pub(super) enum Acting<'a, T: Real, const N: usize> {
+    /// One wall.
+    One(&'a Active<T, N>),
+    /// So many rendered directions of several walls.
+    Level(&'a Together<T, N>, usize),
+}
+
+/// Depth in which a wall's stiffness grows to its own in deciding what is rendered, m: touching a second wall then does
+/// not step the feed-forward of the first. Three steps of a shipped encoder, and the depth of a few newtons in the
+/// stiffest walls that these devices render.
+pub const TOUCH_DEPTH: f64 = 1.0e-4;
+
+/// The share of its stiffness with which a wall counts at a depth (m): a smooth step from 0 to [`TOUCH_DEPTH`].
+#[inline(always)]
+fn grown<T: Real>(depth: T) -> T {
+    let s = (depth * T::from_f64(1.0 / TOUCH_DEPTH)).lesser(T::one()).greater(T::zero());
+    s * s * (T::from_f64(3.0) - s - s)
 }
 
 /// All walls of a scene.
@@ -237,57 +266,90 @@ impl<T: Real> Walls<T> {
         touch
     }
 
-    /// Whether some of these walls compensates joint damping.
-    pub fn damps<const N: usize>(&self, active: &[Active<T, N>]) -> bool {
-        let damped = |a: &Active<T, N>| self.running.get(a.wall).is_some_and(|r| r.wall.damping_compensation);
-        self.damped && active.iter().any(damped)
+    /// What walls that act together render, at the tip position `place` (m).
+    #[inline(always)]
+    pub fn together<K: Math<T>, const N: usize>(
+        &self,
+        first: &Active<T, N>,
+        more: &[Active<T, N>],
+        place: &SVector<T, N>,
+        task: usize,
+    ) -> Together<T, N> {
+        let mut active: Vec<Active<T, N>, MAX_WALLS> = Vec::new();
+        let mut pulls: Vec<Pull<T, N>, MAX_WALLS> = Vec::new();
+        for a in core::iter::once(first).chain(more) {
+            let stiffness = self.running.get(a.wall).map_or(T::zero(), |running| {
+                let wall = &running.wall;
+                let depth = -wall.surface.contact::<K, N>(place).distance;
+                if wall.bilateral { wall.stiffness } else { wall.stiffness * grown(depth) }
+            });
+            let _ = active.push(*a);
+            let _ = pulls.push(Pull { normal: a.normal, stiffness });
+        }
+        let principal = Principal::new::<K>(&pulls, task);
+        Together { active, pulls, principal }
+    }
+
+    /// The share of joint damping that is compensated: of several walls, the share in their stiffness of those that
+    /// ask for it.
+    pub fn damping_share<const N: usize>(&self, acting: &Acting<'_, T, N>) -> T {
+        let asks = |a: &Active<T, N>| self.running.get(a.wall).is_some_and(|r| r.wall.damping_compensation);
+        if !self.damped {
+            return T::zero();
+        }
+        match acting {
+            Acting::One(only) if asks(only) => T::one(),
+            Acting::One(_) => T::zero(),
+            Acting::Level(together, _) => {
+                let (mut asking, mut all) = (T::zero(), T::zero());
+                for (a, pull) in together.active.iter().zip(&together.pulls) {
+                    all += pull.stiffness;
+                    asking += if asks(a) { pull.stiffness } else { T::zero() };
+                }
+                if all > T::zero() { asking / all } else { T::zero() }
+            }
+        }
     }
 
     /// The tip acceleration (m/s²) by which the turning of curved walls' normals differs from none, -κ of
-    /// [`frame_rate`]. `line` is the direction that turns.
+    /// [`frame_rate`].
     #[inline(never)]
     pub fn turning<K: Math<T>, const N: usize>(
         &self,
         place: &SVector<T, N>,
         velocity: &SVector<T, N>,
-        active: &[Active<T, N>],
-        line: &SVector<T, N>,
-    ) -> SVector<T, N> {
-        -frame_rate(line, &self.line_rate::<K, N>(place, velocity, active, line), velocity)
-    }
-
-    /// The rate of the turning direction: ṅ itself for one wall; for the admissible line t across several, the rate
-    /// that keeps it across all of them, ṫ = -Σ (t·ṅᵢ) nᵢ', with n' the reciprocal basis of the first two normals.
-    #[inline(always)]
-    fn line_rate<K: Math<T>, const N: usize>(
-        &self,
-        place: &SVector<T, N>,
-        velocity: &SVector<T, N>,
-        active: &[Active<T, N>],
-        line: &SVector<T, N>,
+        acting: &Acting<'_, T, N>,
     ) -> SVector<T, N> {
         let rate = |a: &Active<T, N>| match self.running.get(a.wall) {
             Some(running) => running.wall.surface.normal_rate::<K, N>(place, velocity),
             None => SVector::zeros(),
         };
-        match active {
-            [only] => rate(only),
-            [first, rest @ ..] => {
-                // The wall least parallel to the first spans the plane with it.
-                let aligned = |a: &Active<T, N>| a.normal.dot(&first.normal).abs();
-                let Some(second) = rest.iter().reduce(|x, y| if aligned(y) < aligned(x) { y } else { x }) else {
-                    return SVector::zeros();
+        let (line, line_rate) = match acting {
+            Acting::One(only) => (only.normal, rate(only)),
+            Acting::Level(together, rendered) => {
+                // How a principal direction follows the normals that make it: their rates, each by its part in it.
+                let follow = |i: usize| {
+                    let (mut sum, mut all) = (SVector::zeros(), T::zero());
+                    for (a, pull) in together.active.iter().zip(&together.pulls) {
+                        let along = together.principal.direction(i).dot(&a.normal);
+                        sum += rate(a) * (pull.stiffness * along);
+                        all += pull.stiffness * along * along;
+                    }
+                    if all > T::zero() { sum / all } else { SVector::zeros() }
                 };
-                if line.dot(&first.normal).abs() > T::from_f64(0.5) {
-                    return rate(first);
+                if *rendered == 1 {
+                    let (line, rate) = (together.principal.direction(0), follow(0));
+                    (line, rate - line * line.dot(&rate))
+                } else {
+                    // The admissible line stays across what is rendered.
+                    let line = together.principal.direction(N - 1);
+                    let held = (0..*rendered)
+                        .fold(SVector::zeros(), |sum, i| sum - together.principal.direction(i) * line.dot(&follow(i)));
+                    (line, held)
                 }
-                let cosine = first.normal.dot(&second.normal);
-                let sine_squared = (T::one() - cosine * cosine).greater(T::EPSILON);
-                let (r1, r2) = (line.dot(&rate(first)), line.dot(&rate(second)));
-                -(first.normal * (r1 - cosine * r2) + second.normal * (r2 - cosine * r1)) / sine_squared
             }
-            [] => SVector::zeros(),
-        }
+        };
+        -frame_rate(&line, &line_rate, velocity)
     }
 
     /// Whether a one-sided wall is touched at the tip position `place`.

@@ -1,0 +1,238 @@
+//! Torques never jump: their slopes over the angle between walls, over their stiffness ratio and over depth stay below
+//! bounds that do not depend on how finely one looks.
+
+use super::{at, device, scaled, torque};
+use haptic::device_file::DeviceFile;
+use haptic::model::Precision;
+use haptic_bridge::math::Libm;
+use haptic_bridge::model::description::Encoder;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::model::precomputed::MassModel;
+use haptic_bridge::render::controller::{Controller, TOUCH_DEPTH};
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::with_mechanism;
+use nalgebra::SVector;
+
+fn apart(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
+}
+
+/// The largest slope of `f` from `low` to `high`, looked at `steps` times.
+fn slope(low: f64, high: f64, steps: u32, mut f: impl FnMut(f64) -> Vec<f64>) -> f64 {
+    let step = (high - low) / f64::from(steps);
+    let mut last = f(low);
+    (1..=steps).fold(0.0, |worst: f64, i| {
+        let next = f(low + step * f64::from(i));
+        let found = apart(&next, &last) / step;
+        last = next;
+        worst.max(found)
+    })
+}
+
+/// Devices, poses and bases (three directions across each other) to turn normals in.
+fn stages() -> Vec<(DeviceFile, Vec<f64>)> {
+    vec![
+        (device("coupled-five-bar"), vec![2.6, 1.75]),
+        (device("serial-3r"), vec![0.4, 0.9, 0.7]),
+        (device("phantom-premium-1.5"), vec![0.3, 0.9, -0.3]),
+        (device("woodenhaptics"), vec![0.3, 0.9, -0.3]),
+    ]
+}
+
+/// A unit vector that turns with `angle`, in a plane or on a cone.
+fn turned(task: usize, angle: f64, tilt: f64) -> Vec<f64> {
+    match task {
+        2 => at(0.3 + angle),
+        _ => scaled(&[angle.cos(), angle.sin() + 0.2, tilt]),
+    }
+}
+
+/// N m for each newton straight through Jᵀ or by (4) along any one direction: what slopes are measured in.
+fn lever(device: &DeviceFile, q: &[f64]) -> f64 {
+    let task = device.spec().task;
+    let mut most = 0.0_f64;
+    for i in 0..64 {
+        let n = turned(task, 0.1 * f64::from(i), (f64::from(i) * 0.37).sin() * 2.0);
+        most = most.max(apart(&torque(device, q, &[(n, 1.0, 1.0)], Precision::F64), &vec![0.0; q.len()]));
+    }
+    most
+}
+
+#[test]
+fn torque_is_continuous_in_the_angle_between_walls() {
+    for (device, q) in stages() {
+        let (task, lever) = (device.spec().task, lever(&device, &q));
+        for ratio in [1.0, 1.3, 30.0, 1.0e4] {
+            for third in [false, true] {
+                let f = |angle: f64| {
+                    let mut walls =
+                        vec![(turned(task, 0.0, 0.4), 1.0, 5.0), (turned(task, angle, 0.4 + angle), ratio, 5.0)];
+                    if third {
+                        walls.push((turned(task, 0.7, -0.3), 0.5 * ratio, 3.0));
+                    }
+                    torque(&device, &q, &walls, Precision::F64)
+                };
+                // From walls in one plane, through 1 mrad, where the span of the normals would jump, to beyond 90°.
+                let fine = slope(-2.0e-3, 2.0e-3, 400, f);
+                let coarse = slope(-0.3, 2.0, 800, f);
+                // The normals themselves turn the torque of 13 N with a slope of 13 levers; e₁ turns at most so many
+                // times faster as the shares allow: 8 levers per newton, where the old rule made 4e4.
+                let bound = 8.0 * 13.0 * lever;
+                assert!(fine < bound && coarse < bound, "{} {ratio}: {fine}, {coarse} > {bound}", device.name);
+            }
+        }
+    }
+}
+
+#[test]
+fn torque_is_continuous_in_the_ratio_of_stiffness() {
+    for (device, q) in stages() {
+        let (task, lever) = (device.spec().task, lever(&device, &q));
+        for angle in [1.0e-3, 0.05, 0.6, 1.2, std::f64::consts::FRAC_PI_2] {
+            for third in [false, true] {
+                let mut f = |log: f64| {
+                    let mut walls =
+                        vec![(turned(task, 0.0, 0.4), 1.0, 5.0), (turned(task, angle, 0.4), log.exp(), 5.0)];
+                    if third {
+                        walls.push((turned(task, 0.7, -0.3), 3.0, 3.0));
+                    }
+                    torque(&device, &q, &walls, Precision::F64)
+                };
+                let (low, high) = (1.0e-4_f64.ln(), 1.0e4_f64.ln());
+                let whole = slope(low, high, 1_500, &mut f);
+                // Around equal stiffness, where eigenvectors change places.
+                let equal = slope(-1.0e-4, 1.0e-4, 200, &mut f);
+                let bound = 4.0 * 13.0 * lever;
+                assert!(whole < bound && equal < bound, "{} {angle}: {whole}, {equal} > {bound}", device.name);
+            }
+        }
+    }
+}
+
+/// Torques of a scene's first step at a fixed pose: walls (normal, stiffness, depth in m).
+fn step<M: Mechanism<f64, N>, const N: usize>(
+    m: M,
+    file: &DeviceFile,
+    q: &[f64],
+    walls: &[(Vec<f64>, f64, f64)],
+) -> Vec<f64> {
+    let mut description = file.description;
+    for joint in &mut description.joints {
+        joint.encoder = Some(Encoder { counts_per_turn: 1.0e9, offset: 0.0, inverted: false });
+    }
+    let counts: [i32; N] = core::array::from_fn(|i| (q[i] * 1.0e9 / std::f64::consts::TAU).round() as i32);
+    let tip = m.tip(&m.pose::<Libm>(&SVector::from_fn(|i, _| f64::from(counts[i]) * std::f64::consts::TAU / 1.0e9)));
+    let walls = walls.iter().map(|(normal, stiffness, depth)| {
+        let three = |f: &dyn Fn(usize) -> f64| core::array::from_fn(|i| if i < M::SPEC.task { f(i) } else { 0.0 });
+        Wall {
+            surface: Surface::Plane(Plane {
+                point: three(&|i| tip[i] + depth * normal[i]),
+                normal: three(&|i| normal[i]),
+            }),
+            stiffness: *stiffness,
+            damping: 0.0,
+            feed_forward: FeedForward::Full,
+            washout_hz: 2.0,
+            damping_compensation: false,
+            bilateral: false,
+        }
+    });
+    let scene =
+        Scene { task: M::SPEC.task as u8, walls: walls.collect(), gravity_compensation: false, ..Scene::default() };
+    let device = Device::new("device", &description).expect("a sound device");
+    let mut controller =
+        Controller::<f64, M, Libm, N>::new(m, &device, &scene, MassModel::Exact).expect("a sound scene");
+    controller.step(&counts).torque.iter().copied().collect()
+}
+
+#[test]
+fn torque_is_continuous_in_depth() {
+    for (file, q) in stages() {
+        let (task, lever) = (file.spec().task, lever(&file, &q));
+        for (soft, stiff) in [(2_000.0, 2_000.0), (5_000.0, 20_000.0), (20.0, 200_000.0), (20_000.0, 2.0)] {
+            for angle in [0.05, 0.8, std::f64::consts::FRAC_PI_2] {
+                for third in [false, true] {
+                    // 2 mm deep in the first wall, and gradually touching the second.
+                    let f = |depth: f64| {
+                        let mut walls =
+                            vec![(turned(task, 0.0, 0.4), soft, 2.0e-3), (turned(task, angle, 0.4), stiff, depth)];
+                        if third {
+                            walls.push((turned(task, 0.7, -0.3), 0.3 * stiff, depth - 1.0e-4));
+                        }
+                        with_mechanism!(AnyMechanism::<f64>::new(&file.description).unwrap(), m => step(m, &file, &q, &walls))
+                    };
+                    // The walls' own forces give each its stiffness times a lever. The shaping of the first changes
+                    // over the depth in which the second grows, the sooner the stiffer it is: ∂w/∂x ≤ 2 · 1.5 k₂/k₁
+                    // over TOUCH_DEPTH, times its force.
+                    let first = soft * 2.0e-3;
+                    let bound = 3.0 * lever * (1.6 * stiff + 3.0 * first / TOUCH_DEPTH * (stiff / soft).max(1.0));
+                    let whole = slope(-1.0e-4, 5.0e-4, 300, f);
+                    let touch = slope(-1.0e-7, 1.0e-7, 20, f);
+                    assert!(whole < bound && touch < bound, "{} {soft} {stiff}: {whole}, {touch} > {bound}", file.name);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn touching_a_second_wall_does_not_step_the_shaping_of_the_first() {
+    for (file, q) in stages() {
+        let task = file.spec().task;
+        let with = |walls: &[(Vec<f64>, f64, f64)]| with_mechanism!(AnyMechanism::<f64>::new(&file.description).unwrap(), m => step(m, &file, &q, walls));
+        let first = (turned(task, 0.0, 0.4), 5_000.0, 2.0e-3);
+        let alone = with(std::slice::from_ref(&first));
+        for angle in [0.05, 0.8, std::f64::consts::FRAC_PI_2] {
+            // 10 nm deep: a wall of 5 kN/m pushes with 0.05 mN.
+            let touched = with(&[first.clone(), (turned(task, angle, 0.4), 5_000.0, 1.0e-8)]);
+            let step = apart(&alone, &touched) / apart(&alone, &vec![0.0; q.len()]);
+            assert!(step < 1.0e-4, "{}: {step:e} of the torque", file.name);
+            let pressed = with(&[first.clone(), (turned(task, angle, 0.4), 5_000.0, 2.0e-3)]);
+            assert!(apart(&alone, &pressed) > 0.01 * apart(&alone, &vec![0.0; q.len()]), "the second wall acts");
+        }
+    }
+}
+
+#[test]
+fn the_board_computes_what_double_precision_does_up_to_a_ratio_of_ten_thousand() {
+    for (device, q) in stages() {
+        let (task, lever) = (device.spec().task, lever(&device, &q));
+        for ratio in [1.0, 1.001, 10.0, 1.0e4] {
+            for angle in [0.0, 1.0e-3, 0.1, 0.9, std::f64::consts::FRAC_PI_2] {
+                let walls = [
+                    (turned(task, 0.0, 0.4), 1.0, 5.0),
+                    (turned(task, angle, 0.4), ratio, 5.0),
+                    (turned(task, 0.7, -0.3), 0.3 * ratio, 3.0),
+                ];
+                for count in [2, 3] {
+                    let [double, single] =
+                        [Precision::F64, Precision::F32].map(|p| torque(&device, &q, &walls[..count], p));
+                    let error = apart(&double, &single) / (13.0 * lever);
+                    // Rounding of 6e-8 turns the soft directions by up to the root of the ratio times as much.
+                    assert!(error < 5.0e-5, "{} {ratio} {angle} {count}: {error:e}", device.name);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn walls_in_one_plane_are_one_wall_and_their_order_does_not_matter() {
+    for (device, q) in stages() {
+        let task = device.spec().task;
+        let n = turned(task, 0.4, 0.3);
+        let one = torque(&device, &q, &[(n.clone(), 1.0, 8.0)], Precision::F64);
+        let cut = torque(&device, &q, &[(n.clone(), 3.0, 5.0), (n.clone(), 0.1, 3.0)], Precision::F64);
+        assert!(apart(&one, &cut) < 1.0e-12, "{}: {one:?} {cut:?}", device.name);
+        let mut walls = vec![(n, 1.0, 5.0), (turned(task, 1.5, 0.3), 4.0, 2.0), (turned(task, -0.7, 0.9), 0.2, 3.0)];
+        let forth = torque(&device, &q, &walls, Precision::F64);
+        walls.reverse();
+        let back = torque(&device, &q, &walls, Precision::F64);
+        assert!(apart(&forth, &back) < 1.0e-10, "{}: {forth:?} {back:?}", device.name);
+        // Linear in the forces.
+        let doubled: Vec<_> = walls.iter().map(|(n, k, f)| (n.clone(), *k, 2.0 * f)).collect();
+        let twice: Vec<f64> = back.iter().map(|t| 2.0 * t).collect();
+        assert!(apart(&twice, &torque(&device, &q, &doubled, Precision::F64)) < 1.0e-10, "{}", device.name);
+    }
+}

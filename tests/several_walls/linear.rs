@@ -1,0 +1,232 @@
+//! Sampled loops of sets of walls, built here from M and J alone and judged by their eigenvalues.
+
+use super::{Random, at, device, scaled, torque};
+use haptic::device_file::DeviceFile;
+use haptic::model::Precision;
+use haptic_bridge::math::Libm;
+use haptic_bridge::model::mechanism::Mechanism;
+use haptic_bridge::with_mechanism;
+use nalgebra::{DMatrix, DVector, SVector};
+
+/// 1 kHz, velocities through a Butterworth low-pass at 100 Hz, and damping of 3 ms times the stiffness.
+const PERIOD: f64 = 1.0e-3;
+const CUTOFF: f64 = 100.0;
+const DAMPING_SECONDS: f64 = 3.0e-3;
+
+/// M and the tip rows of J at a pose, if it is well away from singularities.
+fn matrices(device: &DeviceFile, q: &[f64]) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
+    fn of<const N: usize, M: Mechanism<f64, N>>(m: &M, q: &[f64]) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
+        let pose = m.pose::<Libm>(&SVector::from_column_slice(q));
+        let regularity = m.regularity(&pose);
+        let (mass, jacobian) = (m.mass(&pose), m.jacobian(&pose));
+        (regularity.serial > 0.2 && regularity.parallel > 0.2).then(|| {
+            (DMatrix::from_fn(N, N, |i, j| mass[(i, j)]), DMatrix::from_fn(M::SPEC.task, N, |i, j| jacobian[(i, j)]))
+        })
+    }
+    with_mechanism!(&device.mechanism, m => of(m, q))
+}
+
+/// One set of walls on one device, undamped, without friction.
+pub struct Case {
+    mass: DMatrix<f64>,
+    /// Distance of each wall per joint angle, m/rad.
+    rows: DMatrix<f64>,
+    /// Torques per newton of each wall, m.
+    pub levers: DMatrix<f64>,
+    /// Each wall's share of the stiffness.
+    share: Vec<f64>,
+}
+
+impl Case {
+    /// Walls (normal, stiffness) with the feed-forward, or plainly through Jᵀ.
+    pub fn new(device: &DeviceFile, q: &[f64], walls: &[(Vec<f64>, f64)], feed_forward: bool) -> Option<Self> {
+        let (mass, jacobian) = matrices(device, q)?;
+        let task = jacobian.nrows();
+        let normals = DMatrix::from_fn(walls.len(), task, |i, j| walls[i].0[j]);
+        let rows = normals * jacobian;
+        let total: f64 = walls.iter().map(|wall| wall.1).sum();
+        let share: Vec<f64> = walls.iter().map(|wall| wall.1 / total).collect();
+        let levers = if feed_forward {
+            let column = |pushing: usize| {
+                let set: Vec<_> = walls
+                    .iter()
+                    .enumerate()
+                    .map(|(i, (normal, stiffness))| (normal.clone(), *stiffness, f64::from(u8::from(i == pushing))))
+                    .collect();
+                DVector::from_vec(torque(device, q, &set, Precision::F64))
+            };
+            DMatrix::from_columns(&(0..walls.len()).map(column).collect::<Vec<_>>())
+        } else {
+            rows.transpose()
+        };
+        Some(Self { mass, rows, levers, share })
+    }
+
+    /// Eigenvalues of the walls' mobility times their shares, 1/kg: what one mass of each mode would be inverse to.
+    pub fn modes(&self) -> Vec<nalgebra::Complex<f64>> {
+        let inverse = self.mass.clone().try_inverse().expect("a mass matrix");
+        let mobility =
+            &self.rows * inverse * &self.levers * DMatrix::from_diagonal(&DVector::from_vec(self.share.clone()));
+        mobility.complex_eigenvalues().iter().copied().collect()
+    }
+
+    /// Largest |z| of the sampled loop at a total stiffness (N/m), motions that no wall sees (z = 1) left out.
+    pub fn radius(&self, stiffness: f64) -> f64 {
+        let (walls, joints) = self.rows.shape();
+        // q, q̇ T, and for every wall its last distance and two filter states.
+        let size = 2 * joints + 3 * walls;
+        let inverse = self.mass.clone().try_inverse().expect("a mass matrix");
+        // The usual design: bilinear, prewarped, in transposed direct form II.
+        let warped = (std::f64::consts::PI * CUTOFF * PERIOD).tan();
+        let scale = 1.0 / (1.0 + std::f64::consts::SQRT_2 * warped + warped * warped);
+        let b0 = warped * warped * scale;
+        let (a1, a2) = (
+            2.0 * (warped * warped - 1.0) * scale,
+            (1.0 - std::f64::consts::SQRT_2 * warped + warped * warped) * scale,
+        );
+        let mut matrix = DMatrix::zeros(size, size);
+        for column in 0..size {
+            let mut s = DVector::zeros(size);
+            s[column] = 1.0;
+            let q = s.rows(0, joints).into_owned();
+            let moved = s.rows(joints, joints).into_owned();
+            let x = &self.rows * &q;
+            let mut next = DVector::zeros(size);
+            let mut force = DVector::zeros(walls);
+            for i in 0..walls {
+                let at = 2 * joints + 3 * i;
+                let difference = x[i] - s[at];
+                let y = b0 * difference + s[at + 1];
+                next[at] = x[i];
+                next[at + 1] = 2.0 * b0 * difference - a1 * y + s[at + 2];
+                next[at + 2] = b0 * difference - a2 * y;
+                force[i] = -self.share[i] * stiffness * (x[i] + DAMPING_SECONDS / PERIOD * y);
+            }
+            let acceleration = &inverse * (&self.levers * force) * (PERIOD * PERIOD);
+            next.rows_mut(0, joints).copy_from(&(&q + &moved + &acceleration * 0.5));
+            next.rows_mut(joints, joints).copy_from(&(&moved + &acceleration));
+            matrix.set_column(column, &next);
+        }
+        let far = |z: &nalgebra::Complex<f64>| (z - 1.0).norm() > 1.0e-5;
+        matrix.complex_eigenvalues().iter().filter(|z| far(z)).map(|z| z.norm()).fold(0.0, f64::max)
+    }
+}
+
+/// Total stiffness (N/m) at which a mode of a mass of 1 kg leaves the unit circle: found on one wall of a paddle.
+fn critical() -> f64 {
+    let one = Case {
+        mass: DMatrix::from_element(1, 1, 1.0),
+        rows: DMatrix::from_element(1, 1, 1.0),
+        levers: DMatrix::from_element(1, 1, 1.0),
+        share: vec![1.0],
+    };
+    let (mut low, mut high) = (1.0, 1.0e8);
+    assert!(one.radius(low) < 1.0 && one.radius(high) > 1.0);
+    while high - low > 1.0e-9 * high {
+        let middle = (low + high) / 2.0;
+        if one.radius(middle) < 1.0 { low = middle } else { high = middle }
+    }
+    low
+}
+
+/// Largest stable total stiffness, N/m, from the modes; the sampled loop confirms it on both sides.
+pub fn limit(case: &Case, critical: f64) -> f64 {
+    let largest = case.modes().iter().map(|mode| mode.norm()).fold(0.0, f64::max);
+    let found = critical / largest;
+    assert!(case.radius(found * 0.995) < 1.0 + 1.0e-9 && case.radius(found * 1.005) > 1.0, "the modes tell the limit");
+    found
+}
+
+fn devices() -> Vec<DeviceFile> {
+    [
+        "coupled-five-bar",
+        "haply-2diy",
+        "pantograph-mk2",
+        "phantom-premium-1.5",
+        "fictive-five-bar-turret",
+        "woodenhaptics",
+        "serial-3r",
+    ]
+    .map(device)
+    .into()
+}
+
+/// A regular pose near the device's home.
+fn pose(device: &DeviceFile, random: &mut Random) -> Vec<f64> {
+    let home = device.description.home.expect("a shipped device has a home");
+    loop {
+        let q: Vec<f64> = (0..device.spec().joints).map(|i| home[i] + random.between(-0.5, 0.5)).collect();
+        if matrices(device, &q).is_some() {
+            return q;
+        }
+    }
+}
+
+#[test]
+fn no_set_of_walls_is_less_stable_with_the_feed_forward_than_without() {
+    let mut random = Random(3);
+    let critical = critical();
+    let (mut most, mut cases) = (0.0_f64, 0);
+    for device in devices() {
+        let task = device.spec().task;
+        for set in 0..60 {
+            let q = pose(&device, &mut random);
+            let base = random.direction(task);
+            let walls: Vec<(Vec<f64>, f64)> = (0..2 + set % 3)
+                .map(|_| {
+                    let normal = if set % 2 == 0 { random.direction(task) } else { random.near(&base, 0.5) };
+                    (normal, 10_f64.powf(random.between(0.0, 4.0)))
+                })
+                .collect();
+            let plain = Case::new(&device, &q, &walls, false).expect("a regular pose");
+            let shaped = Case::new(&device, &q, &walls, true).expect("a regular pose");
+            let largest = plain.modes().iter().map(|mode| mode.norm()).fold(0.0, f64::max);
+            for mode in shaped.modes() {
+                assert!(mode.im.abs() <= 1.0e-7 * largest, "{} {q:?} {walls:?}: {mode} is no mass", device.name);
+                assert!(mode.re <= largest * (1.0 + 1.0e-9), "{} {q:?} {walls:?}: {mode}, {largest}", device.name);
+            }
+            let (without, with) = (limit(&plain, critical), limit(&shaped, critical));
+            assert!(with >= without * (1.0 - 1.0e-9), "{} {q:?} {walls:?}: {without} to {with}", device.name);
+            most = most.max(with / without);
+            cases += 1;
+        }
+    }
+    assert!(cases == 420 && most > 1.5, "the feed-forward does something: {most}");
+}
+
+#[test]
+fn facets_within_ten_degrees_are_as_stable_as_the_wall_in_one_piece() {
+    let mut random = Random(5);
+    let critical = critical();
+    for device in devices() {
+        let task = device.spec().task;
+        for set in 0..24 {
+            let q = pose(&device, &mut random);
+            let n = random.direction(task);
+            let shares: Vec<f64> = (0..2 + set % 2).map(|_| random.between(0.2, 1.0)).collect();
+            let facets: Vec<(Vec<f64>, f64)> =
+                shares.iter().map(|share| (random.near(&n, 5_f64.to_radians()), *share)).collect();
+            // In one piece: all of the stiffness along the facets' mean normal.
+            let mean = (0..task).map(|j| facets.iter().map(|(n, k)| n[j] * k).sum()).collect::<Vec<f64>>();
+            let whole = [(scaled(&mean), shares.iter().sum())];
+            let cut = limit(&Case::new(&device, &q, &facets, true).expect("a regular pose"), critical);
+            let uncut = limit(&Case::new(&device, &q, &whole, true).expect("a regular pose"), critical);
+            assert!(cut >= 0.97 * uncut, "{} {q:?} {facets:?}: {uncut} in one piece, {cut} cut", device.name);
+        }
+    }
+}
+
+#[test]
+fn the_range_of_facets_two_degrees_apart_is_that_of_the_wall() {
+    // The case that swung with 48 N: 2 x 10 kN/m around the demo's normal.
+    let critical = critical();
+    let (device, q) = (device("coupled-five-bar"), [2.6, 1.75]);
+    let middle = 75_f64.to_radians();
+    let of = |walls: &[(Vec<f64>, f64)], feed_forward| {
+        limit(&Case::new(&device, &q, walls, feed_forward).expect("a regular pose"), critical)
+    };
+    let facet = |degrees: f64| (at(middle + degrees.to_radians()), 1.0);
+    let (whole, off) = (of(&[facet(0.0)], true), of(&[facet(0.0)], false));
+    let cut = of(&[facet(-1.0), facet(1.0)], true);
+    assert!(whole > 1.2 * off && (cut / whole - 1.0).abs() < 1.0e-3, "{off} plain, {whole} in one piece, {cut} cut");
+}

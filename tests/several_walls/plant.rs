@@ -1,0 +1,253 @@
+//! Sets of walls on a simulated device in contact: the board's step in its own precision around the nonlinear linkage
+//! of the simulation, with limited motors.
+
+use super::device;
+use haptic::device_file::DeviceFile;
+use haptic::sim::{Device as Simulated, Drive, Hand, HandSettings, Intent, Options, Waypoint};
+use haptic_bridge::math::Minimax;
+use haptic_bridge::model::description::Encoder;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism, Parallelogram};
+use haptic_bridge::model::precomputed::MassModel;
+use haptic_bridge::render::controller::Controller;
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
+use nalgebra::SVector;
+
+const RATE: f64 = 1_000.0;
+
+/// One wall: unit normal, share of stiffness and damping.
+type Facet = (Vec<f64>, f64);
+
+fn around(middle: f64, facets: &[(f64, f64)]) -> Vec<Facet> {
+    facets.iter().map(|(degrees, share)| (super::at(middle + degrees.to_radians()), *share)).collect()
+}
+
+/// What walls through the tip's place do after a blow of 2 cm/s, or pressed on: the torque that still swings in the last
+/// tenth of a second, N m.
+struct Run<'a> {
+    file: &'a DeviceFile,
+    q: [f64; 3],
+    stiffness: f64,
+    damping: f64,
+    feed_forward: FeedForward,
+    bilateral: bool,
+    /// A hand that aims this far from the start, m; its arm is a spring of 250 N/m.
+    push: Option<[f64; 3]>,
+}
+
+impl Run<'_> {
+    fn swing(&self, walls: &[Facet]) -> f64 {
+        match AnyMechanism::<f32>::new(&self.file.description).expect("a sound device") {
+            AnyMechanism::FiveBar(m) => self.with::<FiveBar<f32>, 2>(m, walls),
+            AnyMechanism::Parallelogram(m) => self.with::<Parallelogram<f32>, 3>(m, walls),
+            other => panic!("{other:?} is not among these tests"),
+        }
+    }
+
+    fn with<M: Mechanism<f32, N>, const N: usize>(&self, m: M, walls: &[Facet]) -> f64 {
+        let mut description = self.file.description;
+        description.gravity = [0.0; 3];
+        for joint in &mut description.joints {
+            joint.encoder = Some(Encoder { counts_per_turn: 1_048_576.0, offset: 0.0, inverted: false });
+        }
+        let options =
+            Options { start: Some(self.q), absolute_encoders: true, substep: 1.0e-4, ..Options::frictionless() };
+        let mut plant = Simulated::new(&description, &options).expect("a sound device");
+        let tip = plant.tip();
+        let total: f64 = walls.iter().map(|wall| wall.1).sum();
+        let walls = walls.iter().map(|(normal, share)| {
+            let n: [f64; 3] = core::array::from_fn(|i| normal.get(i).copied().unwrap_or(0.0));
+            Wall {
+                surface: Surface::Plane(Plane { point: tip.map(|x| x as f32), normal: n.map(|x| x as f32) }),
+                stiffness: (self.stiffness * share / total) as f32,
+                damping: (self.damping * share / total) as f32,
+                feed_forward: self.feed_forward,
+                washout_hz: 2.0,
+                damping_compensation: false,
+                bilateral: self.bilateral,
+            }
+        });
+        let scene = Scene {
+            task: M::SPEC.task as u8,
+            rate_hz: RATE as f32,
+            cutoff_hz: 100.0,
+            walls: walls.collect(),
+            velocity_terms: VelocityTerms::Off,
+            ..Scene::default()
+        };
+        let device = Device::new("device", &description).expect("a sound device");
+        let mut controller =
+            Controller::<f32, M, Minimax, N>::new(m, &device, &scene, MassModel::Exact).expect("a sound scene");
+        match self.push {
+            Some(aim) => {
+                let value = core::array::from_fn(|i| tip[i] + aim[i]);
+                let intent = Intent::Follow(vec![Waypoint { time: 0.0, value }]);
+                plant.set_hand(Hand::new(HandSettings::default(), intent, tip, 0.0));
+            }
+            None => plant.push([0.012, -0.016, 0.0]),
+        }
+        let (mut low, mut high) =
+            (SVector::<f32, N>::repeat(f32::INFINITY), SVector::<f32, N>::repeat(f32::NEG_INFINITY));
+        let steps = (1.2 * RATE) as u32;
+        for k in 0..steps {
+            let counts = plant.counts();
+            let step = controller.step(&core::array::from_fn(|i| counts[i]));
+            let drive = core::array::from_fn(|i| {
+                Drive::Torque(if i < N { f64::from(step.torque[i].clamp(-2.0, 2.0)) } else { 0.0 })
+            });
+            plant.step(&drive, 1.0 / RATE);
+            if k >= steps - (0.1 * RATE) as u32 {
+                low = low.inf(&step.torque);
+                high = high.sup(&step.torque);
+            }
+        }
+        f64::from((high - low).amax())
+    }
+}
+
+/// The demo's pose and normal: 17.9 kN/m without, 23.0 with the feed-forward at 40 N s/m.
+fn demo(file: &DeviceFile, feed_forward: FeedForward) -> Run<'_> {
+    Run { file, q: [2.6, 1.75, 0.0], stiffness: 20_000.0, damping: 40.0, feed_forward, bilateral: true, push: None }
+}
+
+/// Torque that still swings, N m: a few encoder steps through 20 kN/m. An unstable wall fills the 2 N m of the motors.
+const QUIET: f64 = 0.05;
+const LOUD: f64 = 1.0;
+
+#[test]
+fn a_wall_cut_into_facets_is_as_quiet_as_in_one_piece() {
+    let file = device("coupled-five-bar");
+    let middle = 75_f64.to_radians();
+    for feed_forward in [FeedForward::Full, FeedForward::Washout] {
+        for facets in [
+            vec![(0.0, 1.0)],
+            vec![(-1.0, 1.0), (1.0, 1.0)],
+            vec![(-0.03, 1.0), (0.03, 1.0)],
+            vec![(-5.0, 1.0), (5.0, 1.0)],
+            vec![(-5.0, 1.0), (0.0, 2.0), (5.0, 1.0)],
+            vec![(-1.0, 9.0), (8.0, 1.0)],
+        ] {
+            let swing = demo(&file, feed_forward).swing(&around(middle, &facets));
+            assert!(swing < QUIET, "{facets:?}: {swing} N m");
+        }
+    }
+    let swing = demo(&file, FeedForward::Off).swing(&around(middle, &[(0.0, 1.0)]));
+    assert!(swing > LOUD, "without the feed-forward this wall is too stiff: {swing} N m");
+}
+
+#[test]
+fn one_sided_facets_are_quiet_under_a_hand_that_presses_them() {
+    let file = device("coupled-five-bar");
+    let middle = 75_f64.to_radians();
+    let push = Some([-0.02 * middle.cos(), -0.02 * middle.sin(), 0.0]);
+    for facets in [vec![(0.0, 1.0)], vec![(-1.0, 1.0), (1.0, 1.0)], vec![(-5.0, 1.0), (5.0, 1.0)]] {
+        for feed_forward in [FeedForward::Full, FeedForward::Washout] {
+            let run = Run { bilateral: false, push, ..demo(&file, feed_forward) };
+            let swing = run.swing(&around(middle, &facets));
+            assert!(swing < QUIET, "{facets:?} {feed_forward:?}: {swing} N m");
+        }
+    }
+}
+
+#[test]
+fn corners_that_are_stable_without_the_feed_forward_are_quiet_with_it() {
+    let file = device("coupled-five-bar");
+    // A right-angled corner of 2 x 8 kN/m, an acute one, and a stiff wall beside one of a hundredth.
+    for (angles, stiffness) in [
+        (vec![(75.0, 1.0), (-15.0, 1.0)], 12_000.0),
+        (vec![(75.0, 1.0), (15.0, 1.0)], 12_000.0),
+        (vec![(75.0, 1.0), (165.0, 0.01)], 15_000.0),
+        (vec![(75.0, 1.0), (-15.0, 1.0), (30.0, 0.5)], 12_000.0),
+    ] {
+        let walls: Vec<Facet> =
+            angles.iter().map(|(degrees, share): &(f64, f64)| (super::at(degrees.to_radians()), *share)).collect();
+        for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
+            let run = Run { stiffness, damping: 0.002 * stiffness, ..demo(&file, feed_forward) };
+            let swing = run.swing(&walls);
+            assert!(swing < QUIET, "{angles:?} {feed_forward:?}: {swing} N m");
+        }
+    }
+}
+
+#[test]
+fn edges_and_vertices_in_space_are_quiet_where_they_are_without() {
+    let file = device("phantom-premium-1.5");
+    let q = [0.3, 0.9, -0.3];
+    for (walls, stiffness) in [
+        (vec![(vec![0.6, 0.8, 0.0], 1.0), (vec![0.0, 0.6, 0.8], 1.0)], 2_000.0),
+        (vec![(vec![1.0, 0.0, 0.0], 1.0), (vec![0.0, 1.0, 0.0], 0.3), (vec![0.0, 0.0, 1.0], 0.05)], 2_000.0),
+        (
+            vec![
+                (super::scaled(&[0.1, 1.0, 0.0]), 1.0),
+                (super::scaled(&[-0.1, 1.0, 0.1]), 1.0),
+                (super::scaled(&[0.0, 1.0, -0.1]), 1.0),
+            ],
+            2_000.0,
+        ),
+    ] {
+        for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
+            let run = Run {
+                file: &file,
+                q,
+                stiffness,
+                damping: 0.002 * stiffness,
+                feed_forward,
+                bilateral: true,
+                push: None,
+            };
+            let swing = run.swing(&walls);
+            assert!(swing < QUIET, "{walls:?} {feed_forward:?}: {swing} N m");
+        }
+    }
+}
+
+#[test]
+fn the_feed_forward_of_several_walls_fades_near_a_singularity() {
+    // On the way to a stretched elbow the share is below one, and the torque between Jᵀ F and the shaped one.
+    let file = device("coupled-five-bar");
+    let Ok(AnyMechanism::FiveBar(m)) = AnyMechanism::<f32>::new(&file.description) else { panic!("a five-bar") };
+    let mut description = file.description;
+    for joint in &mut description.joints {
+        joint.encoder = Some(Encoder { counts_per_turn: 1_048_576.0, offset: 0.0, inverted: false });
+    }
+    let device = Device::<f32>::new("device", &description).expect("a sound device");
+    let walls = |feed_forward| {
+        [[0.6, 0.8, 0.0], [-0.8, 0.6, 0.0]].map(|normal| Wall {
+            surface: Surface::Plane(Plane { point: [0.0, 0.4, 0.0], normal }),
+            stiffness: if normal[0] > 0.0 { 50.0 } else { 20.0 },
+            damping: 0.0,
+            feed_forward,
+            washout_hz: 2.0,
+            damping_compensation: false,
+            bilateral: true,
+        })
+    };
+    let step = |q: [f64; 2], feed_forward| {
+        let scene = Scene { task: 2, walls: walls(feed_forward).into_iter().collect(), ..Scene::default() };
+        let mut controller = Controller::<f32, FiveBar<f32>, Minimax, 2>::new(m, &device, &scene, MassModel::Exact)
+            .expect("a sound scene");
+        controller.step(&q.map(|q| (q / std::f64::consts::TAU * 1_048_576.0).round() as i32))
+    };
+    let (mut last, mut shares, mut changed) = (None::<SVector<f32, 2>>, Vec::new(), 0.0_f32);
+    // The right arm is turned until its elbow stretches.
+    for k in 0..600 {
+        let q = [2.6, 1.75 + 1.0e-3 * f64::from(k)];
+        let (full, off) = (step(q, FeedForward::Full), step(q, FeedForward::Off));
+        if full.regularity.parallel <= 0.2 {
+            break;
+        }
+        assert!(full.torque.iter().all(|t| t.is_finite()));
+        changed = changed.max((full.torque - off.torque).amax());
+        shares.push(full.shaping);
+        if full.shaping == 0.0 {
+            assert!((full.torque - off.torque).amax() <= 1.0e-5, "{} {}", full.torque, off.torque);
+        }
+        if let Some(last) = last {
+            assert!((full.torque - last).amax() < 0.25, "{k}: {} after {last}", full.torque);
+        }
+        last = Some(full.torque);
+    }
+    let partly = shares.iter().filter(|share| **share > 0.0 && **share < 1.0).count();
+    assert!(changed > 0.01 && shares.first() == Some(&1.0), "the walls are shaped: {changed} {:?}", shares.first());
+    assert!(partly > 3, "{partly} poses in the fade of {}", shares.len());
+}
