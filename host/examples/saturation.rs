@@ -28,7 +28,9 @@ const STIFFNESS: f64 = 20_000.0;
 const LIMIT: f64 = 2.0;
 const COUNTS: f64 = 1.0e8;
 
-/// Forces at the tip, N, along the normal and sideways.
+/// Depth, m; joint angles there, rad; joint torques, N m.
+type Pressed = (f64, Vector2<f64>, Vector2<f64>);
+/// Forces at the tip, N, along the normal and sideways, over depth, m.
 type Forces = Vec<(f64, [f64; 2])>;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -77,10 +79,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 }
 
 /// Joint angles and torques of the servo at each depth, its motors limited to `limit` (N m).
-fn pressed(
-    file: &DeviceFile,
-    limit: f32,
-) -> Result<Vec<(f64, Vector2<f64>, Vector2<f64>)>, Box<dyn std::error::Error>> {
+fn pressed(file: &DeviceFile, limit: f32) -> Result<Vec<Pressed>, Box<dyn std::error::Error>> {
     let AnyMechanism::FiveBar(m) = &file.mechanism else { return Err("not a five-bar".into()) };
     let mut description = file.description;
     for joint in &mut description.joints {
@@ -151,7 +150,7 @@ fn pressed(
 /// Forces at the tip of these torques after `limit`.
 fn forces(
     file: &DeviceFile,
-    points: &[(f64, Vector2<f64>, Vector2<f64>)],
+    points: &[Pressed],
     limit: impl Fn(Vector2<f64>) -> Vector2<f64>,
 ) -> Result<Forces, Box<dyn std::error::Error>> {
     let AnyMechanism::FiveBar(m) = &file.mechanism else { return Err("not a five-bar".into()) };

@@ -178,7 +178,7 @@ struct Found {
 
 /// What `haptic model` says at a pose.
 fn evaluate_share(file: &DeviceFile, q: &[f64], normal: &[f64]) -> Option<Found> {
-    let walls = [WallForce { normal: normal.to_vec(), force: 0.0 }];
+    let walls = [WallForce { normal: normal.to_vec(), force: 0.0, stiffness: 1.0 }];
     let report = evaluate(file, q, &vec![0.0; q.len()], &walls, Precision::F64).ok()?;
     let pose = haptic::analysis::pose::TaskPose::at(&file.description, q).ok()?;
     Some(Found {
