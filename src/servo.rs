@@ -15,7 +15,6 @@ mod watch;
 
 use crate::drive::brushed::Axis;
 use crate::math::Math;
-use crate::math::limited;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::precomputed::TABLE_VALUES;
 use crate::render::controller::Gains;

@@ -7,7 +7,7 @@
 //! 2. what renders the forces asked for, Jᵀ f, all joints by one factor: the force keeps its direction;
 //! 3. the feed-forward, of the force that is really rendered and as far as the limits leave room, by one factor again.
 
-use crate::drive::brushed::limited;
+use crate::math::limited;
 use crate::model::catalogue::MAX_JOINTS;
 
 /// Joint torques of one control step by what they are for, N m.
