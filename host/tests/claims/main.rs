@@ -8,7 +8,7 @@ use haptic::sim::{BoardOptions, DriveModel, Options, SharedBoard, ready_board};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
 use haptic_bridge::safety::fault::Fault;
-use page::{DEMO, FINE, SLIDES, demo, kept_with_rotor, perturbed, ratio, slide, stiffest, tables};
+use page::{DEMO, FINE, SLIDES, demo, kept_with_rotor, perturbed, ratio, slide, stiffest, stiffest_moving, tables};
 
 #[test]
 fn a_sliding_tip_keeps_to_a_wall_that_is_rendered_and_leaves_the_papers() {
@@ -79,6 +79,25 @@ fn the_simulated_board_renders_a_wall_to_a_sliding_tip() {
     assert!(off > 30.0 && paper > 30.0, "{off} and {paper} µm");
     // A torque that is held for a millisecond, velocities 4 ms old, and what the start left.
     assert!(rendered < 6.0, "{rendered} µm beside {off} and {paper}");
+}
+
+#[test]
+fn velocity_terms_leave_a_moving_wall_as_stable_as_it_is() {
+    // At rest all laws of (4) are one, and it is the sampled loop's own limit without delay: 23 649.454 N/m, and
+    // 18 379.424 without the feed-forward, by independent eigenvalues.
+    assert!((stiffest_moving(0.0, None) / 18_379.424 - 1.0).abs() < 1e-4);
+    for terms in [VelocityTerms::Off, VelocityTerms::Paper, VelocityTerms::Rendered] {
+        assert!((stiffest_moving(0.0, Some(terms)) / 23_649.454 - 1.0).abs() < 1e-4, "{terms:?}");
+        for (speed, most) in [(0.5, 0.025), (-0.5, 0.025), (1.0, 0.05), (-1.0, 0.05)] {
+            let change = stiffest_moving(speed, Some(terms)) / 23_649.454 - 1.0;
+            assert!(change.abs() < most, "{terms:?} at {speed} m/s: {change}");
+        }
+    }
+    // An independent linearisation at 0.5 m/s: 18 651 without the feed-forward; off 24 053, paper 24 004, rendered 24 081.
+    let laws = [None, Some(VelocityTerms::Off), Some(VelocityTerms::Paper), Some(VelocityTerms::Rendered)];
+    for (law, known) in laws.into_iter().zip([18_651.0, 24_053.0, 24_004.0, 24_081.0]) {
+        assert!((stiffest_moving(0.5, law) / known - 1.0).abs() < 1e-3, "{law:?}: {}", stiffest_moving(0.5, law));
+    }
 }
 
 #[test]

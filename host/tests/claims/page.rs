@@ -20,6 +20,9 @@ use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityT
 use nalgebra::Vector2;
 use std::fmt::Write;
 
+#[path = "moving.rs"]
+mod moving;
+
 pub const RATE_HZ: f64 = 1_000.0;
 const CUTOFF_HZ: f64 = 100.0;
 /// The wall of the runs, N/m and N s/m: well below what is stable with or without the feed-forward.
@@ -169,6 +172,15 @@ pub fn stiffest(device: &Linearised) -> (f64, f64) {
     };
     let range = predict(device, &around, Some(&[DAMPING]), None).expect("an analysable pose");
     (range.off.boundary[0].kp, range.full.boundary[0].kp)
+}
+
+/// kp_max (N/m) of the demo's wall while its tip slides at `speed` (m/s), by law; `None` is Jᵀ f.
+pub fn stiffest_moving(speed: f64, law: Option<VelocityTerms>) -> f64 {
+    let AnyMechanism::FiveBar(mechanism) = AnyMechanism::new(&five_bar()).expect("a shipped device") else {
+        panic!("a five-bar")
+    };
+    let moving = moving::Moving { mechanism, q: DEMO.0, normal: DEMO.1, law };
+    moving.stiffest(speed, DAMPING, (8_000.0, 60_000.0), RATE_HZ, CUTOFF_HZ)
 }
 
 /// The farthest the wall is moved by 2 N along it for 30 ms, without and with the feed-forward, m.
