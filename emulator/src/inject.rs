@@ -567,12 +567,17 @@ pub fn row(fault: Fault, outcome: Option<&Outcome>) -> String {
         Some(outcome) => {
             let cause = if slow {
                 "later"
-            } else if outcome.from_cause <= 2 {
-                "at most 2"
+            } else if outcome.from_cause <= 3 {
+                "at most 3"
             } else {
-                "more than 2"
+                "more than 3"
             };
-            (cause, outcome.from_seen.map_or("before the restart".to_owned(), |periods| periods.to_string()))
+            let seen = match outcome.from_seen {
+                None => "before the restart".to_owned(),
+                Some(0 | 1) => "at most 1".to_owned(),
+                Some(periods) => periods.to_string(),
+            };
+            (cause, seen)
         }
     };
     format!("| {} | {} | {how} | {cause} | {seen} | {} |", fault.code(), fault.name(), fault.remedy())
@@ -585,7 +590,7 @@ pub fn table(outcomes: &[(Fault, Option<Outcome>)]) -> String {
         Written by `cargo xtask faults`: every fault of src/safety/fault.rs injected into an armed board on the emulated chip\n\
         (emulator/src/inject.rs). Each was latched and listed, refused arming until it was cleared, and left the bridges\n\
         floating with the enable line low. Periods from the cause count to bridges that float: `later` is where the cause has to\n\
-        last (a budget, a timeout, a moving hand). Periods from the step that saw it: 0 is the same period.\n\n\
+        last (a budget, a timeout, a moving hand). Periods from the last step before it was seen: at most 1 is the same period.\n\n\
         | code | fault | injection | periods from the cause | periods from being seen | remedy |\n|--:|---|---|---|---|---|\n"
         .to_owned();
     for (fault, outcome) in outcomes {

@@ -6,6 +6,7 @@
 pub mod boards;
 pub mod bridge;
 pub mod broken;
+pub mod campaign;
 pub mod chip;
 pub mod contact;
 pub mod count;

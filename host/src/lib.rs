@@ -58,4 +58,5 @@ pub mod sim;
 pub mod skeleton;
 pub mod summary;
 pub mod template;
+pub mod tip;
 pub mod toml_file;

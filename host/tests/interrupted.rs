@@ -142,21 +142,49 @@ fn an_interrupted_stream_ends_in_order_and_its_motors_go_off_where_the_rules_say
     let sim = Sim::start(&[]);
     sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success();
     let folder = Folder::new();
-    for (rule, state) in [("ignore", "Armed"), ("disarm", "Fault")] {
+    let cases = [("ignore", "INT", "Armed"), ("disarm", "INT", "Disarmed"), ("disarm", "KILL", "Fault")];
+    for (nth, (rule, how, state)) in cases.into_iter().enumerate() {
         sim.run(&["disarm"]).success();
         sim.run(&["rules", "--host", rule, "--host-seconds", "0.5"]).success();
-        sim.run(&["arm"]).success();
-        let csv = folder.path(rule);
-        let mut tool = sim.spawn(&["stream", "--csv", csv.to_str().unwrap()]);
+        let csv = folder.path(&format!("{nth}"));
+        let mut stream = vec!["stream", "--csv", csv.to_str().unwrap()];
+        if rule == "ignore" {
+            sim.run(&["arm"]).success().stdout(contains("nobody is watched"));
+        } else {
+            stream.push("--arm");
+        }
+        let mut tool = sim.spawn(&stream);
         grown(&csv, 5_000);
-        signal(&tool, "INT");
+        signal(&tool, how);
         let text = said(&mut tool);
-        assert_eq!(tool.wait().unwrap().code(), Some(0), "{text}");
-        assert!(!recording(&csv).torn && text.contains("rows are in"), "{text}");
+        let code = tool.wait().unwrap().code();
+        if how == "INT" {
+            assert_eq!(code, Some(0), "{text}");
+            assert!(!recording(&csv).torn && text.contains("rows are in"), "{text}");
+        }
         sleep(Duration::from_secs(2));
         sim.run(&["info", "--json"]).success().stdout(contains(format!("\"{state}\"")));
     }
     sim.run(&["faults"]).success().stdout(contains("host"));
+}
+
+#[test]
+fn arming_a_board_that_watches_its_host_lasts_until_ctrl_c() {
+    let sim = Sim::start(&[]);
+    sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success();
+    sim.run(&["rules", "--host", "disarm", "--host-seconds", "0.3"]).success();
+    for (how, state) in [("INT", "Disarmed"), ("KILL", "Fault")] {
+        let mut tool = sim.spawn(&["arm"]);
+        sleep(Duration::from_secs(2));
+        assert_eq!(tool.try_wait().unwrap(), None, "it stays for as long as the motors are on");
+        signal(&tool, how);
+        let text = said(&mut tool);
+        let code = tool.wait().unwrap().code();
+        assert!(how == "KILL" || code == Some(0), "{text}");
+        sleep(Duration::from_secs(1));
+        sim.run(&["info", "--json"]).success().stdout(contains(format!("\"{state}\"")));
+        sim.run(&["clear"]).success();
+    }
 }
 
 #[test]

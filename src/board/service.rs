@@ -94,6 +94,8 @@ impl Service {
     /// Reads the settings and puts them in force. What is damaged stays at its default and is reported in
     /// [`Details::damage`]; the rest is kept.
     pub fn boot(&mut self, machine: &mut impl Machine) {
+        // What is in force until something else is read.
+        let _ = self.set_rules(machine, self.rules);
         if let Some(BoardName(name)) = self.read(machine) {
             self.name = name;
         }

@@ -7,6 +7,7 @@ mod equality;
 mod faults;
 mod injection;
 mod load;
+mod lying;
 mod power;
 mod promises;
 mod range;

@@ -182,3 +182,40 @@ fn torque_rises_over_half_a_second_after_arming() {
         assert!((found - share).abs() < 0.02, "{found} of the torque after {after} ms");
     }
 }
+
+#[test]
+fn a_request_that_is_refused_because_the_motors_are_on_leaves_the_bridges_as_they_are() {
+    for kind in BoardKind::ALL {
+        let mut rig = armed(kind);
+        let device = rig.tool.device().expect("the board answers").expect("a device");
+        let mut loose = rig.tool.rules().expect("the board answers");
+        loose.limits.power *= 2.0;
+        let driving = |rig: &Rig| !rig.with(off);
+        assert!(driving(&rig), "the board was armed");
+        let mut outcomes = Vec::new();
+        macro_rules! refused_at_the_pins {
+            ($($request:expr),* $(,)?) => {
+                $(
+                    outcomes.push((stringify!($request), $request));
+                    for _ in 0..40 {
+                        assert!(driving(&rig), "{}: {}", kind.wiring().name, stringify!($request));
+                        rig.run(25 * MICROSECOND);
+                    }
+                )*
+            };
+        }
+        refused_at_the_pins!(
+            rig.tool.arm(),
+            rig.tool.check_polarity(),
+            rig.tool.home(),
+            rig.tool.save(),
+            rig.tool.set_device(&device),
+            rig.tool.set_rules(&loose),
+        );
+        for (request, outcome) in outcomes {
+            assert!(matches!(outcome, Err(BoardError::Refused(_))), "{request}: {outcome:?}");
+        }
+        let status = rig.tool.status().expect("the board answers");
+        assert_eq!((status.state, status.fault), (State::Armed, None));
+    }
+}

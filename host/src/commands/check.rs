@@ -8,7 +8,11 @@ use haptic::plausible::{Warning, device, scene, warn, with_unit};
 use haptic::plot::device::draw;
 use haptic::scene_file::SceneFile;
 use haptic::summary::Summary;
+use haptic::tip::{GENTLE_FORCE, Tip, motor_torques};
 use haptic::toml_file::Document;
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::description::Description;
+use haptic_bridge::safety::limits::Limits;
 use std::path::{Path, PathBuf};
 
 /// Check a device file, and scene files for that device
@@ -92,7 +96,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let json = serde_json::to_string(&report).map_err(Failure::impossible)?;
         return print(&(json + "\n"));
     }
-    print(&readable(&report))
+    print(&readable(&report, &tip_in_words(&file.description)))
 }
 
 fn scene_report(path: &Path, device: &DeviceFile) -> Result<(SceneReport, Vec<Warning>), Failure> {
@@ -122,7 +126,7 @@ fn picture(file: &DeviceFile, summary: &Summary, svg: Option<&Path>, png: Option
     Ok(())
 }
 
-fn readable(report: &Report) -> String {
+fn readable(report: &Report, tip: &str) -> String {
     let mut text = format!(
         "{}: sound: {}, a {} of {} and {}\n",
         report.path,
@@ -134,6 +138,7 @@ fn readable(report: &Report) -> String {
     for line in report.summary.lines() {
         text.push_str(&format!("  {line}\n"));
     }
+    text.push_str(tip);
     for lack in &report.lacks {
         text.push_str(&format!("  before a real board arms: {lack}\n"));
     }
@@ -160,6 +165,27 @@ fn readable(report: &Report) -> String {
         }
     }
     text
+}
+
+/// What a person at the tip can meet.
+fn tip_in_words(description: &Description) -> String {
+    let motors = motor_torques(description);
+    match Tip::at_home(description) {
+        Some(Ok(tip)) if motors.iter().any(|torque| *torque > 0.0) => {
+            let speed = [Limits::default().speed[0].into(); MAX_JOINTS];
+            let joints: Vec<String> =
+                tip.torques_for(GENTLE_FORCE).iter().map(|torque| format!("{torque:.3}")).collect();
+            format!(
+                "  at the home pose its motors make up to {:.1} N at the tip; `haptic device` sets torque limits for \
+                 {GENTLE_FORCE} N ({} N m); at {} rad/s its links carry {:.2} J\n",
+                tip.force(&motors),
+                joints.join(", "),
+                speed[0],
+                tip.energy(&speed)
+            )
+        }
+        _ => String::new(),
+    }
 }
 
 fn counted(count: usize, noun: &str) -> String {

@@ -3,7 +3,9 @@
 use super::port::{Port, answer};
 use haptic::device_file::DeviceFile;
 use haptic::error::Failure;
+use haptic::link::Board;
 use haptic::plausible::{device::doubts, warn};
+use haptic::tip::{GENTLE_FORCE, Tip};
 use haptic::toml_file::Document;
 use haptic_bridge::model::device::Device;
 use serde_json::json;
@@ -17,11 +19,23 @@ use std::path::PathBuf;
 pub struct Args {
     /// Device file (TOML)
     file: PathBuf,
+    /// Largest force at the tip in the home pose, N: lowers the board's torque limits to it. Limits that are lower
+    /// already stay
+    #[arg(long, value_name = "N", default_value_t = GENTLE_FORCE, value_parser = newtons)]
+    tip_force: f64,
     #[command(flatten)]
     port: Port,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
+}
+
+fn newtons(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
+        Ok(_) => Err("must be finite and greater than zero".into()),
+        Err(_) => Err("not a number".into()),
+    }
 }
 
 /// Checks the file, then the board, then loads.
@@ -46,6 +60,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     board.set_device(&device)?;
     let mut report = format!("{} is loaded on {}; it is not homed\n", file.name, board.port());
     if details.real {
+        report.push_str(&soften(&mut board, &file, args.tip_force)?);
         for lack in file.lacks_for_a_board() {
             report.push_str(&format!("  before the board arms: {lack}\n"));
         }
@@ -59,4 +74,24 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     let lacks = if details.real { file.lacks_for_a_board() } else { Vec::new() };
     answer(args.json, json!({ "device": file.name, "port": board.port(), "lacks": lacks }), &report)
+}
+
+/// Lowers the torque limits to what the force at the tip takes, and says so.
+fn soften(board: &mut Board, file: &DeviceFile, newtons: f64) -> Result<String, Failure> {
+    let Some(Ok(tip)) = Tip::at_home(&file.description) else { return Ok(String::new()) };
+    let mut rules = board.rules()?;
+    let before = rules.limits.torque;
+    for (limit, torque) in rules.limits.torque.iter_mut().zip(tip.torques_for(newtons)) {
+        *limit = limit.min(torque as f32);
+    }
+    if rules.limits.torque == before {
+        return Ok(String::new());
+    }
+    board.set_rules(&rules)?;
+    let joints = file.spec().joints;
+    let limits: Vec<String> = rules.limits.torque.iter().take(joints).map(|torque| format!("{torque:.3}")).collect();
+    Ok(format!(
+        "  torque limits: {} N m, for at most {newtons} N at the tip in the home pose; `haptic rules --torque` raises them\n",
+        limits.join(", ")
+    ))
 }

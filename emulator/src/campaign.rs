@@ -1,0 +1,221 @@
+//! Sensors that lie and motors that are broken, at three control rates and ten instants of the control period each: how
+//! long until the bridges float, and what a hand in the device would have felt until then.
+
+use std::collections::BTreeSet;
+use std::fmt::Write as _;
+
+use haptic_bridge::safety::fault::{Fault, State};
+use rigless::device::Level;
+
+use crate::boards::BoardKind;
+use crate::broken::{Broken, Peaks};
+use crate::contact::{WallAt, hold, push, scene};
+use crate::hardware::Hardware;
+use crate::inject::off;
+use crate::rig::Rig;
+use crate::run::{MICROSECOND, MILLISECOND};
+
+/// Control rates, Hz: the slowest, the default of the paper's comparison, and the carrier's own.
+pub const RATES: [u32; 3] = [200, 1_000, 20_000];
+/// Instants within a control period.
+pub const PHASES: u64 = 10;
+/// The longest that is waited for bridges to float.
+const PATIENCE: u64 = 300 * MILLISECOND;
+/// N, held against the wall.
+const PUSH: f64 = 0.8;
+
+/// Something that breaks.
+pub struct Case {
+    /// In words.
+    pub what: &'static str,
+    /// Breaks it, with the tip in a wall.
+    pub cause: fn(&mut Hardware),
+    /// Whether it has to be seen: what need not stands in the table with what it does.
+    pub seen: bool,
+}
+
+/// Everything that is broken here, one at a time.
+pub const CASES: &[Case] = &[
+    Case { what: "current sensors 8 A too high", cause: |board| board.broken.sensor_extra[0] = 8.0, seen: true },
+    Case { what: "current sensors 4 A too low", cause: |board| board.broken.sensor_extra[0] = -4.0, seen: true },
+    Case { what: "current sensors stuck at 0 A", cause: |board| shunts(board, 0.0), seen: true },
+    Case { what: "current sensors show a quarter", cause: |board| shunts(board, 0.25), seen: true },
+    Case { what: "one of two shunts shows nothing", cause: |board| board.broken.sensor_gain[0] = 0.0, seen: true },
+    Case { what: "a winding open", cause: |board| board.broken.open[0] = true, seen: true },
+    Case { what: "a bridge stuck at 40 %", cause: |board| board.broken.stuck_on[0] = Some(0.4), seen: true },
+    Case { what: "a gate driver forgets its registers", cause: |board| board.driver(0).forget(), seen: true },
+    Case { what: "an encoder unplugged", cause: |board| board.encoders_unplugged[0] = true, seen: false },
+    Case { what: "an encoder shakes by 8 counts", cause: |board| board.broken.shake[0] = 8, seen: false },
+    Case {
+        what: "an encoder counts backward",
+        cause: |board| board.broken.backward_from[0] = Some(board.plant.counts()[0]),
+        seen: false,
+    },
+    Case {
+        what: "two encoders change places",
+        cause: |board| {
+            let [first, second, _] = board.plant.counts();
+            board.broken.swapped_at = Some([first, second]);
+        },
+        seen: false,
+    },
+    Case {
+        what: "58 V on the bus, whose sensor shows 24 V",
+        cause: |board| {
+            board.broken.bus_shown = Some(24.0);
+            if let Some(device) = board.plant.device() {
+                device.set_bus_voltage(58.0);
+            }
+        },
+        seen: false,
+    },
+];
+
+fn shunts(board: &mut Hardware, gain: f64) {
+    board.broken.sensor_gain[..2].fill(gain);
+}
+
+/// What came of one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Outcome {
+    /// The fault, if it was seen.
+    pub fault: Option<Fault>,
+    /// From the cause to bridges that float, ns; of the time that was waited where they did not.
+    pub after: u64,
+    /// What there was until then.
+    pub peaks: Peaks,
+}
+
+/// A board whose device is put back into the wall again and again.
+pub struct Campaign {
+    rig: Rig,
+    home: [f64; 3],
+    scene: String,
+    rate: u32,
+}
+
+impl Campaign {
+    /// A board at a control rate.
+    ///
+    /// # Panics
+    ///
+    /// When the board refuses anything.
+    #[must_use]
+    pub fn at(rate: u32) -> Self {
+        let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
+        let (home, tip) = rig.with_simulated(|device| (device.q(), device.tip()));
+        let head = format!("rate_hz = {rate}.0\ncutoff_hz = {:?}\n", f64::from(rate) * 0.025);
+        rig.prepare(&head);
+        let soft = WallAt { stiffness: 100.0, feed_forward: "off", ..WallAt::facing([0.0, -1.0, 0.0]) };
+        let scene = scene(&head, tip, 2, &[soft]);
+        Self { rig, home, scene, rate }
+    }
+
+    /// The device in the wall, everything whole.
+    fn ready(&mut self) {
+        let (rig, home) = (&mut self.rig, self.home);
+        rig.tool.disarm().expect("the board disarms");
+        rig.with(move |bench| {
+            let board = bench.hardware();
+            board.broken = Broken::default();
+            board.encoders_unplugged = [false; 3];
+            let device = board.plant.device().expect("a simulated device");
+            device.set_bus_voltage(24.0);
+            device.place(home);
+            hold(device);
+        });
+        rig.run(50 * MILLISECOND);
+        rig.tool.clear().expect("nothing is broken any more");
+        rig.tool.home().expect("the device is at rest");
+        rig.set_scene(&self.scene);
+        rig.arm();
+        rig.with_simulated(|device| push(device, [0.0, PUSH, 0.0], 0.1));
+        rig.run(400 * MILLISECOND);
+        let status = rig.tool.status().expect("the board answers");
+        assert_eq!(status.state, State::Armed, "{status:?}");
+    }
+
+    /// Breaks one thing at the `phase`th tenth of a control period, and watches.
+    ///
+    /// # Panics
+    ///
+    /// When the board refuses what it must not, or bridges float without a fault.
+    pub fn run(&mut self, case: &Case, phase: u64) -> Outcome {
+        self.ready();
+        let rig = &mut self.rig;
+        // Steps come at multiples of the control period from the first on, whatever the time is.
+        let period = 1_000_000_000 / u64::from(self.rate);
+        let steps = rig.steps();
+        while rig.steps() == steps {
+            rig.run(10 * MICROSECOND);
+        }
+        rig.run(phase * period / PHASES);
+        let cause = case.cause;
+        let began = rig.now();
+        rig.with(move |bench| {
+            bench.hardware().peaks = Peaks::default();
+            cause(bench.hardware());
+        });
+        let floats = rig.shared.board().run_until(PATIENCE, 25 * MICROSECOND, disabled);
+        let after = rig.now() - began;
+        let peaks = rig.with(|bench| bench.hardware().peaks);
+        let status = rig.tool.status().expect("the board answers");
+        assert_eq!(floats, status.state == State::Fault, "{}: {status:?}", case.what);
+        assert!(!floats || rig.with(off), "{}: {status:?}", case.what);
+        Outcome { fault: status.fault.map(|record| record.fault), after, peaks }
+    }
+}
+
+/// Whether the power stages are disabled: also where a bridge is stuck.
+fn disabled(bench: &mut crate::run::Bench<'_>) -> bool {
+    let board = bench.hardware();
+    board.wiring.is_some_and(|wiring| board.level(wiring.enable) == Level::Low)
+}
+
+/// The rows of a case at a rate: the worst of every number over the phases.
+#[must_use]
+pub fn row(case: &Case, rate: u32, outcomes: &[Outcome]) -> String {
+    let names: BTreeSet<&str> = outcomes.iter().map(|outcome| outcome.fault.map_or("nobody", Fault::name)).collect();
+    let names: Vec<&str> = names.into_iter().collect();
+    let most = |number: fn(&Outcome) -> f64| outcomes.iter().map(number).fold(0.0, f64::max);
+    let unseen = outcomes.iter().any(|outcome| outcome.fault.is_none());
+    let after = match unseen {
+        true => "not in 300 ms".to_owned(),
+        false => format!("{:.2}", most(|outcome| outcome.after as f64 * 1e-6)),
+    };
+    format!(
+        "| {} | {rate} | {} | {after} | {:.2} | {:.1} | {:.2} |",
+        case.what,
+        names.join(", "),
+        most(|outcome| outcome.peaks.current),
+        most(|outcome| outcome.peaks.speed),
+        most(|outcome| outcome.peaks.travel * 1e3)
+    )
+}
+
+/// The whole campaign as a table.
+#[must_use]
+pub fn table() -> String {
+    let mut text = String::from(
+        "\n## What lies and breaks, at three rates\n\n\
+         A pantograph-mk2 held against a wall by 0.8 N, its motors allowed 3 A; each thing broken at ten instants of the\n\
+         control period (emulator/src/campaign.rs). The worst of the ten: time until the gate drivers are disabled, the true\n\
+         current of a winding, speed of a joint and way of the tip until then, or within 300 ms where nobody saw it.\n\n\
+         | broken | control rate, Hz | seen by | off after, ms | current, A | speed, rad/s | way, mm |\n\
+         |---|--:|---|--:|--:|--:|--:|\n",
+    );
+    let mut rows = vec![String::new(); CASES.len() * RATES.len()];
+    for (nth, rate) in RATES.into_iter().enumerate() {
+        let mut campaign = Campaign::at(rate);
+        for (which, case) in CASES.iter().enumerate() {
+            let outcomes: Vec<_> = (0..PHASES).map(|phase| campaign.run(case, phase)).collect();
+            let row = row(case, rate, &outcomes);
+            println!("{row}");
+            rows[which * RATES.len() + nth] = row;
+        }
+    }
+    for row in rows {
+        let _ = writeln!(text, "{row}");
+    }
+    text
+}
