@@ -33,7 +33,8 @@ pub struct Device<T: Real> {
 pub struct Joint<T> {
     /// Joint angle per encoder count, rad; negative when the encoder is inverted.
     pub radians_per_count: T,
-    /// Counts after which the angle repeats, 0 when that is no whole number.
+    /// Counts after which the angle repeats, 0 when it never does. They make one turn where the counts per turn are
+    /// whole, and q turns where they are a fraction p/q.
     pub counts_per_turn: i32,
     /// Joint angle at count 0, rad.
     pub offset: T,
@@ -82,8 +83,7 @@ impl<T: Real> Device<T> {
                 let sign = if encoder.inverted { -1.0 } else { 1.0 };
                 scale = sign * core::f64::consts::TAU / encoder.counts_per_turn;
                 joint.offset = r(encoder.offset);
-                let whole = encoder.counts_per_turn as i32;
-                joint.counts_per_turn = if f64::from(whole) == encoder.counts_per_turn { whole } else { 0 };
+                joint.counts_per_turn = repeats_after(encoder.counts_per_turn);
             }
             joint.radians_per_count = r(scale);
             joint.viscous = r(described.viscous);
@@ -110,6 +110,33 @@ impl<T: Real> Device<T> {
     /// N.
     pub fn axes(&self) -> usize {
         self.mechanism.kind().spec().joints
+    }
+}
+
+/// Most turns after which an angle repeats: a board divides its way back to them from f32 numbers, whose five roundings
+/// stay below half a turn of so many.
+const MOST_TURNS: f64 = 1_048_576.0;
+
+/// The whole number of counts p after which q whole turns are over, where p/q are these counts per turn: the first
+/// convergent of their continued fraction that is the same f64, or the last that fits. Then p/q is so near that the
+/// counter's whole range is off by less than one count (from 2048 counts per turn on). 0 when there is none.
+fn repeats_after(counts_per_turn: f64) -> i32 {
+    let (mut counts, mut turns) = (1.0, 0.0);
+    let (mut counts_before, mut turns_before) = (0.0, 1.0);
+    let mut rest = counts_per_turn;
+    loop {
+        // Truncates; what is no number becomes 0.
+        let whole = rest as i64 as f64;
+        let next = (whole * counts + counts_before, whole * turns + turns_before);
+        if !(next.0 <= f64::from(i32::MAX) && next.1 <= MOST_TURNS && rest > 0.0) {
+            return if turns > 0.0 { counts as i32 } else { 0 };
+        }
+        (counts_before, turns_before) = (counts, turns);
+        (counts, turns) = next;
+        if counts / turns == counts_per_turn {
+            return counts as i32;
+        }
+        rest = 1.0 / (rest - whole);
     }
 }
 

@@ -1,7 +1,7 @@
 //! Encoder counts in; joint angles and velocities out.
 
 use crate::math::Real;
-use crate::model::device::Device;
+use crate::model::device::{Device, Joint};
 use crate::render::velocity::{Coefficients, LowPass};
 use nalgebra::SVector;
 
@@ -11,10 +11,55 @@ struct Encoding<T> {
     radians_per_count: T,
     /// Angular velocity of one count per control period, rad/s.
     speed_per_count: T,
-    counts_per_turn: i32,
+    /// Counts after which the angle repeats, and the turns that they make.
+    period: i32,
+    turns: i32,
+    /// Joint angle per count and turn of the period, rad: one turn is `period` of these parts.
+    radians_per_part: T,
     /// Counts from zero up to which no whole turn has to be taken off.
     counts_unturned: u32,
     offset: T,
+}
+
+impl<T: Real> Encoding<T> {
+    /// `rate` in Hz. `periodic`: whole turns are the same pose.
+    fn new(joint: &Joint<T>, rate: T, periodic: bool) -> Self {
+        let scale = joint.radians_per_count;
+        let period = joint.counts_per_turn;
+        let turns = T::from_i32(period) * scale.abs() * T::from_f64(1.0 / core::f64::consts::TAU) + T::from_f64(0.5);
+        let turns = turns.whole();
+        let repeats = periodic && period > 0 && turns > 0;
+        Self {
+            radians_per_count: scale,
+            speed_per_count: scale * rate,
+            period,
+            turns,
+            radians_per_part: if repeats { scale / T::from_i32(turns) } else { scale },
+            counts_unturned: period.checked_div(turns).filter(|_| repeats).map_or(u32::MAX, i32::unsigned_abs),
+            offset: joint.offset,
+        }
+    }
+
+    /// The angle of so many counts, offset aside and whole turns taken off (rad): exact but for two or three roundings
+    /// of what is left, however many turns there were.
+    #[inline(always)]
+    fn within_a_turn(&self, relative: i32) -> T {
+        if self.turns == 1 {
+            T::from_i32(relative.checked_rem(self.period).unwrap_or(relative)) * self.radians_per_count
+        } else {
+            self.within_a_fractional_turn(relative)
+        }
+    }
+
+    /// A turn of p/q counts is p parts of 1/q count: n counts are n q parts, and whole turns of p come off exactly.
+    #[cold]
+    #[inline(never)]
+    fn within_a_fractional_turn(&self, relative: i32) -> T {
+        let parts = i64::from(relative) * i64::from(self.turns);
+        // Smaller than the period, so it fits.
+        let left = parts.checked_rem(i64::from(self.period)).unwrap_or(0) as i32;
+        T::from_i32(left) * self.radians_per_part
+    }
 }
 
 /// The encoders of N joints, and what their counts were.
@@ -37,17 +82,7 @@ impl<T: Real, const N: usize> Encoders<T, N> {
     #[inline(never)]
     pub fn new(device: &Device<T>, coefficients: &Coefficients<T>, periodic: bool, moving: bool) -> Self {
         Self {
-            joints: core::array::from_fn(|i| {
-                let joint = &device.joints[i];
-                let counts_per_turn = if periodic { joint.counts_per_turn } else { 0 };
-                Encoding {
-                    radians_per_count: joint.radians_per_count,
-                    speed_per_count: joint.radians_per_count * coefficients.rate(),
-                    counts_per_turn,
-                    counts_unturned: if counts_per_turn > 0 { counts_per_turn.unsigned_abs() } else { u32::MAX },
-                    offset: joint.offset,
-                }
-            }),
+            joints: core::array::from_fn(|i| Encoding::new(&device.joints[i], coefficients.rate(), periodic)),
             zero: [0; N],
             last: [0; N],
             primed: false,
@@ -68,8 +103,7 @@ impl<T: Real, const N: usize> Encoders<T, N> {
             q[i] = T::from_i32(relative) * joint.radians_per_count + joint.offset;
             turned[i] = q[i];
             if relative.unsigned_abs() > joint.counts_unturned {
-                let within = relative.checked_rem(joint.counts_per_turn).unwrap_or(relative);
-                turned[i] = T::from_i32(within) * joint.radians_per_count + joint.offset;
+                turned[i] = joint.within_a_turn(relative) + joint.offset;
             }
         }
         (q, turned)
@@ -137,4 +171,95 @@ fn counts_of<T: Real>(angle: T, radians_per_count: T) -> i32 {
     let counts = angle / radians_per_count;
     let half = T::from_f64(0.5);
     (if counts < T::zero() { counts - half } else { counts + half }).whole()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::catalogue::Kind;
+    use crate::model::description::{self, Description, Encoder};
+
+    /// A redundant arm with this encoder at joint 0, as a board has it.
+    fn encoding(counts_per_turn: f64, inverted: bool) -> Encoding<f32> {
+        let link = description::Link { mass: 0.1, com: 0.1, inertia: 1.0e-4, ..Default::default() };
+        let mut joints = [description::Joint { inertia: 1.0e-4, ..Default::default() }; 3];
+        joints[0].encoder = Some(Encoder { counts_per_turn, offset: 0.0, inverted });
+        let description = Description {
+            kind: Kind::Serial3r,
+            gravity: [0.0; 3],
+            geometry: [0.2; _],
+            links: [link; _],
+            joints,
+            handle_mass: 0.0,
+            home: None,
+        };
+        let device = Device::<f32>::new("arm", &description).expect("a sound device");
+        Encoding::new(&device.joints[0], 1_000.0, true)
+    }
+
+    /// `count` counts in counts of the last turn begun, signed as `count` is: the f64 `counts_per_turn` is m/2ᵏ, so
+    /// whole turns come off in integers.
+    fn left_of(count: i32, counts_per_turn: f64) -> f64 {
+        let mut denominator = 1_i128;
+        while (counts_per_turn * denominator as f64).fract() != 0.0 {
+            denominator *= 2;
+        }
+        let turn = (counts_per_turn * denominator as f64) as i128;
+        (i128::from(count) * denominator % turn) as f64 / denominator as f64
+    }
+
+    /// Four roundings of half an epsilon: the size of a count, that of a part, the parts that are left, the product.
+    fn rounding(angle: f64) -> f64 {
+        angle.abs() * 2.0 * f64::from(f32::EPSILON)
+    }
+
+    #[test]
+    fn whole_turns_of_fractional_counts_come_off_exactly() {
+        // An encoder of 4000 behind 43:4, 7:3 and 355:113, one with decimals, and a gear ratio that is no fraction.
+        for counts_per_turn in
+            [20_000.0, 10_752.5, 28_000.0 / 3.0, 4_000.0 * 355.0 / 113.0, 16_384.07, 2e4 * 1.1_f64.sqrt()]
+        {
+            for inverted in [false, true] {
+                let encoding = encoding(counts_per_turn, inverted);
+                for turns in [2, 3, 10, 999, 1_000, 4_999, 10_000] {
+                    for sign in [1, -1] {
+                        for step in 0..97 {
+                            let share = f64::from(turns) + f64::from(step) / 97.0 + 1.0e-3;
+                            let count = sign * (share * counts_per_turn) as i32;
+                            let left = left_of(count, counts_per_turn) * core::f64::consts::TAU / counts_per_turn;
+                            let right = if inverted { -left } else { left };
+                            let found = f64::from(encoding.within_a_turn(count));
+                            // Decimals and roots are p/q to 3e-5 of a count after so many turns, 1e-8 rad.
+                            assert!(
+                                (found - right).abs() <= rounding(right) + 1.0e-8,
+                                "{counts_per_turn} per turn, {turns} turns, {count}: {found} is not {right}"
+                            );
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_whole_range_of_the_counter_is_off_by_less_than_a_count() {
+        // The worst for a continued fraction: its first convergent is near, its second out of reach.
+        for counts_per_turn in [20_000.0 + 1.0e-5, 2_048.0 + 1.0e-6, 1.0e6 + 3.0e-4, 62_831.853_071_795_86] {
+            let encoding = encoding(counts_per_turn, false);
+            let turn = core::f64::consts::TAU;
+            for count in [i32::MAX, i32::MIN, i32::MAX / 2, -1_234_567_890] {
+                let right = left_of(count, counts_per_turn) * turn / counts_per_turn;
+                let apart = f64::from(encoding.within_a_turn(count)) - right;
+                let apart = (apart - (apart / turn).round() * turn).abs();
+                assert!(apart <= turn / counts_per_turn + rounding(turn), "{counts_per_turn} at {count}: {apart} rad");
+            }
+        }
+    }
+
+    #[test]
+    fn within_the_first_turn_nothing_is_taken_off() {
+        for counts_per_turn in [10_752.5, 20_000.0] {
+            assert_eq!(encoding(counts_per_turn, false).counts_unturned, counts_per_turn as u32);
+        }
+    }
 }
