@@ -14,7 +14,7 @@ use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::program::{Hardware, Program};
-use haptic_bridge::servo::{Command, Rules, Servo};
+use haptic_bridge::servo::{Command, HostAction, Rules, Servo};
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
@@ -103,7 +103,8 @@ impl Press {
             bridge: Bridge { carrier_hz: 20_000.0, dead_time: 0.0, bandwidth_hz: 1_000.0, current_sensed: false },
         };
         let device = Device::new(&file.name, &description).expect("a sound device");
-        let mut servo: Servo<Box<Program<Minimax>>> = Servo::new(hardware, Rules { limits, ..Rules::default() });
+        let mut servo: Servo<Box<Program<Minimax>>> =
+            Servo::new(hardware, Rules { limits, host_action: HostAction::Ignore, ..Rules::default() });
         let program = Program::new(&hardware, &limits, &device, &scene, &MassModelData::Exact, false).expect("fits");
         servo.execute(Command::Program(Box::new(program))).0.expect("a program that fits");
         let mut go =

@@ -16,7 +16,7 @@ use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::program::{Hardware, Program};
-use haptic_bridge::servo::{Command, Rules, Servo};
+use haptic_bridge::servo::{Command, HostAction, Rules, Servo};
 use nalgebra::Vector2;
 use std::path::Path;
 
@@ -122,7 +122,8 @@ fn pressed(file: &DeviceFile, limit: f32) -> Result<Vec<Pressed>, Box<dyn std::e
         bridge: Bridge { carrier_hz: 20_000.0, dead_time: 0.0, bandwidth_hz: 1_000.0, current_sensed: false },
     };
     let device = Device::new(&file.name, &description)?;
-    let mut servo: Servo<Box<Program<Minimax>>> = Servo::new(hardware, Rules { limits, ..Rules::default() });
+    let mut servo: Servo<Box<Program<Minimax>>> =
+        Servo::new(hardware, Rules { limits, host_action: HostAction::Ignore, ..Rules::default() });
     let refused = |refusal| format!("{refusal:?}");
     let program = Program::new(&hardware, &limits, &device, &scene, &MassModelData::Exact, false).map_err(refused)?;
     servo.execute(Command::Program(Box::new(program))).0.map_err(refused)?;
