@@ -4,8 +4,10 @@ pub mod double_double;
 pub mod extremes;
 pub mod filters;
 pub mod routes;
+pub mod several;
 pub mod singular;
 pub mod steps;
+pub mod turns;
 
 use haptic::device_file::DeviceFile;
 use haptic_bridge::model::description::Description;
@@ -64,12 +66,21 @@ pub struct Rows {
     pub extremes: Vec<extremes::Row>,
     pub filters: Vec<filters::Row>,
     pub steps: Vec<steps::Row>,
+    pub several: Vec<several::Row>,
+    pub turns: Vec<turns::Row>,
 }
 
 impl Rows {
     /// Computes all of them.
     pub fn compute() -> Self {
-        Self { singular: singular::all(), extremes: extremes::all(), filters: filters::all(), steps: steps::all() }
+        Self {
+            singular: singular::all(),
+            extremes: extremes::all(),
+            filters: filters::all(),
+            steps: steps::all(),
+            several: several::all(),
+            turns: turns::all(),
+        }
     }
 
     /// The page, docs/hard-cases.md.
@@ -79,6 +90,8 @@ impl Rows {
             extremes::table(&self.extremes),
             filters::table(&self.filters),
             steps::table(&self.steps),
+            several::table(&self.several),
+            turns::table(&self.turns),
         ];
         let sections: Vec<String> = sections.iter().map(Table::markdown).collect();
         format!("{PREFACE}\n{}", sections.join("\n"))
@@ -103,4 +116,5 @@ What follows from the tables:
   with 16384 a turn moves Jᵀ a thousand times as far as f32 does.
 - The Schur form Wrr - Wra Waa⁻¹ War loses all digits at serial singularities; 1/(Jr M⁻¹ Jrᵀ) keeps them. At parallel
   ones every route through M fails, and the one through Λ in task space keeps the most.
+- Neither walls at 1e-4 rad nor walls 1e4 times as stiff as their neighbours cost a digit, nor do thousands of turns.
 ";

@@ -31,7 +31,7 @@ pub struct Routes<T: Real, const N: usize> {
 }
 
 /// A⁻¹ by Gauss and Jordan's elimination with pivoting, as a general-purpose library does it.
-fn inverse<T: Real, const N: usize>(matrix: &SMatrix<T, N, N>) -> SMatrix<T, N, N> {
+pub fn inverse<T: Real, const N: usize>(matrix: &SMatrix<T, N, N>) -> SMatrix<T, N, N> {
     let (mut a, mut inverse) = (*matrix, SMatrix::<T, N, N>::identity());
     for k in 0..N {
         let pivot = (k..N).fold(k, |best, i| if a[(i, k)].abs() > a[(best, k)].abs() { i } else { best });

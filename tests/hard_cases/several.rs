@@ -1,0 +1,216 @@
+//! Two walls at a small angle, or of very different stiffness: the control step in f32 against the law of docs/model.md
+//! section 2 written down once more, in accelerations, with the eigenvectors of two walls in closed form, in 106 bits.
+
+use super::double_double::{DoubleDouble, Series};
+use super::routes::inverse;
+use super::singular::{Random, cast};
+use super::steps::{controller, counts, encoded, three};
+use super::{Table, digits, shipped};
+use haptic_bridge::math::{Libm, Math, Minimax};
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
+use nalgebra::{SMatrix, SVector};
+
+/// Angles between the walls, rad.
+pub const ANGLES: [f64; 4] = [1e-4, 1e-3, 1e-2, 1e-1];
+/// How much stiffer the first wall is.
+pub const RATIOS: [f64; 3] = [1.0, 1e2, 1e4];
+const POSES: usize = 40;
+
+/// One row of the table.
+#[derive(Clone, Debug)]
+pub struct Row {
+    pub device: &'static str,
+    /// rad
+    pub angle: f64,
+    /// Largest torque error as a share of the largest torque, for each of [`RATIOS`].
+    pub torque: [f64; 3],
+    /// Least share of the torque that the law, and no Jᵀ F, is responsible for: what the row would show without it.
+    pub shaped: f64,
+}
+
+/// Joint torques for two walls (normal, stiffness, force), at rest: M J⁻¹ A F.
+fn law<M: Mechanism<DoubleDouble, N>, const N: usize>(
+    m: &M,
+    q: &SVector<DoubleDouble, N>,
+    walls: &[(SVector<DoubleDouble, N>, DoubleDouble, DoubleDouble); 2],
+) -> SVector<DoubleDouble, N> {
+    let one = DoubleDouble::from(1.0);
+    let pose = m.pose::<Series>(q);
+    let (mass, back) = (m.mass(&pose), inverse(&m.jacobian(&pose)));
+    let lambda = back.transpose() * mass * back;
+    let mobility = inverse(&lambda);
+
+    // K = k₁ n₁ n₁ᵀ + k₂ n₂ n₂ᵀ in the frame (a, b) that the two normals span.
+    let [(n1, k1, f1), (n2, k2, f2)] = *walls;
+    let length = |v: &SVector<DoubleDouble, N>| Series::sqrt(v.dot(v));
+    let a = n1 / length(&n1);
+    let rest = n2 - a * a.dot(&n2);
+    let b = rest / length(&rest);
+    let (c, s) = (a.dot(&n2), b.dot(&n2));
+    let (aa, ab, bb) = (k1 * n1.dot(&n1) + k2 * c * c, k2 * c * s, k2 * s * s);
+    let half = DoubleDouble::from(0.5);
+    let root = Series::sqrt((aa - bb) * (aa - bb) + ab * ab * 4.0.into());
+    let stiff = (aa + bb + root) * half;
+    let soft = (aa * bb - ab * ab) / stiff;
+    let e1 = a * (stiff - bb) + b * ab;
+    let e1 = e1 / length(&e1);
+    let e2 = b * a.dot(&e1) - a * b.dot(&e1);
+
+    // A_R = Q (Qᵀ Λ Q)⁻¹ Qᵀ; a third direction has no stiffness, so s₂ = 1, and in the plane there is no level 2.
+    let s1 = one - soft / stiff * (soft / stiff);
+    let first = e1 / e1.dot(&(lambda * e1));
+    let second = |e: &SVector<DoubleDouble, N>| {
+        if N == 2 {
+            return mobility * e;
+        }
+        let (l11, l12, l22) = (e1.dot(&(lambda * e1)), e1.dot(&(lambda * e2)), e2.dot(&(lambda * e2)));
+        let (x, y) = (e1.dot(e), e2.dot(e));
+        (e1 * (l22 * x - l12 * y) + e2 * (l11 * y - l12 * x)) / (l11 * l22 - l12 * l12)
+    };
+    let force = n1 * f1 + n2 * f2;
+    let (along, across) = (e1.dot(&force), e2.dot(&force));
+    let acceleration = (first * s1 + second(&e1) * (one - s1)) * along + second(&e2) * across;
+    mass * (back * acceleration)
+}
+
+fn row<A, B, C, const N: usize>(double: A, board: B, reference: C, name: &'static str, device: &Description) -> Vec<Row>
+where
+    A: Mechanism<f64, N>,
+    B: Mechanism<f32, N>,
+    C: Mechanism<DoubleDouble, N>,
+{
+    let task = A::SPEC.task;
+    ANGLES
+        .map(|angle| {
+            let mut random = Random(11);
+            let mut row = Row { device: name, angle, torque: [0.0; 3], shaped: f64::INFINITY };
+            let mut poses = 0;
+            while poses < POSES {
+                let q: SVector<f64, N> = random.vector(3.1);
+                let pose = double.pose::<Libm>(&q);
+                let r = double.regularity(&pose);
+                let mut n: SVector<f64, N> = random.vector(1.0);
+                let mut t: SVector<f64, N> = random.vector(1.0);
+                for i in task..N {
+                    (n[i], t[i]) = (0.0, 0.0);
+                }
+                if r.serial.min(r.parallel) < 0.2 || n.norm() < 0.1 {
+                    continue;
+                }
+                poses += 1;
+                n /= n.norm();
+                t -= n * n.dot(&t);
+                t /= t.norm();
+                // Surfaces a metre away and stiffnesses in N/m up to one: what is lost is lost by the law, not by the
+                // depth (the page's last table has that).
+                let normals = [n, n * angle.cos() + t * angle.sin()].map(|n| cast::<f64, f32, N>(&n));
+                let tip = double.tip(&pose);
+                for (index, ratio) in RATIOS.into_iter().enumerate() {
+                    let stiffness = [1.0, (1.0 / ratio) as f32];
+                    let wall = |i: usize| {
+                        let normal = cast::<f32, f64, N>(&normals[i]);
+                        let point = three(&(tip + normal), task).map(|x| x as f32);
+                        Wall {
+                            surface: Surface::Plane(Plane { point, normal: three(&normal, task).map(|x| x as f32) }),
+                            stiffness: stiffness[i],
+                            damping: 0.0,
+                            feed_forward: FeedForward::Full,
+                            washout_hz: 2.0,
+                            damping_compensation: false,
+                            bilateral: true,
+                        }
+                    };
+                    let walls = [wall(0), wall(1)];
+                    let scene = Scene {
+                        task: task as u8,
+                        rate_hz: 1_000.0,
+                        cutoff_hz: 100.0,
+                        velocity_terms: VelocityTerms::Off,
+                        gravity_compensation: false,
+                        walls: walls.into_iter().collect(),
+                        ..Scene::default()
+                    };
+                    let step = controller::<f32, Minimax, _, N>(board, device, &scene).step(&counts(&q));
+                    // The truth is at the angles and for the planes that the board was given.
+                    let angles: SVector<DoubleDouble, N> = cast(&step.q);
+                    let place = reference.tip(&reference.pose::<Series>(&angles));
+                    let given = [0, 1].map(|i| {
+                        let Surface::Plane(plane) = walls[i].surface else { unreachable!("a plane") };
+                        let normal: SVector<DoubleDouble, N> = cast(&normals[i]);
+                        let mut distance = DoubleDouble::from(0.0);
+                        for k in 0..task {
+                            distance += normal[k] * (place[k] - DoubleDouble::from(f64::from(plane.point[k])));
+                        }
+                        let stiffness = DoubleDouble::from(f64::from(stiffness[i]));
+                        (normal, stiffness, -(stiffness * distance))
+                    });
+                    let right: SVector<f64, N> = cast(&law(&reference, &angles, &given));
+                    let found: SVector<f64, N> = cast(&step.torque);
+                    row.torque[index] = row.torque[index].max((found - right).amax() / right.amax());
+                    let plain: SVector<f64, N> = cast(&step.rendered);
+                    row.shaped = row.shaped.min((right - plain).amax() / right.amax());
+                }
+            }
+            row
+        })
+        .to_vec()
+}
+
+/// Every mechanism that has more than one direction.
+pub fn all() -> Vec<Row> {
+    [
+        ("five-bar", "haply-2diy"),
+        ("five-bar-turret", "fictive-five-bar-turret"),
+        ("parallelogram", "phantom-premium-1.5"),
+        ("serial-3r", "serial-3r"),
+    ]
+    .into_iter()
+    .flat_map(|(name, file)| {
+        let device = encoded(&shipped(file));
+        let sound = "a shipped device is sound";
+        let double = AnyMechanism::<f64>::new(&device).expect(sound);
+        let board = AnyMechanism::<f32>::new(&device).expect(sound);
+        let reference = AnyMechanism::<DoubleDouble>::new(&device).expect(sound);
+        macro_rules! each {
+            ($($Variant:ident)*) => {
+                match (double, board, reference) {
+                    $((AnyMechanism::$Variant(a), AnyMechanism::$Variant(b), AnyMechanism::$Variant(c)) =>
+                        row(a, b, c, name, &device),)*
+                    _ => unreachable!("three precisions of one device are of one kind"),
+                }
+            };
+        }
+        each!(FiveBar FiveBarTurret Parallelogram Serial3r)
+    })
+    .collect()
+}
+
+/// The rows as the page shows them.
+pub fn table(rows: &[Row]) -> Table {
+    let mut table = Table::new(
+        "Two walls at a small angle, or of very different stiffness",
+        "Largest error of the control step's torques in f32, as a share of the largest, at 40 random poses and normals; the \
+         reference is the law for several walls (docs/model.md section 2) written down a second time, in accelerations, with \
+         the walls' principal directions in closed form. Columns: how much stiffer the first wall is. The last column is the \
+         least share of a torque that the feed-forward changed.",
+        &["device", "angle, rad", "**as stiff**", "**1e2**", "**1e4**", "changed by the feed-forward"],
+    );
+    for row in rows {
+        let mut cells = vec![row.device.to_string(), digits(row.angle)];
+        cells.extend(row.torque.map(digits));
+        cells.push(digits(row.shaped));
+        table.push(cells);
+    }
+    table
+}
+
+/// A matrix of any precision is its own inverse's inverse: what the reference stands on.
+#[test]
+fn the_reference_inverts_to_thirty_digits() {
+    let mut random = Random(5);
+    let m = SMatrix::<DoubleDouble, 3, 3>::from_fn(|_, _| random.within(-1.0, 1.0).into());
+    let rest = m * inverse(&m) - SMatrix::identity();
+    assert!(rest.iter().all(|x| x.high.abs() < 1e-28), "{rest:?}");
+}
