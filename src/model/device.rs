@@ -36,7 +36,7 @@ pub struct Joint<T> {
     /// Counts after which the angle repeats, 0 when it never does. They make one turn where the counts per turn are
     /// whole, and q turns where they are a fraction p/q.
     pub counts_per_turn: i32,
-    /// Joint angle at count 0, rad.
+    /// Joint angle at count 0, rad; within half a count of the description's, where home is a whole count.
     pub offset: T,
     /// Viscous friction, N m s/rad.
     pub viscous: T,
@@ -77,12 +77,15 @@ impl<T: Real> Device<T> {
             }
         }
         let mut joints = [Joint::default(); MAX_JOINTS];
-        for (joint, described) in joints.iter_mut().zip(&description.joints).take(spec.joints) {
+        for (index, (joint, described)) in joints.iter_mut().zip(&description.joints).take(spec.joints).enumerate() {
             let mut scale = 0.0;
             if let Some(encoder) = described.encoder {
                 let sign = if encoder.inverted { -1.0 } else { 1.0 };
                 scale = sign * core::f64::consts::TAU / encoder.counts_per_turn;
-                joint.offset = r(encoder.offset);
+                joint.offset = r(match description.home {
+                    Some(home) => on_a_count(encoder.offset, home[index], scale),
+                    None => encoder.offset,
+                });
                 joint.counts_per_turn = repeats_after(encoder.counts_per_turn);
             }
             joint.radians_per_count = r(scale);
@@ -163,4 +166,13 @@ fn finite_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M, 
     let shaping = MassModel::Exact.shaping(mechanism, &[], &q, &pose, &askew);
     let found = [mechanism.tip(&pose), mechanism.gravity(&pose), shaping.e, shaping.me];
     found.iter().all(|v| v.iter().all(|x| x.is_finite())) && shaping.w_rr.is_finite()
+}
+
+/// The angle of count 0 that is nearest to `offset` and has `home` on a whole count (all in rad), so that the pose that
+/// homing declares is the pose that is read. It moves by half a count at most, which homing rounded away before.
+fn on_a_count(offset: f64, home: f64, radians_per_count: f64) -> f64 {
+    let counts = (home - offset) / radians_per_count;
+    let half = if counts < 0.0 { -0.5 } else { 0.5 };
+    // Counts beyond an i64's are no encoder's; `as` clamps them.
+    home - ((counts + half) as i64) as f64 * radians_per_count
 }
