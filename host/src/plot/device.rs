@@ -65,7 +65,7 @@ pub fn draw(description: &Description, name: &str, q: &[f64], lines: &[String]) 
     canvas.text((frame.at.0, 28.0), 15.0, Anchor::Start, false, &title);
     let what =
         if description.home.is_some_and(|home| home[..spec.joints] == *q) { "at home" } else { "at the pose given" };
-    canvas.text((frame.at.0, 47.0), 12.0, Anchor::Start, false, &format!("{what}; grey ground: where the tip can be"));
+    canvas.text((frame.at.0, 47.0), 12.0, Anchor::Start, false, &format!("{what}; pale ground: where the tip can be"));
     for (i, line) in notes.iter().enumerate() {
         canvas.text((40.0, bottom + 17.0 * i as f64), 12.0, Anchor::Start, false, line);
     }
@@ -135,7 +135,10 @@ fn links(canvas: &mut Canvas, frame: &Frame, skeleton: &Skeleton) {
         // The baseline lies below the letters.
         let away = if ny > 0.0 { 17.0 } else { 8.0 };
         let text = format!("{}, {} mm", bar.name, (bar.length * 1e5).round() / 100.0);
-        canvas.slanted_text((middle.0 + away * nx, middle.1 + away * ny), slope, &text);
+        // Off the arcs at the base; a label longer than its link begins where the link does.
+        let past = (3.1 * text.chars().count() as f64 + 6.0 - length / 2.0).max(0.06 * length);
+        let at = (middle.0 + past * dx / length, middle.1 + past * dy / length);
+        canvas.slanted_text((at.0 + away * nx, at.1 + away * ny), slope, &text);
     }
     for (letter, at) in &skeleton.letters {
         let (x, y) = frame.pixel(at.0, at.1);
@@ -212,7 +215,7 @@ fn turret_axis(canvas: &mut Canvas, frame: &Frame, kind: Kind) {
     match Turret::of(kind) {
         Some(Turret::AboutX) => {
             canvas.line((left, origin.1), (right, origin.1), axis);
-            canvas.text((left + 8.0, origin.1 - 6.0), 11.5, Anchor::Start, false, "joint 0 turns about this axis");
+            canvas.text((right - 8.0, origin.1 + 14.0), 11.5, Anchor::End, false, "joint 0 turns about this axis");
         }
         Some(Turret::AboutY) => {
             canvas.line((origin.0, top), (origin.0, bottom), axis);
