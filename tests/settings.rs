@@ -4,6 +4,7 @@ mod rig;
 
 use haptic_bridge::board::settings::{BoardName, Damage, Key, MAX_ENTRY, Polarity, Setting, decode, encode};
 use haptic_bridge::checksum::crc32;
+use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::MassModelData;
 use haptic_bridge::render::scene::{Cylinder, FeedForward, Scene, Sphere, Spring, Surface, VelocityTerms};
@@ -47,13 +48,21 @@ fn full_rules() -> Rules {
     }
 }
 
+/// A device as the first firmware stored it: its joints' angles at count 0 are the description's, wherever home lies
+/// between two counts. Boards in the field hold such entries.
+fn stored_device() -> Device<f32> {
+    let five_bar = rig::five_bar();
+    let home = five_bar.home.map(|home| home.map(|q| q as f32));
+    Device { home, ..rig::device(&Description { home: None, ..five_bar }) }
+}
+
 /// One value of every setting, under the name of its key.
 fn specimens() -> Vec<(Key, Vec<u8>)> {
     fn entry<S: Setting>(value: &S) -> (Key, Vec<u8>) {
         (S::KEY, encode(value).expect("it fits").to_vec())
     }
     vec![
-        entry(&rig::device(&rig::five_bar())),
+        entry(&stored_device()),
         entry(&full_scene()),
         entry(&full_rules()),
         entry(&MassModelData::Frozen([1.0, 0.25, 2.0, 0.125, 0.5, 4.0])),
