@@ -83,6 +83,16 @@ impl core::fmt::Display for Warning {
     }
 }
 
+/// A result and what is doubted about it: one JSON document, with the doubts under `warnings`.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Warned<'a, T> {
+    /// The result.
+    #[serde(flatten)]
+    pub result: &'a T,
+    /// The doubts.
+    pub warnings: &'a [Warning],
+}
+
 /// Says doubts on standard error, one line each.
 pub fn warn(warnings: &[Warning]) {
     for warning in warnings {

@@ -61,10 +61,17 @@ fn every_answer_of_a_board_comes_as_json_as_well() {
         let done = sim.run(&[words, &["--json"]].concat()).success();
         serde_json::from_slice(&done.get_output().stdout).unwrap_or_else(|error| panic!("{words:?}: {error}"))
     };
-    assert_eq!(json(&["device", &device])["device"], "coupled-five-bar");
-    assert_eq!(json(&["scene", &scene])["scene"]["walls"].as_array().unwrap().len(), 1);
+    let loaded = json(&["device", &device]);
+    assert_eq!((&loaded["device"], &loaded["warnings"]), (&"coupled-five-bar".into(), &serde_json::json!([])));
+    let loaded = json(&["scene", &scene]);
+    assert_eq!(loaded["scene"]["walls"].as_array().unwrap().len(), 1);
+    assert_eq!(loaded["warnings"], serde_json::json!([]));
     assert_eq!(json(&["home"])["homed"], true);
-    assert_eq!(json(&["gains", "--stiffness", "300"])["stiffness"], 300.0);
+    let gains = json(&["gains", "--stiffness", "300"]);
+    assert_eq!((&gains["stiffness"], &gains["warnings"]), (&300.0.into(), &serde_json::json!([])));
+    let beyond = json(&["gains", "--stiffness", "1e9"]);
+    assert!(beyond["warnings"][0]["text"].as_str().unwrap().contains("stable up to"), "{beyond}");
+    json(&["gains", "--stiffness", "300"]);
     assert_eq!(json(&["rules", "--torque", "0.5,0.4", "--host", "ignore"])["torque"].as_array().unwrap().len(), 2);
     assert_eq!(json(&["polarity"])["polarity_checked"], true);
     assert_eq!(json(&["save"])["saved"], true);

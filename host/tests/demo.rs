@@ -58,6 +58,25 @@ fn the_command_prints_its_table_and_draws_its_picture() {
     let picture = std::fs::read_to_string(&svg).unwrap();
     assert!(picture.starts_with("<svg") && picture.trim_end().ends_with("</svg>"));
     assert_eq!(picture.matches("<polyline").count(), 6, "three panels of two runs");
+
+    let again =
+        |more: &[&str]| Command::cargo_bin("haptic").unwrap().arg("demo").arg("--svg").arg(&svg).args(more).assert();
+    again(&[]).code(1);
+    let json = again(&["--force", "--json"]).success().get_output().stdout.clone();
+    let json: serde_json::Value = serde_json::from_slice(&json).unwrap();
+    for (side, column) in [("without", 0), ("with", 1)] {
+        let value = |pointer: &str| json[side].pointer(pointer).unwrap().as_f64().unwrap();
+        // The table's own numbers, to its digits.
+        for (row, number) in [
+            ("penetration, mm", format!("{:.3}", 1e3 * value("/penetration_m"))),
+            ("peak force, N", format!("{:.2}", value("/peak_force_n"))),
+            ("inertia that the wall meets, g", format!("{:.1}", 1e3 * value("/inertia_kg"))),
+            ("measured", format!("{:.2}", 1e-3 * value("/highest_stable_stiffness_n_per_m/measured"))),
+        ] {
+            let line = said.lines().find(|line| line.contains(row)).unwrap();
+            assert_eq!(line.split_whitespace().rev().nth(1 - column), Some(number.as_str()), "{line}");
+        }
+    }
     for letter in 'a'..='f' {
         assert!(picture.contains(&format!(">({letter}) ")), "panel {letter}");
     }

@@ -183,10 +183,45 @@ fn a_new_file_passes_check_and_is_never_written_over() {
         assert_eq!((code, err.as_str()), (0, ""), "{out}");
         assert!(std::fs::read_to_string(&drawing).unwrap().contains("joint "), "{kind}");
         std::fs::write(path, "mine").unwrap();
-        assert_eq!(haptic(&["new", kind, "-o", path]).0, 2);
+        assert_eq!(haptic(&["new", kind, "-o", path]).0, 1);
         assert_eq!(std::fs::read_to_string(path).unwrap(), "mine");
         assert_eq!(haptic(&["new", kind, "-o", path, "--force"]).0, 0);
         assert!(std::fs::read_to_string(path).unwrap().contains("[[joint]]"));
     }
     assert_eq!(haptic(&["new", "six-bar"]).0, 2);
+}
+
+#[test]
+fn doubts_about_what_was_typed_are_in_the_json_document_too() {
+    let device = devices().join("haply-2diy.toml");
+    let device = device.to_str().unwrap();
+    let range = ["range", device, "--normal", "0,1", "--rate", "1000", "--cutoff", "20", "--q=132,48", "--json"];
+    for arguments in [&["model", device, "--q=132,48", "--json"][..], &range] {
+        let (code, out, err) = haptic(arguments);
+        assert_eq!(code, 0, "{err}");
+        let document: Value = serde_json::from_str(&out).unwrap();
+        let warnings = document["warnings"].as_array().unwrap();
+        assert_eq!(warnings.len(), 2, "{err}");
+        assert!(warnings[0]["text"].as_str().unwrap().contains("132 degrees are 2.3038 rad"), "{err}");
+    }
+    let (_, out, _) = haptic(&["model", device, "--json"]);
+    assert_eq!(serde_json::from_str::<Value>(&out).unwrap()["warnings"], serde_json::json!([]));
+}
+
+#[test]
+fn a_drawing_is_not_overwritten_unasked() {
+    let folder = tempfile::tempdir().unwrap();
+    let device = devices().join("haply-2diy.toml");
+    let device = device.to_str().unwrap();
+    for (option, name) in [("--svg", "a.svg"), ("--png", "a.png")] {
+        let path = folder.path().join(name);
+        std::fs::write(&path, "mine").unwrap();
+        let drawn = ["check", device, option, path.to_str().unwrap()];
+        let (code, _, err) = haptic(&drawn);
+        assert_eq!(code, 1, "{err}");
+        assert!(err.contains("exists") && err.contains("--force"), "{err}");
+        assert_eq!(std::fs::read(&path).unwrap(), b"mine");
+        assert_eq!(haptic(&[&drawn[..], &["--force"]].concat()).0, 0);
+        assert_ne!(std::fs::read(&path).unwrap(), b"mine");
+    }
 }

@@ -1,6 +1,7 @@
 //! `haptic check`: says whether a device file and scene files for it are sound, what they describe, and what in them
 //! can hardly be meant, without a board.
 
+use super::force::Force;
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::plausible::scene::Contact;
@@ -36,6 +37,8 @@ pub struct Args {
     /// Print one JSON document
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    force: Force,
 }
 
 /// The document of `--json`.
@@ -65,6 +68,7 @@ struct SceneReport {
 
 /// Checks every file.
 pub fn run(args: Args) -> Result<(), Failure> {
+    args.force.check(args.svg.iter().chain(&args.png))?;
     let document = Document::load(&args.device)?;
     let file = DeviceFile::read(&document)?;
     let spec = file.spec();

@@ -9,6 +9,7 @@ use haptic::demo::{Demo, Inertia};
 use haptic::error::{Failure, print};
 use haptic::output;
 use haptic_bridge::render::scene::FeedForward;
+use serde_json::json;
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
 
@@ -26,6 +27,9 @@ pub struct Args {
     /// Seed of the hand's tremor, the same for both runs
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
 }
 
 /// A bar on standard error, where there is somebody to see it.
@@ -99,7 +103,40 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let svg = args.svg.unwrap_or_else(|| output::unused("haptic-demo.svg".as_ref()));
     draw(&demo, &results.crossings[0], &results.crossings[1]).save_svg(&svg)?;
     let place = std::path::absolute(&svg).unwrap_or(svg);
+    if args.json {
+        return print(&format!("{}\n", document(&demo, &results, &place.display().to_string())));
+    }
     print(&format!("{}picture: {}\n", report(&demo, &results), place.display()))
+}
+
+/// What `report` says, for programs: SI units, `without` the feed-forward and `with` it.
+fn document(demo: &Demo, results: &Results, picture: &str) -> serde_json::Value {
+    let run = |crossing: &Crossing, inertia: f64, limit: &Limit| {
+        json!({
+            "penetration_m": crossing.penetration,
+            "peak_force_n": crossing.peak_force,
+            "ripple_n_rms": crossing.ripple,
+            "bounces": crossing.bounces,
+            "rows_lost": crossing.lost,
+            "fault": crossing.fault,
+            "inertia_kg": inertia,
+            "highest_stable_stiffness_n_per_m": { "measured": limit.measured, "predicted": limit.predicted },
+        })
+    };
+    let Results { inertia, crossings: [without, with], limits: [low, high] } = results;
+    json!({
+        "device": demo.file.name,
+        "seed": demo.seed,
+        "rate_hz": demo.rate_hz,
+        "stiffness_n_per_m": demo.stiffness,
+        "damping_n_s_per_m": demo.damping,
+        "washout_hz": demo.washout_hz,
+        "without": run(without, inertia.effective, low),
+        "with": run(with, inertia.rendered, high),
+        "model": demo.model_line(),
+        "range": demo.range_line(low.delay_samples),
+        "picture": picture,
+    })
 }
 
 fn report(demo: &Demo, results: &Results) -> String {

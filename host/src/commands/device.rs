@@ -44,7 +44,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let file = DeviceFile::read(&document)?;
     let device = Device::new(&file.name, &file.description)
         .map_err(|error| Failure::wrong(format!("{}: {error}", args.file.display())))?;
-    warn(&doubts(&file.description).into_iter().map(|doubt| doubt.about(&document)).collect::<Vec<_>>());
+    let warnings: Vec<_> = doubts(&file.description).into_iter().map(|doubt| doubt.about(&document)).collect();
+    warn(&warnings);
     let mut board = args.port.open()?;
     let details = board.details()?;
     let joints = file.spec().joints;
@@ -73,7 +74,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         report.push_str("next: `haptic scene FILE`, then `haptic home`\n");
     }
     let lacks = if details.real { file.lacks_for_a_board() } else { Vec::new() };
-    answer(args.json, json!({ "device": file.name, "port": board.port(), "lacks": lacks }), &report)
+    let document = json!({ "device": file.name, "port": board.port(), "lacks": lacks, "warnings": warnings });
+    answer(args.json, document, &report)
 }
 
 /// Lowers the torque limits to what the force at the tip takes, and says so.

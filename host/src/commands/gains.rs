@@ -5,7 +5,7 @@ use clap::ValueEnum;
 use haptic::error::Failure;
 use haptic::link::{Board, BoardError};
 use haptic::plausible::scene::{at, beyond};
-use haptic::plausible::{Doubt, warn};
+use haptic::plausible::{Doubt, Warning, warn};
 use haptic::precision::{widened, widened_scene};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::{FeedForward, Scene, VelocityTerms};
@@ -61,19 +61,20 @@ fn gain(text: &str) -> Result<f32, String> {
     }
 }
 
-/// Says what of a wall's gains is beyond the loop or the motors where the device is now, or at home before homing.
-fn doubt(board: &mut Board, scene: &Scene<f32>, index: usize) -> Result<(), Failure> {
-    let (Some(device), status, details) = (board.device()?, board.status()?, board.details()?) else { return Ok(()) };
+/// What of a wall's gains is beyond the loop or the motors where the device is now, or at home before homing.
+fn doubts(board: &mut Board, scene: &Scene<f32>, index: usize) -> Result<Vec<Warning>, Failure> {
+    let (Some(device), status, details) = (board.device()?, board.status()?, board.details()?) else {
+        return Ok(Vec::new());
+    };
     let (device, scene) = (widened(&device)?, widened_scene(scene)?);
     let q = match device.home {
         Some(home) if !status.homed => home,
         _ => status.q.map(f64::from),
     };
     let Some(contact) = at(&device, &scene, index, &q[..device.axes()], f64::from(details.delay_samples)) else {
-        return Ok(());
+        return Ok(Vec::new());
     };
-    warn(&beyond(&scene.walls[index], &contact, false).into_iter().map(Doubt::typed).collect::<Vec<_>>());
-    Ok(())
+    Ok(beyond(&scene.walls[index], &contact, false).into_iter().map(Doubt::typed).collect())
 }
 
 /// Reads what is in force, changes what is named, reports what is in force then.
@@ -108,9 +109,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let Some(wall) = scene.walls.get(usize::from(args.wall)) else {
         return Err(BoardError::Refused(Refusal::NoScene).into());
     };
-    if named || args.cutoff.is_some() {
-        doubt(&mut board, &scene, usize::from(args.wall))?;
-    }
+    let warnings =
+        if named || args.cutoff.is_some() { doubts(&mut board, &scene, usize::from(args.wall))? } else { Vec::new() };
+    warn(&warnings);
     let estimator = match scene.estimator {
         Estimator::Butterworth => "Butterworth",
         Estimator::FirstOrder => "first-order",
@@ -133,7 +134,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let document = json!({
         "wall": args.wall, "stiffness": wall.stiffness, "damping": wall.damping, "feed_forward": wall.feed_forward,
         "washout_hz": wall.washout_hz, "estimator": scene.estimator, "cutoff_hz": scene.cutoff_hz,
-        "rate_hz": scene.rate_hz,
+        "rate_hz": scene.rate_hz, "warnings": warnings,
     });
     answer(args.json, document, &said)
 }

@@ -5,7 +5,7 @@ use clap::ValueEnum;
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::model::{Precision, Report, Rows, WallForce, evaluate_holding};
-use haptic::plausible::{Doubt, angles, warn};
+use haptic::plausible::{Doubt, Warned, angles, warn};
 use haptic_bridge::model::admissible::Admissible;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -67,7 +67,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         Some(qd) => qd.exactly(spec.joints, "--qd", "joint velocities")?,
         None => vec![0.0; spec.joints],
     };
-    warn(&angles(&q, "--q").into_iter().map(Doubt::typed).collect::<Vec<_>>());
+    let warnings: Vec<_> = angles(&q, "--q").into_iter().map(Doubt::typed).collect();
+    warn(&warnings);
     let walls = walls(&args.normal, &args.force, args.stiffness, spec.task)?;
     let precision = match args.precision {
         Arithmetic::F32 => Precision::F32,
@@ -75,7 +76,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     };
     let report = evaluate_holding(&device, &q, &qd, &walls, precision, args.admissible)?;
     if args.json {
-        let json = serde_json::to_string(&report).map_err(Failure::impossible)?;
+        let json =
+            serde_json::to_string(&Warned { result: &report, warnings: &warnings }).map_err(Failure::impossible)?;
         return print(&(json + "\n"));
     }
     let board = if precision == Precision::F32 { ", f32 as on the board" } else { "" };

@@ -1,11 +1,12 @@
 //! `haptic new`: a device file to start from.
 
+use super::force::Force;
 use clap::ValueEnum;
 use clap::builder::PossibleValue;
 use haptic::error::{Failure, print};
+use haptic::output;
 use haptic::template::device_file;
 use haptic_bridge::model::catalogue::Kind;
-use std::io::Write;
 use std::path::PathBuf;
 
 /// Write a device file with every key and a comment on each, to fill in
@@ -21,9 +22,8 @@ pub struct Args {
     /// Name of the device [default: the file's, or "my-device"]
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
-    /// Write over a file that is there
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    force: Force,
 }
 
 /// A mechanism by its name in device files.
@@ -59,24 +59,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     let text = device_file(args.kind.0, name);
     let Some(path) = args.output else { return print(&text) };
-    let mut options = std::fs::OpenOptions::new();
-    options.write(true);
-    if args.force {
-        options.create(true).truncate(true)
-    } else {
-        options.create_new(true)
-    };
-    let opened = options.open(&path);
-    if let Err(error) = &opened
-        && error.kind() == std::io::ErrorKind::AlreadyExists
-    {
-        return Err(
-            Failure::wrong(format!("{} is there already", path.display())).remedy("name another file, or add --force")
-        );
-    }
-    opened
-        .and_then(|mut file| file.write_all(text.as_bytes()))
-        .map_err(|error| Failure::impossible(format!("{} cannot be written: {error}", path.display())))?;
+    output::write(&path, text.as_bytes(), args.force.overwrite())?;
     let path = path.display();
     print(&format!("{path}: an example {} to fill in; then `haptic check {path}`\n", args.kind.0.spec().name))
 }

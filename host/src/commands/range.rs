@@ -11,7 +11,7 @@ use haptic::analysis::sampled::{AnalysisError, Estimator, Loop};
 use haptic::analysis::several::WallSet;
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
-use haptic::plausible::{Doubt, angles, warn};
+use haptic::plausible::{Doubt, Warned, angles, warn};
 use haptic::plot::range::{Contents, draw};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::{MAX_RATE_HZ, MIN_RATE_HZ};
@@ -123,7 +123,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
                 .remedy("say which with --q"));
         }
     };
-    warn(&angles(&q, "--q").into_iter().map(Doubt::typed).collect::<Vec<_>>());
+    let warnings: Vec<_> = angles(&q, "--q").into_iter().map(Doubt::typed).collect();
+    warn(&warnings);
     let normals = args
         .normal
         .iter()
@@ -169,7 +170,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         args.png.as_deref().map(|path| picture.save_png(path)).transpose()?;
     }
     if args.json {
-        let json = serde_json::to_string(&range).map_err(Failure::impossible)?;
+        let json =
+            serde_json::to_string(&Warned { result: &range, warnings: &warnings }).map_err(Failure::impossible)?;
         return print(&(json + "\n"));
     }
     print(&readable(&file.name, &args, &q, &normals, &range, passivity.as_ref()))

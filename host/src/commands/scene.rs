@@ -59,12 +59,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let name = args.file.display();
     let device = widened(&device)?;
     let (doubts, _) = doubts(&device, &file.scene);
-    warn(&doubts.into_iter().map(|doubt| doubt.about(&document)).collect::<Vec<_>>());
+    let warnings: Vec<_> = doubts.into_iter().map(|doubt| doubt.about(&document)).collect();
+    warn(&warnings);
     if args.as_written || board.status()?.state == State::Armed {
         board.set_scene(&written)?;
         return answer(
             args.json,
-            json!({ "scene": written, "planned": false }),
+            json!({ "scene": written, "planned": false, "warnings": warnings }),
             &loaded(&name.to_string(), &board, &written),
         );
     }
@@ -75,7 +76,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let more = if args.verbose { readable(&device, &plan) } else { String::new() };
     let document = json!({
         "scene": scene, "planned": true, "model": plan.mass.name(), "terms": plan.terms.name(),
-        "instructions": plan.instructions,
+        "instructions": plan.instructions, "warnings": warnings,
     });
     answer(args.json, document, &(loaded(&name.to_string(), &board, &scene) + &more))
 }

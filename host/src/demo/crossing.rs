@@ -64,6 +64,8 @@ pub fn run(demo: &Demo, feed_forward: FeedForward, progress: &mut dyn FnMut(f64)
     let device = Options { start: Some(demo.pose), ..Options::default() };
     let shared = SharedBoard::new(ready_board(&demo.file, BoardOptions { device, ..BoardOptions::default() })?);
     let mut board = Board::over(shared.wire(), "sim")?;
+    // The board watches its host, and lets go of the device under the hand if it is not heard.
+    board.keep_alive();
     let tip = shared.lock().device().tip();
     let surface = [tip[0] - ABOVE * demo.normal[0], tip[1] - ABOVE * demo.normal[1]];
     board.set_scene(&demo.scene(surface, feed_forward))?;
