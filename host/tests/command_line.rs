@@ -70,7 +70,7 @@ fn every_answer_of_a_board_comes_as_json_as_well() {
     let gains = json(&["gains", "--stiffness", "300"]);
     assert_eq!((&gains["stiffness"], &gains["warnings"]), (&300.0.into(), &serde_json::json!([])));
     let beyond = json(&["gains", "--stiffness", "1e9"]);
-    assert!(beyond["warnings"][0]["text"].as_str().unwrap().contains("stable up to"), "{beyond}");
+    assert!(beyond["warnings"][0]["text"].as_str().unwrap().contains("predicted stable"), "{beyond}");
     json(&["gains", "--stiffness", "300"]);
     assert_eq!(json(&["rules", "--torque", "0.5,0.4", "--host", "ignore"])["torque"].as_array().unwrap().len(), 2);
     assert_eq!(json(&["polarity"])["polarity_checked"], true);
@@ -114,4 +114,36 @@ fn the_manual_has_a_page_for_every_command() {
     for section in ["EXIT STATUS", "EXAMPLES", "FILES"] {
         assert!(page.contains(section), "{section} in {page}");
     }
+}
+
+#[test]
+fn what_cannot_be_is_refused_before_anything_starts() {
+    let device = file("coupled-five-bar.toml");
+    let folder = tempfile::tempdir().unwrap();
+    let wrong = folder.path().join("x.png");
+    let wrong = wrong.to_str().unwrap();
+    haptic(&["range", &device, "--normal", "0,1", "--rate", "1000", "--cutoff", "20", "--svg", wrong])
+        .assert()
+        .code(2)
+        .stderr(contains("ending").and(contains("--png")));
+    assert!(!std::path::Path::new(wrong).exists());
+    haptic(&["sim", "--axes", "1"])
+        .timeout(std::time::Duration::from_secs(20))
+        .assert()
+        .code(2)
+        .stderr(contains("2 joints"));
+    haptic(&["info", "--port", "SIM0001"]).assert().code(1).stderr(contains("serial number"));
+}
+
+#[test]
+fn a_plan_says_that_the_device_does_not_reach_the_scene() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join("scene.toml");
+    let wall = "[[wall]]\npoint = [0.0, 100.0]\nnormal = [0.0, -1.0]\nstiffness = 300.0\ndamping = 1.0\n";
+    std::fs::write(&scene, wall).unwrap();
+    let planned =
+        haptic(&["plan", &file("coupled-five-bar.toml"), scene.to_str().unwrap(), "--json"]).assert().success();
+    let output = planned.stderr(contains("out of reach")).get_output().stdout.clone();
+    let json: serde_json::Value = serde_json::from_slice(&output).unwrap();
+    assert!(json["warnings"][0]["text"].as_str().unwrap().contains("out of reach"), "{json}");
 }

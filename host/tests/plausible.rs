@@ -178,7 +178,7 @@ fn a_new_file_passes_check_and_is_never_written_over() {
         let path = folder.path().join(format!("{kind}.toml"));
         let path = path.to_str().unwrap();
         assert_eq!(haptic(&["new", kind, "-o", path]).0, 0);
-        let drawing = folder.path().join("drawing.svg");
+        let drawing = folder.path().join(format!("{kind}.svg"));
         let (code, out, err) = haptic(&["check", path, "--svg", drawing.to_str().unwrap()]);
         assert_eq!((code, err.as_str()), (0, ""), "{out}");
         assert!(std::fs::read_to_string(&drawing).unwrap().contains("joint "), "{kind}");

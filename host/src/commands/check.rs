@@ -68,7 +68,7 @@ struct SceneReport {
 
 /// Checks every file.
 pub fn run(args: Args) -> Result<(), Failure> {
-    args.force.check(args.svg.iter().chain(&args.png))?;
+    args.force.pictures(args.svg.as_ref(), args.png.as_ref())?;
     let document = Document::load(&args.device)?;
     let file = DeviceFile::read(&document)?;
     let spec = file.spec();

@@ -76,7 +76,7 @@ struct Results {
 
 /// Runs, reports, draws.
 pub fn run(args: Args) -> Result<(), Failure> {
-    args.force.check(&args.svg)?;
+    args.force.pictures(args.svg.as_ref(), None)?;
     let demo = Demo::shipped(args.seed)?;
     let mut bar = Bar::new(4);
     let mut crossing = |feed_forward, what: &str| {

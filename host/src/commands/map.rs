@@ -49,7 +49,7 @@ struct Document {
 
 /// Maps, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
-    args.force.check(args.svg.iter().chain(&args.png))?;
+    args.force.pictures(args.svg.as_ref(), args.png.as_ref())?;
     let file = DeviceFile::load(&args.device)?;
     let normal = args.normal.unit(file.spec().task, "--normal")?;
     let pictured = args.svg.is_some() || args.png.is_some();

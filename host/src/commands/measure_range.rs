@@ -146,7 +146,7 @@ impl Kinds {
 
 /// Measures, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
-    args.force.check(args.svg.iter().chain(&args.png))?;
+    args.force.pictures(args.svg.as_ref(), args.png.as_ref())?;
     let mut file = DeviceFile::load(&args.device)?;
     let spec = file.spec();
     let normal = args.normal.clone().unit(spec.task, "--normal")?;

@@ -4,7 +4,9 @@ use clap::builder::NonEmptyStringValueParser;
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::plan::{Budget, DEFAULT_PERCENT, HAND_SPEED, Plan, newtons, percent, plan};
+use haptic::plausible::{scene::doubts, warn};
 use haptic::scene_file::SceneFile;
+use haptic::toml_file::Document;
 use haptic_bridge::model::device::Device;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -57,7 +59,12 @@ pub fn speed(asked: Option<f64>, scene: &SceneFile) -> Result<f64, Failure> {
 pub fn run(args: Args) -> Result<(), Failure> {
     let file = DeviceFile::load(&args.device)?;
     let device = file.device().map_err(Failure::wrong)?;
-    let scene = SceneFile::load(&args.scene, file.spec().task)?;
+    let document = Document::load(&args.scene)?;
+    let scene = SceneFile::read(&document, file.spec().task)?;
+    // A scene names no device: that it was made for another shows in walls that this one does not reach.
+    let (doubts, _) = doubts(&device, &scene.scene);
+    let warnings: Vec<_> = doubts.into_iter().map(|doubt| doubt.about(&document)).collect();
+    warn(&warnings);
     let plan = plan(&device, &scene.scene, budget(args.error.as_deref())?, speed(args.speed, &scene)?)?;
     if args.json {
         let json = serde_json::json!({
@@ -69,6 +76,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
             "errors": plan.errors,
             "reasons": plan.reasons,
             "candidates": plan.candidates,
+            "warnings": warnings,
         });
         return print(&format!("{json}\n"));
     }

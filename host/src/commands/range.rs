@@ -108,7 +108,7 @@ enum DriveKind {
 
 /// Analyses, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
-    args.force.check(args.svg.iter().chain(&args.png))?;
+    args.force.pictures(args.svg.as_ref(), args.png.as_ref())?;
     let file = DeviceFile::load(&args.device)?;
     let spec = file.spec();
     if !(MIN_RATE_HZ..=MAX_RATE_HZ).contains(&args.rate) {

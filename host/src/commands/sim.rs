@@ -61,6 +61,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
         Some(path) => DeviceFile::load(path)?,
         None => DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml")?,
     };
+    let joints = file.spec().joints;
+    if joints > usize::from(args.axes) {
+        let reason =
+            format!("{} has {joints} joints and --axes {} gives the board {}", file.name, args.axes, args.axes);
+        return Err(Failure::wrong(reason).remedy("leave out --axes, or name a device with fewer joints"));
+    }
     let mut options = BoardOptions {
         drive: if args.ideal_drive { DriveModel::Ideal } else { DriveModel::Electric },
         strict: args.strict,

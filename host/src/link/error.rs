@@ -20,7 +20,10 @@ pub enum LinkError {
     #[error("several boards found: {}; choose one with --port PORT or --port SERIAL-NUMBER", .0.join(", "))]
     SeveralBoards(Vec<String>),
     /// The port's name means nothing.
-    #[error("no port {name}: {reason}; `haptic list` shows the boards that are connected")]
+    #[error(
+        "no port {name}, and no board on USB has that serial number: {reason}; `haptic list` shows the boards that are \
+         connected, and a simulated one is on the port that `haptic sim` prints"
+    )]
     NoSuchPort {
         /// What was asked for.
         name: String,
