@@ -5,6 +5,7 @@
 #[path = "page.rs"]
 mod page;
 
+use haptic_bridge::render::scene::VelocityTerms;
 use page::Rows;
 use page::singular::{Row, Singularity, Target};
 use std::sync::LazyLock;
@@ -181,6 +182,46 @@ fn thousands_of_turns_of_a_fractional_encoder_cost_nothing() {
         // lengths; far from home the same.
         for error in row.tip {
             assert!(error < 5e-6, "{row:?}");
+        }
+    }
+}
+
+#[test]
+fn an_elbow_and_the_rods_together_keep_four_digits_where_the_feed_forward_acts_in_full() {
+    assert_eq!(ROWS.double.len(), 6, "two closed loops, three distances");
+    for row in &ROWS.double {
+        let (board, double) = (&row.board, &row.double);
+        assert!(row.poses >= 20, "{row:?}");
+        assert!(double.torque < 1e-10 && double.torque_moving < 1e-10, "{row:?}");
+        let worst = [board.w_rr_kernel, board.plain, board.torque, board.torque_moving].into_iter().fold(0.0, f64::max);
+        assert!(worst < if row.share == 1.0 { USABLE } else { 0.1 }, "{row:?}");
+    }
+}
+
+#[test]
+fn velocity_terms_lose_to_encoder_steps_and_not_to_single_precision() {
+    assert_eq!(ROWS.sliding.len(), 12, "four mechanisms, three laws");
+    for row in &ROWS.sliding {
+        assert!(row.rounding < 1e-5, "{row:?}");
+        let [coarse, fine] = row.estimated;
+        // Measured: a tenth of what the terms add at 20 000 counts, and as many times less as the counts are finer. The
+        // pose alone costs a count (3e-4 rad) times the few units by which torques change in a radian.
+        let off = row.terms == VelocityTerms::Off;
+        assert!(if off { row.size == 0.0 } else { row.size > 0.03 }, "{row:?}");
+        assert!(coarse < 0.2 * row.size + 3e-3, "{row:?}");
+        assert!(fine < 0.005 * row.size + 6e-5, "{row:?}");
+    }
+}
+
+#[test]
+fn motors_at_their_limit_hold_the_largest_force_that_fits_and_pull_nowhere_else() {
+    assert_eq!(ROWS.saturated.len(), 8, "four mechanisms, in the open and near an elbow's singularity");
+    for row in &ROWS.saturated {
+        assert!(row.beyond > 5.0, "{row:?}");
+        // A rounding of the torques (6e-8) becomes a force over the sine, and Jᵀ n has a few more.
+        let most = 1e-6 / row.sines[0];
+        for error in [row.along[0], row.along[1], row.across] {
+            assert!(error < most, "{row:?}");
         }
     }
 }

@@ -179,7 +179,7 @@ fn pose_near<M: Mechanism<f64, N>, const N: usize>(
 
 /// Joint velocities, slowed down until the tip moves no faster than a hand does (0.5 m/s): near a parallel singularity
 /// a slow joint moves the tip fast.
-fn at_hand_speed<M: Mechanism<f64, N>, const N: usize>(
+pub fn at_hand_speed<M: Mechanism<f64, N>, const N: usize>(
     m: &M,
     q: &SVector<f64, N>,
     qd: SVector<f64, N>,
@@ -270,7 +270,7 @@ pub fn rows(name: &'static str, device: &Description, singularity: Singularity) 
 }
 
 /// A five-bar whose rods can stretch into one line, which the shipped ones cannot.
-fn wide_five_bar() -> Description {
+pub fn wide_five_bar() -> Description {
     let mut device = shipped("coupled-five-bar");
     device.geometry[0] = 0.1;
     device

@@ -1,0 +1,142 @@
+//! Both kinds of singularity at once: an elbow near stretched or folded while the rods are near one line.
+
+use super::double_double::{DoubleDouble, Series};
+use super::routes::{Errors, routes};
+use super::singular::{Random, at_hand_speed, cast, wide_five_bar};
+use super::{Table, digits, shipped};
+use haptic_bridge::math::{Libm, Minimax};
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::render::controller::{FULL_REGULARITY, PARALLEL_REGULARITY};
+use nalgebra::SVector;
+
+/// Both sines over those at which the feed-forward begins to fade.
+pub const SHARES: [f64; 3] = [1.0, 0.4, 0.1];
+const POSES: usize = 30;
+const NORMALS: usize = 5;
+
+/// One row of the table.
+#[derive(Clone, Debug)]
+pub struct Row {
+    pub device: &'static str,
+    /// Of the sines at which the feed-forward begins to fade, 0.05 and 0.15.
+    pub share: f64,
+    pub poses: usize,
+    /// In f32 with minimax sines, and in f64.
+    pub board: Errors,
+    pub double: Errors,
+}
+
+/// A pose with both sines within 5 % of their targets; `None` where a random search finds none.
+fn pose_near<M: Mechanism<f64, N>, const N: usize>(
+    m: &M,
+    targets: [f64; 2],
+    random: &mut Random,
+) -> Option<SVector<f64, N>> {
+    let apart = |q: &SVector<f64, N>| {
+        let r = m.regularity(&m.pose::<Libm>(q));
+        let apart = (r.serial / targets[0]).ln().abs().max((r.parallel / targets[1]).ln().abs());
+        if apart.is_finite() { apart } else { f64::INFINITY }
+    };
+    let mut best = random.vector(3.1);
+    let mut least = apart(&best);
+    let mut reach = 0.5;
+    for _ in 0..600 {
+        let next = best + random.vector::<N>(reach);
+        let found = apart(&next);
+        if found < least {
+            (best, least) = (next, found);
+        } else {
+            reach *= 0.98;
+        }
+    }
+    (least < 0.05).then_some(best)
+}
+
+fn row<A, B, C, const N: usize>(
+    (double, board, reference): (&A, &B, &C),
+    device: &'static str,
+    share: f64,
+    targets: [f64; 2],
+) -> Row
+where
+    A: Mechanism<f64, N>,
+    B: Mechanism<f32, N>,
+    C: Mechanism<DoubleDouble, N>,
+{
+    let mut random = Random(17);
+    let mut row = Row { device, share, poses: 0, board: Errors::default(), double: Errors::default() };
+    for _ in 0..2_000 {
+        if row.poses == POSES {
+            break;
+        }
+        let Some(q) = pose_near(double, targets, &mut random) else { continue };
+        row.poses += 1;
+        let q: SVector<f32, N> = cast(&q);
+        for _ in 0..NORMALS {
+            let mut n: SVector<f32, N> = cast(&random.vector::<N>(1.0));
+            for i in A::SPEC.task..N {
+                n[i] = 0.0;
+            }
+            let qd: SVector<f32, N> = cast(&at_hand_speed(double, &cast(&q), random.vector(1.0)));
+            let exact = routes::<_, Series, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n));
+            row.board.grow(&Errors::new(&routes::<_, Minimax, _, N>(board, &q, &qd, &n), &exact));
+            row.double.grow(&Errors::new(&routes::<_, Libm, _, N>(double, &cast(&q), &cast(&qd), &cast(&n)), &exact));
+        }
+    }
+    row
+}
+
+fn rows(name: &'static str, device: &Description) -> Vec<Row> {
+    let sound = "a shipped device is sound";
+    let double = AnyMechanism::<f64>::new(device).expect(sound);
+    let board = AnyMechanism::<f32>::new(device).expect(sound);
+    let reference = AnyMechanism::<DoubleDouble>::new(device).expect(sound);
+    macro_rules! each {
+        ($($Variant:ident)*) => {
+            match (double, board, reference) {
+                $((AnyMechanism::$Variant(a), AnyMechanism::$Variant(b), AnyMechanism::$Variant(c)) => SHARES
+                    .map(|share| {
+                        let targets = [FULL_REGULARITY, FULL_REGULARITY * PARALLEL_REGULARITY].map(|sine| sine * share);
+                        row((&a, &b, &c), name, share, targets)
+                    })
+                    .to_vec(),)*
+                _ => unreachable!("a closed loop, in three precisions"),
+            }
+        };
+    }
+    each!(FiveBar FiveBarTurret)
+}
+
+/// Every closed loop.
+pub fn all() -> Vec<Row> {
+    let turret = shipped("fictive-five-bar-turret");
+    rows("five-bar (wide base)", &wide_five_bar()).into_iter().chain(rows("five-bar-turret", &turret)).collect()
+}
+
+/// The rows as the page shows them.
+pub fn table(rows: &[Row]) -> Table {
+    let mut table = Table::new(
+        "Two singularities at once",
+        "As the first table, at poses where an elbow is near stretched or folded and the rods are near one line together: \
+         both sines within 5 % of this share of those at which the feed-forward begins to fade (0.05 and 0.15).",
+        &[
+            "device",
+            "share",
+            "poses",
+            "**Wrr, board**",
+            "Jᵀ n",
+            "**torque, board**",
+            "**moving, board**",
+            "f64: moving",
+        ],
+    );
+    for row in rows {
+        let mut cells = vec![row.device.to_string(), format!("{:.1}", row.share), row.poses.to_string()];
+        let board = &row.board;
+        cells.extend([board.w_rr_kernel, board.plain, board.torque, board.torque_moving].map(digits));
+        cells.push(digits(row.double.torque_moving));
+        table.push(cells);
+    }
+    table
+}
