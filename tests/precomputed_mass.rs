@@ -16,8 +16,8 @@ fn device(name: &str) -> DeviceFile {
     DeviceFile::load(format!("{}/devices/{name}.toml", env!("CARGO_MANIFEST_DIR"))).unwrap()
 }
 
-/// Largest difference of M E, relative to the largest entry, between a table and the closed form on a fine net
-/// of poses around home that does not contain the grid's points.
+/// Largest difference of M E, relative to the largest entry, between a table and the closed form on a net of 63 x 63
+/// poses around home, which has the middle of every cell of 4 x 4 and of 8 x 8.
 fn worst<M: Mechanism<f64, N>, const N: usize>(
     mechanism: &M,
     home: &[f64; 3],
@@ -41,12 +41,12 @@ fn worst<M: Mechanism<f64, N>, const N: usize>(
         }
     });
     let mut worst = 0.0_f64;
-    for i in 0..23 {
-        for j in 0..23 {
+    for i in 1..64 {
+        for j in 1..64 {
             let mut q = q0;
             let first = if N == 2 { 0 } else { N - 2 };
-            q[first] += -0.299 + 0.598 * f64::from(i) / 22.0;
-            q[N - 1] += -0.299 + 0.598 * f64::from(j) / 22.0;
+            q[first] += 0.3 * (f64::from(i) / 32.0 - 1.0);
+            q[N - 1] += 0.3 * (f64::from(j) / 32.0 - 1.0);
             let pose = mechanism.pose::<Libm>(&q);
             let exact = mechanism.shaping(&pose, &n).me;
             let looked_up = table.shaping(mechanism, &values, &q, &pose, &n).me;
@@ -73,7 +73,9 @@ fn every(interpolation: Interpolation, points: u8) -> Vec<f64> {
 #[test]
 fn a_finer_bilinear_table_is_better_in_the_square_of_its_spacing() {
     for (coarse, fine) in every(Interpolation::Bilinear, 5).into_iter().zip(every(Interpolation::Bilinear, 9)) {
-        assert!(fine > 0.0 && (2.5..6.0).contains(&(coarse / fine)), "{coarse} against {fine}");
+        // Half the spacing is a quarter of the error, less what the fourth derivatives add: measured 3.38 to 3.81. The
+        // first order would be 2, the third 8.
+        assert!(fine > 0.0 && (3.3..4.0).contains(&(coarse / fine)), "{coarse} against {fine}");
     }
 }
 
