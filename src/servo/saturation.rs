@@ -25,11 +25,13 @@ impl Asked {
     /// The torques within ±`limit` (N m, not negative) of each of the first `joints` joints.
     #[inline(always)]
     pub fn within(&self, limit: &[f32; MAX_JOINTS], joints: usize) -> [f32; MAX_JOINTS] {
-        let fits = |i: usize| {
+        // A loop, because an iterator's `all` is not inlined on the chip and checks its index there.
+        let mut fits = true;
+        for (i, limit) in limit.iter().enumerate().take(joints) {
             let both = self.gravity[i] + self.rendered[i];
-            self.gravity[i].abs() <= limit[i] && both.abs() <= limit[i] && self.total[i].abs() <= limit[i]
-        };
-        if (0..joints.min(MAX_JOINTS)).all(fits) { self.total } else { self.cut(limit, joints) }
+            fits &= self.gravity[i].abs() <= *limit && both.abs() <= *limit && self.total[i].abs() <= *limit;
+        }
+        if fits { self.total } else { self.cut(limit, joints) }
     }
 
     #[cold]
