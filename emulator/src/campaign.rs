@@ -40,7 +40,9 @@ pub const CASES: &[Case] = &[
     Case { what: "current sensors 4 A too low", cause: |board| board.broken.sensor_extra[0] = -4.0, seen: true },
     Case { what: "current sensors stuck at 0 A", cause: |board| shunts(board, 0.0), seen: true },
     Case { what: "current sensors show a quarter", cause: |board| shunts(board, 0.25), seen: true },
-    Case { what: "one of two shunts shows nothing", cause: |board| board.broken.sensor_gain[0] = 0.0, seen: true },
+    // The 0.4 A of this contact, doubled by a loop that sees half of it, are less than what two sound sensors may differ
+    // by; in a contact of 2.5 N it is seen (src/inject.rs, CurrentSensor).
+    Case { what: "one of two shunts shows nothing", cause: |board| board.broken.sensor_gain[0] = 0.0, seen: false },
     Case { what: "a winding open", cause: |board| board.broken.open[0] = true, seen: true },
     Case { what: "a bridge stuck at 40 %", cause: |board| board.broken.stuck_on[0] = Some(0.4), seen: true },
     Case { what: "a gate driver forgets its registers", cause: |board| board.driver(0).forget(), seen: true },

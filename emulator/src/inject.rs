@@ -3,6 +3,7 @@
 //! The match over all faults is exhaustive: a fault without an injector does not build. Faults that neither board has a
 //! means to see say so.
 
+use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -58,7 +59,12 @@ const MARK: f32 = 517.25;
 const FREE_RAM: u64 = 0x2001_F000;
 
 fn in_contact() -> Rig {
-    Rig::in_contact(BoardKind::OdriveV3, FIVE_BAR, "", &[WallAt::facing([0.0, -1.0, 0.0])], 0.8)
+    pressed(0.8)
+}
+
+/// A device that a hand holds in a wall with so many newtons.
+fn pressed(newtons: f64) -> Rig {
+    Rig::in_contact(BoardKind::OdriveV3, FIVE_BAR, "", &[WallAt::facing([0.0, -1.0, 0.0])], newtons)
 }
 
 fn free_on(kind: BoardKind) -> Rig {
@@ -258,7 +264,7 @@ pub fn injection(fault: Fault) -> Injection {
             5,
         ),
         Fault::Singularity => {
-            chip("a hand pulls the linkage straight", free, |rig| pushed_by(rig, [0.0, -3.0, 0.0]), 4_000)
+            chip("a hand pulls the linkage straight", unlimited, |rig| pushed_by(rig, [0.0, -3.0, 0.0]), 4_000)
         }
         Fault::HostLost => chip(
             "no message for 0.1 s where the rules ask for one",
@@ -364,8 +370,8 @@ pub fn injection(fault: Fault) -> Injection {
             5,
         ),
         Fault::CurrentSensor => chip(
-            "one of a motor's two shunts shows nothing",
-            in_contact,
+            "one of a motor's two shunts shows nothing while a hand pushes with 2.5 N",
+            || pressed(2.5),
             |rig| {
                 rig.with(|bench| bench.hardware().broken.sensor_gain[0] = 0.0);
             },
@@ -404,10 +410,20 @@ pub fn injection(fault: Fault) -> Injection {
 
 /// A device whose joints may turn by 0.1 rad.
 fn narrow() -> Rig {
+    free_within(0.1)
+}
+
+/// A device that meets no limit of its joints before its linkage is straight.
+fn unlimited() -> Rig {
+    free_within(PI)
+}
+
+/// An armed device that nobody holds, whose joints may turn by so much (rad) to either side.
+fn free_within(angle: f64) -> Rig {
     let mut file = device_file(FIVE_BAR);
     let home = file.description.home.expect("a home pose");
     for (joint, home) in file.description.joints.iter_mut().zip(home) {
-        joint.limits = Some((home - 0.1, home + 0.1));
+        joint.limits = Some((home - angle, home + angle));
     }
     let mut rig = Rig::with_file(BoardKind::OdriveV3, file, |_| ());
     rig.arm_before("", &[WallAt { gap: 0.2, ..WallAt::facing([0.0, -1.0, 0.0]) }]);

@@ -53,10 +53,11 @@ fn change(rig: &mut Rig, nth: u64) {
     match nth % 3 {
         0 => rig.tool.set_wall_gains(gains(nth / 3)).expect("gains change in contact"),
         1 => {
+            // Only tightened: what protects is not loosened while the motors are on.
             let mut rules = rig.tool.rules().expect("the board answers");
-            rules.passivity = odd;
-            rules.host_seconds = if odd { 0.6 } else { 0.5 };
-            rig.tool.set_rules(&rules).expect("rules change in contact");
+            rules.passivity = true;
+            rules.limits.power *= 0.999;
+            rig.tool.set_rules(&rules).expect("rules are tightened in contact");
         }
         _ => {
             let cutoff_hz = if odd { 400.0 } else { 500.0 };

@@ -54,7 +54,7 @@ pub struct Answer {
 const REQUESTS: usize = 2;
 
 /// Frames of telemetry on their way to the link: 3 ms at 20 kHz.
-const FRAMES: usize = 64;
+const FRAMES: usize = 60;
 
 /// The tasks' ends of the queues.
 pub struct Link {

