@@ -39,6 +39,7 @@ pub mod model {
     pub mod mechanism;
     pub mod precomputed;
     pub mod principal;
+    pub mod solve;
 }
 
 /// From encoder counts to joint torques: the scene that is rendered, and the step that renders it.

@@ -83,14 +83,19 @@ impl core::fmt::Display for Warning {
     }
 }
 
-/// A result and what is doubted about it: one JSON document, with the doubts under `warnings`.
+/// A result and what is doubted about it: one JSON document, with the doubts, where there are any, under `warnings`.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Warned<'a, T> {
     /// The result.
     #[serde(flatten)]
     pub result: &'a T,
     /// The doubts.
+    #[serde(skip_serializing_if = "none")]
     pub warnings: &'a [Warning],
+}
+
+fn none(warnings: &&[Warning]) -> bool {
+    warnings.is_empty()
 }
 
 /// Says doubts on standard error, one line each.

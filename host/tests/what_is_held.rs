@@ -81,10 +81,12 @@ fn the_map_follows_what_is_held() {
         }
         points
     });
+    // Where holding a joint is singular, its map has no point.
     for points in &maps[1..] {
-        let pairs = points.iter().zip(&maps[0]);
-        assert!(pairs.clone().all(|(a, b)| a.q == b.q && (a.w_eff / b.w_eff - 1.0).abs() < 1e-6));
-        assert!(pairs.clone().any(|(a, b)| (a.w_rr / b.w_rr - 1.0).abs() > 0.1), "they differ");
+        let pairs: Vec<_> = points.iter().filter_map(|a| maps[0].iter().find(|b| a.q == b.q).map(|b| (a, b))).collect();
+        assert!(10 * pairs.len() > 8 * maps[0].len(), "{} poses in common", pairs.len());
+        assert!(pairs.iter().all(|(a, b)| (a.w_eff / b.w_eff - 1.0).abs() < 1e-6));
+        assert!(pairs.iter().any(|(a, b)| (a.w_rr / b.w_rr - 1.0).abs() > 0.1), "they differ");
     }
 }
 

@@ -10,8 +10,8 @@
 //! One wall has no use for this: it is level 1 with its own normal.
 
 use crate::math::{Math, Real};
-use crate::model::inertia::solve_symmetric;
 use crate::model::mechanism::Shaping;
+use crate::model::solve::solve_symmetric;
 use nalgebra::{SMatrix, SVector};
 
 /// Rounds of rotations at most. Two directions take one; three are exact to rounding after four (measured over a

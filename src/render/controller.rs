@@ -10,10 +10,11 @@
 
 use crate::math::{Math, Real};
 use crate::model::device::Device;
-use crate::model::inertia::{shaped_torque_beside, solve_symmetric};
+use crate::model::inertia::shaped_torque_beside;
 use crate::model::mechanism::{Mechanism, Regularity, Shaping, shared_pose};
 use crate::model::precomputed::MassModel;
 use crate::model::principal::Principal;
+use crate::model::solve::solve_symmetric;
 use crate::render::scene::{
     Admissible, FeedForward, MAX_SPRINGS, MAX_WALLS, Scene, SceneError, Spring, VelocityTerms, task_vector,
 };

@@ -3,8 +3,9 @@
 //! All are the same in exact arithmetic (docs/model.md section 2) and lose different digits in f32.
 
 use haptic_bridge::math::{Math, Real};
-use haptic_bridge::model::inertia::{Split, shaped_torque, solve_symmetric};
+use haptic_bridge::model::inertia::{Split, shaped_torque};
 use haptic_bridge::model::mechanism::Mechanism;
+use haptic_bridge::model::solve::solve_symmetric;
 use nalgebra::{SMatrix, SVector};
 
 /// Inertias along one normal by every route, kg, and the torques that the board commands.

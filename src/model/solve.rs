@@ -1,0 +1,40 @@
+//! Linear equations as small as a device has joints.
+
+use crate::math::Real;
+use nalgebra::{SMatrix, SVector};
+
+/// x with A x = y for a symmetric positive definite A (N x N), by LDLᵀ without a square root. A pivot that is not
+/// positive is replaced by the smallest positive number that divides, so the result is finite wherever the input is.
+pub fn solve_symmetric<T: Real, const N: usize>(a: &SMatrix<T, N, N>, y: &SVector<T, N>) -> SVector<T, N> {
+    let mut l = SMatrix::<T, N, N>::identity();
+    let mut d = SVector::<T, N>::zeros();
+    let mut x = *y;
+    for j in 0..N {
+        let mut pivot = a[(j, j)];
+        for k in 0..j {
+            pivot -= l[(j, k)] * l[(j, k)] * d[k];
+        }
+        d[j] = pivot.greater(T::EPSILON * T::EPSILON * T::EPSILON * a[(j, j)].abs().greater(T::EPSILON));
+        for i in j + 1..N {
+            let mut entry = a[(i, j)];
+            for k in 0..j {
+                entry -= l[(i, k)] * l[(j, k)] * d[k];
+            }
+            l[(i, j)] = entry / d[j];
+        }
+        for k in 0..j {
+            let step = l[(j, k)] * x[k];
+            x[j] -= step;
+        }
+    }
+    for j in 0..N {
+        x[j] /= d[j];
+    }
+    for j in (0..N).rev() {
+        for k in j + 1..N {
+            let step = l[(k, j)] * x[k];
+            x[j] -= step;
+        }
+    }
+    x
+}
