@@ -47,6 +47,26 @@ fn a_ramp_has_its_slope_as_velocity_under_every_estimator() {
 }
 
 #[test]
+fn a_velocity_that_grows_steadily_is_known_as_late_as_said() {
+    for (_, kind) in Estimator::ALL {
+        for (rate, cutoff) in [(200.0, 20.0), (1_000.0, 100.0), (1_000.0, 400.0), (20_000.0, 500.0)] {
+            let coefficients = Coefficients::<f64>::new(kind, rate, cutoff).unwrap();
+            let mut filter = LowPass::default();
+            // x = t²/2, so the velocity is the time.
+            let place = |k: f64| 0.5 * (k / rate).powi(2);
+            let last = 2_000.0;
+            let mut estimate = 0.0;
+            for k in 1..=2_000 {
+                let k = f64::from(k);
+                estimate = filter.step(&coefficients, (place(k) - place(k - 1.0)) * rate);
+            }
+            let (late, said) = (last / rate - estimate, coefficients.lag());
+            assert!((late / said - 1.0).abs() < 1e-6, "{kind:?}, {rate} Hz, {cutoff} Hz: {late} s, said {said}");
+        }
+    }
+}
+
+#[test]
 fn the_first_sample_is_not_a_motion() {
     let coefficients = Coefficients::<f32>::new(Estimator::BackwardDifference, 1000.0, 50.0).unwrap();
     let mut velocity = Velocity::default();

@@ -43,6 +43,15 @@ pub const NO_REGULARITY: f64 = 0.02;
 /// at 0.06. There it is the numbers: Jᵀ itself loses digits as 1/sin², and 0.15 is where f32 still keeps the torque
 /// of a moving tip within 1e-4 (docs/hard-cases.md).
 pub const PARALLEL_REGULARITY: f64 = 3.0;
+/// How far the fastest joint may turn while its velocity estimate lags (rad), as a share of the sine of the nearest
+/// singularity, for the velocity terms to act in full.
+///
+/// b grows as 1/sin³ at a steady speed of the tip, so within the lag it changes by three times this share. Here that
+/// is 15 %, beyond [`UNKNOWN_TURN`] 30 %: there b is mostly what the motion was, and pushes a tip that slides towards a
+/// stretched arm on into it (docs/model.md).
+pub const KNOWN_TURN: f64 = 0.05;
+/// The same share at and above which velocity terms are off; in between they fade, so nothing jumps.
+pub const UNKNOWN_TURN: f64 = 0.1;
 
 /// A scene's gains of one wall, as they may change while the wall is touched.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
@@ -357,7 +366,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
     /// b without gravity: c - M J⁻¹(J̇ q̇ + κ), and B q̇ where a wall asks for it; and what of it the walls shall meet:
     /// all of it by the paper's (4), B q̇ alone where the force is rendered whatever moves. Zero when the scene has no
-    /// velocity terms.
+    /// velocity terms, and where the estimate lags too far behind for them, see [`KNOWN_TURN`].
     #[inline(never)]
     fn bias(
         &self,
@@ -378,11 +387,29 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
                 let bent = self.mechanism.inverse(pose, &(self.mechanism.jacobian_rate(pose, qd) * qd));
                 b = self.admissible.hold_bias(&b, &bent, &self.null(pose));
             }
+            b *= self.known(pose, qd);
         }
         let share = self.walls.damping_share(acting);
         let damping = if share > T::zero() { self.viscous.component_mul(qd) * share } else { SVector::zeros() };
         let met = if self.velocity_terms == VelocityTerms::Rendered { damping } else { b + damping };
         (b + damping, met)
+    }
+
+    /// The share of the velocity terms that estimated velocities can tell, see [`KNOWN_TURN`].
+    #[inline(always)]
+    fn known(&self, pose: &M::Pose, qd: &SVector<T, N>) -> T {
+        let regularity = self.mechanism.regularity(pose);
+        let near = regularity.serial.lesser(regularity.parallel);
+        let turned = qd.iter().fold(T::zero(), |most, v| most.greater(v.abs())) * self.coefficients.lag();
+        if turned <= near * T::from_f64(KNOWN_TURN) {
+            return T::one();
+        }
+        let unknown = near * T::from_f64(UNKNOWN_TURN);
+        if turned >= unknown {
+            return T::zero();
+        }
+        let s = (unknown - turned) / (near * T::from_f64(UNKNOWN_TURN - KNOWN_TURN));
+        s * s * (T::from_f64(3.0) - s - s)
     }
 
     /// Declares the joints to be at `q` (rad) for these counts. Estimators start anew.

@@ -85,6 +85,8 @@ pub struct Coefficients<T> {
     a3: T,
     /// Of a first-order low-pass at the same cutoff (1 where there is none).
     first: T,
+    /// s, see [`Coefficients::lag`].
+    lag: T,
 }
 
 impl<T: Real> Coefficients<T> {
@@ -99,7 +101,19 @@ impl<T: Real> Coefficients<T> {
         let first = g / (one + g);
         let damped = g * (g + T::from_f64(core::f64::consts::SQRT_2));
         let a1 = one / (one + damped);
-        Ok(Self { rate: rate_hz, kind, loss: damped * a1, a2: g * a1, a3: g * g * a1, first })
+        // Half a sample for the difference, and the slope of the low-pass's phase at rest.
+        let slope = match kind {
+            Estimator::Butterworth => T::from_f64(core::f64::consts::FRAC_1_SQRT_2) / g,
+            Estimator::FirstOrder => T::from_f64(0.5) / g,
+            Estimator::BackwardDifference => T::zero(),
+        };
+        let lag = (T::from_f64(0.5) + slope) / rate_hz;
+        Ok(Self { rate: rate_hz, kind, loss: damped * a1, a2: g * a1, a3: g * g * a1, first, lag })
+    }
+
+    /// How far an estimated velocity lags behind, s.
+    pub fn lag(&self) -> T {
+        self.lag
     }
 
     /// Control rate, Hz.
