@@ -103,7 +103,7 @@ enum Command {
     Faults,
     /// The real firmware on an emulated board with a simulated device, to talk to
     Board {
-        /// [BOARD] [--device FILE] [--tcp PORT] [--fast]
+        /// `[BOARD] [--device FILE] [--tcp PORT] [--fast]`
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         rest: Vec<String>,
     },
