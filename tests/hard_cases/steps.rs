@@ -36,9 +36,10 @@ const SPEED: f64 = 10.0;
 /// Counts per turn: fine enough that a press moves in micrometres.
 const COUNTS: f64 = 1_048_576.0;
 
-/// The device with such an encoder at every joint, homed at zero.
+/// The device with such an encoder at every joint, whose count 0 is the angle 0: without a home that would move it to
+/// the nearest count.
 pub fn encoded(device: &Description) -> Description {
-    let mut device = *device;
+    let mut device = Description { home: None, ..*device };
     for joint in &mut device.joints {
         joint.encoder = Some(Encoder { counts_per_turn: COUNTS, offset: 0.0, inverted: false });
     }
