@@ -129,6 +129,11 @@ pub fn refused(path: &Path, error: &io::Error) -> Failure {
     Failure::impossible(format!("{} cannot be written: {error}", path.display())).remedy(remedy)
 }
 
+/// The date and time now, in UTC, as recordings carry it (RFC 3339).
+pub fn date() -> String {
+    humantime::format_rfc3339_seconds(std::time::SystemTime::now()).to_string()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -5,12 +5,13 @@ use super::port::{Port, fault_in_words, short, wall_in_words};
 use haptic::error::{Failure, print};
 use haptic::interrupt;
 use haptic::link::{Board, Column, LinkError, Losses, Row, columns, fields};
+use haptic::output;
 use haptic::recorder::{RecordError, Recorder, STATES, Value};
 use haptic_bridge::board::telemetry::{Field, Fields};
 use serde_json::json;
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
 /// Show telemetry, or record it to a CSV file
 ///
@@ -152,7 +153,7 @@ fn about(board: &mut Board, divider: u32) -> Result<String, Failure> {
          board {} {}{name}\n\
          device {}\n\
          control rate {} Hz, every {}, delay {} samples\n",
-        humantime::format_rfc3339_seconds(SystemTime::now()),
+        output::date(),
         env!("CARGO_PKG_VERSION"),
         info.firmware,
         info.protocol,
