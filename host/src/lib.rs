@@ -26,7 +26,7 @@
 //! | evaluate the inertia of a pose | [`model`] |
 //! | predict which walls are stable | [`analysis`] |
 //! | measure it on a board | [`measure`] |
-//! | find the cheapest step that is good enough | [`plan`], [`bench`] |
+//! | find the cheapest step that is good enough | [`plan`], [`mod@bench`] |
 //! | draw | [`plot`] |
 //!
 //! The programs in `examples/` press a wall, follow telemetry and predict a range in about twenty lines each.

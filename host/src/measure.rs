@@ -5,7 +5,7 @@
 //!
 //! One bilateral wall is tested at the place where the tip is held. Holding is done by walls too, because gains change
 //! at once and a new scene fades in over half a second: one wall along the tested normal and one across it for every
-//! other direction ([`walls`]). A trial pulls the tip aside by a small distance, lets it swing back, and hands it over to
+//! other direction (`measure/walls.rs`). A trial pulls the tip aside by a small distance, lets it swing back, and hands it over to
 //! the tested gains. The holding walls are soft springs chosen from the inertia at the pose and the filter's cutoff,
 //! nothing else.
 //!
