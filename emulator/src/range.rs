@@ -122,7 +122,7 @@ pub fn on<T>(
     job: impl FnOnce(&mut Bench<'_>) -> Result<T, MeasureError>,
 ) -> Result<T, MeasureError> {
     let setup = Setup {
-        normal: normal(),
+        walls: vec![(normal(), 1.0)],
         rate_hz: rate.rate_hz,
         cutoff_hz: rate.cutoff_hz,
         washout_hz: 2.0,

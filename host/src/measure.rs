@@ -3,11 +3,14 @@
 //! Everything goes through the protocol, so the board may be simulated, emulated or real, and the theory is not asked:
 //! what counts is whether the telemetry of the wall's motion dies out, builds up or goes on ([`swing`]).
 //!
-//! One bilateral wall is tested at the place where the tip is held. Holding is done by walls too, because gains change
-//! at once and a new scene fades in over half a second: one wall along the tested normal and one across it for every
-//! other direction (`measure/walls.rs`). A trial pulls the tip aside by a small distance, lets it swing back, and hands it over to
-//! the tested gains. The holding walls are soft springs chosen from the inertia at the pose and the filter's cutoff,
-//! nothing else.
+//! One bilateral wall, or a set of them in given parts of one stiffness and damping, is tested at the place where the tip is
+//! held. Holding is done by walls too, because gains change at once and a new scene fades in over half a second: one wall
+//! along the direction of the pull and one across it for every other direction (`measure/walls.rs`). A trial pulls the tip
+//! aside by a small distance, lets it swing back, and hands it over to the tested gains. The holding walls are soft springs
+//! chosen from the inertia at the pose and the filter's cutoff, nothing else.
+//!
+//! One wall is pulled along its normal. A set is pulled, and watched, half way between the stiffest motion that it allows
+//! without the feed-forward and the one with it: a direction that shows either.
 //!
 //! A pull must be longer than what encoder steps explain ([`excitation`]); where the motors cannot even make the force of
 //! the smallest such pull, nothing can be told, and nothing is reported.
@@ -24,6 +27,7 @@ mod walls;
 
 pub use bench::Bench;
 pub use search::Boundary;
+pub use walls::most_tested;
 
 use haptic_bridge::safety::fault::Fault;
 use thiserror::Error;
@@ -103,8 +107,9 @@ impl MeasureError {
 /// What is measured, and how gently.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setup {
-    /// Unit normal in the task frame, d entries.
-    pub normal: Vec<f64>,
+    /// The walls that act together: normal in the task frame (d entries, any length but zero) and part of the whole
+    /// stiffness and damping (positive, in any unit that all share).
+    pub walls: Vec<(Vec<f64>, f64)>,
     /// Control rate, Hz.
     pub rate_hz: f64,
     /// Cutoff of the velocity filter, Hz.

@@ -215,7 +215,7 @@ fn an_interrupted_measurement_says_that_motors_are_off_and_they_are() {
 
 fn setup() -> Setup {
     Setup {
-        normal: vec![0.6, 0.8],
+        walls: vec![(vec![0.6, 0.8], 1.0)],
         rate_hz: 1_000.0,
         cutoff_hz: 20.0,
         washout_hz: 2.0,

@@ -33,7 +33,14 @@ fn board(file: &DeviceFile) -> SharedBoard {
 }
 
 fn setup(rate_hz: f64, cutoff_hz: f64) -> Setup {
-    Setup { normal: NORMAL.to_vec(), rate_hz, cutoff_hz, washout_hz: 2.0, torque_limit: 2.0, largest_pull: 3e-4 }
+    Setup {
+        walls: vec![(NORMAL.to_vec(), 1.0)],
+        rate_hz,
+        cutoff_hz,
+        washout_hz: 2.0,
+        torque_limit: 2.0,
+        largest_pull: 3e-4,
+    }
 }
 
 #[test]
@@ -95,8 +102,8 @@ fn phantom(feed_forward: FeedForward, finer: f64) -> Result<Boundary, MeasureErr
         joint.encoder.as_mut().unwrap().counts_per_turn *= finer;
     }
     let mut board = Board::over(world.board(&file, 5_000.0).unwrap().wire(), "sim").unwrap();
-    let normal = vec![0.6, 0.8, 0.0];
-    let setup = Setup { normal, torque_limit: 1.0, largest_pull: 5e-4, ..setup(5_000.0, 200.0) };
+    let walls = vec![(vec![0.6, 0.8, 0.0], 1.0)];
+    let setup = Setup { walls, torque_limit: 1.0, largest_pull: 5e-4, ..setup(5_000.0, 200.0) };
     let mut bench = Bench::new(&mut board, &file, setup, &|| false).unwrap();
     bench.boundary(feed_forward, 20.0, 0, None)
 }

@@ -39,7 +39,14 @@ fn measure(rate_hz: f64, cutoff_hz: f64, share: f64) -> (f64, f64) {
     let options = BoardOptions { device, drive: DriveModel::Ideal, delay: 0.0, ..BoardOptions::default() };
     let shared = SharedBoard::new(ready_board(&file, options).unwrap());
     let mut board = Board::over(shared.wire(), "sim").unwrap();
-    let setup = Setup { normal: vec![1.0], rate_hz, cutoff_hz, washout_hz: 2.0, torque_limit: 5.0, largest_pull: 1e-3 };
+    let setup = Setup {
+        walls: vec![(vec![1.0], 1.0)],
+        rate_hz,
+        cutoff_hz,
+        washout_hz: 2.0,
+        torque_limit: 5.0,
+        largest_pull: 1e-3,
+    };
     let mut bench = Bench::new(&mut board, &file, setup, &|| false).unwrap();
     let end = bench.damping_end(FeedForward::Off).unwrap().gain;
     let summit = bench.boundary(FeedForward::Off, share * end, 0, None).unwrap().gain;

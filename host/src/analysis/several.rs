@@ -27,10 +27,14 @@ use super::spectrum::{exp_minus_identity, growth};
 /// Several walls on a device at rest at one pose.
 #[derive(Clone, Debug)]
 pub struct WallSet {
+    /// Unit normal of the first wall, d.
+    first: DVector<f64>,
     /// M, N x N, kg m².
     mass: DMatrix<f64>,
     /// B of each joint, N m s/rad.
     viscous: DVector<f64>,
+    /// Rendered directions as columns, d x R, unit vectors.
+    directions: DMatrix<f64>,
     /// Rendered directions as rows, R x N, m/rad.
     rows: DMatrix<f64>,
     /// κ, R: what of the total stiffness is along each direction.
@@ -64,11 +68,52 @@ impl WallSet {
     /// The mass that the walls' total stiffness meets: of the stiffest motion that the walls allow, with or without
     /// the feed-forward, kg. For one wall Weff or Wrr.
     pub fn met(&self, feed_forward: bool) -> Option<f64> {
-        let levers = if feed_forward { self.shaped.clone() } else { self.rows.transpose() };
-        let mobility = &self.rows * self.mass.clone().cholesky()?.solve(&levers);
-        let stiffest = (mobility * DMatrix::from_diagonal(&self.stiffness)).complex_eigenvalues();
+        let stiffest = self.answer(feed_forward)?.complex_eigenvalues();
         let largest = stiffest.iter().map(|value| value.norm()).fold(0.0, f64::max);
         (largest > 0.0 && largest.is_finite()).then(|| 1.0 / largest)
+    }
+
+    /// Where the tip goes in the stiffest motion that the walls allow, with or without the feed-forward: a unit vector, d
+    /// entries, on the first wall's side. For one wall its normal.
+    pub fn stiffest(&self, feed_forward: bool) -> Option<DVector<f64>> {
+        let answer = self.answer(feed_forward)?;
+        let fastest = 1.0 / self.met(feed_forward)?;
+        let rest = &answer - DMatrix::identity(answer.nrows(), answer.ncols()) * fastest;
+        let still = rest.svd(false, true);
+        let least = still.singular_values.imin();
+        let along = &self.directions * still.v_t?.row(least).transpose();
+        Some(if along.dot(&self.first) < 0.0 { -along } else { along })
+    }
+
+    /// Half way between [`WallSet::stiffest`] without and with the feed-forward: at most 45 degrees from either.
+    pub fn between_stiffest(&self) -> Option<DVector<f64>> {
+        let (without, with) = (self.stiffest(false)?, self.stiffest(true)?);
+        let turned = if with.dot(&without) < 0.0 { -with } else { with };
+        Some((without + turned).normalize())
+    }
+
+    /// The walls' force while the tip stands 1 m along `direction` (d entries) from walls of 1 N/m in total, N (d).
+    pub fn force(&self, direction: &DVector<f64>) -> DVector<f64> {
+        &self.directions * self.parts(direction)
+    }
+
+    /// Joint torques of [`WallSet::force`], N m (N), without or with the feed-forward.
+    pub fn torque(&self, direction: &DVector<f64>, feed_forward: bool) -> DVector<f64> {
+        let force = self.parts(direction);
+        if feed_forward { &self.shaped * force } else { self.rows.tr_mul(&force) }
+    }
+
+    /// [`WallSet::force`] along each rendered direction, R.
+    fn parts(&self, direction: &DVector<f64>) -> DVector<f64> {
+        self.directions.tr_mul(direction).component_mul(&self.stiffness)
+    }
+
+    /// Acceleration of every rendered direction per displacement along another at a total stiffness of 1 N/m, R x R,
+    /// 1/kg.
+    fn answer(&self, feed_forward: bool) -> Option<DMatrix<f64>> {
+        let levers = if feed_forward { self.shaped.clone() } else { self.rows.transpose() };
+        let mobility = &self.rows * self.mass.clone().cholesky()?.solve(&levers);
+        Some(mobility * DMatrix::from_diagonal(&self.stiffness))
     }
 }
 
@@ -109,6 +154,8 @@ fn linearised<const N: usize, M: Mechanism<f64, N>>(
     Ok(WallSet {
         mass: DMatrix::from_fn(N, N, |i, j| mass[(i, j)]),
         viscous: DVector::from_fn(N, |j, _| description.joints[j].viscous),
+        first: DVector::from_fn(M::SPEC.task, |i, _| pulls.first().map_or(0.0, |pull| pull.normal[i])),
+        directions: DMatrix::from_fn(M::SPEC.task, seen.len(), |i, column| principal.direction(seen[column])[i]),
         rows: DMatrix::from_columns(&rows).transpose(),
         stiffness: DVector::from_iterator(seen.len(), seen.iter().map(|i| principal.along(*i) * most)),
         shaped: DMatrix::from_columns(&shaped),

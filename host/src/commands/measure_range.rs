@@ -7,7 +7,7 @@ use super::force::Force;
 use super::port::Port;
 use crate::cli::Numbers;
 use clap::ValueEnum;
-use haptic::analysis::plant::Linearised;
+use haptic::analysis::several::WallSet;
 use haptic::device_file::DeviceFile;
 use haptic::error::Failure;
 use haptic::interrupt;
@@ -16,7 +16,8 @@ use haptic::measure::before::Before;
 use haptic::measure::campaign::{self, Plan};
 use haptic::measure::progress::{Mode, Progress, ProgressError};
 use haptic::measure::simulated::{Friction, World};
-use haptic::measure::{Bench, MeasureError, Setup};
+use haptic::measure::{Bench, MeasureError, Setup, most_tested};
+use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::device::Device;
 use meter::Meter;
 use report::{Report, Theory};
@@ -25,6 +26,7 @@ use std::path::PathBuf;
 
 /// Measure on a board which walls stay stable; moves the motors
 ///
+/// Several --normal measure walls that act together, in the totals of stiffness and damping, as `haptic range` predicts them.
 /// For every damping the stiffness is raised until the telemetry shows a motion that builds up, or that goes on as a
 /// vibration larger than encoder steps explain; it is taken back at once, and the boundary bisected. The median of the
 /// repeats and their bounds are reported. The theory is not consulted, only printed beside it, with the `haptic range` line
@@ -38,9 +40,12 @@ pub struct Args {
     device: PathBuf,
     #[command(flatten)]
     port: Port,
-    /// Normal of the wall, placed where the tip is; any length
-    #[arg(long, value_name = "X,Y,..", allow_hyphen_values = true)]
-    normal: Numbers,
+    /// Normal of a wall, placed where the tip is, any length; once per wall that acts
+    #[arg(long, value_name = "X,Y,..", required = true, allow_hyphen_values = true)]
+    normal: Vec<Numbers>,
+    /// Each wall's part of stiffness and damping, with several --normal; results are the totals [default: equal parts]
+    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
+    share: Option<Numbers>,
     /// Control rate in Hz
     #[arg(long, value_name = "HZ", default_value_t = 1_000.0)]
     rate: f64,
@@ -149,9 +154,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     args.force.pictures(args.svg.as_ref(), args.png.as_ref())?;
     let mut file = DeviceFile::load(&args.device)?;
     let spec = file.spec();
-    let normal = args.normal.clone().unit(spec.task, "--normal")?;
+    let walls = walls(&args, spec.task)?;
     let plan = plan(&args)?;
-    let world = world(&args, &file)?;
+    let world = world(&args, &file, &walls)?;
     let simulated = matches!(args.port.spec(), PortSpec::Sim(_));
     if simulated {
         world.apply(&mut file);
@@ -162,7 +167,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         .remedy("use them with --port sim; a board is measured where and as it is"));
     }
     let mut what = format!(
-        "{} along {normal:?} at {} Hz, cutoff {} Hz, washout {} Hz, pull {} mm, {} N m",
+        "{} along {walls:?} at {} Hz, cutoff {} Hz, washout {} Hz, pull {} mm, {} N m",
         file.name, args.rate, args.cutoff, args.washout, args.pull, args.torque_limit
     );
     if world != World::default() {
@@ -186,7 +191,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let before = Before::of(&mut board)?;
     ready(&mut board, &file, &args)?;
     let setup = Setup {
-        normal: normal.clone(),
+        walls: walls.clone(),
         rate_hz: args.rate,
         cutoff_hz: args.cutoff,
         washout_hz: args.washout,
@@ -211,9 +216,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         if progress.q.is_empty() {
             progress.q.clone_from(&q);
         }
-        let device = Linearised::at(&file.description, &q, &normal)?;
         let (info, details) = (bench.board().info().clone(), bench.board().details()?);
-        theory = Some(Theory::new(&args, device, &q, &info, &details, *bench.excitation()));
+        theory = Some(Theory::new(&args, &file, walls, &q, (&info, &details), *bench.excitation())?);
         campaign::run(&mut bench, &plan, &mut progress, |progress, done| {
             meter.done(done);
             Ok(progress.save(&args.progress)?)
@@ -272,14 +276,30 @@ fn plan(args: &Args) -> Result<Plan, Failure> {
     Ok(Plan { modes: args.feed_forward.modes(), kd, points: args.points.into(), repeats: args.repeats.into() })
 }
 
-fn world(args: &Args, file: &DeviceFile) -> Result<World, Failure> {
+/// The walls that are measured together, each with its part.
+fn walls(args: &Args, task: usize) -> Result<Vec<(Vec<f64>, f64)>, Failure> {
+    let normals = &args.normal;
+    let most = most_tested(task);
+    if normals.len() > most {
+        let reason = format!("{} walls at once, but a board holds the tip with walls, too", normals.len());
+        return Err(Failure::wrong(reason).remedy(format!("measure at most {most} on this device")));
+    }
+    let shares = match args.share.clone() {
+        Some(share) => share.per_wall(normals.len(), "--share")?,
+        None => vec![1.0; normals.len()],
+    };
+    let units = normals.iter().map(|normal| normal.clone().unit(task, "--normal"));
+    units.zip(shares).map(|(unit, share)| Ok((unit?, share))).collect()
+}
+
+fn world(args: &Args, file: &DeviceFile, walls: &[(Vec<f64>, f64)]) -> Result<World, Failure> {
     if args.counts.is_some_and(|counts| !(counts >= 1.0 && counts.is_finite())) {
         return Err(Failure::wrong("--counts must be at least 1"));
     }
     let q = match &args.q {
         Some(q) => {
             let q = q.clone().exactly(file.spec().joints, "--q", "joint angles")?;
-            Linearised::at(&file.description, &q, &args.normal.clone().unit(file.spec().task, "--normal")?)?;
+            WallSet::at(&file.description, &q, walls, Admissible::default())?;
             Some(core::array::from_fn(|i| q.get(i).copied().unwrap_or(0.0)))
         }
         None => None,

@@ -37,7 +37,7 @@ pub fn limit(demo: &Demo, feed_forward: FeedForward) -> Result<Limit, DemoError>
     let shared = SharedBoard::new(ready_board(&demo.file, options)?);
     let mut board = Board::over(shared.wire(), "sim")?;
     let setup = Setup {
-        normal: demo.normal.to_vec(),
+        walls: vec![(demo.normal.to_vec(), 1.0)],
         rate_hz: demo.rate_hz,
         cutoff_hz: demo.cutoff_hz,
         washout_hz: demo.washout_hz,

@@ -4,6 +4,7 @@ use std::f64::consts::{PI, TAU};
 use std::time::Duration;
 
 use haptic_bridge::board::telemetry::Field;
+use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::{Fault, State};
@@ -13,10 +14,11 @@ use nalgebra::DVector;
 use super::before::Before;
 use super::excitation::Excitation;
 use super::swing::{Swing, Verdict};
-use super::walls::{ACROSS, APART, ASIDE, TESTED, complement, scene};
+use super::walls::{APART, Layout, complement, scene};
 use super::{MeasureError, Setup};
 use crate::analysis::plant::Linearised;
-use crate::analysis::pose::unit_normal;
+use crate::analysis::pose::PoseError;
+use crate::analysis::several::WallSet;
 use crate::device_file::DeviceFile;
 use crate::link::{Board, columns, fields};
 
@@ -35,8 +37,14 @@ pub struct Bench<'a> {
     interrupted: &'a dyn Fn() -> bool,
     q: Vec<f64>,
     tip: DVector<f64>,
-    normal: DVector<f64>,
-    /// Holding gains (N/m, N s/m), along the normal first, then across.
+    /// Unit direction of the pulls, d entries: the normal of one wall.
+    direction: DVector<f64>,
+    layout: Layout,
+    /// Each tested wall's part of the whole.
+    shares: Vec<f64>,
+    /// Force along the pull for each newton of the whole stiffness times the pull: 1 for one wall.
+    along: f64,
+    /// Holding gains (N/m, N s/m), along the pull first, then across.
     holding: Vec<(f64, f64)>,
     /// Natural frequency of the hold, rad/s.
     hold_frequency: f64,
@@ -60,14 +68,16 @@ impl<'a> Bench<'a> {
         let status = board.status()?;
         let q: Vec<f64> = status.q[..spec.joints].iter().map(|&v| f64::from(v)).collect();
         let tip = DVector::from_fn(spec.task, |i, _| f64::from(status.tip[i]));
-        let unit = unit_normal(&setup.normal, spec.task, spec.joints)?;
-        let normal = unit.rows(0, spec.task).into_owned();
-        let across = complement(&normal);
+        let set = WallSet::at(&file.description, &q, &setup.walls, Admissible::default())?;
+        let direction = set.between_stiffest().ok_or(PoseError::NoDirection)?;
+        let across = complement(&direction);
+        let total: f64 = setup.walls.iter().map(|(_, share)| share).sum();
+        let shares: Vec<f64> = setup.walls.iter().map(|(_, share)| share / total).collect();
 
         // The hold: natural frequency well below filter and rate, damping 0.7.
         let hold_frequency = (0.05 * setup.rate_hz).min(0.3 * TAU * setup.cutoff_hz);
         let mut holding = Vec::new();
-        for direction in std::iter::once(&normal).chain(&across) {
+        for direction in std::iter::once(&direction).chain(&across) {
             let seen = Linearised::at(&file.description, &q, direction.as_slice())?;
             let inertia = seen.w_eff().unwrap_or_else(|| seen.w_rr());
             holding.push((inertia * hold_frequency.powi(2), 1.4 * inertia * hold_frequency));
@@ -81,8 +91,9 @@ impl<'a> Bench<'a> {
         for limit in &mut rules.limits.torque {
             *limit = limit.min(setup.torque_limit as f32);
         }
-        let device = Linearised::at(&file.description, &q, normal.as_slice())?;
-        let excitation = Excitation::new(file, &device, &rules, setup.largest_pull);
+        let device = Linearised::at(&file.description, &q, direction.as_slice())?;
+        let torques = [false, true].map(|feed_forward| set.torque(&direction, feed_forward));
+        let excitation = Excitation::new(file, &device, &torques, &rules, setup.largest_pull);
         // Not even the soft hold could be told from a loose tip: nothing is touched then.
         excitation.pull(holding[0].0)?;
 
@@ -92,14 +103,17 @@ impl<'a> Bench<'a> {
         let tip_columns = (0..spec.task).filter_map(|axis| column(Field::Tip, axis)).collect();
         let state_column = column(Field::State, 0).unwrap_or_default();
 
-        let wanted = scene(&setup, &tip, &normal, &across)?;
+        let (layout, wanted) = scene(&setup, &tip, &direction, &across)?;
         // From here on the board is put back as it was whenever this is dropped.
         let mut bench = Self {
             board,
             interrupted,
             q,
             tip,
-            normal,
+            along: set.force(&direction).dot(&direction),
+            direction,
+            layout,
+            shares,
             holding,
             hold_frequency,
             excitation,
@@ -146,7 +160,7 @@ impl<'a> Bench<'a> {
         self.holding[0].1
     }
 
-    /// Whether a wall of this stiffness and damping oscillates. `strength` scales and signs the excitation (1 or a
+    /// Whether walls of this stiffness and damping in all oscillate. `strength` scales and signs the excitation (1 or a
     /// little less).
     pub fn oscillates(
         &mut self,
@@ -158,7 +172,7 @@ impl<'a> Bench<'a> {
         Ok(self.judge(feed_forward, kp, kd, strength)? != Verdict::Decays)
     }
 
-    /// What the tip does against a wall of this stiffness (N/m) and damping (N s/m). `strength` scales and signs the
+    /// What the tip does against walls of this stiffness (N/m) and damping (N s/m) in all. `strength` scales and signs the
     /// excitation (1 or a little less).
     pub fn judge(
         &mut self,
@@ -239,34 +253,50 @@ impl<'a> Bench<'a> {
         Ok(self.board.set_wall_gains(gains)?)
     }
 
-    /// Holds the tip `pull` metres along the normal from where it was: the tested wall and the one beside it share the
-    /// stiffness.
+    /// Gives the tested walls their parts of these gains.
+    fn test(&mut self, kp: f64, kd: f64, feed_forward: FeedForward) -> Result<(), MeasureError> {
+        for (wall, share) in self.shares.clone().into_iter().enumerate() {
+            self.gains(wall as u8, kp * share, kd * share, feed_forward)?;
+        }
+        Ok(())
+    }
+
+    /// Holds the tip `pull` metres along the pull's direction from where it was: the wall there and the one beside it share
+    /// the stiffness.
     fn hold(&mut self, pull: f64) -> Result<(), MeasureError> {
         let (kp, kd) = self.holding[0];
         let share = (pull / APART).clamp(-0.9, 0.9);
-        self.gains(TESTED, kp * (1.0 - share.abs()), kd, FeedForward::Off)?;
+        let Layout { hold, aside, across } = self.layout;
+        self.gains(hold, kp * (1.0 - share.abs()), kd, FeedForward::Off)?;
+        if hold > 0 {
+            self.test(0.0, 0.0, FeedForward::Off)?;
+        }
         // The wall beside lies at +APART or -APART; only one is used, by the sign of the pull.
-        let [used, unused] = if pull >= 0.0 { ASIDE } else { [ASIDE[1], ASIDE[0]] };
+        let [used, unused] = if pull >= 0.0 { aside } else { [aside[1], aside[0]] };
         self.gains(unused, 0.0, 0.0, FeedForward::Off)?;
         self.gains(used, kp * share.abs(), 0.0, FeedForward::Off)?;
         for (index, (kp, kd)) in self.holding.clone().into_iter().skip(1).enumerate() {
-            self.gains(ACROSS + index as u8, kp, kd, FeedForward::Off)?;
+            self.gains(across + index as u8, kp, kd, FeedForward::Off)?;
         }
         Ok(())
     }
 
-    /// Lets go of everything but the tested wall.
+    /// Lets go of everything but the tested walls.
     fn release(&mut self) -> Result<(), MeasureError> {
-        for wall in ASIDE {
+        let Layout { hold, aside, across } = self.layout;
+        for wall in aside {
             self.gains(wall, 0.0, 0.0, FeedForward::Off)?;
         }
         for index in 0..self.holding.len() - 1 {
-            self.gains(ACROSS + index as u8, 0.0, 0.0, FeedForward::Off)?;
+            self.gains(across + index as u8, 0.0, 0.0, FeedForward::Off)?;
+        }
+        if hold > 0 {
+            self.gains(hold, 0.0, 0.0, FeedForward::Off)?;
         }
         Ok(())
     }
 
-    /// Waits until the tip rests near `pull`, along the normal and across it; returns where it rests.
+    /// Waits until the tip rests near `pull`, along its direction and across it; returns where it rests.
     fn rest(&mut self, pull: f64) -> Result<f64, MeasureError> {
         self.hold(pull)?;
         let period = TAU / self.hold_frequency;
@@ -294,14 +324,14 @@ impl<'a> Bench<'a> {
         Err(MeasureError::Restless)
     }
 
-    /// Pulls back towards the tested wall and returns when the tip is on its way.
+    /// Pulls back towards the tested walls, as softly as they were held, and returns when the tip is on its way.
     ///
     /// With the feed-forward that is tested: without it the pull would set the admissible directions moving, and with
     /// it nothing would stop them again.
     fn swing_back(&mut self, feed_forward: FeedForward, pull: f64, rested: f64) -> Result<(), MeasureError> {
         let (kp, _) = self.holding[0];
         self.release()?;
-        self.gains(TESTED, kp, 0.0, feed_forward)?;
+        self.test(kp / self.along, 0.0, feed_forward)?;
         let started = self.board.now();
         let quarter = 0.5 * PI / self.hold_frequency;
         let aim = 0.5 * rested;
@@ -316,7 +346,7 @@ impl<'a> Bench<'a> {
 
     /// Hands the moving tip to the tested gains and follows it until the verdict.
     fn watch(&mut self, feed_forward: FeedForward, kp: f64, kd: f64, pull: f64) -> Result<Verdict, MeasureError> {
-        self.gains(TESTED, kp, kd, feed_forward)?;
+        self.test(kp, kd, feed_forward)?;
         let row_seconds = f64::from(self.divider) / self.setup.rate_hz;
         let mut swing = Swing::new(row_seconds, self.setup.cutoff_hz, self.excitation.quantum, pull.abs());
         let first = self.board.status()?.step;
@@ -359,8 +389,8 @@ impl<'a> Bench<'a> {
                 return Err(MeasureError::Fault(fault));
             }
             let off = DVector::from_fn(self.tip.len(), |i, _| row.values[self.tip_columns[i]] - self.tip[i]);
-            let place = off.dot(&self.normal);
-            places.push(Place { step: row.step, place, aside: (off - &self.normal * place).norm() });
+            let place = off.dot(&self.direction);
+            places.push(Place { step: row.step, place, aside: (off - &self.direction * place).norm() });
         }
         Ok(places)
     }
@@ -374,7 +404,7 @@ impl Drop for Bench<'_> {
     }
 }
 
-/// Where the tip was at a step: along the normal and how far beside it, m.
+/// Where the tip was at a step: along the pull and how far beside it, m.
 struct Place {
     step: u32,
     place: f64,

@@ -2,6 +2,7 @@
 //! hold, and far enough that friction is small beside it.
 
 use haptic_bridge::servo::Rules;
+use nalgebra::DVector;
 
 use super::MeasureError;
 use super::swing::ENCODER_STEPS;
@@ -22,7 +23,7 @@ const OVER_FRICTION: f64 = 40.0;
 pub struct Excitation {
     /// Smallest step of the tip along the normal that the encoders show, m.
     pub quantum: f64,
-    /// Largest force along the normal at which no motor saturates, N.
+    /// Largest stiffness times pull at which no motor saturates, N: for one wall its force.
     pub force: f64,
     /// Coulomb friction as it meets the tip along the normal, N.
     pub friction: f64,
@@ -31,10 +32,16 @@ pub struct Excitation {
 }
 
 impl Excitation {
-    /// At the pose of `device`, within `rules` and the motors' own currents.
+    /// At the pose of `device`, seen along the pull, within `rules` and the motors' own currents. `torques`: of the
+    /// joints per metre of pull and N/m of stiffness, without and with the feed-forward, m.
     #[must_use]
-    pub fn new(file: &DeviceFile, device: &Linearised, rules: &Rules, largest: f64) -> Self {
-        let shaped = device.shaped_torque();
+    pub fn new(
+        file: &DeviceFile,
+        device: &Linearised,
+        torques: &[DVector<f64>; 2],
+        rules: &Rules,
+        largest: f64,
+    ) -> Self {
         let joints = &file.description.joints[..device.row.len()];
         let (mut quantum, mut friction, mut force) = (0.0, 0.0, f64::INFINITY);
         for (i, joint) in joints.iter().enumerate() {
@@ -47,7 +54,7 @@ impl Excitation {
                 let current = motor.max_current.min(f64::from(rules.limits.current[i]));
                 torque = torque.min(motor.torque_constant.abs() * current);
             }
-            let lever = device.row[i].abs().max(shaped[i].abs());
+            let lever = torques[0][i].abs().max(torques[1][i].abs());
             if lever > 0.0 {
                 force = force.min(torque / lever);
             }

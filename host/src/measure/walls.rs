@@ -1,18 +1,38 @@
-//! The walls of a measurement's scene: the one that is tested, two beside it that pull the tip aside, and one across the
-//! normal for every other direction.
+//! The walls of a measurement's scene: those that are tested, two that pull the tip aside, and one for every direction
+//! across the pull. One tested wall also holds the tip between trials; several leave that to one more.
 
-use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
+use haptic_bridge::render::scene::{FeedForward, MAX_WALLS, Plane, Scene, Surface, VelocityTerms, Wall};
 use nalgebra::DVector;
 
 use super::{MeasureError, Setup};
+use crate::analysis::pose::unit_normal;
 
-/// Distance between the tested wall and the one that pulls aside, m: more than any pull.
+/// Distance between the wall that holds the tip and the one that pulls it aside, m: more than any pull.
 pub const APART: f64 = 0.01;
 
-/// Walls of the scene: the tested one, the two that pull aside (at +[`APART`] and -[`APART`]), then those across.
-pub const TESTED: u8 = 0;
-pub const ASIDE: [u8; 2] = [1, 2];
-pub const ACROSS: u8 = 3;
+/// Where the walls that hold the tip stand in the scene. The tested ones come first; one alone is held by its own.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Layout {
+    /// Where the tip is, across the direction of the pulls.
+    pub hold: u8,
+    /// At +[`APART`] and -[`APART`] from there.
+    pub aside: [u8; 2],
+    /// The first of those along every other direction.
+    pub across: u8,
+}
+
+impl Layout {
+    fn new(tested: usize) -> Self {
+        let hold = if tested == 1 { 0 } else { tested as u8 };
+        Self { hold, aside: [hold + 1, hold + 2], across: hold + 3 }
+    }
+}
+
+/// How many walls can be tested together on a device of `task` dimensions: a scene's, less those that hold the tip.
+#[must_use]
+pub fn most_tested(task: usize) -> usize {
+    MAX_WALLS - 2 - task
+}
 
 /// Unit vectors across a normal.
 pub fn complement(normal: &DVector<f64>) -> Vec<DVector<f64>> {
@@ -31,13 +51,13 @@ pub fn complement(normal: &DVector<f64>) -> Vec<DVector<f64>> {
     }
 }
 
-/// The scene of a measurement, its walls without gains yet.
+/// The scene of a measurement, its walls without gains yet. `direction` is that of the pulls, `across` all others.
 pub fn scene(
     setup: &Setup,
     tip: &DVector<f64>,
-    normal: &DVector<f64>,
+    direction: &DVector<f64>,
     across: &[DVector<f64>],
-) -> Result<Scene<f32>, MeasureError> {
+) -> Result<(Layout, Scene<f32>), MeasureError> {
     let mut scene = Scene {
         task: tip.len() as u8,
         rate_hz: setup.rate_hz as f32,
@@ -45,14 +65,20 @@ pub fn scene(
         velocity_terms: VelocityTerms::Off,
         ..Scene::default()
     };
+    let layout = Layout::new(setup.walls.len());
+    let mut places: Vec<(DVector<f64>, DVector<f64>)> = Vec::new();
+    for (normal, _) in &setup.walls {
+        places.push((tip.clone(), unit_normal(normal, tip.len(), tip.len())?));
+    }
+    if layout.hold > 0 {
+        places.push((tip.clone(), direction.clone()));
+    }
+    places.extend([APART, -APART].map(|apart| (tip + direction * apart, direction.clone())));
+    places.extend(across.iter().map(|other| (tip.clone(), other.clone())));
     let padded = |v: &DVector<f64>| -> [f32; 3] { core::array::from_fn(|i| v.get(i).map_or(0.0, |v| *v as f32)) };
-    let aside = [tip + normal * APART, tip - normal * APART];
-    let places = std::iter::once((tip, normal))
-        .chain(aside.iter().map(|point| (point, normal)))
-        .chain(across.iter().map(|direction| (tip, direction)));
-    for (point, direction) in places {
+    for (point, normal) in &places {
         let wall = Wall {
-            surface: Surface::Plane(Plane { point: padded(point), normal: padded(direction) }),
+            surface: Surface::Plane(Plane { point: padded(point), normal: padded(normal) }),
             stiffness: 0.0,
             damping: 0.0,
             feed_forward: FeedForward::Off,
@@ -60,7 +86,10 @@ pub fn scene(
             damping_compensation: false,
             bilateral: true,
         };
-        scene.walls.push(wall).map_err(|_| MeasureError::Scene("too many walls".into()))?;
+        scene.walls.push(wall).map_err(|_| {
+            let most = most_tested(tip.len());
+            MeasureError::Scene(format!("{} walls at once: at most {most} on this device", setup.walls.len()))
+        })?;
     }
-    Ok(scene)
+    Ok((layout, scene))
 }

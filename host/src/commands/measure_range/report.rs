@@ -2,20 +2,25 @@
 
 use super::Args;
 use haptic::analysis::plant::{Drive, Linearised};
-use haptic::analysis::range::{BoundaryPoint, Range, predict};
-use haptic::analysis::sampled::{Estimator, Loop};
+use haptic::analysis::pose::PoseError;
+use haptic::analysis::range::{BoundaryPoint, Range, predict, predict_several};
+use haptic::analysis::sampled::{AnalysisError, Estimator, Loop};
+use haptic::analysis::several::WallSet;
+use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::measure::campaign::Plan;
 use haptic::measure::excitation::{Excitation, millimetres};
 use haptic::measure::progress::{Mode, Point, Progress};
 use haptic::plot::range::{Contents, MeasuredPoint, draw};
 use haptic_bridge::board::protocol::{Details, Info};
+use haptic_bridge::model::admissible::Admissible;
 use serde_json::json;
 use std::fmt::Write;
 
 /// The linear theory of the board that was measured.
 pub struct Theory {
-    device: Linearised,
+    device: Walls,
+    walls: Vec<(Vec<f64>, f64)>,
     around: Loop,
     excitation: Excitation,
     /// The command that predicts the same.
@@ -23,40 +28,63 @@ pub struct Theory {
     q: Vec<f64>,
 }
 
+/// One wall, whose boundary is known exactly, or several that act together.
+enum Walls {
+    One(Linearised),
+    Several(WallSet),
+}
+
+impl Walls {
+    fn predict(&self, around: &Loop, kd: Option<&[f64]>, washout: Option<f64>) -> Result<Range, AnalysisError> {
+        match self {
+            Self::One(device) => predict(device, around, kd, washout),
+            Self::Several(set) => predict_several(set, around, kd, washout),
+        }
+    }
+}
+
+/// Numbers as an option takes them.
+fn list(values: &[f64]) -> String {
+    values.iter().map(f64::to_string).collect::<Vec<_>>().join(",")
+}
+
 /// Lag of the boards' current loops at a carrier of 20 kHz, Hz: half a carrier period, as `haptic range` has it.
 const CURRENT_HZ: f64 = 6400.0;
 const CARRIER_HZ: f64 = 20_000.0;
 
 impl Theory {
-    /// Of `device` at `q` behind the board of `info` and `details`: its own delay, and its own drive.
+    /// Of `walls` at `q` behind this board: its own delay, and its own drive.
     pub fn new(
         args: &Args,
-        device: Linearised,
+        file: &DeviceFile,
+        walls: Vec<(Vec<f64>, f64)>,
         q: &[f64],
-        info: &Info,
-        details: &Details,
+        (info, details): (&Info, &Details),
         excitation: Excitation,
-    ) -> Self {
+    ) -> Result<Self, PoseError> {
+        let device = match walls.as_slice() {
+            [(normal, _)] => Walls::One(Linearised::at(&file.description, q, normal)?),
+            _ => Walls::Several(WallSet::at(&file.description, q, &walls, Admissible::default())?),
+        };
         let delay_samples = (f64::from(details.delay_samples) * 1e6).round() / 1e6;
         let bandwidth_hz = (CURRENT_HZ * f64::from(details.carrier_hz) / CARRIER_HZ).round();
         let ideal = info.board.as_str() == haptic::sim::IDEAL_BOARD;
         let drive = if ideal { Drive::Ideal } else { Drive::Current { bandwidth_hz } };
-        let list = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
-        let mut line = format!(
-            "haptic range {} --q={} --normal={} --rate {} --cutoff {} --delay {delay_samples}",
-            args.device.display(),
-            list(q),
-            list(&args.normal.0),
-            args.rate,
-            args.cutoff
-        );
+        let mut line = format!("haptic range {} --q={}", args.device.display(), list(q));
+        for normal in &args.normal {
+            let _ = write!(line, " --normal={}", list(&normal.0));
+        }
+        if let (Some(share), true) = (&args.share, walls.len() > 1) {
+            let _ = write!(line, " --share {}", list(&share.0));
+        }
+        let _ = write!(line, " --rate {} --cutoff {} --delay {delay_samples}", args.rate, args.cutoff);
         if !ideal {
             line.push_str(" --drive current");
             if bandwidth_hz != CURRENT_HZ {
                 let _ = write!(line, " --current-bandwidth {bandwidth_hz}");
             }
         }
-        if device.viscous.iter().all(|damping| *damping == 0.0) {
+        if file.description.joints.iter().all(|joint| joint.viscous == 0.0) {
             line.push_str(" --undamped");
         }
         if args.feed_forward.modes().contains(&Mode::Washout) {
@@ -69,11 +97,11 @@ impl Theory {
             drive,
             damping_compensation: false,
         };
-        Self { device, around, excitation, line, q: q.to_vec() }
+        Ok(Self { device, walls, around, excitation, line, q: q.to_vec() })
     }
 
     fn predict(&self, kd: Option<&[f64]>, washout: Option<f64>) -> Result<Range, Failure> {
-        Ok(predict(&self.device, &self.around, kd, washout)?)
+        Ok(self.device.predict(&self.around, kd, washout)?)
     }
 }
 
@@ -157,10 +185,15 @@ impl Report<'_> {
 
     /// Where and how, in two lines.
     fn setting(&self) -> [String; 2] {
-        let joined = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(", ");
+        let joined = |values: &[f64]| list(values).replace(',', ", ");
         let (args, around) = (self.args, &self.theory.around);
+        let normals: Vec<String> = args.normal.iter().map(|normal| format!("({})", joined(&normal.0))).collect();
+        let mut place = format!("q = ({}) rad, n = {}", joined(&self.theory.q), normals.join(" + "));
+        if let (Some(share), true) = (&args.share, normals.len() > 1) {
+            let _ = write!(place, ", parts {}", joined(&share.0));
+        }
         [
-            format!("q = ({}) rad, n = ({})", joined(&self.theory.q), joined(&args.normal.0)),
+            place,
             format!(
                 "{} Hz, cutoff {} Hz, delay {} samples, {}",
                 args.rate,
@@ -312,9 +345,11 @@ impl Report<'_> {
                 }));
             }
         }
+        let walls: Vec<_> =
+            self.theory.walls.iter().map(|(normal, share)| json!({ "normal": normal, "share": share })).collect();
         Ok(json!({
             "q": self.theory.q,
-            "normal": self.args.normal.0,
+            "walls": walls,
             "rate_hz": self.args.rate,
             "cutoff_hz": self.args.cutoff,
             "delay_samples": self.theory.around.delay_samples,
