@@ -8,6 +8,7 @@
 pub mod compiled;
 mod crest;
 pub mod frame;
+pub mod host_force;
 mod polarity;
 pub mod program;
 mod saturation;
@@ -173,6 +174,7 @@ pub struct Servo<P> {
     /// Joint motion per metre along the deepest wall's normal at this step, rad/m; see [`Servo::rendered`].
     motion: [f32; MAX_JOINTS],
     crests: crest::Crests,
+    host: host_force::HostForce,
     budgets: watch::Budgets,
     /// What heat the motors of the first program have, see [`Servo::start_heat`].
     heat: Option<[f32; MAX_JOINTS]>,
@@ -208,6 +210,7 @@ where
             first_index: [None; MAX_JOINTS],
             motion: [0.0; MAX_JOINTS],
             crests: crest::Crests::default(),
+            host: host_force::HostForce::default(),
             budgets: watch::Budgets::default(),
             heat: Some([0.0; MAX_JOINTS]),
             table: [0.0; TABLE_VALUES],
@@ -342,11 +345,13 @@ where
             self.last_counts = samples.counts;
             self.primed = true;
         }
+        self.push();
         if let Some(program) = self.program.as_mut() {
             let acted = self.frame.torque;
-            let (regularity, asked) =
+            let (regularity, mut asked) =
                 program.controller.step(&samples.counts, &self.table, &mut self.frame, &mut self.motion);
             self.parallel = regularity.parallel;
+            self.pull(&mut asked);
             self.watch(samples, &acted, &regularity);
             self.drive(asked);
         }
@@ -385,6 +390,7 @@ where
     }
 
     fn off(&mut self) {
+        self.let_go();
         self.ramp = 0.0;
         self.frame.torque = [0.0; MAX_JOINTS];
         self.frame.current = [0.0; MAX_JOINTS];

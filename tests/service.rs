@@ -196,6 +196,8 @@ fn what_only_asks_is_answered_in_every_state_and_changes_none() {
         board.ask::<GetDetails>(&()).unwrap();
         board.ask::<GetFaults>(&()).unwrap();
         board.ask::<Heartbeat>(&()).unwrap();
+        // Of no force, with no time to live.
+        board.ask::<Force>(&ForceRequest::default()).unwrap();
         assert_eq!(board.ask::<GetStatus>(&()).unwrap().state, before.1);
         assert_eq!((configuration(&mut board), board.state()), before, "{now:?}");
     }
@@ -208,8 +210,8 @@ fn own_endpoints() -> impl Iterator<Item = (&'static str, postcard_rpc::Key)> {
 
 #[test]
 fn the_table_above_leaves_no_endpoint_out() {
-    // Those of the two tests before: 18 that change something, 9 that ask.
-    assert_eq!(own_endpoints().count(), 27, "an endpoint was added: add it to the tests of this file");
+    // Those of the two tests before: 18 that change something, 10 that ask.
+    assert_eq!(own_endpoints().count(), 28, "an endpoint was added: add it to the tests of this file");
 }
 
 #[test]
@@ -306,6 +308,38 @@ fn a_message_with_any_number_spoilt_is_refused_or_harmless() {
     let mass = spoilt::<SetMassModel>(&MassModelData::Frozen([1e-3; 6]));
     for (accepted, refused) in [scene, gains, rules, mass] {
         assert!(accepted > 10 && refused > 10, "{accepted} accepted, {refused} refused");
+    }
+}
+
+#[test]
+fn a_force_with_any_number_spoilt_is_refused_or_harmless() {
+    let contact = HostContact { point: [0.01, 0.0, 0.0], normal: [1.0, 0.0, 0.0], stiffness: 500.0, damping: 1.0 };
+    let request = ForceRequest {
+        sequence: 1,
+        seen: None,
+        hold: 0.01,
+        fade: 0.01,
+        force: [1.0, 0.0, 0.0],
+        torque: [0.1, 0.0, 0.0],
+        contact: Some(contact),
+    };
+    let sound = postcard::to_stdvec(&request).unwrap();
+    let mut seen = Vec::new();
+    for poison in POISON {
+        for place in 0..=sound.len() - 4 {
+            let mut bytes = sound.clone();
+            bytes[place..place + 4].copy_from_slice(&poison.to_le_bytes());
+            let mut board = board(Now::Armed);
+            let answer = board.answer(&frame(Force::REQ_KEY, &bytes)).unwrap();
+            let (_, body) = VarHeader::take_from_slice(&answer).unwrap();
+            seen.push(postcard::from_bytes::<ForceAnswer>(body).map(|answer| answer.done).ok());
+            // The board checks its torques itself.
+            (0..60).for_each(|_| board.tick());
+            assert_eq!(board.state(), State::Armed, "{poison} at byte {place}");
+        }
+    }
+    for done in [ForceDone::Taken, ForceDone::Bad(BadForce::Lease), ForceDone::Bad(BadForce::Gains)] {
+        assert!(seen.contains(&Some(done)), "{done:?} came of none of them");
     }
 }
 

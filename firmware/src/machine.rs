@@ -4,7 +4,7 @@
 use core::sync::atomic::Ordering;
 
 use haptic_bridge::board::dispatch::Described;
-use haptic_bridge::board::protocol::{Details, Info, PROTOCOL};
+use haptic_bridge::board::protocol::{Details, ForceAnswer, ForceRequest, Info, PROTOCOL};
 use haptic_bridge::board::service::Machine;
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::board::storage::StorageError;
@@ -148,6 +148,15 @@ impl Machine for Panel {
 
     fn status(&mut self) -> Status {
         self.ask(Request::Status).status
+    }
+
+    fn force(&mut self, request: &ForceRequest) -> ForceAnswer {
+        loop {
+            // The interrupt answers each request in kind.
+            if let Some(answer) = self.ask(Request::Force(*request)).force {
+                return answer;
+            }
+        }
     }
 
     fn place(&mut self, program: Program<BoardMath>) -> Result<BoardProgram, Refusal> {

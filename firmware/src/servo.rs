@@ -22,6 +22,7 @@ use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::compiled::{self, BoardProgram, BoardServo};
 use haptic_bridge::servo::frame::{Crest, Frame, Samples};
+use haptic_bridge::servo::host_force::{ForceAnswer, ForceRequest};
 use haptic_bridge::servo::program::Hardware;
 use haptic_bridge::servo::{Command, Reply, Rules, Status};
 use heapless::spsc::{Consumer, Producer, Queue};
@@ -36,6 +37,8 @@ pub enum Request {
     Command(Command<BoardProgram>),
     /// Only the status.
     Status,
+    /// What the host asks the motors for.
+    Force(ForceRequest),
     /// Another carrier; motors off.
     Retime(Carrier),
 }
@@ -46,6 +49,8 @@ pub struct Answer {
     pub reply: Reply<BoardProgram>,
     /// The servo's state after it.
     pub status: Status,
+    /// Of a [`Request::Force`].
+    pub force: Option<ForceAnswer>,
     /// The motors' heat, A² s, where it is known.
     pub heat: Option<[f32; MAX_JOINTS]>,
 }
@@ -186,9 +191,14 @@ impl Step {
     /// The queue of answers has room: there is one answer to a request, and one request at a time.
     #[inline(never)]
     fn take(&mut self, request: Request) {
+        let mut force = None;
         let reply = match request {
             Request::Command(command) => self.servo.execute(command),
             Request::Status => (Ok(()), None),
+            Request::Force(request) => {
+                force = Some(self.servo.force(&request));
+                (Ok(()), None)
+            }
             Request::Retime(carrier) => {
                 if !self.driving {
                     self.io.set_carrier(carrier);
@@ -201,7 +211,7 @@ impl Step {
         if !matches!(status.state, State::Armed | State::CheckingPolarity) {
             self.connect(false);
         }
-        let _ = self.answers.enqueue(Answer { reply, status, heat: self.servo.heat() });
+        let _ = self.answers.enqueue(Answer { reply, status, force, heat: self.servo.heat() });
     }
 
     /// Connects the bridges or lets them float. Floating drops the gate drivers as well; connecting needs them ready.

@@ -256,5 +256,17 @@ const TEMPLATES: &[Template] = &[
         let named = Key::ALL.into_iter().enumerate().filter(|(at, _)| which >> at & 1 == 1);
         bytes_of(&named.map(|(_, key)| key).collect::<KeyList>())
     }),
+    (Force::REQ_KEY, |which| {
+        let contact = HostContact { point: [0.0; 3], normal: [1.0, 0.0, 0.0], stiffness: 500.0, damping: 1.0 };
+        bytes_of(&ForceRequest {
+            sequence: u32::from(which),
+            seen: (which & 1 == 1).then_some(u32::from(which)),
+            hold: 0.01,
+            fade: 0.01,
+            force: [f32::from(which), 0.0, 0.0],
+            torque: [0.1, 0.0, 0.0],
+            contact: (which & 2 == 2).then_some(contact),
+        })
+    }),
     (SetName::REQ_KEY, |which| bytes_of(&Name::from_iter(std::iter::repeat_n('n', usize::from(which % 33))))),
 ];

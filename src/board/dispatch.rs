@@ -122,6 +122,7 @@ fn route<M: Described>(
         };
     }
     serve! {
+        Force: |force| machine.force(&force);
         GetStatus: |()| machine.status();
         Heartbeat: |()| service.heartbeat(machine);
         Arm: |()| service.arm(machine);

@@ -15,6 +15,7 @@ use crate::render::scene::Scene;
 use crate::render::velocity::Estimator;
 use crate::safety::fault::FaultRecord;
 use crate::safety::refusal::Refusal;
+pub use crate::servo::host_force::{BadForce, ForceAnswer, ForceDone, ForceRequest, HostContact};
 use crate::servo::{Rules, Status};
 use heapless::{String, Vec};
 use postcard_rpc::{TopicDirection, endpoints, topics};
@@ -22,7 +23,7 @@ use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 /// Version of this table. Raised by any change to it.
-pub const PROTOCOL: u16 = 3;
+pub const PROTOCOL: u16 = 4;
 
 /// Largest COBS frame on the link, bytes.
 pub const MAX_FRAME: usize = 1536;
@@ -135,6 +136,7 @@ endpoints! {
     | Clear         | ()            | Outcome     | "haptic/clear"     |
     | GetFaults     | ()            | FaultList   | "haptic/faults"    |
     | Heartbeat     | ()            | ()          | "haptic/heartbeat" |
+    | Force         | ForceRequest  | ForceAnswer | "haptic/force"     |
     | Stream        | StreamRequest | Outcome     | "haptic/stream"    |
     | Save          | ()            | Outcome     | "haptic/save"      |
     | ReadEntry     | Key           | MaybeEntry  | "haptic/entry?"    |

@@ -4,7 +4,7 @@
 //! Everything is checked here even though the tool has checked it: whatever comes over the link, nothing that the
 //! rules forbid reaches the servo, and the servo checks again what depends on the moment.
 
-use crate::board::protocol::{Details, FaultList, GainsRequest, KeyList, Name, WriteEntry};
+use crate::board::protocol::{Details, FaultList, ForceAnswer, ForceRequest, GainsRequest, KeyList, Name, WriteEntry};
 use crate::board::settings::{self, BoardName, Damage, Entry, Key, Polarity, Setting};
 use crate::checksum::crc32;
 use crate::math::Math;
@@ -32,6 +32,9 @@ pub trait Machine {
     fn execute(&mut self, command: Command<Self::Held>) -> Reply<Self::Held>;
     /// The servo's state.
     fn status(&mut self) -> Status;
+    /// Carries out what the host asks the motors for between two control steps, see
+    /// [`Servo::force`](crate::servo::Servo::force).
+    fn force(&mut self, request: &ForceRequest) -> ForceAnswer;
     /// Puts a program where the servo can use it; refused while the spare place is taken.
     fn place(&mut self, program: Program<Self::Math>) -> Result<Self::Held, Refusal>;
     /// Takes back a program that the servo no longer uses.

@@ -24,11 +24,13 @@ use encoders::Encoders;
 use heapless::Vec;
 use nalgebra::SVector;
 use postcard_schema::Schema;
+pub use push::{Push, PushedPlane};
 use serde::{Deserialize, Serialize};
 pub use walls::TOUCH_DEPTH;
 use walls::{Acting, Active, Walls};
 
 mod encoders;
+mod push;
 mod walls;
 
 /// Sine of a serial singularity at and above which the feed-forward acts in full.
@@ -124,11 +126,12 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     math: PhantomData<K>,
 }
 
-/// Springs and fields.
+/// Springs, fields, and what the host adds.
 #[derive(Clone, Debug)]
 struct Guidance<T> {
     springs: Vec<Spring<T>, MAX_SPRINGS>,
     field_damping: T,
+    push: Option<Push<T>>,
     any: bool,
 }
 
@@ -145,11 +148,9 @@ fn prepare<T: Real>(scene: &Scene<T>, task: usize) -> Result<Prepared<T>, SceneE
     scene.check(task)?;
     let coefficients =
         Coefficients::new(scene.estimator, scene.rate_hz, scene.cutoff_hz).map_err(|_| SceneError::Cutoff)?;
-    let guidance = Guidance {
-        springs: scene.springs.clone(),
-        field_damping: scene.field_damping,
-        any: !scene.springs.is_empty() || scene.field_damping > T::zero(),
-    };
+    let mut guidance =
+        Guidance { springs: scene.springs.clone(), field_damping: scene.field_damping, push: None, any: false };
+    guidance.any = guidance.acts();
     Ok(Prepared { coefficients, walls: Walls::new(scene)?, guidance })
 }
 
@@ -446,6 +447,23 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         self.walls.any_touched::<K, N>(&task_part::<T, M, N>(&self.mechanism.tip(&pose)))
     }
 
+    /// What the host adds from the next step on.
+    pub fn set_push(&mut self, push: Option<&Push<T>>) {
+        self.guidance.push = push.copied();
+        self.guidance.any = self.guidance.acts();
+    }
+
+    /// Tip velocity (m/s) at these counts and joint velocities (rad/s), and the force (N) that the host's push makes
+    /// there. Computes a pose, so not for the step.
+    pub fn pushed(&self, counts: &[i32; N], qd: &SVector<T, N>) -> (SVector<T, N>, SVector<T, N>) {
+        let (_, turned) = self.encoders.angles(counts);
+        let pose = shared_pose::<T, K, M, N>(&self.mechanism, &turned);
+        let place = task_part::<T, M, N>(&self.mechanism.tip(&pose));
+        let velocity = task_part::<T, M, N>(&self.mechanism.velocity(&pose, qd));
+        let force = self.guidance.push.map_or(SVector::zeros(), |push| push.at(&place, &velocity));
+        (velocity, force)
+    }
+
     /// Applies checked gains between two steps; estimators and the washout's state go on.
     pub fn set_gains(&mut self, gains: &Gains<T>, washout: &Washout<T>) {
         self.walls.set_gains(gains, washout);
@@ -459,10 +477,18 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 }
 
 impl<T: Real> Guidance<T> {
+    /// Whether there is anything of it.
+    fn acts(&self) -> bool {
+        !self.springs.is_empty() || self.field_damping > T::zero() || self.push.is_some()
+    }
+
     /// The force (N) at the tip.
     #[inline(always)]
     fn force<const N: usize>(&self, place: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
         let mut force = velocity * -self.field_damping;
+        if let Some(push) = &self.push {
+            force += push.at(place, velocity);
+        }
         for spring in &self.springs {
             force += spring_force(spring, place, velocity);
         }

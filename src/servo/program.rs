@@ -8,7 +8,7 @@ use crate::model::catalogue::MAX_JOINTS;
 use crate::model::device::Device;
 use crate::model::mechanism::Regularity;
 use crate::model::precomputed::{MassModel, MassModelData};
-use crate::render::controller::{Controller, Gains, Step};
+use crate::render::controller::{Controller, Gains, Push, Step};
 use crate::render::scene::Scene;
 use crate::render::velocity::{Coefficients, Washout};
 use crate::safety::limits::Limits;
@@ -94,6 +94,22 @@ macro_rules! define {
             pub fn inside_a_wall(&self, counts: &[i32; MAX_JOINTS]) -> bool {
                 match self {
                     $(Self::$Variant(controller) => controller.inside_a_wall(&head(counts)),)*
+                }
+            }
+
+            /// See [`Controller::set_push`].
+            pub fn set_push(&mut self, push: Option<&Push<f32>>) {
+                match self { $(Self::$Variant(controller) => controller.set_push(push),)* }
+            }
+
+            /// Tip velocity (m/s) and the force (N) that the host's push makes where this frame is, see
+            /// [`Controller::pushed`].
+            pub(crate) fn pushed(&self, frame: &Frame) -> ([f32; MAX_JOINTS], [f32; MAX_JOINTS]) {
+                match self {
+                    $(Self::$Variant(controller) => {
+                        let (velocity, force) = controller.pushed(&head(&frame.counts), &head(&frame.qd).into());
+                        (pad(&velocity.data.0[0]), pad(&force.data.0[0]))
+                    })*
                 }
             }
 

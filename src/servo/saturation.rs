@@ -34,21 +34,24 @@ impl Asked {
         if fits { self.total } else { self.cut(limit, joints) }
     }
 
+    /// The share of the forces asked for that is rendered within ±`limit` (N m) of each of the first `joints` joints.
+    pub fn share(&self, limit: &[f32; MAX_JOINTS], joints: usize) -> f32 {
+        let mut share = 1.0;
+        for (i, limit) in limit.iter().enumerate().take(joints) {
+            share = room(limited(self.gravity[i], *limit), self.rendered[i], *limit, share);
+        }
+        share
+    }
+
     #[cold]
     #[inline(never)]
     #[allow(clippy::needless_range_loop, reason = "one number for four arrays")]
     fn cut(&self, limit: &[f32; MAX_JOINTS], joints: usize) -> [f32; MAX_JOINTS] {
         let joints = joints.min(MAX_JOINTS);
+        let share = self.share(limit, joints);
         let mut torque = [0.0; MAX_JOINTS];
         for i in 0..joints {
-            torque[i] = limited(self.gravity[i], limit[i]);
-        }
-        let mut share = 1.0;
-        for i in 0..joints {
-            share = room(torque[i], self.rendered[i], limit[i], share);
-        }
-        for i in 0..joints {
-            torque[i] += share * self.rendered[i];
+            torque[i] = limited(self.gravity[i], limit[i]) + share * self.rendered[i];
         }
         let rest = |i: usize| self.total[i] - self.gravity[i] - self.rendered[i];
         let mut rest_share = share;

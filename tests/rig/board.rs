@@ -4,7 +4,7 @@
 #![allow(dead_code, reason = "every test file uses its own part")]
 
 use haptic_bridge::board::dispatch::{self, After, Described};
-use haptic_bridge::board::protocol::{Details, Info, MAX_FRAME, PROTOCOL};
+use haptic_bridge::board::protocol::{Details, ForceAnswer, ForceRequest, Info, MAX_FRAME, PROTOCOL};
 use haptic_bridge::board::service::{Machine, Service};
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::board::telemetry::Packer;
@@ -47,6 +47,9 @@ impl Machine for Machinery {
     }
     fn status(&mut self) -> Status {
         self.servo.status()
+    }
+    fn force(&mut self, request: &ForceRequest) -> ForceAnswer {
+        self.servo.force(request)
     }
     fn place(&mut self, program: Program<Minimax>) -> Result<Self::Held, Refusal> {
         Ok(Box::new(program))

@@ -168,6 +168,11 @@ impl Board {
     pub fn disarm(&mut self) -> Result<(), BoardError> {
         self.change::<p::Disarm>(&())
     }
+    /// Asks for a force at the tip, joint torques or a contact, for as long as its lease runs; reads how the device is.
+    /// What was not done says so in the answer.
+    pub fn force(&mut self, request: &p::ForceRequest) -> Result<p::ForceAnswer, LinkError> {
+        self.ask::<p::Force>(request, ANSWER)
+    }
     /// Clears a latched fault.
     pub fn clear(&mut self) -> Result<(), BoardError> {
         self.change::<p::Clear>(&())

@@ -7,7 +7,9 @@ use super::device::{Device, DeviceError, Options};
 use super::motor::Drive;
 use super::port::Port;
 use haptic_bridge::board::dispatch::{self, After, Described};
-use haptic_bridge::board::protocol::{Details, FaultSeen, Info, MAX_FRAME, PROTOCOL, Telemetry};
+use haptic_bridge::board::protocol::{
+    Details, FaultSeen, ForceAnswer, ForceRequest, Info, MAX_FRAME, PROTOCOL, Telemetry,
+};
 use haptic_bridge::board::service::{Machine, Service};
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::board::telemetry::Packer;
@@ -95,6 +97,9 @@ impl Machine for Innards {
     }
     fn status(&mut self) -> Status {
         self.servo.status()
+    }
+    fn force(&mut self, request: &ForceRequest) -> ForceAnswer {
+        self.servo.force(request)
     }
     fn place(&mut self, program: Program<Minimax>) -> Result<Self::Held, Refusal> {
         Ok(Box::new(program))

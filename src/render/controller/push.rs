@@ -1,0 +1,45 @@
+//! What a host adds to a scene in one step: a force at the tip, and a plane that is rendered here, at the loop's rate.
+
+use crate::math::Real;
+use crate::render::scene::task_vector;
+use nalgebra::SVector;
+
+/// A force and a one-sided plane, both through Jᵀ alone: no inertia is shaped for them.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Push<T> {
+    /// Force at the tip, N.
+    pub force: [T; 3],
+    /// The plane.
+    pub plane: PushedPlane<T>,
+}
+
+/// A plane n·p = offset that pushes along n where n·p is less: f = stiffness (offset - n·p) - damping n·ṗ, never pulling.
+///
+/// n may be shorter than 1: a plane half way between two others is their mean, and so is its distance from any point.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PushedPlane<T> {
+    /// n, out of the solid.
+    pub normal: [T; 3],
+    /// m
+    pub offset: T,
+    /// N/m
+    pub stiffness: T,
+    /// N s/m
+    pub damping: T,
+}
+
+impl<T: Real> Push<T> {
+    /// The force (N) at the tip position `place` (m) and velocity (m/s).
+    #[inline(never)]
+    pub fn at<const N: usize>(&self, place: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
+        let force = task_vector::<T, N>(&self.force);
+        let normal = task_vector::<T, N>(&self.plane.normal);
+        let depth = self.plane.offset - normal.dot(place);
+        if depth > T::zero() {
+            let push = self.plane.stiffness * depth - self.plane.damping * normal.dot(velocity);
+            force + normal * push.greater(T::zero())
+        } else {
+            force
+        }
+    }
+}

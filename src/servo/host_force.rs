@@ -1,0 +1,408 @@
+//! Force from the host: what a program on a computer asks the motors for, beside the board's own scene.
+//!
+//! A host reads where the tip is, works out a force and sends it, about once a millisecond. The board adds it to its own
+//! walls before the one rule that cuts torques to what the motors can do ([`super::saturation`]), and under every limit
+//! and fault. It trusts it no longer than it lives: a request acts in full until it is `hold` seconds old, then fades
+//! linearly and is gone after `fade` seconds more. Its age counts from the state that it was computed from, so what came
+//! late has less left to live.
+//!
+//! A contact is the host's nearest plane, which the board renders at its own rate. When the host moves it, the board goes
+//! there evenly, in as long as the host took since it moved it last: no force steps where a plane does.
+
+use crate::math::Math;
+use crate::model::catalogue::MAX_JOINTS;
+use crate::render::controller::{Push, PushedPlane};
+use crate::safety::fault::State;
+use crate::servo::Servo;
+use crate::servo::program::Program;
+use crate::servo::saturation::Asked;
+use core::ops::DerefMut;
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
+
+/// Longest time for which a request may be held, and longest for it to fade, s.
+pub const MOST_LEASE: f32 = 0.2;
+/// Largest force that a request may hold, N; what the motors cannot make is cut to what they can.
+pub const MOST_FORCE: f32 = 1.0e3;
+/// Largest joint torque that a request may hold, N m.
+pub const MOST_TORQUE: f32 = 1.0e2;
+/// Furthest from the origin that a contact's point may be, m.
+pub const MOST_DISTANCE: f32 = 10.0;
+/// Stiffest contact, N/m.
+pub const MOST_STIFFNESS: f32 = 1.0e5;
+/// Most damped contact, N s/m.
+pub const MOST_DAMPING: f32 = 1.0e3;
+/// How far a contact's normal may be from a unit vector, as the square of its length.
+const UNIT: f32 = 1.0e-3;
+/// Shortest and longest time in which a contact goes from one plane to the next, s. One that appears or goes takes the
+/// shortest.
+pub const BLEND_SECONDS: (f32, f32) = (1.0e-3, 20.0e-3);
+
+/// What a host asks for; it takes the place of what it asked for before. Vectors are in the task frame, or one entry a
+/// joint, with zeros in entries that the device does not have. The default asks for nothing, but how the device is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
+pub struct ForceRequest {
+    /// Rises with every request, wrapping. What is not newer than the last one taken is not taken.
+    pub sequence: u32,
+    /// [`ForceAnswer::step`] of the state that this was computed from; `None` for no state in particular.
+    pub seen: Option<u32>,
+    /// For how long it acts in full, s; at most [`MOST_LEASE`].
+    pub hold: f32,
+    /// In how long it then fades to nothing, s; at most [`MOST_LEASE`].
+    pub fade: f32,
+    /// Force at the tip, N.
+    pub force: [f32; 3],
+    /// Joint torques, N m.
+    pub torque: [f32; MAX_JOINTS],
+    /// A plane to be rendered by the board.
+    pub contact: Option<HostContact>,
+}
+
+/// A one-sided plane that a host wants rendered: f = -stiffness x - damping ẋ along the normal, where the distance x =
+/// normal·(tip - point) is negative, and never less than 0.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
+pub struct HostContact {
+    /// A point of it, m.
+    pub point: [f32; 3],
+    /// Unit normal out of the solid.
+    pub normal: [f32; 3],
+    /// N/m
+    pub stiffness: f32,
+    /// N s/m
+    pub damping: f32,
+}
+
+/// What was done with a request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub enum ForceDone {
+    /// It acts from the next control step on.
+    Taken,
+    /// Nothing: with `hold` and `fade` 0 it only asks how the device is.
+    Looked,
+    /// Nothing: the motors are off.
+    NotArmed,
+    /// Nothing: one as new or newer has been taken, and still acts.
+    NotNewer,
+    /// Nothing: it is older than it may become.
+    TooOld,
+    /// Nothing: a number of it cannot be used.
+    Bad(BadForce),
+}
+
+/// A number of a request that cannot be used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub enum BadForce {
+    /// `hold` or `fade` is not a number from 0 to [`MOST_LEASE`].
+    Lease,
+    /// `seen` is a step that has not been.
+    Seen,
+    /// The force is not finite, above [`MOST_FORCE`], or in a direction that the device does not have.
+    Force,
+    /// A torque is not finite, above [`MOST_TORQUE`], or of a joint that the device does not have.
+    Torque,
+    /// The contact's point is not finite, or further away than [`MOST_DISTANCE`].
+    Point,
+    /// The contact's normal is not a unit vector of the task frame.
+    Normal,
+    /// The contact's stiffness or damping is not a number from 0 to [`MOST_STIFFNESS`] and [`MOST_DAMPING`].
+    Gains,
+}
+
+impl core::fmt::Display for ForceDone {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Taken => f.write_str("taken"),
+            Self::Looked => f.write_str("not taken: it has no time to live, and only asks how the device is"),
+            Self::NotArmed => f.write_str("not taken: the motors are off; arm them first"),
+            Self::NotNewer => f.write_str("not taken: a request with this sequence number or a later one acts"),
+            Self::TooOld => f.write_str("not taken: it came later than its hold and fade allow"),
+            Self::Bad(BadForce::Lease) => write!(f, "not taken: hold and fade must be from 0 to {MOST_LEASE} s"),
+            Self::Bad(BadForce::Seen) => f.write_str("not taken: it was computed from a step that has not been"),
+            Self::Bad(BadForce::Force) => write!(
+                f,
+                "not taken: each entry of the force must be at most {MOST_FORCE} N, and 0 where the device has no direction"
+            ),
+            Self::Bad(BadForce::Torque) => write!(
+                f,
+                "not taken: each torque must be at most {MOST_TORQUE} N m, and 0 where the device has no joint"
+            ),
+            Self::Bad(BadForce::Point) => {
+                write!(f, "not taken: the contact's point must be within {MOST_DISTANCE} m of the origin")
+            }
+            Self::Bad(BadForce::Normal) => f.write_str(
+                "not taken: the contact's normal must have length 1, and 0 where the device has no direction",
+            ),
+            Self::Bad(BadForce::Gains) => write!(
+                f,
+                "not taken: the contact's stiffness must be from 0 to {MOST_STIFFNESS} N/m, its damping to {MOST_DAMPING} N s/m"
+            ),
+        }
+    }
+}
+
+/// How the device is, and what the host's requests do, at the control step before the answer.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct ForceAnswer {
+    /// Of the request that this answers.
+    pub sequence: u32,
+    /// What was done with it.
+    pub done: ForceDone,
+    /// Disarmed, armed, fault.
+    pub state: State,
+    /// Control steps since boot, wrapping: the board's time, as in telemetry.
+    pub step: u32,
+    /// Seconds from one step to the next.
+    pub period: f32,
+    /// Time since the state that the acting request was computed from, s; `None` when none acts.
+    pub age: Option<f32>,
+    /// Tip, m.
+    pub tip: [f32; 3],
+    /// Tip velocity, filtered as the scene says, m/s.
+    pub velocity: [f32; 3],
+    /// Joint angles, rad.
+    pub q: [f32; MAX_JOINTS],
+    /// Joint torques commanded, after all limits, N m.
+    pub torque: [f32; MAX_JOINTS],
+    /// Force at the tip that the host's force and contact have really added, after lease, ramp and limits, N.
+    pub force: [f32; 3],
+    /// Share of what the host asks for that acts: lease times ramp times limits.
+    pub share: f32,
+}
+
+impl ForceRequest {
+    /// What of it cannot be used on a device of so many task dimensions and joints.
+    pub fn wrong(&self, task: usize, joints: usize) -> Option<BadForce> {
+        let within = |value: &f32, most: f32| value.abs() <= most;
+        let only = |values: &[f32; 3], count: usize| values.iter().skip(count).all(|value| *value == 0.0);
+        let leased = |value: &f32| (0.0..=MOST_LEASE).contains(value);
+        if !leased(&self.hold) || !leased(&self.fade) {
+            return Some(BadForce::Lease);
+        }
+        if !self.force.iter().all(|value| within(value, MOST_FORCE)) || !only(&self.force, task) {
+            return Some(BadForce::Force);
+        }
+        if !self.torque.iter().all(|value| within(value, MOST_TORQUE)) || !only(&self.torque, joints) {
+            return Some(BadForce::Torque);
+        }
+        let contact = self.contact.as_ref()?;
+        if !contact.point.iter().all(|value| within(value, MOST_DISTANCE)) {
+            return Some(BadForce::Point);
+        }
+        let length = contact.normal.iter().fold(0.0, |sum, value| sum + value * value);
+        if !within(&(length - 1.0), UNIT) || !only(&contact.normal, task) {
+            return Some(BadForce::Normal);
+        }
+        let gains =
+            (0.0..=MOST_STIFFNESS).contains(&contact.stiffness) && (0.0..=MOST_DAMPING).contains(&contact.damping);
+        if gains { None } else { Some(BadForce::Gains) }
+    }
+
+    /// Share that acts at an age (s).
+    fn lease(&self, age: f32) -> f32 {
+        if age < self.hold {
+            1.0
+        } else {
+            // A fade of 0 s ends at once.
+            let left = self.hold + self.fade - age;
+            if left > 0.0 { (left / self.fade).min(1.0) } else { 0.0 }
+        }
+    }
+}
+
+impl HostContact {
+    fn plane(&self) -> PushedPlane<f32> {
+        let offset = self.normal.iter().zip(&self.point).fold(0.0, |sum, (n, p)| sum + n * p);
+        PushedPlane { normal: self.normal, offset, stiffness: self.stiffness, damping: self.damping }
+    }
+}
+
+/// A plane on its way from where it was to where the host has put it.
+#[derive(Clone, Copy, Debug, Default)]
+struct Blend {
+    from: PushedPlane<f32>,
+    to: PushedPlane<f32>,
+    /// Time since the host has moved it, and in which it is there, s.
+    elapsed: f32,
+    duration: f32,
+}
+
+impl Blend {
+    /// Where it is now.
+    fn now(&self) -> PushedPlane<f32> {
+        if self.elapsed >= self.duration {
+            return self.to;
+        }
+        let (from, to) = (&self.from, &self.to);
+        let part = self.elapsed / self.duration;
+        let between = |from: f32, to: f32| from + (to - from) * part;
+        PushedPlane {
+            normal: core::array::from_fn(|i| between(from.normal[i], to.normal[i])),
+            offset: between(from.offset, to.offset),
+            stiffness: between(from.stiffness, to.stiffness),
+            damping: between(from.damping, to.damping),
+        }
+    }
+
+    /// Sends it to the host's contact, or lets it vanish where it is.
+    fn go(&mut self, contact: Option<&HostContact>) {
+        let now = self.now();
+        let gone = |plane: PushedPlane<f32>| PushedPlane { stiffness: 0.0, damping: 0.0, ..plane };
+        let absent = |plane: &PushedPlane<f32>| plane.stiffness == 0.0 && plane.damping == 0.0;
+        let to = contact.map_or(gone(self.to), HostContact::plane);
+        if to == self.to {
+            return;
+        }
+        let (least, most) = BLEND_SECONDS;
+        let moves = !absent(&now) && !absent(&to);
+        self.duration = if moves { self.elapsed.clamp(least, most) } else { least };
+        self.from = if absent(&now) { gone(to) } else { now };
+        self.to = to;
+        self.elapsed = 0.0;
+    }
+}
+
+/// The host's request while it acts.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct HostForce {
+    /// Whether it does.
+    pub acts: bool,
+    request: ForceRequest,
+    /// Time since the state that it was computed from, s.
+    age: f32,
+    /// Share of it that acts in this step.
+    lease: f32,
+    contact: Blend,
+    /// What it and the scene ask for in this step, for the answer to tell what the limits leave.
+    asked: Asked,
+}
+
+impl HostForce {
+    /// Takes a request that is `age` seconds old.
+    fn take(&mut self, request: &ForceRequest, age: f32) {
+        (self.request, self.age, self.acts) = (*request, age, true);
+        self.contact.go(request.contact.as_ref());
+    }
+
+    /// Lets a step of `period` (s) pass and returns what it pushes with in that step; `None` once it is gone.
+    #[inline(never)]
+    fn step(&mut self, period: f32) -> Option<Push<f32>> {
+        self.age += period;
+        self.contact.elapsed += period;
+        self.lease = self.request.lease(self.age);
+        if self.lease <= 0.0 {
+            *self = Self::default();
+            return None;
+        }
+        let plane = self.contact.now();
+        Some(Push {
+            force: self.request.force.map(|force| force * self.lease),
+            plane: PushedPlane {
+                stiffness: plane.stiffness * self.lease,
+                damping: plane.damping * self.lease,
+                ..plane
+            },
+        })
+    }
+
+    /// Adds the joint torques that the host asks for.
+    #[inline(never)]
+    fn add(&mut self, asked: &mut Asked) {
+        for (i, torque) in self.request.torque.iter().enumerate() {
+            asked.rendered[i] += torque * self.lease;
+            asked.total[i] += torque * self.lease;
+        }
+        self.asked = *asked;
+    }
+}
+
+impl<P, K> Servo<P>
+where
+    P: DerefMut<Target = Program<K>>,
+    K: Math<f32>,
+{
+    /// Carries out a request between two steps, as far as it can be, and tells how the device is.
+    pub fn force(&mut self, request: &ForceRequest) -> ForceAnswer {
+        let done = self.take_force(request);
+        let mut answer = ForceAnswer {
+            sequence: request.sequence,
+            done,
+            state: self.state,
+            step: self.frame.step,
+            period: self.period,
+            age: self.host.acts.then_some(self.host.age),
+            tip: self.frame.tip,
+            velocity: [0.0; 3],
+            q: self.frame.q,
+            torque: self.frame.torque,
+            force: [0.0; 3],
+            share: 0.0,
+        };
+        if let Some(program) = self.program.as_ref() {
+            let (velocity, pushed) = program.controller.pushed(&self.frame);
+            answer.velocity = velocity;
+            if self.host.acts && self.state == State::Armed {
+                let asked = if self.ramp < 1.0 { self.faded(&self.host.asked) } else { self.host.asked };
+                let left = self.ramp * asked.share(&self.most_torque, program.joints);
+                answer.share = self.host.lease * left;
+                answer.force = pushed.map(|force| force * left);
+            }
+        }
+        answer
+    }
+
+    fn take_force(&mut self, request: &ForceRequest) -> ForceDone {
+        let device = self.program.as_ref().map(|program| (program.controller.kind().spec().task, program.joints));
+        let (task, joints) = device.unwrap_or_default();
+        if let Some(bad) = request.wrong(task, joints) {
+            return ForceDone::Bad(bad);
+        }
+        let age = request.seen.map_or(0, |seen| self.frame.step.wrapping_sub(seen) as i32);
+        if age < 0 {
+            return ForceDone::Bad(BadForce::Seen);
+        }
+        if request.hold == 0.0 && request.fade == 0.0 {
+            return ForceDone::Looked;
+        }
+        if self.state != State::Armed {
+            return ForceDone::NotArmed;
+        }
+        if self.host.acts && request.sequence.wrapping_sub(self.host.request.sequence) as i32 <= 0 {
+            return ForceDone::NotNewer;
+        }
+        let age = age as f32 * self.period;
+        if request.lease(age) <= 0.0 {
+            return ForceDone::TooOld;
+        }
+        self.host.take(request, age);
+        self.host_silent = 0.0;
+        ForceDone::Taken
+    }
+
+    /// Puts what the host asks for in this step before the controller.
+    #[inline(always)]
+    pub(super) fn push(&mut self) {
+        if self.host.acts {
+            let push = self.host.step(self.period);
+            if let Some(program) = self.program.as_mut() {
+                program.controller.set_push(push.as_ref());
+            }
+        }
+    }
+
+    /// Adds what the host asks of the joints to what the controller asks of them.
+    #[inline(always)]
+    pub(super) fn pull(&mut self, asked: &mut Asked) {
+        if self.host.acts {
+            self.host.add(asked);
+            self.frame.torque = asked.total;
+        }
+    }
+
+    /// Forgets what the host asked for.
+    pub(super) fn let_go(&mut self) {
+        self.host = HostForce::default();
+        if let Some(program) = self.program.as_mut() {
+            program.controller.set_push(None);
+        }
+    }
+}
