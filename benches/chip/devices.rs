@@ -15,10 +15,11 @@ const NO_LINK: Link = link(0.0, 0.0, 0.0, 0.0, 0.0);
 
 const fn joint(inertia: f64, viscous: f64, coulomb: f64, counts_per_turn: f64) -> Joint {
     let encoder = Some(Encoder { counts_per_turn, offset: 0.0, inverted: false });
-    Joint { inertia, viscous, coulomb, limits: None, encoder, motor: None }
+    Joint { inertia, viscous, coulomb, limits: None, encoder, motor: None, transmission: None }
 }
 
-const NO_JOINT: Joint = Joint { inertia: 0.0, viscous: 0.0, coulomb: 0.0, limits: None, encoder: None, motor: None };
+const NO_JOINT: Joint =
+    Joint { inertia: 0.0, viscous: 0.0, coulomb: 0.0, limits: None, encoder: None, motor: None, transmission: None };
 
 /// `devices/hapkit-paddle.toml`
 pub const PADDLE: Description = Description {

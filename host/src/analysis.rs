@@ -4,6 +4,7 @@
 //! Nothing here talks to a board: a pose, a direction and a few numbers about the loop go in, predictions come out.
 //!
 //! - [`cut`]: the plane of that map that is drawn, in tiles
+//! - [`flexible`]: what is not rigid about it: transmissions, and a hand on the tip
 //! - [`map`]: inertia over the workspace: what `haptic map` prints
 //! - [`passivity`]: the classical bounds of walls that no hand can make oscillate
 //! - [`plant`]: the device linearised at a pose, its joint damping and its drives, in continuous time
@@ -20,6 +21,7 @@
 pub mod boundary;
 pub mod cut;
 mod eigenvalues;
+pub mod flexible;
 pub mod map;
 pub mod passivity;
 pub mod plant;

@@ -7,7 +7,9 @@ use crate::toml_file::{Document, FileError, Must, Problem, Table};
 use haptic_bridge::math::{Libm, Minimax, Real};
 use haptic_bridge::model::catalogue::{Kind, Spec};
 use haptic_bridge::model::catalogue::{MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
-use haptic_bridge::model::description::{Description, DescriptionError, Encoder, Joint, Link, Motor};
+use haptic_bridge::model::description::{
+    Description, DescriptionError, Encoder, EncoderAt, Joint, Link, Motor, Transmission,
+};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::with_mechanism;
@@ -118,6 +120,12 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>), F
 
     let description = Description { kind, gravity: padded(&gravity), geometry, links, joints, handle_mass, home };
     let mechanism = AnyMechanism::new(&description).map_err(|error| refusal(error, top, &geometry_table, &spec))?;
+    if description.is_flexible() && AnyMechanism::<f64>::new(&description.link_side()).is_err() {
+        let reason =
+            "without the motors' inertia a link would move without any: behind a transmission it needs its own";
+        let remedy = "give the links masses, or a smaller motor_inertia in [joint.transmission]";
+        return Err(top.error_here(impossible(reason, remedy)));
+    }
     let at = home.unwrap_or_default().map(|angle| angle as f32);
     if !AnyMechanism::<f32>::new(&description).is_ok_and(|board| board.is_finite_at::<Minimax>(&at)) {
         let reason = "some number is so large that the device overflows the board's 32-bit floats";
@@ -217,8 +225,14 @@ fn joints(top: &Table<'_>, spec: &Spec) -> Result<[Joint; MAX_JOINTS], FileError
     for (index, table) in tables.into_iter().enumerate() {
         let place = format!("[[joint]] {index}");
         let table = table.called(place.clone());
-        table.refuse_unknown_keys(&["inertia", "viscous", "coulomb", "limits", "encoder", "motor"])?;
+        table.refuse_unknown_keys(&["inertia", "viscous", "coulomb", "limits", "encoder", "motor", "transmission"])?;
         let inertia = table.number("inertia", Must::NotBeNegative)?;
+        let inertia = table.required("inertia", inertia, "inertia = 2.0e-6")?;
+        let carries = carries_its_body(spec, index);
+        let transmission = table
+            .table("transmission")?
+            .map(|table| transmission_of(&table.called(format!("[joint.transmission] of {place}")), inertia, carries))
+            .transpose()?;
         let encoder = table
             .table("encoder")?
             .map(|encoder| encoder_of(&encoder.called(format!("[joint.encoder] of {place}"))))
@@ -228,15 +242,48 @@ fn joints(top: &Table<'_>, spec: &Spec) -> Result<[Joint; MAX_JOINTS], FileError
             .map(|motor| motor_of(&motor.called(format!("[joint.motor] of {place}"))))
             .transpose()?;
         joints[index] = Joint {
-            inertia: table.required("inertia", inertia, "inertia = 2.0e-6")?,
+            inertia,
             viscous: table.number("viscous", Must::NotBeNegative)?.unwrap_or(0.0),
             coulomb: table.number("coulomb", Must::NotBeNegative)?.unwrap_or(0.0),
             limits: limits(&table)?,
             encoder,
             motor,
+            transmission,
         };
     }
     Ok(joints)
+}
+
+/// Whether the body that a joint turns counts in the joint's own inertia, beside its rotor: a paddle's and a turret's.
+fn carries_its_body(spec: &Spec, joint: usize) -> bool {
+    joint == 0 && (spec.links.is_empty() || spec.task == 3)
+}
+
+/// `inertia` is the joint's, of which the motor has a part, or all of it unless the joint `carries_its_body`.
+fn transmission_of(table: &Table<'_>, inertia: f64, carries_its_body: bool) -> Result<Transmission, FileError> {
+    table.refuse_unknown_keys(&["stiffness", "damping", "motor_inertia", "encoder_at"])?;
+    let stiffness = table.number("stiffness", Must::BePositive)?;
+    let stiffness = table.required("stiffness", stiffness, "stiffness = 50.0")?;
+    let damping = table.number("damping", Must::NotBeNegative)?.unwrap_or(0.0);
+    let given = table.number("motor_inertia", Must::BePositive)?;
+    let motor_inertia = match given {
+        None if carries_its_body => table.required("motor_inertia", None, "motor_inertia = 1.0e-5")?,
+        None if inertia == 0.0 => {
+            let reason = "a transmission needs a motor with inertia on one side, and this joint has none";
+            let remedy = "write the rotor's reflected inertia as the joint's `inertia`";
+            return Err(table.error_here(impossible(reason, remedy)));
+        }
+        None => inertia,
+        Some(part) if part > inertia => {
+            let reason = format!("motor_inertia is {part} kg m², more than all of the joint's inertia ({inertia})");
+            let remedy = "write the part of the joint's `inertia` that the motor's side has";
+            return Err(table.error_at("motor_inertia", impossible(reason, remedy)));
+        }
+        Some(part) => part,
+    };
+    let sides = [("motor", EncoderAt::Motor), ("joint", EncoderAt::Joint)];
+    let encoder_at = table.word("encoder_at", &sides)?.unwrap_or_default();
+    Ok(Transmission { stiffness, damping, motor_inertia, encoder_at })
 }
 
 fn limits(joint: &Table<'_>) -> Result<Option<(f64, f64)>, FileError> {

@@ -190,6 +190,20 @@ pub fn device_file(kind: Kind, name: &str) -> String {
             "false".into(),
             note("true once you vouch for these numbers: a real board does not arm before"),
         );
+        if first {
+            line(
+                "\n# [joint.transmission]              # a belt or cable that gives; without this table it is rigid\n# stiffness",
+                "50.0".into(),
+                "N m/rad at the joint, between motor and link",
+            );
+            line("# damping", "0.01".into(), "N m s/rad at the joint; default 0");
+            line(
+                "# motor_inertia",
+                number(0.2 * inertia),
+                "kg m², the part of `inertia` on the motor's side; default all",
+            );
+            line("# encoder_at", "\"motor\"".into(), "or \"joint\": the side that the encoder is on");
+        }
     }
     line("\n[handle]\nmass", "0.02".into(), "kg, a point at the tip; default none");
     line("\n[home]\nq", example.home.into(), "rad, the pose you hold the device in when you type `haptic home`");
@@ -254,6 +268,22 @@ mod tests {
             "q",
         ] {
             assert!(text.lines().any(|line| line.starts_with(&format!("{key} = "))), "{key}");
+        }
+        for key in ["stiffness", "damping", "motor_inertia", "encoder_at"] {
+            assert!(text.lines().any(|line| line.starts_with(&format!("# {key} = "))), "{key}");
+        }
+    }
+
+    #[test]
+    fn a_template_is_sound_with_its_transmission_too() {
+        for kind in Kind::ALL {
+            let keys = ["[joint.transmission]", "stiffness", "damping", "motor_inertia", "encoder_at"];
+            let mut text = device_file(*kind, "mine");
+            for key in keys {
+                text = text.replace(&format!("\n# {key}"), &format!("\n{key}"));
+            }
+            let file = DeviceFile::parse(&text, "mine.toml").unwrap_or_else(|error| panic!("{error}\n{text}"));
+            assert!(file.description.joints[0].transmission.is_some());
         }
     }
 }

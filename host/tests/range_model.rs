@@ -1,5 +1,6 @@
 //! What the prediction must say whatever the device: laws of the sampled loop, and constants found independently.
 
+use haptic::analysis::flexible::Flexible;
 use haptic::analysis::plant::{Drive, Linearised, MotorElectrics};
 use haptic::analysis::range::domain;
 use haptic::analysis::sampled::{AnalysisError, Estimator, FeedForward, Loop};
@@ -11,6 +12,7 @@ fn coupled(ratio: f64) -> Linearised {
     let a = (1.0 - 1.0 / ratio).sqrt();
     Linearised {
         gain: 1.0,
+        flexible: Flexible::default(),
         mass: DMatrix::from_row_slice(2, 2, &[1.0, a, a, 1.0]) * 0.3,
         viscous: DVector::zeros(2),
         row: DVector::from_vec(vec![1.0, 0.0]),
@@ -26,6 +28,7 @@ fn three_joints() -> Linearised {
     let (row, unit) = (jacobian.transpose() * n, inverse * n);
     Linearised {
         gain: 1.0,
+        flexible: Flexible::default(),
         mass: DMatrix::from_row_slice(3, 3, &[3.0e-3, 4e-4, -2e-4, 4e-4, 1.1e-3, 5e-4, -2e-4, 5e-4, 9e-4]),
         viscous: DVector::from_vec(vec![2e-3, 1e-3, 5e-4]),
         row: DVector::from_column_slice(row.as_slice()),
@@ -199,6 +202,7 @@ fn a_creeping_feed_forward_has_no_stable_domain_until_its_damping_is_compensated
     // E < 0.
     let device = Linearised {
         gain: 1.0,
+        flexible: Flexible::default(),
         mass: DMatrix::from_diagonal(&DVector::from_vec(vec![1e-3, 2e-4])),
         viscous: DVector::from_vec(vec![2e-3, 5e-5]),
         row: DVector::from_vec(vec![0.1, 0.05]),
@@ -219,6 +223,7 @@ fn a_creeping_feed_forward_has_no_stable_domain_until_its_damping_is_compensated
 fn fifty_kilohertz_behind_twenty_hertz_scales_like_the_mass() {
     let one = |m: f64| Linearised {
         gain: 1.0,
+        flexible: Flexible::default(),
         mass: DMatrix::from_element(1, 1, m),
         viscous: DVector::zeros(1),
         row: DVector::from_element(1, 1.0),

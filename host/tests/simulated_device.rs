@@ -2,7 +2,7 @@
 
 use haptic::sim::{Bridge, Device, Drive, Options};
 use haptic_bridge::model::catalogue::Kind;
-use haptic_bridge::model::description::{Description, Encoder, Joint, Link, Motor};
+use haptic_bridge::model::description::{Description, Encoder, EncoderAt, Joint, Link, Motor, Transmission};
 
 const MOTOR: Motor =
     Motor { torque_constant: 0.5, resistance: 2.0, inductance: 0.0, back_emf: 0.5, max_current: 3.0, verified: false };
@@ -15,6 +15,7 @@ fn joint(inertia: f64, viscous: f64, coulomb: f64) -> Joint {
         limits: None,
         encoder: Some(Encoder { counts_per_turn: 20_000.0, offset: 0.0, inverted: false }),
         motor: Some(MOTOR),
+        transmission: None,
     }
 }
 
@@ -60,16 +61,72 @@ fn assert_same_pose(left: [f64; 3], right: [f64; 3]) {
 fn a_free_linkage_keeps_its_energy() {
     let mut device = device(&five_bar());
     device.push([0.15, -0.1, 0.0]);
-    let before = device.plant().kinetic_energy();
+    let before = device.plant().energy();
     let start = device.tip();
     let mut worst: f64 = 0.0;
     for _ in 0..50 {
         coast(&mut device, 0.01);
-        worst = worst.max((device.plant().kinetic_energy() / before - 1.0).abs());
+        worst = worst.max((device.plant().energy() / before - 1.0).abs());
     }
     let moved = (device.tip()[0] - start[0]).hypot(device.tip()[1] - start[1]);
     assert!(moved > 0.03, "the linkage must really move: {moved} m");
     assert!(worst < 1e-9, "relative energy drift {worst:e}");
+}
+
+/// The paddle with its rotor, 3e-4 kg m² of 1e-3, behind a transmission.
+fn soft_paddle(stiffness: f64, damping: f64, encoder_at: EncoderAt) -> Description {
+    let mut paddle = paddle(0.0, 0.0);
+    paddle.joints[0].transmission = Some(Transmission { stiffness, damping, motor_inertia: 3e-4, encoder_at });
+    paddle
+}
+
+#[test]
+fn a_soft_transmission_swings_at_its_own_frequency_and_keeps_its_energy() {
+    // Blocked by nobody: ω = √(k (1/Jm + 1/Jl)), 1095 rad/s; the common motion stays a parabola.
+    let mut device = device(&soft_paddle(252.0, 0.0, EncoderAt::Motor));
+    let omega = (252.0 * (1.0 / 3e-4 + 1.0 / 7e-4_f64)).sqrt();
+    device.step(&[Drive::Torque(2e-3), Drive::Floating, Drive::Floating], 0.05);
+    // θ = τ/J t²/2 + (τ/Jm) (Jl/J) (1 - cos ωt)/ω², the link's angle less of it by Jm/J.
+    let common = 0.5 * 2.0 * 0.05_f64.powi(2);
+    let twist = 2e-3 / 3e-4 * (1.0 - (omega * 0.05).cos()) / (omega * omega);
+    assert!((device.plant().measured()[0] - (common + 0.7 * twist)).abs() < 1e-4 * twist.abs() + 1e-9);
+    assert!((device.q()[0] - (common - 0.3 * twist)).abs() < 1e-4 * twist.abs() + 1e-9);
+    // The last of the torque's current is gone with the first step.
+    coast(&mut device, 1e-5);
+    let before = device.plant().energy();
+    coast(&mut device, 0.5);
+    assert!((device.plant().energy() / before - 1.0).abs() < 1e-9, "{} {before}", device.plant().energy());
+}
+
+#[test]
+fn a_very_stiff_transmission_is_rigid_and_an_encoder_sees_the_side_that_it_is_on() {
+    for (stiffness, apart) in [(1e12, 1e-9), (10.0, 1.0)] {
+        let angles = [EncoderAt::Motor, EncoderAt::Joint].map(|side| {
+            let mut device = device(&soft_paddle(stiffness, 0.0, side));
+            device.step(&[Drive::Torque(0.02), Drive::Floating, Drive::Floating], 0.1);
+            (device.plant().measured()[0], device.q()[0])
+        });
+        let [(motor, _), (joint, link)] = angles;
+        assert_eq!(joint, link);
+        // Rigid: 20 rad/s² for 0.1 s. Soft: a twist of about what the link's inertia takes, 1.4e-3 rad.
+        assert!((motor - 0.1).abs() < apart && (link - 0.1).abs() < apart);
+        assert_eq!((motor - link).abs() > 1e-4, stiffness == 10.0, "{motor} {link}");
+    }
+}
+
+#[test]
+fn dry_friction_behind_a_transmission_holds_the_motor_and_lets_the_link_swing() {
+    let mut described = soft_paddle(252.0, 0.0, EncoderAt::Motor);
+    described.joints[0].coulomb = 1.0;
+    let mut device = device(&described);
+    device.push([1e-3, 0.0, 0.0]);
+    let omega = (252.0 / 7e-4_f64).sqrt();
+    let quarter = std::f64::consts::FRAC_PI_2 / omega;
+    coast(&mut device, 1e-4);
+    let motor = device.plant().measured()[0];
+    coast(&mut device, 4.0 * quarter);
+    assert_eq!(device.plant().measured()[0], motor);
+    assert!(device.qd()[0].abs() > 5e-3, "{}", device.qd()[0]);
 }
 
 #[test]

@@ -23,6 +23,25 @@ pub struct Description {
     pub home: Option<[f64; MAX_JOINTS]>,
 }
 
+impl Description {
+    /// What is on the links' side of the transmissions: the same device without its motors' inertia where there is one.
+    pub fn link_side(&self) -> Self {
+        let mut links = *self;
+        for joint in &mut links.joints {
+            if let Some(transmission) = joint.transmission {
+                // Rounding must not make a joint whose inertia is all on the motor's side negative.
+                joint.inertia = (joint.inertia - transmission.motor_inertia).max(0.0);
+            }
+        }
+        links
+    }
+
+    /// Whether any joint has a transmission that gives.
+    pub fn is_flexible(&self) -> bool {
+        self.joints.iter().any(|joint| joint.transmission.is_some())
+    }
+}
+
 /// One rigid link.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Link {
@@ -53,6 +72,32 @@ pub struct Joint {
     pub encoder: Option<Encoder>,
     /// The motor, when the device is to run on a board.
     pub motor: Option<Motor>,
+    /// What lies between motor and link where that is not rigid.
+    pub transmission: Option<Transmission>,
+}
+
+/// A belt, cable, gear or shaft that gives: motor and link are two bodies with a spring between them, all seen at the
+/// joint (docs/model.md section 6). A joint's viscous and Coulomb friction act on the motor's side.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Transmission {
+    /// N m/rad, positive.
+    pub stiffness: f64,
+    /// N m s/rad, not negative.
+    pub damping: f64,
+    /// What of the joint's inertia is on the motor's side, kg m²; positive.
+    pub motor_inertia: f64,
+    /// Which side the encoder is on.
+    pub encoder_at: EncoderAt,
+}
+
+/// The side of a transmission that an encoder measures.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum EncoderAt {
+    /// The motor's.
+    #[default]
+    Motor,
+    /// The link's.
+    Joint,
 }
 
 /// An incremental encoder as seen at the joint.

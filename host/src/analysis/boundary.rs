@@ -50,7 +50,16 @@ enum Sought {
     Damping,
 }
 
+/// Neighbours may differ in their responses by this much of phase (rad).
+const TURNS: f64 = 0.25;
+
 impl Response {
+    /// Whether a response turns so far from here to there that a crossing between could be overlooked.
+    fn is_far_from(&self, other: &Response) -> bool {
+        let turned = |a: Complex<f64>, b: Complex<f64>| (b * a.conj()).arg().abs() > TURNS;
+        turned(self.position, other.position) || turned(self.velocity, other.velocity)
+    }
+
     /// The complex gain that puts a mode at this angle with the other gain `held`; a crossing where it is real.
     fn gain(&self, sought: Sought, held: f64) -> Complex<f64> {
         let (own, other) = match sought {
@@ -94,8 +103,45 @@ impl<'a> Circle<'a> {
             )
             .collect();
         circle.samples = angles.into_iter().map(|angle| circle.respond(angle)).collect();
+        if !open.resonances().is_empty() {
+            circle.refine_resonances();
+        }
         circle.at_nyquist = circle.respond(std::f64::consts::PI);
         circle
+    }
+
+    /// Adds samples where the responses turn quickly: a cluster at every resonance, then halves of what still turns too
+    /// far between neighbours.
+    fn refine_resonances(&mut self) {
+        let top = self.samples.last().map_or(0.0, |last| last.angle);
+        for &(radius, centre) in self.open.resonances() {
+            let width = (1.0 - radius).abs().max(1e-9);
+            let mut aside = 0.25 * width;
+            let mut near = vec![centre];
+            while aside < 0.1 * centre {
+                near.extend([centre - aside, centre + aside]);
+                aside *= 1.6;
+            }
+            let within = near.into_iter().filter(|angle| (LOWEST_ANGLE..top).contains(angle));
+            for angle in within.collect::<Vec<_>>() {
+                let response = self.respond(angle);
+                self.samples.push(response);
+            }
+        }
+        self.samples.sort_by(|a, b| a.angle.total_cmp(&b.angle));
+        let mut refined: Vec<Response> = Vec::with_capacity(self.samples.len());
+        let mut ahead: Vec<Response> = std::mem::take(&mut self.samples);
+        ahead.reverse();
+        while let Some(next) = ahead.pop() {
+            match refined.last() {
+                Some(last) if next.angle - last.angle > 1e-9 * next.angle && last.is_far_from(&next) => {
+                    let middle = self.respond(0.5 * (last.angle + next.angle));
+                    ahead.extend([next, middle]);
+                }
+                _ => refined.push(next),
+            }
+        }
+        self.samples = refined;
     }
 
     fn respond(&mut self, angle: f64) -> Response {
@@ -252,6 +298,7 @@ fn stable_between(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::analysis::flexible::Flexible;
     use crate::analysis::plant::{Drive, Linearised, MotorElectrics};
     use crate::analysis::sampled::{Estimator, FeedForward, Loop};
     use crate::sim::Random;
@@ -271,6 +318,7 @@ mod tests {
         });
         Linearised {
             gain: 1.0,
+            flexible: Flexible::default(),
             row: jacobian.tr_mul(&n),
             unit_motion: jacobian.try_inverse().unwrap() * n,
             mass,

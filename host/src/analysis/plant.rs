@@ -11,13 +11,15 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::flexible::{self, Flexible};
+
 /// A joint whose own damping would need more samples than this to act counts as undamped.
 const SLOWEST_DECAY_SAMPLES: f64 = 1e10;
 
 /// The device at rest at one pose, seen along one rendered direction. `N` joints; gravity is balanced.
 #[derive(Clone, Debug)]
 pub struct Linearised {
-    /// Mass matrix M, N x N, kg m².
+    /// Mass matrix M of the rigid device, N x N, kg m²: what the controller knows.
     pub mass: DMatrix<f64>,
     /// Viscous damping B of each joint, N m s/rad, not negative.
     pub viscous: DVector<f64>,
@@ -27,6 +29,8 @@ pub struct Linearised {
     pub unit_motion: DVector<f64>,
     /// α: how much of (4)'s feed-forward there is where there is any.
     pub gain: f64,
+    /// What is not rigid about it, and the hand that holds it.
+    pub flexible: Flexible,
 }
 
 impl Linearised {
@@ -92,9 +96,39 @@ pub enum Drive {
     },
 }
 
+/// How the drives of all joints lag and damp.
+pub(crate) struct Lags {
+    /// Lag rate per sample, where there is a lag.
+    pub rate: Vec<Option<f64>>,
+    /// Damping by the back-EMF, N m s/rad.
+    pub emf: Vec<f64>,
+}
+
+impl Lags {
+    /// Those of `drive` on `joints` joints, in samples of `t` seconds.
+    pub fn new(drive: &Drive, joints: usize, t: f64) -> Self {
+        let (rate, emf) = match drive {
+            Drive::Ideal => (vec![None; joints], vec![0.0; joints]),
+            Drive::Current { bandwidth_hz } => {
+                (vec![Some(std::f64::consts::TAU * bandwidth_hz * t); joints], vec![0.0; joints])
+            }
+            Drive::Voltage(motors) => motors
+                .iter()
+                .map(|motor| {
+                    let rate = motor.resistance * t / motor.inductance;
+                    // A lag of less than a millionth of a sample is no lag.
+                    let rate = (rate.is_finite() && rate < 1e6).then_some(rate);
+                    (rate, motor.torque_constant * motor.back_emf / motor.resistance)
+                })
+                .unzip(),
+        };
+        Self { rate, emf }
+    }
+}
+
 /// The reduced continuous plant ẋ = a x + b u in sample units, for the given torque inputs.
 ///
-/// States, in this order: velocities of the damped joints, torques of the joints whose drive lags, the rendered
+/// States of a rigid device, in this order: velocities of the damped joints, torques of the joints whose drive lags, the rendered
 /// velocity of all undamped joints together (when there are any), the rendered position, then the positions of the
 /// joints in `sensed` (needed only for their change over a sample).
 pub(crate) struct ContinuousPlant {
@@ -106,12 +140,36 @@ pub(crate) struct ContinuousPlant {
     pub lagging: Vec<usize>,
     /// Whether the undamped joints' share of the rendered velocity is a state.
     pub has_share: bool,
-    /// Index of the rendered position.
+    /// Index of the rendered position, the last state but those in `sensed`.
     pub position: usize,
+    /// The rendered position, as a row over the states without those in `sensed`.
+    pub seen: DVector<f64>,
     /// Joints whose position follows the rendered position.
     pub sensed: Vec<usize>,
     /// Whether the drives themselves damp a joint (uncompensated back-EMF).
     pub electrically_damped: bool,
+}
+
+impl ContinuousPlant {
+    /// A flexible device's, whose states have no meaning one by one.
+    pub fn of_a_flexible_device(a: DMatrix<f64>, b: DMatrix<f64>, seen: DVector<f64>) -> Self {
+        Self {
+            position: a.nrows() - 1,
+            a,
+            b,
+            damped: Vec::new(),
+            lagging: Vec::new(),
+            has_share: false,
+            seen,
+            sensed: Vec::new(),
+            electrically_damped: false,
+        }
+    }
+
+    /// States without those in `sensed`.
+    pub fn states(&self) -> usize {
+        self.seen.len()
+    }
 }
 
 /// Builds the reduced plant. `inputs` is N x p: torque of each input in units of m/T² times metres. `sensed` must be
@@ -131,22 +189,11 @@ pub(crate) fn reduce(
     let mobility = device.mass.clone().cholesky()?.inverse();
     let negligible = |damping: f64, joint: usize| damping * t * mobility[(joint, joint)] < 1.0 / SLOWEST_DECAY_SAMPLES;
 
-    // Lag rate (per sample) and back-EMF damping of each joint's drive.
-    let (lag, emf): (Vec<Option<f64>>, Vec<f64>) = match drive {
-        Drive::Ideal => (vec![None; joints], vec![0.0; joints]),
-        Drive::Current { bandwidth_hz } => {
-            (vec![Some(std::f64::consts::TAU * bandwidth_hz * t); joints], vec![0.0; joints])
-        }
-        Drive::Voltage(motors) => motors
-            .iter()
-            .map(|motor| {
-                let rate = motor.resistance * t / motor.inductance;
-                // A lag of less than a millionth of a sample is no lag.
-                let rate = (rate.is_finite() && rate < 1e6).then_some(rate);
-                (rate, motor.torque_constant * motor.back_emf / motor.resistance)
-            })
-            .unzip(),
-    };
+    let lags = Lags::new(drive, joints, t);
+    if !device.flexible.is_rigid() {
+        return flexible::reduce(device, &lags, inputs, sample_s, reference_mass);
+    }
+    let Lags { rate: lag, emf } = lags;
     let viscous: Vec<f64> =
         (0..joints).map(|j| if negligible(device.viscous[j], j) { 0.0 } else { device.viscous[j] }).collect();
     let damped: Vec<usize> = (0..joints).filter(|&j| viscous[j] > 0.0 || !negligible(emf[j], j)).collect();
@@ -212,6 +259,7 @@ pub(crate) fn reduce(
         lagging,
         has_share,
         position,
+        seen: DVector::from_fn(position + 1, |state, _| if state == position { 1.0 } else { 0.0 }),
         sensed,
     })
 }

@@ -10,6 +10,7 @@ use haptic_bridge::with_mechanism;
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 use thiserror::Error;
 
+use super::flexible::{Flexible, Hand};
 use super::plant::{Linearised, MotorElectrics};
 
 /// Poses closer to a singularity than this sine are refused.
@@ -168,7 +169,8 @@ pub fn unit_normal(normal: &[f64], task: usize, joints: usize) -> Result<DVector
 }
 
 impl Linearised {
-    /// The device at rest at `q` (rad), seen along `normal` (d entries, any length but zero), with its joint damping.
+    /// The device at rest at `q` (rad), seen along `normal` (d entries, any length but zero), with its joint damping and
+    /// its transmissions.
     pub fn at(description: &Description, q: &[f64], normal: &[f64]) -> Result<Self, PoseError> {
         Self::holding(description, q, normal, Admissible::default())
     }
@@ -180,10 +182,15 @@ impl Linearised {
         normal: &[f64],
         admissible: Admissible,
     ) -> Result<Self, PoseError> {
-        Self::of(&Device::new("", description)?, q, normal, admissible)
+        let joints = description.kind.spec().joints;
+        let mut seen = Self::of(&Device::new("", description)?, q, normal, admissible)?;
+        if description.is_flexible() {
+            seen.flexible.transmissions = description.joints[..joints].iter().map(|joint| joint.transmission).collect();
+        }
+        Ok(seen)
     }
 
-    /// As [`Linearised::holding`], of a device that is lumped already.
+    /// As [`Linearised::holding`], of a device that is lumped already, and rigid.
     pub fn of(device: &Device<f64>, q: &[f64], normal: &[f64], admissible: Admissible) -> Result<Self, PoseError> {
         let pose = TaskPose::of(&device.mechanism, q)?.regular()?.holding(admissible);
         let joints = q.len();
@@ -194,7 +201,18 @@ impl Linearised {
             unit_motion: &pose.inverse * &n,
             viscous: DVector::from_fn(joints, |j, _| device.joints[j].viscous),
             mass: pose.mass,
+            flexible: Flexible {
+                tip: pose.jacobian.rows(0, pose.task).into_owned(),
+                normal: n.rows(0, pose.task).into_owned(),
+                ..Flexible::default()
+            },
         })
+    }
+
+    /// The same in a hand.
+    pub fn held(mut self, hand: Hand) -> Self {
+        self.flexible.hand = hand;
+        self
     }
 
     /// The same without joint damping.

@@ -250,6 +250,7 @@ fn push_islands(into: &mut Vec<Island>, kd_hat: f64, stable: &[Interval], dampin
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::analysis::flexible::Flexible;
     use crate::analysis::plant::Drive;
     use crate::analysis::sampled::Estimator;
     use nalgebra::{DMatrix, DVector};
@@ -257,6 +258,7 @@ mod tests {
     fn mass(m: f64, b: f64) -> Linearised {
         Linearised {
             gain: 1.0,
+            flexible: Flexible::default(),
             mass: DMatrix::from_element(1, 1, m),
             viscous: DVector::from_element(1, b),
             row: DVector::from_element(1, 1.0),

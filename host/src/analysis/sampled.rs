@@ -10,13 +10,17 @@
 use nalgebra::{DMatrix, DVector};
 use thiserror::Error;
 
+use super::eigenvalues::eigenvalues;
 use super::plant::{ContinuousPlant, Drive, Linearised, reduce};
 use super::spectrum::{exp_minus_identity, growth};
 
 /// Longest delay that can be analysed, in samples.
 pub const LONGEST_DELAY: f64 = 64.0;
 
-/// How velocity is taken from sampled positions: a backward difference, then a low-pass.
+/// Most samples that a difference can be taken over.
+pub const LONGEST_DIFFERENCE: usize = 64;
+
+/// How velocity is taken from sampled positions: a difference, then a low-pass.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Estimator {
     /// The difference as it is.
@@ -25,21 +29,69 @@ pub enum Estimator {
     FirstOrder(f64),
     /// Second-order Butterworth, bilinear, prewarped at the cutoff (Hz).
     Butterworth(f64),
+    /// The difference over several samples, (x[n] - x[n-k])/(k T), then what of the above follows.
+    Over {
+        /// k, from 1 to [`LONGEST_DIFFERENCE`].
+        samples: usize,
+        /// The low-pass after it.
+        then: LowPass,
+    },
+}
+
+/// What follows a difference over several samples.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum LowPass {
+    /// Nothing.
+    None,
+    /// One pole, as [`Estimator::FirstOrder`].
+    FirstOrder(f64),
+    /// As [`Estimator::Butterworth`].
+    Butterworth(f64),
 }
 
 impl Estimator {
-    fn cutoff_hz(self) -> Option<f64> {
+    /// The same with the difference taken over `samples` samples.
+    pub fn over(self, samples: usize) -> Self {
+        Self::Over { samples, then: self.low_pass() }
+    }
+
+    /// What follows the difference.
+    pub(super) fn low_pass(self) -> LowPass {
         match self {
-            Estimator::BackwardDifference => None,
-            Estimator::FirstOrder(hz) | Estimator::Butterworth(hz) => Some(hz),
+            Estimator::BackwardDifference => LowPass::None,
+            Estimator::FirstOrder(hz) => LowPass::FirstOrder(hz),
+            Estimator::Butterworth(hz) => LowPass::Butterworth(hz),
+            Estimator::Over { then, .. } => then,
         }
     }
 
+    /// Over how many samples the difference is taken.
+    pub(super) fn samples(self) -> usize {
+        match self {
+            Estimator::Over { samples, .. } => samples,
+            _ => 1,
+        }
+    }
+
+    fn cutoff_hz(self) -> Option<f64> {
+        match self.low_pass() {
+            LowPass::None => None,
+            LowPass::FirstOrder(hz) | LowPass::Butterworth(hz) => Some(hz),
+        }
+    }
+
+    /// States: the changes of position that the difference remembers, then the low-pass's.
+    pub(super) fn states(self) -> usize {
+        self.samples() - 1 + self.low_pass().states()
+    }
+}
+
+impl LowPass {
     pub(super) fn states(self) -> usize {
         match self {
-            Estimator::BackwardDifference => 0,
-            Estimator::FirstOrder(_) => 1,
-            Estimator::Butterworth(_) => 2,
+            LowPass::None => 0,
+            LowPass::FirstOrder(_) => 1,
+            LowPass::Butterworth(_) => 2,
         }
     }
 }
@@ -87,6 +139,9 @@ pub enum AnalysisError {
     /// Negative, not finite, or longer than [`LONGEST_DELAY`].
     #[error("the delay must lie between 0 and 64 samples, not {0}")]
     Delay(f64),
+    /// Samples of the difference.
+    #[error("a difference can be taken over 1 to 64 samples, not {0}")]
+    Difference(usize),
     /// Bandwidth of the current loop.
     #[error("the current loop's bandwidth must be a positive number of hertz, not {0}")]
     Bandwidth(f64),
@@ -99,6 +154,9 @@ pub enum AnalysisError {
     /// A damping value of the boundary.
     #[error("damping values must be finite and not negative, not {0}")]
     Damping(f64),
+    /// What the loop compensates is the rigid device's damping.
+    #[error("damping compensation is analysed for rigid joints that nobody holds")]
+    CompensatedFlexible,
     /// No upper limit of stiffness was found.
     #[error("no stiffness was found at which this loop becomes unstable")]
     Unbounded,
@@ -130,6 +188,7 @@ pub(crate) struct OpenLoop {
     pub sample_s: f64,
     /// Motions that no feedback sees by construction (damping compensation alone has any).
     drift: Option<Drift>,
+    resonances: Vec<(f64, f64)>,
 }
 
 /// States at which the loop rests whatever the gains: one column per motion for the states, and the force it needs.
@@ -190,17 +249,32 @@ impl Assembly {
         self.input[state] += by.force;
     }
 
-    /// Low-pass states from `first` on, driven by `signal`; returns the filtered signal.
-    fn low_pass(&mut self, estimator: Estimator, rate_hz: f64, first: usize, signal: &Signal) -> Signal {
+    /// The estimate from the change of position over the last sample, with the estimator's states from `first` on.
+    fn estimate(&mut self, estimator: Estimator, rate_hz: f64, first: usize, moved: &Signal) -> Signal {
         let size = self.size();
-        match estimator {
-            Estimator::BackwardDifference => signal.clone(),
-            Estimator::FirstOrder(hz) => {
+        let mut sum = moved.clone();
+        let mut last = moved.clone();
+        for remembered in 0..estimator.samples() - 1 {
+            let before = Signal::of_state(size, first + remembered);
+            self.change(first + remembered, &last.plus(-1.0, &before));
+            sum = sum.plus(1.0, &before);
+            last = before;
+        }
+        let mean = if estimator.samples() > 1 { sum.times(1.0 / estimator.samples() as f64) } else { sum };
+        self.low_pass(estimator.low_pass(), rate_hz, first + estimator.samples() - 1, &mean)
+    }
+
+    /// Low-pass states from `first` on, driven by `signal`; returns the filtered signal.
+    fn low_pass(&mut self, low_pass: LowPass, rate_hz: f64, first: usize, signal: &Signal) -> Signal {
+        let size = self.size();
+        match low_pass {
+            LowPass::None => signal.clone(),
+            LowPass::FirstOrder(hz) => {
                 let (low, step) = one_pole(hz, rate_hz, signal, &Signal::of_state(size, first));
                 self.change(first, &step);
                 low
             }
-            Estimator::Butterworth(hz) => {
+            LowPass::Butterworth(hz) => {
                 // Trapezoidal state-variable filter: the bilinear Butterworth, exactly.
                 let g = (std::f64::consts::PI * hz / rate_hz).tan();
                 let damping = std::f64::consts::SQRT_2;
@@ -231,6 +305,9 @@ impl Loop {
         }
         if !(0.0..=LONGEST_DELAY).contains(&self.delay_samples) {
             return Err(AnalysisError::Delay(self.delay_samples));
+        }
+        if !(1..=LONGEST_DIFFERENCE).contains(&self.estimator.samples()) {
+            return Err(AnalysisError::Difference(self.estimator.samples()));
         }
         if let Some(cutoff) = self.estimator.cutoff_hz() {
             self.check_cutoff(cutoff)?;
@@ -278,6 +355,9 @@ impl OpenLoop {
         }
         let sample_s = 1.0 / around.rate_hz;
         let compensated = around.damping_compensation && mode != FeedForward::Off;
+        if compensated && !device.flexible.is_rigid() {
+            return Err(AnalysisError::CompensatedFlexible);
+        }
 
         // Torque directions, in metres: what one force unit of each input becomes.
         let shaped = device.shaped_torque();
@@ -312,6 +392,12 @@ impl OpenLoop {
         }
     }
 
+    /// The modes of a flexible device without the wall, |z| and its angle (rad) where that is not 0: around them the
+    /// loop's responses turn quickly.
+    pub fn resonances(&self) -> &[(f64, f64)] {
+        &self.resonances
+    }
+
     /// Whether all modes decay; gains in sample units.
     pub fn is_stable(&self, kp: f64, kd: f64) -> bool {
         growth(self.closed(kp, kd)) < STILL
@@ -342,7 +428,7 @@ fn assemble(
     let per_estimate = around.estimator.states();
 
     // State layout.
-    let plant_states = plant.position + 1;
+    let plant_states = plant.states();
     let moved = plant_states; // change of x over the last sample
     let filter = moved + 1;
     let joint_moved = filter + per_estimate;
@@ -354,7 +440,7 @@ fn assemble(
     let mut loop_ = Assembly::new(size);
 
     // What the controller sees and asks for at this sample.
-    let velocity = loop_.low_pass(around.estimator, around.rate_hz, filter, &Signal::of_state(size, moved));
+    let velocity = loop_.estimate(around.estimator, around.rate_hz, filter, &Signal::of_state(size, moved));
     let force = Signal { state: DVector::zeros(size), force: 1.0 };
     let mut asked = vec![force.clone()];
     if let FeedForward::Washout(hz) = mode {
@@ -366,7 +452,7 @@ fn assemble(
     for joint in 0..plant.sensed.len() {
         let seen = Signal::of_state(size, joint_moved + joint);
         let first = joint_filter + per_estimate * joint;
-        asked.push(loop_.low_pass(around.estimator, around.rate_hz, first, &seen));
+        asked.push(loop_.estimate(around.estimator, around.rate_hz, first, &seen));
     }
 
     // Delay: whole samples in a queue, the rest splits the interval between the last command and this one.
@@ -402,7 +488,10 @@ fn assemble(
     let follow = |loop_: &mut Assembly, state: usize, change: &Signal| {
         loop_.change(state, &change.plus(-1.0, &Signal::of_state(size, state)));
     };
-    follow(&mut loop_, moved, &change[plant.position]);
+    let nothing = Signal { state: DVector::zeros(size), force: 0.0 };
+    let seen =
+        |sum: Signal, (change, share): (&Signal, &f64)| if *share == 0.0 { sum } else { sum.plus(*share, change) };
+    follow(&mut loop_, moved, &change.iter().zip(&plant.seen).fold(nothing, seen));
     for joint in 0..plant.sensed.len() {
         follow(&mut loop_, joint_moved + joint, &change[plant_states + joint]);
     }
@@ -428,9 +517,14 @@ fn assemble(
                 let v = plant.damped.iter().position(|d| d == joint).map_or(0.0, |i| velocity[i]);
                 constant.push(v);
                 states[(joint_moved + slot, column)] = v;
-                if per_estimate > 0 {
+                let first = joint_filter + per_estimate * slot;
+                let filter = first + around.estimator.samples() - 1;
+                for remembered in first..filter {
+                    states[(remembered, column)] = v;
+                }
+                if around.estimator.low_pass() != LowPass::None {
                     // The last filter state holds the output of a constant input; the one before it rests.
-                    states[(joint_filter + per_estimate * (slot + 1) - 1, column)] = v;
+                    states[(first + per_estimate - 1, column)] = v;
                 }
             }
             for (input, value) in constant.iter().enumerate() {
@@ -444,15 +538,23 @@ fn assemble(
         }
         states
     });
+    let resonances = if device.flexible.is_rigid() { Vec::new() } else { resonances(&steps.free, plant_states) };
     OpenLoop {
         f: loop_.f,
         input: loop_.input,
-        position: Signal::of_state(size, plant.position).state,
+        position: plant.seen.clone().resize_vertically(size, 0.0),
         velocity: velocity.state,
         mass,
         sample_s: 1.0 / around.rate_hz,
         drift,
+        resonances,
     }
+}
+
+fn resonances(free: &DMatrix<f64>, states: usize) -> Vec<(f64, f64)> {
+    let modes = eigenvalues(free.view((0, 0), (states, states)).into_owned()).unwrap_or_default();
+    let polar = modes.into_iter().map(|gamma| (gamma + 1.0).to_polar());
+    polar.filter(|(_, angle)| *angle > 0.0 && *angle < std::f64::consts::PI).collect()
 }
 
 /// The plant over one sample: its free change, and what the present and the previous command add.

@@ -19,9 +19,9 @@ use haptic_bridge::model::principal::{Principal, Pull};
 use haptic_bridge::with_mechanism;
 
 use super::boundary::{Interval, SMALLEST_STIFFNESS};
-use super::plant::Drive;
+use super::plant::{Drive, Lags};
 use super::pose::{PoseError, TaskPose, unit_normal};
-use super::sampled::{AnalysisError, Estimator, FeedForward, Loop};
+use super::sampled::{AnalysisError, Estimator, FeedForward, Loop, LowPass};
 use super::spectrum::{exp_minus_identity, growth};
 
 /// Several walls on a device at rest at one pose.
@@ -195,7 +195,10 @@ impl Loops {
         let mass = set.met(mode != FeedForward::Off).ok_or(AnalysisError::Singular)?;
         let inverse = set.mass.clone().cholesky().ok_or(AnalysisError::Singular)?.inverse();
         let t = 1.0 / around.rate_hz;
-        let (lag, emf) = drives(&around.drive, joints, t)?;
+        if matches!(&around.drive, Drive::Voltage(motors) if motors.len() != joints) {
+            return Err(AnalysisError::Motor);
+        }
+        let Lags { rate: lag, emf } = Lags::new(&around.drive, joints, t);
         let lagging: Vec<usize> = (0..joints).filter(|j| lag[*j].is_some()).collect();
 
         // Continuous plant per sample: joint velocities (rad per sample), lagging torques, positions (m); then, where
@@ -276,9 +279,9 @@ impl Loops {
             };
             let mut estimates = DVector::zeros(directions + sensed);
             for k in 0..directions + sensed {
-                let (found, steps) = filtered(around.estimator, t, s, filters + per * k, s[moved + k]);
+                let (found, steps) = estimated(around.estimator, t, s, filters + per * k, s[moved + k]);
                 estimates[k] = found;
-                for (i, step) in steps.iter().enumerate().take(per) {
+                for (i, step) in steps.iter().enumerate() {
                     change[filters + per * k + i] = *step;
                 }
             }
@@ -358,42 +361,36 @@ impl Loops {
     }
 }
 
-/// Lag rate (per sample) and back-EMF damping (N m s/rad) of each joint's drive.
-fn drives(drive: &Drive, joints: usize, t: f64) -> Result<(Vec<Option<f64>>, Vec<f64>), AnalysisError> {
-    match drive {
-        Drive::Ideal => Ok((vec![None; joints], vec![0.0; joints])),
-        Drive::Current { bandwidth_hz } => {
-            Ok((vec![Some(std::f64::consts::TAU * bandwidth_hz * t); joints], vec![0.0; joints]))
-        }
-        Drive::Voltage(motors) if motors.len() == joints => Ok(motors
-            .iter()
-            .map(|motor| {
-                let rate = motor.resistance * t / motor.inductance;
-                let lags = rate.is_finite() && rate < 1e6;
-                (lags.then_some(rate), motor.torque_constant * motor.back_emf / motor.resistance)
-            })
-            .unzip()),
-        Drive::Voltage(_) => Err(AnalysisError::Motor),
-    }
-}
-
-/// The estimate from a change of position over the last sample, and the change of the filter's states (from `first`
+/// The estimate from a change of position over the last sample, and the change of the estimator's states (from `first`
 /// on): as [`super::sampled`] has it.
-fn filtered(estimator: Estimator, t: f64, s: &DVector<f64>, first: usize, signal: f64) -> (f64, [f64; 2]) {
+fn estimated(estimator: Estimator, t: f64, s: &DVector<f64>, first: usize, moved: f64) -> (f64, Vec<f64>) {
     let g = |hz: f64| (std::f64::consts::PI * hz * t).tan();
-    match estimator {
-        Estimator::BackwardDifference => (signal, [0.0; 2]),
-        Estimator::FirstOrder(hz) => {
-            let step = (signal - s[first]) * g(hz) / (1.0 + g(hz));
-            (s[first] + step, [2.0 * step, 0.0])
-        }
-        Estimator::Butterworth(hz) => {
-            let (g, damping) = (g(hz), std::f64::consts::SQRT_2);
-            let high = (signal - (damping + g) * s[first] - s[first + 1]) / (1.0 + g * (damping + g));
-            let band = s[first] + g * high;
-            (s[first + 1] + g * band, [2.0 * g * high, 2.0 * g * band])
-        }
+    let mut steps = Vec::with_capacity(estimator.states());
+    let (mut sum, mut last) = (moved, moved);
+    for remembered in 0..estimator.samples() - 1 {
+        let before = s[first + remembered];
+        steps.push(last - before);
+        sum += before;
+        last = before;
     }
+    let mean = sum / estimator.samples() as f64;
+    let filter = first + steps.len();
+    let estimate = match estimator.low_pass() {
+        LowPass::None => mean,
+        LowPass::FirstOrder(hz) => {
+            let step = (mean - s[filter]) * g(hz) / (1.0 + g(hz));
+            steps.push(2.0 * step);
+            s[filter] + step
+        }
+        LowPass::Butterworth(hz) => {
+            let (g, damping) = (g(hz), std::f64::consts::SQRT_2);
+            let high = (mean - (damping + g) * s[filter] - s[filter + 1]) / (1.0 + g * (damping + g));
+            let band = s[filter] + g * high;
+            steps.extend([2.0 * g * high, 2.0 * g * band]);
+            s[filter + 1] + g * band
+        }
+    };
+    (estimate, steps)
 }
 
 /// Stable intervals of a gain on the grid, their ends bisected.

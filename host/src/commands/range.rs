@@ -3,6 +3,7 @@
 use super::force::Force;
 use crate::cli::{self, Numbers};
 use clap::{Args as ClapArgs, ValueEnum};
+use haptic::analysis::flexible::Hand;
 use haptic::analysis::passivity::Passivity;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::pose::motors;
@@ -11,6 +12,7 @@ use haptic::analysis::sampled::{AnalysisError, Estimator, Loop};
 use haptic::analysis::several::WallSet;
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
+use haptic::plausible::scene::usual_delay;
 use haptic::plausible::{Doubt, Warned, angles, warn};
 use haptic::plot::range::{Contents, draw};
 use haptic_bridge::model::admissible::Admissible;
@@ -42,12 +44,18 @@ pub struct Args {
     /// Cutoff of the velocity filter in Hz
     #[arg(long, value_name = "HZ")]
     cutoff: f64,
-    /// Delay from reading the encoders to applying the torque, in control samples
-    #[arg(long, value_name = "SAMPLES", default_value_t = 0.0, allow_hyphen_values = true)]
-    delay: f64,
+    /// Delay from reading the encoders to applying the torque, in control samples [default: 0]
+    #[arg(long, value_name = "SAMPLES", allow_hyphen_values = true, conflicts_with = "board")]
+    delay: Option<f64>,
     /// Velocity estimator
     #[arg(long, value_name = "KIND", default_value = "butterworth")]
     estimator: EstimatorKind,
+    /// Take the velocity from the difference over so many samples, before the estimator's filter
+    #[arg(long, value_name = "SAMPLES", default_value_t = 1)]
+    difference_over: usize,
+    /// A hand on the tip: its mass (kg), damping (N s/m) and stiffness (N/m), the same in every direction
+    #[arg(long, value_name = "M,B,K", allow_hyphen_values = true)]
+    hand: Option<Numbers>,
     /// Leave the joints' own viscous damping out
     #[arg(long)]
     undamped: bool,
@@ -67,9 +75,12 @@ pub struct Args {
     #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = cli::admissible)]
     admissible: Admissible,
     /// How the motors are driven: ideal (torque at once), voltage (resistance, inductance and back-EMF of the device
-    /// file's motors), current (a current loop of --current-bandwidth)
-    #[arg(long, value_name = "KIND", default_value = "ideal")]
-    drive: DriveKind,
+    /// file's motors), current (a current loop of --current-bandwidth) [default: ideal]
+    #[arg(long, value_name = "KIND", conflicts_with = "board")]
+    drive: Option<DriveKind>,
+    /// The drive and the delay of this board, instead of an ideal drive without delay
+    #[arg(long, value_name = "BOARD")]
+    board: Option<BoardKind>,
     /// Bandwidth of the current loop in Hz, for --drive current; the default lags by half a carrier period at 20 kHz,
     /// as the boards' loops do, which make a current within one
     #[arg(long, value_name = "HZ", default_value_t = 6400.0)]
@@ -106,6 +117,52 @@ enum DriveKind {
     Current,
 }
 
+/// Boards whose drive and delay are known.
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+enum BoardKind {
+    OdriveV3,
+    HBridgeF405,
+}
+
+impl BoardKind {
+    fn axes(self) -> usize {
+        match self {
+            BoardKind::OdriveV3 => 2,
+            BoardKind::HBridgeF405 => 3,
+        }
+    }
+}
+
+impl Args {
+    /// Control samples.
+    fn delay(&self) -> f64 {
+        match self.board {
+            // Both boards sample at the middle of a carrier period and apply the duty at its end.
+            Some(_) => usual_delay(self.rate),
+            None => self.delay.unwrap_or(0.0),
+        }
+    }
+
+    fn drive(&self) -> DriveKind {
+        match self.board {
+            Some(_) => DriveKind::Current,
+            None => self.drive.unwrap_or(DriveKind::Ideal),
+        }
+    }
+
+    fn hand(&self) -> Result<Hand, Failure> {
+        let Some(Numbers(numbers)) = &self.hand else { return Ok(Hand::default()) };
+        let remedy = "write mass (kg), damping (N s/m) and stiffness (N/m), such as 0.2,5,500";
+        match numbers[..] {
+            [mass, damping, stiffness] if numbers.iter().all(|number| *number >= 0.0) => {
+                Ok(Hand { mass, damping, stiffness })
+            }
+            [_, _, _] => Err(Failure::wrong("--hand holds a negative number").remedy(remedy)),
+            _ => Err(Failure::wrong(format!("--hand has {} numbers, and a hand has 3", numbers.len())).remedy(remedy)),
+        }
+    }
+}
+
 /// Analyses, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.force.pictures(args.svg.as_ref(), args.png.as_ref())?;
@@ -134,7 +191,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
         Some(share) => share.per_wall(normals.len(), "--share")?,
         None => vec![1.0; normals.len()],
     };
-    let drive = match args.drive {
+    if let Some(board) = args.board.filter(|board| board.axes() < spec.joints) {
+        let reason = format!("{} has {} joints, and this board drives {}", file.name, spec.joints, board.axes());
+        return Err(Failure::wrong(reason).remedy("choose a board with as many axes: h-bridge-f405 has three"));
+    }
+    let drive = match args.drive() {
         DriveKind::Ideal => Drive::Ideal,
         DriveKind::Current => Drive::Current { bandwidth_hz: args.current_bandwidth },
         DriveKind::Voltage => Drive::Voltage(motors(&file.description).ok_or_else(|| {
@@ -144,11 +205,14 @@ pub fn run(args: Args) -> Result<(), Failure> {
     };
     let around = Loop {
         rate_hz: args.rate,
-        delay_samples: args.delay,
-        estimator: match args.estimator {
-            EstimatorKind::Butterworth => Estimator::Butterworth(args.cutoff),
-            EstimatorKind::FirstOrder => Estimator::FirstOrder(args.cutoff),
-            EstimatorKind::BackwardDifference => Estimator::BackwardDifference,
+        delay_samples: args.delay(),
+        estimator: match (args.estimator, args.difference_over) {
+            (EstimatorKind::Butterworth, 1) => Estimator::Butterworth(args.cutoff),
+            (EstimatorKind::FirstOrder, 1) => Estimator::FirstOrder(args.cutoff),
+            (EstimatorKind::BackwardDifference, 1) => Estimator::BackwardDifference,
+            (EstimatorKind::Butterworth, samples) => Estimator::Butterworth(args.cutoff).over(samples),
+            (EstimatorKind::FirstOrder, samples) => Estimator::FirstOrder(args.cutoff).over(samples),
+            (EstimatorKind::BackwardDifference, samples) => Estimator::BackwardDifference.over(samples),
         },
         drive,
         damping_compensation: args.damping_compensation,
@@ -174,7 +238,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
             serde_json::to_string(&Warned { result: &range, warnings: &warnings }).map_err(Failure::impossible)?;
         return print(&(json + "\n"));
     }
-    print(&readable(&file.name, &args, &q, &normals, &range, passivity.as_ref()))
+    print(&readable(&file.name, &args, &q, &normals, &range, passivity.as_ref(), file.description.is_flexible()))
 }
 
 /// What predicts the range at given dampings.
@@ -191,7 +255,7 @@ fn walls<'a>(
 ) -> Result<(Analysis<'a>, Option<Passivity>), Failure> {
     let gain = args.feed_forward_gain;
     if let [normal] = normals {
-        let mut device = Linearised::holding(&file.description, q, normal, args.admissible)?;
+        let mut device = Linearised::holding(&file.description, q, normal, args.admissible)?.held(args.hand()?);
         device.gain = gain;
         let most = device.most_gain().unwrap_or(1.0);
         if !(0.0..=most).contains(&gain) {
@@ -210,6 +274,10 @@ fn walls<'a>(
         let reason = format!("--feed-forward-gain {gain} with several --normal");
         return Err(Failure::wrong(reason).remedy("several walls are analysed with a gain of 1; leave it out"));
     }
+    if file.description.is_flexible() || args.hand()?.is_there() {
+        let reason = "several --normal with transmissions ([joint.transmission]) or --hand";
+        return Err(Failure::wrong(reason).remedy("analyse one wall at a time, or the rigid device by itself"));
+    }
     let walls: Vec<(Vec<f64>, f64)> = normals.iter().cloned().zip(shares.iter().copied()).collect();
     let set = WallSet::at(&file.description, q, &walls, args.admissible)?;
     let set = if args.undamped { set.undamped() } else { set };
@@ -226,11 +294,29 @@ fn subtitle(args: &Args, q: &[f64], normals: &[Vec<f64>], ratio: f64) -> [String
         ),
         format!(
             "{} Hz, cutoff {} Hz, delay {} samples, {:?} drive; area ratio {ratio:.3}",
-            args.rate, args.cutoff, args.delay, args.drive
+            args.rate,
+            args.cutoff,
+            args.delay(),
+            args.drive()
         )
         .to_lowercase()
         .replace("hz", "Hz"),
     ]
+}
+
+/// What is in the loop that is not in every one.
+fn besides(args: &Args, flexible: bool) -> Vec<String> {
+    let mut besides = Vec::new();
+    if flexible {
+        besides.push("with the transmissions of the device file".to_string());
+    }
+    if let Some(Numbers(hand)) = &args.hand {
+        besides.push(format!("in a hand of {} kg, {} N s/m, {} N/m", hand[0], hand[1], hand[2]));
+    }
+    if args.difference_over > 1 {
+        besides.push(format!("velocity from the difference over {} samples", args.difference_over));
+    }
+    besides
 }
 
 fn readable(
@@ -240,6 +326,7 @@ fn readable(
     normals: &[Vec<f64>],
     range: &Range,
     passivity: Option<&Passivity>,
+    flexible: bool,
 ) -> String {
     let mut text = String::new();
     let mut line = |content: String| {
@@ -248,6 +335,9 @@ fn readable(
     let [pose, around] = subtitle(args, q, normals, range.area_ratio);
     line(format!("{name}: {pose}"));
     line(format!("  {around}"));
+    for more in besides(args, flexible) {
+        line(format!("  {more}"));
+    }
     line(format!("  effective inertia Weff, met without feed-forward  {:>12.6} kg", range.w_eff));
     line(format!("  rendered inertia Wrr, met with feed-forward       {:>12.6} kg", range.w_rr));
     if let Some((gain, met)) = range.feed_forward_gain.zip(range.inertia_met) {

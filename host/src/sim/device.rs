@@ -119,7 +119,7 @@ impl Device {
         let pieces = (dt / self.substep).ceil().max(1.0);
         let h = dt / pieces;
         for _ in 0..pieces as u64 {
-            let qd = self.plant.qd();
+            let qd = self.plant.motor_velocity();
             let mut load = Load::default();
             for (axis, motor) in self.motors.iter_mut().enumerate() {
                 (load.torque[axis], load.damping[axis]) = motor.step(drive[axis], qd[axis], &self.bridge, h);
@@ -160,12 +160,12 @@ impl Device {
     }
     /// Encoder counts since power-on; axes without a joint stay at 0.
     pub fn counts(&self) -> [i32; 3] {
-        let q = self.plant.q();
+        let q = self.plant.measured();
         core::array::from_fn(|i| self.encoders.get(i).map_or(0, |encoder| encoder.counts(q[i])))
     }
     /// Whether each encoder's index mark is under its sensor.
     pub fn index(&self) -> [bool; 3] {
-        let q = self.plant.q();
+        let q = self.plant.measured();
         core::array::from_fn(|i| self.encoders.get(i).is_some_and(|encoder| encoder.at_index(q[i])))
     }
     /// Winding currents, A.
@@ -192,7 +192,7 @@ impl Device {
     pub fn tip_velocity(&self) -> [f64; 3] {
         self.plant.tip_velocity()
     }
-    /// Joint angles, rad.
+    /// Joint angles of the links, rad.
     pub fn q(&self) -> [f64; 3] {
         self.plant.q()
     }

@@ -4,9 +4,11 @@
 //! dynamics"): drift half a step, solve for the velocity at the end, drift the other half. It is second order and
 //! symplectic for position-dependent forces, exact for a constant torque on a constant inertia, and dry friction is a
 //! *set* of admissible impulses rather than a sign function: a joint that friction can hold does not creep or chatter.
+//! A transmission (docs/model.md section 6) is a spring and a damper between a motor and its link, integrated by the
+//! same rule's implicit mean: stable however stiff it is, and without a loss of its own.
 
 use haptic_bridge::math::Libm;
-use haptic_bridge::model::description::{Description, DescriptionError};
+use haptic_bridge::model::description::{Description, DescriptionError, EncoderAt, Transmission};
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::with_mechanism;
 use nalgebra::{SMatrix, SVector};
@@ -35,6 +37,10 @@ pub struct Plant {
     qd: [f64; 3],
     /// The acceleration of the last step, rad/s²: centres the velocity terms of the next.
     qdd: [f64; 3],
+    transmissions: [Option<Transmission>; 3],
+    /// Motor angles (rad) and velocities (rad/s) of the joints that have a transmission; the others' are the joint's.
+    theta: [f64; 3],
+    theta_d: [f64; 3],
     /// Friction impulse of the last step, N m s: where the solver starts.
     friction: [f64; 3],
     tip: [f64; 3],
@@ -65,7 +71,7 @@ impl Plant {
         let spec = description.kind.spec();
         let share = if friction { 1.0 } else { 0.0 };
         let mut plant = Self {
-            mechanism: AnyMechanism::new(description)?,
+            mechanism: AnyMechanism::new(&description.link_side())?,
             joints: spec.joints,
             task: spec.task,
             viscous: description.joints.map(|joint| share * joint.viscous),
@@ -74,6 +80,9 @@ impl Plant {
             q,
             qd: [0.0; 3],
             qdd: [0.0; 3],
+            transmissions: description.joints.map(|joint| joint.transmission),
+            theta: q,
+            theta_d: [0.0; 3],
             friction: [0.0; 3],
             tip: [0.0; 3],
             tip_velocity: [0.0; 3],
@@ -98,6 +107,17 @@ impl Plant {
     pub fn qd(&self) -> [f64; 3] {
         self.qd
     }
+    /// Velocities of the motors, at the joints, rad/s.
+    pub fn motor_velocity(&self) -> [f64; 3] {
+        core::array::from_fn(|i| if self.transmissions[i].is_some() { self.theta_d[i] } else { self.qd[i] })
+    }
+    /// Angles that the encoders measure, rad.
+    pub fn measured(&self) -> [f64; 3] {
+        core::array::from_fn(|i| match self.transmissions[i] {
+            Some(Transmission { encoder_at: EncoderAt::Motor, .. }) => self.theta[i],
+            _ => self.q[i],
+        })
+    }
     /// Tip, m (the first d entries).
     pub fn tip(&self) -> [f64; 3] {
         self.tip
@@ -112,6 +132,7 @@ impl Plant {
         self.q = q;
         self.qd = qd;
         self.qdd = [0.0; 3];
+        (self.theta, self.theta_d) = (q, qd);
         self.friction = [0.0; 3];
         self.refresh();
     }
@@ -119,16 +140,25 @@ impl Plant {
     /// Gives the tip the velocity `velocity` (m/s), with no other motion where the device is redundant.
     pub fn push(&mut self, velocity: [f64; 3]) {
         with_mechanism!(&self.mechanism, m => self.qd = array(&m.inverse(&m.pose::<Libm>(&vector(&self.q)), &vector(&velocity))));
+        self.theta_d = self.qd;
         self.refresh();
     }
 
-    /// Kinetic energy ½ q̇ᵀ M q̇, J.
-    pub fn kinetic_energy(&self) -> f64 {
-        fn energy<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &[f64; 3], qd: &[f64; 3]) -> f64 {
+    /// Kinetic energy ½ q̇ᵀ M q̇ and what the springs of the transmissions hold, J.
+    pub fn energy(&self) -> f64 {
+        fn moving<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &[f64; 3], qd: &[f64; 3]) -> f64 {
             let qd: SVector<f64, N> = vector(qd);
             0.5 * qd.dot(&(m.mass(&m.pose::<Libm>(&vector(q))) * qd))
         }
-        with_mechanism!(&self.mechanism, m => energy(m, &self.q, &self.qd))
+        let links = with_mechanism!(&self.mechanism, m => moving(m, &self.q, &self.qd));
+        let behind = |joint: usize| {
+            self.transmissions[joint].map_or(0.0, |transmission| {
+                let twist = self.theta[joint] - self.q[joint];
+                0.5 * (transmission.motor_inertia * self.theta_d[joint].powi(2)
+                    + transmission.stiffness * twist.powi(2))
+            })
+        };
+        links + (0..self.joints).map(behind).sum::<f64>()
     }
 
     /// The torques that hold the device against gravity here, N m.
@@ -171,6 +201,9 @@ impl Plant {
         }
         let drive =
             vector::<N>(&load.torque) + m.transpose(&pose, &force) - m.coriolis(&pose, &centred) - m.gravity(&pose);
+        if self.transmissions.iter().any(Option::is_some) {
+            return self.advance_flexible(m, load, mass, drive - vector::<N>(&load.torque), h);
+        }
         // Viscous friction as the trapezoid's mean: (M + hB/2) v⁺ = (M - hB/2) v + h τ - impulses.
         let mut damped = mass;
         let mut momentum = mass * qd + drive * h;
@@ -182,7 +215,11 @@ impl Plant {
         // Not invertible only when the state is already not finite; the old velocity is then as good as any.
         let inverse = damped.try_inverse().unwrap_or_else(SMatrix::zeros);
         let free = inverse * momentum;
-        let after = free - inverse * self.reactions(&inverse, &free, &middle, h);
+        let bounds = core::array::from_fn(|i| self.coulomb[i] * h);
+        let outside = core::array::from_fn(|i| self.outside(i, middle[i]));
+        let mut friction = vector(&self.friction);
+        let after = free - inverse * reactions::<N>(&inverse, &free, &bounds, &outside, &mut friction);
+        self.friction = array(&friction);
 
         self.q = array(&(middle + after * (0.5 * h)));
         self.qdd = array(&((after - qd) / h));
@@ -191,43 +228,106 @@ impl Plant {
         self.observe(m, &pose);
     }
 
-    /// Impulses of dry friction and end stops, N m s, by projected Gauss-Seidel: each joint's friction takes what it
-    /// can of the joint's velocity, within ± Coulomb torque times `h`; a stop takes what moves further out.
-    fn reactions<const N: usize>(
+    /// The same with motors behind transmissions: joints first, then the motors of those that have one. `drive` are the
+    /// joint torques without the motors'.
+    fn advance_flexible<M: Mechanism<f64, N>, const N: usize>(
         &mut self,
-        inverse: &SMatrix<f64, N, N>,
-        free: &SVector<f64, N>,
-        q: &SVector<f64, N>,
+        m: &M,
+        load: &Load,
+        mass: SMatrix<f64, N, N>,
+        drive: SVector<f64, N>,
         h: f64,
-    ) -> SVector<f64, N> {
-        let outside: [(bool, bool); N] = core::array::from_fn(|i| (q[i] <= self.stops[i].0, q[i] >= self.stops[i].1));
-        if self.coulomb == [0.0; 3] && outside.iter().all(|&(low, high)| !low && !high) {
-            return SVector::zeros();
-        }
-        let mut friction: SVector<f64, N> = vector(&self.friction);
-        let mut stop = SVector::<f64, N>::zeros();
-        for _ in 0..SWEEPS {
-            let mut change: f64 = 0.0;
-            for i in 0..N {
-                let mut take = |impulse: &mut SVector<f64, N>, low: f64, high: f64, other: &SVector<f64, N>| {
-                    let velocity = free[i] - (inverse.row(i) * (*impulse + other))[0];
-                    let before = impulse[i];
-                    impulse[i] = (before + velocity / inverse[(i, i)]).clamp(low, high);
-                    change = change.max((impulse[i] - before).abs());
-                };
-                let bound = self.coulomb[i] * h;
-                take(&mut friction, -bound, bound, &stop);
-                match outside[i] {
-                    (true, _) => take(&mut stop, f64::NEG_INFINITY, 0.0, &friction),
-                    (_, true) => take(&mut stop, 0.0, f64::INFINITY, &friction),
-                    _ => {}
+    ) {
+        const BOTH: usize = 6;
+        let mut velocity = SVector::<f64, BOTH>::zeros();
+        let (mut inertia, mut damping) = (SMatrix::<f64, BOTH, BOTH>::identity(), SMatrix::<f64, BOTH, BOTH>::zeros());
+        let (mut stiffness, mut force) = (damping, velocity);
+        let mut bounds = [0.0; BOTH];
+        let mut outside = [(false, false); BOTH];
+        inertia.view_mut((0, 0), (N, N)).copy_from(&mass);
+        for i in 0..N {
+            velocity[i] = self.qd[i];
+            force[i] = drive[i];
+            outside[i] = self.outside(i, self.q[i] + 0.5 * h * self.qd[i]);
+            let mut turned = i;
+            if let Some(transmission) = self.transmissions[i] {
+                turned = 3 + i;
+                velocity[turned] = self.theta_d[i];
+                inertia[(turned, turned)] = transmission.motor_inertia;
+                for (a, b, sign) in [(i, i, 1.0), (turned, turned, 1.0), (i, turned, -1.0), (turned, i, -1.0)] {
+                    damping[(a, b)] += sign * transmission.damping;
+                    stiffness[(a, b)] += sign * transmission.stiffness;
                 }
+                let pull = transmission.stiffness * (self.theta[i] - self.q[i]);
+                force[i] += pull;
+                force[turned] -= pull;
             }
-            if change <= 1e-18 {
-                break;
+            force[turned] += load.torque[i];
+            damping[(turned, turned)] += self.viscous[i] + load.damping[i];
+            bounds[turned] = self.coulomb[i] * h;
+        }
+        // The spring's mean force over the step is that of its mean deflection, h/4 (v + v⁺) further than now.
+        let mean = damping * (0.5 * h) + stiffness * (0.25 * h * h);
+        let inverse = (inertia + mean).try_inverse().unwrap_or_else(SMatrix::zeros);
+        let free = inverse * ((inertia - mean) * velocity + force * h);
+        let turned = |i: usize| if self.transmissions[i].is_some() { 3 + i } else { i };
+        let mut friction = SVector::<f64, BOTH>::zeros();
+        for i in 0..N {
+            friction[turned(i)] = self.friction[i];
+        }
+        let after = free - inverse * reactions::<BOTH>(&inverse, &free, &bounds, &outside, &mut friction);
+        self.friction = core::array::from_fn(|i| if i < N { friction[turned(i)] } else { 0.0 });
+        for i in 0..N {
+            self.q[i] += 0.5 * h * (velocity[i] + after[i]);
+            self.qdd[i] = (after[i] - velocity[i]) / h;
+            self.qd[i] = after[i];
+            self.theta[i] += 0.5 * h * (velocity[3 + i] + after[3 + i]);
+            self.theta_d[i] = after[3 + i];
+        }
+        let pose = m.pose::<Libm>(&vector(&self.q));
+        self.observe(m, &pose);
+    }
+
+    /// Whether a joint at `q` (rad) is at its lower or upper stop, or beyond.
+    fn outside(&self, joint: usize, q: f64) -> (bool, bool) {
+        (q <= self.stops[joint].0, q >= self.stops[joint].1)
+    }
+}
+
+/// Impulses of dry friction and end stops, N m s, by projected Gauss-Seidel: each coordinate's friction takes what it
+/// can of the velocity, within ± `bounds`; a stop takes what moves further out. `friction` is where the solver starts,
+/// and its answer.
+fn reactions<const S: usize>(
+    inverse: &SMatrix<f64, S, S>,
+    free: &SVector<f64, S>,
+    bounds: &[f64; S],
+    outside: &[(bool, bool); S],
+    friction: &mut SVector<f64, S>,
+) -> SVector<f64, S> {
+    if bounds.iter().all(|bound| *bound == 0.0) && outside.iter().all(|&(low, high)| !low && !high) {
+        *friction = SVector::zeros();
+        return SVector::zeros();
+    }
+    let mut stop = SVector::<f64, S>::zeros();
+    for _ in 0..SWEEPS {
+        let mut change: f64 = 0.0;
+        for i in 0..S {
+            let mut take = |impulse: &mut SVector<f64, S>, low: f64, high: f64, other: &SVector<f64, S>| {
+                let velocity = free[i] - (inverse.row(i) * (*impulse + other))[0];
+                let before = impulse[i];
+                impulse[i] = (before + velocity / inverse[(i, i)]).clamp(low, high);
+                change = change.max((impulse[i] - before).abs());
+            };
+            take(friction, -bounds[i], bounds[i], &stop);
+            match outside[i] {
+                (true, _) => take(&mut stop, f64::NEG_INFINITY, 0.0, friction),
+                (_, true) => take(&mut stop, 0.0, f64::INFINITY, friction),
+                _ => {}
             }
         }
-        self.friction = array(&friction);
-        friction + stop
+        if change <= 1e-18 {
+            break;
+        }
     }
+    *friction + stop
 }
