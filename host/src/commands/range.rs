@@ -267,7 +267,7 @@ fn walls<'a>(
         if args.undamped {
             device = device.undamped();
         }
-        let passivity = Passivity::new(&device, &file.description, 1.0 / args.rate);
+        let passivity = Passivity::new(&device, &file.description, 1.0 / args.rate, around.delay_samples);
         return Ok((Box::new(move |kd| predict(&device, around, kd, args.washout)), Some(passivity)));
     }
     if gain != 1.0 {

@@ -85,11 +85,11 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
             let sampled = [(0.0, passivity.sampled(0.0)), (passivity.damping, 0.0)];
             let colgate = Stroke { colour: BOUND, width: 1.6, dash: "5 3" };
             frame.curve(canvas, &sampled, colgate);
-            entries.push((Mark::Line(colgate), "passive: b > kp T/2 + |kd|".into()));
+            entries.push((Mark::Line(colgate), "passive: b > kp T (1/2 + delay) + |kd|".into()));
             if let Some(limit) = passivity.quantised() {
                 let abbott = Stroke { colour: BOUND, width: 1.6, dash: "1.5 2.5" };
                 frame.curve(canvas, &[(0.0, limit), (0.04 * frame.x.high, limit)], abbott);
-                entries.push((Mark::Line(abbott), "passive: kp ≤ min(2b/T, 2fc/Δ)".into()));
+                entries.push((Mark::Line(abbott), "passive: kp ≤ 2 fc/Δ, friction over encoder step".into()));
             }
         }
         for (dots, colour) in [(contents.measured_full, FULL), (contents.measured_off, OFF)] {
