@@ -7,11 +7,12 @@
 //! A device on a turret is cut at joint 0 = 0 (or, if its limits exclude that, at home's joint 0) and looked at in its
 //! linkage's plane. The redundant arm keeps the orientation it has at home.
 
+use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use nalgebra::DVector;
 
-use super::map::{Held, MapPoint, Reachable, along, at};
+use super::map::{Held, MapPoint, Reachable, along, at_holding};
 use super::pose::{PoseError, TaskPose, unit_normal};
 use crate::skeleton::{Point, Turret};
 
@@ -74,13 +75,15 @@ pub struct Cut {
     /// What is held, in words; empty when nothing is.
     pub caption: String,
     normal: DVector<f64>,
+    admissible: Admissible,
     /// The plane's x and y in the task's frame.
     axes: [[f64; 3]; 2],
 }
 
 impl Cut {
-    /// The plane of a device with at least two joints, for a normal of d entries.
-    pub fn new(description: &Description, normal: &[f64]) -> Result<Self, PoseError> {
+    /// The plane of a device with at least two joints, for a normal of d entries; a redundant device's feed-forward holds
+    /// `admissible`.
+    pub fn new(description: &Description, normal: &[f64], admissible: Admissible) -> Result<Self, PoseError> {
         let spec = description.kind.spec();
         let device = Device::new("", description)?;
         let home = description.home.unwrap_or_default();
@@ -93,7 +96,11 @@ impl Cut {
             }
             (3, _) => {
                 let phi: f64 = home.iter().sum();
-                (Some(Held::Orientation(phi)), [0, 1], format!("orientation held at {phi:.3} rad, as at home"))
+                let caption = match admissible {
+                    Admissible::Orientation => format!("orientation held at {phi:.3} rad, as at home"),
+                    other => format!("{} held; shown where the orientation is {phi:.3} rad, as at home", other.name()),
+                };
+                (Some(Held::Orientation(phi)), [0, 1], caption)
             }
             _ => (None, [0, 1], String::new()),
         };
@@ -106,7 +113,7 @@ impl Cut {
         };
         let reachable = Reachable::of(&device, GRID, held)?;
         let normal = unit_normal(normal, spec.task, spec.joints)?;
-        Ok(Self { description: *description, device, reachable, swept, caption, normal, axes })
+        Ok(Self { description: *description, device, reachable, swept, caption, normal, admissible, axes })
     }
 
     /// A task vector as seen in the plane.
@@ -131,7 +138,7 @@ impl Cut {
     }
 
     fn evaluated(&self, q: &[f64], swept: [f64; 2]) -> Option<Node> {
-        let pose = TaskPose::of(&self.device.mechanism, q).ok()?;
+        let pose = TaskPose::of(&self.device.mechanism, q).ok()?.holding(self.admissible);
         let (w_eff, w_rr) = along(&pose, &self.normal)?;
         Some(Node { swept, place: self.seen(&pose.position), share: ((w_rr - w_eff) / w_rr).max(0.0) })
     }
@@ -141,7 +148,10 @@ impl Cut {
         let angles = self.reachable.indices().map(|index| self.reachable.angles(index));
         let there =
             |q: &Vec<f64>| TaskPose::of(&self.device.mechanism, q).is_ok_and(|pose| wanted(self.seen(&pose.position)));
-        angles.filter(there).filter_map(|q| at(&self.description, &q, &self.normal).transpose()).collect()
+        angles
+            .filter(there)
+            .filter_map(|q| at_holding(&self.description, &q, &self.normal, self.admissible).transpose())
+            .collect()
     }
 
     /// The plane in tiles.

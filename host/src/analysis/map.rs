@@ -78,10 +78,14 @@ pub struct Reachable {
     side: Option<bool>,
 }
 
-/// Evaluates one pose; `None` where it is singular.
-pub fn at(description: &Description, q: &[f64], normal: &DVector<f64>) -> Result<Option<MapPoint>, PoseError> {
-    let pose = TaskPose::at(description, q)?;
-    Ok(evaluate(&pose, q, normal))
+/// Evaluates one pose of a device that holds `admissible`; `None` where it is singular.
+pub fn at_holding(
+    description: &Description,
+    q: &[f64],
+    normal: &DVector<f64>,
+    admissible: Admissible,
+) -> Result<Option<MapPoint>, PoseError> {
+    Ok(evaluate(&TaskPose::at(description, q)?.holding(admissible), q, normal))
 }
 
 /// Weff and Wrr (kg) along a normal of N entries; `None` where a singularity makes them infinite.
@@ -337,7 +341,7 @@ pub fn map_holding(
     let mut found = Vec::new();
     for index in reachable.indices() {
         let q = reachable.angles(index);
-        found.extend(evaluate(&TaskPose::at(description, &q)?.holding(admissible), &q, &normal));
+        found.extend(at_holding(description, &q, &normal, admissible)?);
     }
     Ok(found)
 }
@@ -370,7 +374,7 @@ mod tests {
             let description = device(name);
             let task = description.kind.spec().task;
             let n = unit_normal(&vec![1.0; task], task, q.len()).unwrap();
-            let point = at(&description, &q, &n).unwrap().unwrap();
+            let point = at_holding(&description, &q, &n, Admissible::default()).unwrap().unwrap();
             let (ratio, _) = meets(&description, &q, &point.worst_ratio.normal);
             let (_, coupling) = meets(&description, &q, &point.worst_coupling.normal);
             assert!((ratio / point.worst_ratio.value - 1.0).abs() < 1e-9, "{name}");

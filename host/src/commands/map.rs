@@ -53,16 +53,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let file = DeviceFile::load(&args.device)?;
     let normal = args.normal.unit(file.spec().task, "--normal")?;
     let pictured = args.svg.is_some() || args.png.is_some();
-    if pictured && args.admissible != Admissible::Orientation {
-        return Err(Failure::wrong("a picture shows what is met with the orientation held")
-            .remedy("leave out --admissible, or --svg and --png"));
-    }
     let points = map_holding(&file.description, &normal, args.points as usize, args.admissible)?;
     if points.is_empty() {
         return Err(Failure::impossible("no pose of this grid is regular").remedy("ask for more --points"));
     }
     if pictured {
-        let picture = draw(&file.description, &file.name, &normal)?;
+        let picture = draw(&file.description, &file.name, &normal, args.admissible)?;
         args.svg.as_deref().map(|path| picture.save_svg(path)).transpose()?;
         args.png.as_deref().map(|path| picture.save_png(path)).transpose()?;
     }

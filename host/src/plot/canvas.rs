@@ -1,5 +1,6 @@
 //! An SVG document and the few shapes the pictures need. Coordinates in pixels, y down.
 
+use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use super::Picture;
@@ -98,17 +99,24 @@ impl Canvas {
         self.push(format_args!(r#"<polygon points="{points}" fill="{fill}" fill-opacity="{opacity}"/>"#));
     }
 
-    /// Filled areas of one colour, outlined in it so that no seam shows between neighbours.
+    /// Filled areas of one colour, all turning the same way, outlined in it so that no seam shows between neighbours. Those
+    /// that share an edge become one shape; places are to a tenth of a pixel.
     pub fn tiles(&mut self, outlines: &[Vec<(f64, f64)>], fill: &str) {
         let mut path = String::new();
-        for outline in outlines {
-            for (i, (x, y)) in outline.iter().enumerate() {
-                // Writing to a String cannot fail.
-                let _ = write!(path, "{}{x:.1} {y:.1}", if i == 0 { "M" } else { "L" });
+        let mut pen = (0, 0);
+        for outline in merged(outlines) {
+            let mut command = "m";
+            for &(x, y) in &outline {
+                // Steps from point to point, the first one from where the last outline began. Writing cannot fail.
+                let _ = write!(path, "{command}{} {}", x - pen.0, y - pen.1);
+                (pen, command) = ((x, y), " ");
             }
-            path.push('Z');
+            path.push('z');
+            pen = outline[0];
         }
-        self.push(format_args!(r#"<path d="{path}" fill="{fill}" stroke="{fill}" stroke-width=".6"/>"#));
+        self.push(format_args!(
+            r#"<path transform="scale(.1)" d="{path}" fill="{fill}" stroke="{fill}" stroke-width="6"/>"#
+        ));
     }
 
     /// A rectangle, filled and (with a width above zero) outlined.
@@ -173,6 +181,42 @@ impl Canvas {
     }
 }
 
+/// Outlines of what the tiles cover together, in tenths of a pixel: an edge that two tiles share runs once each way, and
+/// what is left of the others closes again.
+fn merged(outlines: &[Vec<(f64, f64)>]) -> Vec<Vec<(i64, i64)>> {
+    let tenths = |&(x, y): &(f64, f64)| ((10.0 * x).round() as i64, (10.0 * y).round() as i64);
+    // From where to where, in order, so that a picture is the same every time.
+    let mut edges = BTreeMap::<(i64, i64), Vec<(i64, i64)>>::new();
+    for outline in outlines {
+        for (from, to) in outline.iter().zip(outline.iter().cycle().skip(1)) {
+            let (from, to) = (tenths(from), tenths(to));
+            let back = edges.get_mut(&to).and_then(|ends| {
+                let twin = ends.iter().position(|end| *end == from)?;
+                Some(ends.swap_remove(twin))
+            });
+            if from != to && back.is_none() {
+                edges.entry(from).or_default().push(to);
+            }
+        }
+    }
+    edges.retain(|_, ends| !ends.is_empty());
+    let mut found = Vec::new();
+    while let Some((&start, _)) = edges.first_key_value() {
+        let mut outline = Vec::new();
+        let mut at = start;
+        while let Some(ends) = edges.get_mut(&at) {
+            outline.push(at);
+            let next = ends.pop();
+            if ends.is_empty() {
+                edges.remove(&at);
+            }
+            at = next.unwrap_or(start);
+        }
+        found.push(outline);
+    }
+    found
+}
+
 fn listed(points: &[(f64, f64)]) -> String {
     points.iter().map(|(x, y)| format!("{x:.2},{y:.2}")).collect::<Vec<_>>().join(" ")
 }
@@ -189,4 +233,31 @@ fn escaped(text: &str) -> String {
         }
         out
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Twice the area of outlines, with the sign of their turn.
+    fn area(outlines: &[Vec<(i64, i64)>]) -> i64 {
+        let twice = |o: &Vec<(i64, i64)>| {
+            o.iter().zip(o.iter().cycle().skip(1)).map(|(a, b)| a.0 * b.1 - b.0 * a.1).sum::<i64>()
+        };
+        outlines.iter().map(twice).sum()
+    }
+
+    fn square(x: f64, y: f64) -> Vec<(f64, f64)> {
+        vec![(x, y), (x + 1.0, y), (x + 1.0, y + 1.0), (x, y + 1.0)]
+    }
+
+    #[test]
+    fn tiles_that_share_edges_become_one_shape_with_its_holes() {
+        let row = merged(&[square(0.0, 0.0), square(1.0, 0.0), square(5.0, 5.0)]);
+        assert_eq!(row.iter().map(Vec::len).collect::<Vec<_>>(), [6, 4]);
+        let ring: Vec<_> = (0..9).filter(|i| *i != 4).map(|i| square(f64::from(i % 3), f64::from(i / 3))).collect();
+        let around = merged(&ring);
+        assert_eq!(around.iter().map(Vec::len).sum::<usize>(), 12 + 4);
+        assert_eq!(area(&around), 2 * 8 * 100);
+    }
 }

@@ -1,6 +1,7 @@
 //! The drawing of a device: its linkage at home, where each joint's angle is zero and which way it grows, how far the
 //! tip reaches. What a mirrored assembly or swapped motors would look wrong in.
 
+use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Description;
 
@@ -78,7 +79,7 @@ fn reach(description: &Description) -> Result<Vec<Vec<Point>>, PoseError> {
     if spec.joints == 1 {
         return Ok(Vec::new());
     }
-    let cut = Cut::new(description, &[1.0, 0.0, 0.0][..spec.task])?;
+    let cut = Cut::new(description, &[1.0, 0.0, 0.0][..spec.task], Admissible::default())?;
     let coarse = Fineness { side: f64::INFINITY, least: f64::INFINITY, step: f64::INFINITY, top: 1.0 };
     Ok(cut.tiles(coarse).into_iter().map(|tile| tile.outline).collect())
 }

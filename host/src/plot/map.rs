@@ -6,6 +6,7 @@
 //! below, so that the rim next to the singularities does not take all colours for itself; what is above has a colour
 //! of its own. Ellipse axes are square roots of Λ's eigenvalues.
 
+use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 
 use super::axes::{Axis, Frame};
@@ -38,12 +39,17 @@ pub struct Chart {
     pub top: f64,
 }
 
-/// Draws the map of a device for one normal.
-pub fn draw(description: &Description, name: &str, normal: &[f64]) -> Result<Picture, PoseError> {
+/// Draws the map of a device for one normal; a redundant device's feed-forward holds `admissible`.
+pub fn draw(
+    description: &Description,
+    name: &str,
+    normal: &[f64],
+    admissible: Admissible,
+) -> Result<Picture, PoseError> {
     if description.kind.spec().joints == 1 {
         return paddle::draw(description, name);
     }
-    chart(description, name, normal).map(|chart| chart.picture)
+    chart(description, name, normal, admissible).map(|chart| chart.picture)
 }
 
 /// The colour of a share on a scale that ends at `top`.
@@ -52,8 +58,13 @@ pub fn colour(share: f64, top: f64) -> String {
 }
 
 /// Draws the map of a device with at least two joints.
-pub fn chart(description: &Description, name: &str, normal: &[f64]) -> Result<Chart, PoseError> {
-    let cut = Cut::new(description, normal)?;
+pub fn chart(
+    description: &Description,
+    name: &str,
+    normal: &[f64],
+    admissible: Admissible,
+) -> Result<Chart, PoseError> {
+    let cut = Cut::new(description, normal, admissible)?;
     let spec = description.kind.spec();
     let home = description.home.and_then(|home| skeleton(description, &home[..spec.joints]));
     let coarse = cut.tiles(Fineness { side: f64::INFINITY, least: f64::INFINITY, step: f64::INFINITY, top: 1.0 });
