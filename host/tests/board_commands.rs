@@ -5,6 +5,7 @@ mod sim;
 use haptic::recorder::Recording;
 use predicates::prelude::*;
 use predicates::str::contains;
+use serde_json::Value;
 use sim::{Sim, file, haptic};
 
 #[test]
@@ -220,4 +221,35 @@ fn a_tip_inside_a_wall_is_not_armed() {
     sim.run(&["scene", scene.to_str().unwrap()]).success();
     sim.run(&["arm"]).code(1).stderr(contains("the tip is inside a wall: move it out by hand"));
     sim.run(&["info"]).success().stdout(contains("disarmed"));
+}
+
+#[test]
+fn a_name_lasts_over_a_restart_once_it_is_saved() {
+    let sim = Sim::start(&["--fast", "--scene", &file("scenes/coupled-five-bar/wall.toml")]);
+    let said = |words: &[&str]| String::from_utf8(sim.run(words).success().get_output().stdout.clone()).unwrap();
+    let device = || serde_json::from_str::<Value>(&said(&["info", "--json"])).unwrap()["device"].clone();
+    assert_eq!(said(&["name"]), "this board has no name\n");
+    sim.run(&["name", &"x".repeat(33)]).code(2).stderr(contains("33 bytes").and(contains("at most 32")));
+    sim.run(&["name", "two\nlines"]).code(2).stderr(contains("one line"));
+    assert_eq!(said(&["name"]), "this board has no name\n");
+
+    said(&["name", "left hand"]);
+    assert_eq!(said(&["name"]), "left hand\n");
+    assert_eq!(device(), "coupled-five-bar");
+    // Nothing was saved, so nothing is left of it.
+    said(&["restart"]);
+    assert_eq!((said(&["name"]).as_str(), device()), ("this board has no name\n", Value::Null));
+
+    said(&["device", &file("coupled-five-bar.toml")]);
+    said(&["name", "left hand"]);
+    said(&["save"]);
+    said(&["name", "right hand"]);
+    said(&["restart"]);
+    assert_eq!((said(&["name"]).as_str(), device()), ("left hand\n", "coupled-five-bar".into()));
+    // Motors that were on are off.
+    sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success();
+    sim.run(&["rules", "--host", "ignore"]).success();
+    said(&["arm"]);
+    said(&["restart"]);
+    sim.run(&["info", "--json"]).success().stdout(contains("\"Disarmed\""));
 }

@@ -89,7 +89,7 @@ fn a_boot_loader_is_not_entered_under_motors_that_are_on_unasked() {
     sim.run(&["rules", "--host", "ignore"]).success();
     sim.run(&["arm"]).success();
     sim.run(&["dfu"]).code(1).stderr(contains("the motors are on").and(contains("--yes")));
-    sim.run(&["info"]).success().stdout(contains("armed"));
+    sim.run(&["info"]).success().stdout(contains("armed").and(contains("disarmed").not()));
     sim.run(&["save"]).code(1).stderr(contains("haptic disarm").and(contains("writing flash").not()));
     sim.run(&["dfu", "--yes"]).success();
 }

@@ -54,9 +54,13 @@ fn measure(rate_hz: f64, cutoff_hz: f64, share: f64) -> (f64, f64) {
     (summit / MASS / rate_hz.powi(2), end / MASS / rate_hz)
 }
 
+/// The search ends in a bracket of half a percent and says its middle, a quarter off at most; a growth too slow to be
+/// told within a trial takes the rest. The constants themselves have four digits.
+const APART: f64 = 0.004;
+
 fn agree(measured: (f64, f64), known: (f64, f64)) {
-    assert!((measured.0 / known.0 - 1.0).abs() < 0.03, "largest kp T²/m: {} is not {}", measured.0, known.0);
-    assert!((measured.1 / known.1 - 1.0).abs() < 0.03, "kd_max T/m: {} is not {}", measured.1, known.1);
+    assert!((measured.0 / known.0 - 1.0).abs() < APART, "largest kp T²/m: {} is not {}", measured.0, known.0);
+    assert!((measured.1 / known.1 - 1.0).abs() < APART, "kd_max T/m: {} is not {}", measured.1, known.1);
 }
 
 #[test]
