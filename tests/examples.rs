@@ -6,12 +6,18 @@ mod follow_telemetry;
 mod predict_range;
 #[path = "../examples/press_a_wall.rs"]
 mod press_a_wall;
+#[path = "../examples/push_from_the_host.rs"]
+mod push_from_the_host;
 
 #[test]
 fn each_runs_to_its_end() {
     press_a_wall::main().expect("a wall that can be pressed");
     follow_telemetry::follow("sim").expect("telemetry of a simulated board");
     predict_range::main().expect("a range");
+    let (from, to) = push_from_the_host::push("sim").expect("a board that can be pushed");
+    // 1 N down against 50 N/m and, from 5 mm on, 2050 N/m: 5.37 mm, less what 0.005 N m of friction on 0.1 m hold.
+    let sunk = f64::from(from[1] - to[1]);
+    assert!((sunk - 0.005_37).abs() < 0.000_1, "{sunk} m");
 }
 
 #[test]
@@ -22,5 +28,5 @@ fn there_is_none_that_is_not_run() {
         .map(|entry| entry.expect("a readable entry").file_name().to_string_lossy().into_owned())
         .collect();
     names.sort();
-    assert_eq!(names, ["follow_telemetry.rs", "predict_range.rs", "press_a_wall.rs"]);
+    assert_eq!(names, ["follow_telemetry.rs", "predict_range.rs", "press_a_wall.rs", "push_from_the_host.rs"]);
 }

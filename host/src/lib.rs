@@ -21,15 +21,16 @@
 //! | to | begin at |
 //! |---|---|
 //! | talk to a board | [`link`] |
+//! | push through one, 1000 times a second | [`link::Session`] |
 //! | read device and scene files | [`device_file`], [`scene_file`] |
 //! | simulate a board, a device and a hand | [`sim`] |
 //! | evaluate the inertia of a pose | [`model`] |
 //! | predict which walls are stable | [`analysis`] |
-//! | measure it on a board | [`measure`] |
+//! | measure it on a board | [`measure`]; the way to one and back: [`latency`] |
 //! | find the cheapest step that is good enough | [`plan`], [`mod@bench`] |
 //! | draw | [`plot`] |
 //!
-//! The programs in `examples/` press a wall, follow telemetry and predict a range in about twenty lines each.
+//! The programs in `examples/` press a wall, follow telemetry, push and predict a range in about twenty lines each.
 //! [`haptic_bridge`] is the code that runs on the board itself; its types (scenes, gains, faults) are those used here.
 #![forbid(unsafe_code)]
 
@@ -44,6 +45,7 @@ pub mod error;
 pub mod file_error;
 pub mod input;
 pub mod interrupt;
+pub mod latency;
 pub mod link;
 pub mod measure;
 pub mod model;

@@ -11,6 +11,7 @@ mod error;
 mod framing;
 mod past;
 mod ports;
+mod session;
 mod telemetry;
 mod wire;
 
@@ -20,5 +21,6 @@ pub use error::{BoardError, LinkError};
 pub use framing::{Deframer, Frame, MAX_FRAME, encode, envelope};
 pub use past::disarm_past;
 pub use ports::{BoardPort, PortSpec, USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR, boards};
+pub use session::{FADE, HOLD, Session};
 pub use telemetry::{Column, Losses, Row, columns, fields};
 pub use wire::{SerialWire, TcpWire, Wire};

@@ -15,6 +15,7 @@ mod force;
 mod gains;
 mod home;
 mod info;
+mod latency;
 mod list;
 mod map;
 mod measure_range;
@@ -74,6 +75,7 @@ commands! {
     "With a board" {
         (List, list)
         (Info, info)
+        (Latency, latency)
         (Device, device)
         (Scene, scene)
         (Gains, gains)

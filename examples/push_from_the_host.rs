@@ -1,0 +1,40 @@
+//! A program pushes: `cargo run --example push_from_the_host [PORT]`, by default on a simulated board. A spring between the
+//! tip and where it was is computed here, and a floor 5 mm below it is handed to the board, which renders it at its own
+//! rate.
+
+use haptic::device_file::DeviceFile;
+use haptic::haptic_bridge::board::protocol::HostContact;
+use haptic::haptic_bridge::render::scene::Scene;
+use haptic::link::Session;
+use haptic::sim::SHIPPED_DEVICE;
+
+/// Pushes the board at a port for half a second of its time; where the tip was, and is.
+pub fn push(port: &str) -> Result<([f32; 3], [f32; 3]), Box<dyn std::error::Error>> {
+    let device = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml")?;
+    let mut session = Session::open(&port.parse()?)?;
+    session.set_device(&device.device()?)?;
+    session.set_scene(&Scene { task: 2, ..Scene::default() })?;
+    session.arm()?;
+    let began = session.look()?;
+    let home = began.tip;
+    let floor = HostContact {
+        point: [home[0], home[1] - 0.005, 0.0],
+        normal: [0.0, 1.0, 0.0],
+        stiffness: 2000.0,
+        damping: 5.0,
+    };
+    let mut state = began;
+    while state.step.wrapping_sub(began.step) < 10_000 {
+        // 50 N/m back to where it was, and 1 N down.
+        let spring = [50.0 * (home[0] - state.tip[0]), 50.0 * (home[1] - state.tip[1]) - 1.0, 0.0];
+        state = session.push(spring, Some(floor))?;
+    }
+    println!("tip from {:.4?} to {:.4?} m, {:.3?} N applied: {}", home, state.tip, state.force, state.done);
+    // Here the session is dropped, and the motors go off.
+    Ok((home, state.tip))
+}
+
+#[allow(dead_code, reason = "the tests call `push`")]
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    push(&std::env::args().nth(1).unwrap_or_else(|| "sim".into())).map(drop)
+}

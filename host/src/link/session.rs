@@ -1,0 +1,105 @@
+//! A board while a program uses it: what the program asks for is counted and stamped, and the motors go off when it lets
+//! go of it.
+
+use super::board::Board;
+use super::error::{BoardError, LinkError};
+use super::ports::PortSpec;
+use haptic_bridge::board::protocol::{ForceAnswer, ForceRequest, HostContact};
+use std::ops::{Deref, DerefMut};
+
+/// How long a request acts in full, s: it bridges a computer that does something else for two frames of a game.
+pub const HOLD: f32 = 0.02;
+/// In how long it then fades to nothing, s.
+pub const FADE: f32 = 0.05;
+
+/// A board that this program holds. Everything that a [`Board`] does it does as well; dropping it disarms the board, also
+/// when the program panics. A program that is killed leaves that to the board's watch of its host.
+///
+/// ```
+/// use haptic::link::Session;
+///
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// let mut session = Session::open(&"sim".parse()?)?;
+/// let state = session.look()?;
+/// println!("the tip is at {:?} m, step {}", state.tip, state.step);
+/// # Ok(())
+/// # }
+/// ```
+pub struct Session {
+    board: Board,
+    sequence: u32,
+    /// Step of the state that was told last.
+    seen: Option<u32>,
+    /// How long a request acts in full, and how long it then fades, s; at most 0.2 each.
+    pub lease: (f32, f32),
+}
+
+impl Session {
+    /// Opens the board at a port, see [`Board::open`].
+    pub fn open(port: &PortSpec) -> Result<Self, LinkError> {
+        Ok(Self::of(Board::open(port)?))
+    }
+
+    /// Holds a board that is open already.
+    pub fn of(board: Board) -> Self {
+        Self { board, sequence: 0, seen: None, lease: (HOLD, FADE) }
+    }
+
+    /// Motors on. Whenever this session waits for telemetry it tells the board that somebody is there; forces tell it as
+    /// well.
+    pub fn arm(&mut self) -> Result<(), BoardError> {
+        self.board.keep_alive();
+        self.board.arm()
+    }
+
+    /// How the device is: tip (m), velocity (m/s), joint angles (rad).
+    pub fn look(&mut self) -> Result<ForceAnswer, LinkError> {
+        self.exchange(ForceRequest::default())
+    }
+
+    /// Pushes with a force (N) at the tip, in the task frame, in the place of what was asked for before. A force that was
+    /// not taken is no error: [`ForceAnswer::done`] says why.
+    pub fn force(&mut self, force: [f32; 3]) -> Result<ForceAnswer, LinkError> {
+        self.push(force, None)
+    }
+
+    /// Pushes with a force (N) at the tip and has the board render a plane.
+    pub fn push(&mut self, force: [f32; 3], contact: Option<HostContact>) -> Result<ForceAnswer, LinkError> {
+        let (hold, fade) = self.lease;
+        self.exchange(ForceRequest { hold, fade, force, contact, ..ForceRequest::default() })
+    }
+
+    /// Pushes with torques (N m) at the joints, in the place of what was asked for before.
+    pub fn torque(&mut self, torque: [f32; 3]) -> Result<ForceAnswer, LinkError> {
+        let (hold, fade) = self.lease;
+        self.exchange(ForceRequest { hold, fade, torque, ..ForceRequest::default() })
+    }
+
+    /// Sends any request, counted and stamped with the state that was told last.
+    pub fn exchange(&mut self, request: ForceRequest) -> Result<ForceAnswer, LinkError> {
+        self.sequence = self.sequence.wrapping_add(1);
+        let answer = self.board.force(&ForceRequest { sequence: self.sequence, seen: self.seen, ..request })?;
+        self.seen = Some(answer.step);
+        Ok(answer)
+    }
+}
+
+impl Deref for Session {
+    type Target = Board;
+    fn deref(&self) -> &Board {
+        &self.board
+    }
+}
+
+impl DerefMut for Session {
+    fn deref_mut(&mut self) -> &mut Board {
+        &mut self.board
+    }
+}
+
+impl Drop for Session {
+    fn drop(&mut self) {
+        // A board that cannot be reached any more sees to it itself.
+        let _ = self.board.disarm();
+    }
+}
