@@ -1,0 +1,49 @@
+/* Pushes a tip to the side against a spring that this program computes: push PORT DEVICE.toml
+ *
+ *     gcc push.c -I ../include -L ../../target/debug -lhapticbridge -lm -o push
+ */
+#include <hapticbridge.h>
+#include <math.h>
+#include <stddef.h>
+#include <stdio.h>
+
+static int failed(const char *what) {
+    fprintf(stderr, "%s: %s\n", what, hb_error());
+    return 1;
+}
+
+int main(int count, char **arguments) {
+    if (count != 3 || hb_version() != HB_VERSION) {
+        fprintf(stderr, "usage: push PORT DEVICE.toml, with a library of version %d\n", HB_VERSION);
+        return 2;
+    }
+    hb_board *board = hb_open(arguments[1]);
+    if (!board) return failed("open");
+    hb_state state;
+    if (hb_load(board, arguments[2], NULL) || hb_arm(board) || hb_exchange(board, NULL, &state)) {
+        hb_close(board);
+        return failed("start");
+    }
+    const float from[2] = {state.tip_m[0], state.tip_m[1]};
+    const uint32_t began = state.step;
+    /* Half a second for the ramp, half a second to come to rest. */
+    while ((state.step - began) * state.period_s < 1.0f) {
+        hb_request request = {.hold_s = 0.02f, .fade_s = 0.05f};
+        request.force_n[0] = 0.5f - 100.0f * (state.tip_m[0] - from[0]) - 2.0f * state.velocity_m_s[0];
+        request.force_n[1] = -100.0f * (state.tip_m[1] - from[1]) - 2.0f * state.velocity_m_s[1];
+        if (hb_exchange(board, &request, &state)) {
+            hb_close(board);
+            return failed("push");
+        }
+    }
+    printf("moved %.5f %.5f done %d state %d\n", state.tip_m[0] - from[0], state.tip_m[1] - from[1], state.done,
+           state.state);
+    /* For the test that holds this header to the library. */
+    printf("sizes %zu %zu offsets %zu %zu\n", sizeof(hb_request), sizeof(hb_state), offsetof(hb_request, damping_ns_m),
+           offsetof(hb_state, force_n));
+    hb_close(board);
+    /* What cannot be opened says why. */
+    if (hb_open("tcp:127.0.0.1:1") || hb_arm(NULL) != HB_BAD_ARGUMENT) return 1;
+    printf("%s\n", hb_error());
+    return 0;
+}
