@@ -597,6 +597,7 @@ where
             total: core::array::from_fn(|i| part(self.from[i], asked.total[i])),
             gravity: core::array::from_fn(|i| part(self.from[i], asked.gravity[i])),
             rendered: asked.rendered.map(|torque| torque * self.ramp),
+            force_squared: asked.force_squared,
         }
     }
 
@@ -605,7 +606,7 @@ where
     fn command(&mut self, asked: &Asked) {
         let Some(program) = self.program.as_mut() else { return };
         let joints = program.joints.min(MAX_JOINTS);
-        let torque = asked.within(&self.most_torque, joints);
+        let torque = asked.within(&self.most_torque, self.rules.limits.tip_force, joints);
         for (i, axis) in program.axes.iter_mut().enumerate().take(joints) {
             let current = axis.command(torque[i], self.crests.speed(i));
             self.frame.torque[i] = axis.torque_of(current);

@@ -34,7 +34,7 @@ struct Point {
     torque: [f32; MAX_JOINTS],
 }
 
-/// The servo at rest ever deeper in a wall through the pose `q`: joint limits in N m, currents in A.
+/// The servo at rest ever deeper in a wall through the pose `q`: joint limits in N m, currents in A, the tip's in N.
 struct Press {
     device: &'static str,
     q: [f64; 3],
@@ -43,6 +43,9 @@ struct Press {
     feed_forward: FeedForward,
     torque: f32,
     current: f32,
+    tip_force: f32,
+    /// How many times as strong the motors are as the file says.
+    strength: f64,
     /// Control steps at each depth: a washout lets go in seconds.
     steps: u32,
 }
@@ -64,6 +67,9 @@ impl Press {
         for joint in &mut description.joints {
             joint.encoder = Some(Encoder { counts_per_turn: COUNTS, offset: 0.0, inverted: false });
             joint.limits = None;
+            if let Some(motor) = &mut joint.motor {
+                motor.max_current *= self.strength;
+            }
         }
         let start = SVector::<f64, N>::from_fn(|i, _| self.q[i]);
         let pose = m.pose::<Libm>(&start);
@@ -93,6 +99,7 @@ impl Press {
             continuous_current: [self.current; MAX_JOINTS],
             speed: [1.0e3; MAX_JOINTS],
             power: 1.0e6,
+            tip_force: self.tip_force,
             ..Limits::default()
         };
         let hardware = Hardware {
@@ -162,6 +169,8 @@ fn demo(feed_forward: FeedForward) -> Press {
         feed_forward,
         torque: 2.0,
         current: 100.0,
+        tip_force: 1.0e9,
+        strength: 1.0,
         steps: 200,
     }
 }
@@ -232,6 +241,8 @@ fn gravity_stays_compensated_however_deep_the_wall_is_pressed() {
             feed_forward: FeedForward::Off,
             torque: 0.6,
             current: 100.0,
+            tip_force: 1.0e9,
+            strength: 1.0,
             steps: 50,
         };
         let points = press.points((0..=40).map(|i| 1.0e-4 * f64::from(i)));
@@ -241,6 +252,42 @@ fn gravity_stays_compensated_however_deep_the_wall_is_pressed() {
             assert!(pair[1].along >= pair[0].along - 2.0e-2, "{device}: {pair:?}");
             // Nothing sideways: along and across are what is left without gravity's torque.
             assert!(pair[1].across < 5.0e-3, "{device}: {pair:?}");
+        }
+    }
+}
+
+#[test]
+fn walls_push_with_the_tips_limit_and_no_more_in_every_pose() {
+    let pressed = |device, q, normal, feed_forward| {
+        // A limit of 5 N is what acts.
+        let strong = Press { torque: 1.0e3, current: 1.0e4, strength: 100.0, ..demo(feed_forward) };
+        let press = Press { device, q, normal, tip_force: 5.0, steps: 300, ..strong };
+        let points = press.points((0..=20).map(|i| 5.0e-5 * f64::from(i)));
+        for point in &points {
+            assert!(point.along <= 5.005, "{device} at {q:?}: {point:?}");
+            assert!(
+                (point.share - point.along / point.asked.max(1.0e-9)).abs() < 2.0e-3 || point.asked < 0.1,
+                "{point:?}"
+            );
+        }
+        let last = points[points.len() - 1];
+        assert!(last.asked > 19.0 && (last.along - 5.0).abs() < 5.0e-3, "{device} at {q:?}: {last:?}");
+        last.across
+    };
+    for angle in [0.3_f64, 1.3, 2.9] {
+        let (sin, cos) = angle.sin_cos();
+        for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
+            for q in [[2.6, 1.75, 0.0], [2.4, 1.6, 0.0], [2.8, 1.9, 0.0]] {
+                let across = pressed("coupled-five-bar", q, [cos, sin, 0.0], feed_forward);
+                // The feed-forward's sideways push is not what was asked for, and is cut with it.
+                assert!(feed_forward != FeedForward::Off || across < 1.0e-3, "{across} N sideways");
+            }
+        }
+        for device in ["phantom-premium-1.5", "woodenhaptics"] {
+            for q in [[0.3, 0.9, -0.3], [-0.2, 0.7, -0.5]] {
+                let across = pressed(device, q, [cos * 0.6, sin * 0.6, 0.8], FeedForward::Off);
+                assert!(across < 5.0e-3, "{device}: {across} N sideways");
+            }
         }
     }
 }

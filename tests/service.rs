@@ -67,6 +67,7 @@ fn rules(share: f32) -> Rules {
         continuous_current: most.continuous_current.map(|limit| share * limit),
         speed: most.speed.map(|limit| share * limit),
         power: share * most.power,
+        tip_force: share * most.tip_force,
         ..most
     };
     Rules { limits, ..Rules::default() }
@@ -217,12 +218,13 @@ fn the_table_above_leaves_no_endpoint_out() {
 #[test]
 fn no_limit_beyond_the_boards_own_and_no_wild_number_passes() {
     type Set = fn(&mut Limits, usize, f32);
-    let sets: [(Limit, f32, Set); 5] = [
+    let sets: [(Limit, f32, Set); 6] = [
         (Limit::Torque, 5.0, |limits, axis, to| limits.torque[axis] = to),
         (Limit::Current, 10.0, |limits, axis, to| limits.current[axis] = to),
         (Limit::ContinuousCurrent, 10.0, |limits, axis, to| limits.continuous_current[axis] = to),
         (Limit::Speed, 60.0, |limits, axis, to| limits.speed[axis] = to),
         (Limit::Power, 20.0, |limits, _, to| limits.power = to),
+        (Limit::TipForce, 1_000.0, |limits, _, to| limits.tip_force = to),
     ];
     /// What was refused, when nothing else was.
     fn refused(answer: Result<(), Refusal>) -> BadLimit {
@@ -238,7 +240,7 @@ fn no_limit_beyond_the_boards_own_and_no_wild_number_passes() {
                 let mut wild = rules(0.5);
                 set(&mut wild.limits, axis, bad);
                 let said = refused(board.ask::<SetRules>(&wild).unwrap());
-                let joint = (name != Limit::Power).then_some(axis as u8);
+                let joint = (name != Limit::Power && name != Limit::TipForce).then_some(axis as u8);
                 assert_eq!((said.limit, said.joint, said.most), (name, joint, most), "{bad}");
                 assert_eq!(said.value.to_bits(), bad.to_bits(), "the number itself comes back");
                 let (words, unit) = name.words();
@@ -489,4 +491,17 @@ fn a_restore_is_one_change_or_none() {
     assert!(!done.ask::<GetStatus>(&()).unwrap().homed, "another device has to be homed");
     done.ask::<Restart>(&()).unwrap().unwrap();
     assert_eq!(now(&mut done), (wild, Some(heavier())), "and so after a restart");
+}
+
+#[test]
+fn a_board_with_real_motors_that_nothing_was_said_to_pushes_with_5_newtons_at_the_tip() {
+    let limits = |real| Board::new(real).ask::<GetRules>(&()).unwrap().limits;
+    assert_eq!(limits(true), Limits { tip_force: 5.0, ..Limits::default() });
+    assert_eq!(limits(false), Limits::default(), "where nothing moves there is nothing to hold back");
+    // And it can be told otherwise, up to what the board allows.
+    let mut board = Board::new(true);
+    let stronger = Limits { tip_force: 9.0, ..limits(true) };
+    let rules = Rules { limits: stronger, ..board.ask::<GetRules>(&()).unwrap() };
+    board.ask::<SetRules>(&rules).unwrap().unwrap();
+    assert_eq!(board.ask::<GetRules>(&()).unwrap().limits, stronger);
 }

@@ -228,12 +228,13 @@ fn another_device_forgets_homing_and_polarity() {
 #[test]
 fn limits_are_raised_only_with_the_motors_off_and_lowered_at_any_time() {
     type Change = fn(&mut Limits, f32);
-    let changes: [(&str, Change); 5] = [
+    let changes: [(&str, Change); 6] = [
         ("torque", |limits, by| limits.torque[0] *= by),
         ("current", |limits, by| limits.current[0] *= by),
         ("continuous current", |limits, by| limits.continuous_current[0] *= by),
         ("speed", |limits, by| limits.speed[0] *= by),
         ("power", |limits, by| limits.power *= by),
+        ("tip force", |limits, by| limits.tip_force *= by),
     ];
     for (name, change) in changes {
         let changed = |by| {
@@ -313,7 +314,9 @@ fn limits_can_be_lowered_again_after_the_current_went_below_what_may_flow_for_ev
 #[test]
 fn a_lowered_limit_acts_at_the_next_step() {
     type Change = fn(&mut Limits);
-    let changes: [(&str, Change, f32); 3] = [
+    // 2.5 N of the wall, at an arm of 0.1 m.
+    let changes: [(&str, Change, f32); 4] = [
+        ("tip force", |limits| limits.tip_force = 2.0, 0.2),
         ("current", |limits| limits.current[0] = 1.5, 0.15),
         ("torque", |limits| limits.torque[0] = 0.15, 0.15),
         ("the least torque", |limits| limits.torque[0] = f32::MIN_POSITIVE, 0.0),

@@ -8,6 +8,7 @@ use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::MassModelData;
 use haptic_bridge::render::scene::{Cylinder, FeedForward, Scene, Sphere, Spring, Surface, VelocityTerms};
+use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::servo::{HostAction, Rules};
 use std::fmt::Debug;
 use std::fmt::Write as _;
@@ -177,6 +178,23 @@ fn a_scene_stored_before_it_had_a_gain_comes_back_with_its_terms_as_they_were() 
     assert_eq!(decode::<Scene<f32>>(&off), Ok(Scene { velocity_terms: VelocityTerms::Off, ..expected }));
     let cut = resealed(&entry, |body| body.truncate(body.len() - 1));
     assert_eq!(decode::<Scene<f32>>(&cut), Err(Damage::Corrupt));
+}
+
+#[test]
+fn rules_stored_before_a_tip_had_a_limit_come_back_with_a_gentle_one() {
+    // `rules 1` of tests/golden/settings.txt while it was the newest.
+    let hex = "03019a99993e9a99993e9a99993e0000404000004040000040400000803f0000803f0000803f0000a0410000a0410000a041\
+               00000040000020410000e041010000803e01c0a907018040cea6abd0";
+    let entry: Vec<u8> =
+        (0..hex.len() / 2).map(|i| u8::from_str_radix(&hex[2 * i..2 * i + 2], 16).expect("hexadecimal")).collect();
+    let rules = full_rules();
+    let expected = Rules { limits: Limits { tip_force: 5.0, ..rules.limits }, ..rules };
+    assert_eq!(decode::<Rules>(&entry), Ok(expected));
+    let words = serde_json::to_value(rules).expect("rules in words");
+    let mut old = words.clone();
+    old["limits"].as_object_mut().expect("fields").remove("tip_force").expect("a field");
+    assert_eq!(serde_json::from_value::<Rules>(old).expect("it reads"), expected);
+    assert_eq!(serde_json::from_value::<Rules>(words).expect("it reads"), rules);
 }
 
 #[test]

@@ -6,6 +6,7 @@ use haptic::scene_file::SceneFile;
 use haptic::sim::{Bridge, Device, Options};
 use haptic_bridge::model::device::Device as DeviceData;
 use haptic_bridge::safety::fault::State;
+use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::servo::{HostAction, Rules};
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
@@ -138,14 +139,16 @@ impl Rig {
         rig
     }
 
-    /// Tells the board not to watch its host: virtual time passes without one.
+    /// Tells the board what may be said where no person is: not to watch its host, because virtual time passes without
+    /// one, and to push at the tip as hard as it ever may.
     ///
     /// # Panics
     ///
     /// When the board refuses.
     pub fn watch_nobody(&mut self) {
         let rules = self.tool.rules().expect("the board answers");
-        self.tool.set_rules(&Rules { host_action: HostAction::Ignore, ..rules }).expect("the motors are off");
+        let limits = Limits { tip_force: 100.0, ..rules.limits };
+        self.tool.set_rules(&Rules { limits, host_action: HostAction::Ignore, ..rules }).expect("the motors are off");
     }
 
     /// Loads the device at the connectors, and a scene.

@@ -112,6 +112,7 @@ fn pressed(file: &DeviceFile, limit: f32) -> Result<Vec<Pressed>, Box<dyn std::e
         continuous_current: [1.0e4; MAX_JOINTS],
         speed: [1.0e3; MAX_JOINTS],
         power: 1.0e6,
+        tip_force: 1.0e9,
         ..Limits::default()
     };
     let hardware = Hardware {

@@ -4,10 +4,6 @@ use crate::analysis::pose::{PoseError, TaskPose};
 use haptic_bridge::model::description::Description;
 use nalgebra::DVector;
 
-/// Force at the tip, N, that the torque limits of a device are set for unless its user says otherwise: a push that a
-/// wrist withstands and that a hand can hold.
-pub const GENTLE_FORCE: f64 = 5.0;
-
 /// A device at one pose, to ask what its limits leave.
 #[derive(Clone, Debug)]
 pub struct Tip {
@@ -55,6 +51,9 @@ impl Tip {
     }
 }
 
+/// Joint speed, rad/s, that the boards' firmware allows until it is told otherwise.
+pub const BOARD_SPEED: f64 = 100.0;
+
 /// What each motor itself can do, N m at the joint; 0 without one.
 pub fn motor_torques(description: &Description) -> Vec<f64> {
     let motors = description.joints.iter().map(|joint| joint.motor);
@@ -65,16 +64,65 @@ pub fn motor_torques(description: &Description) -> Vec<f64> {
 mod tests {
     use super::*;
     use crate::device_file::DeviceFile;
+    use haptic_bridge::model::catalogue::MAX_JOINTS;
+
+    /// The devices that ship, with a home pose, by their file's name.
+    fn shipped() -> Vec<(String, DeviceFile, Tip)> {
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices");
+        let files = std::fs::read_dir(folder).expect("devices ship").map(|entry| entry.expect("a file").path());
+        let mut paths: Vec<_> = files.filter(|path| path.extension().is_some_and(|ending| ending == "toml")).collect();
+        paths.sort();
+        let devices = paths.into_iter().filter_map(|path| {
+            let file = DeviceFile::load(&path).expect("shipped files are sound");
+            let tip = Tip::at_home(&file.description)?.expect("home is no singular pose");
+            Some((path.file_stem()?.to_string_lossy().into_owned(), file, tip))
+        });
+        devices.collect()
+    }
+
+    #[test]
+    fn the_table_in_the_documentation_is_what_is_computed() {
+        use std::fmt::Write as _;
+        const BEGIN: &str = "<!-- tips: written by host/src/tip.rs -->\n";
+        const END: &str = "<!-- end of tips -->\n";
+        let gentle = f64::from(haptic_bridge::safety::limits::GENTLE_FORCE);
+        let mut table = String::from(
+            "| device | rendered, N | torque limits, N m | any torque within them, N | motors alone, N | energy, J |\n\
+             |---|--:|---|--:|--:|--:|\n",
+        );
+        for (name, file, tip) in shipped() {
+            let limits = tip.torques_for(gentle);
+            let listed: Vec<String> = limits.iter().map(|torque| format!("{torque:.3}")).collect();
+            let motors = match motor_torques(&file.description) {
+                motors if motors.iter().any(|torque| *torque > 0.0) => format!("{:.1}", tip.force(&motors)),
+                _ => "no motors in the file".into(),
+            };
+            let most = tip.force(&limits);
+            let energy = tip.energy(&[BOARD_SPEED; MAX_JOINTS]);
+            let limits = listed.join(", ");
+            writeln!(table, "| {name} | {gentle} | {limits} | {most:.1} | {motors} | {energy:.2} |").expect("it fits");
+        }
+        for board in [
+            include_str!("../../firmware/src/board/odrive_v3.rs"),
+            include_str!("../../firmware/src/board/h_bridge_f405.rs"),
+        ] {
+            assert!(board.contains(&format!("    speed: [{BOARD_SPEED:.1}; 3],")), "boards start with another speed");
+        }
+        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/safety.md");
+        let text = std::fs::read_to_string(&path).expect("docs/safety.md is there");
+        let (head, rest) = text.split_once(BEGIN).expect("the table's begin");
+        let (committed, tail) = rest.split_once(END).expect("the table's end");
+        if std::env::var_os("UPDATE_DOCS").is_some() {
+            std::fs::write(&path, format!("{head}{BEGIN}{table}{END}{tail}")).expect("docs/safety.md can be written");
+        } else {
+            assert_eq!(committed, table, "run UPDATE_DOCS=1 cargo test -p haptic --lib tip::");
+        }
+    }
 
     #[test]
     fn no_torque_within_the_limits_for_a_force_makes_more_of_it() {
-        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices");
-        let files = std::fs::read_dir(folder).expect("devices ship").map(|entry| entry.expect("a file").path());
         let mut tried = 0;
-        for path in files.filter(|path| path.extension().is_some_and(|ending| ending == "toml")) {
-            let file = DeviceFile::load(&path).expect("shipped files are sound");
-            let Some(tip) = Tip::at_home(&file.description) else { continue };
-            let tip = tip.expect("home is no singular pose");
+        for (name, file, tip) in shipped() {
             let limits = tip.torques_for(5.0);
             let inverse = &tip.pose.inverse;
             assert_eq!(limits.len(), file.spec().joints);
@@ -86,7 +134,7 @@ mod tests {
                 let force: f64 = (0..tip.pose.task).map(|i| inverse.column(i).dot(&torque).powi(2)).sum::<f64>();
                 most = most.max(force.sqrt());
             }
-            assert!((4.999..5.001).contains(&most), "{}: {most} N", path.display());
+            assert!((4.999..5.001).contains(&most), "{name}: {most} N");
             tried += 1;
         }
         assert!(tried >= 3, "{tried} devices with a home pose");

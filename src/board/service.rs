@@ -14,7 +14,7 @@ use crate::model::precomputed::{MassModelData, Receiving};
 use crate::render::scene::{FeedForward, Scene, SceneError};
 use crate::render::velocity::{Coefficients, Washout};
 use crate::safety::fault::{FaultRecord, State};
-use crate::safety::limits::{BadLimit, Limit};
+use crate::safety::limits::{BadLimit, GENTLE_FORCE, Limit, Limits};
 use crate::safety::refusal::Refusal;
 use crate::servo::program::{Hardware, Program};
 use crate::servo::{Command, HostAction, Reply, Rules, Status, TABLE_PIECE};
@@ -55,7 +55,7 @@ pub trait Machine {
 #[derive(Debug)]
 pub struct Service {
     hardware: Hardware,
-    most: crate::safety::limits::Limits,
+    most: Limits,
     device: Option<Device<f32>>,
     scene: Option<Scene<f32>>,
     mass: MassModelData,
@@ -71,8 +71,14 @@ pub struct Service {
 }
 
 impl Service {
-    /// An empty board whose limits can never be raised above those in `most`, which are also its defaults.
-    pub fn new(hardware: Hardware, most: crate::safety::limits::Limits) -> Self {
+    /// An empty board whose limits can never be raised above those in `most`, which are also its defaults, but for the
+    /// force at the tip of real motors: [`GENTLE_FORCE`].
+    pub fn new(hardware: Hardware, most: Limits) -> Self {
+        // Where no motor can hurt anyone there is nothing to hold back and nothing to switch off.
+        let (tip_force, host_action) = match hardware.real {
+            true => (GENTLE_FORCE, HostAction::Disarm),
+            false => (most.tip_force, HostAction::Ignore),
+        };
         Self {
             hardware,
             most,
@@ -80,12 +86,7 @@ impl Service {
             scene: None,
             mass: MassModelData::Exact,
             receiving: Receiving::default(),
-            rules: Rules {
-                limits: most,
-                // Where no motor can hurt anyone there is nothing to switch off.
-                host_action: if hardware.real { HostAction::Disarm } else { HostAction::Ignore },
-                ..Rules::default()
-            },
+            rules: Rules { limits: Limits { tip_force, ..most }, host_action, ..Rules::default() },
             name: Name::new(),
             polarity: None,
             damage: Vec::new(),

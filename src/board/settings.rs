@@ -7,6 +7,7 @@ use crate::checksum::crc32;
 use crate::model::device::Device;
 use crate::model::precomputed::MassModelData;
 use crate::render::scene::Scene;
+use crate::safety::limits::GENTLE_FORCE;
 use crate::servo::Rules;
 use heapless::{String, Vec};
 use postcard_schema::Schema;
@@ -59,9 +60,13 @@ pub trait Setting: Serialize + DeserializeOwned {
     const KEY: Key;
     /// Version of its encoding; raised whenever its fields change.
     const VERSION: u8;
-    /// Earlier versions that differ by lacking these bytes at the end: what the later fields were before there were any.
-    const SHORTER: &'static [(u8, &'static [u8])] = &[];
+    /// Earlier versions that differ by lacking bytes: the version, where the bytes belong (counted from the value's first
+    /// byte, or [`END`]), and what the later fields were before there were any.
+    const SHORTER: &'static [(u8, usize, &'static [u8])] = &[];
 }
+
+/// Behind everything else.
+const END: usize = usize::MAX;
 
 impl Setting for Device<f32> {
     const KEY: Key = Key::Device;
@@ -73,11 +78,14 @@ impl Setting for Scene<f32> {
     /// 2: a feed-forward gain, and what a redundant device holds; `velocity_terms` is no flag any more.
     const VERSION: u8 = 2;
     /// A gain of 1 and the orientation.
-    const SHORTER: &'static [(u8, &'static [u8])] = &[(1, &[0x00, 0x00, 0x80, 0x3f, 0x00])];
+    const SHORTER: &'static [(u8, usize, &'static [u8])] = &[(1, END, &[0x00, 0x00, 0x80, 0x3f, 0x00])];
 }
 impl Setting for Rules {
     const KEY: Key = Key::Rules;
-    const VERSION: u8 = 1;
+    /// 2: a largest force at the tip.
+    const VERSION: u8 = 2;
+    /// A gentle one, at the end of the limits, which come first: fifteen numbers of four bytes.
+    const SHORTER: &'static [(u8, usize, &'static [u8])] = &[(1, 60, &GENTLE_FORCE.to_le_bytes())];
 }
 impl Setting for MassModelData {
     const KEY: Key = Key::MassModel;
@@ -140,10 +148,13 @@ pub fn decode<S: Setting>(entry: &[u8]) -> Result<S, Damage> {
     match body {
         [key, ..] if *key != S::KEY as u8 => Err(Damage::OtherKey),
         [_, version, value @ ..] if *version != S::VERSION => {
-            let missing = S::SHORTER.iter().find(|(earlier, _)| earlier == version);
-            let (_, missing) = missing.ok_or(Damage::UnknownVersion(*version))?;
-            let mut whole = Entry::from_slice(value).map_err(|_| Damage::TooLong)?;
-            whole.extend_from_slice(missing).map_err(|_| Damage::TooLong)?;
+            let missing = S::SHORTER.iter().find(|(earlier, ..)| earlier == version);
+            let (_, at, missing) = missing.ok_or(Damage::UnknownVersion(*version))?;
+            let (before, after) = value.split_at((*at).min(value.len()));
+            let mut whole = Entry::new();
+            for part in [before, missing, after] {
+                whole.extend_from_slice(part).map_err(|_| Damage::TooLong)?;
+            }
             value_of(&whole)
         }
         [_, _, value @ ..] => value_of(value),

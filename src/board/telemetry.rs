@@ -72,7 +72,7 @@ fields! {
     WallForce = 8, "force", "N", false, |frame, _i| frame.wall_force,
         "Force that the walls ask for, summed over the walls touched: no motor has been asked yet";
     RenderedForce = 15, "rendered", "N", false, |frame, _i| frame.rendered_force,
-        "What the limits leave of that force: force less what ramp, torque and current limits took off along the normal of the deepest wall; 0 unless armed";
+        "What the limits leave of that force: force less what ramp and the limits of tip force, torque and current took off along the normal of the deepest wall; 0 unless armed";
     Saturated = 16, "saturated", "", true, |frame, i| frame.saturation(i),
         "Which motors could not do what was asked: 0 none, 1 its torque or current limit acted, 2 its duty is at the end of what the bus gives, 3 both";
     Shaping = 9, "shaping", "", false, |frame, _i| frame.shaping,

@@ -85,6 +85,8 @@ pub struct Step<T: Real, const N: usize> {
     pub gravity: SVector<T, N>,
     /// What of them renders the forces that walls, springs and fields ask for, Jᵀ f, N m. The rest is the feed-forward.
     pub rendered: SVector<T, N>,
+    /// The square of those forces' resultant, N².
+    pub force_squared: T,
     /// Distance to the deepest wall, m; negative inside it. Zero without walls.
     pub distance: T,
     /// Velocity along the normal of the deepest wall, m/s.
@@ -210,6 +212,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             torque: SVector::zeros(),
             gravity: SVector::zeros(),
             rendered: SVector::zeros(),
+            force_squared: T::zero(),
             distance: touch.distance,
             normal_velocity: touch.normal_velocity,
             wall_force: touch.wall_force,
@@ -240,7 +243,9 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
                 straight = true;
             }
             let shaped = more.iter().fold(first.normal * first.shaped, |sum, a| sum + a.normal * a.shaped);
-            step.rendered = self.mechanism.transpose(&pose, &(plain + shaped));
+            let force = plain + shaped;
+            step.force_squared = force.dot(&force);
+            step.rendered = self.mechanism.transpose(&pose, &force);
             let parallel = regularity.parallel * T::from_f64(1.0 / PARALLEL_REGULARITY);
             let share = fade(regularity.serial.lesser(parallel));
             if share < T::one() || !more.is_empty() {
@@ -259,6 +264,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
                 step.torque += self.mechanism.transpose(&pose, &plain);
             }
         } else if straight {
+            step.force_squared = plain.dot(&plain);
             step.torque = self.mechanism.transpose(&pose, &plain);
             step.rendered = step.torque;
         }

@@ -21,6 +21,18 @@ pub struct Limits {
     pub bus_min: f32,
     /// Highest bus voltage, V.
     pub bus_max: f32,
+    /// Force that walls, springs and fields may render at the tip together, N: |f| of τ = Jᵀ f, in every pose.
+    #[serde(default = "gentle")]
+    pub tip_force: f32,
+}
+
+/// Tip force, N, that a board with real motors allows until somebody says otherwise: a push that a wrist withstands
+/// and that a hand can hold.
+pub const GENTLE_FORCE: f32 = 5.0;
+
+/// What a backup meant whose limits had no tip force.
+fn gentle() -> f32 {
+    GENTLE_FORCE
 }
 
 /// Averaging time of the power limit, s.
@@ -36,6 +48,7 @@ impl Default for Limits {
             power: 20.0,
             bus_min: 8.0,
             bus_max: 28.0,
+            tip_force: 1.0e3,
         }
     }
 }
@@ -57,6 +70,8 @@ pub enum Limit {
     BusMin,
     /// Highest bus voltage, V.
     BusMax,
+    /// Force at the tip, N.
+    TipForce,
     /// How long a host may be silent, s.
     HostSeconds,
     /// Counts between two index pulses.
@@ -74,6 +89,7 @@ impl Limit {
             Self::Power => ("power into the hand", " W"),
             Self::BusMin => ("lowest supply voltage", " V"),
             Self::BusMax => ("highest supply voltage", " V"),
+            Self::TipForce => ("force at the tip", " N"),
             Self::HostSeconds => ("silence of the host", " s"),
             Self::IndexPeriod => ("index period", " counts"),
         }
@@ -89,7 +105,7 @@ pub struct BadLimit {
     pub joint: Option<u8>,
     /// The number.
     pub value: f32,
-    /// What it must not be below; torque, current, speed and power must be above.
+    /// What it must not be below; torque, current, speed, power and force must be above.
     pub least: f32,
     /// What it must not be above.
     pub most: f32,
@@ -135,6 +151,9 @@ impl Limits {
         let one = |limit, value, least, most| Some(BadLimit { limit, joint: None, value, least, most });
         if !(self.power > 0.0 && self.power <= most.power) {
             return one(Limit::Power, self.power, 0.0, most.power);
+        }
+        if !(self.tip_force > 0.0 && self.tip_force <= most.tip_force) {
+            return one(Limit::TipForce, self.tip_force, 0.0, most.tip_force);
         }
         if !(self.bus_min >= most.bus_min && self.bus_min < most.bus_max) {
             return one(Limit::BusMin, self.bus_min, most.bus_min, most.bus_max);

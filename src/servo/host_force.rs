@@ -342,7 +342,7 @@ where
             answer.velocity = velocity;
             if self.host.acts && self.state == State::Armed {
                 let asked = if self.ramp < 1.0 { self.faded(&self.host.asked) } else { self.host.asked };
-                let left = self.ramp * asked.share(&self.most_torque, program.joints);
+                let left = self.ramp * asked.share(&self.most_torque, self.rules.limits.tip_force, program.joints);
                 answer.share = self.host.lease * left;
                 answer.force = pushed.map(|force| force * left);
             }

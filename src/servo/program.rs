@@ -163,7 +163,7 @@ fn record<const N: usize>(
     frame.energy = step.energy;
     frame.passivity_damping = step.passivity_damping;
     let (gravity, rendered) = (pad(&step.gravity.data.0[0]), pad(&step.rendered.data.0[0]));
-    (step.regularity, Asked { total: frame.torque, gravity, rendered })
+    (step.regularity, Asked { total: frame.torque, gravity, rendered, force_squared: step.force_squared })
 }
 
 /// A device in a scene on a board, ready to run: what is handed to the servo whole.

@@ -4,10 +4,11 @@
 //! sideways. So the torques are cut in the order of what they are for (docs/model.md section 2):
 //!
 //! 1. what holds the device against gravity, each joint within its limit;
-//! 2. what renders the forces asked for, Jᵀ f, all joints by one factor: the force keeps its direction;
+//! 2. what renders the forces asked for, Jᵀ f, all joints by one factor: the force keeps its direction, and is no larger
+//!    than its own limit allows;
 //! 3. the feed-forward, of the force that is really rendered and as far as the limits leave room, by one factor again.
 
-use crate::math::limited;
+use crate::math::{limited, newton_sqrt};
 use crate::model::catalogue::MAX_JOINTS;
 
 /// Joint torques of one control step by what they are for, N m.
@@ -19,24 +20,28 @@ pub struct Asked {
     pub gravity: [f32; MAX_JOINTS],
     /// What renders the forces that walls, springs and fields ask for; the rest is the feed-forward.
     pub rendered: [f32; MAX_JOINTS],
+    /// |f|², the square of those forces' resultant, N².
+    pub force_squared: f32,
 }
 
 impl Asked {
-    /// The torques within ±`limit` (N m, not negative) of each of the first `joints` joints.
+    /// The torques within ±`limit` (N m, not negative) of each of the first `joints` joints, and of forces within
+    /// `tip_force` (N).
     #[inline(always)]
-    pub fn within(&self, limit: &[f32; MAX_JOINTS], joints: usize) -> [f32; MAX_JOINTS] {
+    pub fn within(&self, limit: &[f32; MAX_JOINTS], tip_force: f32, joints: usize) -> [f32; MAX_JOINTS] {
         // A loop, because an iterator's `all` is not inlined on the chip and checks its index there.
-        let mut fits = true;
+        let mut fits = self.force_squared <= tip_force * tip_force;
         for (i, limit) in limit.iter().enumerate().take(joints) {
             let both = self.gravity[i] + self.rendered[i];
             fits &= self.gravity[i].abs() <= *limit && both.abs() <= *limit && self.total[i].abs() <= *limit;
         }
-        if fits { self.total } else { self.cut(limit, joints) }
+        if fits { self.total } else { self.cut(limit, tip_force, joints) }
     }
 
-    /// The share of the forces asked for that is rendered within ±`limit` (N m) of each of the first `joints` joints.
-    pub fn share(&self, limit: &[f32; MAX_JOINTS], joints: usize) -> f32 {
-        let mut share = 1.0;
+    /// The share of the forces asked for that is rendered within `tip_force` (N) and ±`limit` (N m) of each of the first
+    /// `joints` joints.
+    pub fn share(&self, limit: &[f32; MAX_JOINTS], tip_force: f32, joints: usize) -> f32 {
+        let mut share = share_within(self.force_squared, tip_force);
         for (i, limit) in limit.iter().enumerate().take(joints) {
             share = room(limited(self.gravity[i], *limit), self.rendered[i], *limit, share);
         }
@@ -46,9 +51,9 @@ impl Asked {
     #[cold]
     #[inline(never)]
     #[allow(clippy::needless_range_loop, reason = "one number for four arrays")]
-    fn cut(&self, limit: &[f32; MAX_JOINTS], joints: usize) -> [f32; MAX_JOINTS] {
+    fn cut(&self, limit: &[f32; MAX_JOINTS], tip_force: f32, joints: usize) -> [f32; MAX_JOINTS] {
         let joints = joints.min(MAX_JOINTS);
-        let share = self.share(limit, joints);
+        let share = self.share(limit, tip_force, joints);
         let mut torque = [0.0; MAX_JOINTS];
         for i in 0..joints {
             torque[i] = limited(self.gravity[i], limit[i]) + share * self.rendered[i];
@@ -63,6 +68,17 @@ impl Asked {
             torque[i] = limited(torque[i] + rest_share * rest(i), limit[i]);
         }
         torque
+    }
+}
+
+/// The share of a force that is within `most` (N), 1 where all of it is; none of what is no number.
+fn share_within(squared: f32, most: f32) -> f32 {
+    if squared <= most * most {
+        1.0
+    } else if squared.is_finite() {
+        most / newton_sqrt(squared)
+    } else {
+        0.0
     }
 }
 
@@ -86,7 +102,25 @@ mod tests {
 
     fn cut(gravity: [f32; 3], rendered: [f32; 3], rest: [f32; 3], limit: [f32; 3]) -> [f32; 3] {
         let total = core::array::from_fn(|i| gravity[i] + rendered[i] + rest[i]);
-        Asked { total, gravity, rendered }.within(&limit, 3)
+        Asked { total, gravity, rendered, force_squared: 0.0 }.within(&limit, 5.0, 3)
+    }
+
+    #[test]
+    fn a_force_beyond_its_limit_is_cut_to_it_and_the_feed_forward_with_it() {
+        // 3-4-5: 10 N where 5 N may be, in torques that all fit.
+        let asked = Asked {
+            total: [1.0, 6.0 + 2.0, 8.0 + 1.0],
+            gravity: [1.0, 0.0, 0.0],
+            rendered: [0.0, 6.0, 8.0],
+            force_squared: 100.0,
+        };
+        assert_eq!(asked.within(&[50.0; 3], 5.0, 3), [1.0, 3.0 + 1.0, 4.0 + 0.5]);
+        assert_eq!(asked.within(&[50.0; 3], 10.0, 3), asked.total, "10 N are within 10 N");
+        assert_eq!(asked.within(&[50.0, 50.0, 2.0], 5.0, 3)[..2], [1.0, 1.5], "a joint may leave less than the force");
+        for no_number in [f32::NAN, f32::INFINITY] {
+            let asked = Asked { force_squared: no_number, ..asked };
+            assert_eq!(asked.within(&[50.0; 3], 5.0, 3), [1.0, 0.0, 0.0], "only what holds the device");
+        }
     }
 
     #[test]

@@ -66,6 +66,7 @@ impl Press {
             continuous_current: [1.0e3; MAX_JOINTS],
             speed: [1.0e3; MAX_JOINTS],
             power: 1.0e6,
+            tip_force: 1.0e9,
             ..Limits::default()
         };
         let bridge = Bridge { carrier_hz: 20_000.0, dead_time: 0.0, bandwidth_hz: 1_000.0, current_sensed: false };

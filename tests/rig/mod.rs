@@ -52,6 +52,7 @@ pub fn limits() -> Limits {
         power: 2.0,
         bus_min: 10.0,
         bus_max: 28.0,
+        tip_force: 1.0e3,
     }
 }
 

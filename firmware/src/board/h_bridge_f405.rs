@@ -46,6 +46,7 @@ pub const LIMITS: Limits = Limits {
     power: 40.0,
     bus_min: 6.0,
     bus_max: 34.0,
+    tip_force: 100.0,
 };
 
 /// Faults that this board has no means to see.

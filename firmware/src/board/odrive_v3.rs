@@ -56,6 +56,7 @@ pub const LIMITS: Limits = Limits {
     power: 40.0,
     bus_min: 10.0,
     bus_max: 50.0,
+    tip_force: 100.0,
 };
 
 /// Faults that this board has no means to see.

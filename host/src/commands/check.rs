@@ -9,11 +9,11 @@ use haptic::plausible::{Warning, device, scene, warn, with_unit};
 use haptic::plot::device::draw;
 use haptic::scene_file::SceneFile;
 use haptic::summary::Summary;
-use haptic::tip::{GENTLE_FORCE, Tip, motor_torques};
+use haptic::tip::{BOARD_SPEED, Tip, motor_torques};
 use haptic::toml_file::Document;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::Description;
-use haptic_bridge::safety::limits::Limits;
+use haptic_bridge::safety::limits::GENTLE_FORCE;
 use std::path::{Path, PathBuf};
 
 /// Check a device file, and scene files for that device
@@ -176,15 +176,15 @@ fn tip_in_words(description: &Description) -> String {
     let motors = motor_torques(description);
     match Tip::at_home(description) {
         Some(Ok(tip)) if motors.iter().any(|torque| *torque > 0.0) => {
-            let speed = [Limits::default().speed[0].into(); MAX_JOINTS];
+            let speed = [BOARD_SPEED; MAX_JOINTS];
             let joints: Vec<String> =
-                tip.torques_for(GENTLE_FORCE).iter().map(|torque| format!("{torque:.3}")).collect();
+                tip.torques_for(GENTLE_FORCE.into()).iter().map(|torque| format!("{torque:.3}")).collect();
             format!(
-                "  at the home pose its motors make up to {:.1} N at the tip; `haptic device` sets torque limits for \
-                 {GENTLE_FORCE} N ({} N m); at {} rad/s its links carry {:.2} J\n",
+                "  at the home pose its motors make up to {:.1} N at the tip; a board lets walls push with \
+                 {GENTLE_FORCE} N until told otherwise, and `haptic device` sets torque limits for as much ({} N m); at {} rad/s its links carry {:.2} J\n",
                 tip.force(&motors),
                 joints.join(", "),
-                speed[0],
+                BOARD_SPEED,
                 tip.energy(&speed)
             )
         }

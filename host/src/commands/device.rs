@@ -5,9 +5,10 @@ use haptic::device_file::DeviceFile;
 use haptic::error::Failure;
 use haptic::link::Board;
 use haptic::plausible::{device::doubts, warn};
-use haptic::tip::{GENTLE_FORCE, Tip};
+use haptic::tip::Tip;
 use haptic::toml_file::Document;
 use haptic_bridge::model::device::Device;
+use haptic_bridge::safety::limits::GENTLE_FORCE;
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -19,10 +20,10 @@ use std::path::PathBuf;
 pub struct Args {
     /// Device file (TOML)
     file: PathBuf,
-    /// Largest force at the tip in the home pose, N: lowers the board's torque limits to it. Limits that are lower
-    /// already stay
-    #[arg(long, value_name = "N", default_value_t = GENTLE_FORCE, value_parser = newtons)]
-    tip_force: f64,
+    /// Largest force that walls, springs and fields render at the tip, N [default: what the board has, at most 5].
+    /// Lowers the board's torque limits as well, so that no torque makes more in the home pose
+    #[arg(long, value_name = "N", value_parser = newtons)]
+    tip_force: Option<f32>,
     #[command(flatten)]
     port: Port,
     /// Print one JSON document
@@ -30,8 +31,8 @@ pub struct Args {
     json: bool,
 }
 
-fn newtons(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
+fn newtons(text: &str) -> Result<f32, String> {
+    match text.parse::<f32>() {
         Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
         Ok(_) => Err("must be finite and greater than zero".into()),
         Err(_) => Err("not a number".into()),
@@ -78,22 +79,29 @@ pub fn run(args: Args) -> Result<(), Failure> {
     answer(args.json, document, &report)
 }
 
-/// Lowers the torque limits to what the force at the tip takes, and says so.
-fn soften(board: &mut Board, file: &DeviceFile, newtons: f64) -> Result<String, Failure> {
-    let Some(Ok(tip)) = Tip::at_home(&file.description) else { return Ok(String::new()) };
+/// Limits the force at the tip, lowers the torque limits to what it takes in the home pose, and says so.
+fn soften(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Result<String, Failure> {
     let mut rules = board.rules()?;
-    let before = rules.limits.torque;
-    for (limit, torque) in rules.limits.torque.iter_mut().zip(tip.torques_for(newtons)) {
-        *limit = limit.min(torque as f32);
+    let before = rules.limits;
+    let newtons = newtons.unwrap_or(before.tip_force.min(GENTLE_FORCE));
+    rules.limits.tip_force = newtons;
+    if let Some(Ok(tip)) = Tip::at_home(&file.description) {
+        for (limit, torque) in rules.limits.torque.iter_mut().zip(tip.torques_for(newtons.into())) {
+            *limit = limit.min(torque as f32);
+        }
     }
-    if rules.limits.torque == before {
-        return Ok(String::new());
+    if rules.limits != before {
+        board.set_rules(&rules)?;
     }
-    board.set_rules(&rules)?;
+    let tip =
+        format!("  tip force: walls, springs and fields push with at most {newtons} N; `--tip-force` says how much\n");
+    if rules.limits.torque == before.torque {
+        return Ok(tip);
+    }
     let joints = file.spec().joints;
     let limits: Vec<String> = rules.limits.torque.iter().take(joints).map(|torque| format!("{torque:.3}")).collect();
     Ok(format!(
-        "  torque limits: {} N m, for at most {newtons} N at the tip in the home pose; `haptic rules --torque` raises them\n",
+        "{tip}  torque limits: {} N m, for at most {newtons} N at the tip in the home pose; `haptic rules --torque` raises them\n",
         limits.join(", ")
     ))
 }

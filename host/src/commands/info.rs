@@ -22,6 +22,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let details = board.details()?;
     let status = board.status()?;
     let scene = board.scene()?;
+    let tip_force = board.rules()?.limits.tip_force;
     let axes = board.device()?.map_or(0, |device| device.axes());
     if args.json {
         let fault = status.fault.map(|record| {
@@ -37,7 +38,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
                 "delay_samples": details.delay_samples, "walls": details.walls, "unsensed_faults": details.unsensed,
                 "overruns": details.overruns, "longest_cycles": details.longest_cycles,
                 "stack_free": details.stack_free, "state": format!("{:?}", status.state), "homed": status.homed,
-                "polarity_checked": status.polarity, "fault": fault, "step": status.step,
+                "polarity_checked": status.polarity, "tip_force": tip_force, "fault": fault, "step": status.step,
                 "bus_voltage": status.bus_voltage, "q": &status.q[..axes], "tip": &status.tip[..axes],
             })
         ));
@@ -65,6 +66,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     line("state", state_in_words(status.state).into());
     line("homed", if status.homed { "yes" } else { "no" }.into());
     line("polarity", if status.polarity { "checked" } else { "not checked" }.into());
+    line("tip force", format!("walls, springs and fields push with at most {tip_force} N"));
     line("bus", format!("{:.2} V", status.bus_voltage));
     if axes > 0 {
         let unknown = if status.homed { "" } else { "  (not homed: counted from where the encoders began)" };

@@ -33,6 +33,9 @@ pub struct Args {
     /// Mean power into the hand in W
     #[arg(long, value_name = "W", value_parser = limit)]
     power: Option<f32>,
+    /// Force of walls, springs and fields together at the tip in N
+    #[arg(long, value_name = "N", value_parser = limit)]
+    tip_force: Option<f32>,
     /// Lowest supply voltage in V
     #[arg(long, value_name = "V", value_parser = limit)]
     bus_min: Option<f32>,
@@ -96,6 +99,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     per_joint(whose, "speed", &args.speed, &mut limits.speed)?;
     per_joint(whose, "index-period", &args.index_period, &mut rules.index_period)?;
     limits.power = args.power.unwrap_or(limits.power);
+    limits.tip_force = args.tip_force.unwrap_or(limits.tip_force);
     limits.bus_min = args.bus_min.unwrap_or(limits.bus_min);
     limits.bus_max = args.bus_max.unwrap_or(limits.bus_max);
     rules.host_action = match args.host {
@@ -137,17 +141,17 @@ fn listed<T: std::fmt::Display>(values: &[T], joints: usize) -> String {
 }
 
 fn as_json(rules: &Rules, joints: usize) -> serde_json::Value {
-    let Limits { torque, current, continuous_current, speed, power, bus_min, bus_max } = &rules.limits;
+    let Limits { torque, current, continuous_current, speed, power, bus_min, bus_max, tip_force } = &rules.limits;
     json!({
         "torque": &torque[..joints], "current": &current[..joints],
         "continuous_current": &continuous_current[..joints], "speed": &speed[..joints], "power": power,
-        "bus_min": bus_min, "bus_max": bus_max, "host_action": rules.host_action, "host_seconds": rules.host_seconds,
+        "bus_min": bus_min, "bus_max": bus_max, "tip_force": tip_force, "host_action": rules.host_action, "host_seconds": rules.host_seconds,
         "passivity": rules.passivity, "index_period": &rules.index_period[..joints],
     })
 }
 
 fn in_words(rules: &Rules, joints: usize) -> String {
-    let Limits { torque, current, continuous_current, speed, power, bus_min, bus_max } = &rules.limits;
+    let Limits { torque, current, continuous_current, speed, power, bus_min, bus_max, tip_force } = &rules.limits;
     let host = match rules.host_action {
         HostAction::Ignore => "a silent host is ignored".into(),
         HostAction::Hold => {
@@ -168,6 +172,7 @@ fn in_words(rules: &Rules, joints: usize) -> String {
          continuous current  {continuous_current} A\n\
          speed               {speed} rad/s\n\
          power into the hand {power} W\n\
+         force at the tip    {tip_force} N of walls, springs and fields\n\
          supply              {bus_min} to {bus_max} V\n\
          host                {host}\n\
          passivity control   {passivity}\n\
