@@ -6,6 +6,7 @@
 mod around;
 mod board;
 mod device;
+pub mod door;
 mod encoder;
 mod hand;
 mod motor;

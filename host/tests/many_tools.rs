@@ -2,7 +2,8 @@
 
 use haptic::device_file::DeviceFile;
 use haptic::link::{Board, LinkError, PortSpec, disarm_past, encode};
-use haptic::sim::server::{Door, Pace, serve, tcp};
+use haptic::sim::door::{Door, tcp};
+use haptic::sim::server::{Pace, serve};
 use haptic::sim::{BoardOptions, SHIPPED_DEVICE, SimulatedBoard, ready_board};
 use haptic_bridge::board::protocol::GetDetails;
 use haptic_bridge::render::scene::Scene;
@@ -148,7 +149,7 @@ fn a_request_to_disarm_gets_past_the_tool_that_holds_the_board_over_tcp() {
 #[cfg(unix)]
 #[test]
 fn a_request_to_disarm_gets_past_the_tool_that_holds_a_pseudo_terminal() {
-    let (port, _stop) = served(haptic::sim::server::pseudo_terminal().unwrap());
+    let (port, _stop) = served(haptic::sim::door::pseudo_terminal().unwrap());
     let mut first = Board::open(&port).unwrap();
     armed(&mut first);
     assert!(matches!(Board::open(&port).map(drop), Err(LinkError::PortBusy(_))), "it is held");

@@ -2,7 +2,8 @@
 
 use haptic::device_file::DeviceFile;
 use haptic::link::{Board, Deframer, LinkError, PortSpec, Wire, encode, fields};
-use haptic::sim::server::{Door, Pace, serve, tcp};
+use haptic::sim::door::{Door, tcp};
+use haptic::sim::server::{Pace, serve};
 use haptic::sim::{BoardOptions, SHIPPED_DEVICE, ready_board};
 use haptic_bridge::board::protocol::{GetInfo, Info, PROTOCOL};
 use haptic_bridge::render::scene::Scene;
@@ -236,7 +237,7 @@ fn a_board_of_another_protocol_version_is_named_and_left_alone() {
 #[cfg(unix)]
 mod pseudo_terminal {
     use super::*;
-    use haptic::sim::server::pseudo_terminal;
+    use haptic::sim::door::pseudo_terminal;
 
     #[test]
     fn a_board_behind_a_pseudo_terminal_answers_and_streams_without_loss() {

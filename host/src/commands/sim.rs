@@ -5,7 +5,8 @@ use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::interrupt;
 use haptic::scene_file::SceneFile;
-use haptic::sim::server::{Pace, serve, tcp};
+use haptic::sim::door::tcp;
+use haptic::sim::server::{Pace, serve};
 use haptic::sim::{Around, BoardOptions, DriveModel, Hand, HandSettings, SHIPPED_DEVICE, ready_board};
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::PathBuf;
@@ -114,14 +115,14 @@ pub fn run(args: Args) -> Result<(), Failure> {
 }
 
 #[cfg(unix)]
-fn pseudo_terminal() -> Result<haptic::sim::server::Door, Failure> {
-    haptic::sim::server::pseudo_terminal().map_err(|error| {
+fn pseudo_terminal() -> Result<haptic::sim::door::Door, Failure> {
+    haptic::sim::door::pseudo_terminal().map_err(|error| {
         Failure::impossible(format!("cannot open a pseudo-terminal: {error}")).remedy("use --tcp PORT")
     })
 }
 
 #[cfg(not(unix))]
-fn pseudo_terminal() -> Result<haptic::sim::server::Door, Failure> {
+fn pseudo_terminal() -> Result<haptic::sim::door::Door, Failure> {
     Err(Failure::wrong("this system has no pseudo-terminals").remedy("use --tcp PORT"))
 }
 
