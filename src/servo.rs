@@ -17,6 +17,7 @@ mod watch;
 use crate::drive::brushed::Axis;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
+use crate::model::mechanism::Regularity;
 use crate::model::precomputed::TABLE_VALUES;
 use crate::render::controller::Gains;
 use crate::render::velocity::{Coefficients, Washout};
@@ -352,23 +353,57 @@ where
                 program.controller.step(&samples.counts, &self.table, &mut self.frame, &mut self.motion);
             self.parallel = regularity.parallel;
             self.pull(&mut asked);
-            self.watch(samples, &acted, &regularity);
-            self.drive(asked);
+            match self.joints() {
+                0 => {}
+                1 => self.hold_and_drive::<1>(samples, &acted, &regularity, asked),
+                2 => self.hold_and_drive::<2>(samples, &acted, &regularity, asked),
+                _ => self.hold_and_drive::<MAX_JOINTS>(samples, &acted, &regularity, asked),
+            }
         }
         self.last_counts = samples.counts;
         self.frame.state = self.state;
         Outputs { bridges: matches!(self.state, State::Armed | State::CheckingPolarity) }
     }
 
+    /// Joints of the loaded program, at most [`MAX_JOINTS`]. What loops over them at every crest is compiled for each
+    /// number of them, so it has neither a loop nor an index to check.
+    #[inline(always)]
+    fn joints(&self) -> usize {
+        self.program.as_ref().map_or(0, |program| program.joints.min(MAX_JOINTS))
+    }
+
+    /// What follows the controller in a period of J joints. `acted` are the torques (N m) of the period that ended.
+    #[inline(always)]
+    fn hold_and_drive<const J: usize>(
+        &mut self,
+        samples: &Samples,
+        acted: &[f32; MAX_JOINTS],
+        regularity: &Regularity<f32>,
+        asked: Asked,
+    ) {
+        self.watch::<J>(samples, acted, regularity);
+        self.drive::<J>(asked);
+    }
+
     /// Duties for the next carrier period, signed, ±[`MAX_DUTY`](crate::drive::brushed::MAX_DUTY); zero unless armed.
     #[inline(always)]
     pub fn duties(&mut self, bus_voltage: f32, currents: &[f32; MAX_JOINTS]) -> [f32; MAX_JOINTS] {
+        match self.joints() {
+            0 => self.duties_of::<0>(bus_voltage, currents),
+            1 => self.duties_of::<1>(bus_voltage, currents),
+            2 => self.duties_of::<2>(bus_voltage, currents),
+            _ => self.duties_of::<MAX_JOINTS>(bus_voltage, currents),
+        }
+    }
+
+    /// [`Servo::duties`] of J joints.
+    #[inline(always)]
+    fn duties_of<const J: usize>(&mut self, bus_voltage: f32, currents: &[f32; MAX_JOINTS]) -> [f32; MAX_JOINTS] {
         let mut duties = [0.0; MAX_JOINTS];
         if matches!(self.state, State::Armed | State::CheckingPolarity)
             && let Some(program) = self.program.as_mut()
         {
-            let joints = program.joints.min(MAX_JOINTS);
-            for ((duty, axis), current) in duties.iter_mut().zip(&mut program.axes).zip(currents).take(joints) {
+            for ((duty, axis), current) in duties.iter_mut().zip(&mut program.axes).zip(currents).take(J) {
                 *duty = axis.duty(bus_voltage, *current);
             }
         }
@@ -551,24 +586,24 @@ where
 
     /// Sets each motor's current from the step's torques.
     #[inline(always)]
-    fn drive(&mut self, asked: Asked) {
+    fn drive<const J: usize>(&mut self, asked: Asked) {
         self.frame.rendered_force = 0.0;
         self.frame.limited = 0;
         match self.state {
             State::Armed => {
                 self.ramp = (self.ramp + self.period * (1.0 / ARM_SECONDS)).min(1.0);
                 if self.ramp < 1.0 {
-                    self.command(&self.faded(&asked));
+                    self.command::<J>(&self.faded(&asked));
                 } else {
-                    self.command(&asked);
+                    self.command::<J>(&asked);
                 }
-                self.frame.rendered_force = self.rendered(&asked.total);
+                self.frame.rendered_force = self.rendered::<J>(&asked.total);
             }
             State::CheckingPolarity => {
                 self.check_polarity();
                 if self.state == State::CheckingPolarity {
                     let torque = self.frame.torque;
-                    self.command(&Asked { total: torque, gravity: torque, ..Asked::default() });
+                    self.command::<J>(&Asked { total: torque, gravity: torque, ..Asked::default() });
                 }
             }
             State::Disarmed | State::Fault => {
@@ -583,10 +618,12 @@ where
     /// work a joint torque τ therefore is worth E·τ along n (τ = Jᵀ F gives E·τ = n·F), and so the torque that limits
     /// took off is worth E·(asked - left). Weight and springs drop out of the difference.
     #[inline(always)]
-    fn rendered(&self, asked: &[f32; MAX_JOINTS]) -> f32 {
-        let taken = asked.iter().zip(&self.frame.torque).map(|(asked, left)| asked - left);
-        let lost = self.motion.iter().zip(taken);
-        lost.fold(self.frame.wall_force, |force, (motion, torque)| force - motion * torque)
+    fn rendered<const J: usize>(&self, asked: &[f32; MAX_JOINTS]) -> f32 {
+        let mut force = self.frame.wall_force;
+        for (i, asked) in asked.iter().enumerate().take(J) {
+            force -= self.motion[i] * (asked - self.frame.torque[i]);
+        }
+        force
     }
 
     /// While the ramp lasts, part of what acted before, which stands first like gravity, and part of what is asked.
@@ -603,11 +640,10 @@ where
 
     /// Commands the torques asked for within limits, and records in the frame what is left of them.
     #[inline(always)]
-    fn command(&mut self, asked: &Asked) {
+    fn command<const J: usize>(&mut self, asked: &Asked) {
         let Some(program) = self.program.as_mut() else { return };
-        let joints = program.joints.min(MAX_JOINTS);
-        let torque = asked.within(&self.most_torque, self.rules.limits.tip_force, joints);
-        for (i, axis) in program.axes.iter_mut().enumerate().take(joints) {
+        let torque = asked.within(&self.most_torque, self.rules.limits.tip_force, J);
+        for (i, axis) in program.axes.iter_mut().enumerate().take(J) {
             let current = axis.command(torque[i], self.crests.speed(i));
             self.frame.torque[i] = axis.torque_of(current);
             // At its limit and short of what was asked, by more than a torque's way through a current rounds.

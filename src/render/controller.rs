@@ -23,6 +23,7 @@ use core::marker::PhantomData;
 use encoders::Encoders;
 use heapless::Vec;
 use nalgebra::SVector;
+use plan::Plan;
 use postcard_schema::Schema;
 pub use push::{Push, PushedPlane};
 use serde::{Deserialize, Serialize};
@@ -30,6 +31,7 @@ pub use walls::TOUCH_DEPTH;
 use walls::{Acting, Active, Walls};
 
 mod encoders;
+mod plan;
 mod push;
 mod walls;
 
@@ -125,6 +127,7 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     admissible: Admissible,
     /// b of the shaped torque is not zero.
     biased: bool,
+    plan: Plan,
     math: PhantomData<K>,
 }
 
@@ -165,7 +168,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let Prepared { coefficients, walls, guidance } = prepare(scene, M::SPEC.task)?;
         let biased = scene.velocity_terms != VelocityTerms::Off || walls.damped;
         let moving = biased || guidance.any;
-        Ok(Self {
+        let mut controller = Self {
             mechanism,
             mass,
             encoders: Encoders::new(device, &coefficients, M::SPEC.periodic, moving),
@@ -178,8 +181,11 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             gain: (scene.feed_forward_gain > T::one()).then_some(scene.feed_forward_gain),
             admissible: scene.admissible,
             biased,
+            plan: Plan::General,
             math: PhantomData,
-        })
+        };
+        controller.plan = Plan::of(&mut controller);
+        Ok(controller)
     }
 
     /// Joint torques for these encoder counts. Call at the control rate.
@@ -191,14 +197,22 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// As [`Controller::step`], with the values of the table that a [`MassModel::Table`] looks into.
     #[inline(always)]
     pub fn step_with(&mut self, counts: &[i32; N], table: &[T]) -> Step<T, N> {
+        // A host may add its own force at any time.
+        if self.plan == Plan::Plane
+            && !self.guidance.any
+            && let Some(step) = self.step_at_a_plane(counts)
+        {
+            return step;
+        }
+        self.step_generally(counts, table)
+    }
+
+    /// As [`Controller::step_with`] for any scene, the slow way: what every straight step is held to.
+    #[inline(always)]
+    pub fn step_generally(&mut self, counts: &[i32; N], table: &[T]) -> Step<T, N> {
         let (q, turned) = self.encoders.angles(counts);
         let qd = self.encoders.velocities(&self.coefficients, counts);
-        // In line where that takes no more than one copy, see `shared_pose`.
-        let pose = if N <= 2 {
-            self.mechanism.pose::<K>(&turned)
-        } else {
-            shared_pose::<T, K, M, N>(&self.mechanism, &turned)
-        };
+        let pose = self.mechanism.pose::<K>(&turned);
         let tip = self.mechanism.tip(&pose);
         let place = task_part::<T, M, N>(&tip);
         let regularity = self.mechanism.regularity(&pose);
@@ -288,8 +302,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     ) -> SVector<T, N> {
         let shaping = match &self.mass {
             MassModel::Exact => self.mechanism.shaping(pose, &only.normal),
-            MassModel::Frozen(mass) if N <= 2 => Shaping::of(mass, self.mechanism.inverse(pose, &only.normal)),
-            mass => mass.shaping(&self.mechanism, table, q, pose, &only.normal),
+            MassModel::Frozen(mass) => Shaping::of(mass, self.mechanism.inverse(pose, &only.normal)),
+            mass @ MassModel::Table(..) => mass.shaping(&self.mechanism, table, q, pose, &only.normal),
         };
         let shaping = self.held(shaping, pose);
         if !self.biased {

@@ -41,8 +41,24 @@ pub fn legs(
     currents: &[f32; MAX_JOINTS],
     carrier: &Carrier,
 ) -> [[u16; 2]; MAX_JOINTS] {
-    let duties = servo.duties(bus_voltage, currents);
-    core::array::from_fn(|axis| carrier.legs(duties[axis]))
+    match servo.joints() {
+        0 => legs_of::<0>(servo, bus_voltage, currents, carrier),
+        1 => legs_of::<1>(servo, bus_voltage, currents, carrier),
+        2 => legs_of::<2>(servo, bus_voltage, currents, carrier),
+        _ => legs_of::<MAX_JOINTS>(servo, bus_voltage, currents, carrier),
+    }
+}
+
+/// [`legs`] of J joints: what has none stays at the middle.
+#[inline(always)]
+fn legs_of<const J: usize>(
+    servo: &mut BoardServo,
+    bus_voltage: f32,
+    currents: &[f32; MAX_JOINTS],
+    carrier: &Carrier,
+) -> [[u16; 2]; MAX_JOINTS] {
+    let duties = servo.duties_of::<J>(bus_voltage, currents);
+    core::array::from_fn(|axis| carrier.legs(if axis < J { duties[axis] } else { 0.0 }))
 }
 
 /// Puts the last step's frame into the queue; false when it is full.

@@ -144,8 +144,18 @@ where
     /// one is due and before [`Servo::duties`].
     #[inline(always)]
     pub fn guard(&mut self, seen: &Crest) -> Outputs {
+        match self.joints() {
+            0 => Outputs { bridges: false },
+            1 => self.guard_joints::<1>(seen),
+            2 => self.guard_joints::<2>(seen),
+            _ => self.guard_joints::<MAX_JOINTS>(seen),
+        }
+    }
+
+    /// [`Servo::guard`] for J joints.
+    #[inline(always)]
+    fn guard_joints<const J: usize>(&mut self, seen: &Crest) -> Outputs {
         let Some(program) = self.program.as_mut() else { return Outputs { bridges: false } };
-        let joints = program.joints.min(MAX_JOINTS);
         let active = matches!(self.state, State::Armed | State::CheckingPolarity);
         let crests = &mut self.crests;
         if !crests.primed {
@@ -157,7 +167,7 @@ where
         let mut power = 0.0;
         let mut moves = [0; MAX_JOINTS];
         #[allow(clippy::needless_range_loop, reason = "one number for ten arrays")]
-        for i in 0..joints {
+        for i in 0..J {
             let bounds = &crests.bounds[i];
             let moved = seen.counts[i].wrapping_sub(crests.counts[i]);
             moves[i] = moved;

@@ -69,15 +69,18 @@ where
 
     /// Looks for everything that must turn the motors off. `acted` are the torques (N m) of the period that ended.
     #[inline(always)]
-    pub(super) fn watch(&mut self, samples: &Samples, acted: &[f32; MAX_JOINTS], regularity: &Regularity<f32>) {
-        let Some(program) = self.program.as_ref() else { return };
-        let joints = program.joints.min(MAX_JOINTS);
+    pub(super) fn watch<const J: usize>(
+        &mut self,
+        samples: &Samples,
+        acted: &[f32; MAX_JOINTS],
+        regularity: &Regularity<f32>,
+    ) {
         let active = matches!(self.state, State::Armed | State::CheckingPolarity);
         let sensed = self.hardware.bridge.current_sensed;
         let mut sum = self.frame.wall_force + self.frame.normal_velocity + self.frame.bus_voltage;
         let mut well = true;
         #[allow(clippy::needless_range_loop, reason = "one number for ten arrays")]
-        for i in 0..joints {
+        for i in 0..J {
             if sensed {
                 self.frame.current[i] = samples.currents[i];
             }
@@ -89,7 +92,7 @@ where
         }
         // One check for all: a sum of finite numbers this small can only be infinite or NaN if one of them is.
         well &= left(sum, f32::MAX) >= 0;
-        let built_up = self.watch_budgets(samples, acted, active);
+        let built_up = self.watch_budgets::<J>(samples, acted, active);
         if active {
             well &= regularity.parallel >= SINGULAR_SINE;
             well &= match self.rules.host_action {
@@ -106,13 +109,17 @@ where
 
     /// What builds up, of the joint whose turn it is.
     #[inline(always)]
-    fn watch_budgets(&mut self, samples: &Samples, acted: &[f32; MAX_JOINTS], active: bool) -> Option<Found> {
+    fn watch_budgets<const J: usize>(
+        &mut self,
+        samples: &Samples,
+        acted: &[f32; MAX_JOINTS],
+        active: bool,
+    ) -> Option<Found> {
         let program = self.program.as_mut()?;
-        let joints = program.joints.min(MAX_JOINTS);
         let budgets = &mut self.budgets;
-        let i = if budgets.joint < joints { budgets.joint } else { 0 };
+        let i = if budgets.joint < J { budgets.joint } else { 0 };
         budgets.joint = i + 1;
-        let elapsed = self.period * joints as f32;
+        let elapsed = self.period * J as f32;
         let axis = program.axes.get_mut(i)?;
         let mut found = None;
         let count = samples.counts[i];

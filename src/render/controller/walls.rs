@@ -6,21 +6,94 @@ use super::Gains;
 use crate::math::{Math, Real};
 use crate::model::inertia::frame_rate;
 use crate::model::principal::{Principal, Pull};
-use crate::render::scene::{FeedForward, MAX_WALLS, Scene, SceneError, Wall};
+use crate::render::scene::{Contact, FeedForward, MAX_WALLS, Scene, SceneError, Surface, Wall};
 use crate::render::velocity::{Coefficients, Velocity, Washout};
 use heapless::Vec;
 use nalgebra::SVector;
 
 /// One wall.
 #[derive(Clone, Copy, Debug)]
-struct Running<T: Real> {
+pub(super) struct Running<T: Real> {
     wall: Wall<T>,
     velocity: Velocity<T>,
     washout: Washout<T>,
     passivity: Passivity<T>,
 }
 
+/// What one wall does in one step.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pressed<T> {
+    /// Velocity along its normal, m/s.
+    pub velocity: T,
+    /// Whether it acts.
+    pub touched: bool,
+    /// Its force along the normal, N, and the part that is shaped. Zero where it does not act.
+    pub force: T,
+    pub shaped: T,
+    /// Damping that the passivity controller added, N s/m.
+    pub passivity_damping: T,
+}
+
 impl<T: Real> Running<T> {
+    /// The wall at a contact. `passivity`: whether the passivity controller is on; `gain`: the feed-forward's α.
+    #[inline(always)]
+    pub fn press<const N: usize>(
+        &mut self,
+        coefficients: &Coefficients<T>,
+        contact: &Contact<T, N>,
+        passivity: bool,
+        gain: T,
+    ) -> Pressed<T> {
+        let wall = &self.wall;
+        let moved = self.velocity.moved(contact.distance);
+        let v = self.velocity.step(coefficients, contact.distance);
+        let zero = T::zero();
+        let mut pressed = Pressed { velocity: v, touched: false, force: zero, shaped: zero, passivity_damping: zero };
+        // Comparisons here are written so that what is not a number stays one, and is found out.
+        let inside = contact.distance < zero;
+        if !inside && !wall.bilateral {
+            self.passivity.leave(moved);
+            if wall.feed_forward == FeedForward::Washout {
+                self.washout.step(zero);
+            }
+            return pressed;
+        }
+        let mut force = -wall.stiffness * contact.distance - wall.damping * v;
+        self.passivity.observe(moved);
+        if passivity {
+            let extra = self.passivity.damping(v, coefficients.rate());
+            force -= extra * v;
+            pressed.passivity_damping = extra;
+        }
+        if force < zero && !wall.bilateral {
+            force = zero;
+        }
+        self.passivity.hold(force);
+        pressed.touched = true;
+        pressed.force = force;
+        pressed.shaped = match wall.feed_forward {
+            FeedForward::Off => zero,
+            FeedForward::Full => force * gain,
+            FeedForward::Washout => self.washout.step(force) * gain,
+        };
+        pressed
+    }
+
+    /// Energy it has taken up since it was touched, J.
+    pub fn energy(&self) -> T {
+        self.passivity.energy
+    }
+
+    /// Its surface.
+    pub fn surface(&self) -> &Surface<T> {
+        &self.wall.surface
+    }
+
+    /// How much of the feed-forward it gets.
+    pub fn feed_forward(&self) -> FeedForward {
+        self.wall.feed_forward
+    }
+
     /// Not inlined: the same for every mechanism, and rare.
     #[inline(never)]
     fn set_gains(&mut self, gains: &Gains<T>, washout: &Washout<T>) {
@@ -208,53 +281,30 @@ impl<T: Real> Walls<T> {
             straight: false,
             first: None,
         };
-        let passivity = self.passivity;
         for (index, running) in self.running.iter_mut().enumerate() {
-            let wall = &running.wall;
-            let feed_forward = wall.feed_forward;
-            let contact = wall.surface.contact::<K, N>(place);
-            let moved = running.velocity.moved(contact.distance);
-            let v = running.velocity.step(coefficients, contact.distance);
-            // Comparisons here are written so that what is not a number stays one, and is found out.
+            let contact = running.wall.surface.contact::<K, N>(place);
+            let pressed = running.press(coefficients, &contact, self.passivity, self.gain);
+            // Written so that what is not a number stays one, and is found out.
             let shallower = contact.distance >= touch.distance;
             if !shallower {
                 touch.distance = contact.distance;
-                touch.normal_velocity = v;
+                touch.normal_velocity = pressed.velocity;
                 touch.normal = contact.normal;
             }
-            let inside = contact.distance < T::zero();
-            if !inside && !wall.bilateral {
-                running.passivity.leave(moved);
-                if feed_forward == FeedForward::Washout {
-                    running.washout.step(T::zero());
-                }
+            if !pressed.touched {
                 continue;
             }
-            let mut force = -wall.stiffness * contact.distance - wall.damping * v;
-            running.passivity.observe(moved);
-            if passivity {
-                let extra = running.passivity.damping(v, coefficients.rate());
-                force -= extra * v;
-                touch.passivity_damping += extra;
-            }
-            if force < T::zero() && !wall.bilateral {
-                force = T::zero();
-            }
             touch.contacts += 1;
-            touch.wall_force += force;
-            running.passivity.hold(force);
-            touch.energy += running.passivity.energy;
-            let shaped = match feed_forward {
-                FeedForward::Off => T::zero(),
-                FeedForward::Full => force * self.gain,
-                FeedForward::Washout => running.washout.step(force) * self.gain,
-            };
+            touch.wall_force += pressed.force;
+            touch.energy += running.energy();
+            touch.passivity_damping += pressed.passivity_damping;
+            let feed_forward = running.wall.feed_forward;
             if feed_forward != FeedForward::Full || self.gain != T::one() {
-                touch.plain += contact.normal * (force - shaped);
+                touch.plain += contact.normal * (pressed.force - pressed.shaped);
                 touch.straight = true;
             }
             if feed_forward != FeedForward::Off {
-                let active = Active { wall: index, normal: contact.normal, shaped };
+                let active = Active { wall: index, normal: contact.normal, shaped: pressed.shaped };
                 match touch.first {
                     None => touch.first = Some(active),
                     Some(_) => {
@@ -350,6 +400,18 @@ impl<T: Real> Walls<T> {
             }
         };
         -frame_rate(&line, &line_rate, velocity)
+    }
+
+    /// The only wall of a scene that has one alone, with whether the passivity controller is on.
+    #[inline(always)]
+    pub fn lone(&mut self) -> Option<(&mut Running<T>, bool)> {
+        let [only] = self.running.as_mut_slice() else { return None };
+        Some((only, self.passivity))
+    }
+
+    /// Whether α is 1.
+    pub fn whole_gain(&self) -> bool {
+        self.gain == T::one()
     }
 
     /// Whether a one-sided wall is touched at the tip position `place`.
