@@ -61,6 +61,7 @@ pub fn command() -> clap::Command {
 /// Where a newcomer begins.
 const START: &str = "Start here, without hardware:
   haptic demo                     what the feed-forward buys, in seconds
+  haptic view --port sim          a device, a wall and a hand to lead, in the browser
   haptic sim                      a simulated board; it prints the PORT for the commands \"With a board\"
   haptic info --port PORT
 ";
@@ -86,6 +87,7 @@ pub fn examples(command: &str) -> &'static [&'static str] {
             "haptic stream --csv contact.csv --seconds 10",
             "haptic stream --csv - --fields q,force,rendered --rate 5000 | head -n 100",
         ],
+        "view" => &["haptic view --port sim", "haptic view devices/haply-2diy.toml --port sim"],
         "measure-range" => {
             &["haptic measure-range devices/coupled-five-bar.toml --port sim --normal 0.6,0.8 --rate 1000 --cutoff 20"]
         }

@@ -29,6 +29,7 @@
 //! | measure it on a board | [`measure`]; the way to one and back: [`latency`] |
 //! | find the cheapest step that is good enough | [`plan`], [`mod@bench`] |
 //! | draw | [`plot`] |
+//! | show a device in the browser | [`view`] |
 //!
 //! The programs in `examples/` press a wall, follow telemetry, push and predict a range in about twenty lines each.
 //! [`haptic_bridge`] is the code that runs on the board itself; its types (scenes, gains, faults) are those used here.
@@ -62,3 +63,4 @@ pub mod summary;
 pub mod template;
 pub mod tip;
 pub mod toml_file;
+pub mod view;

@@ -21,6 +21,8 @@ pub enum Use {
     Clippy,
     /// Builds libFuzzer, which is C++.
     Fuzz,
+    /// Opens the page of `haptic view` in a browser.
+    Page,
 }
 
 /// Something that a stage cannot do without.
@@ -32,10 +34,12 @@ enum Tool {
     Linker,
     Clippy,
     Cpp,
+    Browser,
 }
 
 impl Tool {
-    const ALL: [Self; 6] = [Self::Compiler, Self::Cargo, Self::Core, Self::Linker, Self::Clippy, Self::Cpp];
+    const ALL: [Self; 7] =
+        [Self::Compiler, Self::Cargo, Self::Core, Self::Linker, Self::Clippy, Self::Cpp, Self::Browser];
 
     fn name(self) -> &'static str {
         match self {
@@ -45,6 +49,7 @@ impl Tool {
             Self::Linker => "a linker for the chip (rust-lld)",
             Self::Clippy => "its clippy",
             Self::Cpp => "a C++ compiler (c++, or what CXX names) for libFuzzer",
+            Self::Browser => "a browser without a screen (chromium) for the tests of `haptic view`",
         }
     }
 
@@ -57,6 +62,7 @@ impl Tool {
             Self::Linker => "rust-web-llvm",
             Self::Clippy => "rust-web-clippy",
             Self::Cpp => "g++",
+            Self::Browser => "chromium",
         }
     }
 
@@ -69,6 +75,8 @@ impl Tool {
             Self::Linker => linker_runs(DEBIAN_LINKER),
             Self::Clippy => version(DEBIAN_CLIPPY),
             Self::Cpp => version(&env::var("CXX").unwrap_or_else(|_| "c++".into())),
+            // The names that host/tests/browser tries.
+            Self::Browser => ["chromium", "chromium-browser", "google-chrome"].into_iter().any(version),
         }
     }
 }
@@ -99,6 +107,7 @@ impl Found {
         let chip = [Tool::Compiler, Tool::Cargo, Tool::Core, Tool::Linker];
         let needed = Tool::ALL.into_iter().filter(|tool| match tool {
             Tool::Cpp => uses.contains(&Use::Fuzz),
+            Tool::Browser => uses.contains(&Use::Page),
             Tool::Clippy => uses.contains(&Use::Clippy) && !self.rustup,
             tool => chip.contains(tool) && !self.rustup && (uses.contains(&Use::Build) || uses.contains(&Use::Clippy)),
         });
@@ -134,10 +143,11 @@ impl Found {
             "On Debian, as root (or with --install, which does the same):\n    {}\n",
             self.install_line(missing)
         );
-        let rest: Vec<&str> = missing.iter().filter(|tool| **tool == Tool::Cpp).map(|tool| tool.name()).collect();
+        let by_hand = |tool: &&Tool| matches!(tool, Tool::Cpp | Tool::Browser);
+        let rest: Vec<&str> = missing.iter().filter(by_hand).map(|tool| tool.name()).collect();
         if rest.len() < missing.len() {
             text += &format!("Elsewhere:\n    rustup target add {TARGET}");
-            text += &rest.first().map_or(String::new(), |name| format!("\nand {name}"));
+            rest.iter().for_each(|name| text += &format!("\nand {name}"));
         }
         text.trim_end().into()
     }
@@ -172,7 +182,7 @@ pub fn provide(uses: &[Use], install: bool) -> Result<Toolchain> {
 }
 
 /// What `cargo xtask test` does.
-pub const TEST: [Use; 2] = [Use::Build, Use::Fuzz];
+pub const TEST: [Use; 3] = [Use::Build, Use::Fuzz, Use::Page];
 
 /// Says that everything is there that the tests need, or what is not.
 pub fn check(install: bool) -> Result<()> {
@@ -180,7 +190,7 @@ pub fn check(install: bool) -> Result<()> {
         Toolchain::Rustup => "rustup's compiler, which has the target",
         Toolchain::Debian => "Debian's compiler, with the source of the core library and rust-lld",
     };
-    println!("for the chip: {chip}\nfor libFuzzer: a C++ compiler\nnothing is missing");
+    println!("for the chip: {chip}\nfor libFuzzer: a C++ compiler\nfor `haptic view`: a browser\nnothing is missing");
     Ok(())
 }
 
@@ -233,14 +243,14 @@ mod tests {
     /// What a fresh Debian had after `--install`: everything but the linker, whose package nothing depends on.
     #[test]
     fn a_compiler_without_a_linker_is_found_out_before_it_compiles() {
-        let after = found(&[Tool::Compiler, Tool::Cargo, Tool::Core, Tool::Cpp], None);
+        let after = found(&[Tool::Compiler, Tool::Cargo, Tool::Core, Tool::Cpp, Tool::Browser], None);
         let missing = after.missing(&TEST);
         assert_eq!(missing, [Tool::Linker]);
         assert_eq!(after.packages(&missing), ["rust-web-llvm"]);
         // With that the link is there, and leads nowhere.
         let then = found(&after.runs, Some("lld-22"));
         assert_eq!(then.packages(&then.missing(&TEST)), ["lld-22"]);
-        let at_last = found(&[Tool::Compiler, Tool::Cargo, Tool::Core, Tool::Cpp, Tool::Linker], Some("lld-22"));
+        let at_last = found(&[&after.runs[..], &[Tool::Linker]].concat(), Some("lld-22"));
         assert!(at_last.missing(&TEST).is_empty());
         // Lints need one tool more, and say so before they begin.
         assert_eq!(at_last.missing(&[Use::Clippy]), [Tool::Clippy]);
@@ -254,7 +264,7 @@ mod tests {
         for tool in &missing {
             assert!(text.contains(tool.name()), "{tool:?} in\n{text}");
         }
-        let line = "rustc-web cargo-web rust-web-src rust-web-llvm g++ && apt-get install -y --no-install-recommends \
+        let line = "rustc-web cargo-web rust-web-src rust-web-llvm g++ chromium && apt-get install -y --no-install-recommends \
                     \"$(basename \"$(readlink /usr/bin/rust-lld)\")\"";
         assert!(text.contains(line) && text.contains("rustup target add"), "{text}");
     }
@@ -263,8 +273,8 @@ mod tests {
     fn what_rustup_has_is_not_asked_of_debian_and_nobody_needs_what_no_stage_uses() {
         let rustup = Found { rustup: true, ..found(&[], None) };
         assert!(rustup.missing(&[Use::Build, Use::Clippy]).is_empty());
-        assert_eq!(rustup.missing(&TEST), [Tool::Cpp]);
-        assert!(!rustup.complaint(&[Tool::Cpp]).contains("rustup"));
+        assert_eq!(rustup.missing(&TEST), [Tool::Cpp, Tool::Browser]);
+        assert!(!rustup.complaint(&[Tool::Cpp, Tool::Browser]).contains("rustup"));
         assert_eq!(found(&[], None).missing(&[Use::Fuzz]), [Tool::Cpp]);
     }
 

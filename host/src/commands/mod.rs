@@ -34,6 +34,7 @@ mod save;
 mod scene;
 mod sim;
 mod stream;
+mod view;
 
 use haptic::error::Failure;
 pub use stream::list_of_fields;
@@ -85,6 +86,7 @@ commands! {
         (Arm, arm)
         (Disarm, disarm)
         (Stream, stream)
+        (View, view)
         (MeasureRange, measure_range)
         (Faults, faults)
         (Clear, clear)

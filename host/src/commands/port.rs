@@ -5,6 +5,7 @@ use haptic::link::{Board, PortSpec};
 use haptic_bridge::render::scene::{FeedForward, Scene, Wall};
 use haptic_bridge::safety::fault::{FaultRecord, State};
 use std::io::{BufRead, IsTerminal};
+use std::net::{SocketAddr, ToSocketAddrs};
 
 /// Which board.
 #[derive(clap::Args)]
@@ -36,6 +37,15 @@ impl Port {
             _ => self.open(),
         }
     }
+}
+
+/// Where to listen, as `option` says it: PORT on this computer, or HOST:PORT.
+pub fn address(text: &str, option: &str) -> Result<SocketAddr, Failure> {
+    let full = if text.contains(':') { text.to_string() } else { format!("127.0.0.1:{text}") };
+    let found = full.to_socket_addrs().ok().and_then(|mut addresses| addresses.next());
+    found.ok_or_else(|| {
+        Failure::wrong(format!("{option} {text} is not PORT or HOST:PORT")).remedy(format!("try {option} 7710"))
+    })
 }
 
 /// A state in words.

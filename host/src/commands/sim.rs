@@ -1,5 +1,6 @@
 //! `haptic sim`: runs a simulated board until interrupted, behind a port that any command can open.
 
+use super::port::address;
 use clap::ValueEnum;
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
@@ -8,7 +9,6 @@ use haptic::scene_file::SceneFile;
 use haptic::sim::door::tcp;
 use haptic::sim::server::{Pace, serve};
 use haptic::sim::{Around, BoardOptions, DriveModel, Hand, HandSettings, SHIPPED_DEVICE, ready_board};
-use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::PathBuf;
 
 /// Run a simulated board with a device on it, until Ctrl-C
@@ -96,7 +96,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     let door = match &args.tcp {
         Some(text) => {
-            let address = address(text)?;
+            let address = address(text, "--tcp")?;
             tcp(address).map_err(|error| {
                 Failure::impossible(format!("cannot listen on {address}: {error}")).remedy("choose another --tcp PORT")
             })?
@@ -124,10 +124,4 @@ fn pseudo_terminal() -> Result<haptic::sim::door::Door, Failure> {
 #[cfg(not(unix))]
 fn pseudo_terminal() -> Result<haptic::sim::door::Door, Failure> {
     Err(Failure::wrong("this system has no pseudo-terminals").remedy("use --tcp PORT"))
-}
-
-fn address(text: &str) -> Result<SocketAddr, Failure> {
-    let full = if text.contains(':') { text.to_string() } else { format!("127.0.0.1:{text}") };
-    let found = full.to_socket_addrs().ok().and_then(|mut addresses| addresses.next());
-    found.ok_or_else(|| Failure::wrong(format!("--tcp {text} is not PORT or HOST:PORT")).remedy("try --tcp 7710"))
 }

@@ -63,6 +63,21 @@ pub fn doubts(device: &Device<f64>, scene: &Scene<f64>) -> (Vec<Doubt>, Vec<Cont
     (doubts, contacts)
 }
 
+/// The loop around a wall of a scene, its motors ideal.
+pub fn around(scene: &Scene<f64>, wall: &Wall<f64>, delay_samples: f64) -> Loop {
+    Loop {
+        rate_hz: scene.rate_hz,
+        delay_samples,
+        estimator: match scene.estimator {
+            Estimator::Butterworth => Analysed::Butterworth(scene.cutoff_hz),
+            Estimator::FirstOrder => Analysed::FirstOrder(scene.cutoff_hz),
+            Estimator::BackwardDifference => Analysed::BackwardDifference,
+        },
+        drive: Drive::Ideal,
+        damping_compensation: wall.damping_compensation,
+    }
+}
+
 /// What wall `index` of a scene meets at a pose, in a loop with this delay (control samples); `None` at a singularity.
 pub fn meets(
     device: &Device<f64>,
@@ -74,17 +89,7 @@ pub fn meets(
 ) -> Option<Contact> {
     let wall = scene.walls.get(index)?;
     let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?;
-    let around = Loop {
-        rate_hz: scene.rate_hz,
-        delay_samples,
-        estimator: match scene.estimator {
-            Estimator::Butterworth => Analysed::Butterworth(scene.cutoff_hz),
-            Estimator::FirstOrder => Analysed::FirstOrder(scene.cutoff_hz),
-            Estimator::BackwardDifference => Analysed::BackwardDifference,
-        },
-        drive: Drive::Ideal,
-        damping_compensation: wall.damping_compensation,
-    };
+    let around = around(scene, wall, delay_samples);
     let mode = match wall.feed_forward {
         FeedForward::Off => Mode::Off,
         FeedForward::Full => Mode::Full,

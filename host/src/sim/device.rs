@@ -137,6 +137,14 @@ impl Device {
     pub fn set_hand(&mut self, hand: Hand) {
         self.hand = hand;
     }
+    /// The hand on the tip.
+    pub fn hand(&self) -> &Hand {
+        &self.hand
+    }
+    /// The hand on the tip, to lead it.
+    pub fn hand_mut(&mut self) -> &mut Hand {
+        &mut self.hand
+    }
     /// Puts the device at rest at `q` (rad); its encoders see it move there.
     pub fn place(&mut self, q: [f64; 3]) {
         self.plant.place(q, [0.0; 3]);

@@ -24,7 +24,13 @@ pub enum Intent {
     Follow(Vec<Waypoint>),
     /// Push with these forces, in order of time; the arm then only damps.
     Push(Vec<Waypoint>),
+    /// Go to this place (m), wherever it is moved: what a mouse does. [`Hand::lead`] moves it.
+    Lead([f64; 3]),
 }
+
+/// How fast the aim of a hand that is led comes to where it is led, rad/s: a critically damped second-order lag of 50 ms,
+/// which is about how closely an arm follows a mouse, and takes the steps out of a mouse's 60 places a second.
+const LEAD: f64 = 40.0;
 
 /// The mechanics of a hand.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -68,6 +74,8 @@ pub struct Hand {
     began: f64,
     position: [f64; 3],
     velocity: [f64; 3],
+    aim: [f64; 3],
+    aim_velocity: [f64; 3],
     tremor: Vec<Wave>,
 }
 
@@ -88,7 +96,21 @@ impl Hand {
         let tremor = (0..3 * WAVES)
             .map(|i| Wave { axis: i % 3, hz: random.between(8.0, 12.0), phase: random.between(0.0, TAU) })
             .collect();
-        Self { settings, intent, began: now, position: tip, velocity: [0.0; 3], tremor }
+        let at_rest = [0.0; 3];
+        Self { settings, intent, began: now, position: tip, velocity: at_rest, aim: tip, aim_velocity: at_rest, tremor }
+    }
+
+    /// Leads the hand to `goal` (m), starting from where it is.
+    pub fn lead(&mut self, goal: [f64; 3]) {
+        if !matches!(self.intent, Intent::Lead(_)) {
+            (self.aim, self.aim_velocity) = (self.position, [0.0; 3]);
+        }
+        self.intent = Intent::Lead(goal);
+    }
+
+    /// Where the hand itself is, m, unless it holds nothing.
+    pub fn position(&self) -> Option<[f64; 3]> {
+        (self.intent != Intent::LetGo).then_some(self.position)
     }
 
     /// A hand that holds nothing.
@@ -114,6 +136,13 @@ impl Hand {
                     let (aim, aim_velocity) = along(path, axis, time);
                     s.arm_stiffness * (aim + tremor[axis] - self.position[axis])
                         + s.arm_damping * (aim_velocity - self.velocity[axis])
+                }
+                Intent::Lead(goal) => {
+                    let lag = LEAD * (LEAD * (goal[axis] - self.aim[axis]) - 2.0 * self.aim_velocity[axis]);
+                    self.aim_velocity[axis] += h * lag;
+                    self.aim[axis] += h * self.aim_velocity[axis];
+                    s.arm_stiffness * (self.aim[axis] + tremor[axis] - self.position[axis])
+                        + s.arm_damping * (self.aim_velocity[axis] - self.velocity[axis])
                 }
                 Intent::Push(forces) => {
                     along(forces, axis, time).0 + s.arm_stiffness * tremor[axis] - s.arm_damping * self.velocity[axis]
@@ -179,6 +208,21 @@ mod tests {
             force = hand.step(&[0.1, 0.2, 0.0], &[0.0; 3], 2, f64::from(i) * 1e-5, 1e-5);
         }
         assert!(force[0].abs() < 1e-9 && (force[1] + 3.0).abs() < 1e-6, "{force:?}");
+    }
+
+    #[test]
+    fn a_hand_that_is_led_pulls_with_its_arm_once_it_has_come_to_rest() {
+        let mut hand = Hand::new(HandSettings::default(), Intent::LetGo, [0.1, 0.2, 0.0], 0.0);
+        assert_eq!(hand.position(), None);
+        hand.lead([0.1, 0.19, 0.0]);
+        let mut force = [0.0; 3];
+        for i in 0..200_000 {
+            force = hand.step(&[0.1, 0.2, 0.0], &[0.0; 3], 2, f64::from(i) * 1e-5, 1e-5);
+        }
+        // A centimetre of the arm's 250 N/m.
+        assert!(force[0].abs() < 1e-9 && (force[1] + 2.5).abs() < 1e-6, "{force:?}");
+        // Grip and arm share it: 2.5 N bend the grip's 1200 N/m by 2 mm.
+        assert!((hand.position().unwrap()[1] - (0.2 - 2.5 / 1200.0)).abs() < 1e-6);
     }
 
     #[test]

@@ -1,0 +1,255 @@
+//! The door: HTTP and WebSocket on one port of this computer.
+//!
+//! `GET /` is the page, `GET /live` the WebSocket behind it. Only this computer is let in unless the address says more,
+//! and then only who knows the token. A page of another site that runs in the same browser is kept out as well: the
+//! request must name this server by its address (or `localhost`), and come from a page of this server.
+
+use super::hub::{Hub, PageId};
+use super::message::FromPage;
+use std::io::{self, Read, Write};
+use std::net::{IpAddr, SocketAddr, TcpListener, TcpStream};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+use tungstenite::handshake::machine::TryParse;
+use tungstenite::handshake::server::{Request, create_response, write_response};
+use tungstenite::protocol::{Role, WebSocketConfig};
+use tungstenite::{Message, WebSocket};
+
+/// The page, whole.
+const PAGE: &str = include_str!("page.html");
+/// What the page may do: run what is in it, and talk to where it came from. Nothing else of the network is for it.
+const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; \
+                      connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+/// Longest head of a request, bytes.
+const HEAD: usize = 8192;
+/// How long a head may take to come.
+const HEAD_TIME: Duration = Duration::from_secs(5);
+/// Longest message of a page, bytes.
+const MESSAGE: usize = 16 * 1024;
+/// How long a page's thread listens before it looks for what waits for the page: 8 ms, half a picture.
+const LISTEN: Duration = Duration::from_millis(8);
+/// How long a page may leave what it was sent unread.
+const SEND: Duration = Duration::from_secs(2);
+/// Connections at once, pages and others.
+const CONNECTIONS: usize = 64;
+
+/// A port that browsers open.
+#[derive(Debug)]
+pub struct Door {
+    listener: TcpListener,
+    token: Option<String>,
+}
+
+impl Door {
+    /// Listens. Beyond this computer a token is asked for, drawn anew.
+    pub fn open(address: SocketAddr) -> io::Result<Self> {
+        let listener = TcpListener::bind(address)?;
+        let token = if address.ip().is_loopback() { None } else { Some(token()?) };
+        Ok(Self { listener, token })
+    }
+
+    /// What to open in a browser.
+    pub fn url(&self) -> io::Result<String> {
+        let address = self.listener.local_addr()?;
+        let token = self.token.as_ref().map_or(String::new(), |token| format!("?token={token}"));
+        Ok(format!("http://{address}/{token}"))
+    }
+
+    /// Lets pages in from now on, on threads of their own.
+    pub fn serve(self, hub: Hub) {
+        let token = Arc::new(self.token);
+        let open = Arc::new(AtomicUsize::new(0));
+        thread::spawn(move || {
+            for stream in self.listener.incoming() {
+                let Ok(stream) = stream else { continue };
+                if open.fetch_add(1, Ordering::SeqCst) >= CONNECTIONS {
+                    open.fetch_sub(1, Ordering::SeqCst);
+                    continue;
+                }
+                let (hub, token, open) = (hub.clone(), Arc::clone(&token), Arc::clone(&open));
+                thread::spawn(move || {
+                    // A connection that fails is the browser's business: it says so and comes again.
+                    let _ = greet(stream, &hub, token.as_deref());
+                    open.fetch_sub(1, Ordering::SeqCst);
+                });
+            }
+        });
+    }
+}
+
+/// 128 bits that nobody guesses.
+fn token() -> io::Result<String> {
+    let mut bytes = [0_u8; 16];
+    getrandom::fill(&mut bytes).map_err(io::Error::other)?;
+    Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+/// Reads the head of a GET request; everything else is none.
+fn head(stream: &mut TcpStream) -> Option<Request> {
+    let began = Instant::now();
+    let mut bytes = Vec::new();
+    while bytes.len() < HEAD {
+        let left = HEAD_TIME.checked_sub(began.elapsed()).filter(|left| !left.is_zero())?;
+        stream.set_read_timeout(Some(left)).ok()?;
+        let mut buffer = [0; 1024];
+        let count = stream.read(&mut buffer).ok().filter(|count| *count > 0)?;
+        bytes.extend(&buffer[..count]);
+        match Request::try_parse(&bytes) {
+            // What follows the head of a WebSocket's request before it is answered is nobody's.
+            Ok(Some(_)) if bytes.ends_with(b"\r\n\r\n") => return Request::try_parse(&bytes).ok()?.map(|(_, read)| read),
+            Ok(None) => {}
+            Ok(Some(_)) | Err(_) => return None,
+        }
+    }
+    None
+}
+
+/// Why a request is not served: status and words.
+type Refused = (&'static str, &'static str);
+
+/// Whether a request comes from a page of this server, and from somebody who may.
+fn admit(request: &Request, token: Option<&str>) -> Result<(), Refused> {
+    let header = |name: &str| request.headers().get(name).and_then(|value| value.to_str().ok());
+    let host = header("host").unwrap_or_default();
+    let name = host.rsplit_once(':').map_or(host, |(name, _)| name).trim_start_matches('[').trim_end_matches(']');
+    if name != "localhost" && name.parse::<IpAddr>().is_err() {
+        return Err(("403 Forbidden", "open this page by the address that `haptic view` printed"));
+    }
+    if header("origin").is_some_and(|origin| origin != format!("http://{host}")) {
+        return Err(("403 Forbidden", "this page belongs to another site"));
+    }
+    let given = request.uri().query().unwrap_or_default().split('&').find_map(|part| part.strip_prefix("token="));
+    if token.is_some_and(|token| given != Some(token)) {
+        return Err(("403 Forbidden", "the token is missing or wrong: open the address that `haptic view` printed"));
+    }
+    Ok(())
+}
+
+fn greet(mut stream: TcpStream, hub: &Hub, token: Option<&str>) -> tungstenite::Result<()> {
+    stream.set_nodelay(true)?;
+    stream.set_write_timeout(Some(SEND))?;
+    let Some(request) = head(&mut stream) else {
+        return answer(&mut stream, ("400 Bad Request", "not a request that this server understands"));
+    };
+    if let Err(refused) = admit(&request, token) {
+        return answer(&mut stream, refused);
+    }
+    match request.uri().path() {
+        "/" => page(&mut stream),
+        "/live" => live(stream, &request, hub),
+        _ => answer(&mut stream, ("404 Not Found", "nothing is here; the page is at /")),
+    }
+}
+
+fn page(stream: &mut TcpStream) -> tungstenite::Result<()> {
+    write!(
+        stream,
+        "HTTP/1.1 200 OK\r\nContent-Type: text/html; charset=utf-8\r\nContent-Length: {}\r\n\
+         Content-Security-Policy: {POLICY}\r\nX-Content-Type-Options: nosniff\r\nReferrer-Policy: no-referrer\r\n\
+         Cache-Control: no-store\r\nConnection: close\r\n\r\n{PAGE}",
+        PAGE.len()
+    )?;
+    Ok(())
+}
+
+fn answer(stream: &mut TcpStream, (status, words): Refused) -> tungstenite::Result<()> {
+    write!(
+        stream,
+        "HTTP/1.1 {status}\r\nContent-Type: text/plain; charset=utf-8\r\nContent-Length: {}\r\nConnection: close\r\n\r\n\
+         {words}\n",
+        words.len() + 1
+    )?;
+    Ok(())
+}
+
+fn live(mut stream: TcpStream, request: &Request, hub: &Hub) -> tungstenite::Result<()> {
+    let Ok(response) = create_response(request) else {
+        return answer(&mut stream, ("400 Bad Request", "this address is a WebSocket; the page is at /"));
+    };
+    let Some(id) = hub.come() else {
+        return answer(&mut stream, ("503 Service Unavailable", "too many pages are open"));
+    };
+    let ended = converse(stream, &response, hub, id);
+    hub.go(id);
+    ended
+}
+
+fn converse(
+    mut stream: TcpStream,
+    response: &tungstenite::handshake::server::Response,
+    hub: &Hub,
+    id: PageId,
+) -> tungstenite::Result<()> {
+    write_response(&mut stream, response)?;
+    stream.set_read_timeout(Some(LISTEN))?;
+    let config = WebSocketConfig::default().max_message_size(Some(MESSAGE)).max_frame_size(Some(MESSAGE));
+    let mut socket = WebSocket::from_raw_socket(stream, Role::Server, Some(config));
+    loop {
+        match socket.read() {
+            Ok(Message::Text(text)) => hub.said(id, FromPage::parse(&text)),
+            Ok(Message::Binary(_)) => hub.said(id, Err("not a message of this page: it is binary".into())),
+            Ok(Message::Close(_)) => return Ok(()),
+            Ok(_) => {}
+            Err(tungstenite::Error::Io(error)) if nothing_yet(&error) => {}
+            Err(error) => return Err(error),
+        }
+        let mut waiting = hub.take(id);
+        for text in waiting.messages.into_iter().chain(waiting.picture) {
+            socket.write(Message::text(text))?;
+        }
+        if let Some(bytes) = waiting.scope {
+            socket.write(Message::binary(bytes))?;
+        }
+        if !waiting.sound.1.is_empty() {
+            let samples = std::mem::take(&mut waiting.sound.1);
+            let numbers = [2.0, waiting.sound.0].into_iter().chain(samples);
+            socket.write(Message::binary(numbers.flat_map(f32::to_le_bytes).collect::<Vec<u8>>()))?;
+        }
+        socket.flush()?;
+    }
+}
+
+fn nothing_yet(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn request(head: &str) -> Request {
+        Request::try_parse(head.as_bytes()).unwrap().unwrap().1
+    }
+
+    #[test]
+    fn only_pages_of_this_server_by_its_address_are_let_in() {
+        let from = |host: &str, origin: &str| {
+            let origin = if origin.is_empty() { String::new() } else { format!("Origin: {origin}\r\n") };
+            admit(&request(&format!("GET /live HTTP/1.1\r\nHost: {host}\r\n{origin}\r\n")), None).is_ok()
+        };
+        assert!(from("127.0.0.1:7720", "") && from("localhost:7720", "http://localhost:7720"));
+        assert!(from("[::1]:7720", "http://[::1]:7720"));
+        // A name that somebody else's server resolves to this computer, and a page of another site.
+        assert!(!from("evil.example:7720", "") && !from("", ""));
+        assert!(!from("127.0.0.1:7720", "http://evil.example") && !from("127.0.0.1:7720", "null"));
+        assert!(!from("127.0.0.1:7720", "http://127.0.0.1:7721"));
+    }
+
+    #[test]
+    fn a_token_is_asked_for_where_there_is_one() {
+        let with = |query: &str| {
+            admit(&request(&format!("GET /{query} HTTP/1.1\r\nHost: 10.0.0.1\r\n\r\n")), Some("abc")).is_ok()
+        };
+        assert!(with("?token=abc") && with("?a=b&token=abc"));
+        assert!(!with("") && !with("?token=") && !with("?token=abcd") && !with("?nottoken=abc"));
+        assert_eq!(token().unwrap().len(), 32);
+        assert_ne!(token().unwrap(), token().unwrap());
+    }
+
+    #[test]
+    fn the_page_names_no_other_place() {
+        assert!(!PAGE.contains("https://") && !PAGE.contains("http://www") && !PAGE.contains("src="));
+    }
+}

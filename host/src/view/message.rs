@@ -1,0 +1,126 @@
+//! What a page says, as JSON: `{"do": "gains", "wall": 0, …}`. Unknown words and keys are errors.
+
+use haptic_bridge::render::scene::FeedForward;
+use serde::{Deserialize, Serialize};
+
+/// A message from a page. Those without content are written with braces, so that unknown keys in them are refused.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(tag = "do", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum FromPage {
+    /// The page is still there.
+    Here {},
+    /// Take command, where nobody has it.
+    Take {},
+    /// Give it back.
+    Give {},
+    /// The dead man's key was pressed: motors on.
+    Arm {},
+    /// It is still down; said several times a second. Where it is not known to be, nothing happens: only a press arms.
+    Hold {},
+    /// It was let go: motors off.
+    Release {},
+    /// Motors off. Any page may.
+    Disarm {},
+    /// Clear a fault.
+    Clear {},
+    /// New gains of a wall.
+    Gains {
+        /// Which, from 0.
+        wall: u8,
+        /// N/m
+        stiffness: f32,
+        /// N s/m
+        damping: f32,
+        /// How its force is fed forward.
+        feed_forward: FeedForward,
+        /// Also where they are predicted to be unstable.
+        #[serde(default)]
+        beyond: bool,
+    },
+    /// Move a wall: its point (a round wall's centre), m. A plane keeps its direction unless a new normal is given.
+    Wall {
+        /// Which, from 0.
+        wall: u8,
+        /// Where to, in the plane that is drawn.
+        point: [f32; 2],
+        /// The plane's new normal, of any length.
+        #[serde(default)]
+        normal: Option<[f32; 2]>,
+    },
+    /// Where the hand goes, m; none: it lets go. On a simulated device.
+    Hand {
+        /// In the plane that is drawn.
+        at: Option<[f64; 2]>,
+    },
+    /// What this page's oscilloscope shows.
+    Scope(ScopeRequest),
+    /// Whether this page listens to the motors.
+    Sound {
+        /// On or off.
+        on: bool,
+    },
+}
+
+/// An oscilloscope's settings.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct ScopeRequest {
+    /// Columns of telemetry by their labels, up to four.
+    pub channels: Vec<String>,
+    /// How much time is shown, s.
+    pub seconds: f64,
+    /// What starts a sweep; none: it rolls.
+    #[serde(default)]
+    pub trigger: Option<Trigger>,
+}
+
+/// What starts a sweep.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Trigger {
+    /// The column that is watched.
+    pub channel: String,
+    /// The level that it crosses, in the column's unit.
+    pub level: f64,
+    /// Upwards or downwards.
+    pub rising: bool,
+    /// Share of the window that is shown from before the crossing, 0 to 1.
+    pub before: f64,
+    /// Stop after one sweep.
+    #[serde(default)]
+    pub once: bool,
+}
+
+impl FromPage {
+    /// Reads a message. The error says what is wrong with it.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        serde_json::from_str(text).map_err(|error| format!("not a message of this page: {error}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn messages_are_read_and_what_is_none_is_refused() {
+        assert_eq!(FromPage::parse(r#"{"do":"arm"}"#), Ok(FromPage::Arm {}));
+        assert_eq!(FromPage::parse(r#"{"do":"hand","at":null}"#), Ok(FromPage::Hand { at: None }));
+        for bad in [
+            "",
+            "hold",
+            "[]",
+            r#"{"do":"jump"}"#,
+            r#"{"do":"hold","x":1}"#,
+            r#"{"do":"sound"}"#,
+            r#"{"do":"sound","on":1}"#,
+            r#"{"do":"sound","on":true,"and":1}"#,
+            r#"{"do":"hand","at":[1]}"#,
+            r#"{"do":"gains","wall":-1,"stiffness":1,"damping":1,"feed_forward":"off"}"#,
+            r#"{"do":"gains","wall":0,"stiffness":1,"damping":1,"feed_forward":"some"}"#,
+        ] {
+            let refused = FromPage::parse(bad).unwrap_err();
+            assert!(refused.starts_with("not a message of this page"), "{bad}: {refused}");
+        }
+    }
+}

@@ -1,0 +1,622 @@
+//! The stage: the one thread that owns the board. It hears the pages, lets time pass, and shows what there is to see.
+//!
+//! One page commands, the others watch. The motors are on only while the page in command holds its key down and says so:
+//! a page that lets go, closes, or is not heard for [`SILENCE`] turns them off. Any page may turn them off. Should this
+//! process die, the board hears no heartbeat and turns them off by itself.
+
+use super::hub::{Event, Hub, PageId};
+use super::message::FromPage;
+use super::picture::{FIELDS, Geometry, Newest, Numbers, nearest_wall};
+use super::scope::{LONGEST, Ring, Scope};
+use super::stability::{Oracle, Plane, Question};
+use super::world::{World, hand_settings, lead};
+use crate::link::{Board, BoardError, Column, LinkError, columns};
+use crate::precision::{widened, widened_scene};
+use haptic_bridge::board::telemetry::Field;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::render::controller::Gains;
+use haptic_bridge::render::scene::{FeedForward, Scene, Surface};
+use haptic_bridge::safety::fault::{FaultRecord, State};
+use serde::Serialize;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Receiver;
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// How long the page in command may be silent with its key down before the motors go off: three of the page's messages.
+pub const SILENCE: Duration = Duration::from_millis(350);
+/// How long it may be silent at all before others may take command.
+const ABSENCE: Duration = Duration::from_secs(5);
+/// Between two pictures: 60 a second.
+const PICTURE: Duration = Duration::from_micros(16_600);
+/// Between two sweeps of an oscilloscope.
+const SWEEP: Duration = Duration::from_millis(40);
+/// Between two looks at what changes slowly.
+const LOOK: Duration = Duration::from_millis(500);
+/// How much simulated time is caught up after the computer was busy.
+const CATCH_UP: Duration = Duration::from_millis(50);
+/// Simulated time that passes between two looks at what pages say.
+const SLICE: Duration = Duration::from_millis(8);
+/// How far a joint turns before the boundary is worked out anew, rad.
+const TURNED: f64 = 0.02;
+/// What a full-speed USB serial port carries with room to spare, bytes of telemetry a second.
+const USB: f64 = 600e3;
+/// Cycles a second of the boards' core.
+const CORE_HZ: f64 = 168e6;
+
+/// The stage.
+pub struct Stage<'a> {
+    world: &'a mut World,
+    hub: &'a Hub,
+    events: &'a Receiver<Event>,
+    device: Device<f64>,
+    scene: Scene<f64>,
+    columns: Vec<Column>,
+    rows_hz: f64,
+    delay_samples: f64,
+    ring: Ring,
+    last_step: Option<u32>,
+    divider: u32,
+    trail: Vec<[f64; 2]>,
+    sound: Vec<f32>,
+    scopes: BTreeMap<PageId, Scope>,
+    listeners: Vec<PageId>,
+    command: Option<(PageId, Instant)>,
+    /// When the key was last said to be down.
+    held: Option<Instant>,
+    goal: Option<[f64; 2]>,
+    state: State,
+    fault: Option<String>,
+    load: Option<f64>,
+    oracle: Oracle,
+    plane: Option<Plane>,
+    asked: Option<(usize, Vec<f64>)>,
+    pace: Pace,
+}
+
+/// Simulated time against the wall clock.
+struct Pace {
+    began: Instant,
+    board_began: Duration,
+    measured: (Instant, Duration),
+    speed: f64,
+}
+
+/// One picture, as JSON.
+#[derive(Serialize)]
+struct Picture<'a> {
+    is: &'static str,
+    time: f64,
+    state: &'static str,
+    geometry: &'a Geometry,
+    numbers: &'a Numbers,
+    trail: &'a [[f64; 2]],
+    hand: Option<HandSeen>,
+    command: Option<PageId>,
+    held: bool,
+    fault: Option<&'a str>,
+    losses: String,
+    lost: u64,
+    load: Option<f64>,
+    speed: Option<f64>,
+    pages: usize,
+}
+
+#[derive(Serialize)]
+struct HandSeen {
+    at: [f64; 2],
+    goal: [f64; 2],
+    force: [f64; 2],
+}
+
+impl<'a> Stage<'a> {
+    /// Sets the board up to be looked at: heartbeats, and a stream of every step, or of `rows_hz` rows a second.
+    pub fn open(
+        world: &'a mut World,
+        hub: &'a Hub,
+        events: &'a Receiver<Event>,
+        rows_hz: Option<f64>,
+    ) -> Result<Self, crate::error::Failure> {
+        let board = &mut world.board;
+        let details = board.details()?;
+        let device = board.device()?.ok_or(BoardError::Refused(haptic_bridge::safety::refusal::Refusal::NoDevice))?;
+        let scene = board.scene()?.ok_or(BoardError::Refused(haptic_bridge::safety::refusal::Refusal::NoScene))?;
+        let (device, scene) = (widened(&device)?, widened_scene(&scene)?);
+        let rate_hz = f64::from(details.rate_hz);
+        let most = match world.simulated {
+            Some(_) => rate_hz,
+            None => USB / (4 * FIELDS.width(device.axes())) as f64,
+        };
+        let divider = (rate_hz / rows_hz.unwrap_or(most).min(rate_hz)).ceil().max(1.0) as u32;
+        let rows_hz = rate_hz / f64::from(divider);
+        let columns = columns(FIELDS, device.axes());
+        // Nobody holds a key yet.
+        board.disarm()?;
+        board.keep_alive();
+        board.start_stream(FIELDS, divider)?;
+        let (now, board_now) = (Instant::now(), board.now());
+        let stage = Self {
+            ring: Ring::new(columns.len(), (1.5 * LONGEST * rows_hz).ceil() as usize),
+            world,
+            hub,
+            events,
+            device,
+            scene,
+            columns,
+            rows_hz,
+            delay_samples: f64::from(details.delay_samples),
+            last_step: None,
+            divider,
+            trail: Vec::new(),
+            sound: Vec::new(),
+            scopes: BTreeMap::new(),
+            listeners: Vec::new(),
+            command: None,
+            held: None,
+            goal: None,
+            state: State::Disarmed,
+            fault: None,
+            load: None,
+            oracle: Oracle::default(),
+            plane: None,
+            asked: None,
+            pace: Pace { began: now, board_began: board_now, measured: (now, board_now), speed: 1.0 },
+        };
+        stage.say_to_all(&stage.about());
+        stage.say_to_all(&stage.walls());
+        Ok(stage)
+    }
+
+    fn board(&mut self) -> &mut Board {
+        &mut self.world.board
+    }
+
+    /// Plays until `stop` is set or the board is lost. The motors are off afterwards.
+    pub fn run(&mut self, stop: &AtomicBool) -> Result<(), LinkError> {
+        let played = self.play(stop);
+        // A board that is lost turns them off itself.
+        let disarmed = self.board().disarm();
+        if let (Ok(()), Err(BoardError::Link(error))) = (&played, disarmed) {
+            return Err(error);
+        }
+        played.and_then(|()| {
+            let _ = self.board().stop_stream();
+            Ok(())
+        })
+    }
+
+    fn play(&mut self, stop: &AtomicBool) -> Result<(), LinkError> {
+        let (mut shown, mut swept, mut looked) = (Instant::now(), Instant::now(), Instant::now());
+        while !stop.load(Ordering::SeqCst) {
+            while let Ok(event) = self.events.try_recv() {
+                self.hear(event)?;
+            }
+            self.watch_the_key()?;
+            self.let_time_pass()?;
+            if shown.elapsed() >= PICTURE {
+                shown = Instant::now();
+                self.show();
+            }
+            if swept.elapsed() >= SWEEP {
+                swept = Instant::now();
+                self.sweep();
+            }
+            if looked.elapsed() >= LOOK {
+                looked = Instant::now();
+                self.look()?;
+            }
+        }
+        Ok(())
+    }
+
+    fn let_time_pass(&mut self) -> Result<(), LinkError> {
+        let wait = if self.world.simulated.is_some() {
+            let pace = &mut self.pace;
+            let due = pace.began.elapsed();
+            let passed = self.world.board.now().saturating_sub(pace.board_began);
+            let behind = due.saturating_sub(passed);
+            if behind.is_zero() {
+                thread::sleep(Duration::from_millis(1));
+                return Ok(());
+            }
+            // What the computer was too slow for is not made up for: the picture would race.
+            pace.began += behind.saturating_sub(CATCH_UP);
+            behind.min(SLICE)
+        } else {
+            Duration::from_millis(5)
+        };
+        for row in self.world.board.rows(wait)? {
+            if let Some(last) = self.last_step {
+                let ahead = row.step.wrapping_sub(last) / self.divider;
+                if ahead < u32::MAX / 2 / self.divider {
+                    self.ring.lose(u64::from(ahead.saturating_sub(1)));
+                }
+            }
+            self.last_step = Some(row.step);
+            self.ring.push(row.values.iter().map(|value| *value as f32));
+            if !self.listeners.is_empty() {
+                self.sound.push(row.get(Field::Torque).iter().sum::<f64>() as f32);
+            }
+            let tip = row.get(Field::Tip);
+            self.trail.push([tip[0], tip.get(1).copied().unwrap_or(0.0)]);
+        }
+        for record in self.world.board.take_reported_faults() {
+            self.fault = Some(in_words(&record));
+        }
+        let state = match Newest::of(&self.ring, &self.columns).get(Field::State, 0) as u8 {
+            1 => State::Armed,
+            2 => State::CheckingPolarity,
+            3 => State::Fault,
+            _ => State::Disarmed,
+        };
+        if state == State::Fault && (self.state != State::Fault || self.fault.is_none()) {
+            self.fault = self.board().status()?.fault.as_ref().map(in_words);
+            self.held = None;
+        }
+        if state != State::Fault && self.state == State::Fault {
+            self.fault = None;
+        }
+        self.state = state;
+        Ok(())
+    }
+
+    /// The dead man's key: silence counts as letting go.
+    fn watch_the_key(&mut self) -> Result<(), LinkError> {
+        if self.held.is_some_and(|said| said.elapsed() > SILENCE) {
+            self.disarm()?;
+            self.refuse_all("the page in command was not heard: motors off");
+        }
+        if self.command.is_some_and(|(_, heard)| heard.elapsed() > ABSENCE) {
+            self.leave()?;
+        }
+        Ok(())
+    }
+
+    fn disarm(&mut self) -> Result<(), LinkError> {
+        self.held = None;
+        match self.board().disarm() {
+            Err(BoardError::Link(error)) => Err(error),
+            Ok(()) | Err(BoardError::Refused(_)) => Ok(()),
+        }
+    }
+
+    /// Nobody is in command any more.
+    fn leave(&mut self) -> Result<(), LinkError> {
+        self.command = None;
+        self.goal = None;
+        if let Some(simulated) = &self.world.simulated {
+            lead(simulated, None);
+        }
+        self.disarm()
+    }
+
+    fn hear(&mut self, event: Event) -> Result<(), LinkError> {
+        match event {
+            Event::Came(id) => {
+                self.say(id, &self.about());
+                self.say(id, &self.walls());
+                if let Some(plane) = &self.plane {
+                    self.say(id, &plane_message(plane));
+                }
+            }
+            Event::Gone(id) => {
+                self.scopes.remove(&id);
+                self.listeners.retain(|listener| *listener != id);
+                if self.commands(id) {
+                    self.leave()?;
+                }
+            }
+            Event::Said(id, Err(why)) => self.refuse(id, &why),
+            Event::Said(id, Ok(message)) => {
+                if let Some((holder, heard)) = &mut self.command
+                    && *holder == id
+                {
+                    *heard = Instant::now();
+                }
+                match self.act(id, message) {
+                    Err(BoardError::Link(error)) => return Err(error),
+                    Err(BoardError::Refused(refusal)) => self.refuse(id, &refusal.to_string()),
+                    Ok(()) => {}
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn commands(&self, id: PageId) -> bool {
+        self.command.is_some_and(|(holder, _)| holder == id)
+    }
+
+    fn act(&mut self, id: PageId, message: FromPage) -> Result<(), BoardError> {
+        // What every page may do.
+        match &message {
+            FromPage::Here {} => return Ok(()),
+            FromPage::Disarm {} => return Ok(self.disarm()?),
+            FromPage::Take {} if self.command.is_none() => {
+                self.command = Some((id, Instant::now()));
+                return Ok(());
+            }
+            FromPage::Scope(request) => {
+                let labels: Vec<String> = self.columns.iter().map(|column| column.label.clone()).collect();
+                match Scope::new(request.clone(), &labels, self.rows_hz, self.ring.end()) {
+                    Ok(scope) => {
+                        self.scopes.insert(id, scope);
+                    }
+                    Err(why) => self.refuse(id, &why),
+                }
+                return Ok(());
+            }
+            FromPage::Sound { on } => {
+                self.listeners.retain(|listener| *listener != id);
+                if *on {
+                    self.listeners.push(id);
+                }
+                return Ok(());
+            }
+            _ => {}
+        }
+        if !self.commands(id) {
+            if !matches!(message, FromPage::Release {} | FromPage::Hold {}) {
+                self.refuse(id, "another page is in command; this one watches");
+            }
+            return Ok(());
+        }
+        match message {
+            FromPage::Give {} => self.leave()?,
+            FromPage::Release {} => self.disarm()?,
+            FromPage::Arm {} => {
+                self.board().arm()?;
+                self.held = Some(Instant::now());
+            }
+            // Only a press arms: not a key that was down when something else turned the motors off.
+            FromPage::Hold {} => self.held = self.held.map(|_| Instant::now()),
+            FromPage::Clear {} => self.board().clear()?,
+            FromPage::Gains { wall, stiffness, damping, feed_forward, beyond } => {
+                self.change_gains(id, wall, stiffness, damping, feed_forward, beyond)?;
+            }
+            FromPage::Wall { wall, point, normal } => self.move_wall(id, usize::from(wall), point, normal)?,
+            FromPage::Hand { at } => match &self.world.simulated {
+                Some(simulated) if at.is_none_or(|at| at.iter().all(|v| v.is_finite())) => {
+                    lead(simulated, at);
+                    self.goal = at;
+                }
+                Some(_) => self.refuse(id, "a place is two finite numbers"),
+                None => self.refuse(id, "this device is not simulated: take it into your own hand"),
+            },
+            FromPage::Here {} | FromPage::Disarm {} | FromPage::Take {} | FromPage::Scope(_) | FromPage::Sound { .. } => {}
+        }
+        Ok(())
+    }
+
+    fn change_gains(
+        &mut self,
+        id: PageId,
+        wall: u8,
+        stiffness: f32,
+        damping: f32,
+        feed_forward: FeedForward,
+        beyond: bool,
+    ) -> Result<(), BoardError> {
+        let Some(now) = self.scene.walls.get(usize::from(wall)) else {
+            self.refuse(id, &format!("there is no wall {wall}"));
+            return Ok(());
+        };
+        if let Some(plane) = self.plane.as_ref().filter(|plane| plane.wall == usize::from(wall) && !beyond) {
+            let most = plane.stiffness_to(feed_forward, f64::from(damping));
+            let inside = now.stiffness <= plane.stiffness_to(now.feed_forward, now.damping);
+            if inside && f64::from(stiffness) > most {
+                let why = format!(
+                    "predicted to be unstable here: with {damping:.1} N s/m and feed-forward {}, walls are stable up to {most:.0} N/m",
+                    feed_forward.name()
+                );
+                let again = FromPage::Gains { wall, stiffness, damping, feed_forward, beyond: true };
+                self.say(id, &json!({"is": "refused", "why": why, "again": again}));
+                return Ok(());
+            }
+        }
+        let washout_hz = now.washout_hz as f32;
+        self.board().set_wall_gains(Gains { wall, stiffness, damping, feed_forward, washout_hz })?;
+        self.reread()
+    }
+
+    fn move_wall(
+        &mut self,
+        id: PageId,
+        index: usize,
+        point: [f32; 2],
+        normal: Option<[f32; 2]>,
+    ) -> Result<(), BoardError> {
+        let Some(mut scene) = self.board().scene()? else { return Ok(()) };
+        let task = usize::from(scene.task);
+        let Some(wall) = scene.walls.get_mut(index) else {
+            self.refuse(id, &format!("there is no wall {index}"));
+            return Ok(());
+        };
+        let place = |to: &mut [f32; 3]| (0..task.min(2)).for_each(|i| to[i] = point[i]);
+        match &mut wall.surface {
+            Surface::Plane(plane) => {
+                place(&mut plane.point);
+                if let Some(normal) = normal.filter(|_| task > 1) {
+                    let length = normal[0].hypot(normal[1]);
+                    if !(length > 0.0 && length.is_finite()) {
+                        self.refuse(id, "a normal points somewhere");
+                        return Ok(());
+                    }
+                    plane.normal = [normal[0] / length, normal[1] / length, 0.0];
+                }
+            }
+            Surface::Sphere(sphere) => place(&mut sphere.center),
+            Surface::Cylinder(cylinder) => place(&mut cylinder.point),
+        }
+        self.board().set_scene(&scene)?;
+        self.asked = None;
+        self.reread()
+    }
+
+    /// Reads what the board has now, and tells.
+    fn reread(&mut self) -> Result<(), BoardError> {
+        if let Some(scene) = self.board().scene()? {
+            // The board holds finite numbers only.
+            if let Ok(scene) = widened_scene(&scene) {
+                self.scene = scene;
+            }
+        }
+        self.say_to_all(&self.walls());
+        Ok(())
+    }
+
+    /// The moment to every page.
+    fn show(&mut self) {
+        let newest = Newest::of(&self.ring, &self.columns);
+        let links = self.world.file.as_ref().map(|file| &file.description);
+        let (geometry, numbers) = newest.moment(&self.device, links, &self.scene, self.rows_hz);
+        let hand = self.world.simulated.as_ref().and_then(|board| {
+            let board = board.lock();
+            let [x, y, _] = board.device().hand().position()?;
+            let [fx, fy, _] = board.device().hand_force();
+            Some(HandSeen { at: [x, y], goal: self.goal.unwrap_or([x, y]), force: [fx, fy] })
+        });
+        let every = self.trail.len().div_ceil(32).max(1);
+        let trail: Vec<[f64; 2]> = self.trail.drain(..).step_by(every).collect();
+        let losses = self.world.board.losses();
+        let picture = Picture {
+            is: "picture",
+            time: self.world.board.now().as_secs_f64(),
+            state: crate::recorder::STATES[self.state as usize],
+            geometry: &geometry,
+            numbers: &numbers,
+            trail: if self.device.axes() > 1 { &trail } else { &[] },
+            hand,
+            command: self.command.map(|(id, _)| id),
+            held: self.held.is_some(),
+            fault: self.fault.as_deref(),
+            lost: losses.missing,
+            losses: losses.to_string(),
+            load: self.load,
+            speed: self.world.simulated.is_some().then_some(self.pace.speed),
+            pages: self.hub.count(),
+        };
+        // Numbers that are none become null: a page leaves them out.
+        if let Ok(text) = serde_json::to_string(&picture) {
+            self.hub.to_all(|outbox| outbox.picture = Some(text.clone()));
+        }
+        let sound = std::mem::take(&mut self.sound);
+        for listener in &self.listeners {
+            self.hub.to(*listener, |outbox| outbox.hear(self.rows_hz as f32, &sound));
+        }
+        let q = newest.q(self.device.axes());
+        let (wall, normal) = match nearest_wall(&self.scene, &self.tip()) {
+            Some((wall, normal)) => (wall, normal),
+            None => return,
+        };
+        let moved = self.asked.as_ref().is_none_or(|(asked, at)| {
+            *asked != wall || at.iter().zip(&q).any(|(before, now)| (before - now).abs() > TURNED)
+        });
+        if moved && self.ring.end() > 0 && !self.oracle.is_busy() {
+            let task = usize::from(self.scene.task);
+            self.oracle.ask(Question {
+                device: self.device.clone(),
+                scene: self.scene.clone(),
+                wall,
+                q: q.clone(),
+                normal: normal.as_slice()[..task].to_vec(),
+                delay_samples: self.delay_samples,
+            });
+            self.asked = Some((wall, q));
+        }
+        if let Some(answer) = self.oracle.answered() {
+            self.plane = answer;
+            let message = self.plane.as_ref().map_or(json!({"is": "plane", "plane": null}), plane_message);
+            self.say_to_all(&message);
+        }
+    }
+
+    fn tip(&self) -> Vec<f64> {
+        let newest = Newest::of(&self.ring, &self.columns);
+        (0..usize::from(self.scene.task)).map(|axis| newest.get(Field::Tip, axis)).collect()
+    }
+
+    fn sweep(&mut self) {
+        for (id, scope) in &mut self.scopes {
+            if let Some(sweep) = scope.sweep(&self.ring) {
+                let bytes = scope.bytes(&sweep);
+                self.hub.to(*id, |outbox| outbox.scope = Some(bytes));
+            }
+        }
+    }
+
+    fn look(&mut self) -> Result<(), LinkError> {
+        let details = self.board().details()?;
+        let cycles = f64::from(details.longest_cycles);
+        self.load = (cycles > 0.0).then(|| cycles * f64::from(details.carrier_hz) / CORE_HZ);
+        let (now, board_now) = (Instant::now(), self.world.board.now());
+        let (then, board_then) = std::mem::replace(&mut self.pace.measured, (now, board_now));
+        self.pace.speed = board_now.saturating_sub(board_then).as_secs_f64() / now.duration_since(then).as_secs_f64();
+        Ok(())
+    }
+
+    /// What a page has to know once.
+    fn about(&self) -> Value {
+        let info = self.world.board.info();
+        let hand = hand_settings();
+        json!({
+            "is": "hello",
+            "tool": env!("CARGO_PKG_VERSION"),
+            "device": self.device.name.as_str(),
+            "board": info.board.as_str(),
+            "serial": info.serial.as_str(),
+            "port": self.world.board.port(),
+            "simulated": self.world.simulated.is_some(),
+            "weightless": self.world.weightless,
+            "flat": self.device.mechanism.kind().spec().task == 2,
+            "task": self.device.mechanism.kind().spec().task,
+            "rate_hz": self.scene.rate_hz,
+            "rows_hz": self.rows_hz,
+            "cutoff_hz": self.scene.cutoff_hz,
+            "columns": self.columns.iter().map(|column| column.label.as_str()).collect::<Vec<_>>(),
+            "hand": {
+                "mass": hand.mass, "grip": [hand.grip_stiffness, hand.grip_damping],
+                "arm": [hand.arm_stiffness, hand.arm_damping],
+            },
+            "silence_ms": SILENCE.as_millis() as u64,
+        })
+    }
+
+    fn walls(&self) -> Value {
+        let walls = self.scene.walls.iter().map(|wall| {
+            json!({
+                "shape": wall.surface.spec().name, "values": wall.surface.values(), "stiffness": wall.stiffness,
+                "damping": wall.damping, "feed_forward": wall.feed_forward, "washout_hz": wall.washout_hz,
+            })
+        });
+        json!({"is": "walls", "walls": walls.collect::<Vec<_>>()})
+    }
+
+    fn say(&self, id: PageId, message: &Value) {
+        self.hub.to(id, |outbox| outbox.messages.push_back(message.to_string()));
+    }
+
+    fn say_to_all(&self, message: &Value) {
+        let text = message.to_string();
+        self.hub.to_all(|outbox| outbox.messages.push_back(text.clone()));
+    }
+
+    fn refuse(&self, id: PageId, why: &str) {
+        self.say(id, &json!({"is": "refused", "why": why}));
+    }
+
+    fn refuse_all(&self, why: &str) {
+        self.say_to_all(&json!({"is": "refused", "why": why}));
+    }
+}
+
+fn plane_message(plane: &Plane) -> Value {
+    json!({"is": "plane", "plane": plane})
+}
+
+fn in_words(record: &FaultRecord) -> String {
+    let joint = record.axis.map_or(String::new(), |axis| format!(" (joint {axis})"));
+    format!("{}{joint}: {}", record.fault, record.fault.remedy())
+}

@@ -1,0 +1,139 @@
+//! What is looked at: a board, its links to draw, and where it is simulated the hand on it.
+
+use crate::analysis::plant::Linearised;
+use crate::analysis::range::stiffness_at;
+use crate::analysis::sampled::FeedForward as Mode;
+use crate::demo::Demo;
+use crate::device_file::DeviceFile;
+use crate::error::Failure;
+use crate::link::{Board, LinkError};
+use crate::plausible::scene::{around, usual_delay};
+use crate::scene_file::{DEFAULT_CUTOFF_HZ, DEFAULT_RATE_HZ, DEFAULT_WASHOUT_HZ};
+use crate::sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, ready_board};
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
+
+/// How far in front of the tip the wall stands that is there when no scene was named, m.
+const AHEAD: f64 = 0.006;
+/// Stiffness of the wall to begin with, N/m: between what is stable without and with the feed-forward wherever one
+/// presses near the demo's pose.
+const STIFFNESS: f64 = 20_000.0;
+/// Tremor of the simulated hand, m: what sets a wall swinging that is about to.
+const TREMOR: f64 = 2e-4;
+
+/// A board and what is known of its surroundings.
+pub struct World {
+    /// The board.
+    pub board: Board,
+    /// The same board from the inside, where it is simulated in this process.
+    pub simulated: Option<SharedBoard>,
+    /// The device, for its links.
+    pub file: Option<DeviceFile>,
+    /// The device's weight was left out.
+    pub weightless: bool,
+}
+
+impl World {
+    /// A board that is there.
+    pub fn of(board: Board, file: Option<DeviceFile>) -> Self {
+        Self { board, simulated: None, file, weightless: false }
+    }
+
+    /// The wall of `haptic demo` on its device: it buzzes without the feed-forward and is quiet with it.
+    pub fn demo() -> Result<Self, Failure> {
+        let demo = Demo { stiffness: STIFFNESS, ..Demo::shipped(1)? };
+        let start = Some(demo.pose);
+        let mut world = Self::start(demo.file.clone(), start)?;
+        let tip = world.simulated.as_ref().map_or([0.0; 3], |board| board.lock().device().tip());
+        let surface = core::array::from_fn(|i| tip[i] - AHEAD * demo.normal[i]);
+        world.board.set_scene(&demo.scene(surface, FeedForward::Washout))?;
+        Ok(world)
+    }
+
+    /// A simulated device in a scene, or before a wall of half the stiffness that is predicted to be stable.
+    pub fn simulate(file: DeviceFile, scene: Option<Scene<f32>>) -> Result<Self, Failure> {
+        let scene = match scene {
+            Some(scene) => scene,
+            None => wall_ahead(&file)?,
+        };
+        let mut world = Self::start(file, None)?;
+        world.board.set_scene(&scene)?;
+        Ok(world)
+    }
+
+    /// The device without its weight: with the motors off nobody would hold it, and with them on the board does.
+    fn start(mut file: DeviceFile, start: Option<[f64; 3]>) -> Result<Self, Failure> {
+        let weightless = file.description.gravity.iter().any(|g| *g != 0.0);
+        file.description.gravity = [0.0; 3];
+        let options = BoardOptions { device: Options { start, ..Options::default() }, ..BoardOptions::default() };
+        let board = ready_board(&file, options)
+            .map_err(|error| LinkError::CannotSimulate(format!("{}: {error}", file.path.display())))?;
+        let simulated = SharedBoard::new(board);
+        let board = Board::over(simulated.wire(), "sim")?;
+        Ok(Self { board, simulated: Some(simulated), file: Some(file), weightless })
+    }
+}
+
+/// The hand that a page leads.
+pub fn hand_settings() -> HandSettings {
+    HandSettings { tremor: TREMOR, ..HandSettings::default() }
+}
+
+/// Leads the simulated hand to `goal` (m) in the plane that is drawn, or lets go of the tip.
+pub fn lead(board: &SharedBoard, goal: Option<[f64; 2]>) {
+    let mut board = board.lock();
+    let now = board.time();
+    let device = board.device_mut();
+    let tip = device.tip();
+    match goal {
+        None => device.set_hand(Hand::none()),
+        Some([x, y]) => {
+            if device.hand().position().is_none() {
+                device.set_hand(Hand::new(hand_settings(), Intent::Lead(tip), tip, now));
+            }
+            device.hand_mut().lead([x, y, 0.0]);
+        }
+    }
+}
+
+/// A wall in front of the tip at home, below it where the device moves in a plane or in space.
+fn wall_ahead(file: &DeviceFile) -> Result<Scene<f32>, Failure> {
+    let task = file.spec().task;
+    let none = || {
+        Failure::wrong(format!("{} has no [home], so there is no pose to start in", file.path.display()))
+            .remedy("add one to the device file")
+    };
+    let home = file.description.home.ok_or_else(none)?;
+    let q = &home[..file.spec().joints];
+    let pose = crate::analysis::pose::TaskPose::at(&file.description, q)?;
+    let mut normal = vec![0.0; task];
+    normal[usize::from(task > 1)] = 1.0;
+    let point = core::array::from_fn(|i| match (pose.position.get(i), normal.get(i)) {
+        (Some(place), Some(n)) => (place - AHEAD * n) as f32,
+        _ => 0.0,
+    });
+    let normal_f32 = core::array::from_fn(|i| normal.get(i).map_or(0.0, |n| *n as f32));
+    let mut wall = Wall {
+        surface: Surface::Plane(Plane { point, normal: normal_f32 }),
+        stiffness: 0.0,
+        damping: 0.0,
+        feed_forward: FeedForward::Washout,
+        washout_hz: DEFAULT_WASHOUT_HZ as f32,
+        damping_compensation: false,
+        bilateral: false,
+    };
+    let mut scene = Scene {
+        task: task as u8,
+        rate_hz: DEFAULT_RATE_HZ as f32,
+        cutoff_hz: DEFAULT_CUTOFF_HZ as f32,
+        ..Scene::default()
+    };
+    let around = around(&scene.cast(), &wall.cast(), usual_delay(DEFAULT_RATE_HZ));
+    let device = Linearised::at(&file.description, q, &normal)?;
+    let (_, most_damping) = stiffness_at(&device, &around, Mode::Off, 0.0)?;
+    let damping = 0.2 * most_damping;
+    let (most_stiffness, _) = stiffness_at(&device, &around, Mode::Off, damping)?;
+    (wall.stiffness, wall.damping) = ((0.5 * most_stiffness) as f32, damping as f32);
+    // A scene holds eight walls.
+    let _ = scene.walls.push(wall);
+    Ok(scene)
+}

@@ -1,0 +1,227 @@
+//! Chromium without a screen, over its own remote debugging protocol (chromedevtools.github.io/devtools-protocol).
+
+use serde_json::{Value, json};
+use std::io::{BufRead, BufReader};
+use std::net::TcpStream;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+use tungstenite::{Message, WebSocket};
+
+/// How long anything may take that is bound to happen, on a computer that is busy with other tests.
+pub const PATIENCE: Duration = Duration::from_secs(90);
+
+const NAMES: [&str; 3] = ["chromium", "chromium-browser", "google-chrome"];
+const MISSING: &str = "no Chromium on this computer: apt-get install -y --no-install-recommends chromium (on Debian, as root; \
+                       `cargo xtask tools --install` does the same)";
+
+/// A browser with a profile of its own.
+pub struct Browser {
+    child: Child,
+    socket: WebSocket<TcpStream>,
+    _profile: tempfile::TempDir,
+    count: u64,
+    /// What it reported, with the page's session.
+    pub events: Vec<(String, Value)>,
+}
+
+/// A page, by its session and target.
+#[derive(Clone, Debug)]
+pub struct Tab {
+    pub session: String,
+    target: String,
+}
+
+impl Browser {
+    pub fn start() -> Self {
+        let program = NAMES.iter().find(|name| Command::new(name).arg("--version").output().is_ok()).expect(MISSING);
+        let profile = tempfile::tempdir().unwrap();
+        let mut child = Command::new(program)
+            .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"])
+            .args(["--disable-background-networking", "--disable-component-update", "--disable-sync"])
+            .args(["--disable-dev-shm-usage", "--autoplay-policy=no-user-gesture-required"])
+            .args(["--remote-debugging-port=0", &format!("--user-data-dir={}", profile.path().display()), "about:blank"])
+            .stderr(Stdio::piped())
+            .stdout(Stdio::null())
+            .spawn()
+            .unwrap();
+        let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+        let url = loop {
+            let line = lines.next().expect("Chromium ended at once").unwrap();
+            if let Some(url) = line.strip_prefix("DevTools listening on ") {
+                break url.to_string();
+            }
+        };
+        // It goes on writing there.
+        std::thread::spawn(move || lines.for_each(drop));
+        let address = url.trim_start_matches("ws://").split('/').next().unwrap();
+        let stream = TcpStream::connect(address).unwrap();
+        let (socket, _) = tungstenite::client(url.as_str(), stream).unwrap();
+        socket.get_ref().set_read_timeout(Some(Duration::from_millis(20))).unwrap();
+        Self { child, socket, _profile: profile, count: 0, events: Vec::new() }
+    }
+
+    /// Opens a page of this size.
+    pub fn open(&mut self, url: &str, (width, height): (u32, u32), scale: f64) -> Tab {
+        let target = self.call(None, "Target.createTarget", json!({"url": "about:blank", "newWindow": true}));
+        let target = target["targetId"].as_str().unwrap().to_string();
+        let attached = self.call(None, "Target.attachToTarget", json!({"targetId": target, "flatten": true}));
+        let tab = Tab { session: attached["sessionId"].as_str().unwrap().into(), target };
+        for domain in ["Network", "Page", "Runtime", "Log"] {
+            self.ask(&tab, &format!("{domain}.enable"), json!({}));
+        }
+        self.size(&tab, (width, height), scale);
+        self.ask(&tab, "Page.navigate", json!({"url": url}));
+        tab
+    }
+
+    pub fn size(&mut self, tab: &Tab, (width, height): (u32, u32), scale: f64) {
+        let size = json!({"width": width, "height": height, "deviceScaleFactor": scale, "mobile": width < 600});
+        self.ask(tab, "Emulation.setDeviceMetricsOverride", size);
+    }
+
+    pub fn close(&mut self, tab: &Tab) {
+        self.call(None, "Target.closeTarget", json!({"targetId": tab.target}));
+    }
+
+    /// Asks a page for something.
+    pub fn ask(&mut self, tab: &Tab, method: &str, parameters: Value) -> Value {
+        self.call(Some(&tab.session), method, parameters)
+    }
+
+    fn call(&mut self, session: Option<&str>, method: &str, parameters: Value) -> Value {
+        self.count += 1;
+        let id = self.count;
+        let mut message = json!({"id": id, "method": method, "params": parameters});
+        if let Some(session) = session {
+            message["sessionId"] = json!(session);
+        }
+        self.socket.send(Message::text(message.to_string())).unwrap();
+        let began = Instant::now();
+        loop {
+            assert!(began.elapsed() < PATIENCE, "{method} has no answer");
+            let Some(answer) = self.read() else { continue };
+            if answer["id"] == id {
+                assert!(answer["error"].is_null(), "{method}: {}", answer["error"]);
+                return answer["result"].clone();
+            }
+        }
+    }
+
+    fn read(&mut self) -> Option<Value> {
+        match self.socket.read() {
+            Ok(Message::Text(text)) => {
+                let message: Value = serde_json::from_str(&text).unwrap();
+                if message["id"].is_null() {
+                    self.events.push((message["sessionId"].as_str().unwrap_or_default().into(), message.clone()));
+                }
+                Some(message)
+            }
+            Ok(_) => None,
+            Err(tungstenite::Error::Io(error))
+                if matches!(error.kind(), std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut) =>
+            {
+                None
+            }
+            Err(error) => panic!("Chromium is gone: {error}"),
+        }
+    }
+
+    /// What an expression is worth on a page.
+    pub fn evaluate(&mut self, tab: &Tab, expression: &str) -> Value {
+        let answer = self.ask(tab, "Runtime.evaluate", json!({"expression": expression, "returnByValue": true}));
+        assert!(answer["exceptionDetails"].is_null(), "{expression}: {answer}");
+        answer["result"]["value"].clone()
+    }
+
+    /// Waits until an expression is true on a page.
+    pub fn until(&mut self, tab: &Tab, expression: &str) {
+        let began = Instant::now();
+        while self.evaluate(tab, expression) != true {
+            if began.elapsed() > PATIENCE {
+                let seen = self.evaluate(tab, "JSON.stringify(window.view && {...view, trail: 0, sweep: 0, plane: 0})");
+                panic!("{expression} never came: {seen}");
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    /// Moves, presses and releases the mouse; places in CSS pixels.
+    pub fn mouse(&mut self, tab: &Tab, what: &str, (x, y): (f64, f64)) {
+        let down = u8::from(what != "mouseReleased");
+        let event = json!({"type": what, "x": x, "y": y, "button": "left", "buttons": down, "clickCount": 1});
+        self.ask(tab, "Input.dispatchMouseEvent", event);
+    }
+
+    pub fn drag(&mut self, tab: &Tab, from: (f64, f64), to: (f64, f64)) {
+        self.mouse(tab, "mousePressed", from);
+        for step in 1..=10 {
+            let share = f64::from(step) / 10.0;
+            self.mouse(tab, "mouseMoved", (from.0 + share * (to.0 - from.0), from.1 + share * (to.1 - from.1)));
+            std::thread::sleep(Duration::from_millis(25));
+        }
+        self.mouse(tab, "mouseReleased", to);
+    }
+
+    pub fn space(&mut self, tab: &Tab, what: &str) {
+        let event = json!({"type": what, "key": " ", "code": "Space", "windowsVirtualKeyCode": 32});
+        self.ask(tab, "Input.dispatchKeyEvent", event);
+    }
+
+    /// Brings a page to the front: keys go there.
+    pub fn front(&mut self, tab: &Tab) {
+        self.ask(tab, "Page.bringToFront", json!({}));
+        self.ask(tab, "Emulation.setFocusEmulationEnabled", json!({"enabled": true}));
+    }
+
+    /// A picture of a page: PNG.
+    pub fn picture(&mut self, tab: &Tab, whole: bool) -> Vec<u8> {
+        let answer =
+            self.ask(tab, "Page.captureScreenshot", json!({"format": "png", "captureBeyondViewport": whole}));
+        base64(answer["data"].as_str().unwrap())
+    }
+
+    /// The addresses that pages have asked for.
+    pub fn requested(&self) -> Vec<String> {
+        let urls = self.events.iter().filter_map(|(_, event)| match event["method"].as_str()? {
+            "Network.requestWillBeSent" => event["params"]["request"]["url"].as_str(),
+            "Network.webSocketCreated" => event["params"]["url"].as_str(),
+            _ => None,
+        });
+        urls.map(Into::into).collect()
+    }
+
+    /// What went wrong on pages: exceptions, and lines of the console that are errors.
+    pub fn complaints(&self) -> Vec<String> {
+        let wrong = self.events.iter().filter(|(_, event)| match event["method"].as_str() {
+            Some("Runtime.exceptionThrown") => true,
+            Some("Log.entryAdded") => event["params"]["entry"]["level"] == "error",
+            Some("Runtime.consoleAPICalled") => event["params"]["type"] == "error",
+            _ => false,
+        });
+        wrong.map(|(_, event)| event["params"].to_string()).collect()
+    }
+}
+
+impl Drop for Browser {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn base64(text: &str) -> Vec<u8> {
+    let digit = |byte: u8| match byte {
+        b'A'..=b'Z' => byte - b'A',
+        b'a'..=b'z' => byte - b'a' + 26,
+        b'0'..=b'9' => byte - b'0' + 52,
+        b'+' => 62,
+        _ => 63,
+    };
+    let mut bytes = Vec::with_capacity(text.len() * 3 / 4);
+    let digits: Vec<u32> = text.bytes().filter(|byte| *byte != b'=').map(|byte| u32::from(digit(byte))).collect();
+    for four in digits.chunks(4) {
+        let number = four.iter().enumerate().fold(0, |number, (i, digit)| number | digit << (18 - 6 * i));
+        bytes.extend(&number.to_be_bytes()[1..four.len()]);
+    }
+    bytes
+}

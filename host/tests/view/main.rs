@@ -1,0 +1,303 @@
+//! What `haptic view` says and hears, without a browser: who commands, the dead man's key, gains, walls, the
+//! oscilloscope, and whom it lets in.
+
+mod page;
+
+use page::{PATIENCE, Page, View};
+use serde_json::json;
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::process::{Child, Command, Stdio};
+use std::time::Instant;
+
+fn simulated() -> View {
+    View::start(&["--port", "sim"])
+}
+
+#[test]
+fn one_page_commands_and_the_others_watch() {
+    let view = simulated();
+    let mut first = Page::in_command(&view);
+    let mut second = Page::open(&view);
+    for message in [
+        json!({"do": "arm"}),
+        json!({"do": "take"}),
+        json!({"do": "clear"}),
+        json!({"do": "give"}),
+        json!({"do": "hand", "at": [0.0, 0.1]}),
+        json!({"do": "wall", "wall": 0, "point": [0.0, 0.1]}),
+        json!({"do": "gains", "wall": 0, "stiffness": 1.0, "damping": 1.0, "feed_forward": "off"}),
+    ] {
+        let before = second.refused.len();
+        second.say(message.clone());
+        second.until(&message.to_string(), |page| page.refused.len() > before);
+        assert!(second.why().contains("another page is in command"), "{}", second.why());
+    }
+    second.until("the same pictures", |page| page.picture["command"] == first.you && page.picture["pages"] == 2);
+    assert_eq!(second.picture["state"], "Disarmed");
+    assert_eq!(second.walls, first.walls);
+    first.say(json!({"do": "give"}));
+    second.until("a free board", |page| page.picture["command"].is_null());
+    second.say(json!({"do": "take"}));
+    first.until("the other one in command", |page| page.picture["command"] == second.you);
+}
+
+#[test]
+fn the_motors_are_on_only_while_the_key_is_down() {
+    let view = simulated();
+    let mut page = Page::in_command(&view);
+    page.arm();
+    page.play(0.6);
+    assert_eq!(page.picture["state"], "Armed", "{:?}", page.refused);
+    page.holding = false;
+    page.say(json!({"do": "release"}));
+    page.until_state("Disarmed");
+
+    // Silence is letting go, and a key that is still down then does not arm.
+    page.arm();
+    page.holding = false;
+    page.until_refused("was not heard");
+    page.until_state("Disarmed");
+    let later = page.picture["time"].as_f64().unwrap() + 0.5;
+    page.holding = true;
+    page.until("half a second", |page| page.picture["time"].as_f64().unwrap() > later);
+    assert_eq!(page.picture["state"], "Disarmed");
+}
+
+#[test]
+fn any_page_turns_the_motors_off() {
+    let view = simulated();
+    let mut first = Page::in_command(&view);
+    let mut second = Page::open(&view);
+    first.arm();
+    second.say(json!({"do": "disarm"}));
+    first.until_state("Disarmed");
+    // The first one's key is still down.
+    for _ in 0..20 {
+        first.read();
+    }
+    assert_eq!(first.picture["state"], "Disarmed");
+}
+
+#[test]
+fn a_page_that_is_gone_has_let_go() {
+    let view = simulated();
+    let mut first = Page::in_command(&view);
+    let mut second = Page::open(&view);
+    first.say(json!({"do": "hand", "at": first.picture["geometry"]["tip"]}));
+    first.arm();
+    second.until("a hand", |page| !page.picture["hand"].is_null());
+    second.until_state("Armed");
+    drop(first);
+    second.until_state("Disarmed");
+    second.until("nobody in command, no hand", |page| {
+        page.picture["command"].is_null() && page.picture["hand"].is_null() && page.picture["pages"] == 1
+    });
+}
+
+#[test]
+fn gains_beyond_the_boundary_are_asked_about_first() {
+    let view = simulated();
+    let mut page = Page::in_command(&view);
+    page.until("the boundary", |page| !page.plane.is_null());
+    let gains = |stiffness: f64| {
+        json!({"do": "gains", "wall": 0, "stiffness": stiffness, "damping": 40.0, "feed_forward": "off"})
+    };
+    page.say(gains(22_000.0));
+    page.until_refused("predicted to be unstable");
+    assert_eq!(page.walls[0]["feed_forward"], "washout", "nothing was changed");
+    let again = page.refused.last().unwrap()["again"].clone();
+    page.say(again);
+    page.until("the gains", |page| page.walls[0]["feed_forward"] == "off");
+    // Who is outside already is not asked again, and the way back is free.
+    page.say(gains(21_000.0));
+    page.until("softer", |page| page.walls[0]["stiffness"] == 21_000.0);
+    page.say(gains(5_000.0));
+    page.until("soft", |page| page.walls[0]["stiffness"] == 5_000.0);
+    assert_eq!(page.refused.len(), 1);
+    page.say(gains(-1.0));
+    page.until("a refusal", |page| page.refused.len() == 2);
+}
+
+/// What the page is for: a hand presses the same wall, without the feed-forward it buzzes, with it it is quiet.
+#[test]
+fn the_wall_buzzes_without_the_feed_forward_and_is_quiet_with_it() {
+    let view = simulated();
+    let mut page = Page::in_command(&view);
+    let tip = page.picture["geometry"]["tip"].clone();
+    let (normal, tip) = (page.walls[0]["values"].clone(), [tip[0].as_f64().unwrap(), tip[1].as_f64().unwrap()]);
+    let below = |i: usize| tip[i] - 0.026 * normal[3 + i].as_f64().unwrap();
+    page.arm();
+    page.play(0.6);
+    page.say(json!({"do": "hand", "at": [below(0), below(1)]}));
+    let mut ripple = |mode: &str| {
+        let gains =
+            json!({"do": "gains", "wall": 0, "stiffness": 22e3, "damping": 40.0, "feed_forward": mode, "beyond": true});
+        page.say(gains);
+        page.play(1.5);
+        assert!(page.picture["numbers"]["depth"].as_f64().unwrap() > 0.0, "{}", page.picture);
+        assert!(page.picture["numbers"]["force"].as_f64().unwrap() > 2.0, "{}", page.picture);
+        page.picture["numbers"]["ripple"].as_f64().unwrap()
+    };
+    let (washout, off, full) = (ripple("washout"), ripple("off"), ripple("full"));
+    assert!(off > 4.0 * washout && off > 4.0 * full, "off {off} N, washed out {washout} N, full {full} N");
+    // Equation (4) pushes a resting hand sideways; behind the washout it does not.
+    let sideways = page.picture["numbers"]["sideways"].as_f64().unwrap();
+    assert!(sideways > 0.5, "{sideways}");
+}
+
+#[test]
+fn walls_are_moved_and_turned_while_the_motors_are_off() {
+    let view = simulated();
+    let mut page = Page::in_command(&view);
+    page.say(json!({"do": "wall", "wall": 0, "point": [0.01, 0.125]}));
+    page.until("the wall there", |page| page.walls[0]["values"][1].as_f64().is_some_and(|y| (y - 0.125).abs() < 1e-6));
+    page.say(json!({"do": "wall", "wall": 0, "point": [0.01, 0.125], "normal": [3.0, 4.0]}));
+    page.until("it turned", |page| page.walls[0]["values"][3].as_f64().is_some_and(|x| (x - 0.6).abs() < 1e-6));
+    for (message, words) in [
+        (json!({"do": "wall", "wall": 7, "point": [0.0, 0.0]}), "no wall 7"),
+        (json!({"do": "wall", "wall": 0, "point": [0.0, 0.0], "normal": [0.0, 0.0]}), "points somewhere"),
+        (json!({"do": "gains", "wall": 7, "stiffness": 1.0, "damping": 1.0, "feed_forward": "off"}), "no wall 7"),
+    ] {
+        page.say(message);
+        page.until_refused(words);
+    }
+}
+
+#[test]
+fn the_oscilloscope_catches_the_touch_with_what_came_before() {
+    let view = simulated();
+    let mut page = Page::in_command(&view);
+    let trigger = json!({"channel": "force_n", "level": 0.5, "rising": true, "before": 0.5, "once": true});
+    page.say(json!({"do": "scope", "channels": ["force_n", "distance_m"], "seconds": 0.1, "trigger": trigger}));
+    page.arm();
+    page.play(0.6);
+    assert!(page.sweep.is_empty(), "nothing was touched yet");
+    let (tip, values) = (page.picture["geometry"]["tip"].clone(), page.walls[0]["values"].clone());
+    let below = |i: usize| tip[i].as_f64().unwrap() - 0.02 * values[3 + i].as_f64().unwrap();
+    page.say(json!({"do": "hand", "at": [below(0), below(1)]}));
+    page.until("the sweep", |page| !page.sweep.is_empty());
+    let (head, values) = page.sweep.split_at(6);
+    // 0.1 s at 1 kHz: every row; the crossing stands in the middle.
+    assert_eq!([head[1], head[4], head[5]], [3.0, 2.0, 100.0]);
+    let force = |row: usize| values[2 * row];
+    let crossing = (head[3] / head[2] * 99.0).round() as usize;
+    assert!(force(crossing - 1) < 0.5 && force(crossing) >= 0.5, "{:?}", &values[..200]);
+    assert!((0..40).all(|row| force(row) == 0.0), "the time before the touch is there");
+    let before = page.refused.len();
+    page.say(json!({"do": "scope", "channels": ["no"], "seconds": 0.1}));
+    page.until("a refusal", |page| page.refused.len() > before);
+    page.say(json!({"do": "sound", "on": true}));
+    page.until("sound", |page| page.sound.len() > 2);
+    assert_eq!(page.sound[1], 1000.0, "rows a second");
+}
+
+#[test]
+fn what_is_no_message_is_refused_and_nothing_ends() {
+    let view = simulated();
+    let mut page = Page::in_command(&view);
+    for (count, text) in ["", "{", "null", "[1]", r#"{"do":"fly"}"#, r#"{"do":"hold","x":1}"#].into_iter().enumerate() {
+        page.say_text(text);
+        page.until(text, |page| page.refused.len() > count);
+        assert!(page.why().starts_with("not a message of this page"), "{}", page.why());
+    }
+    page.say_binary();
+    page.until_refused("binary");
+    // One that is far too long ends its own connection, and no other.
+    let mut other = Page::open(&view);
+    other.say_text(&"x".repeat(100_000));
+    let began = Instant::now();
+    while other.read() {
+        assert!(began.elapsed() < PATIENCE);
+    }
+    page.arm();
+}
+
+fn ask(view: &View, request: &str) -> String {
+    let mut stream = TcpStream::connect(view.address()).unwrap();
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    answer
+}
+
+#[test]
+fn the_page_is_served_to_whom_it_is_for() {
+    let view = simulated();
+    let host = view.address().to_string();
+    let get = |path: &str, more: &str| ask(&view, &format!("GET {path} HTTP/1.1\r\nHost: {host}\r\n{more}\r\n"));
+    let page = get("/", "");
+    assert!(page.starts_with("HTTP/1.1 200 ") && page.contains("<title>haptic view</title>"), "{}", &page[..200]);
+    assert!(page.contains("Content-Security-Policy: default-src 'none'"));
+    assert!(get("/other", "").starts_with("HTTP/1.1 404 "));
+    assert!(get("/live", "").starts_with("HTTP/1.1 400 "), "no WebSocket was asked for");
+    assert!(get("/", "Origin: http://evil.example\r\n").starts_with("HTTP/1.1 403 "));
+    assert!(ask(&view, "GET / HTTP/1.1\r\nHost: evil.example\r\n\r\n").starts_with("HTTP/1.1 403 "));
+    assert!(ask(&view, &format!("POST / HTTP/1.1\r\nHost: {host}\r\n\r\n")).starts_with("HTTP/1.1 400 "));
+    assert!(ask(&view, "\0\x01\x02 what\r\n\r\n").starts_with("HTTP/1.1 400 "));
+}
+
+#[test]
+fn other_computers_need_the_token() {
+    let view = View::listen("0.0.0.0:0", &["--port", "sim"]);
+    assert_eq!(view.query().len(), "token=".len() + 32, "{}", view.url);
+    let host = view.address();
+    let get = |path: &str| ask(&view, &format!("GET {path} HTTP/1.1\r\nHost: {host}\r\n\r\n"));
+    assert!(get("/").starts_with("HTTP/1.1 403 ") && get("/live").starts_with("HTTP/1.1 403 "));
+    assert!(get(&format!("/?{}", view.query())).starts_with("HTTP/1.1 200 "));
+    Page::open(&view);
+}
+
+#[test]
+fn every_shipped_device_can_be_looked_at() {
+    for name in ["hapkit-paddle", "haply-2diy", "phantom-premium-1.5", "serial-3r", "fictive-five-bar-turret"] {
+        let file = format!("{}/../devices/{name}.toml", env!("CARGO_MANIFEST_DIR"));
+        let view = View::start(&[&file, "--port", "sim"]);
+        let mut page = Page::in_command(&view);
+        page.until(name, |page| {
+            page.picture["geometry"]["bars"].as_array().is_some_and(|bars| !bars.is_empty()) && !page.plane.is_null()
+        });
+        assert_eq!(page.hello["device"], name);
+        page.arm();
+    }
+}
+
+struct Sim(Child);
+
+impl Sim {
+    fn start(port: u16) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_haptic"));
+        let scene = format!("{}/../devices/scenes/coupled-five-bar/wall.toml", env!("CARGO_MANIFEST_DIR"));
+        command.args(["sim", "--tcp", &port.to_string(), "--scene", &scene]).stdout(Stdio::piped());
+        let mut child = command.spawn().unwrap();
+        let mut line = [0; 1];
+        child.stdout.as_mut().unwrap().read_exact(&mut line).unwrap();
+        Self(child)
+    }
+}
+
+impl Drop for Sim {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn a_board_that_is_lost_is_waited_for() {
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let sim = Sim::start(port);
+    let view = View::start(&["--port", &format!("tcp:127.0.0.1:{port}")]);
+    let mut page = Page::in_command(&view);
+    page.arm();
+    page.say(json!({"do": "hand", "at": [0.0, 0.1]}));
+    page.until_refused("not simulated");
+    drop(sim);
+    page.until("its loss", |page| page.lost.is_some());
+    page.holding = false;
+    page.hello = serde_json::Value::Null;
+    let _sim = Sim::start(port);
+    page.until("its return", |page| !page.hello.is_null());
+    page.until("nobody in command", |page| page.picture["command"].is_null());
+    page.until_state("Disarmed");
+}
