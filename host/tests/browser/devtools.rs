@@ -145,6 +145,21 @@ impl Browser {
         }
     }
 
+    /// Holds Space until an expression is true, and presses it anew should this computer have been too slow to hold it:
+    /// a page that is not heard for a third of a second has let go.
+    pub fn hold_until(&mut self, tab: &Tab, expression: &str) {
+        let began = Instant::now();
+        while self.evaluate(tab, expression) != true {
+            assert!(began.elapsed() < PATIENCE, "{expression} never came");
+            if self.evaluate(tab, "!view.down || document.body.dataset.state === 'Disarmed'") == true {
+                self.space(tab, "keyUp");
+                self.space(tab, "keyDown");
+                std::thread::sleep(Duration::from_millis(200));
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
     /// Moves, presses and releases the mouse; places in CSS pixels.
     pub fn mouse(&mut self, tab: &Tab, what: &str, (x, y): (f64, f64)) {
         let down = u8::from(what != "mouseReleased");
