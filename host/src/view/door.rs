@@ -98,7 +98,9 @@ fn head(stream: &mut TcpStream) -> Option<Request> {
         bytes.extend(&buffer[..count]);
         match Request::try_parse(&bytes) {
             // What follows the head of a WebSocket's request before it is answered is nobody's.
-            Ok(Some(_)) if bytes.ends_with(b"\r\n\r\n") => return Request::try_parse(&bytes).ok()?.map(|(_, read)| read),
+            Ok(Some(_)) if bytes.ends_with(b"\r\n\r\n") => {
+                return Request::try_parse(&bytes).ok()?.map(|(_, read)| read);
+            }
             Ok(None) => {}
             Ok(Some(_)) | Err(_) => return None,
         }

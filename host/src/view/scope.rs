@@ -210,8 +210,14 @@ impl Scope {
         let crossing =
             self.armed.as_ref().map_or(0.0, |armed| self.seconds * armed.before as f64 / (self.rows - 1) as f64);
         let columns = sweep.channels.first().map_or(0, Vec::len);
-        let head =
-            [1.0, f32::from(sweep.phase as u8), self.seconds as f32, crossing as f32, sweep.channels.len() as f32, columns as f32];
+        let head = [
+            1.0,
+            f32::from(sweep.phase as u8),
+            self.seconds as f32,
+            crossing as f32,
+            sweep.channels.len() as f32,
+            columns as f32,
+        ];
         let values = sweep.channels.iter().flatten().flat_map(|(low, high)| [*low, *high]);
         head.into_iter().chain(values).flat_map(f32::to_le_bytes).collect()
     }
@@ -301,7 +307,10 @@ mod tests {
         let mut ring = Ring::new(2, 10);
         feed(&mut ring, 0..25);
         assert_eq!((ring.begin(), ring.end()), (15, 25));
-        assert_eq!((ring.at(14, 1), ring.at(15, 1), ring.at(24, 1), ring.at(25, 1)), (None, Some(15.0), Some(24.0), None));
+        assert_eq!(
+            (ring.at(14, 1), ring.at(15, 1), ring.at(24, 1), ring.at(25, 1)),
+            (None, Some(15.0), Some(24.0), None)
+        );
     }
 
     #[test]

@@ -181,10 +181,10 @@ impl<'a> Stage<'a> {
         if let (Ok(()), Err(BoardError::Link(error))) = (&played, disarmed) {
             return Err(error);
         }
-        played.and_then(|()| {
+        if played.is_ok() {
             let _ = self.board().stop_stream();
-            Ok(())
-        })
+        }
+        played
     }
 
     fn play(&mut self, stop: &AtomicBool) -> Result<(), LinkError> {
@@ -385,7 +385,11 @@ impl<'a> Stage<'a> {
                 Some(_) => self.refuse(id, "a place is two finite numbers"),
                 None => self.refuse(id, "this device is not simulated: take it into your own hand"),
             },
-            FromPage::Here {} | FromPage::Disarm {} | FromPage::Take {} | FromPage::Scope(_) | FromPage::Sound { .. } => {}
+            FromPage::Here {}
+            | FromPage::Disarm {}
+            | FromPage::Take {}
+            | FromPage::Scope(_)
+            | FromPage::Sound { .. } => {}
         }
         Ok(())
     }

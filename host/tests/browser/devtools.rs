@@ -39,7 +39,11 @@ impl Browser {
             .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"])
             .args(["--disable-background-networking", "--disable-component-update", "--disable-sync"])
             .args(["--disable-dev-shm-usage", "--autoplay-policy=no-user-gesture-required"])
-            .args(["--remote-debugging-port=0", &format!("--user-data-dir={}", profile.path().display()), "about:blank"])
+            .args([
+                "--remote-debugging-port=0",
+                &format!("--user-data-dir={}", profile.path().display()),
+                "about:blank",
+            ])
             .stderr(Stdio::piped())
             .stdout(Stdio::null())
             .spawn()
@@ -190,8 +194,7 @@ impl Browser {
 
     /// A picture of a page: PNG.
     pub fn picture(&mut self, tab: &Tab, whole: bool) -> Vec<u8> {
-        let answer =
-            self.ask(tab, "Page.captureScreenshot", json!({"format": "png", "captureBeyondViewport": whole}));
+        let answer = self.ask(tab, "Page.captureScreenshot", json!({"format": "png", "captureBeyondViewport": whole}));
         base64(answer["data"].as_str().unwrap())
     }
 

@@ -17,14 +17,18 @@ fn opened() -> (View, Browser, Tab) {
     let view = View::start(&["--port", "sim"]);
     let mut browser = Browser::start();
     let tab = browser.open(&view.url, LAPTOP, 1.0);
-    browser.until(&tab, "window.view && view.pictures > 3 && view.plane !== null && document.body.dataset.role === 'command'");
+    browser.until(
+        &tab,
+        "window.view && view.pictures > 3 && view.plane !== null && document.body.dataset.role === 'command'",
+    );
     browser.front(&tab);
     (view, browser, tab)
 }
 
 /// A place on a canvas, in pixels of the page; `x` and `y` are expressions in its own pixels.
 fn on(browser: &mut Browser, tab: &Tab, canvas: &str, x: &str, y: &str) -> (f64, f64) {
-    let place = format!("(() => {{ const r = $('{canvas}').getBoundingClientRect(); return [r.left + {x}, r.top + {y}]; }})()");
+    let place =
+        format!("(() => {{ const r = $('{canvas}').getBoundingClientRect(); return [r.left + {x}, r.top + {y}]; }})()");
     let place = browser.evaluate(tab, &place);
     (place[0].as_f64().unwrap(), place[1].as_f64().unwrap())
 }
@@ -40,7 +44,13 @@ fn by_the_wall(browser: &mut Browser, tab: &Tab, before: f64) -> (f64, f64) {
 }
 
 fn lead_into_the_wall(browser: &mut Browser, tab: &Tab) {
-    let tip = on(browser, tab, "stage", "view.frame.toX(view.last.geometry.tip[0])", "view.frame.toY(view.last.geometry.tip[1])");
+    let tip = on(
+        browser,
+        tab,
+        "stage",
+        "view.frame.toX(view.last.geometry.tip[0])",
+        "view.frame.toY(view.last.geometry.tip[1])",
+    );
     let tip = (tip.0, tip.1 - 25.0);
     let goal = by_the_wall(browser, tab, -0.02);
     browser.drag(tab, tip, goal);
@@ -120,10 +130,16 @@ fn the_dot_is_dragged_and_stops_at_the_boundary_until_one_goes_on() {
     browser.drag(&tab, from, to);
     // A pixel of the picture is some tens of newtons a metre.
     browser.until(&tab, "Math.abs(view.walls[0].damping - 60) < 1 && Math.abs(view.walls[0].stiffness - 10e3) < 200");
-    assert_eq!(browser.evaluate(&tab, "$('stiffness').value === String(+view.walls[0].stiffness.toPrecision(4))"), true);
+    assert_eq!(
+        browser.evaluate(&tab, "$('stiffness').value === String(+view.walls[0].stiffness.toPrecision(4))"),
+        true
+    );
     let beyond = on_plane(&mut browser, &tab, 60.0, 23e3);
     browser.drag(&tab, to, beyond);
-    browser.until(&tab, "$('notice').classList.contains('shown') && $('why').textContent.includes('predicted to be unstable')");
+    browser.until(
+        &tab,
+        "$('notice').classList.contains('shown') && $('why').textContent.includes('predicted to be unstable')",
+    );
     assert_eq!(browser.evaluate(&tab, "view.walls[0].stiffness < 21e3"), true, "it stays on the stable side");
     browser.evaluate(&tab, "$('anyway').click()");
     browser.until(&tab, "view.walls[0].stiffness > 21e3 && document.body.dataset.stable === 'false'");
@@ -134,13 +150,17 @@ fn the_wall_is_pressed_by_the_mouse_and_buzzes_without_the_feed_forward() {
     let (_view, mut browser, tab) = opened();
     browser.hold_until(&tab, "document.body.dataset.state === 'Armed'");
     lead_into_the_wall(&mut browser, &tab);
-    browser.hold_until(&tab, "view.last.numbers.force > 2 && view.last.numbers.depth > 0 && view.last.numbers.ripple < 0.2");
+    browser.hold_until(
+        &tab,
+        "view.last.numbers.force > 2 && view.last.numbers.depth > 0 && view.last.numbers.ripple < 0.2",
+    );
     browser.evaluate(&tab, "$('ff-off').click()");
     browser.until(&tab, "!$('anyway').hidden");
     browser.evaluate(&tab, "$('anyway').click()");
     browser.hold_until(&tab, "view.last.numbers.ripple > 0.4");
     browser.evaluate(&tab, "$('ff-washout').click()");
-    let quiet = "view.walls[0].feed_forward === 'washout' && view.last.numbers.ripple < 0.2 && view.last.numbers.force > 2";
+    let quiet =
+        "view.walls[0].feed_forward === 'washout' && view.last.numbers.ripple < 0.2 && view.last.numbers.force > 2";
     browser.hold_until(&tab, quiet);
     browser.space(&tab, "keyUp");
     browser.until(&tab, "document.body.dataset.state === 'Disarmed'");

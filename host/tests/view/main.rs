@@ -100,9 +100,7 @@ fn gains_beyond_the_boundary_are_asked_about_first() {
     let view = simulated();
     let mut page = Page::in_command(&view);
     page.until("the boundary", |page| !page.plane.is_null());
-    let gains = |stiffness: f64| {
-        json!({"do": "gains", "wall": 0, "stiffness": stiffness, "damping": 40.0, "feed_forward": "off"})
-    };
+    let gains = |stiffness: f64| json!({"do": "gains", "wall": 0, "stiffness": stiffness, "damping": 40.0, "feed_forward": "off"});
     page.say(gains(22_000.0));
     page.until_refused("predicted to be unstable");
     assert_eq!(page.walls[0]["feed_forward"], "washout", "nothing was changed");
