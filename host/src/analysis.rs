@@ -14,6 +14,7 @@
 //! - [`pose`]: from a device description and joint angles to the matrices all of this works on
 //! - [`range`]: boundary, area and islands of one device: what `haptic range` prints
 //! - [`several`]: the same loop around walls that act together
+//! - [`why`]: what each effect takes from the boundary
 //!
 //! Source: "Inertia Properties and Their Role in Haptic Rendering", the stable domain of virtual walls; sampled-data
 //! theory as in Åström and Wittenmark, *Computer-Controlled Systems*, chapters 2 and 3.
@@ -30,3 +31,4 @@ pub mod range;
 pub mod sampled;
 pub mod several;
 pub mod spectrum;
+pub mod why;

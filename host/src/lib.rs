@@ -40,6 +40,7 @@ pub use haptic_bridge;
 pub mod analysis;
 pub mod backup;
 pub mod bench;
+pub mod cores;
 pub mod demo;
 pub mod device_file;
 pub mod error;

@@ -8,6 +8,7 @@
 //! - [`map`]: inertia over the workspace (the paper's Fig. 1)
 //! - [`paddle`]: what a map is to a device with one joint
 //! - [`range`]: the stable domain of a device (the paper's Fig. 3)
+//! - [`why`]: what each effect takes from it
 //!
 //! PNG is rendered by resvg with the DejaVu fonts compiled in, so a picture looks the same on every machine.
 
@@ -19,6 +20,7 @@ pub mod linkage;
 pub mod map;
 pub mod paddle;
 pub mod range;
+pub mod why;
 
 use std::path::Path;
 use std::sync::Arc;

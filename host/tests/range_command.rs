@@ -49,6 +49,26 @@ fn a_picture_is_written_as_svg_and_png() {
 }
 
 #[test]
+fn why_says_what_each_effect_takes_in_numbers_and_as_a_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    let svg = folder.path().join("why.svg");
+    let asked = ["--why", "--board", "h-bridge-f405", "--svg", svg.to_str().unwrap()];
+    let document = json(&[&["range", DEVICE], &POSE[..], &asked[..]].concat());
+    let effects = document["why"]["effects"].as_array().unwrap();
+    let names: Vec<&str> = effects.iter().map(|effect| effect["effect"].as_str().unwrap()).collect();
+    assert_eq!(names, ["sampling", "delay", "drive", "filter"]);
+    for effect in effects {
+        let (with, without) = (&document["why"]["limits"]["off"], &effect["limits"]["off"]);
+        let takes = 1.0 - with["kp_max"].as_f64().unwrap() / without["kp_max"].as_f64().unwrap();
+        assert!((effect["takes"]["off"].as_f64().unwrap() - takes).abs() < 1e-12);
+    }
+    assert!(std::fs::read_to_string(svg).unwrap().contains("filter: no filter"));
+    haptic(&["range", DEVICE, "--normal", "1,0", "--normal", "0,1", "--rate", "1000", "--cutoff", "20", "--why"])
+        .code(2);
+    haptic(&["range", DEVICE, "--normal", "1,0", "--rate", "1000", "--cutoff", "20", "--board", "odrive-v3"]).code(2);
+}
+
+#[test]
 fn what_is_wrong_is_refused_with_one_line() {
     for (change, code) in [
         (vec!["--normal", "0,0", "--rate", "1000", "--cutoff", "20"], 2),
@@ -57,6 +77,9 @@ fn what_is_wrong_is_refused_with_one_line() {
         (vec!["--normal", "1,0", "--rate", "-5", "--cutoff", "20"], 2),
         (vec!["--normal", "1,0", "--rate", "1000", "--cutoff", "20", "--delay", "-1"], 2),
         (vec!["--normal", "1,0", "--rate", "1000", "--cutoff", "20", "--kd=-1"], 2),
+        (vec!["--normal", "1,0", "--rate", "1000", "--cutoff", "20", "--hand", "1,2"], 2),
+        (vec!["--normal", "1,0", "--rate", "1000", "--cutoff", "20", "--hand=1,2,-3"], 2),
+        (vec!["--normal", "1,0", "--rate", "1000", "--cutoff", "20", "--difference-over", "65"], 2),
         (vec!["--normal", "1,0", "--rate", "1000", "--cutoff", "20", "--q", "0,0,0"], 1),
     ] {
         let done = haptic(&[&["range", DEVICE], &change[..]].concat()).code(code);

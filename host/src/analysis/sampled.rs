@@ -73,7 +73,7 @@ impl Estimator {
         }
     }
 
-    fn cutoff_hz(self) -> Option<f64> {
+    pub(super) fn cutoff_hz(self) -> Option<f64> {
         match self.low_pass() {
             LowPass::None => None,
             LowPass::FirstOrder(hz) | LowPass::Butterworth(hz) => Some(hz),

@@ -10,6 +10,7 @@ use haptic::analysis::pose::motors;
 use haptic::analysis::range::{Domain, Range, WORTHWHILE_RATIO, predict, predict_several};
 use haptic::analysis::sampled::{AnalysisError, Estimator, Loop};
 use haptic::analysis::several::WallSet;
+use haptic::analysis::why::{Both, Limits, Why, why};
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::plausible::scene::usual_delay;
@@ -18,6 +19,7 @@ use haptic::plot::range::{Contents, draw};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::{MAX_RATE_HZ, MIN_RATE_HZ};
 use std::fmt::Write;
+use std::io::IsTerminal;
 use std::path::PathBuf;
 
 /// Predict which stiffness and damping a wall can have before it oscillates
@@ -85,6 +87,10 @@ pub struct Args {
     /// as the boards' loops do, which make a current within one
     #[arg(long, value_name = "HZ", default_value_t = 6400.0)]
     current_bandwidth: f64,
+    /// Say why the boundary lies where it lies: what sampling, delay, drive, filter, transmissions, hand and joint
+    /// damping take from it, each by the same loop without it; --svg and --png then draw that
+    #[arg(long)]
+    why: bool,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -163,6 +169,9 @@ impl Args {
     }
 }
 
+/// Below this ratio a feed-forward costs more than it brings, beyond what rounds away.
+const COSTLY: f64 = 0.99;
+
 /// Analyses, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.force.pictures(args.svg.as_ref(), args.png.as_ref())?;
@@ -180,8 +189,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
                 .remedy("say which with --q"));
         }
     };
-    let warnings: Vec<_> = angles(&q, "--q").into_iter().map(Doubt::typed).collect();
-    warn(&warnings);
+    let mut warnings: Vec<_> = angles(&q, "--q").into_iter().map(Doubt::typed).collect();
     let normals = args
         .normal
         .iter()
@@ -219,7 +227,16 @@ pub fn run(args: Args) -> Result<(), Failure> {
     };
     let (analyse, passivity) = walls(&args, &file, &q, &normals, &shares, &around)?;
     let range = analyse(args.kd.as_ref().map(|kd| kd.0.as_slice()))?;
-    if args.svg.is_some() || args.png.is_some() {
+    warnings.extend(costly(&range).map(|text| Doubt { key: None, text }.typed()));
+    warn(&warnings);
+    let why = if args.why { Some(explained(&args, &file, &q, &normals, &around)?) } else { None };
+    let pictures = args.svg.is_some() || args.png.is_some();
+    if let Some(why) = why.as_ref().filter(|_| pictures) {
+        let title = format!("{}: what each effect takes from the stiffest wall", file.name);
+        let picture = haptic::plot::why::draw(&title, &subtitle(&args, &q, &normals, range.area_ratio), why);
+        args.svg.as_deref().map(|path| picture.save_svg(path)).transpose()?;
+        args.png.as_deref().map(|path| picture.save_png(path)).transpose()?;
+    } else if pictures {
         // A picture always shows the whole boundary, whatever points were asked for.
         let whole = if args.kd.is_some() { analyse(None)? } else { range.clone() };
         let picture = draw(&Contents {
@@ -234,11 +251,78 @@ pub fn run(args: Args) -> Result<(), Failure> {
         args.png.as_deref().map(|path| picture.save_png(path)).transpose()?;
     }
     if args.json {
+        let result = Explained { range: &range, why: why.as_ref() };
         let json =
-            serde_json::to_string(&Warned { result: &range, warnings: &warnings }).map_err(Failure::impossible)?;
+            serde_json::to_string(&Warned { result: &result, warnings: &warnings }).map_err(Failure::impossible)?;
         return print(&(json + "\n"));
     }
-    print(&readable(&file.name, &args, &q, &normals, &range, passivity.as_ref(), file.description.is_flexible()))
+    print(&readable(&file.name, &args, &q, &normals, &range, passivity.as_ref(), file.description.is_flexible()))?;
+    why.map_or(Ok(()), |why| print(&in_words(&why)))
+}
+
+/// The document of `--json`.
+#[derive(serde::Serialize)]
+struct Explained<'a> {
+    #[serde(flatten)]
+    range: &'a Range,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    why: Option<&'a Why>,
+}
+
+/// What each effect takes, of the one wall that there is.
+fn explained(args: &Args, file: &DeviceFile, q: &[f64], normals: &[Vec<f64>], around: &Loop) -> Result<Why, Failure> {
+    let [normal] = normals else {
+        let reason = "--why with several --normal";
+        return Err(Failure::wrong(reason).remedy("ask why of one wall at a time"));
+    };
+    let device = seen(args, file, q, normal)?;
+    let watched = std::io::stderr().is_terminal();
+    let progress = |done: usize, of: usize| {
+        if watched {
+            eprint!("\r{done} of {of} loops{}", if done == of { "\n" } else { "" });
+        }
+    };
+    Ok(why(&device, around, &progress)?)
+}
+
+/// The device as one wall sees it.
+fn seen(args: &Args, file: &DeviceFile, q: &[f64], normal: &[f64]) -> Result<Linearised, Failure> {
+    let mut device = Linearised::holding(&file.description, q, normal, args.admissible)?.held(args.hand()?);
+    device.gain = args.feed_forward_gain;
+    Ok(if args.undamped { device.undamped() } else { device })
+}
+
+/// Why, as a table.
+fn in_words(why: &Why) -> String {
+    let mut text =
+        format!("\n  {:<40}{:>16}{:>9}{:>16}{:>9}\n", "largest kp without", "off N/m", "takes", "full N/m", "takes");
+    let number = |limits: Option<Limits>| limits.map_or("no limit".into(), |limits| format!("{:.2}", limits.kp_max));
+    let share = |share: Option<f64>| share.map_or("-".into(), |share| format!("{:.1} %", 100.0 * share));
+    let mut row = |name: &str, limits: &Both, takes: [String; 2]| {
+        let [off, full] = takes;
+        let _ = writeln!(text, "  {name:<40}{:>16}{off:>9}{:>16}{full:>9}", number(limits.off), number(limits.full));
+    };
+    row("(with everything)", &why.limits, [String::new(), String::new()]);
+    for without in &why.effects {
+        let name = format!("{} ({})", without.effect, without.instead);
+        row(&name, &without.limits, [share(without.takes.off), share(without.takes.full)]);
+    }
+    text.push_str("  takes: of the largest stiffness without it; negative where it helps; they do not add up\n");
+    text
+}
+
+/// A doubt about a feed-forward that costs more than it brings.
+fn costly(range: &Range) -> Option<String> {
+    let top = |domain: &Domain| domain.boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
+    let stiffness = top(&range.full) / top(&range.off).max(f64::MIN_POSITIVE);
+    let worse = range.off.area > 0.0 && (range.area_ratio < COSTLY || stiffness < COSTLY);
+    worse.then(|| {
+        format!(
+            "the feed-forward costs more than it brings here: the stable area becomes {:.2} times as large and the \
+             stiffest wall {stiffness:.2} times as stiff; leave it off at this pose and normal",
+            range.area_ratio
+        )
+    })
 }
 
 /// What predicts the range at given dampings.
@@ -255,17 +339,13 @@ fn walls<'a>(
 ) -> Result<(Analysis<'a>, Option<Passivity>), Failure> {
     let gain = args.feed_forward_gain;
     if let [normal] = normals {
-        let mut device = Linearised::holding(&file.description, q, normal, args.admissible)?.held(args.hand()?);
-        device.gain = gain;
+        let device = seen(args, file, q, normal)?;
         let most = device.most_gain().unwrap_or(1.0);
         if !(0.0..=most).contains(&gain) {
             let reason = format!("--feed-forward-gain {gain} is not from 0 to {most:.3}");
             return Err(
                 Failure::wrong(reason).remedy("a board gives no more here: beyond lies the pole of the inertia")
             );
-        }
-        if args.undamped {
-            device = device.undamped();
         }
         let passivity = Passivity::new(&device, &file.description, 1.0 / args.rate, around.delay_samples);
         return Ok((Box::new(move |kd| predict(&device, around, kd, args.washout)), Some(passivity)));

@@ -1,0 +1,107 @@
+//! What each effect takes from a boundary is the difference to the same loop without it.
+
+use haptic::analysis::flexible::{Flexible, Hand};
+use haptic::analysis::plant::{Drive, Linearised};
+use haptic::analysis::range::domain;
+use haptic::analysis::sampled::{Estimator, FeedForward, Loop};
+use haptic::analysis::why::{Limits, why};
+use haptic::cores;
+use haptic_bridge::model::description::{EncoderAt, Transmission};
+use nalgebra::{DMatrix, DVector};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+fn soft_and_held() -> Linearised {
+    let give = Transmission { stiffness: 3.0, damping: 5e-4, motor_inertia: 2e-5, encoder_at: EncoderAt::Motor };
+    Linearised {
+        gain: 1.0,
+        flexible: Flexible {
+            transmissions: vec![Some(give), None],
+            hand: Hand { mass: 0.1, damping: 3.0, stiffness: 200.0 },
+            tip: DMatrix::from_row_slice(1, 2, &[0.1, 0.06]),
+            normal: DVector::from_vec(vec![1.0]),
+        },
+        mass: DMatrix::from_row_slice(2, 2, &[3.0e-4, 4.0e-5, 4.0e-5, 1.1e-4]),
+        viscous: DVector::from_vec(vec![1e-3, 4e-4]),
+        row: DVector::from_vec(vec![0.1, 0.06]),
+        unit_motion: DVector::from_vec(vec![7.0, 5.0]),
+    }
+}
+
+#[test]
+fn every_effect_is_the_loop_without_it() {
+    let device = soft_and_held();
+    let around = Loop {
+        rate_hz: 1000.0,
+        delay_samples: 0.5,
+        estimator: Estimator::Butterworth(50.0).over(2),
+        drive: Drive::Current { bandwidth_hz: 500.0 },
+        damping_compensation: false,
+    };
+    let told = AtomicUsize::new(0);
+    let progress = |_: usize, _: usize| {
+        told.fetch_add(1, Ordering::Relaxed);
+    };
+    let found = why(&device, &around, &progress).unwrap();
+    let names: Vec<&str> = found.effects.iter().map(|without| without.effect).collect();
+    let all = ["sampling", "delay", "drive", "filter", "difference", "compliance", "hand", "joint damping"];
+    assert_eq!(names, all);
+    assert_eq!(told.into_inner(), 2 * (1 + all.len()));
+
+    let alone = |device: &Linearised, around: &Loop| {
+        let domain = domain(device, around, FeedForward::Off, None).unwrap();
+        (domain.boundary.iter().map(|point| point.kp).fold(0.0, f64::max), domain.area)
+    };
+    let same = |limits: Option<Limits>, known: (f64, f64)| {
+        let limits = limits.unwrap();
+        assert_eq!((limits.kp_max, limits.area), known);
+    };
+    let with = alone(&device, &around);
+    same(found.limits.off, with);
+    let mut rigid = device.clone();
+    rigid.flexible.transmissions = vec![None, None];
+    let rigid = alone(&rigid, &around);
+    same(found.effects[5].limits.off, rigid);
+    assert_eq!(found.effects[5].takes.off, Some(1.0 - with.0 / rigid.0));
+    assert_eq!(found.effects[5].takes_area.off, Some(1.0 - with.1 / rigid.1));
+    let faster = Loop {
+        rate_hz: 10_000.0,
+        delay_samples: 5.0,
+        estimator: Estimator::Butterworth(50.0).over(20),
+        ..around.clone()
+    };
+    same(found.effects[0].limits.off, alone(&device, &faster));
+    same(found.effects[6].limits.off, alone(&device.clone().held(Hand::default()), &around));
+}
+
+#[test]
+fn a_rigid_ideal_loop_has_only_sampling_and_a_filter() {
+    let mut device = soft_and_held().undamped();
+    device.flexible = Flexible::default();
+    let around = Loop {
+        rate_hz: 1000.0,
+        delay_samples: 0.0,
+        estimator: Estimator::Butterworth(50.0),
+        drive: Drive::Ideal,
+        damping_compensation: false,
+    };
+    let found = why(&device, &around, &|_, _| {}).unwrap();
+    assert_eq!(found.effects.iter().map(|without| without.effect).collect::<Vec<_>>(), ["sampling", "filter"]);
+    assert!(found.effects.iter().all(|without| without.takes.off.unwrap() > 0.0));
+}
+
+#[test]
+fn results_come_in_the_order_of_the_things_whoever_is_first() {
+    let things: Vec<u64> = (0..50).collect();
+    let told = AtomicUsize::new(0);
+    let progress = |_: usize, of: usize| {
+        assert_eq!(of, 50);
+        told.fetch_add(1, Ordering::Relaxed);
+    };
+    let squares = cores::map(&things, &progress, |thing| {
+        // The first are the slowest.
+        std::thread::sleep(std::time::Duration::from_micros(50 * (50 - thing)));
+        thing * thing
+    });
+    assert_eq!(squares, things.iter().map(|thing| thing * thing).collect::<Vec<_>>());
+    assert_eq!(told.into_inner(), 50);
+}
