@@ -646,11 +646,9 @@ where
         for (i, axis) in program.axes.iter_mut().enumerate().take(J) {
             let current = axis.command(torque[i], self.crests.speed(i));
             self.frame.torque[i] = axis.torque_of(current);
-            // At its limit and short of what was asked, by more than a torque's way through a current rounds.
-            let left = self.frame.torque[i].abs();
-            let most = self.most_torque[i] * (1.0 - 1.0e-5);
-            let short = left >= most && asked.total[i].abs() * (1.0 - 1.0e-5) > left;
-            self.frame.limited |= u8::from(short) << i;
+            // Another torque than was asked, by more than its way through a current rounds; also where that is no number.
+            let kept = (asked.total[i] - self.frame.torque[i]).abs() <= 1.0e-5 * asked.total[i].abs();
+            self.frame.limited |= u8::from(!kept) << i;
             if !self.hardware.bridge.current_sensed {
                 self.frame.current[i] = current;
             }

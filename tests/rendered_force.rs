@@ -5,8 +5,9 @@ mod rig;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::{FeedForward, Plane, Surface};
 use haptic_bridge::render::velocity::Washout;
-use haptic_bridge::servo::Command;
+use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::servo::frame::Frame;
+use haptic_bridge::servo::{Command, Rules};
 use rig::{COUNTS, RATE, Rig, five_bar, hardware, rules, scene, wall};
 
 /// A paddle of 0.1 m in a wall of 1 kN/m at -0.05 m, so many metres deep; its motor may push with 0.3 N m, so 3 N.
@@ -32,6 +33,17 @@ fn a_wall_beyond_the_motors_means_is_recorded_as_what_they_can() {
     assert!((frame.rendered_force - 3.0).abs() < 1e-4, "0.3 N m at 0.1 m: {frame:?}");
     assert_eq!(frame.saturation(0), 1.0, "and the motor is marked");
     assert_eq!((frame.saturation(1), frame.saturation(2)), (0.0, 0.0), "no other is");
+}
+
+#[test]
+fn a_force_beyond_the_limit_of_the_tip_is_marked_too() {
+    let mut rig = pressed(0.002);
+    let limited = rules();
+    rig.execute(Command::Rules(Rules { limits: Limits { tip_force: 1.0, ..limited.limits }, ..limited })).unwrap();
+    rig.step();
+    let frame = *rig.servo.frame();
+    assert!((frame.rendered_force - 1.0).abs() < 1e-3, "{frame:?}");
+    assert_eq!((frame.saturation(0), frame.saturation(1)), (1.0, 0.0), "{frame:?}");
 }
 
 #[test]
@@ -106,6 +118,9 @@ fn on_two_joints_it_is_the_force_that_the_recorded_torques_hold() {
             let torque = [f64::from(frame.torque[0]), f64::from(frame.torque[1])];
             let expected = held([angle(0), angle(1)], n, torque);
             let got = f64::from(frame.rendered_force);
+            if frame.rendered_force < 0.999 * frame.wall_force {
+                assert_eq!((frame.saturation(0), frame.saturation(1)), (1.0, 1.0), "one factor cuts both: {frame:?}");
+            }
             // 1e-4: f32 in the step (2e-5 of the torque), and the differences' own 1e-7.
             assert!((got - expected).abs() < 1e-4 * (1.0 + expected.abs()), "{got} for {expected}: {frame:?}");
             if frame.saturation(0) + frame.saturation(1) > 0.0 {

@@ -80,7 +80,8 @@ pub struct Frame {
     pub wall_force: f32,
     /// What the limits leave of it along the normal of the deepest wall, N (docs/telemetry.md). Zero unless armed.
     pub rendered_force: f32,
-    /// A bit for every joint whose torque or current limit acted.
+    /// A bit for every joint that a limit gave another torque than was asked: its own limit of torque or current,
+    /// another joint's, or that of the force at the tip, because all are cut by one factor.
     pub limited: u8,
     /// Share of the feed-forward that acts.
     pub shaping: f32,
@@ -94,8 +95,8 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// Whether joint `i` could not do what was asked: 1 its torque or current limit acted, 2 its duty is at its end, 3
-    /// both.
+    /// Whether joint `i` could not do what was asked: 1 a limit changed its torque ([`Frame::limited`]), 2 its duty is at
+    /// its end, 3 both.
     pub fn saturation(&self, i: usize) -> f32 {
         let end = self.duty.get(i).is_some_and(|duty| duty.abs() >= DUTY_END);
         f32::from(self.limited >> i & 1) + if end { 2.0 } else { 0.0 }
