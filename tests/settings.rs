@@ -8,6 +8,7 @@ use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::MassModelData;
 use haptic_bridge::render::scene::{Cylinder, FeedForward, Scene, Sphere, Spring, Surface, VelocityTerms};
+use haptic_bridge::render::velocity::{Chosen, Estimator};
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::servo::{HostAction, Rules};
 use std::fmt::Debug;
@@ -195,6 +196,26 @@ fn rules_stored_before_a_tip_had_a_limit_come_back_with_a_gentle_one() {
     old["limits"].as_object_mut().expect("fields").remove("tip_force").expect("a field");
     assert_eq!(serde_json::from_value::<Rules>(old).expect("it reads"), expected);
     assert_eq!(serde_json::from_value::<Rules>(words).expect("it reads"), rules);
+}
+
+#[test]
+fn a_scene_stored_before_there_were_estimators_of_joints_comes_back_as_it_was() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/scene-2.txt");
+    let hex = std::fs::read_to_string(path).expect("the golden file is there");
+    let hex = hex.trim();
+    let entry: Vec<u8> =
+        (0..hex.len() / 2).map(|i| u8::from_str_radix(&hex[2 * i..2 * i + 2], 16).expect("hexadecimal")).collect();
+    assert_eq!(entry[..2], [2, 2], "a scene of version 2");
+    assert_eq!(decode::<Scene<f32>>(&entry), Ok(full_scene()));
+}
+
+#[test]
+fn every_estimator_comes_back_with_its_choices() {
+    for (_, estimator) in Estimator::ALL {
+        let chosen = estimator.chosen().map(|chosen| Chosen { value: chosen.value + 1, filtered: true });
+        let estimator = chosen.map_or(*estimator, |chosen| estimator.choosing(chosen));
+        comes_back(&Scene { estimator, ..full_scene() });
+    }
 }
 
 #[test]

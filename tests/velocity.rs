@@ -48,7 +48,7 @@ fn a_ramp_has_its_slope_as_velocity_under_every_estimator() {
 
 #[test]
 fn a_velocity_that_grows_steadily_is_known_as_late_as_said() {
-    for (_, kind) in Estimator::ALL {
+    for kind in [Estimator::Butterworth, Estimator::FirstOrder, Estimator::BackwardDifference] {
         for (rate, cutoff) in [(200.0, 20.0), (1_000.0, 100.0), (1_000.0, 400.0), (20_000.0, 500.0)] {
             let coefficients = Coefficients::<f64>::new(kind, rate, cutoff).unwrap();
             let mut filter = LowPass::default();

@@ -4,6 +4,7 @@
 //! Nothing here talks to a board: a pose, a direction and a few numbers about the loop go in, predictions come out.
 //!
 //! - [`cut`]: the plane of that map that is drawn, in tiles
+//! - [`estimator`]: the velocity estimators as linear filters
 //! - [`flexible`]: what is not rigid about it: transmissions, and a hand on the tip
 //! - [`map`]: inertia over the workspace: what `haptic map` prints
 //! - [`passivity`]: the classical bounds of walls that no hand can make oscillate
@@ -22,6 +23,7 @@
 pub mod boundary;
 pub mod cut;
 mod eigenvalues;
+pub mod estimator;
 pub mod flexible;
 pub mod map;
 pub mod passivity;

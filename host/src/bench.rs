@@ -1,6 +1,7 @@
 //! Speed against error: what each way of computing the control step costs on the chip, and what error it leaves.
 //!
 //! - [`counts`]: instructions on the Cortex-M4F, counted on the emulated chip and kept in benches/counts.json
+//! - [`estimators`]: velocity estimators compared on a device, in simulation with the steps of its encoders
 //! - [`precompute`]: frozen matrices and tables of a device, made here and sent ready to use
 //! - [`probe`]: where errors are looked at: poses, normals, forces and hand motions over the workspace or along a wall
 //! - [`report`]: every variant of every mechanism with both, its Pareto front, and the page and picture made of them
@@ -10,6 +11,7 @@
 
 pub mod counts;
 pub mod error;
+pub mod estimators;
 pub mod precompute;
 pub mod probe;
 pub mod report;

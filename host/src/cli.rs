@@ -76,6 +76,7 @@ pub fn examples(command: &str) -> &'static [&'static str] {
         "plan" => &["haptic plan devices/haply-2diy.toml devices/scenes/haply-2diy/wall.toml"],
         "precompute" => &["haptic precompute devices/haply-2diy.toml --kind frozen --box 1.8,2.2,0.9,1.3"],
         "range" => &["haptic range devices/coupled-five-bar.toml --normal 0.6,0.8 --rate 20000 --cutoff 500"],
+        "estimators" => &["haptic estimators devices/coupled-five-bar.toml --q 2.6,1.75 --normal 0.6,0.8"],
         "sim" => &["haptic sim", "haptic sim devices/haply-2diy.toml --tcp 7710 --hand loop"],
         "info" => &["haptic info --port sim", "haptic info --port /dev/ttyACM0 --json"],
         "device" => &["haptic device devices/haply-2diy.toml"],

@@ -7,7 +7,7 @@
 //! |---|---|
 //! | `rate_hz` | 20000 |
 //! | `cutoff_hz` | 500, or a tenth of the rate where that is less |
-//! | `estimator` | `"butterworth"` (also `"first-order"`, `"backward-difference"`) |
+//! | `estimator` | `"butterworth"` (also `"first-order"`, `"backward-difference"`, and those of [`Estimator::SPECS`]: each with its own key; behind some a Butterworth low-pass stands if `cutoff_hz` is given) |
 //! | `velocity_terms` | `"rendered"` (also `"paper"`, `"off"`) |
 //! | `feed_forward_gain` | 1 |
 //! | `admissible` | `"orientation"` (also `"joint-0"`, `"joint-1"`, `"joint-2"`, `"consistent"`; redundant devices only) |
@@ -28,7 +28,7 @@ use haptic_bridge::render::scene::{
     Admissible, FeedForward, MAX_FEED_FORWARD_GAIN, MAX_RATE_HZ, MAX_SPRINGS, MAX_WALLS, MIN_RATE_HZ, Scene,
     SceneError, Spring, Surface, VelocityTerms, Wall,
 };
-use haptic_bridge::render::velocity::Estimator;
+use haptic_bridge::render::velocity::{Chosen, CutoffMeans, Estimator};
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 use std::path::{Path, PathBuf};
@@ -100,7 +100,9 @@ fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
         let remedy = "name the device file first, then scene files".into();
         return Err(top.error_here(Problem::Impossible { reason, remedy }));
     }
-    top.refuse_unknown_keys(&[
+    let estimator = top.word("estimator", Estimator::ALL)?.unwrap_or_default();
+    let own = estimator.spec().and_then(|spec| spec.key).map(|key| key.name);
+    let every = [
         "rate_hz",
         "cutoff_hz",
         "estimator",
@@ -112,7 +114,8 @@ fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
         "wall",
         "spring",
         "field",
-    ])?;
+    ];
+    top.refuse_unknown_keys(&[&every[..], own.as_slice()].concat())?;
     let rate_hz = top.number("rate_hz", Must::BePositive)?.unwrap_or(DEFAULT_RATE_HZ);
     if !(MIN_RATE_HZ..=MAX_RATE_HZ).contains(&rate_hz) {
         return Err(out_of_range(top, "rate_hz", rate_hz, "from 200 to 50000 Hz"));
@@ -123,7 +126,7 @@ fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
         task: task as u8,
         rate_hz,
         cutoff_hz,
-        estimator: top.word("estimator", &Estimator::ALL)?.unwrap_or_default(),
+        estimator: chosen(top, estimator)?,
         gravity_compensation: top.flag("gravity_compensation")?.unwrap_or(true),
         velocity_terms: top.word("velocity_terms", &VelocityTerms::ALL)?.unwrap_or_default(),
         feed_forward_gain: feed_forward_gain(top)?,
@@ -151,6 +154,24 @@ fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
         scene.field_damping += table.required("damping", damping, "damping = 2.0")?;
     }
     Ok(scene)
+}
+
+/// The estimator with the value of its own key, and a low-pass behind it if it is one that has one for a cutoff.
+fn chosen(top: &Table<'_>, estimator: Estimator) -> Result<Estimator, FileError> {
+    let (Some(spec), Some(usual)) = (estimator.spec(), estimator.chosen()) else { return Ok(estimator) };
+    let mut value = usual.value;
+    if let Some(key) = spec.key
+        && let Some(found) = top.number(key.name, Must::BePositive)?
+    {
+        let (least, most) = key.range;
+        if found.fract() != 0.0 || !(f64::from(least)..=f64::from(most)).contains(&found) {
+            let must = format!("a whole number from {least} to {most} ({})", key.unit);
+            return Err(out_of_range(top, key.name, found, &must));
+        }
+        value = found as u32;
+    }
+    let filtered = spec.cutoff == CutoffMeans::LowPassBehind && top.has("cutoff_hz");
+    Ok(estimator.choosing(Chosen { value, filtered }))
 }
 
 /// α, 1 unless the file says otherwise. How many walls it is for is checked with the scene.

@@ -75,10 +75,11 @@ impl Setting for Device<f32> {
 }
 impl Setting for Scene<f32> {
     const KEY: Key = Key::Scene;
-    /// 2: a feed-forward gain, and what a redundant device holds; `velocity_terms` is no flag any more.
-    const VERSION: u8 = 2;
-    /// A gain of 1 and the orientation.
-    const SHORTER: &'static [(u8, usize, &'static [u8])] = &[(1, END, &[0x00, 0x00, 0x80, 0x3f, 0x00])];
+    /// 2: a feed-forward gain, and what a redundant device holds; `velocity_terms` is no flag any more. 3: estimators that
+    /// watch joints, with their choices.
+    const VERSION: u8 = 3;
+    /// A gain of 1 and the orientation; the estimators of before are what they were.
+    const SHORTER: &'static [(u8, usize, &'static [u8])] = &[(1, END, &[0x00, 0x00, 0x80, 0x3f, 0x00]), (2, END, &[])];
 }
 impl Setting for Rules {
     const KEY: Key = Key::Rules;

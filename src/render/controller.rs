@@ -23,6 +23,7 @@ use core::marker::PhantomData;
 use encoders::Encoders;
 use heapless::Vec;
 use nalgebra::SVector;
+use observers::Observers;
 use plan::Plan;
 use postcard_schema::Schema;
 pub use push::{Push, PushedPlane};
@@ -31,6 +32,7 @@ pub use walls::TOUCH_DEPTH;
 use walls::{Acting, Active, Walls};
 
 mod encoders;
+mod observers;
 mod plan;
 mod push;
 mod walls;
@@ -116,6 +118,7 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     mechanism: M,
     mass: MassModel<T, N>,
     encoders: Encoders<T, N>,
+    observers: Observers<T, N>,
     coefficients: Coefficients<T>,
     walls: Walls<T>,
     guidance: Guidance<T>,
@@ -171,6 +174,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let mut controller = Self {
             mechanism,
             mass,
+            observers: Observers::new(device, &coefficients),
             encoders: Encoders::new(device, &coefficients, M::SPEC.periodic, moving),
             coefficients,
             walls,
@@ -211,14 +215,20 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     #[inline(always)]
     pub fn step_generally(&mut self, counts: &[i32; N], table: &[T]) -> Step<T, N> {
         let (q, turned) = self.encoders.angles(counts);
-        let qd = self.encoders.velocities(&self.coefficients, counts);
+        let mut qd = self.encoders.velocities(&self.coefficients, counts);
         let pose = self.mechanism.pose::<K>(&turned);
         let tip = self.mechanism.tip(&pose);
         let place = task_part::<T, M, N>(&tip);
         let regularity = self.mechanism.regularity(&pose);
+        let observed = self.coefficients.at_joints();
+        let mut along = SVector::zeros();
+        if observed {
+            (qd, along) = self.observe(&pose, counts, &qd);
+        }
 
         let mut more: Vec<Active<T, N>, MAX_WALLS> = Vec::new();
-        let touch = self.walls.touch::<K, N>(&self.coefficients, &place, &mut more);
+        let along = observed.then_some(&along);
+        let touch = self.walls.touch::<K, N>(&self.coefficients, &place, along, &mut more);
         let mut step = Step {
             q,
             qd,
@@ -287,6 +297,28 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             step.torque += step.gravity;
         }
         step
+    }
+
+    /// Joint velocities (rad/s) by an estimator that watches joints, and the tip's (m/s). `before`: by what was at work
+    /// when it is new.
+    #[inline(never)]
+    fn observe(&mut self, pose: &M::Pose, counts: &[i32; N], before: &SVector<T, N>) -> (SVector<T, N>, SVector<T, N>) {
+        let pushed = if self.coefficients.predicts() {
+            solve_symmetric(&self.mechanism.mass(pose), &self.observers.acting)
+        } else {
+            SVector::zeros()
+        };
+        let qd = self.observers.step::<K>(&self.coefficients, counts, &pushed, before);
+        (qd, task_part::<T, M, N>(&self.mechanism.velocity(pose, &qd)))
+    }
+
+    /// Says which torques (N m) the motors gave since the last step, before the next: asked, less what limits took.
+    /// Only an estimator that predicts wants to know.
+    #[inline(always)]
+    pub fn acted(&mut self, torque: &[T; N]) {
+        if self.coefficients.at_joints() {
+            self.observers.acting = SVector::from_fn(|i, _| torque[i]);
+        }
     }
 
     /// The feed-forward torques of a single active wall, without gravity.
@@ -436,6 +468,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// Declares the joints to be at `q` (rad) for these counts. Estimators start anew.
     pub fn home(&mut self, counts: &[i32; N], q: &[T; N]) {
         self.encoders.home(counts, q);
+        self.observers.forget();
         self.walls.forget();
     }
 
@@ -452,6 +485,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// Starts all estimators anew, so that what happened before is not a motion.
     pub fn forget(&mut self) {
         self.encoders.forget();
+        self.observers.forget();
         self.walls.forget();
     }
 
@@ -489,10 +523,15 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         self.walls.set_gains(gains, washout);
     }
 
-    /// Applies checked coefficients of the velocity estimators between two steps; their states go on.
+    /// Applies checked coefficients of the velocity estimators between two steps; their states go on. Another estimator
+    /// that watches joints starts from the velocities by the low-pass.
     pub fn set_coefficients(&mut self, coefficients: &Coefficients<T>) {
+        if coefficients.kind() != self.coefficients.kind() {
+            self.observers.forget();
+        }
         self.coefficients = *coefficients;
         self.encoders.retune(coefficients);
+        self.plan = Plan::of(self);
     }
 }
 

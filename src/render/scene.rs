@@ -211,6 +211,8 @@ pub enum SceneError {
     Shape(u8),
     /// The feed-forward gain is not from 0 to 3, or above 1 with several shaped walls.
     FeedForwardGain,
+    /// The velocity estimator's own value is outside its range.
+    Estimator,
 }
 
 impl core::fmt::Display for SceneError {
@@ -233,6 +235,7 @@ impl core::fmt::Display for SceneError {
             Self::FeedForwardGain => f.write_str(
                 "feed_forward_gain must be from 0 to 3, and at most 1 where several walls have a feed-forward",
             ),
+            Self::Estimator => f.write_str("the velocity estimator's own value is outside its range"),
         }
     }
 }
@@ -317,6 +320,9 @@ impl<T: Real> Scene<T> {
         let below_half = |hz: T| hz > T::zero() && hz < half_rate;
         if !below_half(self.cutoff_hz) {
             return Err(SceneError::Cutoff);
+        }
+        if !self.estimator.valid() {
+            return Err(SceneError::Estimator);
         }
         let shaped = self.walls.iter().filter(|wall| wall.feed_forward != FeedForward::Off).count();
         let most = if shaped > 1 { T::one() } else { T::from_f64(MAX_FEED_FORWARD_GAIN) };

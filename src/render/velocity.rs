@@ -1,81 +1,251 @@
-//! Velocity from positions: backward difference, then a low-pass; and the washout's high-pass.
+//! Velocity from positions, and the washout's high-pass.
 //!
-//! The filters are trapezoidal state-variable (topology-preserving) forms: the bilinear transform prewarped at the
-//! cutoff, so the very transfer function of the usual digital `butter` design, but with states that keep their
-//! accuracy in f32 when the cutoff is a thousandth of the rate. (A direct form's gain is off by 1e-3 at
-//! 20 Hz/20 kHz, this by 4e-6; tests/velocity.rs.) Cost: one difference and nine multiply-adds a step.
+//! Two families. The low-passes of [`LowPass`] take the backward difference of every wall's own distance, as the paper
+//! does. An estimator of the list below watches the encoder counts of each joint instead, and a wall's velocity is what
+//! the estimated joint velocities make of it, n·J q̇: there the steps of the encoder are known, and the torques are.
+//! Each of them is one file beside this one ([`JointEstimator`]) and one line in the list.
 
-use crate::math::Real;
+mod adaptive_window;
+mod alpha_beta;
+mod cutoff;
+mod difference;
+mod levant;
+mod low_pass;
+mod predicted;
+mod washout;
 
-/// How wall velocities are estimated.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize, postcard_schema::Schema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Estimator {
-    /// Backward difference and a 2nd-order Butterworth low-pass: the paper's.
-    #[default]
-    Butterworth,
-    /// Backward difference and a 1st-order low-pass: less lag, less smoothing.
-    FirstOrder,
-    /// Backward difference alone; the cutoff is not used.
-    BackwardDifference,
+use crate::math::{Math, Real};
+pub use adaptive_window::AdaptiveWindow;
+pub use alpha_beta::AlphaBeta;
+pub use cutoff::BadCutoff;
+use cutoff::warped;
+pub use difference::Difference;
+pub use levant::Levant;
+pub use low_pass::{LowPass, Velocity};
+pub use predicted::Predicted;
+pub use washout::Washout;
+
+/// Most samples that an estimator looks back.
+pub const LONGEST_WINDOW: usize = 32;
+
+/// What `cutoff_hz` is to an estimator.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CutoffMeans {
+    /// Its own bandwidth.
+    Bandwidth,
+    /// The cutoff of a 2nd-order Butterworth low-pass behind it, which is there if a cutoff is given.
+    LowPassBehind,
+}
+
+/// The value that an estimator takes besides the cutoff: a whole number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EstimatorKey {
+    /// Its key in scene files.
+    pub name: &'static str,
+    /// What it counts.
+    pub unit: &'static str,
+    /// Least and most.
+    pub range: (u32, u32),
+    /// What it is where a file does not say.
+    pub usual: u32,
+}
+
+/// What scene files say of an estimator.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EstimatorSpec {
+    /// Its word for `estimator`.
+    pub name: &'static str,
+    /// What the cutoff is to it.
+    pub cutoff: CutoffMeans,
+    /// Its own value, if it takes one.
+    pub key: Option<EstimatorKey>,
+    /// Whether it wants to know the acceleration that the motors' torques give the joints.
+    pub predicts: bool,
+}
+
+/// The choices that go with an estimator.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize, postcard_schema::Schema)]
+pub struct Chosen {
+    /// The value of the key that its [`EstimatorSpec`] names; 0 where it names none.
+    pub value: u32,
+    /// Whether a Butterworth low-pass at the cutoff stands behind it.
+    pub filtered: bool,
+}
+
+/// What one control period showed of a joint, in encoder counts and control periods.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Seen<T> {
+    /// How far it moved, counts.
+    pub moved: T,
+    /// Acceleration that the motors' torques gave it, counts per period²; zero for an estimator that does not predict.
+    pub pushed: T,
+    /// Counts per period² in 1 rad/s²; negative where the encoder is inverted.
+    pub unit: T,
+}
+
+/// A velocity estimator that watches one joint's encoder.
+///
+/// Velocities are in counts per control period. [`JointEstimator::step`] runs in the control interrupt: bounded time and
+/// no panic.
+pub trait JointEstimator<T: Real>: Copy {
+    /// What scene files say of it.
+    const SPEC: EstimatorSpec;
+    /// Its coefficients.
+    type Design: Copy + core::fmt::Debug + PartialEq;
+    /// Coefficients for these choices; `warped` is tan(π cutoff/rate).
+    fn design(chosen: &Chosen, warped: T) -> Self::Design;
+    /// How far the velocity lags behind where it grows steadily, control periods.
+    fn lag(design: &Self::Design) -> T;
+    /// Its memory of a joint that has been moving at this velocity.
+    fn moving_at(velocity: T) -> Self;
+    /// The velocity now.
+    fn step<K: Math<T>>(&mut self, design: &Self::Design, seen: &Seen<T>) -> T;
+}
+
+macro_rules! estimators {
+    ($($(#[$doc:meta])* $Name:ident;)*) => {
+        /// How wall velocities are estimated.
+        #[derive(
+            Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize, postcard_schema::Schema,
+        )]
+        #[serde(rename_all = "kebab-case")]
+        pub enum Estimator {
+            /// Backward difference and a 2nd-order Butterworth low-pass: the paper's.
+            #[default]
+            Butterworth,
+            /// Backward difference and a 1st-order low-pass: less lag, less smoothing.
+            FirstOrder,
+            /// Backward difference alone; the cutoff is not used.
+            BackwardDifference,
+            $($(#[$doc])* $Name(Chosen),)*
+        }
+
+        impl Estimator {
+            /// What scene files say of those that watch joints.
+            pub const SPECS: &'static [EstimatorSpec] = &[$(<$Name<f32> as JointEstimator<f32>>::SPEC),*];
+
+            /// Every estimator, as it is where a file says no more than its name.
+            pub const ALL: &'static [(&'static str, Self)] = &[
+                ("butterworth", Self::Butterworth),
+                ("first-order", Self::FirstOrder),
+                ("backward-difference", Self::BackwardDifference),
+                $((<$Name<f32> as JointEstimator<f32>>::SPEC.name, Self::$Name(usual(&<$Name<f32> as JointEstimator<f32>>::SPEC))),)*
+            ];
+
+            /// What scene files say of it, if it watches joints.
+            pub fn spec(&self) -> Option<EstimatorSpec> {
+                match self {
+                    $(Self::$Name(_) => Some(<$Name<f32> as JointEstimator<f32>>::SPEC),)*
+                    _ => None,
+                }
+            }
+
+            /// The choices that go with it, if it watches joints.
+            pub fn chosen(&self) -> Option<Chosen> {
+                match self {
+                    $(Self::$Name(chosen) => Some(*chosen),)*
+                    _ => None,
+                }
+            }
+
+            /// The same with other choices.
+            pub fn choosing(self, chosen: Chosen) -> Self {
+                match self {
+                    $(Self::$Name(_) => Self::$Name(chosen),)*
+                    other => other,
+                }
+            }
+        }
+
+        /// Coefficients of an estimator that watches joints.
+        #[derive(Clone, Copy, Debug, PartialEq)]
+        enum Design<T: Real> { $($Name(<$Name<T> as JointEstimator<T>>::Design),)* }
+
+        impl<T: Real> Design<T> {
+            /// Of an estimator with its lag (control periods), if it watches joints.
+            fn new(kind: Estimator, warped: T) -> Option<(Self, T)> {
+                match kind {
+                    $(Estimator::$Name(chosen) => {
+                        let design = <$Name<T> as JointEstimator<T>>::design(&chosen, warped);
+                        Some((Self::$Name(design), <$Name<T> as JointEstimator<T>>::lag(&design)))
+                    })*
+                    _ => None,
+                }
+            }
+        }
+
+        /// What an estimator remembers of a joint.
+        #[derive(Clone, Copy, Debug, Default)]
+        enum Memory<T: Real> {
+            /// Nothing: it does not watch joints.
+            #[default]
+            None,
+            $($Name($Name<T>),)*
+        }
+
+        impl<T: Real> Memory<T> {
+            fn moving_at(design: &Design<T>, velocity: T) -> Self {
+                match design { $(Design::$Name(_) => Self::$Name(JointEstimator::moving_at(velocity)),)* }
+            }
+
+            /// The velocity, counts per period. Memory of another estimator is dropped.
+            fn step<K: Math<T>>(&mut self, design: &Design<T>, seen: &Seen<T>, velocity: T) -> T {
+                match (&mut *self, design) {
+                    $((Self::$Name(memory), Design::$Name(design)) => memory.step::<K>(design, seen),)*
+                    _ => {
+                        *self = Self::moving_at(design, velocity);
+                        velocity
+                    }
+                }
+            }
+        }
+    };
+}
+
+estimators! {
+    /// Difference over several samples.
+    Difference;
+    /// Difference over as many samples as lie on one line within a count.
+    AdaptiveWindow;
+    /// Tracks position and velocity: a steady-state Kalman filter.
+    AlphaBeta;
+    /// Levant's robust differentiator.
+    Levant;
+    /// Predicts by the motors' torques and the device's inertia, corrects by counts.
+    Predicted;
+}
+
+/// What is chosen where a file does not say.
+const fn usual(spec: &EstimatorSpec) -> Chosen {
+    let value = match &spec.key {
+        Some(key) => key.usual,
+        None => 0,
+    };
+    Chosen { value, filtered: false }
 }
 
 impl Estimator {
-    /// Every estimator with its name in scene files and on the command line.
-    pub const ALL: [(&'static str, Self); 3] = [
-        ("butterworth", Self::Butterworth),
-        ("first-order", Self::FirstOrder),
-        ("backward-difference", Self::BackwardDifference),
-    ];
-
-    /// Its name.
-    pub fn name(self) -> &'static str {
-        Self::ALL[self as usize].0
+    /// Its name in scene files and on the command line.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Butterworth => "butterworth",
+            Self::FirstOrder => "first-order",
+            Self::BackwardDifference => "backward-difference",
+            other => other.spec().map_or("", |spec| spec.name),
+        }
     }
-}
 
-/// A cutoff that is not between zero and half the rate.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct BadCutoff;
-
-impl core::fmt::Display for BadCutoff {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.write_str("a filter's cutoff must be greater than zero and below half the control rate")
+    /// Whether its value lies in its range.
+    pub fn valid(&self) -> bool {
+        let (Some(spec), Some(chosen)) = (self.spec(), self.chosen()) else { return true };
+        let (least, most) = spec.key.map_or((0, 0), |key| key.range);
+        (least..=most).contains(&chosen.value)
     }
-}
-
-impl core::error::Error for BadCutoff {}
-
-/// The prewarped gain tan(π cutoff/rate).
-fn warped<T: Real>(cutoff_hz: T, rate_hz: T) -> Result<T, BadCutoff> {
-    let ratio = cutoff_hz / rate_hz;
-    let valid = rate_hz.is_finite() && ratio > T::zero() && ratio < T::from_f64(0.5);
-    if valid { Ok(tangent(ratio)) } else { Err(BadCutoff) }
-}
-
-/// The tangent of π times a ratio from 0 to 1/2, to a few units in the last place: the quotient of the two power
-/// series, above π/4 that of the complement. Small, because the board designs its filters itself, in its own precision.
-fn tangent<T: Real>(ratio: T) -> T {
-    let complement = T::from_f64(0.5) - ratio;
-    if ratio > complement {
-        return T::one() / tangent(complement);
-    }
-    let angle = ratio * T::from_f64(core::f64::consts::PI);
-    let square = angle * angle;
-    let (mut sine, mut cosine) = (angle, T::one());
-    let (mut term, mut n) = (T::one(), T::one());
-    while term.abs() > T::EPSILON * T::EPSILON {
-        term *= -square / (n * (n + T::one()));
-        cosine += term;
-        n += T::one() + T::one();
-        sine += term * angle / n;
-    }
-    sine / cosine
 }
 
 /// An estimator's coefficients, made when a scene or its gains are set.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Coefficients<T> {
+pub struct Coefficients<T: Real> {
     /// Control rate, Hz.
     rate: T,
     kind: Estimator,
@@ -87,33 +257,58 @@ pub struct Coefficients<T> {
     first: T,
     /// s, see [`Coefficients::lag`].
     lag: T,
+    /// Of one that watches joints.
+    joints: Option<Design<T>>,
+    /// Whether a low-pass stands behind that.
+    filtered: bool,
 }
 
 impl<T: Real> Coefficients<T> {
     /// For a control rate and a cutoff in Hz. The cutoff must lie between 0 and half the rate, except for
     /// [`Estimator::BackwardDifference`], which has none.
+    #[inline(never)]
     pub fn new(kind: Estimator, rate_hz: T, cutoff_hz: T) -> Result<Self, BadCutoff> {
         let one = T::one();
         let g = match kind {
-            Estimator::Butterworth | Estimator::FirstOrder => warped(cutoff_hz, rate_hz)?,
             Estimator::BackwardDifference => one,
+            _ => warped(cutoff_hz, rate_hz)?,
         };
         let first = g / (one + g);
         let damped = g * (g + T::from_f64(core::f64::consts::SQRT_2));
         let a1 = one / (one + damped);
-        // Half a sample for the difference, and the slope of the low-pass's phase at rest.
-        let slope = match kind {
-            Estimator::Butterworth => T::from_f64(core::f64::consts::FRAC_1_SQRT_2) / g,
-            Estimator::FirstOrder => T::from_f64(0.5) / g,
-            Estimator::BackwardDifference => T::zero(),
+        // The slope of the low-pass's phase at rest, and half a sample for the difference.
+        let second_order = T::from_f64(core::f64::consts::FRAC_1_SQRT_2) / g;
+        let half = T::from_f64(0.5);
+        let design = Design::new(kind, g);
+        let filtered = kind.chosen().is_some_and(|chosen| chosen.filtered);
+        let slope = match (kind, &design) {
+            (_, Some((_, lag))) if filtered => *lag + second_order,
+            (_, Some((_, lag))) => *lag,
+            (Estimator::FirstOrder, _) => half + half / g,
+            (Estimator::BackwardDifference, _) => half,
+            _ => half + second_order,
         };
-        let lag = (T::from_f64(0.5) + slope) / rate_hz;
-        Ok(Self { rate: rate_hz, kind, loss: damped * a1, a2: g * a1, a3: g * g * a1, first, lag })
+        Ok(Self {
+            rate: rate_hz,
+            kind,
+            loss: damped * a1,
+            a2: g * a1,
+            a3: g * g * a1,
+            first,
+            lag: slope / rate_hz,
+            joints: design.map(|(design, _)| design),
+            filtered,
+        })
     }
 
     /// How far an estimated velocity lags behind, s.
     pub fn lag(&self) -> T {
         self.lag
+    }
+
+    /// Of which estimator.
+    pub fn kind(&self) -> Estimator {
+        self.kind
     }
 
     /// Control rate, Hz.
@@ -125,121 +320,32 @@ impl<T: Real> Coefficients<T> {
     pub fn first_order_gain(&self) -> T {
         self.first
     }
-}
 
-/// A low-pass's two states.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct LowPass<T> {
-    band: T,
-    low: T,
-}
-
-impl<T: Real> LowPass<T> {
-    /// One step.
+    /// Whether the estimator watches joints.
     #[inline(always)]
-    pub fn step(&mut self, coefficients: &Coefficients<T>, input: T) -> T {
-        match coefficients.kind {
-            Estimator::Butterworth => {
-                let high = input - self.low;
-                let gain = coefficients.a2 * high - coefficients.loss * self.band;
-                let rise = coefficients.a2 * self.band + coefficients.a3 * high;
-                let low = self.low + rise;
-                self.band += gain + gain;
-                self.low = low + rise;
-                low
-            }
-            Estimator::FirstOrder => self.step_first_order(coefficients.first, input),
-            Estimator::BackwardDifference => input,
-        }
+    pub fn at_joints(&self) -> bool {
+        self.joints.is_some()
     }
 
-    /// One step of a first-order low-pass.
-    #[inline(always)]
-    pub fn step_first_order(&mut self, gain: T, input: T) -> T {
-        let rise = gain * (input - self.low);
-        let low = self.low + rise;
-        self.low = low + rise;
-        low
+    /// Whether the estimator wants to know what the motors' torques do.
+    pub fn predicts(&self) -> bool {
+        self.kind.spec().is_some_and(|spec| spec.predicts)
     }
 }
 
-/// A velocity estimator for one position signal.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Velocity<T> {
-    last: T,
-    primed: bool,
-    filter: LowPass<T>,
+/// An estimator that watches one joint.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct JointVelocity<T: Real> {
+    memory: Memory<T>,
+    behind: LowPass<T>,
 }
 
-impl<T: Real> Velocity<T> {
-    /// The velocity (per second) after this sample of the position; zero at the first.
-    #[inline(always)]
-    pub fn step(&mut self, coefficients: &Coefficients<T>, position: T) -> T {
-        let difference = self.moved(position);
-        self.last = position;
-        self.primed = true;
-        self.filter.step(coefficients, difference * coefficients.rate)
-    }
-
-    /// How far `position` is from the last sample; zero before the first. Call before [`Velocity::step`].
-    #[inline(always)]
-    pub fn moved(&self, position: T) -> T {
-        if self.primed { position - self.last } else { T::zero() }
-    }
-
-    /// Forgets the last sample, so that a position that is set anew (homing) is not a motion.
-    pub fn forget(&mut self) {
-        *self = Self::default();
-    }
-}
-
-/// The washout: a first-order high-pass of the wall force, whose output is what the feed-forward shapes.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Washout<T> {
-    gain: T,
-    low: T,
-    /// What rounding has kept out of `low` so far: at 0.2 Hz and 50 kHz a step moves `low` by less than its last digit.
-    rest: T,
-}
-
-impl<T: Real> Washout<T> {
-    /// Bilinear, prewarped at `washout_hz` (between zero and half the rate), started at zero.
-    pub fn new(washout_hz: T, rate_hz: T) -> Result<Self, BadCutoff> {
-        let g = warped(washout_hz, rate_hz)?;
-        Ok(Self { gain: g / (T::one() + g), low: T::zero(), rest: T::zero() })
-    }
-
-    /// The high-passed force.
-    #[inline(always)]
-    pub fn step(&mut self, force: T) -> T {
-        let rise = self.gain * (force - self.low);
-        let high = force - self.low - rise;
-        let step = rise + rise + self.rest;
-        let low = self.low + step;
-        self.rest = step - (low - self.low);
-        self.low = low;
-        high
-    }
-
-    /// Takes new coefficients and keeps the state.
-    pub fn retune(&mut self, other: &Self) {
-        self.gain = other.gain;
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_tangent_is_that_of_libm_up_to_a_quarter_turn() {
-        for i in 0..500 {
-            let ratio = f64::from(i) * 1.0e-3;
-            let exact = libm::tan(core::f64::consts::PI * ratio);
-            // The complement's own rounding counts where the tangent is steep.
-            assert!((tangent(ratio) - exact).abs() <= 4.0e-16 * exact * (4.0 + exact), "{ratio}");
-            let single = f64::from(tangent(ratio as f32));
-            assert!((single - exact).abs() <= 2.0e-7 * exact * (4.0 + exact), "{ratio} in single precision");
-        }
+impl<T: Real> JointVelocity<T> {
+    /// The velocity (counts per period) after what a period showed. `velocity` is where it starts when another estimator
+    /// was at work before. Zero where the estimator does not watch joints.
+    pub fn step<K: Math<T>>(&mut self, coefficients: &Coefficients<T>, seen: &Seen<T>, velocity: T) -> T {
+        let Some(design) = &coefficients.joints else { return T::zero() };
+        let found = self.memory.step::<K>(design, seen, velocity);
+        if coefficients.filtered { self.behind.step_second_order(coefficients, found) } else { found }
     }
 }

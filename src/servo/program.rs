@@ -70,6 +70,8 @@ macro_rules! define {
             ) -> (Regularity<f32>, Asked) {
                 match self {
                     $(Self::$Variant(controller) => {
+                        // What the frame still holds is what the motors gave since the last step.
+                        controller.acted(&head(&frame.torque));
                         record(controller.step_with(&head(counts), table), frame, motion)
                     })*
                 }

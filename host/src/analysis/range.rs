@@ -172,7 +172,12 @@ fn bounded(circle: &mut impl Bounded, mass: f64, sample_s: f64, kd: Option<&[f64
 
     let support = circle.damping_intervals()?;
     let kd_max = support.last().map_or(0.0, |last| last.high);
-    let area = area(kd_max, |kd| Ok(supported_stiffness(&support, kd, &circle.stiffness_intervals(kd)?)))?;
+    let mut stable_at = |kd: f64| match circle.stiffness_intervals(kd) {
+        // At the very damping where all ends nothing need end with stiffness; no gain there counts.
+        Err(AnalysisError::Unbounded) if !supports(&support, kd) => Ok(Vec::new()),
+        found => found,
+    };
+    let area = area(kd_max, |kd| Ok(supported_stiffness(&support, kd, &stable_at(kd)?)))?;
 
     let even: Vec<f64> = (0..BOUNDARY_POINTS).map(|i| kd_max * i as f64 / (BOUNDARY_POINTS - 1) as f64).collect();
     let at: Vec<f64> = match kd {
@@ -182,7 +187,7 @@ fn bounded(circle: &mut impl Bounded, mass: f64, sample_s: f64, kd: Option<&[f64
     let mut boundary = Vec::with_capacity(at.len());
     let mut islands = Vec::new();
     for &kd_hat in &at {
-        let stable = circle.stiffness_intervals(kd_hat)?;
+        let stable = stable_at(kd_hat)?;
         let kp = supported_stiffness(&support, kd_hat, &stable);
         boundary.push(BoundaryPoint { kd: kd_hat * damping_unit, kp: kp * stiffness_unit });
         push_islands(&mut islands, kd_hat, &stable, damping_unit, stiffness_unit);
@@ -192,7 +197,7 @@ fn bounded(circle: &mut impl Bounded, mass: f64, sample_s: f64, kd: Option<&[f64
         let reach = if kd_max > 0.0 { kd_max } else { 1.0 };
         for i in 1..=32 {
             let kd_hat = kd_max + reach * f64::from(i) / 32.0;
-            let stable = circle.stiffness_intervals(kd_hat)?;
+            let stable = stable_at(kd_hat)?;
             push_islands(&mut islands, kd_hat, &stable, damping_unit, stiffness_unit);
         }
     }
@@ -216,12 +221,16 @@ pub fn stiffness_at(
     Ok((kp * damping_unit / open.sample_s, kd_max * damping_unit))
 }
 
+/// Whether the smallest stiffness is stable at this damping.
+fn supports(support: &[Interval], kd_hat: f64) -> bool {
+    support.iter().any(|interval| interval.low <= kd_hat && kd_hat < interval.high)
+}
+
 /// kp_max of one damping value: the end of the interval that starts at the smallest stiffness; zero outside the
 /// support.
 fn supported_stiffness(support: &[Interval], kd_hat: f64, stable: &[Interval]) -> f64 {
-    let supported = support.iter().any(|interval| interval.low <= kd_hat && kd_hat < interval.high);
     match stable.first() {
-        Some(first) if supported && first.low <= super::boundary::SMALLEST_STIFFNESS => first.high,
+        Some(first) if supports(support, kd_hat) && first.low <= super::boundary::SMALLEST_STIFFNESS => first.high,
         _ => 0.0,
     }
 }

@@ -11,90 +11,12 @@ use nalgebra::{DMatrix, DVector};
 use thiserror::Error;
 
 use super::eigenvalues::eigenvalues;
+pub use super::estimator::{Estimator, LONGEST_DIFFERENCE, LowPass};
 use super::plant::{ContinuousPlant, Drive, Linearised, reduce};
 use super::spectrum::{exp_minus_identity, growth};
 
 /// Longest delay that can be analysed, in samples.
 pub const LONGEST_DELAY: f64 = 64.0;
-
-/// Most samples that a difference can be taken over.
-pub const LONGEST_DIFFERENCE: usize = 64;
-
-/// How velocity is taken from sampled positions: a difference, then a low-pass.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Estimator {
-    /// The difference as it is.
-    BackwardDifference,
-    /// One pole, bilinear, prewarped at the cutoff (Hz).
-    FirstOrder(f64),
-    /// Second-order Butterworth, bilinear, prewarped at the cutoff (Hz).
-    Butterworth(f64),
-    /// The difference over several samples, (x[n] - x[n-k])/(k T), then what of the above follows.
-    Over {
-        /// k, from 1 to [`LONGEST_DIFFERENCE`].
-        samples: usize,
-        /// The low-pass after it.
-        then: LowPass,
-    },
-}
-
-/// What follows a difference over several samples.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum LowPass {
-    /// Nothing.
-    None,
-    /// One pole, as [`Estimator::FirstOrder`].
-    FirstOrder(f64),
-    /// As [`Estimator::Butterworth`].
-    Butterworth(f64),
-}
-
-impl Estimator {
-    /// The same with the difference taken over `samples` samples.
-    pub fn over(self, samples: usize) -> Self {
-        Self::Over { samples, then: self.low_pass() }
-    }
-
-    /// What follows the difference.
-    pub(super) fn low_pass(self) -> LowPass {
-        match self {
-            Estimator::BackwardDifference => LowPass::None,
-            Estimator::FirstOrder(hz) => LowPass::FirstOrder(hz),
-            Estimator::Butterworth(hz) => LowPass::Butterworth(hz),
-            Estimator::Over { then, .. } => then,
-        }
-    }
-
-    /// Over how many samples the difference is taken.
-    pub(super) fn samples(self) -> usize {
-        match self {
-            Estimator::Over { samples, .. } => samples,
-            _ => 1,
-        }
-    }
-
-    pub(super) fn cutoff_hz(self) -> Option<f64> {
-        match self.low_pass() {
-            LowPass::None => None,
-            LowPass::FirstOrder(hz) | LowPass::Butterworth(hz) => Some(hz),
-        }
-    }
-
-    /// States: the changes of position that the difference remembers, then the low-pass's.
-    pub(super) fn states(self) -> usize {
-        self.samples() - 1 + self.low_pass().states()
-    }
-}
-
-impl LowPass {
-    pub(super) fn states(self) -> usize {
-        match self {
-            LowPass::None => 0,
-            LowPass::FirstOrder(_) => 1,
-            LowPass::Butterworth(_) => 2,
-        }
-    }
-}
 
 /// Which torque the wall force becomes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -249,44 +171,21 @@ impl Assembly {
         self.input[state] += by.force;
     }
 
-    /// The estimate from the change of position over the last sample, with the estimator's states from `first` on.
-    fn estimate(&mut self, estimator: Estimator, rate_hz: f64, first: usize, moved: &Signal) -> Signal {
+    /// An estimator's states from `first` on, driven by the change of position `moved` and by `pushed`, the velocity per
+    /// sample that the last command gave; returns the velocity per sample.
+    fn estimate(&mut self, estimator: &DMatrix<f64>, first: usize, moved: &Signal, pushed: &Signal) -> Signal {
         let size = self.size();
-        let mut sum = moved.clone();
-        let mut last = moved.clone();
-        for remembered in 0..estimator.samples() - 1 {
-            let before = Signal::of_state(size, first + remembered);
-            self.change(first + remembered, &last.plus(-1.0, &before));
-            sum = sum.plus(1.0, &before);
-            last = before;
+        let states = estimator.nrows() - 1;
+        let row = |row: usize| {
+            let own = (0..states).fold(moved.times(estimator[(row, states)]), |sum, state| {
+                sum.plus(estimator[(row, state)], &Signal::of_state(size, first + state))
+            });
+            own.plus(estimator[(row, states + 1)], pushed)
+        };
+        for state in 0..states {
+            self.change(first + state, &row(state));
         }
-        let mean = if estimator.samples() > 1 { sum.times(1.0 / estimator.samples() as f64) } else { sum };
-        self.low_pass(estimator.low_pass(), rate_hz, first + estimator.samples() - 1, &mean)
-    }
-
-    /// Low-pass states from `first` on, driven by `signal`; returns the filtered signal.
-    fn low_pass(&mut self, low_pass: LowPass, rate_hz: f64, first: usize, signal: &Signal) -> Signal {
-        let size = self.size();
-        match low_pass {
-            LowPass::None => signal.clone(),
-            LowPass::FirstOrder(hz) => {
-                let (low, step) = one_pole(hz, rate_hz, signal, &Signal::of_state(size, first));
-                self.change(first, &step);
-                low
-            }
-            LowPass::Butterworth(hz) => {
-                // Trapezoidal state-variable filter: the bilinear Butterworth, exactly.
-                let g = (std::f64::consts::PI * hz / rate_hz).tan();
-                let damping = std::f64::consts::SQRT_2;
-                let (s1, s2) = (Signal::of_state(size, first), Signal::of_state(size, first + 1));
-                let high = signal.plus(-(damping + g), &s1).plus(-1.0, &s2).times(1.0 / (1.0 + g * (damping + g)));
-                let band = s1.plus(g, &high);
-                let low = s2.plus(g, &band);
-                self.change(first, &high.times(2.0 * g));
-                self.change(first + 1, &band.times(2.0 * g));
-                low
-            }
-        }
+        row(states)
     }
 }
 
@@ -306,12 +205,7 @@ impl Loop {
         if !(0.0..=LONGEST_DELAY).contains(&self.delay_samples) {
             return Err(AnalysisError::Delay(self.delay_samples));
         }
-        if !(1..=LONGEST_DIFFERENCE).contains(&self.estimator.samples()) {
-            return Err(AnalysisError::Difference(self.estimator.samples()));
-        }
-        if let Some(cutoff) = self.estimator.cutoff_hz() {
-            self.check_cutoff(cutoff)?;
-        }
+        self.estimator.check(self.rate_hz)?;
         match &self.drive {
             Drive::Current { bandwidth_hz } if !(bandwidth_hz.is_finite() && *bandwidth_hz > 0.0) => {
                 Err(AnalysisError::Bandwidth(*bandwidth_hz))
@@ -379,7 +273,14 @@ impl OpenLoop {
         let inputs = DMatrix::from_columns(&directions);
         let plant =
             reduce(device, &around.drive, &inputs, sample_s, mass, compensated).ok_or(AnalysisError::Singular)?;
-        Ok(assemble(device, around, mode, &plant, walls, mass))
+        // Acceleration per sample² that one unit of each input gives: along the normal, then of each joint.
+        let inverse = device.mass.clone().cholesky().ok_or(AnalysisError::Singular)?.inverse();
+        let given = inverse * &inputs * mass;
+        let pushes = DMatrix::from_fn(joints + 1, inputs.ncols(), |i, input| match i {
+            0 => device.row.dot(&given.column(input)),
+            joint => given[(joint - 1, input)],
+        });
+        Ok(assemble(device, around, mode, &plant, walls, mass, &pushes))
     }
 
     /// F of the closed loop for gains in sample units.
@@ -420,6 +321,7 @@ fn assemble(
     plant: &ContinuousPlant,
     walls: usize,
     mass: f64,
+    pushes: &DMatrix<f64>,
 ) -> OpenLoop {
     let inputs = plant.b.ncols();
     let whole = around.delay_samples.floor();
@@ -436,11 +338,19 @@ fn assemble(
     let washout = joint_filter + per_estimate * plant.sensed.len();
     let queue = washout + usize::from(matches!(mode, FeedForward::Washout(_)));
     let held = queue + whole * inputs;
-    let size = held + if fraction > 0.0 { inputs } else { 0 };
+    let acted = held + if fraction > 0.0 { inputs } else { 0 };
+    let size = acted + if around.estimator.predicts() { inputs } else { 0 };
+    let estimator = around.estimator.matrix(around.rate_hz);
+    // The velocity per sample that the last command gave, along the normal and of each joint.
+    let pushed = |row: usize| {
+        (acted..size).enumerate().fold(Signal { state: DVector::zeros(size), force: 0.0 }, |sum, (input, state)| {
+            sum.plus(pushes[(row, input)], &Signal::of_state(size, state))
+        })
+    };
     let mut loop_ = Assembly::new(size);
 
     // What the controller sees and asks for at this sample.
-    let velocity = loop_.estimate(around.estimator, around.rate_hz, filter, &Signal::of_state(size, moved));
+    let velocity = loop_.estimate(&estimator, filter, &Signal::of_state(size, moved), &pushed(0));
     let force = Signal { state: DVector::zeros(size), force: 1.0 };
     let mut asked = vec![force.clone()];
     if let FeedForward::Washout(hz) = mode {
@@ -452,7 +362,7 @@ fn assemble(
     for joint in 0..plant.sensed.len() {
         let seen = Signal::of_state(size, joint_moved + joint);
         let first = joint_filter + per_estimate * joint;
-        asked.push(loop_.estimate(around.estimator, around.rate_hz, first, &seen));
+        asked.push(loop_.estimate(&estimator, first, &seen, &pushed(plant.sensed[joint] + 1)));
     }
 
     // Delay: whole samples in a queue, the rest splits the interval between the last command and this one.
@@ -464,6 +374,9 @@ fn assemble(
         }
     }
     for (input, asked) in asked.iter().enumerate() {
+        if around.estimator.predicts() {
+            loop_.change(acted + input, &asked.plus(-1.0, &Signal::of_state(size, acted + input)));
+        }
         let mut now = asked.clone();
         for place in 0..whole {
             let slot = queue + input * whole + place;
@@ -517,15 +430,21 @@ fn assemble(
                 let v = plant.damped.iter().position(|d| d == joint).map_or(0.0, |i| velocity[i]);
                 constant.push(v);
                 states[(joint_moved + slot, column)] = v;
-                let first = joint_filter + per_estimate * slot;
-                let filter = first + around.estimator.samples() - 1;
-                for remembered in first..filter {
-                    states[(remembered, column)] = v;
+            }
+            // What the estimators remember of constant velocities (none along the normal) and commands.
+            let commands = DVector::from_column_slice(&constant);
+            let given = |row: usize| if around.estimator.predicts() { pushes.row(row).tr_dot(&commands) } else { 0.0 };
+            let mut remember = |first: usize, v: f64, given: f64| {
+                for (state, value) in around.estimator.rest(around.rate_hz, v, given).iter().enumerate() {
+                    states[(first + state, column)] = *value;
                 }
-                if around.estimator.low_pass() != LowPass::None {
-                    // The last filter state holds the output of a constant input; the one before it rests.
-                    states[(first + per_estimate - 1, column)] = v;
-                }
+            };
+            remember(filter, 0.0, given(0));
+            for (slot, joint) in plant.sensed.iter().enumerate() {
+                remember(joint_filter + per_estimate * slot, constant[walls + slot], given(joint + 1));
+            }
+            for (state, command) in (acted..size).zip(&constant) {
+                states[(state, column)] = *command;
             }
             for (input, value) in constant.iter().enumerate() {
                 for place in 0..whole {

@@ -21,7 +21,7 @@ use haptic_bridge::with_mechanism;
 use super::boundary::{Interval, SMALLEST_STIFFNESS};
 use super::plant::{Drive, Lags};
 use super::pose::{PoseError, TaskPose, unit_normal};
-use super::sampled::{AnalysisError, Estimator, FeedForward, Loop, LowPass};
+use super::sampled::{AnalysisError, FeedForward, Loop};
 use super::spectrum::{exp_minus_identity, growth};
 
 /// Several walls on a device at rest at one pose.
@@ -259,7 +259,9 @@ impl Loops {
         let washout = filters + per * (directions + sensed);
         let queue = washout + if matches!(mode, FeedForward::Washout(_)) { directions } else { 0 };
         let held = queue + whole * joints;
-        let size = held + if fraction > 0.0 { joints } else { 0 };
+        let acted = held + if fraction > 0.0 { joints } else { 0 };
+        let size = acted + if around.estimator.predicts() { joints } else { 0 };
+        let estimator = around.estimator.matrix(around.rate_hz);
 
         let change = |s: &DVector<f64>, force: &DVector<f64>| {
             let mut change = DVector::zeros(size);
@@ -278,16 +280,23 @@ impl Loops {
                 }
             };
             let mut estimates = DVector::zeros(directions + sensed);
+            // What the last command gave: of the directions, then of the joints.
+            let given = &inverse * s.rows(acted, size - acted).into_owned().resize_vertically(joints, 0.0) * mass;
+            let along = &set.rows * &given;
             for k in 0..directions + sensed {
-                let (found, steps) = estimated(around.estimator, t, s, filters + per * k, s[moved + k]);
-                estimates[k] = found;
-                for (i, step) in steps.iter().enumerate() {
-                    change[filters + per * k + i] = *step;
-                }
+                let first = filters + per * k;
+                let pushed = if k < directions { along[k] } else { given[k - directions] };
+                let seen = s.rows(first, per).into_owned().push(s[moved + k]).push(pushed);
+                let answer = &estimator * seen;
+                estimates[k] = answer[per];
+                change.rows_mut(first, per).copy_from(&answer.rows(0, per));
             }
             if compensated {
                 let damping = DVector::from_fn(joints, |j, _| set.viscous[j] * estimates[directions + j] * t / mass);
                 command += &set.bias * damping;
+            }
+            for (state, command) in (acted..size).zip(command.iter()) {
+                change[state] = command - s[state];
             }
             for place in 0..whole {
                 let at = queue + place * joints;
@@ -359,38 +368,6 @@ impl Loops {
         }
         Ok(found)
     }
-}
-
-/// The estimate from a change of position over the last sample, and the change of the estimator's states (from `first`
-/// on): as [`super::sampled`] has it.
-fn estimated(estimator: Estimator, t: f64, s: &DVector<f64>, first: usize, moved: f64) -> (f64, Vec<f64>) {
-    let g = |hz: f64| (std::f64::consts::PI * hz * t).tan();
-    let mut steps = Vec::with_capacity(estimator.states());
-    let (mut sum, mut last) = (moved, moved);
-    for remembered in 0..estimator.samples() - 1 {
-        let before = s[first + remembered];
-        steps.push(last - before);
-        sum += before;
-        last = before;
-    }
-    let mean = sum / estimator.samples() as f64;
-    let filter = first + steps.len();
-    let estimate = match estimator.low_pass() {
-        LowPass::None => mean,
-        LowPass::FirstOrder(hz) => {
-            let step = (mean - s[filter]) * g(hz) / (1.0 + g(hz));
-            steps.push(2.0 * step);
-            s[filter] + step
-        }
-        LowPass::Butterworth(hz) => {
-            let (g, damping) = (g(hz), std::f64::consts::SQRT_2);
-            let high = (mean - (damping + g) * s[filter] - s[filter + 1]) / (1.0 + g * (damping + g));
-            let band = s[filter] + g * high;
-            steps.extend([2.0 * g * high, 2.0 * g * band]);
-            s[filter + 1] + g * band
-        }
-    };
-    (estimate, steps)
 }
 
 /// Stable intervals of a gain on the grid, their ends bisected.

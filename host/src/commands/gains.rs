@@ -114,8 +114,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     warn(&warnings);
     let estimator = match scene.estimator {
         Estimator::Butterworth => "Butterworth",
-        Estimator::FirstOrder => "first-order",
         Estimator::BackwardDifference => "no",
+        other => other.name(),
     };
     if wall.feed_forward != FeedForward::Off && scene.velocity_terms == VelocityTerms::Off {
         eprintln!(

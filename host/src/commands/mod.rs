@@ -10,6 +10,7 @@ mod demo;
 mod device;
 mod dfu;
 mod disarm;
+mod estimators;
 mod faults;
 mod force;
 mod gains;
@@ -72,6 +73,7 @@ commands! {
         (Precompute, precompute)
         (Bench, bench)
         (Range, range)
+        (Estimators, estimators)
     }
     "With a board" {
         (List, list)

@@ -113,6 +113,10 @@ enum EstimatorKind {
     FirstOrder,
     /// Backward difference alone
     BackwardDifference,
+    /// α-β filter with its poles at the cutoff
+    AlphaBeta,
+    /// Observer that knows the motors' torques, with its poles at the cutoff
+    Predicted,
 }
 
 /// Drives of the analysis.
@@ -214,14 +218,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let around = Loop {
         rate_hz: args.rate,
         delay_samples: args.delay(),
-        estimator: match (args.estimator, args.difference_over) {
-            (EstimatorKind::Butterworth, 1) => Estimator::Butterworth(args.cutoff),
-            (EstimatorKind::FirstOrder, 1) => Estimator::FirstOrder(args.cutoff),
-            (EstimatorKind::BackwardDifference, 1) => Estimator::BackwardDifference,
-            (EstimatorKind::Butterworth, samples) => Estimator::Butterworth(args.cutoff).over(samples),
-            (EstimatorKind::FirstOrder, samples) => Estimator::FirstOrder(args.cutoff).over(samples),
-            (EstimatorKind::BackwardDifference, samples) => Estimator::BackwardDifference.over(samples),
-        },
+        estimator: estimator(&args)?,
         drive,
         damping_compensation: args.damping_compensation,
     };
@@ -323,6 +320,26 @@ fn costly(range: &Range) -> Option<String> {
             range.area_ratio
         )
     })
+}
+
+/// The estimator that was asked for.
+fn estimator(args: &Args) -> Result<Estimator, Failure> {
+    let over = args.difference_over;
+    let cutoff = args.cutoff;
+    match (args.estimator, over) {
+        (EstimatorKind::Butterworth, 1) => Ok(Estimator::Butterworth(cutoff)),
+        (EstimatorKind::FirstOrder, 1) => Ok(Estimator::FirstOrder(cutoff)),
+        (EstimatorKind::BackwardDifference, 1) => Ok(Estimator::BackwardDifference),
+        (EstimatorKind::Butterworth, _) => Ok(Estimator::Butterworth(cutoff).over(over)),
+        (EstimatorKind::FirstOrder, _) => Ok(Estimator::FirstOrder(cutoff).over(over)),
+        (EstimatorKind::BackwardDifference, _) => Ok(Estimator::BackwardDifference.over(over)),
+        (EstimatorKind::AlphaBeta, 1) => Ok(Estimator::AlphaBeta(cutoff)),
+        (EstimatorKind::Predicted, 1) => Ok(Estimator::Predicted(cutoff)),
+        (EstimatorKind::AlphaBeta | EstimatorKind::Predicted, _) => {
+            let reason = format!("--difference-over {over} with an estimator that takes no difference");
+            Err(Failure::wrong(reason).remedy("leave it out, or choose a low-pass with --estimator"))
+        }
+    }
 }
 
 /// What predicts the range at given dampings.

@@ -6,12 +6,11 @@ use crate::analysis::map::Reachable;
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
 use crate::analysis::range::stiffness_at;
-use crate::analysis::sampled::{Estimator as Analysed, FeedForward as Mode, Loop};
+use crate::analysis::sampled::{Estimator, FeedForward as Mode, Loop};
 use crate::bench::probe::on_surface;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::{FeedForward, Scene, Surface, Wall};
-use haptic_bridge::render::velocity::Estimator;
 use nalgebra::{DVector, SVector};
 use serde::Serialize;
 
@@ -63,22 +62,19 @@ pub fn doubts(device: &Device<f64>, scene: &Scene<f64>) -> (Vec<Doubt>, Vec<Cont
     (doubts, contacts)
 }
 
-/// The loop around a wall of a scene, its motors ideal.
-pub fn around(scene: &Scene<f64>, wall: &Wall<f64>, delay_samples: f64) -> Loop {
-    Loop {
+/// The loop around a wall of a scene, its motors ideal; `None` with an estimator that has no linear analysis.
+pub fn around(scene: &Scene<f64>, wall: &Wall<f64>, delay_samples: f64) -> Option<Loop> {
+    Some(Loop {
         rate_hz: scene.rate_hz,
         delay_samples,
-        estimator: match scene.estimator {
-            Estimator::Butterworth => Analysed::Butterworth(scene.cutoff_hz),
-            Estimator::FirstOrder => Analysed::FirstOrder(scene.cutoff_hz),
-            Estimator::BackwardDifference => Analysed::BackwardDifference,
-        },
+        estimator: Estimator::of(scene.estimator, scene.cutoff_hz)?,
         drive: Drive::Ideal,
         damping_compensation: wall.damping_compensation,
-    }
+    })
 }
 
-/// What wall `index` of a scene meets at a pose, in a loop with this delay (control samples); `None` at a singularity.
+/// What wall `index` of a scene meets at a pose, in a loop with this delay (control samples); `None` at a
+/// singularity, and with an estimator that has no linear analysis.
 pub fn meets(
     device: &Device<f64>,
     scene: &Scene<f64>,
@@ -89,7 +85,7 @@ pub fn meets(
 ) -> Option<Contact> {
     let wall = scene.walls.get(index)?;
     let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?;
-    let around = around(scene, wall, delay_samples);
+    let around = around(scene, wall, delay_samples)?;
     let mode = match wall.feed_forward {
         FeedForward::Off => Mode::Off,
         FeedForward::Full => Mode::Full,

@@ -69,7 +69,7 @@ impl Plane {
 pub fn answer(question: &Question) -> Option<Plane> {
     let Question { device, scene, wall: index, q, normal, delay_samples } = question;
     let wall = scene.walls.get(*index)?;
-    let around = around(scene, wall, *delay_samples);
+    let around = around(scene, wall, *delay_samples)?;
     let mut seen = Linearised::of(device, q, normal, scene.admissible).ok()?;
     seen.gain = scene.feed_forward_gain.min(seen.most_gain().unwrap_or(1.0));
     let range = predict(&seen, &around, None, Some(wall.washout_hz)).ok()?;

@@ -127,7 +127,7 @@ fn wall_ahead(file: &DeviceFile) -> Result<Scene<f32>, Failure> {
         cutoff_hz: DEFAULT_CUTOFF_HZ as f32,
         ..Scene::default()
     };
-    let around = around(&scene.cast(), &wall.cast(), usual_delay(DEFAULT_RATE_HZ));
+    let Some(around) = around(&scene.cast(), &wall.cast(), usual_delay(DEFAULT_RATE_HZ)) else { return Ok(scene) };
     let device = Linearised::at(&file.description, q, &normal)?;
     let (_, most_damping) = stiffness_at(&device, &around, Mode::Off, 0.0)?;
     let damping = 0.2 * most_damping;

@@ -31,6 +31,7 @@ impl Plan {
         controller: &mut Controller<T, M, K, N>,
     ) -> Self {
         let plain = controller.gain.is_none()
+            && !controller.coefficients.at_joints()
             && controller.walls.whole_gain()
             && !controller.walls.damped
             && matches!(controller.mass, MassModel::Exact)

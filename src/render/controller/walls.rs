@@ -35,18 +35,22 @@ pub(super) struct Pressed<T> {
 }
 
 impl<T: Real> Running<T> {
-    /// The wall at a contact. `passivity`: whether the passivity controller is on; `gain`: the feed-forward's α.
+    /// The wall at a contact. `known`: the velocity along its normal (m/s) by an estimator that watches joints; `passivity`: whether the passivity controller is on; `gain`: the feed-forward's α.
     #[inline(always)]
     pub fn press<const N: usize>(
         &mut self,
         coefficients: &Coefficients<T>,
         contact: &Contact<T, N>,
+        known: Option<T>,
         passivity: bool,
         gain: T,
     ) -> Pressed<T> {
         let wall = &self.wall;
         let moved = self.velocity.moved(contact.distance);
-        let v = self.velocity.step(coefficients, contact.distance);
+        let v = match known {
+            None => self.velocity.step(coefficients, contact.distance),
+            Some(velocity) => self.velocity.follow(contact.distance, velocity),
+        };
         let zero = T::zero();
         let mut pressed = Pressed { velocity: v, touched: false, force: zero, shaped: zero, passivity_damping: zero };
         // Comparisons here are written so that what is not a number stays one, and is found out.
@@ -261,12 +265,14 @@ impl<T: Real> Walls<T> {
     }
 
     /// Contacts and forces at the tip position `place` (m); walls beyond the first whose force is shaped go to `more`.
-    /// Every estimator runs at every step, so contact never starts it from zero.
+    /// `along` is the tip's velocity (m/s) where an estimator that watches joints knows it. Every estimator runs at every
+    /// step, so contact never starts it from zero.
     #[inline(always)]
     pub fn touch<K: Math<T>, const N: usize>(
         &mut self,
         coefficients: &Coefficients<T>,
         place: &SVector<T, N>,
+        along: Option<&SVector<T, N>>,
         more: &mut Vec<Active<T, N>, MAX_WALLS>,
     ) -> Touch<T, N> {
         let mut touch = Touch {
@@ -283,7 +289,8 @@ impl<T: Real> Walls<T> {
         };
         for (index, running) in self.running.iter_mut().enumerate() {
             let contact = running.wall.surface.contact::<K, N>(place);
-            let pressed = running.press(coefficients, &contact, self.passivity, self.gain);
+            let known = along.map(|velocity| contact.normal.dot(velocity));
+            let pressed = running.press(coefficients, &contact, known, self.passivity, self.gain);
             // Written so that what is not a number stays one, and is found out.
             let shallower = contact.distance >= touch.distance;
             if !shallower {

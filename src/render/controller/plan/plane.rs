@@ -23,7 +23,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let regularity = self.mechanism.regularity(&pose);
 
         let contact = plane.contact::<K, N>(&place);
-        let pressed = running.press(&self.coefficients, &contact, passivity, T::one());
+        let pressed = running.press(&self.coefficients, &contact, None, passivity, T::one());
         let (energy, feed_forward) = (running.energy(), running.feed_forward());
         let mut step = Step {
             q,

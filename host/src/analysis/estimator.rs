@@ -1,0 +1,222 @@
+//! The velocity estimators of the control step as linear filters, for the analysis of the loop around them.
+//!
+//! Each takes the change of position over the last sample and gives a velocity per sample. What it remembers is chosen so
+//! that its change over a sample is computed directly and not as a difference of near-equal numbers.
+
+use super::sampled::AnalysisError;
+use haptic_bridge::render::velocity::{Chosen, Estimator as Kind};
+use nalgebra::{DMatrix, DVector};
+
+/// Most samples that a difference can be taken over.
+pub const LONGEST_DIFFERENCE: usize = 64;
+
+/// How velocity is taken from sampled positions.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Estimator {
+    /// The backward difference as it is.
+    BackwardDifference,
+    /// Backward difference, then one pole, bilinear, prewarped at the cutoff (Hz).
+    FirstOrder(f64),
+    /// Backward difference, then a second-order Butterworth, bilinear, prewarped at the cutoff (Hz).
+    Butterworth(f64),
+    /// The difference over several samples, (x[n] - x[n-k])/(k T), then a low-pass.
+    Over {
+        /// k, from 1 to [`LONGEST_DIFFERENCE`].
+        samples: usize,
+        /// The low-pass after it.
+        then: LowPass,
+    },
+    /// α-β filter with both poles at the bilinear image of this frequency (Hz).
+    AlphaBeta(f64),
+    /// α-β-γ filter with its poles there (Hz), which knows the acceleration that the last sample's command gives.
+    Predicted(f64),
+}
+
+/// What follows a difference over several samples.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum LowPass {
+    /// Nothing.
+    None,
+    /// See [`Estimator::FirstOrder`].
+    FirstOrder(f64),
+    /// See [`Estimator::Butterworth`].
+    Butterworth(f64),
+}
+
+/// A filter's answer to a sample: the velocity per sample, and the change of each of its states.
+struct Answer {
+    velocity: f64,
+    change: Vec<f64>,
+}
+
+impl Estimator {
+    /// The same with the difference taken over `samples` samples; those that take none stay as they are.
+    pub fn over(self, samples: usize) -> Self {
+        let then = match self {
+            Self::BackwardDifference => LowPass::None,
+            Self::FirstOrder(hz) => LowPass::FirstOrder(hz),
+            Self::Butterworth(hz) => LowPass::Butterworth(hz),
+            Self::Over { then, .. } => then,
+            Self::AlphaBeta(_) | Self::Predicted(_) => return self,
+        };
+        Self::Over { samples, then }
+    }
+
+    /// What a scene's estimator is near rest; `None` where it is not linear there. The adaptive window is then as long as
+    /// it can be.
+    pub fn of(kind: Kind, cutoff_hz: f64) -> Option<Self> {
+        let behind = |chosen: Chosen| if chosen.filtered { LowPass::Butterworth(cutoff_hz) } else { LowPass::None };
+        match kind {
+            Kind::Butterworth => Some(Self::Butterworth(cutoff_hz)),
+            Kind::FirstOrder => Some(Self::FirstOrder(cutoff_hz)),
+            Kind::BackwardDifference => Some(Self::BackwardDifference),
+            Kind::Difference(chosen) | Kind::AdaptiveWindow(chosen) => {
+                Some(Self::Over { samples: chosen.value as usize, then: behind(chosen) })
+            }
+            Kind::AlphaBeta(_) => Some(Self::AlphaBeta(cutoff_hz)),
+            Kind::Predicted(_) => Some(Self::Predicted(cutoff_hz)),
+            Kind::Levant(_) => None,
+        }
+    }
+
+    /// Its cutoff, Hz.
+    pub(super) fn cutoff_hz(self) -> Option<f64> {
+        match self {
+            Self::BackwardDifference | Self::Over { then: LowPass::None, .. } => None,
+            Self::FirstOrder(hz)
+            | Self::Butterworth(hz)
+            | Self::AlphaBeta(hz)
+            | Self::Predicted(hz)
+            | Self::Over { then: LowPass::FirstOrder(hz) | LowPass::Butterworth(hz), .. } => Some(hz),
+        }
+    }
+
+    /// Over how many samples the difference is taken.
+    pub(super) fn samples(self) -> usize {
+        match self {
+            Self::Over { samples, .. } => samples,
+            _ => 1,
+        }
+    }
+
+    /// Refuses a cutoff at or above half the rate, and windows that no board has.
+    pub(super) fn check(self, rate_hz: f64) -> Result<(), AnalysisError> {
+        let cutoff = self.cutoff_hz();
+        match (self, cutoff) {
+            (Self::Over { samples, .. }, _) if !(1..=LONGEST_DIFFERENCE).contains(&samples) => {
+                Err(AnalysisError::Difference(samples))
+            }
+            (_, Some(cutoff)) if !(cutoff > 0.0 && cutoff < rate_hz / 2.0) => {
+                Err(AnalysisError::Cutoff { cutoff, rate: rate_hz })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// How many states it has.
+    pub(super) fn states(self) -> usize {
+        match self {
+            Self::BackwardDifference => 0,
+            Self::FirstOrder(_) => 1,
+            Self::Butterworth(_) | Self::AlphaBeta(_) => 2,
+            Self::Predicted(_) => 3,
+            Self::Over { samples, then } => samples - 1 + then.alone().states(),
+        }
+    }
+
+    /// Whether it knows what the command does.
+    pub(super) fn predicts(self) -> bool {
+        matches!(self, Self::Predicted(_))
+    }
+
+    /// One sample from these states: moved by so much, given so much velocity per sample by what was commanded.
+    fn answer(self, rate_hz: f64, states: &[f64], moved: f64, pushed: f64) -> Answer {
+        let warped = |hz: f64| (std::f64::consts::PI * hz / rate_hz).tan();
+        match (self, states) {
+            (Self::FirstOrder(hz), [low]) => {
+                let step = (moved - low) * warped(hz) / (1.0 + warped(hz));
+                Answer { velocity: low + step, change: vec![2.0 * step] }
+            }
+            (Self::Butterworth(hz), [s1, s2]) => {
+                // Trapezoidal state-variable filter: the bilinear Butterworth, exactly.
+                let (g, damping) = (warped(hz), std::f64::consts::SQRT_2);
+                let high = (moved - (damping + g) * s1 - s2) / (1.0 + g * (damping + g));
+                let band = s1 + g * high;
+                Answer { velocity: s2 + g * band, change: vec![2.0 * g * high, 2.0 * g * band] }
+            }
+            (Self::Over { samples, then }, states) => {
+                let (past, rest) = states.split_at(samples - 1);
+                let mean = (moved + past.iter().sum::<f64>()) / samples as f64;
+                let mut after = then.alone().answer(rate_hz, rest, mean, 0.0);
+                let mut change = Vec::with_capacity(states.len());
+                let mut newer = moved;
+                for own in past {
+                    change.push(newer - own);
+                    newer = *own;
+                }
+                change.append(&mut after.change);
+                Answer { velocity: after.velocity, change }
+            }
+            (Self::AlphaBeta(hz), [ahead, velocity]) => {
+                let left = 2.0 * warped(hz) / (1.0 + warped(hz));
+                let pole = 1.0 - left;
+                let alpha = 1.0 - pole * pole;
+                let unexpected = moved - velocity;
+                let beyond = ahead + unexpected;
+                let gained = left * left * beyond;
+                Answer { velocity: velocity + gained, change: vec![unexpected - alpha * beyond, gained] }
+            }
+            (Self::Predicted(hz), [ahead, velocity, unknown]) => {
+                let left = 2.0 * warped(hz) / (1.0 + warped(hz));
+                let pole = 1.0 - left;
+                let alpha = 1.0 - pole * pole * pole;
+                let expected = unknown + pushed;
+                let unexpected = moved - velocity - expected / 2.0;
+                let beyond = ahead + unexpected;
+                let gained = expected + 1.5 * left * left * (1.0 + pole) * beyond;
+                let change = vec![unexpected - alpha * beyond, gained, left * left * left * beyond];
+                Answer { velocity: velocity + gained, change }
+            }
+            _ => Answer { velocity: moved, change: Vec::new() },
+        }
+    }
+
+    /// The filter as a matrix: over its states, the change of position and the velocity given by the command, each a
+    /// column; the change of each state and the velocity, each a row.
+    pub(super) fn matrix(self, rate_hz: f64) -> DMatrix<f64> {
+        let states = self.states();
+        let mut matrix = DMatrix::zeros(states + 1, states + 2);
+        let mut unit = vec![0.0; states + 2];
+        for column in 0..states + 2 {
+            unit[column] = 1.0;
+            let answer = self.answer(rate_hz, &unit[..states], unit[states], unit[states + 1]);
+            for (row, value) in answer.change.iter().chain([&answer.velocity]).enumerate() {
+                matrix[(row, column)] = *value;
+            }
+            unit[column] = 0.0;
+        }
+        matrix
+    }
+}
+
+impl Estimator {
+    /// Its states where it has seen this velocity per sample, given by commands to this part per sample, for long.
+    pub(super) fn rest(self, rate_hz: f64, moved: f64, pushed: f64) -> DVector<f64> {
+        let (matrix, states) = (self.matrix(rate_hz), self.states());
+        let own = matrix.view((0, 0), (states, states)).into_owned();
+        let driven =
+            matrix.view((0, states), (states, 1)) * -moved - matrix.view((0, states + 1), (states, 1)) * pushed;
+        own.lu().solve(&driven).map_or_else(|| DVector::zeros(states), |rest| rest.column(0).into_owned())
+    }
+}
+
+impl LowPass {
+    /// Behind a backward difference.
+    fn alone(self) -> Estimator {
+        match self {
+            Self::None => Estimator::BackwardDifference,
+            Self::FirstOrder(hz) => Estimator::FirstOrder(hz),
+            Self::Butterworth(hz) => Estimator::Butterworth(hz),
+        }
+    }
+}

@@ -1,0 +1,112 @@
+//! `haptic estimators`: which velocity estimator suits a device, by simulation with its encoder steps.
+
+use crate::cli::Numbers;
+use haptic::bench::estimators::{Comparison, Row, compare, telling_wall};
+use haptic::device_file::DeviceFile;
+use haptic::error::{Failure, print};
+use haptic_bridge::render::scene::{MAX_RATE_HZ, MIN_RATE_HZ};
+use serde_json::json;
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// Compare velocity estimators on a device, by simulation with its encoder steps
+///
+/// For each: the area of walls (stiffness over damping) that come to rest, the ripple of the force of a pressed wall,
+/// how late and how noisy the velocity is. Those with at least the Butterworth's area come first, by their ripple.
+/// Takes a minute. Put the word of the first column into a scene file as `estimator`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Device file (TOML)
+    device: PathBuf,
+    /// Joint angles in rad, such as 2.4,0.7 [default: the device file's home]
+    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
+    q: Option<Numbers>,
+    /// Normal of the wall, any length
+    #[arg(long, value_name = "X,Y,..", required = true, allow_hyphen_values = true)]
+    normal: Numbers,
+    /// Control rate in Hz
+    #[arg(long, value_name = "HZ", default_value_t = 20_000.0)]
+    rate: f64,
+    /// Cutoff in Hz [default: 500, or a tenth of the rate where that is less]
+    #[arg(long, value_name = "HZ")]
+    cutoff: Option<f64>,
+    /// Stiffness and damping of the wall that is pressed, in N/m and N s/m [default: a quarter and half of what is
+    /// predicted stable with the Butterworth]
+    #[arg(long, value_name = "KP,KD")]
+    wall: Option<Numbers>,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+/// Compares and prints.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let file = DeviceFile::load(&args.device)?;
+    let spec = file.spec();
+    if !(MIN_RATE_HZ..=MAX_RATE_HZ).contains(&args.rate) {
+        let reason = format!("--rate {} Hz is none that a board has", args.rate);
+        return Err(Failure::wrong(reason).remedy(format!("write {MIN_RATE_HZ} to {MAX_RATE_HZ} Hz")));
+    }
+    let q = match (args.q, file.description.home) {
+        (Some(q), _) => q.exactly(spec.joints, "--q", "joint angles")?,
+        (None, Some(home)) => home[..spec.joints].to_vec(),
+        (None, None) => {
+            return Err(Failure::wrong(format!("{} has no [home], so there is no pose", args.device.display()))
+                .remedy("say which with --q"));
+        }
+    };
+    let normal = args.normal.unit(spec.task, "--normal")?;
+    let cutoff = args.cutoff.unwrap_or((0.1 * args.rate).min(500.0));
+    let wall = match args.wall {
+        Some(wall) => {
+            let wall = wall.exactly(2, "--wall", "numbers, stiffness and damping")?;
+            if wall.iter().any(|gain| *gain < 0.0) {
+                return Err(
+                    Failure::wrong("--wall has a negative number").remedy("write stiffness and damping, 0 or more")
+                );
+            }
+            (wall[0], wall[1])
+        }
+        None => telling_wall(&file.device().map_err(Failure::wrong)?, &q, &normal, args.rate, cutoff)?,
+    };
+    let comparison = Comparison { file: &file, q: &q, normal: &normal, rate_hz: args.rate, cutoff_hz: cutoff, wall };
+    let rows = compare(&comparison)?;
+    if args.json {
+        let document = json!({
+            "device": file.name, "q": q, "normal": normal, "rate_hz": args.rate, "cutoff_hz": cutoff,
+            "wall": { "stiffness": wall.0, "damping": wall.1 }, "estimators": rows,
+        });
+        return print(&format!("{document}\n"));
+    }
+    print(&readable(&comparison, &rows))
+}
+
+fn readable(comparison: &Comparison<'_>, rows: &[Row]) -> String {
+    let mut text = String::new();
+    let _ = writeln!(
+        text,
+        "{}: control at {} Hz; ripple on a wall of {:.0} N/m and {:.1} N s/m under a hand that presses with 3 N\n",
+        comparison.file.name, comparison.rate_hz, comparison.wall.0, comparison.wall.1
+    );
+    let _ = writeln!(
+        text,
+        "  {:<22}{:>8}{:>12}{:>16}{:>12}{:>11}{:>13}",
+        "estimator", "value", "cutoff Hz", "area N²s/m²", "ripple N", "delay ms", "noise mm/s"
+    );
+    for row in rows {
+        let or_none = |value: Option<String>| value.unwrap_or_else(|| "-".into());
+        let _ = writeln!(
+            text,
+            "  {:<22}{:>8}{:>12}{:>16.3e}{:>12}{:>11.3}{:>13.2}{}",
+            row.estimator,
+            or_none(row.value.map(|value| value.to_string())),
+            or_none(row.cutoff_hz.map(|hz| format!("{hz:.1}"))),
+            row.area,
+            or_none(row.ripple_n.map(|ripple| format!("{ripple:.4}"))),
+            1e3 * row.delay_s,
+            1e3 * row.noise_m_s,
+            if row.holds { "" } else { "  does not hold the hand" }
+        );
+    }
+    text
+}
