@@ -25,8 +25,9 @@ use std::sync::mpsc::Receiver;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// How long the page in command may be silent with its key down before the motors go off: three of the page's messages.
-pub const SILENCE: Duration = Duration::from_millis(350);
+/// How long the page in command may be silent with its key down before the motors go off: as long as a board lets its host
+/// be silent, unless told otherwise. A page says six times in it that its key is down.
+pub const SILENCE: Duration = Duration::from_millis(500);
 /// How long it may be silent at all before others may take command.
 const ABSENCE: Duration = Duration::from_secs(5);
 /// Between two pictures: 60 a second.

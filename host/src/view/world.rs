@@ -14,9 +14,6 @@ use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 
 /// How far in front of the tip the wall stands that is there when no scene was named, m.
 const AHEAD: f64 = 0.006;
-/// Stiffness of the wall to begin with, N/m: between what is stable without and with the feed-forward wherever one
-/// presses near the demo's pose.
-const STIFFNESS: f64 = 20_000.0;
 /// Tremor of the simulated hand, m: what sets a wall swinging that is about to.
 const TREMOR: f64 = 2e-4;
 
@@ -40,7 +37,7 @@ impl World {
 
     /// The wall of `haptic demo` on its device: it buzzes without the feed-forward and is quiet with it.
     pub fn demo() -> Result<Self, Failure> {
-        let demo = Demo { stiffness: STIFFNESS, ..Demo::shipped(1)? };
+        let demo = Demo::shipped(1)?;
         let start = Some(demo.pose);
         let mut world = Self::start(demo.file.clone(), start)?;
         let tip = world.simulated.as_ref().map_or([0.0; 3], |board| board.lock().device().tip());

@@ -149,16 +149,28 @@ impl Browser {
         }
     }
 
-    /// Holds Space until an expression is true, and presses it anew should this computer have been too slow to hold it:
-    /// a page that is not heard for a third of a second has let go.
+    /// Holds Space until an expression is true. A page that is not heard for half a second has let go; should this
+    /// computer have been so slow, the hand is led out of the wall, Space pressed anew, and the hand led back.
     pub fn hold_until(&mut self, tab: &Tab, expression: &str) {
+        const ARMED: &str = "document.body.dataset.state === 'Armed'";
         let began = Instant::now();
         while self.evaluate(tab, expression) != true {
             assert!(began.elapsed() < PATIENCE, "{expression} never came");
-            if self.evaluate(tab, "!view.down || document.body.dataset.state === 'Disarmed'") == true {
+            if self.evaluate(tab, ARMED) != true {
                 self.space(tab, "keyUp");
+                let out = "(() => { if (!view.last.hand) return false; view.goal = view.last.hand.goal; const v = \
+                           view.walls[0].values; say({do: 'hand', at: [v[0] + 0.01 * v[3], v[1] + 0.01 * v[4]]}); \
+                           return true; })()";
+                let held = self.evaluate(tab, out) == true;
+                std::thread::sleep(Duration::from_millis(if held { 1500 } else { 0 }));
                 self.space(tab, "keyDown");
-                std::thread::sleep(Duration::from_millis(200));
+                let pressed = Instant::now();
+                while self.evaluate(tab, ARMED) != true && pressed.elapsed() < Duration::from_secs(3) {
+                    std::thread::sleep(Duration::from_millis(20));
+                }
+                if held {
+                    self.evaluate(tab, "say({do: 'hand', at: view.goal})");
+                }
             }
             std::thread::sleep(Duration::from_millis(20));
         }

@@ -94,7 +94,7 @@ fn a_key_that_is_held_arms_and_letting_go_disarms() {
     // The button, by the mouse.
     let key = on(&mut browser, &tab, "key", "60", "30");
     browser.mouse(&tab, "mousePressed", key);
-    browser.until(&tab, armed);
+    browser.until(&tab, "view.last.held");
     browser.mouse(&tab, "mouseReleased", key);
     browser.until(&tab, off);
     // Focus that goes elsewhere is a hand that may be elsewhere.
@@ -112,21 +112,19 @@ fn a_page_that_is_closed_disarms_and_the_other_one_may_command_then() {
     assert_eq!(browser.evaluate(&second, "document.body.dataset.role"), "watch");
     assert_eq!(browser.evaluate(&second, "$('key').disabled && $('take').disabled"), true);
     browser.front(&first);
-    browser.space(&first, "keyDown");
-    browser.until(&second, "document.body.dataset.state === 'Armed'");
+    browser.hold_until(&first, "document.body.dataset.state === 'Armed'");
     browser.close(&first);
     browser.until(&second, "document.body.dataset.state === 'Disarmed' && view.last.command === null");
     browser.front(&second);
     browser.evaluate(&second, "$('take').click()");
     browser.until(&second, "document.body.dataset.role === 'command'");
-    browser.space(&second, "keyDown");
-    browser.until(&second, "document.body.dataset.state === 'Armed'");
+    browser.hold_until(&second, "document.body.dataset.state === 'Armed'");
 }
 
 #[test]
 fn the_dot_is_dragged_and_stops_at_the_boundary_until_one_goes_on() {
     let (_view, mut browser, tab) = opened();
-    let (from, to) = (on_plane(&mut browser, &tab, 40.0, 20e3), on_plane(&mut browser, &tab, 60.0, 10e3));
+    let (from, to) = (on_plane(&mut browser, &tab, 40.0, 22e3), on_plane(&mut browser, &tab, 60.0, 10e3));
     browser.drag(&tab, from, to);
     // A pixel of the picture is some tens of newtons a metre.
     browser.until(&tab, "Math.abs(view.walls[0].damping - 60) < 1 && Math.abs(view.walls[0].stiffness - 10e3) < 200");

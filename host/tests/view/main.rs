@@ -130,7 +130,7 @@ fn the_wall_buzzes_without_the_feed_forward_and_is_quiet_with_it() {
     page.say(json!({"do": "hand", "at": [below(0), below(1)]}));
     let mut ripple = |mode: &str| {
         let gains =
-            json!({"do": "gains", "wall": 0, "stiffness": 20e3, "damping": 40.0, "feed_forward": mode, "beyond": true});
+            json!({"do": "gains", "wall": 0, "stiffness": 22e3, "damping": 40.0, "feed_forward": mode, "beyond": true});
         page.say(gains);
         page.play(1.5);
         assert!(page.picture["numbers"]["depth"].as_f64().unwrap() > 0.0, "{}", page.picture);
