@@ -75,7 +75,8 @@ pub struct Row {
     /// Its cutoff, Hz, where it has one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub cutoff_hz: Option<f64>,
-    /// ∫ largest quiet stiffness over damping, N²s/m²: simulated, with encoder steps and friction.
+    /// ∫ largest quiet stiffness over damping, N²s/m²: simulated, with encoder steps and friction. Sought up to 1e7 N/m and
+    /// to five times the damping that is predicted stable with the Butterworth; beyond, the area is at least this.
     pub area: f64,
     /// Root mean square of the force of the pressed wall about its mean, N; none where the tip flies off.
     pub ripple_n: Option<f64>,

@@ -35,7 +35,8 @@ pub(super) struct Pressed<T> {
 }
 
 impl<T: Real> Running<T> {
-    /// The wall at a contact. `known`: the velocity along its normal (m/s) by an estimator that watches joints; `passivity`: whether the passivity controller is on; `gain`: the feed-forward's α.
+    /// The wall at a contact. `known`: the velocity along its normal (m/s) by an estimator that watches joints;
+    /// `passivity`: whether the passivity controller is on; `gain`: the feed-forward's α.
     #[inline(always)]
     pub fn press<const N: usize>(
         &mut self,
