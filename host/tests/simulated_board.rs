@@ -2,7 +2,9 @@
 
 use haptic::device_file::DeviceFile;
 use haptic::link::{Board, BoardError, fields};
-use haptic::sim::{BoardOptions, Hand, HandSettings, Intent, SHIPPED_DEVICE, SharedBoard, Waypoint, ready_board};
+use haptic::sim::{
+    Around, BoardOptions, Hand, HandSettings, Intent, SHIPPED_DEVICE, SharedBoard, Waypoint, ready_board,
+};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
@@ -310,4 +312,32 @@ fn the_energy_that_a_wall_gives_out_is_seen_in_telemetry_and_damped_where_the_ru
     // It takes the edge off, a fifth of the speed (0.046 of 0.057 m/s), and does not make such a wall stable: docs/safety.md.
     let left = damped / free;
     assert!((0.75..0.87).contains(&left), "{damped} m/s with damping, {free} m/s without");
+}
+
+#[test]
+fn a_hand_that_goes_around_keeps_out_of_the_walls_until_the_motors_are_armed() {
+    let (shared, mut board) = connect(BoardOptions::default());
+    let scene = wall_below(&shared, 0.01, FeedForward::Off);
+    board.set_scene(&scene).unwrap();
+    let tip = shared.lock().device().tip();
+    let walls = Scene { task: 2, walls: scene.walls.iter().map(Wall::cast).collect(), ..Scene::default() };
+    let around = Around::find(&device_file(), Some(&walls), tip);
+    assert!(around.on_a_wall);
+    shared.lock().set_rounds(HandSettings { tremor: 2e-4, ..HandSettings::default() }, around);
+    for _ in 0..3 {
+        // The loop takes four seconds, and is in the wall for half of them.
+        for _ in 0..10 {
+            shared.lock().run(0.41);
+            board.arm().expect("the hand waits");
+            board.disarm().unwrap();
+        }
+        board.arm().unwrap();
+        let mut deepest: f64 = 0.0;
+        for _ in 0..30 {
+            shared.lock().run(0.1);
+            deepest = deepest.min(shared.lock().device().tip()[1] - (tip[1] - 0.01));
+        }
+        assert!(deepest < -0.001, "armed, it presses: {deepest}");
+        board.disarm().unwrap();
+    }
 }

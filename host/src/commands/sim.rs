@@ -8,7 +8,7 @@ use haptic::interrupt;
 use haptic::scene_file::SceneFile;
 use haptic::sim::door::tcp;
 use haptic::sim::server::{Pace, serve};
-use haptic::sim::{Around, BoardOptions, DriveModel, Hand, HandSettings, SHIPPED_DEVICE, ready_board};
+use haptic::sim::{Around, BoardOptions, DriveModel, HandSettings, SHIPPED_DEVICE, ready_board};
 use std::path::PathBuf;
 
 /// Run a simulated board with a device on it, until Ctrl-C
@@ -52,7 +52,8 @@ pub struct Args {
 enum HandKind {
     /// No hand
     None,
-    /// A hand that moves the tip around a small loop, over and over: on a wall of the scene where it gets to one
+    /// A hand that moves the tip around a small loop, over and over, while the motors are armed: on a wall of the scene
+    /// where it gets to one
     Loop,
 }
 
@@ -92,7 +93,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         if args.scene.is_some() && !around.on_a_wall {
             eprintln!("the hand gets to none of the scene's walls from home: it moves where it is");
         }
-        board.device_mut().set_hand(Hand::new(settings, around.intent(), tip, 0.0));
+        board.set_rounds(settings, around);
     }
     let door = match &args.tcp {
         Some(text) => {

@@ -17,6 +17,8 @@ const MISSED: f64 = 1e-5;
 /// A loop that never ends, three centimetres across and four seconds around.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Around {
+    /// Where the tip is at home, m: the hand waits there while the motors are off.
+    rest: [f64; 3],
     /// Its middle, m.
     pub centre: Vector3<f64>,
     /// Unit vectors across and along the wall.
@@ -29,6 +31,7 @@ pub struct Around {
 impl Around {
     /// The loop in this scene, for a tip that starts at the device's home.
     pub fn find(file: &DeviceFile, scene: Option<&Scene<f64>>, tip: [f64; 3]) -> Self {
+        let rest = tip;
         let tip = Vector3::from(tip);
         let walls = scene.into_iter().flat_map(|scene| &scene.walls);
         let mut places = walls.flat_map(|wall| {
@@ -39,6 +42,7 @@ impl Around {
                 _ => nearest,
             };
             [nearest, named].map(|centre| Self {
+                rest,
                 centre,
                 across: contact.normal,
                 along: Vector3::new(-contact.normal.y, contact.normal.x, 0.0),
@@ -46,6 +50,7 @@ impl Around {
             })
         });
         places.find(|place| place.is_within_reach(file)).unwrap_or(Self {
+            rest,
             centre: tip + Vector3::y() * REACH,
             across: Vector3::y(),
             along: Vector3::x(),
@@ -54,18 +59,23 @@ impl Around {
     }
 
     fn corners(&self) -> [Vector3<f64>; 4] {
-        [-self.across, self.along, self.across, -self.along].map(|way| self.centre + way * REACH)
+        [self.along, -self.across, -self.along, self.across].map(|way| self.centre + way * REACH)
     }
 
     fn is_within_reach(&self, file: &DeviceFile) -> bool {
         self.corners().iter().all(|corner| is_within_reach(file, corner))
     }
 
-    /// What the hand follows, for an hour.
+    /// Where the hand of a board with its motors off stays or goes back to: home, out of the walls.
+    pub fn wait(&self) -> Intent {
+        Intent::Lead(self.rest)
+    }
+
+    /// What the hand follows from home on, for an hour.
     pub fn intent(&self) -> Intent {
-        let points = (0..3600)
-            .zip(self.corners().into_iter().cycle())
-            .map(|(second, corner)| Waypoint { time: f64::from(second), value: corner.into() });
+        let corners = self.corners().map(Into::into);
+        let places = std::iter::once(self.rest).chain(corners.into_iter().cycle());
+        let points = (0..3600).zip(places).map(|(second, value)| Waypoint { time: f64::from(second), value });
         Intent::Follow(points.collect())
     }
 }

@@ -3,7 +3,9 @@
 //! Time is a count of carrier periods, so a run is the same on every machine. A period goes as on the chip: sample at
 //! the carrier's crest, control at every `divider`-th crest, duties in force half a carrier period later.
 
+use super::around::Around;
 use super::device::{Device, DeviceError, Options};
+use super::hand::{Hand, HandSettings};
 use super::motor::Drive;
 use super::port::Port;
 use haptic_bridge::board::dispatch::{self, After, Described};
@@ -188,6 +190,9 @@ pub struct SimulatedBoard {
     packer: Packer,
     dropped: u32,
     link: Port,
+    /// What the hand does while the motors are on, and whether it does.
+    rounds: Option<Around>,
+    going: bool,
 }
 
 impl SimulatedBoard {
@@ -234,6 +239,8 @@ impl SimulatedBoard {
             since_poll: 0.0,
             packer: Packer::default(),
             dropped: 0,
+            rounds: None,
+            going: false,
         };
         board.service.boot(&mut board.innards);
         Ok(board)
@@ -276,6 +283,7 @@ impl SimulatedBoard {
             let fault = self.injected.take();
             let samples = Samples { counts, bus_voltage, currents, index, fault };
             self.bridges = self.innards.servo.control(&samples).bridges;
+            self.send_around();
         }
         self.countdown = self.countdown.saturating_sub(carriers);
         let duties = self.innards.servo.duties(bus_voltage, &currents);
@@ -300,6 +308,25 @@ impl SimulatedBoard {
         if self.since_poll >= POLL_SECONDS {
             self.since_poll = 0.0;
             self.poll();
+        }
+    }
+
+    /// Puts a hand on the tip that goes around whenever the motors are armed, from its start on. While they are not, it
+    /// waits out of the walls: a board whose tip is inside one does not arm.
+    pub fn set_rounds(&mut self, settings: HandSettings, around: Around) {
+        let hand = Hand::new(settings, around.wait(), self.device.tip(), self.device.time());
+        self.device.set_hand(hand);
+        (self.rounds, self.going) = (Some(around), false);
+    }
+
+    fn send_around(&mut self) {
+        let armed = self.innards.servo.frame().state == State::Armed;
+        if let Some(around) = &self.rounds
+            && armed != self.going
+        {
+            self.going = armed;
+            let now = self.device.time();
+            self.device.hand_mut().turn_to(if armed { around.intent() } else { around.wait() }, now);
         }
     }
 

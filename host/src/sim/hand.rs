@@ -108,6 +108,12 @@ impl Hand {
         self.intent = Intent::Lead(goal);
     }
 
+    /// Gives the hand, where it is, something else to do from the time `now` (s) on.
+    pub fn turn_to(&mut self, intent: Intent, now: f64) {
+        (self.intent, self.began) = (intent, now);
+        (self.aim, self.aim_velocity) = (self.position, [0.0; 3]);
+    }
+
     /// Where the hand itself is, m, unless it holds nothing.
     pub fn position(&self) -> Option<[f64; 3]> {
         (self.intent != Intent::LetGo).then_some(self.position)
