@@ -19,6 +19,7 @@ use haptic::measure::{Bench, MeasureError, Setup};
 use haptic::plot::Picture;
 use haptic::plot::range::{Contents, MeasuredPoint, draw};
 use haptic::sim::Hand;
+use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Motor;
 use haptic_bridge::render::scene::FeedForward;
 
@@ -87,8 +88,8 @@ pub fn device() -> DeviceFile {
 #[must_use]
 pub fn normal() -> Vec<f64> {
     let any = unit_normal(&[1.0, 0.0], 2, 2).expect("a unit vector");
-    let point = map::at(&device().description, &POSE[..2], &any).expect("a sound device").expect("a regular pose");
-    point.worst_ratio.normal
+    let point = map::at_holding(&device().description, &POSE[..2], &any, Admissible::default());
+    point.expect("a sound device").expect("a regular pose").worst_ratio.normal
 }
 
 /// The board with the device at its connectors, homed at the pose, its polarity checked, and a hand that holds it
