@@ -203,6 +203,9 @@ impl Estimator {
     /// Its states where it has seen this velocity per sample, given by commands to this part per sample, for long.
     pub(super) fn rest(self, rate_hz: f64, moved: f64, pushed: f64) -> DVector<f64> {
         let (matrix, states) = (self.matrix(rate_hz), self.states());
+        if states == 0 {
+            return DVector::zeros(0);
+        }
         let own = matrix.view((0, 0), (states, states)).into_owned();
         let driven =
             matrix.view((0, states), (states, 1)) * -moved - matrix.view((0, states + 1), (states, 1)) * pushed;

@@ -225,10 +225,10 @@ mod tests {
         for i in 0..200_000 {
             force = hand.step(&[0.1, 0.2, 0.0], &[0.0; 3], 2, f64::from(i) * 1e-5, 1e-5);
         }
-        // A centimetre of the arm's 250 N/m.
-        assert!(force[0].abs() < 1e-9 && (force[1] + 2.5).abs() < 1e-6, "{force:?}");
-        // Grip and arm share it: 2.5 N bend the grip's 1200 N/m by 2 mm.
-        assert!((hand.position().unwrap()[1] - (0.2 - 2.5 / 1200.0)).abs() < 1e-6);
+        // Arm (250 N/m) and grip (1200 N/m) share the centimetre: springs in series.
+        let pull = 0.01 / (1.0 / 250.0 + 1.0 / 1200.0);
+        assert!(force[0].abs() < 1e-9 && (force[1] + pull).abs() < 1e-6, "{force:?}");
+        assert!((hand.position().unwrap()[1] - (0.2 - pull / 1200.0)).abs() < 1e-6);
     }
 
     #[test]
