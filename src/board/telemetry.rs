@@ -74,7 +74,7 @@ fields! {
     RenderedForce = 15, "rendered", "N", false, |frame, _i| frame.rendered_force,
         "What the limits leave of that force: force less what ramp and the limits of tip force, torque and current took off along the normal of the deepest wall; 0 unless armed";
     Saturated = 16, "saturated", "", true, |frame, i| frame.saturation(i),
-        "Which motors could not do what was asked: 0 none, 1 its torque or current limit acted, 2 its duty is at the end of what the bus gives, 3 both";
+        "Which motors could not do what was asked: 0 none, 1 a limit of torque, current or tip force left another torque than was asked, 2 its duty is at the end of what the bus gives, 3 both";
     Shaping = 9, "shaping", "", false, |frame, _i| frame.shaping,
         "Share of the feed-forward that acts, 1 away from singular poses";
     Energy = 10, "energy", "J", false, |frame, _i| frame.energy,
