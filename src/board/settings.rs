@@ -61,7 +61,7 @@ pub trait Setting: Serialize + DeserializeOwned {
     /// Version of its encoding; raised whenever its fields change.
     const VERSION: u8;
     /// Earlier versions that differ by lacking bytes: the version, where the bytes belong (counted from the value's first
-    /// byte, or [`END`]), and what the later fields were before there were any.
+    /// byte, or `END`), and what the later fields were before there were any.
     const SHORTER: &'static [(u8, usize, &'static [u8])] = &[];
 }
 

@@ -1,7 +1,7 @@
 //! Force from the host: what a program on a computer asks the motors for, beside the board's own scene.
 //!
 //! A host reads where the tip is, works out a force and sends it, about once a millisecond. The board adds it to its own
-//! walls before the one rule that cuts torques to what the motors can do ([`super::saturation`]), and under every limit
+//! walls before the one rule that cuts torques to what the motors can do (saturation.rs), and under every limit
 //! and fault. It trusts it no longer than it lives: a request acts in full until it is `hold` seconds old, then fades
 //! linearly and is gone after `fade` seconds more. Its age counts from the state that it was computed from, so what came
 //! late has less left to live.
