@@ -19,7 +19,7 @@ pub enum Estimator {
     FirstOrder(f64),
     /// Backward difference, then a second-order Butterworth, bilinear, prewarped at the cutoff (Hz).
     Butterworth(f64),
-    /// The difference over several samples, (x[n] - x[n-k])/(k T), then a low-pass.
+    /// The difference over several samples, `(x[n] - x[n-k])/(k T)`, then a low-pass.
     Over {
         /// k, from 1 to [`LONGEST_DIFFERENCE`].
         samples: usize,
