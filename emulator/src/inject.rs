@@ -254,7 +254,7 @@ pub fn injection(fault: Fault) -> Injection {
             },
             |rig| {
                 rig.with(|bench| {
-                    for at in (0x2000_5000..0x2000_C000).step_by(4) {
+                    for at in (0x2000_0000..0x2002_0000).step_by(4) {
                         if bench.word(at) == Some(MARK.to_bits()) {
                             bench.poke(at, f32::NAN.to_bits());
                         }

@@ -58,8 +58,8 @@ pub struct Answer {
 /// Most requests and answers under way.
 const REQUESTS: usize = 2;
 
-/// Frames of telemetry on their way to the link: 2.4 ms at 20 kHz.
-const FRAMES: usize = 48;
+/// Frames of telemetry on their way to the link: 5 ms at 20 kHz.
+const FRAMES: usize = 100;
 
 /// The tasks' ends of the queues.
 pub struct Link {

@@ -19,8 +19,8 @@ const SETTINGS: Range<u64> = 0x0800_4000..0x0800_C000;
 /// Most flash that an image may take: a quarter of the chip's, quick to send over USB, and so much that nobody bends the
 /// code for it.
 pub const FLASH_LIMIT: u64 = 256 * 1024;
-/// Statics and the reserved stack together.
-pub const RAM_LIMIT: u64 = 48 * 1024;
+/// Most that statics and the reserved stack may take together: three quarters of the chip's SRAM.
+pub const RAM_LIMIT: u64 = 96 * 1024;
 
 /// One piece of an image and where it goes.
 pub struct Segment {

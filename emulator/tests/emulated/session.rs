@@ -9,6 +9,7 @@ use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::refusal::Refusal;
 
+use haptic::backup::{Backup, restore};
 use haptic::link::BoardError;
 use virtual_board::boards::BoardKind;
 use virtual_board::rig::Rig;
@@ -78,6 +79,21 @@ fn what_was_not_saved_is_gone_after_a_reset() {
     rig.run(SECOND / 10);
     let mut rig = rig.restarted();
     assert_eq!(rig.tool.device().expect("it answers"), None);
+}
+
+/// Putting a whole backup in force decodes, judges and compiles everything at once, which is what needs most stack.
+#[test]
+fn a_backup_of_three_joints_is_put_in_force_and_leaves_stack_untouched() {
+    let mut rig = Rig::with_device(BoardKind::HBridgeF405, "serial-3r", |_| ());
+    rig.load(&"[[wall]]\npoint = [0.0, 9.0]\nnormal = [0.0, -1.0]\nstiffness = 2000.0\n".repeat(3));
+    rig.tool.save().expect("the board saves");
+    let backup = Backup::read(&mut rig.tool).expect("the board answers");
+    let ready = backup.ready().expect("everything is readable");
+    restore(&mut rig.tool, &ready).expect("the board takes its own backup");
+    let details = rig.tool.details().expect("the board answers");
+    assert_eq!(details.walls, 3);
+    assert!(details.stack_free >= 8 * 1024, "{} of 40 KB were never touched", details.stack_free);
+    assert!(rig.with(|bench| bench.resets().is_empty()), "{}", rig.post_mortem());
 }
 
 fn refusal(outcome: Result<(), BoardError>) -> Refusal {
