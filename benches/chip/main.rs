@@ -151,8 +151,10 @@ fn variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
             _ => MassModel::table::<M>(&grid).unwrap_or_default(),
         };
         for (term, walls, feed_forward, velocity_terms) in TERMS {
-            // What else a scene may hold is counted with the board's own functions and the closed form alone.
-            if *walls != Walls::One && (kind != "exact" || K::NAME != Minimax::NAME) {
+            // What else a scene may hold is counted with the board's own functions alone, and all but a ball with the
+            // closed form alone.
+            let shipped = K::NAME == Minimax::NAME && (kind == "exact" || *walls == Walls::Ball);
+            if *walls != Walls::One && !shipped {
                 continue;
             }
             let scene = scene::<M, N>(&tip, *walls, *feed_forward, *velocity_terms);

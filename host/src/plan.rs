@@ -198,18 +198,20 @@ pub fn cost(device: &Device<f64>, scene: &Scene<f64>, model: &str) -> u32 {
     let shaped: Vec<_> = scene.walls.iter().filter(|wall| wall.feed_forward != FeedForward::Off).collect();
     let curved = scene.walls.iter().any(|wall| wall.surface.curved());
     let Some(first) = shaped.first() else { return free + walls * per_wall };
-    let washout = counted("exact", &format!("washout{z}"));
     let one = match first.feed_forward {
+        _ if curved => counted(model, &format!("ball, washout{z}")),
         FeedForward::Full if shaped.len() == 1 => counted(model, &format!("feed-forward{z}")),
         _ => counted(model, &format!("washout{z}")),
     };
     let plain = walls - shaped.len() as u32;
     let more = match shaped.len() as u32 {
         1 => 0,
-        count => counted("exact", &format!("edge, washout{z}")).saturating_sub(washout) + (count - 2) * per_wall,
+        count => {
+            let pair = counted("exact", &format!("edge, washout{z}"));
+            pair.saturating_sub(counted("exact", &format!("washout{z}"))) + (count - 2) * per_wall
+        }
     };
-    let round = if curved { counted("exact", &format!("ball, washout{z}")).saturating_sub(washout) } else { 0 };
-    one + more + round + plain * per_wall
+    one + more + plain * per_wall
 }
 
 fn explain(candidates: &[Candidate], terms: Terms, mass: &Precomputed, budget: Budget, speed: f64) -> Vec<String> {
