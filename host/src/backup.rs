@@ -45,6 +45,19 @@ pub struct Kept {
     pub bytes: String,
 }
 
+impl Kept {
+    /// A value as the board would keep it; none where it is too long for that.
+    pub fn of<S: Setting>(value: &S) -> Option<Self> {
+        Some(kept(S::KEY, &encode(value).ok()?))
+    }
+
+    /// The value again, from bytes of this version or else from what they mean.
+    pub fn read<S: Setting>(&self) -> Result<S, BackupError> {
+        let (entry, _) = usable_as::<S>(self)?;
+        decode(&entry).map_err(|damage| damaged(S::KEY, damage))
+    }
+}
+
 /// Why a backup cannot be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum BackupError {
@@ -166,6 +179,35 @@ pub fn restore(board: &mut Board, ready: &[Ready]) -> Result<(), BoardError> {
         let _ = keys.push(setting.key);
     }
     board.commit_entries(&keys)
+}
+
+/// What a board holds that a restart would take from it, by name: a device, a scene or a name other than what was saved,
+/// and rules other than those saved, where any were.
+pub fn unsaved(board: &mut Board) -> Result<Vec<&'static str>, BoardError> {
+    fn differs<S: Setting + PartialEq>(board: &mut Board, now: &S) -> Result<bool, BoardError> {
+        let saved = board.read_entry(S::KEY)?.and_then(|entry| decode::<S>(&entry).ok());
+        Ok(saved.as_ref() != Some(now))
+    }
+    let mut unsaved = Vec::new();
+    if let Some(device) = board.device()?
+        && differs(board, &device)?
+    {
+        unsaved.push("device");
+    }
+    if let Some(scene) = board.scene()?
+        && differs(board, &scene)?
+    {
+        unsaved.push("scene");
+    }
+    let rules = board.rules()?;
+    if board.read_entry(Key::Rules)?.is_some_and(|entry| !entry.is_empty()) && differs(board, &rules)? {
+        unsaved.push("rules");
+    }
+    let name = BoardName(board.details()?.name);
+    if !name.0.is_empty() && differs(board, &name)? {
+        unsaved.push("name");
+    }
+    Ok(unsaved)
 }
 
 fn damaged(key: Key, damage: Damage) -> BackupError {

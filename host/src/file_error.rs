@@ -21,6 +21,8 @@ pub struct FileError {
 pub enum Problem {
     /// The file cannot be read at all.
     Unreadable(String),
+    /// Nothing that such a file can be: a pipe, a device, far too long.
+    Unfit(String),
     /// Not UTF-8 text.
     NotText,
     /// Not TOML.
@@ -123,6 +125,7 @@ impl Problem {
     pub fn remedy(&self) -> String {
         match self {
             Self::Unreadable(_) => "check the path and its permissions".into(),
+            Self::Unfit(_) => "name the TOML file that is meant".into(),
             Self::NotText => "save the file as UTF-8 text".into(),
             Self::Syntax(_) => "mend the TOML at this place".into(),
             Self::UnknownKey { nearest: Some(nearest), .. } => format!("did you mean `{nearest}`?"),
@@ -156,7 +159,7 @@ fn at(key: &str, place: &str) -> String {
 impl fmt::Display for Problem {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Unreadable(why) => write!(f, "cannot be read: {why}"),
+            Self::Unreadable(why) | Self::Unfit(why) => write!(f, "cannot be read: {why}"),
             Self::NotText => write!(f, "not UTF-8 text"),
             Self::Syntax(why) => write!(f, "not valid TOML: {why}"),
             Self::UnknownKey { key, place, .. } => write!(f, "unknown key {}", at(key, place)),

@@ -8,6 +8,7 @@ use crate::error::Failure;
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use tempfile::NamedTempFile;
 
 /// Whether a file may take the place of one that is there.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -39,9 +40,27 @@ pub fn write(path: &Path, bytes: &[u8], overwrite: Overwrite) -> Result<(), Fail
             file.write_all(bytes)?;
             file.flush()
         }),
-        Place::File(target) => put(&target, bytes, overwrite),
+        Place::File(target) => beside(&target, bytes).and_then(|beside| put(beside, &target, overwrite)),
     }
     .map_err(|error| refused(path, &error))
+}
+
+/// Writes documents that belong together: all of them or none, as far as room and permissions go.
+pub fn write_together(files: &[(&Path, &[u8])], overwrite: Overwrite) -> Result<(), Failure> {
+    let mut ready = Vec::new();
+    for (path, bytes) in files {
+        match place(path, overwrite)? {
+            Place::Special => write(path, bytes, overwrite)?,
+            Place::File(target) => {
+                let beside = beside(&target, bytes).map_err(|error| refused(path, &error))?;
+                ready.push((path, target, beside));
+            }
+        }
+    }
+    for (path, target, beside) in ready {
+        put(beside, &target, overwrite).map_err(|error| refused(path, &error))?;
+    }
+    Ok(())
 }
 
 /// Opens a file to which rows are appended as they come; and whether it can be cut back to its last whole row.
@@ -90,8 +109,8 @@ fn place(path: &Path, overwrite: Overwrite) -> Result<Place, Failure> {
     }
 }
 
-/// Writes beside `target`, then puts it there.
-fn put(target: &Path, bytes: &[u8], overwrite: Overwrite) -> io::Result<()> {
+/// A file beside `target` that holds these bytes.
+fn beside(target: &Path, bytes: &[u8]) -> io::Result<NamedTempFile> {
     let folder = match target.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
         _ => Path::new("."),
@@ -105,11 +124,17 @@ fn put(target: &Path, bytes: &[u8], overwrite: Overwrite) -> io::Result<()> {
         builder.permissions(std::fs::Permissions::from_mode(0o666));
     }
     let mut beside = builder.tempfile_in(folder)?;
-    beside.write_all(bytes)?;
+    // Its own file, not the named one, whose errors tell of a name that nobody knows.
+    beside.as_file_mut().write_all(bytes)?;
     beside.as_file().sync_all()?;
     if let Ok(about) = std::fs::metadata(target) {
         beside.as_file().set_permissions(about.permissions())?;
     }
+    Ok(beside)
+}
+
+/// Puts it in the place of `target`.
+fn put(beside: NamedTempFile, target: &Path, overwrite: Overwrite) -> io::Result<()> {
     match overwrite {
         Overwrite::Never => beside.persist_noclobber(target).map_err(|error| error.error)?,
         Overwrite::Replace => beside.persist(target).map_err(|error| error.error)?,
@@ -126,7 +151,12 @@ pub fn refused(path: &Path, error: &io::Error) -> Failure {
         io::ErrorKind::NotFound => "make the folder first, or choose another",
         _ => "check the path and its permissions",
     };
-    Failure::impossible(format!("{} cannot be written: {error}", path.display())).remedy(remedy)
+    // An error that wraps another one names the file beside, which nobody knows.
+    let why = match error.raw_os_error() {
+        None if error.kind() != io::ErrorKind::Other => error.kind().to_string(),
+        _ => error.to_string(),
+    };
+    Failure::impossible(format!("{} cannot be written: {why}", path.display())).remedy(remedy)
 }
 
 /// The date and time now, in UTC, as recordings carry it (RFC 3339).

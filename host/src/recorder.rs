@@ -82,7 +82,13 @@ impl Recorder {
         recorder.block.push_str(&columns.join(","));
         recorder.block.push('\n');
         match recorder.flush() {
-            Err(RecordError::Failed(failure)) => Err(failure),
+            Err(RecordError::Failed(failure)) => {
+                // Without its head it is of no use to anybody.
+                if let (Sink::File { whole: Some(_), .. }, Ok(file)) = (&recorder.sink, std::fs::canonicalize(path)) {
+                    let _ = std::fs::remove_file(file);
+                }
+                Err(failure)
+            }
             // Said again, and then acted on, at the first row.
             Ok(()) | Err(RecordError::ReaderGone) => Ok(recorder),
         }

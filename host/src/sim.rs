@@ -18,7 +18,7 @@ mod wire;
 
 pub use around::Around;
 pub use board::{BoardOptions, DriveModel, IDEAL_BOARD, SimulatedBoard, TIMER_HZ};
-pub use device::{Device, DeviceError, Options};
+pub use device::{Device, DeviceError, Options, Support};
 pub use encoder::EncoderModel;
 pub use hand::{Hand, HandSettings, Intent, Waypoint};
 pub use motor::{Bridge, Drive, MotorModel};

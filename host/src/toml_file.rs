@@ -32,7 +32,14 @@ impl Document {
     /// Reads a file.
     pub fn load(path: &Path) -> Result<Self, FileError> {
         let whole = |problem| FileError { path: path.into(), position: None, problem: Box::new(problem) };
-        let bytes = crate::input::read(path).map_err(|error| whole(Problem::Unreadable(error.to_string())))?;
+        let bytes = crate::input::read(path).map_err(|error| {
+            let why = error.to_string();
+            whole(if error.kind() == std::io::ErrorKind::Other {
+                Problem::Unfit(why)
+            } else {
+                Problem::Unreadable(why)
+            })
+        })?;
         String::from_utf8(bytes).map(|text| Self { path: path.into(), text }).map_err(|error| {
             let good = error.utf8_error().valid_up_to();
             let before = String::from_utf8_lossy(&error.as_bytes()[..good]).into_owned();

@@ -111,6 +111,58 @@ fn a_board_that_dies_while_streaming_leaves_a_whole_recording() {
     assert!(said.contains("unplugged or the connection was lost") && said.contains("rows are in"), "{said}");
     let recording = Recording::parse(&std::fs::read_to_string(&csv).unwrap()).unwrap();
     assert!(!recording.torn && recording.rows.len() > 100);
+    let last = recording.about.last().unwrap();
+    assert!(last.starts_with("cut short: the board was lost") && last.contains(" rows"), "{last}");
+}
+
+#[test]
+fn a_stream_that_the_board_refuses_makes_no_file_and_replaces_none() {
+    let sim = Sim::start(&["--fast"]);
+    let directory = tempfile::tempdir().unwrap();
+    let csv = directory.path().join("run.csv");
+    let arguments = ["stream", "--arm", "--csv", csv.to_str().unwrap()];
+    sim.run(&arguments).code(1).stderr(contains("no scene is loaded"));
+    assert!(!csv.exists());
+    std::fs::write(&csv, "an earlier one").unwrap();
+    sim.run(&[&arguments[..], &["--force"]].concat()).code(1);
+    assert_eq!(std::fs::read_to_string(&csv).unwrap(), "an earlier one");
+}
+
+#[test]
+fn a_limit_of_the_tip_force_is_obeyed_on_a_simulated_board_too() {
+    let sim = Sim::start(&["--fast"]);
+    let device = file("haply-2diy.toml");
+    sim.run(&["device", &device]).success().stdout(contains("tip force").not());
+    sim.run(&["device", &device, "--tip-force", "2"]).success().stdout(contains("push with at most 2 N"));
+    sim.run(&["info"]).success().stdout(contains("push with at most 2 N"));
+}
+
+#[test]
+fn a_restart_asks_before_it_turns_motors_off_or_forgets() {
+    let sim = Sim::start(&["--fast"]);
+    sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success();
+    sim.run(&["restart"]).code(1).stderr(contains("device, scene").and(contains("--yes")));
+    sim.run(&["save", "--json"]).success().stdout(contains("\"device\",\"scene\""));
+    sim.run(&["arm"]).success();
+    sim.run(&["restart"]).code(1).stderr(contains("motors are on").and(contains("forgotten").not()));
+    sim.run(&["info", "--json"]).success().stdout(contains("\"Armed\""));
+    sim.run(&["restart", "--yes", "--json"]).success().stdout(contains("\"forgotten\":[]"));
+    // What is saved is kept, so there is nothing to ask; neither is there after a change that was taken back.
+    sim.run(&["restart"]).success();
+    sim.run(&["gains", "--stiffness", "321"]).success();
+    sim.run(&["restart"]).code(1).stderr(contains("forgotten: scene"));
+    sim.run(&["name", "--json"]).success().stdout(contains("\"name\":\"\""));
+}
+
+#[test]
+fn saving_says_what_there_was_to_save() {
+    let sim = Sim::start(&["--fast"]);
+    sim.run(&["save"]).success().stdout(contains("with this device from now on; it holds no scene"));
+    sim.run(&["dfu", "--yes"]).success();
+    sim.run(&["save"]).success().stdout(contains("with this device"));
+    let bare = Sim::start(&["--fast"]);
+    bare.run(&["restart", "--yes"]).success();
+    bare.run(&["save"]).success().stdout(contains("no device or scene"));
 }
 
 #[test]
@@ -237,19 +289,19 @@ fn a_name_lasts_over_a_restart_once_it_is_saved() {
     assert_eq!(said(&["name"]), "left hand\n");
     assert_eq!(device(), "coupled-five-bar");
     // Nothing was saved, so nothing is left of it.
-    said(&["restart"]);
+    said(&["restart", "--yes"]);
     assert_eq!((said(&["name"]).as_str(), device()), ("this board has no name\n", Value::Null));
 
     said(&["device", &file("coupled-five-bar.toml")]);
     said(&["name", "left hand"]);
     said(&["save"]);
     said(&["name", "right hand"]);
-    said(&["restart"]);
+    said(&["restart", "--yes"]);
     assert_eq!((said(&["name"]).as_str(), device()), ("left hand\n", "coupled-five-bar".into()));
     // Motors that were on are off.
     sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success();
     sim.run(&["rules", "--host", "ignore"]).success();
     said(&["arm"]);
-    said(&["restart"]);
+    said(&["restart", "--yes"]);
     sim.run(&["info", "--json"]).success().stdout(contains("\"Disarmed\""));
 }

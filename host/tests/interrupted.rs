@@ -107,8 +107,31 @@ fn a_disk_that_fills_up_ends_the_recording_with_whole_rows_and_says_how_many() {
     let recording = recording(&csv);
     assert!(!recording.torn && recording.rows.len() > 500);
     assert_eq!(number_before(&text, "rows are in"), recording.rows.len() as u64);
+    assert!(number_before(&text, "that came could not be written and are lost") > 0 && !text.contains("none lost"));
     assert_eq!(gaps(&recording), 0);
     sim.run(&["info"]).success();
+}
+
+#[test]
+fn where_not_even_the_beginning_fits_no_file_is_left() {
+    let folder = Folder::new();
+    let sim = Sim::start(&["--fast"]);
+    let program = assert_cmd::cargo::cargo_bin("haptic");
+    let limited = |blocks: u32, arguments: &[&str]| {
+        let line = format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" \"$@\"");
+        let output =
+            Command::new("sh").args(["-c", &line, program.to_str().unwrap()]).args(arguments).output().unwrap();
+        let text = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(1), "{text}");
+        assert!(text.contains("cannot be written") && text.contains("free space"), "{text}");
+        assert!(!text.contains(".partial"), "a name that nobody knows: {text}");
+        assert_eq!(std::fs::read_dir(folder.0.path()).unwrap().count(), 0);
+    };
+    let csv = folder.path("a.csv");
+    limited(0, &["stream", "--csv", csv.to_str().unwrap(), "--port", &sim.port]);
+    // 6 KB: the page of the report fits, and its picture does not.
+    let report = folder.0.path().to_str().unwrap();
+    limited(12, &["bench", &file("hapkit-paddle.toml"), "--report", report]);
 }
 
 #[test]
@@ -209,8 +232,50 @@ fn an_interrupted_measurement_says_that_motors_are_off_and_they_are() {
     let text = said(&mut tool);
     assert_eq!(tool.wait().unwrap().code(), Some(1), "{text}");
     assert!(text.contains("motors are off"), "{text}");
+    let told = if progress.exists() { "to go on where it stopped" } else { "nothing was measured yet" };
+    assert!(text.contains(told), "{text}");
     sim.run(&["info", "--json"]).success().stdout(contains("\"Disarmed\""));
     assert_eq!(sim.run(&["rules"]).success().get_output().stdout, rules, "and the rules are as they were");
+}
+
+#[test]
+fn after_a_measurement_that_was_killed_the_next_one_puts_the_scene_back_or_says_that_it_is_gone() {
+    let sim = Sim::start(&["--scene", &file("scenes/coupled-five-bar/tracing.toml")]);
+    let held = || {
+        let info = sim.run(&["info", "--json"]).success().get_output().stdout.clone();
+        let info: serde_json::Value = serde_json::from_slice(&info).unwrap();
+        ["walls", "rate_hz", "device"].map(|key| info[key].clone())
+    };
+    let before = held();
+    let folder = Folder::new();
+    let measure = |kd: &str, name: &str| -> Vec<String> {
+        let fixed = ["measure-range", &file("coupled-five-bar.toml"), "--normal=0.6,0.8", "--repeats=1", "--pull=2"];
+        let more =
+            ["--feed-forward=off".into(), format!("--kd={kd}"), format!("--progress={}", folder.path(name).display())];
+        fixed.into_iter().map(String::from).chain(more).collect()
+    };
+    let words = |line: &[String]| line.iter().map(String::as_str).collect::<Vec<_>>().join(" ");
+    let kill = |name: &str| {
+        let mut tool = sim.spawn(&words(&measure("5,15", name)).split(' ').collect::<Vec<_>>());
+        sleep(Duration::from_secs(3));
+        signal(&tool, "KILL");
+        tool.wait().unwrap();
+        sleep(Duration::from_secs(2));
+        assert_ne!(held(), before, "it was in the middle of it");
+        sim.run(&["clear"]).success();
+    };
+    kill("one.json");
+    // Another file knows nothing of what was there.
+    let other = measure("15", "other.json");
+    sim.run(&words(&other).split(' ').collect::<Vec<_>>())
+        .success()
+        .stderr(contains("left by a measurement").and(contains("load yours again")));
+    assert_ne!(held(), before);
+    // The same line goes on, and puts it back.
+    let same = measure("5,15", "one.json");
+    sim.run(&words(&same).split(' ').collect::<Vec<_>>()).success().stderr(contains("the one before it is put back"));
+    assert_eq!(held(), before);
+    assert!(!std::fs::read_to_string(folder.path("one.json")).unwrap().contains("before"));
 }
 
 fn setup() -> Setup {

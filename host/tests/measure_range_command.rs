@@ -36,8 +36,24 @@ fn a_measurement_is_reported_kept_and_continued() {
     let repeats = document["points"][0]["repeats"].as_array().unwrap();
     assert_eq!((repeats.len(), repeats[0].as_f64()), (2, Some(once)));
 
+    // Nothing is measured a third time, and the file's date says when it was.
+    let date = document["date"].as_str().unwrap().to_string();
+    let third = measure(&progress, &SLOW, &["--feed-forward", "off", "--repeats", "2", "--pull", "2"]).success();
+    let third = third.stderr(contains("none is measured now").and(contains("--anew")).and(contains(&*date)));
+    let again: Value = serde_json::from_slice(&third.get_output().stdout).unwrap();
+    assert_eq!((&again["date"], &again["points"]), (&document["date"], &document["points"]));
+
     // What was measured at one rate is not mixed with another.
-    measure(&progress, &["--rate", "10000", "--cutoff", "200"], &["--feed-forward", "off", "--pull", "2"]).code(2);
+    measure(&progress, &["--rate", "10000", "--cutoff", "200"], &["--feed-forward", "off", "--pull", "2"])
+        .code(2)
+        .stderr(contains("holds another measurement").and(contains("--anew")).and(contains(&*date)));
+
+    // Unless it is to take its place.
+    let anew =
+        measure(&progress, &SLOW, &["--feed-forward", "off", "--repeats", "1", "--pull", "1", "--anew"]).success();
+    let anew = anew.stderr(contains("already").not());
+    let document: Value = serde_json::from_slice(&anew.get_output().stdout).unwrap();
+    assert_eq!(document["points"][0]["repeats"].as_array().unwrap().len(), 1);
 }
 
 #[test]

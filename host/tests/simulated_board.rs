@@ -341,3 +341,43 @@ fn a_hand_that_goes_around_keeps_out_of_the_walls_until_the_motors_are_armed() {
         board.disarm().unwrap();
     }
 }
+
+#[test]
+fn a_device_with_weight_is_held_until_it_is_armed_and_passes_the_polarity_check() {
+    for name in ["phantom-premium-1.5", "serial-3r", "woodenhaptics", "fictive-five-bar-turret"] {
+        let path = format!("{}/../devices/{name}.toml", env!("CARGO_MANIFEST_DIR"));
+        let mut file = DeviceFile::load(path).unwrap();
+        let home = file.description.home.unwrap();
+        for (joint, home) in file.description.joints.iter_mut().zip(home) {
+            joint.motor.iter_mut().for_each(|motor| motor.verified = true);
+            joint.limits.get_or_insert((home - 1.0, home + 1.0));
+        }
+        let options = BoardOptions { strict: true, supported: true, ..BoardOptions::default() };
+        let shared = SharedBoard::new(ready_board(&file, options).unwrap());
+        let mut board = Board::over(shared.wire(), "sim").unwrap();
+        board.set_scene(&Scene { task: file.spec().task as u8, ..Scene::default() }).unwrap();
+        let rules = board.rules().unwrap();
+        board.set_rules(&Rules { host_action: HostAction::Ignore, ..rules }).unwrap();
+        shared.lock().run(2.0);
+        assert_eq!(shared.lock().device().q(), home, "{name} is held");
+        board.home().unwrap();
+        board.check_polarity().unwrap();
+        shared.lock().run(7.0);
+        let status = board.status().unwrap();
+        assert!(status.polarity, "{name}: {status:?}");
+        let still = shared.lock().device().q();
+        shared.lock().run(1.0);
+        assert_eq!(shared.lock().device().q(), still, "{name} is held again");
+        board.arm().unwrap();
+        board.disarm().unwrap();
+        shared.lock().run(1.0);
+        let fallen =
+            shared.lock().device().q().iter().zip(still).map(|(q, still)| (q - still).abs()).fold(0.0, f64::max);
+        assert!(fallen > 1e-3, "{name}: from now on nobody holds it, {fallen} rad");
+        // Until the board begins anew, and has to be homed again.
+        board.restart().unwrap();
+        shared.lock().run(1.0);
+        assert_eq!(shared.lock().device().q(), home, "{name} is held");
+        assert_eq!(board.status().unwrap().fault, None, "{name}");
+    }
+}

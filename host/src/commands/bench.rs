@@ -60,8 +60,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
         .collect::<Result<Vec<_>, Failure>>()?;
     if let (Some(folder), Some([text, drawing])) = (&args.report, &files) {
         std::fs::create_dir_all(folder).map_err(|error| output::refused(folder, &error))?;
-        output::write(text, page(&every).as_bytes(), args.force.overwrite())?;
-        return Ok(picture(&every).save_svg(drawing)?);
+        let (page, picture) = (page(&every), picture(&every));
+        let both = [(text.as_path(), page.as_bytes()), (drawing.as_path(), picture.svg().as_bytes())];
+        return output::write_together(&both, args.force.overwrite());
     }
     if args.json {
         let variants: Vec<&Variant> = every.iter().flat_map(|(_, variants)| variants).collect();

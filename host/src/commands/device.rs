@@ -20,7 +20,8 @@ use std::path::PathBuf;
 pub struct Args {
     /// Device file (TOML)
     file: PathBuf,
-    /// Largest force that walls, springs and fields render at the tip, N [default: what the board has, at most 5].
+    /// Largest force that walls, springs and fields render at the tip, N [default: what the board has, at most 5
+    /// with real motors].
     /// Lowers the board's torque limits as well, so that no torque makes more in the home pose
     #[arg(long, value_name = "N", value_parser = newtons)]
     tip_force: Option<f32>,
@@ -61,8 +62,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     board.set_device(&device)?;
     let mut report = format!("{} is loaded on {}; it is not homed\n", file.name, board.port());
-    if details.real {
+    if details.real || args.tip_force.is_some() {
         report.push_str(&soften(&mut board, &file, args.tip_force)?);
+    }
+    if details.real {
         for lack in file.lacks_for_a_board() {
             report.push_str(&format!("  before the board arms: {lack}\n"));
         }

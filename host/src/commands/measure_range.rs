@@ -22,7 +22,7 @@ use haptic_bridge::model::device::Device;
 use meter::Meter;
 use report::{Report, Theory};
 use std::io::{IsTerminal, Write as _};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Measure on a board which walls stay stable; moves the motors
 ///
@@ -31,7 +31,8 @@ use std::path::PathBuf;
 /// vibration larger than encoder steps explain; it is taken back at once, and the boundary bisected. The median of the
 /// repeats and their bounds are reported. The theory is not consulted, only printed beside it, with the `haptic range` line
 /// that gives it. Take the hand off the device. Ctrl-C at any moment turns the motors off; the same command then goes on
-/// where it stopped. What the board held before (scene, rate, rules) is put back.
+/// where it stopped. What the board held before (scene, rate, rules) is put back, also by the next run with the same
+/// --progress after one that was killed.
 ///
 /// On --port sim the device of the file is simulated in this process, as fast as the computer can.
 #[derive(clap::Args)]
@@ -97,6 +98,9 @@ pub struct Args {
     /// Keep what was measured in this file, and go on from it
     #[arg(long, value_name = "FILE", default_value = "measured-range.json")]
     progress: PathBuf,
+    /// Measure from the beginning, whatever is in that file, and replace it
+    #[arg(long)]
+    anew: bool,
     /// Do not ask before a real motor moves
     #[arg(long)]
     yes: bool,
@@ -173,7 +177,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if world != World::default() {
         what.push_str(&format!(", {world:?}"));
     }
-    let mut progress = Progress::open(&args.progress, &what).map_err(progress_failure)?;
+    let mut progress = match args.anew {
+        true => {
+            Progress::read(&args.progress).map(|found| found.map_or(Progress::new(&what), |found| found.anew(&what)))
+        }
+        false => Progress::open(&args.progress, &what),
+    }
+    .map_err(progress_failure)?;
 
     let interrupt = interrupt::watch();
     let mut board = match args.port.spec() {
@@ -188,8 +198,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
         }
         _ => args.port.open()?,
     };
-    let before = Before::of(&mut board)?;
+    let before = before(&mut board, &progress)?;
     ready(&mut board, &file, &args)?;
+    if !simulated {
+        // Should this be killed, the next run still knows.
+        progress.before = before.keep(&board.info().serial);
+        progress.save(&args.progress).map_err(progress_failure)?;
+    }
     let setup = Setup {
         walls: walls.clone(),
         rate_hz: args.rate,
@@ -200,7 +215,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
     };
     let earlier = progress.measured(&plan);
     if earlier > 0 {
-        eprintln!("{earlier} of {} repeats are in {} already", plan.total(), args.progress.display());
+        let (total, place) = (plan.total(), args.progress.display());
+        let date = progress.date.as_ref().map_or(String::new(), |date| format!(", the last of {date}"));
+        let none = if earlier == total { ": none is measured now (--anew measures them again)" } else { "" };
+        eprintln!("{earlier} of {total} repeats are in {place} already{date}{none}");
     }
     let meter = Meter::new(plan.total(), plan.repeats, earlier);
     let stop = || {
@@ -230,6 +248,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let missing = before.missing(&mut board).unwrap_or_else(|_| vec!["device", "scene", "rules"]);
     if back.is_err() || !missing.is_empty() {
         eprintln!("not put back on the board: {}; load it again", missing.join(", "));
+    } else if progress.before.take().is_some() {
+        forget(&progress, &args.progress).map_err(progress_failure)?;
     }
     let report =
         theory.map(|theory| Report { name: &file.name, args: &args, plan: &plan, progress: &progress, theory });
@@ -249,6 +269,36 @@ pub fn run(args: Args) -> Result<(), Failure> {
             })
         }
     }
+}
+
+/// What the board is to hold afterwards: what it holds now, or what it held before a measurement that was killed.
+fn before(board: &mut Board, progress: &Progress) -> Result<Before, Failure> {
+    let now = Before::of(board)?;
+    if !now.is_left_over() {
+        return Ok(now);
+    }
+    let serial = board.info().serial.clone();
+    let kept = progress.before.as_ref().filter(|kept| kept.serial == serial.as_str());
+    let Some(Ok((before, same_rules))) = kept.map(|kept| now.with_scene_of(kept)) else {
+        eprintln!(
+            "the scene on the board was left by a measurement that was cut short: load yours again with `haptic scene`, and              look at `haptic rules`"
+        );
+        return Ok(now);
+    };
+    eprintln!("the scene on the board was left by a measurement that was cut short: the one before it is put back");
+    if !same_rules {
+        eprintln!("the rules are not as they were before that measurement: look at `haptic rules`");
+    }
+    Ok(before)
+}
+
+/// Writes the file without what is on the board again, or takes it away where nothing was measured.
+fn forget(progress: &Progress, path: &Path) -> Result<(), ProgressError> {
+    if !progress.is_empty() {
+        return progress.save(path);
+    }
+    std::fs::remove_file(path)
+        .map_err(|error| ProgressError::File { path: path.display().to_string(), reason: error.to_string() })
 }
 
 /// What to do where the encoders are too coarse or friction hides everything.
@@ -370,14 +420,19 @@ fn ready(board: &mut Board, file: &DeviceFile, args: &Args) -> Result<(), Failur
 fn progress_failure(error: ProgressError) -> Failure {
     let failure = Failure::wrong(&error);
     match error {
-        ProgressError::Another { .. } => failure.remedy("remove it or choose another file with --progress"),
-        ProgressError::File { .. } => failure,
+        ProgressError::Another { .. } => {
+            failure.remedy("keep it and name another file with --progress, or replace it with --anew")
+        }
+        ProgressError::File { .. } => failure.remedy("name another file with --progress"),
     }
 }
 
 /// Why a measurement ended, and what to do.
 fn failure(error: MeasureError, args: &Args) -> Failure {
-    let again = format!("run the same command again to go on where it stopped ({})", args.progress.display());
+    let again = match args.progress.exists() {
+        true => format!("run the same command again to go on where it stopped ({})", args.progress.display()),
+        false => "nothing was measured yet; run the same command again".into(),
+    };
     match error {
         MeasureError::Board(error) => error.into(),
         MeasureError::Link(error) => error.into(),

@@ -1,7 +1,8 @@
 //! `haptic name`: what a board is called.
 
-use super::port::Port;
-use haptic::error::{Failure, print};
+use super::port::{Port, answer};
+use haptic::error::Failure;
+use serde_json::json;
 
 /// Show what a board is called, or call it something else
 ///
@@ -12,13 +13,17 @@ pub struct Args {
     port: Port,
     /// The new name, at most 32 bytes; "" takes the name away
     name: Option<String>,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
 }
 
 /// Shows or sets the name.
 pub fn run(args: Args) -> Result<(), Failure> {
     let Some(name) = &args.name else {
         let name = args.port.open()?.details()?.name;
-        return print(&if name.is_empty() { "this board has no name\n".into() } else { format!("{name}\n") });
+        let said = if name.is_empty() { "this board has no name\n".into() } else { format!("{name}\n") };
+        return answer(args.json, json!({ "name": name }), &said);
     };
     if name.chars().any(char::is_control) {
         return Err(Failure::wrong("a name of a board is one line of text").remedy("leave control characters out"));
@@ -27,9 +32,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
         Failure::wrong(format!("`{name}` takes {} bytes", name.len())).remedy("a board keeps names of at most 32 bytes")
     })?;
     args.port.open()?.set_name(&short)?;
-    print(&if name.is_empty() {
+    let said = if name.is_empty() {
         "this board has no name now; `haptic save` makes that last\n".into()
     } else {
         format!("this board is called {name}; `haptic save` keeps the name over a power cycle\n")
-    })
+    };
+    answer(args.json, json!({ "name": name }), &said)
 }

@@ -1,19 +1,42 @@
 //! `haptic restart`: a board begins anew.
 
-use super::port::Port;
-use haptic::error::{Failure, print};
+use super::port::{Port, answer, confirm};
+use haptic::backup::unsaved;
+use haptic::error::Failure;
+use haptic_bridge::safety::fault::State;
+use serde_json::json;
 
 /// Restart a board: the motors go off, and it begins with what was saved
 ///
-/// Device, scene and rules that were not saved are forgotten, and so is homing.
+/// Device, scene and rules that were not saved are forgotten, and so is homing. Asks before motors that are on go off, and
+/// before anything unsaved is forgotten.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
     port: Port,
+    /// Do not ask
+    #[arg(long)]
+    yes: bool,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
 }
 
 /// Asks for the restart.
 pub fn run(args: Args) -> Result<(), Failure> {
-    args.port.open()?.restart()?;
-    print("the board restarts: it has what was saved, and is not homed\n")
+    let mut board = args.port.open()?;
+    let mut loses = Vec::new();
+    if matches!(board.status()?.state, State::Armed | State::CheckingPolarity) {
+        loses.push("the motors are on and will go off: what has weight falls".to_string());
+    }
+    let unsaved = unsaved(&mut board)?;
+    if !unsaved.is_empty() {
+        loses.push(format!("not saved and then forgotten: {} (`haptic save` keeps it)", unsaved.join(", ")));
+    }
+    if !loses.is_empty() {
+        confirm(args.yes, &loses.join("; "))?;
+    }
+    board.restart()?;
+    let said = "the board restarts: it has what was saved, and is not homed\n";
+    answer(args.json, json!({ "restarts": true, "forgotten": unsaved }), said)
 }

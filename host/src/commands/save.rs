@@ -27,6 +27,15 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     eprintln!("writing flash: the board pauses for up to a second");
     board.save()?;
-    let said = "saved: the board starts with this device and scene from now on\n";
-    answer(args.json, json!({ "saved": true, "board": board.info().board, "serial": board.info().serial }), said)
+    let (device, scene) = (board.device()?.is_some(), board.scene()?.is_some());
+    let said = match (device, scene) {
+        (true, true) => "saved: the board starts with this device and scene from now on\n",
+        (true, false) => "saved: the board starts with this device from now on; it holds no scene\n",
+        (false, _) => {
+            "saved: rules and name; the board holds no device or scene, and what was saved of those before stays as it is\n"
+        }
+    };
+    let (info, mut saved) = (board.info(), vec!["rules", "name"]);
+    saved.extend([("device", device), ("scene", scene)].into_iter().filter(|(_, held)| *held).map(|(name, _)| name));
+    answer(args.json, json!({ "saved": true, "settings": saved, "board": info.board, "serial": info.serial }), said)
 }

@@ -28,7 +28,8 @@ pub struct Args {
     /// Let simulated time pass as fast as the computer can while a tool is connected
     #[arg(long)]
     fast: bool,
-    /// Ask of the user what a real board asks: verified motors, limits, homing, polarity check
+    /// Ask of the user what a real board asks: verified motors, limits, homing, polarity check. Until the motors are
+    /// armed for the first time the device is held for you, at home when the board starts
     #[arg(long)]
     strict: bool,
     /// What the simulated hand does
@@ -72,6 +73,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut options = BoardOptions {
         drive: if args.ideal_drive { DriveModel::Ideal } else { DriveModel::Electric },
         strict: args.strict,
+        supported: args.strict,
         axes: args.axes.into(),
         ..BoardOptions::default()
     };

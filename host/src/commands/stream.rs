@@ -82,22 +82,32 @@ pub fn run(args: Args) -> Result<(), Failure> {
         eprintln!("{} rows a second: every {} at {rate_hz} Hz control", short(got as f32), nth(divider));
     }
     let columns = columns(args.fields, axes);
-    let sink = match &args.csv {
-        None if args.json => Sink::Kept(Vec::new()),
-        None => Sink::Terminal { since_header: usize::MAX },
-        Some(path) => {
-            let about = about(&mut board, divider)?;
-            let mut names = vec!["step".to_string(), "time_s".to_string()];
-            names.extend(columns.iter().map(|column| column.label.clone()));
-            Sink::File(Box::new(Recorder::create(path, &about, &names, args.force.overwrite())?))
-        }
-    };
+    let about = args.csv.as_ref().map(|_| about(&mut board, divider)).transpose()?;
     let stop = interrupt::watch();
     board.keep_alive();
     board.start_stream(args.fields, divider)?;
     if args.arm {
         board.arm()?;
     }
+    // Only now: where the board refuses, no file is made, and none replaced.
+    let sink = match (&args.csv, about) {
+        (Some(path), Some(about)) => {
+            let mut names = vec!["step".to_string(), "time_s".to_string()];
+            names.extend(columns.iter().map(|column| column.label.clone()));
+            match Recorder::create(path, &about, &names, args.force.overwrite()) {
+                Ok(recorder) => Sink::File(Box::new(recorder)),
+                Err(failure) => {
+                    if args.arm {
+                        board.disarm()?;
+                    }
+                    board.stop_stream()?;
+                    return Err(failure);
+                }
+            }
+        }
+        _ if args.json => Sink::Kept(Vec::new()),
+        _ => Sink::Terminal { since_header: usize::MAX },
+    };
     let mut follow = Follow {
         rate_hz,
         divider,
@@ -328,14 +338,27 @@ fn finish(ended: Ended, mut board: Board, mut follow: Follow, json: bool) -> Res
     let mut kept = losses.to_string();
     let mut file = None;
     if let Sink::File(recorder) = &mut follow.sink {
-        if !matches!(ended, Ended::NoRoom(_)) {
-            recorder.comment(&losses.to_string());
-            written = recorder.flush();
+        match &ended {
+            Ended::NoRoom(_) => {}
+            Ended::BoardLost(_) => {
+                recorder.comment(&format!("cut short: the board was lost; {losses}"));
+                written = recorder.flush();
+            }
+            _ => {
+                recorder.comment(&losses.to_string());
+                written = recorder.flush();
+            }
         }
         let all = format!("{} rows are in {}", recorder.rows(), recorder.place());
-        let unwritten = losses.received.saturating_sub(recorder.rows());
-        let and = if unwritten > 0 { format!(", {unwritten} that came could not be written") } else { String::new() };
-        kept = format!("{all}{and}{}", losses.to_string().trim_start_matches(|c: char| c != ','));
+        let said = losses.to_string();
+        let on_the_way = said.trim_start_matches(|c: char| c != ',');
+        kept = match losses.received.saturating_sub(recorder.rows()) {
+            0 => format!("{all}{on_the_way}"),
+            unwritten if losses.missing == 0 => {
+                format!("{all}, {unwritten} that came could not be written and are lost")
+            }
+            unwritten => format!("{all}, {unwritten} that came could not be written and are lost{on_the_way} before"),
+        };
         file = Some((recorder.place(), recorder.rows()));
         if std::io::stderr().is_terminal() {
             eprintln!();

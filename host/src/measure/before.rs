@@ -4,7 +4,10 @@ use haptic_bridge::board::protocol::{DeviceData, SceneData};
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::servo::Rules;
 
+use super::walls::is_measurement;
+use crate::backup::{self, BackupError};
 use crate::link::{Board, BoardError, LinkError};
+use serde::{Deserialize, Serialize};
 
 /// Device, scene (with its control rate) and rules of a board.
 #[derive(Clone, Debug, PartialEq)]
@@ -12,6 +15,15 @@ pub struct Before {
     device: Option<DeviceData>,
     scene: Option<SceneData>,
     rules: Rules,
+}
+
+/// What a file keeps of it for as long as a measurement runs: a tool that is killed puts nothing back itself.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Kept {
+    /// Serial number of the board.
+    pub serial: String,
+    scene: Option<backup::Kept>,
+    rules: backup::Kept,
 }
 
 impl Before {
@@ -24,6 +36,29 @@ impl Before {
     #[must_use]
     pub fn device(&self) -> Option<&DeviceData> {
         self.device.as_ref()
+    }
+
+    /// Whether the scene is one that a measurement made and, cut short, did not take away again.
+    #[must_use]
+    pub fn is_left_over(&self) -> bool {
+        self.scene.as_ref().is_some_and(is_measurement)
+    }
+
+    /// As a file keeps it: the scene and the rules of this board.
+    #[must_use]
+    pub fn keep(&self, serial: &str) -> Option<Kept> {
+        let scene = match &self.scene {
+            Some(scene) => Some(backup::Kept::of(scene)?),
+            None => None,
+        };
+        Some(Kept { serial: serial.into(), scene, rules: backup::Kept::of(&self.rules)? })
+    }
+
+    /// The same with the scene that was kept before a measurement that was cut short. The rules stay those of now:
+    /// somebody may have lowered them meanwhile. Also says whether they are as they were then.
+    pub fn with_scene_of(&self, kept: &Kept) -> Result<(Self, bool), BackupError> {
+        let scene = kept.scene.as_ref().map(backup::Kept::read::<Scene<f32>>).transpose()?;
+        Ok((Self { scene, ..self.clone() }, kept.rules.read::<Rules>()? == self.rules))
     }
 
     /// The rules that were in force.

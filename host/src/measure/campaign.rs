@@ -79,6 +79,7 @@ pub fn run(
                 if earlier.repeats.len() <= repeat && earlier.open.is_none() {
                     let guess = earlier.repeats.last().copied();
                     let found = bench.boundary(mode.into(), kd, repeat, guess);
+                    progress.now();
                     let point = progress.point(mode, kd);
                     match found {
                         Ok(found) => {
@@ -113,5 +114,6 @@ fn damping_end(bench: &mut Bench<'_>, mode: Mode, progress: &mut Progress) -> Re
         Err(error) => return Err(error),
     };
     progress.ends.push((mode, end));
+    progress.now();
     Ok(end)
 }

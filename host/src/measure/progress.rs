@@ -1,6 +1,7 @@
 //! What has been measured so far, kept in a file after every repeat so that an interrupted measurement goes on where it
 //! stopped.
 
+use super::before::Kept;
 use crate::output::{self, Overwrite};
 use std::path::Path;
 
@@ -81,6 +82,12 @@ pub struct Progress {
     pub q: Vec<f64>,
     /// The points with their repeats so far.
     pub points: Vec<Point>,
+    /// When the last of it was measured (RFC 3339, UTC).
+    #[serde(default)]
+    pub date: Option<String>,
+    /// What the board held before, for as long as it does not hold it again.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub before: Option<Kept>,
 }
 
 /// Why a file cannot be used.
@@ -95,10 +102,12 @@ pub enum ProgressError {
         reason: String,
     },
     /// It belongs to something else.
-    #[error("{path} holds another measurement ({found})")]
+    #[error("{path} holds another measurement{} ({found})", date.as_ref().map_or(String::new(), |date| format!(", of {date}")))]
     Another {
         /// Which.
         path: String,
+        /// When its last part was measured.
+        date: Option<String>,
         /// What it measures.
         found: String,
     },
@@ -107,23 +116,52 @@ pub enum ProgressError {
 impl Progress {
     /// Nothing measured yet.
     pub fn new(what: &str) -> Self {
-        Self { what: what.into(), ends: Vec::new(), open_ends: Vec::new(), q: Vec::new(), points: Vec::new() }
+        Self {
+            what: what.into(),
+            ends: Vec::new(),
+            open_ends: Vec::new(),
+            q: Vec::new(),
+            points: Vec::new(),
+            date: None,
+            before: None,
+        }
+    }
+
+    /// Whether nothing has been measured.
+    pub fn is_empty(&self) -> bool {
+        self.ends.is_empty() && self.points.iter().all(|point| point.repeats.is_empty() && point.open.is_none())
+    }
+
+    /// What is still to be put back on the board stays known, everything else begins anew.
+    pub fn anew(self, what: &str) -> Self {
+        Self { before: self.before, ..Self::new(what) }
+    }
+
+    /// Reads the file at `path` when it exists, whatever it measures.
+    pub fn read(path: &Path) -> Result<Option<Self>, ProgressError> {
+        let file = |reason: String| ProgressError::File { path: path.display().to_string(), reason };
+        match crate::input::read_to_string(path) {
+            Ok(text) => serde_json::from_str(&text).map(Some).map_err(|e| file(e.to_string())),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
+            Err(error) => Err(file(error.to_string())),
+        }
     }
 
     /// Reads the file at `path` when it exists, else begins anew.
     pub fn open(path: &Path, what: &str) -> Result<Self, ProgressError> {
-        let file = |reason: String| ProgressError::File { path: path.display().to_string(), reason };
-        match crate::input::read_to_string(path) {
-            Ok(text) => {
-                let found: Self = serde_json::from_str(&text).map_err(|e| file(e.to_string()))?;
-                if found.what != what {
-                    return Err(ProgressError::Another { path: path.display().to_string(), found: found.what });
-                }
-                Ok(found)
+        match Self::read(path)? {
+            None => Ok(Self::new(what)),
+            Some(found) if found.what == what => Ok(found),
+            Some(found) if found.is_empty() => Ok(found.anew(what)),
+            Some(Self { what: found, date, .. }) => {
+                Err(ProgressError::Another { path: path.display().to_string(), date, found })
             }
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(Self::new(what)),
-            Err(error) => Err(file(error.to_string())),
         }
+    }
+
+    /// Notes that something was measured now.
+    pub fn now(&mut self) {
+        self.date = Some(output::date());
     }
 
     /// Writes the file, whole or not at all.
@@ -183,5 +221,8 @@ mod tests {
         assert_eq!(again.point(Mode::Off, 0.3).median(), 2.0);
         assert_eq!(again.point(Mode::Off, 0.3).bounds(), (1.0, 3.0));
         assert!(matches!(Progress::open(&path, "other"), Err(ProgressError::Another { .. })));
+        // What has measured nothing is in nobody's way.
+        Progress::new("one").save(&path).unwrap();
+        assert_eq!(Progress::open(&path, "other").unwrap(), Progress::new("other"));
     }
 }

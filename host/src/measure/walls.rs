@@ -51,6 +51,28 @@ pub fn complement(normal: &DVector<f64>) -> Vec<DVector<f64>> {
     }
 }
 
+/// Whether a scene is one that a measurement made: flat walls held from both sides, two of them [`APART`] to either side of
+/// the first.
+#[must_use]
+pub fn is_measurement(scene: &Scene<f32>) -> bool {
+    let plane = |wall: &Wall<f32>| match wall.surface {
+        Surface::Plane(plane) if wall.bilateral => Some(plane),
+        _ => None,
+    };
+    let Some(planes) = scene.walls.iter().map(plane).collect::<Option<Vec<_>>>() else { return false };
+    let apart = |aside: &Plane<f32>, by: f64| {
+        (0..3).all(|k| {
+            let expected = f64::from(planes[0].point[k]) + by * f64::from(aside.normal[k]);
+            (f64::from(aside.point[k]) - expected).abs() < 1e-6
+        })
+    };
+    scene.springs.is_empty()
+        && scene.field_damping == 0.0
+        && planes
+            .windows(2)
+            .any(|pair| pair[0].normal == pair[1].normal && apart(&pair[0], APART) && apart(&pair[1], -APART))
+}
+
 /// The scene of a measurement, its walls without gains yet. `direction` is that of the pulls, `across` all others.
 pub fn scene(
     setup: &Setup,
@@ -92,4 +114,32 @@ pub fn scene(
         })?;
     }
     Ok((layout, scene))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn its_own_scenes_are_told_from_all_others() {
+        for normals in [vec![vec![0.6, 0.8]], vec![vec![1.0, 0.0], vec![0.3, -0.9]], vec![vec![0.1, 0.2, 0.9]]] {
+            let walls: Vec<_> = normals.into_iter().map(|normal| (normal, 1.0)).collect();
+            let tip = DVector::from_fn(walls[0].0.len(), |i, _| 0.07 - 0.1 * i as f64);
+            let setup = Setup {
+                rate_hz: 1_000.0,
+                cutoff_hz: 20.0,
+                washout_hz: 2.0,
+                torque_limit: 1.0,
+                largest_pull: 2e-3,
+                walls: walls.clone(),
+            };
+            let direction = unit_normal(&walls[0].0, tip.len(), tip.len()).unwrap();
+            let (_, mut own) = scene(&setup, &tip, &direction, &complement(&direction)).unwrap();
+            own.walls[0].stiffness = 300.0;
+            assert!(is_measurement(&own));
+            own.walls[0].bilateral = false;
+            assert!(!is_measurement(&own));
+        }
+        assert!(!is_measurement(&Scene::default()));
+    }
 }

@@ -4,7 +4,7 @@
 //! the carrier's crest, control at every `divider`-th crest, duties in force half a carrier period later.
 
 use super::around::Around;
-use super::device::{Device, DeviceError, Options};
+use super::device::{Device, DeviceError, Options, Support};
 use super::hand::{Hand, HandSettings};
 use super::motor::Drive;
 use super::port::Port;
@@ -54,6 +54,9 @@ pub struct BoardOptions {
     /// Asks of a user what a real board asks: verified motors, limits, homing, polarity check. Its encoders then
     /// start at zero wherever the device stands; otherwise they know their angle.
     pub strict: bool,
+    /// Somebody holds the device from power-on until the motors are armed for the first time, and carries its weight
+    /// while a polarity check moves it, as docs/bring-up.md asks of a user.
+    pub supported: bool,
     /// Motor axes.
     pub axes: usize,
     /// Bytes that wait for a host to read them; what comes on top of it is dropped and counted.
@@ -69,6 +72,7 @@ impl Default for BoardOptions {
             drive: DriveModel::Electric,
             delay: 0.5,
             strict: false,
+            supported: false,
             axes: 3,
             send_buffer: 256 * 1024,
             serial: "SIM0001".into(),
@@ -193,6 +197,7 @@ pub struct SimulatedBoard {
     /// What the hand does while the motors are on, and whether it does.
     rounds: Option<Around>,
     going: bool,
+    support: Support,
 }
 
 impl SimulatedBoard {
@@ -241,7 +246,9 @@ impl SimulatedBoard {
             dropped: 0,
             rounds: None,
             going: false,
+            support: Support::None,
         };
+        board.support_anew();
         board.service.boot(&mut board.innards);
         Ok(board)
     }
@@ -284,6 +291,7 @@ impl SimulatedBoard {
             let samples = Samples { counts, bus_voltage, currents, index, fault };
             self.bridges = self.innards.servo.control(&samples).bridges;
             self.send_around();
+            self.support();
         }
         self.countdown = self.countdown.saturating_sub(carriers);
         let duties = self.innards.servo.duties(bus_voltage, &currents);
@@ -327,6 +335,29 @@ impl SimulatedBoard {
             self.going = armed;
             let now = self.device.time();
             self.device.hand_mut().turn_to(if armed { around.intent() } else { around.wait() }, now);
+        }
+    }
+
+    /// The device as it is held when the board starts: where it is to be homed.
+    fn support_anew(&mut self) {
+        if self.innards.options.supported {
+            self.support = Support::Held;
+            self.device.place(self.device.start());
+            self.device.set_support(Support::Held);
+            self.seen = self.device.counts();
+        }
+    }
+
+    /// What somebody does for the device in this state of the board.
+    fn support(&mut self) {
+        let wanted = match (self.support, self.innards.servo.frame().state) {
+            (Support::None, _) | (_, State::Armed) => Support::None,
+            (_, State::CheckingPolarity) => Support::Carried,
+            (_, State::Disarmed | State::Fault) => Support::Held,
+        };
+        if wanted != self.support {
+            self.support = wanted;
+            self.device.set_support(wanted);
         }
     }
 
@@ -467,6 +498,7 @@ impl SimulatedBoard {
         self.drive = [Drive::Floating; 3];
         self.bridges = false;
         self.packer = Packer::default();
+        self.support_anew();
         self.service.boot(&mut self.innards);
     }
 

@@ -43,6 +43,18 @@ impl Options {
     }
 }
 
+/// What somebody does for a device that its motors do not hold.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Support {
+    /// Nothing: what has weight falls.
+    #[default]
+    None,
+    /// Carries its weight and lets it move.
+    Carried,
+    /// Holds it still.
+    Held,
+}
+
 /// Why a description cannot be simulated.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum DeviceError {
@@ -72,6 +84,8 @@ pub struct Device {
     motors: Vec<MotorModel>,
     encoders: Vec<EncoderModel>,
     hand: Hand,
+    support: Support,
+    start: [f64; 3],
     bridge: Bridge,
     substep: f64,
     time: f64,
@@ -106,6 +120,8 @@ impl Device {
             motors,
             encoders,
             hand: Hand::none(),
+            support: Support::None,
+            start,
             bridge: options.bridge,
             substep: options.substep,
             time: 0.0,
@@ -126,11 +142,25 @@ impl Device {
             }
             let (tip, tip_velocity) = (self.plant.tip(), self.plant.tip_velocity());
             load.force = self.hand.step(&tip, &tip_velocity, self.plant.task(), self.time, h);
-            self.plant.step(&load, h);
-            self.time += h;
             self.hand_force = load.force;
             self.torque = core::array::from_fn(|i| load.torque[i] - load.damping[i] * qd[i]);
+            if self.support == Support::Carried {
+                let weight = self.plant.gravity();
+                load.torque.iter_mut().zip(weight).for_each(|(torque, weight)| *torque += weight);
+            }
+            if self.support != Support::Held {
+                self.plant.step(&load, h);
+            }
+            self.time += h;
         }
+    }
+
+    /// Supports the device from now on, at rest where it is held.
+    pub fn set_support(&mut self, support: Support) {
+        if support == Support::Held {
+            self.place(self.plant.q());
+        }
+        self.support = support;
     }
 
     /// Puts a hand on the tip, or takes it off.
@@ -158,6 +188,10 @@ impl Device {
         self.bridge.bus_voltage = volts;
     }
 
+    /// Where it stood at power-on, rad.
+    pub fn start(&self) -> [f64; 3] {
+        self.start
+    }
     /// Number of joints N.
     pub fn joints(&self) -> usize {
         self.plant.joints()

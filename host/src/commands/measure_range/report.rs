@@ -208,6 +208,9 @@ impl Report<'_> {
         let [place, around] = self.setting();
         let mut text =
             format!("{}: largest stable stiffness, measured (median of {} repeats)\n", self.name, self.plan.repeats);
+        if let Some(date) = &self.progress.date {
+            let _ = writeln!(text, "  the last of it on {date}");
+        }
         let _ = writeln!(text, "  {place}\n  {around}\n");
         let _ = writeln!(
             text,
@@ -348,6 +351,7 @@ impl Report<'_> {
         let walls: Vec<_> =
             self.theory.walls.iter().map(|(normal, share)| json!({ "normal": normal, "share": share })).collect();
         Ok(json!({
+            "date": self.progress.date,
             "q": self.theory.q,
             "walls": walls,
             "rate_hz": self.args.rate,
