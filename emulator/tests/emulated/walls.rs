@@ -10,8 +10,10 @@ use haptic::sim::{Hand, HandSettings, Intent, Waypoint};
 use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::safety::limits::Limits;
+use haptic_bridge::servo::Rules;
 use virtual_board::boards::BoardKind;
-use virtual_board::contact::{WallAt, hold, push as push_into};
+use virtual_board::contact::{WallAt, firm, hold, push as push_into, scene};
 use virtual_board::rig::Rig;
 use virtual_board::run::{MILLISECOND, SECOND};
 
@@ -208,6 +210,99 @@ fn the_feed_forward_on_the_chip_is_the_torque_that_the_analysis_asks_for() {
                     "{name}, {feed_forward}, joint {joint}: {row:?}, {expected:?}"
                 );
             }
+        }
+    }
+}
+
+/// What is felt and told of a wall at one depth, over 80 ms.
+#[derive(Clone, Debug, Default)]
+struct Look {
+    /// Depth of the tip, m.
+    depth: f64,
+    /// What the wall asks for and what telemetry says is left of it, N.
+    asked: f64,
+    rendered: f64,
+    /// The device's force on the hand along the normal and across it, N.
+    along: f64,
+    across: f64,
+    /// Each joint's `saturated`, from the least to the most told.
+    saturated: Vec<(f64, f64)>,
+}
+
+/// A firm hand leads the tip 6 mm into a wall of 2 kN/m, slowly, on motors that may give `torque` (N m).
+fn pressed(kind: BoardKind, name: &str, normal: [f64; 3], feed_forward: &'static str, torque: f32) -> Vec<Look> {
+    const DEEP: f64 = 0.006;
+    const LOOKS: usize = 30;
+    const ROWS: usize = 40;
+    let mut rig = Rig::with_device(kind, name, |options| options.friction = false);
+    rig.prepare("gravity_compensation = true\n");
+    let rules = rig.tool.rules().expect("the board answers");
+    let limits = Limits { torque: [torque; 3], ..rules.limits };
+    rig.tool.set_rules(&Rules { limits, ..rules }).expect("the motors are off");
+    let start = rig.with_simulated(|device| device.tip());
+    let wall = WallAt { stiffness: 2000.0, gap: 0.001, damping: 0.0, feed_forward, ..WallAt::facing(normal) };
+    let task = rig.file.as_ref().expect("a device").spec().task;
+    rig.set_scene(&scene("gravity_compensation = true\n", start, task, &[wall]));
+    rig.arm();
+    let goal = std::array::from_fn(|i| start[i] - (wall.gap + DEEP) * normal[i]);
+    rig.with_simulated(move |device| {
+        let path = vec![Waypoint { time: 0.0, value: start }, Waypoint { time: 0.08 * LOOKS as f64, value: goal }];
+        device.set_hand(Hand::new(firm(), Intent::Follow(path), device.tip(), device.time()));
+    });
+    let fields = Fields(Field::WallForce.bit() | Field::RenderedForce.bit() | Field::Saturated.bit());
+    // Every 2 ms.
+    rig.tool.start_stream(fields, 40).expect("a stream starts");
+    let mut looks = Vec::new();
+    for _ in 0..LOOKS {
+        let mut look = Look { saturated: vec![(f64::INFINITY, 0.0); task], ..Look::default() };
+        let (mut rows, mut times) = (0, 0.0);
+        let mut force = [0.0; 3];
+        while rows < ROWS {
+            for row in rig.tool.rows(Duration::from_millis(4)).expect("rows come") {
+                rows += 1;
+                look.asked += row.get(Field::WallForce)[0];
+                look.rendered += row.get(Field::RenderedForce)[0];
+                for (seen, told) in look.saturated.iter_mut().zip(row.get(Field::Saturated)) {
+                    *seen = (seen.0.min(*told), seen.1.max(*told));
+                }
+            }
+            let (tip, hand) = rig.with_simulated(|device| (device.tip(), device.hand_force()));
+            times += 1.0;
+            look.depth += depths(&[wall], start, tip)[0];
+            force = std::array::from_fn(|i| force[i] - hand[i]);
+        }
+        look.asked /= rows as f64;
+        look.rendered /= rows as f64;
+        look.depth /= times;
+        look.along = (0..3).map(|i| force[i] * normal[i]).sum::<f64>() / times;
+        look.across = (0..3).map(|i| (force[i] / times - look.along * normal[i]).powi(2)).sum::<f64>().sqrt();
+        looks.push(look);
+    }
+    assert_eq!(rig.tool.status().expect("the board answers").fault, None, "{name}");
+    looks
+}
+
+/// Limited joint by joint, these walls would push sideways with 1 N.
+#[test]
+fn a_wall_pressed_beyond_the_motors_keeps_its_direction_and_never_lets_go() {
+    for (kind, name, normal, feed_forward, torque) in [
+        (BoardKind::OdriveV3, "pantograph-mk2", [-0.8, -0.6, 0.0], "washout", 0.15),
+        (BoardKind::HBridgeF405, "phantom-premium-1.5", [-0.48, -0.64, 0.6], "off", 0.4),
+    ] {
+        let looks = pressed(kind, name, normal, feed_forward, torque);
+        let [first, .., last] = &looks[..] else { panic!("many looks") };
+        assert!(first.asked == 0.0 && last.rendered < 0.35 * last.asked, "{name}: {last:?}");
+        // What current sensors, encoder steps and the hand's own movement leave uncertain.
+        let uncertain = 0.03 * last.rendered;
+        for (index, look) in looks.iter().enumerate() {
+            println!("{name}: {look:?}");
+            assert!((look.along - look.rendered).abs() < uncertain, "{name}: what is told is felt: {look:?}");
+            assert!(look.across < uncertain, "{name}: nothing pulls sideways: {look:?}");
+            let before = looks[index.saturating_sub(1)].along;
+            assert!(look.along > before - 0.3 * uncertain, "{name}: {before} N, then {look:?}");
+            let told = |told: f64| look.saturated.iter().all(|seen| *seen == (told, told));
+            assert!(look.rendered < look.asked * 0.999 || told(0.0), "{name}: all of it: {look:?}");
+            assert!(look.rendered >= look.asked * 0.75 || told(1.0), "{name}: not all of it: {look:?}");
         }
     }
 }
