@@ -5,40 +5,30 @@ use haptic::device_file::DeviceFile;
 use haptic::plot::axes::{Axis, Frame, Mark};
 use haptic::plot::canvas::{Anchor, Canvas, Stroke};
 use haptic::plot::colour::{FAINT, FULL, OFF};
-use haptic_bridge::drive::brushed::Bridge;
-use haptic_bridge::math::{Libm, Minimax};
+use haptic::sim::{Felt, Held, Press, WIDE};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
-use haptic_bridge::model::description::Encoder;
-use haptic_bridge::model::device::Device;
-use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
-use haptic_bridge::model::precomputed::MassModelData;
-use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::limits::Limits;
-use haptic_bridge::servo::frame::Samples;
-use haptic_bridge::servo::program::{Hardware, Program};
-use haptic_bridge::servo::{Command, HostAction, Rules, Servo};
-use nalgebra::Vector2;
 use std::path::Path;
 
 /// The demo's pose, rad, and the angle of its wall's normal, rad.
-const POSE: [f64; 2] = [2.6, 1.75];
+const POSE: [f64; 3] = [2.6, 1.75, 0.0];
 const NORMAL: f64 = 75.0 * std::f64::consts::PI / 180.0;
 const STIFFNESS: f64 = 20_000.0;
 /// What each motor makes, N m.
 const LIMIT: f64 = 2.0;
-const COUNTS: f64 = 1.0e8;
 
-/// Depth, m; joint angles there, rad; joint torques, N m.
-type Pressed = (f64, Vector2<f64>, Vector2<f64>);
 /// Forces at the tip, N, along the normal and sideways, over depth, m.
 type Forces = Vec<(f64, [f64; 2])>;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let root = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
     let file = DeviceFile::load(format!("{root}/devices/coupled-five-bar.toml"))?;
-    let (cut, asked) = (pressed(&file, LIMIT as f32)?, pressed(&file, 1.0e3)?);
-    let jointly: Forces = forces(&file, &asked, |torque| torque.map(|t| t.clamp(-LIMIT, LIMIT)))?;
-    let cut: Forces = forces(&file, &cut, |torque| torque)?;
+    let cut: Forces =
+        pressed(&file, LIMIT as f32)?.1.iter().map(|felt| (felt.depth, [felt.along, felt.across])).collect();
+    let (held, asked) = pressed(&file, WIDE.torque[0])?;
+    let each = |felt: &Felt| held.force(&felt.q, &felt.torque.map(|torque| torque.clamp(-LIMIT, LIMIT)));
+    let jointly: Forces = asked.iter().map(|felt| (felt.depth, each(felt).into())).collect();
     println!("depth mm, one factor: along N, sideways N; joint by joint: along N, sideways N");
     for (one, each) in cut.iter().zip(&jointly).skip(50).step_by(50) {
         let ([a, b], [c, d]) = (one.1, each.1);
@@ -78,90 +68,20 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Joint angles and torques of the servo at each depth, its motors limited to `limit` (N m).
-fn pressed(file: &DeviceFile, limit: f32) -> Result<Vec<Pressed>, Box<dyn std::error::Error>> {
-    let AnyMechanism::FiveBar(m) = &file.mechanism else { return Err("not a five-bar".into()) };
-    let mut description = file.description;
-    for joint in &mut description.joints {
-        joint.encoder = Some(Encoder { counts_per_turn: COUNTS, offset: 0.0, inverted: false });
-        joint.limits = None;
-        if let Some(motor) = &mut joint.motor {
-            motor.max_current = 1.0e4;
-        }
+/// The demo's device held ever deeper in its wall, its motors limited to `limit` (N m).
+fn pressed(file: &DeviceFile, limit: f32) -> Result<(Held, Vec<Felt>), Box<dyn std::error::Error>> {
+    let mut device = file.description;
+    for motor in device.joints.iter_mut().filter_map(|joint| joint.motor.as_mut()) {
+        motor.max_current = 1.0e4;
     }
-    let start = Vector2::from(POSE);
-    let pose = m.pose::<Libm>(&start);
-    let (tip, n) = (m.tip(&pose), Vector2::new(NORMAL.cos(), NORMAL.sin()));
-    let wall = Wall {
-        surface: Surface::Plane(Plane {
-            point: [tip[0] as f32, tip[1] as f32, 0.0],
-            normal: [n[0] as f32, n[1] as f32, 0.0],
-        }),
-        stiffness: STIFFNESS as f32,
-        damping: 0.0,
+    let mut held = Held::new(&Press {
+        device: &device,
+        q: POSE,
+        normal: [NORMAL.cos(), NORMAL.sin(), 0.0],
+        stiffness: STIFFNESS,
         feed_forward: FeedForward::Off,
-        washout_hz: 2.0,
-        damping_compensation: false,
-        bilateral: true,
-    };
-    let scene =
-        Scene { task: 2, rate_hz: 1_000.0, cutoff_hz: 100.0, walls: [wall].into_iter().collect(), ..Scene::default() };
-    let limits = Limits {
-        torque: [limit; MAX_JOINTS],
-        current: [1.0e4; MAX_JOINTS],
-        continuous_current: [1.0e4; MAX_JOINTS],
-        speed: [1.0e3; MAX_JOINTS],
-        power: 1.0e6,
-        tip_force: 1.0e9,
-        ..Limits::default()
-    };
-    let hardware = Hardware {
-        axes: 3,
-        real: false,
-        bus_sensed: false,
-        timer_hz: 168_000_000,
-        bridge: Bridge { carrier_hz: 20_000.0, dead_time: 0.0, bandwidth_hz: 1_000.0, current_sensed: false },
-    };
-    let device = Device::new(&file.name, &description)?;
-    let mut servo: Servo<Box<Program<Minimax>>> =
-        Servo::new(hardware, Rules { limits, host_action: HostAction::Ignore, ..Rules::default() });
-    let refused = |refusal| format!("{refusal:?}");
-    let program = Program::new(&hardware, &limits, &device, &scene, &MassModelData::Exact, false).map_err(refused)?;
-    servo.execute(Command::Program(Box::new(program))).0.map_err(refused)?;
-    let press = |servo: &mut Servo<Box<Program<Minimax>>>, q: &Vector2<f64>, steps: u32| {
-        let count = |i: usize| (q[i] / std::f64::consts::TAU * COUNTS).round() as i32;
-        for _ in 0..steps {
-            servo.control(&Samples { counts: [count(0), count(1), 0], bus_voltage: 24.0, ..Samples::default() });
-        }
-        let torque = servo.frame().torque;
-        Vector2::new(f64::from(torque[0]), f64::from(torque[1]))
-    };
-    press(&mut servo, &start, 10);
-    servo.execute(Command::Arm).0.map_err(refused)?;
-    press(&mut servo, &start, 1_000);
-    let inward = m.inverse(&pose, &-n);
-    Ok((0..=200)
-        .map(|i| {
-            let depth = 1.0e-5 * f64::from(i);
-            let q = start + inward * depth;
-            (depth, q, press(&mut servo, &q, 100))
-        })
-        .collect())
-}
-
-/// Forces at the tip of these torques after `limit`.
-fn forces(
-    file: &DeviceFile,
-    points: &[Pressed],
-    limit: impl Fn(Vector2<f64>) -> Vector2<f64>,
-) -> Result<Forces, Box<dyn std::error::Error>> {
-    let AnyMechanism::FiveBar(m) = &file.mechanism else { return Err("not a five-bar".into()) };
-    let (n, t) = (Vector2::new(NORMAL.cos(), NORMAL.sin()), Vector2::new(-NORMAL.sin(), NORMAL.cos()));
-    Ok(points
-        .iter()
-        .map(|(depth, q, torque)| {
-            let force = m.jacobian_inverse(&m.pose::<Libm>(q)).tr_mul(&limit(*torque));
-            (*depth, [n.dot(&force), t.dot(&force)])
-        })
-        .collect())
+        limits: Limits { torque: [limit; MAX_JOINTS], ..WIDE },
+    })?;
+    let felt = (0..=200).map(|i| held.felt(1.0e-5 * f64::from(i), 100)).collect();
+    Ok((held, felt))
 }

@@ -9,6 +9,7 @@ mod device;
 pub mod door;
 mod encoder;
 mod hand;
+mod held;
 mod motor;
 mod plant;
 mod port;
@@ -21,6 +22,7 @@ pub use board::{BoardOptions, DriveModel, IDEAL_BOARD, SimulatedBoard, TIMER_HZ}
 pub use device::{Device, DeviceError, Options, Support};
 pub use encoder::EncoderModel;
 pub use hand::{Hand, HandSettings, Intent, Waypoint};
+pub use held::{Felt, Held, Press, WIDE};
 pub use motor::{Bridge, Drive, MotorModel};
 pub use plant::{Load, Plant};
 pub use random::Random;

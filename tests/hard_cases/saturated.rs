@@ -2,22 +2,16 @@
 
 use super::singular::Random;
 use super::{Table, digits, shipped};
-use haptic_bridge::drive::brushed::Bridge;
-use haptic_bridge::math::{Libm, Minimax};
+use haptic::sim::{Held, Press, WIDE};
+use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
-use haptic_bridge::model::description::{Description, Encoder};
-use haptic_bridge::model::device::Device;
+use haptic_bridge::model::description::Description;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
-use haptic_bridge::model::precomputed::MassModelData;
-use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::Limits;
-use haptic_bridge::servo::frame::Samples;
-use haptic_bridge::servo::program::{Hardware, Program};
-use haptic_bridge::servo::{Command, HostAction, Rules, Servo};
 use nalgebra::SVector;
 
-const COUNTS: f64 = 1.0e8;
 const POSES: usize = 12;
 /// N/m
 const STIFFNESS: f64 = 20_000.0;
@@ -36,66 +30,6 @@ pub struct Row {
     pub across: f64,
 }
 
-/// The servo with a wall through `tip`, armed.
-struct Press {
-    servo: Servo<Box<Program<Minimax>>>,
-}
-
-impl Press {
-    fn new(device: &Description, tip: [f32; 3], normal: [f32; 3], feed_forward: FeedForward, torque: f32) -> Self {
-        let task = device.kind.spec().task;
-        let wall = Wall {
-            surface: Surface::Plane(Plane { point: tip, normal }),
-            stiffness: STIFFNESS as f32,
-            damping: 0.0,
-            feed_forward,
-            washout_hz: 2.0,
-            damping_compensation: false,
-            bilateral: true,
-        };
-        let scene = Scene {
-            task: task as u8,
-            rate_hz: 1_000.0,
-            cutoff_hz: 100.0,
-            walls: [wall].into_iter().collect(),
-            ..Scene::default()
-        };
-        let limits = Limits {
-            torque: [torque; MAX_JOINTS],
-            current: [1.0e3; MAX_JOINTS],
-            continuous_current: [1.0e3; MAX_JOINTS],
-            speed: [1.0e3; MAX_JOINTS],
-            power: 1.0e6,
-            tip_force: 1.0e9,
-            ..Limits::default()
-        };
-        let bridge = Bridge { carrier_hz: 20_000.0, dead_time: 0.0, bandwidth_hz: 1_000.0, current_sensed: false };
-        let hardware = Hardware { axes: 3, real: false, bus_sensed: false, timer_hz: 168_000_000, bridge };
-        let device = Device::new("hard", device).expect("a sound device");
-        let mut servo: Servo<Box<Program<Minimax>>> =
-            Servo::new(hardware, Rules { limits, host_action: HostAction::Ignore, ..Rules::default() });
-        let program = Program::new(&hardware, &limits, &device, &scene, &MassModelData::Exact, false).expect("fits");
-        servo.execute(Command::Program(Box::new(program))).0.expect("a program that fits");
-        Self { servo }
-    }
-
-    /// Joint torques (N m) and the force asked for (N) after so many steps at a pose.
-    fn at<const N: usize>(&mut self, q: &SVector<f64, N>, steps: u32) -> (SVector<f64, N>, f64) {
-        let turns = |i: usize| if i < N { q[i] / std::f64::consts::TAU } else { 0.0 };
-        let counts = core::array::from_fn(|i| (turns(i) * COUNTS).round() as i32);
-        for _ in 0..steps {
-            self.servo.control(&Samples { counts, bus_voltage: 24.0, ..Samples::default() });
-            self.servo.duties(24.0, &[0.0; MAX_JOINTS]);
-            if self.servo.status().state == State::Disarmed {
-                self.servo.execute(Command::Arm).0.expect("nothing is in the way");
-            }
-        }
-        let frame = self.servo.frame();
-        assert_eq!(frame.state, State::Armed, "at {q}: {:?}", self.servo.status());
-        (SVector::from_fn(|i, _| f64::from(frame.torque[i])), f64::from(frame.wall_force))
-    }
-}
-
 fn row<M: Mechanism<f64, N>, const N: usize>(m: M, name: &'static str, device: &Description, sines: [f64; 2]) -> Row {
     let task = M::SPEC.task;
     let mut random = Random(23);
@@ -112,36 +46,36 @@ fn row<M: Mechanism<f64, N>, const N: usize>(m: M, name: &'static str, device: &
         if !(sines[0]..sines[1]).contains(&r.serial) || r.parallel < 0.3 || n.norm() < 0.1 {
             continue;
         }
-        n /= n.norm();
+        // As the board has it.
+        n = (n / n.norm()).map(|x| f64::from(x as f32));
         poses += 1;
-        let narrow = |v: &SVector<f64, N>| core::array::from_fn(|i| if i < task.min(N) { v[i] as f32 } else { 0.0 });
-        let normal: [f32; 3] = narrow(&n);
-        let n = SVector::<f64, N>::from_fn(|i, _| f64::from(normal[i]));
+        let three = |v: &SVector<f64, N>| core::array::from_fn(|i| if i < N { v[i] } else { 0.0 });
         // Room for the device's own weight and for 5 N.
         let lever = m.transpose(&pose, &n).amax();
         let torque = (m.gravity(&pose).amax() + 5.0 * lever) as f32;
         for (index, feed_forward) in [FeedForward::Off, FeedForward::Full].into_iter().enumerate() {
-            let mut press = Press::new(device, narrow(&m.tip(&pose)), normal, feed_forward, torque);
-            press.at(&q, 1_000);
+            let limits = Limits { torque: [torque; MAX_JOINTS], ..WIDE };
+            let press = Press { device, q: three(&q), normal: three(&n), stiffness: STIFFNESS, feed_forward, limits };
+            let mut held = Held::new(&press).expect("nothing is in the way");
             for step in 1..=20 {
-                let inside = q - m.inverse(&pose, &n) * (1.0e-4 * f64::from(step));
-                let pose = m.pose::<Libm>(&inside);
+                let depth = 1.0e-4 * f64::from(step);
+                let inside = held.pose(depth);
+                let pose = m.pose::<Libm>(&SVector::from_fn(|i, _| inside[i]));
                 if m.regularity(&pose).serial < 0.8 * sines[0] {
                     break;
                 }
-                let (found, asked) = press.at(&inside, 100);
+                let felt = held.felt(depth, 100);
+                assert_eq!(felt.state, State::Armed, "{felt:?}");
+                let asked = felt.asked;
                 let gravity = m.gravity(&pose);
                 // By hand: the largest share of Jᵀ n f that every joint has room for beside the weight.
                 let rendered = m.transpose(&pose, &n) * asked;
                 let room = |i: usize| (f64::from(torque) - gravity[i] * rendered[i].signum()) / rendered[i].abs();
                 let right = asked * (0..N).map(room).fold(1.0, f64::min);
-                let force = m.jacobian_inverse(&pose).tr_mul(&(found - gravity));
-                let along = n.dot(&force) / n.dot(&n);
                 row.beyond = row.beyond.max(asked / right);
-                row.along[index] = row.along[index].max((along - right).abs() / right);
+                row.along[index] = row.along[index].max((felt.along - right).abs() / right);
                 if feed_forward == FeedForward::Off {
-                    let across = (0..task).map(|i| (force[i] - n[i] * along).powi(2)).sum::<f64>().sqrt();
-                    row.across = row.across.max(across / right);
+                    row.across = row.across.max(felt.across / right);
                 }
             }
         }
@@ -161,8 +95,6 @@ pub fn all() -> Vec<Row> {
     .flat_map(|(name, file)| {
         let mut device = shipped(file);
         for joint in &mut device.joints {
-            joint.encoder = Some(Encoder { counts_per_turn: COUNTS, offset: 0.0, inverted: false });
-            joint.limits = None;
             if let Some(motor) = &mut joint.motor {
                 // The torque limit alone decides.
                 motor.max_current = 1.0e3;
