@@ -19,7 +19,7 @@ use proptest::test_runner::TestCaseError;
 
 type Outcome = Result<(), TestCaseError>;
 
-/// Poses nearer to a singularity than this (sine) belong to tests/hard_cases.rs.
+/// Poses nearer to a singularity than this (sine) belong to tests/hard_cases.
 const REGULAR: f64 = 0.15;
 
 /// One mechanism, moving, with a unit vector and a vector of its task.

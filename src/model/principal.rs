@@ -14,8 +14,8 @@ use crate::model::mechanism::Shaping;
 use crate::model::solve::solve_symmetric;
 use nalgebra::{SMatrix, SVector};
 
-/// Rounds of rotations at most. Two directions take one; three are exact to rounding after four (measured over a
-/// million random sets in the tests' own terms, see tests/principal.rs).
+/// Rounds of rotations at most. Two directions take one; three, which converge quadratically, are exact to rounding
+/// after four.
 const SWEEPS: usize = 6;
 
 /// One wall as far as its stiffness decides what is rendered.
