@@ -191,7 +191,11 @@ fn origin(fault: Fault) -> Origin {
         | Fault::BreakInput
         | Fault::SensorStale
         | Fault::DriverReset
-        | Fault::StrayCurrent => Told,
+        | Fault::StrayCurrent
+        | Fault::ClockFailure
+        | Fault::SupplyDip
+        | Fault::ImageDamaged
+        | Fault::RamDamaged => Told,
     }
 }
 
@@ -231,6 +235,10 @@ fn injection(fault: Fault) -> (&'static str, &'static str) {
             ("a driver's register that reads other than it was written", "at the next look, within 20 ms")
         }
         Fault::StrayCurrent => ("more than 0.5 A with the bridges off", "never on: seen before arming"),
+        Fault::ClockFailure => ("a crystal that stops", "by the non-maskable interrupt"),
+        Fault::SupplyDip => ("3.3 V that fall below 2.9 V", "by the supply monitor's interrupt"),
+        Fault::ImageDamaged => ("a bit of flash that changed", "never on: seen before arming"),
+        Fault::RamDamaged => ("a word of RAM that changed", "never on: seen before arming"),
     }
 }
 

@@ -135,6 +135,34 @@ impl Chip {
         }
     }
 
+    /// The crystal stops. Answers whether the clock security system was on, which flags it and goes on with the chip's own
+    /// oscillator (RM0090 section 7.2.7); its wire to the core's non-maskable interrupt is not modelled.
+    pub fn stop_crystal(&mut self, at: VirtualNanos) -> bool {
+        self.part.drive_clocks(at, |clocks, registers, context| clocks.fail_hse(registers, context));
+        self.register("RCC", map::rcc::INTERRUPTS) & map::rcc::CLOCK_FAILED != 0
+    }
+
+    /// Gives the chip so many millivolts. Answers whether its supply monitor asks for its interrupt: the monitor's output
+    /// has risen on line 16, where rising edges and requests are let through (RM0090 sections 5.2.2 and 12.2.5). No model
+    /// of rigless joins the two.
+    ///
+    /// # Panics
+    ///
+    /// When the part has no such controller, which is a bug here.
+    pub fn supply(&mut self, at: VirtualNanos, millivolts: u32) -> bool {
+        let low = |chip: &Self| chip.register("PWR", map::power::STATUS) & map::power::SUPPLY_LOW != 0;
+        let before = low(self);
+        self.part.set_supply(millivolts);
+        let line = self.register("EXTI", map::exti::RISING) & self.register("EXTI", map::exti::MASK) & (1 << 16);
+        if before || !low(self) || line == 0 {
+            return false;
+        }
+        let slot = self.bus().slot_of("EXTI").expect("the part has EXTI");
+        let (registers, _) = self.part.bus_mut().drive(at, slot);
+        registers.set(ExtiRegister::Pr, registers.get(ExtiRegister::Pr) | line);
+        true
+    }
+
     /// Changes a word of the flash as age or radiation would, without the interface; in force when the run goes on.
     ///
     /// # Panics

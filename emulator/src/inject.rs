@@ -17,10 +17,11 @@ use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::{HostAction, Rules};
 use rigless::device::Level;
+use rigless::time::VirtualNanos;
 
 use crate::boards::BoardKind;
 use crate::contact::{WallAt, firm, hold, push};
-use crate::image::SETTINGS;
+use crate::image::{CODE, SETTINGS};
 use crate::rig::{Rig, device_file, firmware};
 use crate::run::{Bench, MICROSECOND, MILLISECOND, SECOND};
 
@@ -95,6 +96,9 @@ fn pushed_by(rig: &Rig, force: [f64; 3]) {
     rig.with_simulated(move |device| push(device, force, 0.05));
 }
 
+/// A word of the stack.
+const SPOILT: u64 = 0x2000_4000;
+
 /// Puts code into free RAM and has the task in `pool` enter it the next time it is polled. `code` is told where the
 /// task itself begins.
 ///
@@ -118,6 +122,31 @@ pub fn run_instead(rig: &Rig, pool: &str, code: impl FnOnce(u32) -> Vec<u32>) {
         }
         bench.poke(at, FREE_RAM as u32 | 1);
     });
+}
+
+/// The word that a task waits for, and whether it waits.
+const NMI_FLAG: u64 = FREE_RAM + 0x100;
+const NMI_WAITS: u64 = NMI_FLAG + 4;
+
+/// An armed board in contact, one of whose tasks stands in for the wire from the clock security system to the core: it
+/// waits for the flag's word and writes that into ICSR, whose top bit pends the non-maskable interrupt.
+fn wired_to_nmi() -> Rig {
+    let rig = in_contact();
+    rig.with(|bench| [NMI_FLAG, NMI_WAITS].map(|at| assert!(bench.poke(at, 0), "there is RAM")));
+    // ldr r2, =flag; movs r3, #1; str r3, [r2, #4]; again: ldr r3, [r2]; cmp r3, #0; beq again; ldr r2, =ICSR;
+    // str r3, [r2]; b .; nop; and the two addresses.
+    let stub = vec![0x2301_4A04, 0x6813_6053, 0xD0FC_2B00, 0x6013_4A02, 0xBF00_E7FE, NMI_FLAG as u32, 0xE000_ED04];
+    run_instead(&rig, SUPERVISOR, |_| stub);
+    let waits = rig.shared.board().run_until(50 * MILLISECOND, MILLISECOND, |bench| bench.word(NMI_WAITS) == Some(1));
+    assert!(waits, "the supervisor runs every 20 ms");
+    rig
+}
+
+/// Does something to a board and presses its reset button.
+fn restarting(rig: &mut Rig, cause: impl FnOnce(&mut Bench<'_>) + Send + 'static) {
+    rig.with(cause);
+    rig.run(MICROSECOND);
+    rig.with(|bench| bench.reset());
 }
 
 /// The supervisor, which feeds the watchdog.
@@ -201,7 +230,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a current sensor shows 8 A more",
             in_contact,
             |rig| {
-                rig.with(|bench| bench.hardware().broken.sensor_extra[0] = 8.0);
+                rig.with(|bench| bench.hardware().broken.sensor_extra[..2].fill(8.0));
             },
             5,
         ),
@@ -319,9 +348,7 @@ pub fn injection(fault: Fault) -> Injection {
                 rig
             },
             |rig| {
-                rig.with(|bench| bench.flip_in_flash(SETTINGS, b"second name"));
-                rig.run(MICROSECOND);
-                rig.with(|bench| bench.reset());
+                restarting(rig, |bench| bench.flip_in_flash(SETTINGS, b"second name"));
             },
             500,
         ),
@@ -402,6 +429,48 @@ pub fn injection(fault: Fault) -> Injection {
             |rig| {
                 rig.with(|bench| bench.hardware().broken.stuck_on[0] = Some(0.2));
                 let _ = rig.tool.check_polarity();
+            },
+            500,
+        ),
+        Fault::ClockFailure => chip(
+            "the crystal stops",
+            wired_to_nmi,
+            |rig| {
+                rig.with(|bench| {
+                    let at = VirtualNanos(bench.at);
+                    if bench.hardware().chip.stop_crystal(at) {
+                        bench.poke(NMI_FLAG, 1 << 31);
+                    }
+                });
+            },
+            5,
+        ),
+        Fault::SupplyDip => chip(
+            "the chip's 3.3 V fall to 2.7 V for 100 µs",
+            in_contact,
+            |rig| {
+                rig.with(|bench| bench.supply(2700));
+                rig.run(100 * MICROSECOND);
+                rig.with(|bench| bench.supply(3300));
+            },
+            5,
+        ),
+        Fault::ImageDamaged => chip(
+            "one bit of the image in flash flipped, then a reset",
+            disarmed,
+            |rig| restarting(rig, |bench| bench.flip_in_flash(CODE, b"odrive-v3")),
+            500,
+        ),
+        Fault::RamDamaged => chip(
+            "one bit of the stack flipped while it is tested at a start",
+            disarmed,
+            |rig| {
+                restarting(rig, |_| ());
+                rig.run(MILLISECOND);
+                rig.with(|bench| {
+                    let word = bench.word(SPOILT).expect("there is RAM");
+                    bench.poke(SPOILT, word ^ 1 << 7);
+                });
             },
             500,
         ),
@@ -558,6 +627,12 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     let status = rig.tool.status().expect("the board answers");
     assert_eq!((status.state, status.fault), (State::Disarmed, None), "{name} is not cleared");
     assert!(rig.with(off), "{name}: clearing turned the bridges on");
+    if matches!(fault, Fault::ImageDamaged | Fault::RamDamaged) {
+        // Clearing it makes nothing whole.
+        let refused = rig.tool.check_polarity();
+        let named = matches!(refused, Err(BoardError::Refused(Refusal::Faulted(again))) if again == fault);
+        assert!(named && rig.with(off), "{name}: {refused:?}");
+    }
     let from_cause = ((at - began) / (50 * MICROSECOND)) as u32;
     // Seen before the bridges were ever on, and told by an answer that took its time.
     let never_on = fault == Fault::StrayCurrent;

@@ -8,7 +8,8 @@ use std::ops::Range;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 
-use rigless::emulator::{self, Driver, Hit, Settled, Start, Stop, Watch};
+use rigless::device::Level;
+use rigless::emulator::{self, Driver, Hit, InterruptLine, Settled, Start, Stop, Watch};
 use rigless::session::{Reset, Session};
 use rigless::soc::Width;
 use rigless::time::VirtualNanos;
@@ -25,6 +26,9 @@ pub const MICROSECOND: u64 = 1_000;
 pub const MILLISECOND: u64 = 1_000_000;
 /// Nanoseconds in a second of virtual time.
 pub const SECOND: u64 = 1_000_000_000;
+
+/// The interrupt of the chip's supply monitor.
+const SUPPLY_MONITOR: InterruptLine = InterruptLine::new(1).expect("a line of the part");
 
 /// Why a board could not be started.
 #[derive(Debug)]
@@ -121,6 +125,13 @@ impl Bench<'_> {
         let flipped = self.word(word).expect("there is flash") ^ 1 << (8 * (found % 4));
         let at = VirtualNanos(self.at);
         self.hardware().chip.spoil_flash(at, word, flipped);
+    }
+
+    /// Gives the chip so many millivolts, and its core the supply monitor's request (line 1, RM0090 table 61).
+    pub fn supply(&mut self, millivolts: u32) {
+        let at = VirtualNanos(self.at);
+        let asks = self.hardware().chip.supply(at, millivolts);
+        self.memory.set_interrupt(SUPPLY_MONITOR, Level::from(asks));
     }
 
     /// Holds the core: it executes nothing while time goes on. Or lets it go on.

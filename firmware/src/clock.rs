@@ -2,6 +2,8 @@
 //! [`TIMER_HZ`]), 42 MHz for the slow one (84 MHz at its timers), 48 MHz for USB. STM32F405 reference manual RM0090,
 //! section 7.2. The clock of the tasks is embassy's, on TIM5.
 
+use embassy_stm32::interrupt;
+use embassy_stm32::interrupt::InterruptExt;
 use embassy_stm32::rcc::{
     AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllMul, PllPDiv, PllPreDiv, PllQDiv, PllSource, Sysclk, mux,
 };
@@ -13,6 +15,49 @@ use crate::critical;
 /// Frequency that the PWM timers count at, Hz.
 pub const TIMER_HZ: u32 = 168_000_000;
 
+/// The supply monitor's line of the interrupt controller.
+const SUPPLY_LINE: usize = 16;
+
+/// Highest level of the supply monitor: 2.9 V (STM32F405 datasheet, table 19).
+const MONITOR_2V9: u8 = 7;
+
+/// Waits until the chip's own supply is above 2.9 V: below 2.7 V, flash is too slow for the clock that comes. The chip
+/// runs on its own oscillator meanwhile, which 1.8 V are enough for, and below those its power-on reset holds it. So no
+/// brown-out level need be set in the option bytes.
+pub fn await_supply() {
+    pac::RCC.apb1enr().modify(|w| w.set_pwren(true));
+    monitor_supply();
+    while pac::PWR.csr1().read().pvdo() {}
+}
+
+fn monitor_supply() {
+    pac::PWR.cr1().modify(|w| {
+        w.set_pls(MONITOR_2V9);
+        w.set_pvde(true);
+    });
+}
+
+/// The brown-out level in the option bytes, 0 (off) to 3 (2.7 V), which the firmware only reads (RM0090 section 3.9.10).
+pub fn brown_out_level() -> u8 {
+    3 - pac::FLASH.optcr().read().bor_lev()
+}
+
+/// From here on a crystal that stops is a non-maskable interrupt (RM0090 section 7.2.7), and a supply that falls below
+/// 2.9 V an interrupt (line 16, section 12.2.5) that no critical section holds back. [`crate::faults`] has both.
+fn watch() {
+    pac::RCC.cr().modify(|w| w.set_csson(true));
+    // embassy has reset the power controller.
+    monitor_supply();
+    pac::EXTI.rtsr(0).modify(|w| w.set_line(SUPPLY_LINE, true));
+    pac::EXTI.imr(0).modify(|w| w.set_line(SUPPLY_LINE, true));
+    interrupt::PVD.set_priority(critical::CONTROL);
+    // SAFETY: its handler shares nothing with what it interrupts.
+    unsafe { interrupt::PVD.enable() };
+    if pac::PWR.csr1().read().pvdo() {
+        interrupt::PVD.pend();
+    }
+}
+
 /// Starts the clocks and takes the chip's peripherals.
 pub fn start() -> Peripherals {
     // embassy's clock counts half turns of TIM5 by its interrupt. The update event that loads the timer matches its
@@ -22,6 +67,7 @@ pub fn start() -> Peripherals {
     critical_section::with(|_| {
         let chip = embassy_stm32::init(config());
         pac::TIM5.sr().write(|w| w.0 = 0);
+        watch();
         chip
     })
 }

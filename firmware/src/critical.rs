@@ -1,14 +1,14 @@
 //! Critical sections that never delay the control interrupt.
 //!
 //! The usual implementation masks every interrupt. This one raises `BASEPRI` instead, which masks all of them but those
-//! of priority 0, and priority 0 belongs to the control interrupt alone ([`CONTROL`]). The price: the control interrupt
-//! must not touch anything that a critical section protects. It uses atomics and single-producer single-consumer queues
-//! only, and never logs.
+//! of priority 0, and priority 0 belongs to the control interrupt ([`CONTROL`]) and to a falling supply's, which ends in
+//! a reset. The price: the control interrupt must not touch anything that a critical section protects. It uses atomics
+//! and single-producer single-consumer queues only, and never logs.
 
 use cortex_m::register::{basepri, basepri_max};
 use embassy_stm32::interrupt::Priority;
 
-/// Priority of the control interrupt: the only one that critical sections let through.
+/// Priority of the control interrupt: the one that critical sections let through.
 pub const CONTROL: Priority = Priority::P0;
 
 /// Priority of all other interrupts.

@@ -1,12 +1,13 @@
-//! When nothing can go on: a panic or a hard fault turns the bridges off before anything else, writes down why in
-//! memory that survives a reset, and resets. The next start reports it ([`Previous`]). A request for the USB boot
-//! loader travels the same way.
+//! When nothing can go on: a panic, a hard fault, a dead crystal or a falling supply turns the bridges off before anything
+//! else, writes down why in memory that survives a reset, and resets. The next start reports it ([`Previous`]). A
+//! request for the USB boot loader travels the same way.
 
 use core::mem::MaybeUninit;
 use core::panic::PanicInfo;
 use core::ptr::{addr_of, addr_of_mut};
 
 use cortex_m::peripheral::SCB;
+use embassy_stm32::interrupt;
 use embassy_stm32::pac;
 use haptic_bridge::safety::fault::{Fault, FaultRecord};
 
@@ -21,7 +22,7 @@ const BOOT_LOADER: u32 = 0x4446_5521;
 #[derive(Clone, Copy)]
 struct LastWords {
     mark: u32,
-    /// 1 panic, 2 hard fault, 3 unexpected interrupt.
+    /// 1 panic, 2 hard fault, 3 unexpected interrupt, 4 stack overflow, 5 dead crystal, 6 falling supply.
     kind: u32,
     /// Program counter and link register where a fault struck; the line of a panic, the number of an interrupt.
     pc: u32,
@@ -67,6 +68,10 @@ pub enum Previous {
     StackOverflow,
     /// An interrupt that nobody handles.
     UnexpectedInterrupt,
+    /// The crystal stopped.
+    ClockFailure,
+    /// The chip's supply fell.
+    SupplyDip,
 }
 
 /// What is known about the start of this run.
@@ -91,6 +96,8 @@ impl Start {
             (Previous::Panic, _) => (Fault::Panic, self.pc as f32),
             (Previous::StackOverflow, _) => (Fault::StackOverflow, 0.0),
             (Previous::HardFault | Previous::UnexpectedInterrupt, _) => (Fault::HardFault, self.pc as f32),
+            (Previous::ClockFailure, _) => (Fault::ClockFailure, 0.0),
+            (Previous::SupplyDip, _) => (Fault::SupplyDip, 0.0),
             (Previous::Clean, ResetCause::Watchdog) => (Fault::Watchdog, 0.0),
             (Previous::Clean, _) => return None,
         };
@@ -143,6 +150,8 @@ pub fn take() -> Start {
         (true, 2) => Previous::HardFault,
         (true, 3) => Previous::UnexpectedInterrupt,
         (true, 4) => Previous::StackOverflow,
+        (true, 5) => Previous::ClockFailure,
+        (true, 6) => Previous::SupplyDip,
         _ => Previous::Clean,
     };
     let known = previous != Previous::Clean;
@@ -259,6 +268,27 @@ extern "C" fn hard_fault(frame: *const u32) -> ! {
         (0, 0)
     };
     write_down_and_reset(if inside { 2 } else { 4 }, pc, lr, (0, 0))
+}
+
+/// The clock security system: the crystal is dead, and core and carriers go on at 16 MHz from the chip's own oscillator.
+/// A start without a crystal waits for it, with the bridges off.
+#[cortex_m_rt::exception]
+unsafe fn NonMaskableInt() -> ! {
+    gone(5)
+}
+
+/// The supply monitor: there are microseconds left in which the processor can be relied on. The next start waits until
+/// the supply is there ([`crate::clock::await_supply`]).
+#[interrupt]
+fn PVD() -> ! {
+    gone(6)
+}
+
+#[inline(never)]
+fn gone(kind: u32) -> ! {
+    board::off();
+    cortex_m::interrupt::disable();
+    write_down_and_reset(kind, 0, 0, (0, 0))
 }
 
 #[cortex_m_rt::exception]

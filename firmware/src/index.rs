@@ -17,15 +17,18 @@ pub fn latch(lines: u32) {
     }
     // Inputs since the reset; two bits a pin: each pin's lower bit is the pull-up.
     pac::GPIOC.pupdr().modify(|w| (0..16).filter(|pin| lines >> pin & 1 == 1).for_each(|pin| w.0 |= 1 << (2 * pin)));
-    pac::EXTI.rtsr(0).write_value(Lines(lines));
-    pac::EXTI.imr(0).write_value(Lines(lines));
+    pac::EXTI.rtsr(0).modify(|w| w.0 |= lines);
+    pac::EXTI.imr(0).modify(|w| w.0 |= lines);
 }
+
+/// The lines of pins; the others are not index pulses.
+const PINS: u32 = 0xFFFF;
 
 /// The lines that saw a pulse since the last call.
 #[inline(always)]
 pub fn take() -> u32 {
-    let seen = pac::EXTI.pr(0).read();
+    let seen = pac::EXTI.pr(0).read().0 & PINS;
     // A flag is cleared by writing 1.
-    pac::EXTI.pr(0).write_value(seen);
-    seen.0
+    pac::EXTI.pr(0).write_value(Lines(seen));
+    seen
 }

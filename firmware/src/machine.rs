@@ -21,9 +21,11 @@ use static_cell::StaticCell;
 
 use crate::board::{self, Gate};
 use crate::clock::TIMER_HZ;
+use crate::self_test;
 use crate::servo::{self, Answer, Request};
 use crate::stack;
 use crate::storage::Storage;
+use crate::supervisor;
 use crate::warmth;
 use crate::watchdog;
 
@@ -92,6 +94,10 @@ impl Panel {
 
     /// Readies the gate drivers; a driver that does not answer latches a fault.
     fn raise_gate(&mut self) -> Result<(), Refusal> {
+        if let Some(record) = self_test::failed() {
+            let _ = self.ask(Request::Command(Command::Fault(record)));
+            return Err(Refusal::Faulted(record.fault));
+        }
         if servo::GATE_READY.load(Ordering::Relaxed) {
             return Ok(());
         }
@@ -180,6 +186,7 @@ impl Machine for Panel {
         if carrier != self.carrier {
             let _ = self.ask(Request::Retime(carrier));
             self.carrier = carrier;
+            supervisor::expect(carrier.rate_hz());
         }
     }
 

@@ -18,6 +18,7 @@ mod index;
 mod link;
 mod machine;
 mod pwm;
+mod self_test;
 mod serial;
 mod servo;
 mod stack;
@@ -48,17 +49,21 @@ async fn main(spawner: Spawner) {
         core.DCB.enable_trace();
         core.DWT.enable_cycle_counter();
     }
+    clock::await_supply();
     let chip = clock::start();
+    self_test::image();
     freeze_carriers_when_halted();
     defmt::info!(
-        "{=str} {=str}: started by {}, before that {} at {=u32:#x} (status {=u32:#x}) {=str}",
+        "{=str} {=str}: started by {}, before that {} at {=u32:#x} (status {=u32:#x}) {=str}; \
+         brown-out level {=u8} of 3",
         board::NAME,
         env!("CARGO_PKG_VERSION"),
         start.cause,
         start.previous,
         start.pc,
         start.status,
-        start.file
+        start.file,
+        clock::brown_out_level()
     );
 
     let hardware =
@@ -68,6 +73,7 @@ async fn main(spawner: Spawner) {
     let (io, gate, common) = board::split(chip, carrier);
     let servo = servo::start(io, hardware, rules, warmth::take());
     let storage = storage::open(common.flash);
+    let fault = self_test::failed().or_else(|| start.fault());
     let serial_number = link::serial_number();
     let panel = Panel::new(servo, gate, storage, serial_number, carrier);
     let (usb, serial) = link::device(common.usb, serial_number);
@@ -76,7 +82,7 @@ async fn main(spawner: Spawner) {
     let watchdog = Watchdog::start(common.watchdog);
     spawner.must_spawn(supervisor::supervise(watchdog));
     spawner.must_spawn(link::usb(usb));
-    spawner.must_spawn(link::serve(panel, hardware, start.fault(), serial));
+    spawner.must_spawn(link::serve(panel, hardware, fault, serial));
 }
 
 /// A halted core must not leave a duty standing: with these bits the carriers stop with it and their outputs go to the

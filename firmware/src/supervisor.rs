@@ -1,9 +1,10 @@
 //! Feeds the watchdog, and only when everything that has to move has moved: the control interrupt since the last
-//! feeding, and every task within its own time.
+//! feeding, and no more often than its rate says, and every task within its own time.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
 use embassy_time::{Duration, Instant, Ticker};
+use haptic_bridge::drive::carrier::CARRIER_MIN_HZ;
 
 use crate::servo;
 use crate::watchdog::Watchdog;
@@ -26,6 +27,19 @@ const TASKS: [Task; 1] = [Task::Link];
 /// When each task was last heard, ms since the start.
 static LAST_HEARD_MS: [AtomicU32; TASKS.len()] = [const { AtomicU32::new(0) }; TASKS.len()];
 
+/// Control steps a second that were asked for last.
+static RATE_HZ: AtomicU32 = AtomicU32::new(CARRIER_MIN_HZ);
+
+/// A loop that runs this much too often is as dead as one that stops, %; both clocks are the crystal's, so what is
+/// left is a step or two at either end.
+const TOO_OFTEN_PERCENT: u64 = 110;
+const STEPS_AT_THE_ENDS: u64 = 4;
+
+/// The control rate is this from now on, Hz.
+pub fn expect(rate_hz: f32) {
+    RATE_HZ.store(rate_hz as u32 + 1, Ordering::Relaxed);
+}
+
 /// A task's sign of life, to be given at least every second.
 pub fn alive(task: Task) {
     LAST_HEARD_MS[task as usize].store(now_ms(), Ordering::Relaxed);
@@ -40,20 +54,28 @@ fn now_ms() -> u32 {
 pub async fn supervise(mut watchdog: Watchdog) -> ! {
     let mut ticker = Ticker::every(PERIOD);
     let mut steps = servo::STEPS.load(Ordering::Relaxed);
+    let mut rate = RATE_HZ.load(Ordering::Relaxed);
+    let mut looked = Instant::now();
     for task in TASKS {
         alive(task);
     }
     loop {
         ticker.next().await;
         let before = core::mem::replace(&mut steps, servo::STEPS.load(Ordering::Relaxed));
+        let elapsed = core::mem::replace(&mut looked, Instant::now()).elapsed().as_micros();
+        // The faster of two rates, where one replaced the other meanwhile.
+        let rate_before = core::mem::replace(&mut rate, RATE_HZ.load(Ordering::Relaxed));
+        let most = elapsed * u64::from(rate.max(rate_before)) * TOO_OFTEN_PERCENT / 100_000_000 + STEPS_AT_THE_ENDS;
+        let paced = u64::from(steps.wrapping_sub(before)) <= most;
         let now = now_ms();
         let silent = TASKS
             .into_iter()
             .find(|task| now.wrapping_sub(LAST_HEARD_MS[*task as usize].load(Ordering::Relaxed)) > SILENCE_MAX_MS);
-        match (steps != before, silent) {
-            (true, None) => watchdog.feed(),
-            (false, _) => defmt::error!("the control step stands still"),
-            (true, Some(task)) => defmt::error!("task {} is silent", task),
+        match (steps != before, paced, silent) {
+            (true, true, None) => watchdog.feed(),
+            (false, ..) => defmt::error!("the control step stands still"),
+            (true, false, _) => defmt::error!("the control step runs too often"),
+            (true, true, Some(task)) => defmt::error!("task {} is silent", task),
         }
     }
 }

@@ -137,6 +137,18 @@ faults! {
     /// Current flows though the bridges are off; value: A.
     StrayCurrent = 30, "current flows through a motor though the bridges are off",
         "switch the supply off: a switch of the bridge is broken, or a motor wire touches another; or a current sensor is off its zero";
+    /// The clock security system found the crystal dead.
+    ClockFailure = 31, "the crystal that clocks the processor stopped",
+        "power-cycle the board; if it returns, the crystal or its soldering is at fault";
+    /// The supply monitor saw the processor's own supply fall.
+    SupplyDip = 32, "the processor's own supply dipped",
+        "check the supply of the board's 3.3 V, and what else it feeds";
+    /// The image in flash is not as it was built.
+    ImageDamaged = 33, "the firmware in flash is not as it was built",
+        "flash the board again, with an image made by `cargo fw`";
+    /// A word of RAM did not keep what was written; value: its address.
+    RamDamaged = 34, "the processor's RAM does not keep what is written",
+        "power-cycle the board; if it returns, replace the board";
 }
 
 impl Fault {

@@ -50,7 +50,7 @@ pub fn file(segments: &[Segment], name: &str) -> Vec<u8> {
 }
 
 /// CRC-32 (reflected 0x04C11DB7) without the final inversion, as the suffix wants it.
-fn crc32(bytes: &[u8]) -> u32 {
+pub fn crc32(bytes: &[u8]) -> u32 {
     bytes.iter().fold(u32::MAX, |crc, byte| {
         (0..8).fold(crc ^ u32::from(*byte), |crc, _| (crc >> 1) ^ (0xEDB8_8320 & (crc & 1).wrapping_neg()))
     })

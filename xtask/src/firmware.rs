@@ -7,7 +7,7 @@ use std::process::Command;
 use anyhow::{Context as _, Result, bail};
 
 use crate::dfu;
-use crate::image::{FLASH_LIMIT, Image, RAM_LIMIT};
+use crate::image::{FLASH_LIMIT, Image, RAM_LIMIT, seal};
 use crate::toolchain::{TARGET, Toolchain, Use, run};
 
 /// All boards, by the name of their Cargo feature.
@@ -38,13 +38,14 @@ fn cargo(toolchain: Toolchain, purpose: Use, board: &str) -> Command {
     command
 }
 
-/// Builds one image and keeps it under its board's name; its path.
+/// Builds one image and keeps it under its board's name, with its checksum in it; its path.
 pub fn build(board: &str, install: bool) -> Result<PathBuf> {
     let toolchain = Toolchain::find(Use::Build, install)?;
     run(&mut cargo(toolchain, Use::Build, board))?;
     let directory = target_directory().join(TARGET).join("firmware");
     let image = directory.join(format!("{BINARY}-{board}.elf"));
     std::fs::copy(directory.join(BINARY), &image).with_context(|| format!("cannot write {}", image.display()))?;
+    seal(&image)?;
     println!("{board}: {}", image.display());
     Ok(image)
 }

@@ -9,6 +9,8 @@ use object::elf::{FileHeader32, PT_LOAD};
 use object::read::elf::{FileHeader as _, ProgramHeader as _};
 use object::{Endianness, Object as _, ObjectSection as _, ObjectSymbol as _, SectionFlags};
 
+use crate::dfu::crc32;
+
 /// Flash of the STM32F405RG.
 const FLASH: Range<u64> = 0x0800_0000..0x0810_0000;
 /// Its RAM, without the core-coupled part.
@@ -21,6 +23,30 @@ const SETTINGS: Range<u64> = 0x0800_4000..0x0800_C000;
 pub const FLASH_LIMIT: u64 = 256 * 1024;
 /// Most that statics and the reserved stack may take together: three quarters of the chip's SRAM.
 pub const RAM_LIMIT: u64 = 96 * 1024;
+
+/// Writes an image's checksum into the word that memory.x keeps for it, which the firmware compares at every start: the
+/// CRC-32 over the vectors up to that word, then over all from the first instruction to the last initial value of a
+/// static.
+pub fn seal(path: &Path) -> Result<()> {
+    let mut data = fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let image = Image::read(path)?;
+    let file = object::File::parse(&*data).context("bad ELF file")?;
+    let symbol = |name: &str| {
+        let found = file.symbols().find(|symbol| symbol.name() == Ok(name)).map(|symbol| symbol.address() as u32);
+        found.with_context(|| format!("the image has no symbol {name}"))
+    };
+    let check = symbol("_image_check")?;
+    let parts = [
+        symbol("__vector_table")?..check,
+        symbol("__stext")?..symbol("__sidata")? + symbol("__edata")? - symbol("__sdata")?,
+    ];
+    let place = file.section_by_name(".image_check").and_then(|section| section.file_range());
+    let (offset, _) = place.context("the image keeps no place for its checksum")?;
+    let bytes: Vec<u8> = parts.into_iter().flatten().map(|address| image.byte(address)).collect();
+    let at = offset as usize;
+    data[at..at + 4].copy_from_slice(&(!crc32(&bytes)).to_le_bytes());
+    fs::write(path, data).with_context(|| format!("cannot write {}", path.display()))
+}
 
 /// One piece of an image and where it goes.
 pub struct Segment {
@@ -79,6 +105,12 @@ impl Image {
         let (top, bottom) = (symbol("_stack_start"), symbol("_stack_end"));
         let stack = top.zip(bottom).context("the image does not say where its stack is")?;
         Ok(Self { segments, flash, statics, stack: stack.0 - stack.1 })
+    }
+
+    /// A byte of flash once the image is in it; erased between segments.
+    fn byte(&self, address: u32) -> u8 {
+        let inside = |segment: &&Segment| address.wrapping_sub(segment.address) < segment.bytes.len() as u32;
+        self.segments.iter().find(inside).map_or(0xFF, |segment| segment.bytes[(address - segment.address) as usize])
     }
 
     /// RAM that is taken: statics and the reserved stack.

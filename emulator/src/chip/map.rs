@@ -163,6 +163,22 @@ pub mod exti {
     }
 }
 
+/// Of the clock controller (RM0090 section 7.3.4).
+pub mod rcc {
+    /// CIR.
+    pub const INTERRUPTS: u32 = 0x0C;
+    /// CSSF: the crystal failed.
+    pub const CLOCK_FAILED: u64 = 1 << 7;
+}
+
+/// Of the power controller (section 5.4.2).
+pub mod power {
+    /// CSR.
+    pub const STATUS: u32 = 0x04;
+    /// PVDO: the supply is below the monitor's level.
+    pub const SUPPLY_LOW: u64 = 1 << 2;
+}
+
 /// The power and clock gating register, and the first word of each endpoint's FIFO window.
 const fn power() -> [RegisterSpec; 17] {
     let mut table = [word(0); 17];

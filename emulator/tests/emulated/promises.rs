@@ -126,6 +126,33 @@ fn the_watchdog_bites_when_the_link_is_silent_though_the_control_interrupt_goes_
 }
 
 #[test]
+fn the_watchdog_bites_when_the_control_interrupt_comes_too_often() {
+    // Shortens TIM1's carrier from 20 to 25 kHz by its auto-reload register, then goes on where the task begins, as
+    // above.
+    let stub = |task| vec![0x4B03_4A02, 0xBF00_601A, 0xF008_F8DF, 3360, 0x4001_002C, task];
+    bitten("10supervisor9supervise4POOL", stub, 40, 300);
+}
+
+#[test]
+fn a_board_whose_supply_stays_low_stays_off_and_says_so_once_it_is_back() {
+    let mut rig = armed(BoardKind::OdriveV3);
+    rig.with(|bench| bench.supply(2700));
+    rig.run(100 * MICROSECOND);
+    let steps = rig.with(|bench| bench.resets().len());
+    for _ in 0..1_000 {
+        assert!(rig.with(off), "bridges are on after {} ns", rig.now());
+        rig.run(100 * MICROSECOND);
+    }
+    let (resets, ready) = rig.with(|bench| (bench.resets().len(), bench.usb().ready()));
+    assert!(resets == steps && !ready, "{resets} resets; the board runs on too little");
+    rig.with(|bench| bench.supply(3300));
+    assert!(rig.shared.board().run_until(2 * SECOND, MILLISECOND, |bench| bench.usb().ready()), "the port is gone");
+    rig.tool = haptic::link::Board::over(rig.shared.wire(), "again").expect("the board answers");
+    let status = rig.tool.status().expect("the board answers");
+    assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::SupplyDip)));
+}
+
+#[test]
 fn a_board_that_is_left_alone_is_not_bitten() {
     let mut rig = armed(BoardKind::OdriveV3);
     let _ = rig.tool.rows(Duration::from_millis(10));
