@@ -8,8 +8,10 @@ use haptic::sim::Drive;
 pub struct Broken {
     /// What each current sensor shows of a current, in the order of the wiring: 0 for one that is stuck.
     pub sensor_gain: [f64; 4],
-    /// What the sensors of an axis show on top of its current, A.
-    pub sensor_extra: [f64; 3],
+    /// What each current sensor shows on top of a current, A, in the order of the wiring.
+    pub sensor_extra: [f64; 4],
+    /// What the sensors of an axis show whatever its current is, A.
+    pub sensor_frozen: [Option<f64>; 3],
     /// What the divider of the bus shows whatever the voltage is, V.
     pub bus_shown: Option<f64>,
     /// Axes whose winding is open.
@@ -28,7 +30,8 @@ impl Default for Broken {
     fn default() -> Self {
         Self {
             sensor_gain: [1.0; 4],
-            sensor_extra: [0.0; 3],
+            sensor_extra: [0.0; 4],
+            sensor_frozen: [None; 3],
             bus_shown: None,
             open: [false; 3],
             stuck_on: [None; 3],

@@ -235,7 +235,8 @@ impl Hardware {
         for (axis, motor) in wiring.motors.iter().enumerate() {
             let gain = if wiring.drivers.is_empty() { Some(1.0) } else { self.driver(axis).gain() };
             for &(channel, volts_per_ampere) in motor.sensors {
-                let current = self.broken.sensor_gain[nth] * currents[axis] + self.broken.sensor_extra[axis];
+                let shown = self.broken.sensor_frozen[axis].unwrap_or(currents[axis]);
+                let current = self.broken.sensor_gain[nth] * shown + self.broken.sensor_extra[nth];
                 let seen = gain
                     .map_or(0.0, |gain| MID_SUPPLY + wiring.sensor_offsets[nth] + gain * volts_per_ampere * current);
                 self.show_volts(channel, seen);

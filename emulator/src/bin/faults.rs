@@ -1,28 +1,53 @@
-//! `faults`: brings every fault about on the emulated chip and writes docs/results/faults.md, together with
-//! what lying sensors and broken motors do at three control rates. `cargo xtask faults` calls it.
+//! `faults`: brings every fault about on the emulated chip and writes docs/results/faults.md, then what lying sensors
+//! and broken motors do at three control rates into its second part. `faults lying` does the second alone, `faults NAME …`
+//! brings the faults of those names about and only prints what came of them. `cargo xtask faults` calls it.
 //!
-//! Exit code 1: the table could not be written.
+//! Exit code 1: the document could not be read or written.
 
+use std::io;
 use std::process::ExitCode;
 
 use haptic_bridge::safety::fault::Fault;
-use virtual_board::campaign;
+use virtual_board::campaign::{self, HEADING};
 use virtual_board::inject::{document, provoke, table};
 
 fn main() -> ExitCode {
-    let outcomes: Vec<_> = Fault::ALL
-        .iter()
-        .map(|fault| {
-            let outcome = provoke(*fault);
-            println!("{}: {outcome:?}", fault.name());
-            (*fault, outcome)
-        })
-        .collect();
-    match std::fs::write(document(), table(&outcomes) + &campaign::table()) {
+    let named: Vec<String> = std::env::args().skip(1).collect();
+    let lying_alone = named == ["lying"];
+    if !named.is_empty() && !lying_alone {
+        for fault in Fault::ALL.iter().filter(|fault| named.iter().any(|name| name == fault.name())) {
+            println!("{}: {:?}", fault.name(), provoke(*fault));
+        }
+        return ExitCode::SUCCESS;
+    }
+    match run(lying_alone) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("faults: {}: {error}", document().display());
             ExitCode::from(1)
         }
     }
+}
+
+/// The document's two parts, the second from its heading on.
+fn parts() -> io::Result<(String, String)> {
+    let text = std::fs::read_to_string(document())?;
+    let at = text.find(HEADING).unwrap_or(text.len());
+    Ok((text[..at].to_owned(), text[at..].to_owned()))
+}
+
+fn run(lying_alone: bool) -> io::Result<()> {
+    if !lying_alone {
+        let outcomes: Vec<_> = Fault::ALL
+            .iter()
+            .map(|fault| {
+                let outcome = provoke(*fault);
+                println!("{}: {outcome:?}", fault.name());
+                (*fault, outcome)
+            })
+            .collect();
+        std::fs::write(document(), table(&outcomes) + &parts()?.1)?;
+    }
+    let lying = campaign::table();
+    std::fs::write(document(), parts()?.0 + &lying)
 }
