@@ -99,7 +99,7 @@ enum Command {
     },
     /// Measure the range of stable walls on the emulated board, into docs/results.md (half an hour)
     Range,
-    /// Bring every fault about on the emulated board, into docs/results/faults.md (more than an hour)
+    /// Bring every fault about on the emulated board, into docs/results/faults.md (an hour)
     Faults,
     /// The real firmware on an emulated board with a simulated device, to talk to
     Board {
