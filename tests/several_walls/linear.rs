@@ -230,3 +230,19 @@ fn the_range_of_facets_two_degrees_apart_is_that_of_the_wall() {
     let cut = of(&[facet(-1.0), facet(1.0)], true);
     assert!(whole > 1.2 * off && (cut / whole - 1.0).abs() < 1.0e-3, "{off} plain, {whole} in one piece, {cut} cut");
 }
+
+/// Two walls of which the first alone has the feed-forward: the proof says nothing of them. They are the worst of 3 000
+/// random pairs that code of another kind tried.
+#[test]
+fn a_wall_without_the_feed_forward_beside_one_with_it_can_be_less_stable_than_two_without() {
+    let (device, q) = (device("coupled-five-bar"), [2.6, 1.75]);
+    let walls = [(scaled(&[-0.194_558, -0.980_891]), 0.596_72), (scaled(&[0.706_391, -0.707_822]), 1.0)];
+    let of =
+        |walls: &[(Vec<f64>, f64)], feed_forward| Case::new(&device, &q, walls, feed_forward).expect("a regular pose");
+    let (plain, shaped, mut mixed) = (of(&walls, false), of(&walls, true), of(&walls, false));
+    mixed.levers.set_column(0, &of(&walls[..1], true).levers.column(0));
+    let largest = |case: &Case| case.modes().iter().map(|mode| mode.norm()).fold(0.0, f64::max);
+    assert!(largest(&shaped) <= largest(&plain) * (1.0 + 1.0e-9), "with all of it they are no less stable");
+    let lighter = largest(&mixed) / largest(&plain);
+    assert!((lighter - 1.0566).abs() < 1.0e-3, "{lighter}");
+}
