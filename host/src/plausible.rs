@@ -122,6 +122,11 @@ fn turns(what: &str, angle: f64) -> String {
     )
 }
 
+/// A number as it was meant, to six significant digits: without what arithmetic left behind them.
+pub fn digits(value: f64) -> String {
+    format!("{value:.5e}").parse::<f64>().unwrap_or(value).to_string()
+}
+
 /// A number for people: three significant digits, and a prefix where the unit takes one.
 pub fn with_unit(value: f64, unit: &str) -> String {
     let size = value.abs();

@@ -22,6 +22,8 @@ pub const STATES: [&str; 4] = ["Disarmed", "Armed", "CheckingPolarity", "Fault"]
 pub enum Value {
     /// As it is.
     Number(f64),
+    /// As the board has it, in the fewest digits that mean it.
+    Single(f32),
     /// One of a few.
     Word(&'static str),
 }
@@ -30,6 +32,8 @@ impl std::fmt::Display for Value {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Number(number) => write!(f, "{number}"),
+            Self::Single(small) if *small != 0.0 && small.abs() < 1e-4 => write!(f, "{small:e}"),
+            Self::Single(number) => write!(f, "{number}"),
             Self::Word(word) => f.write_str(word),
         }
     }
@@ -249,6 +253,14 @@ mod tests {
         assert_eq!(recording.rows[9_999], [9999.0, 0.1 * 9999.0 / 3.0, 3.0]);
         assert!(!recording.torn);
         assert!(Recorder::create(&path, "", &columns(), Overwrite::Never).is_err(), "a recording is not overwritten");
+    }
+
+    #[test]
+    fn what_a_board_measured_is_written_in_the_digits_that_it_has() {
+        for (value, text) in [(0.1, "0.1"), (-1.862_645_1e-9, "-1.8626451e-9"), (0.0, "0"), (2.5e7, "25000000")] {
+            assert_eq!(Value::Single(value).to_string(), text);
+            assert_eq!(text.parse::<f32>().unwrap(), value);
+        }
     }
 
     #[test]

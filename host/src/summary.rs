@@ -1,15 +1,18 @@
 //! What a device file describes, in the terms in which a person would notice that it describes another device: how far
 //! the tip reaches, where it is at home, how hard it can push, what it weighs.
 
-use crate::analysis::map::map;
+use crate::analysis::map::{MapPoint, climb, map};
 use crate::analysis::pose::{PoseError, TaskPose};
 use crate::device_file::DeviceFile;
 use crate::plausible::device::force_at;
 use crate::plausible::with_unit;
+use haptic_bridge::model::device::Device;
 use serde::Serialize;
 
 /// Poses of the grid that the reach and the inertia are taken from.
 const POSES: usize = 3000;
+/// First step from there on towards the reach, rad.
+const STEP: f64 = 0.1;
 
 /// Lowest and highest of something.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -46,15 +49,28 @@ pub struct Summary {
     pub w_eff: Option<Span>,
 }
 
+/// How far the tip goes along a task coordinate: from the grid's farthest poses on, to where limits or a singularity end
+/// the way.
+fn reach(device: &Device<f64>, points: &[MapPoint], axis: usize) -> Result<Option<Span>, PoseError> {
+    let place = |point: &&MapPoint| point.position[axis];
+    let farthest = |sign: f64| {
+        let from = points.iter().max_by(|a, b| (sign * place(a)).total_cmp(&(sign * place(b))))?;
+        Some(climb(device, &from.q, STEP, |pose| sign * pose.position[axis]).map(|reached| sign * reached))
+    };
+    let (low, high) = (farthest(-1.0).transpose()?, farthest(1.0).transpose()?);
+    Ok(low.zip(high).map(|(low, high)| Span { low, high }))
+}
+
 impl Summary {
     /// Of a device file.
     pub fn of(file: &DeviceFile) -> Result<Self, PoseError> {
         let description = &file.description;
         let spec = file.spec();
         let points = map(description, &[1.0, 0.0, 0.0][..spec.task], POSES)?;
-        let reach = (0..spec.task).filter_map(|axis| Span::of(points.iter().map(|p| p.position[axis]))).collect();
-        let w_eff = Span::of(points.iter().flat_map(|p| p.eigenvalues.iter().copied()));
         let device = file.device::<f64>()?;
+        let reach = (0..spec.task).filter_map(|axis| reach(&device, &points, axis).transpose());
+        let reach = reach.collect::<Result<_, _>>()?;
+        let w_eff = Span::of(points.iter().flat_map(|p| p.eigenvalues.iter().copied()));
         let home = description.home.map(|home| TaskPose::of(&device.mechanism, &home[..spec.joints])).transpose()?;
         let regular = home.clone().and_then(|pose| pose.regular().ok());
         let w_eff_at_home = regular.as_ref().and_then(|pose| {

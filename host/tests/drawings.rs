@@ -1,4 +1,4 @@
-//! The drawings in docs/drawings/ are what the tool draws of the devices that ship.
+//! The pictures in docs/drawings/, the demo's and the maps in docs/results/ are what the tool draws now.
 
 use assert_cmd::Command;
 use std::path::Path;
@@ -25,4 +25,25 @@ fn the_drawings_of_the_documents_are_those_of_the_tool() {
         );
     }
     assert_eq!(std::fs::read_dir(root.join("docs/drawings")).unwrap().count(), 6);
+}
+
+#[test]
+fn the_pictures_of_the_results_are_what_their_commands_draw() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let folder = tempfile::tempdir().unwrap();
+    let text = std::fs::read_to_string(root.join("docs/results.md")).unwrap();
+    let mut lines: Vec<&str> = text.lines().filter(|line| line.starts_with("haptic map ")).collect();
+    assert_eq!(lines.len(), 2);
+    let demo = "haptic demo --svg docs/results/demo.svg";
+    assert!(text.contains(demo));
+    lines.push(demo);
+    for line in lines {
+        let mut words: Vec<String> = line.split_whitespace().skip(1).map(String::from).collect();
+        let published = words.pop().unwrap();
+        let drawn = folder.path().join("drawn");
+        words.extend([drawn.display().to_string(), "--force".into()]);
+        Command::cargo_bin("haptic").unwrap().current_dir(&root).args(words).assert().success();
+        let kept = std::fs::read(root.join(&published)).unwrap();
+        assert!(std::fs::read(drawn).unwrap() == kept, "`{line}` draws {published} anew");
+    }
 }

@@ -180,8 +180,47 @@ fn searched(value: impl Fn(&DVector<f64>) -> f64) -> Worst {
     Worst { value: value(&normal), normal: normal.iter().copied().collect() }
 }
 
-/// Whether a pose may be walked through, and on which side of the singularities it lies.
-fn side(device: &Device<f64>, q: &[f64]) -> Result<Option<bool>, PoseError> {
+/// The highest `value` that a device gets to from the pose `from` (rad) without crossing a singularity or a limit, by
+/// steps of at most `step` rad: a compass search over all directions of the grid, whose steps halve to 1e-5 rad. It goes on
+/// to within the sine 1e-3 of a singularity, which takes a stretched arm to within a millionth of its length.
+pub fn climb(
+    device: &Device<f64>,
+    from: &[f64],
+    step: f64,
+    value: impl Fn(&TaskPose) -> f64,
+) -> Result<f64, PoseError> {
+    // What is not the same after a turn, as a paddle's arc, ends where the grid does.
+    let periodic = device.mechanism.kind().spec().periodic;
+    let at = |q: &[f64]| -> Result<Option<(bool, f64)>, PoseError> {
+        if !periodic && q.iter().any(|angle| angle.abs() > std::f64::consts::PI) {
+            return Ok(None);
+        }
+        let Some(side) = side(device, q, 1e-3)? else { return Ok(None) };
+        Ok(Some((side, value(&TaskPose::of(&device.mechanism, q)?))))
+    };
+    let mut q = from.to_vec();
+    let Some((start, mut best)) = at(&q)? else { return Ok(value(&TaskPose::of(&device.mechanism, from)?)) };
+    let mut step = step;
+    while step > 1e-5 {
+        let mut better = None;
+        for direction in 0..3_usize.pow(q.len() as u32) {
+            let towards = |joint: usize| ((direction / 3_usize.pow(joint as u32)) % 3) as f64 - 1.0;
+            let next: Vec<f64> = q.iter().enumerate().map(|(joint, angle)| angle + step * towards(joint)).collect();
+            match at(&next)? {
+                Some((side, value)) if side == start && value > best => (best, better) = (value, Some(next)),
+                _ => {}
+            }
+        }
+        match better {
+            Some(next) => q = next,
+            None => step *= 0.5,
+        }
+    }
+    Ok(best)
+}
+
+/// Whether a pose is as far as `sine` from all singularities and within the limits, and on which side it lies.
+fn side(device: &Device<f64>, q: &[f64], sine: f64) -> Result<Option<bool>, PoseError> {
     // A grid angle that is meant to lie on a limit may be rounded to beyond it.
     let allowed = |(angle, joint): (&f64, &Joint<f64>)| {
         joint.limits.is_none_or(|(low, high)| (low - 1e-9..=high + 1e-9).contains(angle))
@@ -190,7 +229,7 @@ fn side(device: &Device<f64>, q: &[f64]) -> Result<Option<bool>, PoseError> {
         return Ok(None);
     }
     let pose = TaskPose::of(&device.mechanism, q)?;
-    let regular = pose.regularity.serial >= WALKABLE_SINE && pose.regularity.parallel >= WALKABLE_SINE;
+    let regular = pose.regularity.serial >= sine && pose.regularity.parallel >= sine;
     Ok(regular.then(|| pose.jacobian.determinant() > 0.0))
 }
 
@@ -236,7 +275,8 @@ impl Reachable {
 
     fn flood(&mut self, device: &Device<f64>) -> Result<(), PoseError> {
         let count: usize = self.axes.iter().map(Vec::len).product();
-        let sides: Vec<Option<bool>> = (0..count).map(|i| side(device, &self.angles(i))).collect::<Result<_, _>>()?;
+        let sides: Vec<Option<bool>> =
+            (0..count).map(|i| side(device, &self.angles(i), WALKABLE_SINE)).collect::<Result<_, _>>()?;
         self.reached = vec![false; count];
         let home = device.home.unwrap_or_default();
         let far = |index: usize| -> f64 {
@@ -286,7 +326,7 @@ impl Reachable {
 
     /// Whether `q` (rad) is a pose on the reached side of the singularities, and within the limits.
     pub fn walkable(&self, q: &[f64]) -> bool {
-        self.side.is_some() && side(&self.device, q).is_ok_and(|found| found == self.side)
+        self.side.is_some() && side(&self.device, q, WALKABLE_SINE).is_ok_and(|found| found == self.side)
     }
 
     /// Whether the pose of a flat index was reached.

@@ -287,9 +287,14 @@ pub fn picture(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
     frame.draw(&mut canvas, "");
     let title = "Speed against error: every variant of the control step, fronts as lines";
     canvas.text((frame.at.0, 28.0), 15.0, Anchor::Start, false, title);
+    let counts = every.iter().flat_map(|(_, variants)| variants).filter_map(|variant| variant.instructions);
+    let beyond = counts.filter(|count| *count > MOST).min();
+    let beyond = beyond.map_or(String::new(), |least| {
+        format!(" What takes more instructions than fit here, {least} and up, is not drawn.")
+    });
     for (line, text) in [
         "Instructions on the Cortex-M4F. Error: torque as a force at the tip, plus the tip's error times 20 kN/m;",
-        "below 10⁻⁶ N drawn there. libm takes 8 400 instructions and more, and is not drawn.",
+        &format!("below 10⁻⁶ N drawn there.{beyond}"),
     ]
     .into_iter()
     .enumerate()

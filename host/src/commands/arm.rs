@@ -8,7 +8,7 @@ use haptic_bridge::servo::{ARM_SECONDS, HostAction};
 use serde_json::json;
 use std::time::Duration;
 
-/// Switch the motors on and render the scene, until Ctrl-C
+/// Switch the motors on and render the scene, until Ctrl-C where the board watches its host
 ///
 /// Torque ramps up over half a second. The board refuses, with the reason, while anything that it needs is missing.
 /// Where its rules watch the host, as a real board's do unless told otherwise, this command stays, tells the board that

@@ -35,7 +35,7 @@ variant: mechanism/trigonometry/mass matrix/terms
 errors, N at the tip at the worst of the poses and speeds that the motors can make, each by itself:
   left out: terms that are not computed; matrix: the mass matrix instead of the closed form;
   rounding: f32 and trigonometry in the torque; tip: the same in the tip's position, times 20 kN/m
-area: stable area of stiffness and damping that is left of the exact feed-forward's
+area: stable area of stiffness and damping that is left of the exact feed-forward's, at the worst of the poses
 front: nothing of the same mechanism is both cheaper and nearer to the force that should be felt
 ";
 

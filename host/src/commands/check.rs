@@ -177,10 +177,12 @@ fn tip_in_words(description: &Description) -> String {
     match Tip::at_home(description) {
         Some(Ok(tip)) if motors.iter().any(|torque| *torque > 0.0) => {
             let speed = [BOARD_SPEED; MAX_JOINTS];
+            let spec = description.kind.spec();
+            let moment = if spec.joints > spec.task { ", with a moment on it beside" } else { "" };
             let joints: Vec<String> =
                 tip.torques_for(GENTLE_FORCE.into()).iter().map(|torque| format!("{torque:.3}")).collect();
             format!(
-                "  at the home pose its motors make up to {:.1} N at the tip; a board lets walls push with \
+                "  at the home pose its motors make up to {:.1} N at the tip{moment}; a board lets walls push with \
                  {GENTLE_FORCE} N until told otherwise, and `haptic device` sets torque limits for as much ({} N m); at {} rad/s its links carry {:.2} J\n",
                 tip.force(&motors),
                 joints.join(", "),

@@ -162,7 +162,7 @@ fn report(demo: &Demo, results: &Results) -> String {
     let stiffness = |newtons: f64| format!("{:.2}", newtons / 1000.0);
     row("highest stable stiffness, kN/m: measured", stiffness(low.measured), stiffness(high.measured));
     row("                                predicted", stiffness(low.predicted), stiffness(high.predicted));
-    row("contact lost while pressing, times", without.bounces.to_string(), with.bounces.to_string());
+    row("the wall lets go while pressed, times", without.bounces.to_string(), with.bounces.to_string());
     row("rows of telemetry lost", without.lost.to_string(), with.lost.to_string());
     text.push_str(&format!(
         "\n  Weff = {:.1} g, Wrr = {:.1} g, coupling Wrr - Weff = {:.1} g\n\n",

@@ -121,7 +121,8 @@ pub fn short(value: f32) -> String {
     if digits > 12 {
         return format!("{value:.4e}");
     }
-    let text = format!("{value:.digits$}");
+    // Display gives a float the fewest digits that mean it, where a precision would write out those it does not have.
+    let text = if digits == 0 { value.round().to_string() } else { format!("{value:.digits$}") };
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
 }
 

@@ -31,7 +31,8 @@ pub struct Args {
     /// Range of the two angles, lowest and highest of the first, then of the second, rad [default: the workspace]
     #[arg(long = "box", value_name = "A,B,C,D", allow_hyphen_values = true)]
     range: Option<Numbers>,
-    /// Write it to this file (JSON)
+    /// Write it to this file (JSON: where its points lie, its values, its errors), to look at or for programs of your own;
+    /// no command reads it, because `haptic scene` makes by itself what it sends to a board
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     #[command(flatten)]

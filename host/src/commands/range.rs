@@ -452,6 +452,9 @@ fn readable(
     if let Some(washout) = &range.washout {
         row(&format!("washout {} Hz", args.washout.unwrap_or_default()), washout);
     }
+    if args.kd.is_some() {
+        line("  max kp: of the dampings asked for; without --kd that of the whole range".into());
+    }
     line(String::new());
     // A dozen rows are enough to read; --json and --kd give the rest.
     let step = (range.off.boundary.len() / 12).max(1);

@@ -306,7 +306,11 @@ impl Follow {
 /// A state by its name, everything else by its number.
 fn in_words(column: &Column, value: f64) -> Value {
     let state = (column.field == Field::State && column.axis == 0).then(|| STATES.get(value as usize)).flatten();
-    state.map_or(Value::Number(value), |state| Value::Word(state))
+    match (state, column.field) {
+        (Some(state), _) => Value::Word(state),
+        (None, Field::Counts | Field::State) => Value::Number(value),
+        (None, _) => Value::Single(value as f32),
+    }
 }
 
 /// Quantities to five digits, what is counted as it is.
@@ -314,12 +318,15 @@ fn shown(column: &Column, value: Value) -> String {
     match (column.field, value) {
         (Field::Counts | Field::State | Field::Saturated, value) | (_, value @ Value::Word(_)) => value.to_string(),
         (_, Value::Number(number)) => format!("{number:.5}"),
+        // Without a sign where nothing is left of the number.
+        (_, Value::Single(number)) => format!("{:.5}", (1e5 * number).round() / 1e5 + 0.0),
     }
 }
 
 fn as_json(value: &Value) -> serde_json::Value {
     match value {
         Value::Number(number) => json!(number),
+        Value::Single(_) => json!(value.to_string().parse::<f64>().ok()),
         Value::Word(word) => json!(word),
     }
 }

@@ -1,6 +1,7 @@
 //! What became better and what became worse with the feed-forward, in the words that the report and the picture share.
 
 use super::crossing::Crossing;
+use std::cmp::Ordering;
 
 /// Changes smaller than this are none: they are not seen in the digits that are printed.
 const SAME: f64 = 0.005;
@@ -31,7 +32,13 @@ impl Comparison {
         compare(without.ripple, with.ripple, &format!("less {vibration}"), &format!("more {vibration}"));
         compare(without.penetration, with.penetration, "shallower penetration", "deeper penetration");
         compare(without.peak_force, with.peak_force, "lower peak force", "higher peak force");
-        compare(without.bounces as f64, with.bounces as f64, "fewer losses of contact", "more losses of contact");
+        // A few events more or less are no percentage.
+        let lets_go = format!("the wall lets go {} times instead of {}", with.bounces, without.bounces);
+        match with.bounces.cmp(&without.bounces) {
+            Ordering::Less => comparison.better.push(lets_go),
+            Ordering::Greater => comparison.worse.push(lets_go),
+            Ordering::Equal => {}
+        }
         comparison
     }
 
@@ -56,6 +63,9 @@ mod tests {
         let [better, worse] = comparison.sentences();
         assert_eq!(better, "Better with it: 75 % less vibration under the resting hand.");
         assert_eq!(worse, "Worse with it: 20 % deeper penetration.");
+        let bouncing = Crossing { bounces: 3, ..crossing(1e-3, 10.0, 2.0) };
+        let [better, _] = Comparison::of(&bouncing, &crossing(1e-3, 10.0, 2.0)).sentences();
+        assert_eq!(better, "Better with it: the wall lets go 0 times instead of 3.");
         let same = crossing(1.0, 1.0, 1.0);
         assert_eq!(Comparison::of(&same, &same).sentences()[1], "Worse with it: nothing.");
     }

@@ -51,7 +51,7 @@ pub struct Crossing {
     pub peak_force: f64,
     /// Deviation of the wall's force from its mean while the hand rests on the wall, N rms.
     pub ripple: f64,
-    /// Times the tip lost contact between touching and lifting.
+    /// Times the wall's force fell to zero between touching and lifting: the hand feels it let go.
     pub bounces: usize,
     /// Rows of telemetry lost.
     pub lost: u64,
@@ -140,7 +140,7 @@ fn assess(moments: Vec<Moment>, lost: u64, fault: Option<String>) -> Crossing {
         .collect();
     let touched = moments.iter().position(|moment| moment.touching);
     let held = moments.iter().take_while(|moment| moment.time < SLID + 0.2 - BEGIN).skip(touched.unwrap_or(usize::MAX));
-    let contact: Vec<bool> = held.map(|moment| moment.touching).collect();
+    let contact: Vec<bool> = held.map(|moment| moment.force > 0.0).collect();
     Crossing {
         penetration: largest(|moment| -moment.distance),
         peak_force: largest(|moment| moment.force),

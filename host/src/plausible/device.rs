@@ -1,6 +1,6 @@
 //! Doubts about a device file.
 
-use super::{Doubt, Key, turns, with_unit};
+use super::{Doubt, Key, digits, turns, with_unit};
 use crate::analysis::pose::TaskPose;
 use core::f64::consts::{PI, TAU};
 use haptic_bridge::math::Libm;
@@ -8,7 +8,7 @@ use haptic_bridge::model::description::{Description, Joint, Link};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::with_mechanism;
-use nalgebra::SVector;
+use nalgebra::{DMatrix, DVector, SVector};
 
 /// kg/m³
 const STEEL: f64 = 7850.0;
@@ -124,7 +124,7 @@ fn of_link(link: &Link, index: usize, place: &str, longest: f64, heaviest: f64) 
         let text = format!(
             "`inertia` of {place} is {} kg m² for {}: {bound}; it is taken about the centre of mass, in kg m² \
              (1 g cm² is 1e-7)",
-            link.inertia,
+            digits(link.inertia),
             with_unit(link.mass, "kg")
         );
         doubts.push(Doubt::new(at("inertia"), text));
@@ -149,7 +149,7 @@ fn of_joint(joint: &Joint, index: usize) -> Vec<Doubt> {
     if joint.inertia > JOINT_INERTIA {
         let text = format!(
             "`inertia` of joint {index} is {} kg m², as much as {:.0} kg at 10 cm: 1 g cm² is 1e-7 kg m²",
-            joint.inertia,
+            digits(joint.inertia),
             100.0 * joint.inertia
         );
         doubt("", "inertia", text);
@@ -260,7 +260,7 @@ fn weight(device: &Device<f64>, q: &[f64]) -> Vec<f64> {
 
 /// The most that the motors give along a direction of d entries, N; infinite when no motor is felt there.
 pub fn force_along(device: &Device<f64>, pose: &TaskPose, direction: &[f64]) -> Option<f64> {
-    let task = nalgebra::DVector::from_fn(pose.jacobian.nrows(), |i, _| direction.get(i).copied().unwrap_or(0.0));
+    let task = DVector::from_fn(pose.jacobian.nrows(), |i, _| direction.get(i).copied().unwrap_or(0.0));
     let per_newton = pose.jacobian.tr_mul(&task);
     let mut least = f64::INFINITY;
     for (joint, torque) in per_newton.iter().enumerate() {
@@ -270,18 +270,31 @@ pub fn force_along(device: &Device<f64>, pose: &TaskPose, direction: &[f64]) -> 
     Some(least)
 }
 
-/// The most that the motors give at a pose along their weakest and strongest direction, N.
+/// The most that the motors give at a pose along their weakest and strongest direction, N. Along a direction alone: on a
+/// redundant device without a moment on the tip.
+///
+/// Forces f with |Jᵀ f| within the motors' torques fill a polytope. Its nearest boundary is the nearest of its faces, one
+/// pair a joint, and its farthest is a corner, where as many joints as there are directions give all that they have.
 pub fn force_at(device: &Device<f64>, pose: &TaskPose) -> Option<(f64, f64)> {
-    let mut found = (f64::INFINITY, 0.0_f64);
-    let steps = 72;
-    for i in 0..steps {
-        let (sin, cos) = (f64::from(i) * PI / f64::from(steps)).sin_cos();
-        for j in 0..if pose.task > 2 { steps } else { 1 } {
-            let (rise, flat) = (f64::from(j) * PI / f64::from(steps)).sin_cos();
-            let direction = if pose.task == 1 { [1.0, 0.0, 0.0] } else { [cos * flat, sin * flat, rise] };
-            let force = force_along(device, pose, &direction[..pose.task])?;
-            found = (found.0.min(force), found.1.max(force));
+    let jacobian = pose.jacobian.rows(0, pose.task);
+    let motors = device.joints.iter().take(jacobian.ncols()).map(|joint| joint.motor);
+    let most: Vec<f64> =
+        motors.map(|motor| motor.map(|m| (m.torque_constant * m.max_current).abs())).collect::<Option<_>>()?;
+    let faces = most.iter().zip(jacobian.column_iter()).map(|(torque, column)| torque / column.norm());
+    let weakest = faces.fold(f64::INFINITY, f64::min);
+    let mut strongest = 0.0_f64;
+    for chosen in (0..1_usize << most.len()).filter(|chosen| chosen.count_ones() as usize == pose.task) {
+        let joints: Vec<usize> = (0..most.len()).filter(|joint| chosen >> joint & 1 == 1).collect();
+        let rows = DMatrix::from_fn(pose.task, pose.task, |row, axis| jacobian[(axis, joints[row])]);
+        let Some(inverse) = rows.try_inverse() else { continue };
+        for signs in 0..1_usize << pose.task {
+            let sign = |row: usize| if signs >> row & 1 == 1 { -1.0 } else { 1.0 };
+            let force = &inverse * DVector::from_fn(pose.task, |row, _| sign(row) * most[joints[row]]);
+            let torques = jacobian.tr_mul(&force);
+            if torques.iter().zip(&most).all(|(torque, most)| torque.abs() <= most * (1.0 + 1e-9)) {
+                strongest = strongest.max(force.norm());
+            }
         }
     }
-    found.0.is_finite().then_some(found)
+    (weakest.is_finite() && strongest > 0.0).then_some((weakest, strongest))
 }

@@ -1,7 +1,7 @@
 //! Doubts about walls on a device: out of reach, beyond what is stable there, beyond the motors.
 
 use super::device::force_along;
-use super::{Doubt, Key, with_unit};
+use super::{Doubt, Key, digits, with_unit};
 use crate::analysis::map::Reachable;
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
@@ -127,9 +127,10 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> 
     let mut doubts = Vec::new();
     if wall.damping > contact.damping_to {
         let text = format!(
-            "the damping of wall {index}, {} N s/m, is beyond what is predicted stable: up to {:.3} N s/m here (`haptic \
+            "the damping of wall {index}, {} N s/m, is beyond what is predicted stable: up to {} here (`haptic \
              range` at --q {pose}); it will vibrate unless friction or a hand damps it",
-            wall.damping, contact.damping_to
+            digits(wall.damping),
+            with_unit(contact.damping_to, "N s/m")
         );
         doubts.push(doubt("damping", text));
     } else if wall.stiffness > contact.stable_to {

@@ -49,7 +49,9 @@ pub fn draw(description: &Description, name: &str, q: &[f64], lines: &[String]) 
             reach.iter().map(|tile| tile.iter().map(|&(x, y)| frame.pixel(x, y)).collect()).collect();
         canvas.tiles(&tiles, REACH);
         turret_axis(canvas, &frame, description.kind);
-        links(canvas, &frame, &skeleton);
+        let mut taken: Vec<Area> = skeleton.angles.iter().map(|angle| label(&frame, angle, &skeleton).area()).collect();
+        taken.extend(turret_label(&frame, description.kind));
+        links(canvas, &frame, &skeleton, &taken);
         for (angle, colour) in skeleton.angles.iter().zip([OFF, FULL, WASHOUT]) {
             arc(canvas, &frame, angle, pixels, description, colour, &skeleton);
         }
@@ -108,7 +110,14 @@ fn notes(description: &Description) -> Vec<String> {
     }
 }
 
-fn links(canvas: &mut Canvas, frame: &Frame, skeleton: &Skeleton) {
+/// A rectangle of the drawing: its left, top, right and bottom, pixels.
+type Area = [f64; 4];
+
+fn overlap(a: &Area, b: &Area) -> bool {
+    a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]
+}
+
+fn links(canvas: &mut Canvas, frame: &Frame, skeleton: &Skeleton, taken: &[Area]) {
     for bar in &skeleton.bars {
         let ends = [bar.from, bar.to].map(|p| frame.pixel(p.0, p.1));
         canvas.polyline(&ends, Stroke::solid(INK, 9.0));
@@ -132,14 +141,29 @@ fn links(canvas: &mut Canvas, frame: &Frame, skeleton: &Skeleton) {
         let middle = ((from.0 + to.0) / 2.0, (from.1 + to.1) / 2.0);
         let (nx, ny) = (dy / length, -dx / length);
         let outward = if (middle.0 - centre.0) * nx + (middle.1 - centre.1) * ny < 0.0 { -1.0 } else { 1.0 };
-        let (nx, ny) = (outward * nx, outward * ny);
-        // The baseline lies below the letters.
-        let away = if ny > 0.0 { 17.0 } else { 8.0 };
         let text = format!("{}, {} mm", bar.name, (bar.length * 1e5).round() / 100.0);
         // Off the arcs at the base; a label longer than its link begins where the link does.
         let past = (3.1 * text.chars().count() as f64 + 6.0 - length / 2.0).max(0.06 * length);
-        let at = (middle.0 + past * dx / length, middle.1 + past * dy / length);
-        canvas.slanted_text((at.0 + away * nx, at.1 + away * ny), slope, &text);
+        let half = (3.1 * text.chars().count() as f64, 6.0);
+        let (sin, cos) = slope.to_radians().sin_cos();
+        let (wide, tall) = ((half.0 * cos).abs() + (half.1 * sin).abs(), (half.0 * sin).abs() + (half.1 * cos).abs());
+        let place = |past: f64, side: f64| {
+            let (nx, ny) = (side * nx, side * ny);
+            // The baseline lies below the letters.
+            let away = if ny > 0.0 { 17.0 } else { 8.0 };
+            let at = (middle.0 + past * dx / length + away * nx, middle.1 + past * dy / length + away * ny);
+            let [left, top] = [frame.at.0 + 2.0, frame.at.1 + 2.0];
+            let [right, bottom] = [left + frame.size.0 - 4.0, top + frame.size.1 - 4.0];
+            (
+                at.0.clamp((left + wide).min(right - wide), right - wide),
+                at.1.clamp((top + tall).min(bottom - tall), bottom - tall),
+            )
+        };
+        let area = |at: (f64, f64)| [at.0 - wide, at.1 - tall, at.0 + wide, at.1 + tall];
+        // The first place that is free: outside, inside, towards the other end of the link.
+        let places = [(past, outward), (past, -outward), (-past, outward), (-past, -outward)].map(|(p, s)| place(p, s));
+        let free = places.iter().find(|at| !taken.iter().any(|other| overlap(&area(**at), other)));
+        canvas.slanted_text(*free.unwrap_or(&places[0]), slope, &text);
     }
     for (letter, at) in &skeleton.letters {
         let (x, y) = frame.pixel(at.0, at.1);
@@ -190,6 +214,30 @@ fn arc(
     {
         canvas.polyline(&along(low, high, radius + 7.0), Stroke { colour, width: 1.2, dash: "1.5 2.5" });
     }
+    let label = label(frame, angle, skeleton);
+    let [left, top, right, bottom] = label.area();
+    canvas.rectangle((left, top), (right - left, bottom - top), "#ffffffdd", Stroke::solid(FAINT, 0.0));
+    canvas.coloured_text(label.at, 12.0, label.anchor, colour, &label.text);
+}
+
+/// What stands beside a joint.
+struct Label {
+    text: String,
+    at: (f64, f64),
+    anchor: Anchor,
+}
+
+impl Label {
+    /// Where it covers the drawing.
+    fn area(&self) -> Area {
+        let width = 6.9 * self.text.chars().count() as f64;
+        let start = if self.anchor == Anchor::End { self.at.0 - width } else { self.at.0 };
+        [start - 3.0, self.at.1 - 11.0, start + width + 3.0, self.at.1 + 4.0]
+    }
+}
+
+fn label(frame: &Frame, angle: &Angle, skeleton: &Skeleton) -> Label {
+    let centre = frame.pixel(angle.at.0, angle.at.1);
     let text = format!("joint {}: {:.1}°", angle.joint, angle.angle.to_degrees());
     // Below the pivot, where links of usual poses are not; two base pivots keep apart.
     let left = skeleton.base.first().is_some_and(|first| skeleton.base.len() > 1 && *first == angle.at);
@@ -201,11 +249,19 @@ fn arc(
     } else {
         (8.0, Anchor::Start)
     };
-    let box_width = 6.9 * text.chars().count() as f64;
     let at = (centre.0 + shift, centre.1 + if skeleton.base.contains(&angle.at) { 38.0 } else { 22.0 });
-    let start = if anchor == Anchor::End { at.0 - box_width } else { at.0 };
-    canvas.rectangle((start - 3.0, at.1 - 11.0), (box_width + 6.0, 15.0), "#ffffffdd", Stroke::solid(FAINT, 0.0));
-    canvas.coloured_text(at, 12.0, anchor, colour, &text);
+    Label { text, at, anchor }
+}
+
+/// Where the turret's axis is named.
+fn turret_label(frame: &Frame, kind: Kind) -> Option<Area> {
+    const LONG: f64 = 175.0;
+    let origin = frame.pixel(0.0, 0.0);
+    let right = frame.at.0 + frame.size.0 - 8.0;
+    Some(match Turret::of(kind)? {
+        Turret::AboutX => [right - LONG, origin.1 + 3.0, right, origin.1 + 18.0],
+        Turret::AboutY => [origin.0 - 16.0, frame.at.1 + 8.0, origin.0 - 2.0, frame.at.1 + 8.0 + LONG],
+    })
 }
 
 fn turret_axis(canvas: &mut Canvas, frame: &Frame, kind: Kind) {
