@@ -133,8 +133,8 @@ pub fn fault_in_words(record: &FaultRecord, rate_hz: f32) -> String {
     format!("{}{axis}, value {}, {seconds:.3} s after boot\n    {}", record.fault, record.value, record.fault.remedy())
 }
 
-/// Numbers in a row, for people.
+/// Numbers in a row, for people; what rounds to zero has no sign.
 pub fn numbers(values: &[f32], unit: &str) -> String {
-    let numbers: Vec<String> = values.iter().map(|value| format!("{value:.4}")).collect();
+    let numbers: Vec<String> = values.iter().map(|value| format!("{:.4}", (1e4 * value).round() / 1e4 + 0.0)).collect();
     format!("({}) {unit}", numbers.join(", "))
 }
