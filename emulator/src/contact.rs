@@ -1,7 +1,10 @@
 //! A device whose tip stands before walls, and a hand that pushes it into them.
 
+use std::time::Duration;
+
 use haptic::device_file::DeviceFile;
-use haptic::sim::{Device, Hand, HandSettings, Intent, Waypoint};
+use haptic::sim::{Device, Hand, HandSettings, Intent, Support, Waypoint};
+use haptic_bridge::board::telemetry::{Field, Fields};
 
 use crate::boards::BoardKind;
 use crate::rig::Rig;
@@ -97,19 +100,35 @@ impl Rig {
         rig
     }
 
-    /// Loads the device with a scene without walls, homes it and has its polarity checked; a firm hand holds it after
-    /// that.
+    /// Loads the device with a scene without walls, homes it while somebody holds it still, and has its polarity
+    /// checked; a firm hand holds it after that. The counts at which it was homed.
     ///
     /// # Panics
     ///
     /// When the board refuses anything.
-    pub fn prepare(&mut self, head: &str) {
+    pub fn prepare(&mut self, head: &str) -> [i32; 3] {
         self.load(head);
+        self.with_simulated(|device| device.set_support(Support::Held));
+        let home = self.counts();
         self.tool.home().expect("the device can be homed");
+        self.with_simulated(|device| device.set_support(Support::None));
         self.with_simulated(carry);
         self.check_polarity();
         self.with_simulated(hold);
         self.run(300 * MILLISECOND);
+        home
+    }
+
+    /// The encoders' counts as the board has them: what turned before it started is not in them.
+    fn counts(&mut self) -> [i32; 3] {
+        self.tool.start_stream(Fields(Field::Counts.bit()), 1).expect("a stream starts");
+        let mut rows = Vec::new();
+        while rows.is_empty() {
+            rows = self.tool.rows(Duration::from_millis(100)).expect("rows come");
+        }
+        self.tool.stop_stream().expect("the stream stops");
+        let told = rows.last().map(|row| row.get(Field::Counts).to_vec()).unwrap_or_default();
+        std::array::from_fn(|i| told.get(i).map_or(0, |count| *count as i32))
     }
 
     /// Prepares the device, loads `walls` before the tip, wherever the polarity check took it, and arms. The scene's

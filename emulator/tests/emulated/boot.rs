@@ -18,7 +18,8 @@ fn a_board_is_a_serial_port_right_after_enumeration() {
         let at = |wanted: &Event| log.iter().find(|(_, event)| event == wanted).map(|(at, _)| at.0);
         let connected = at(&Event::Connected).expect("a pull-up");
         let opened = at(&Event::Opened).expect("an open port");
-        assert!(connected < 20 * MILLISECOND, "the pull-up comes {connected} ns after power-on");
+        // RAM and the image are tested before anything else starts.
+        assert!(connected < 50 * MILLISECOND, "the pull-up comes {connected} ns after power-on");
         assert!(opened - connected < 200 * MILLISECOND, "enumeration takes {} ns", opened - connected);
     }
 }
@@ -50,17 +51,21 @@ fn the_log_says_which_board_started() {
 }
 
 #[test]
-fn the_clock_of_the_tasks_tells_the_time_since_power_on() {
+fn the_clock_of_the_tasks_tells_the_time_since_it_started() {
     let rig = Rig::empty(BoardKind::OdriveV3);
     let heard = firmware(rig.kind).find_ending("10supervisor13LAST_HEARD_MS").expect("when a task was heard").address;
     let read = || rig.with(move |bench| (bench.word(heard).expect("RAM"), bench.at / MILLISECOND));
     let (mut before, mut signs) = (read().0, 0);
+    let mut started = None;
     // Across some turns of its 16-bit count of microseconds.
     for _ in 0..1_000 {
         rig.run(MILLISECOND);
         let (told, now) = read();
         if told != before {
-            assert!((now - 5..=now).contains(&u64::from(told)), "a task that was heard at {now} ms says {told} ms");
+            // The RAM is tested before that clock runs.
+            let behind = now - u64::from(told);
+            let start = *started.get_or_insert(behind);
+            assert!(start < 50 && behind.abs_diff(start) <= 5, "a task that was heard at {now} ms says {told} ms");
             (before, signs) = (told, signs + 1);
         }
     }

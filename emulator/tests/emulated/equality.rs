@@ -16,7 +16,7 @@ use haptic_bridge::servo::program::Program;
 use haptic_bridge::servo::{Command, Servo};
 use virtual_board::boards::BoardKind;
 use virtual_board::rig::Rig;
-use virtual_board::run::{MILLISECOND, SECOND};
+use virtual_board::run::SECOND;
 
 /// State, in the stream's first column of [`Field::State`].
 const ARMED: f64 = 1.0;
@@ -36,9 +36,7 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
         let file = rig.file.clone().expect("a device");
         let task = file.spec().task;
         let head = "rate_hz = 2000\ncutoff_hz = 200\ngravity_compensation = true\n";
-        rig.run(300 * MILLISECOND);
-        let home = rig.with_simulated(|device| device.counts());
-        rig.prepare(head);
+        let home = rig.prepare(head);
         let tip = rig.with_simulated(|device| device.tip());
         let axes = |values: &[f64]| values.iter().take(task).map(f64::to_string).collect::<Vec<_>>().join(", ");
         let point: Vec<f64> = tip.iter().zip(offset).map(|(tip, offset)| tip + offset).collect();
