@@ -17,7 +17,7 @@ use virtual_board::hardware::Hardware;
 use virtual_board::image::Firmware;
 use virtual_board::log::Decoder;
 use virtual_board::rig;
-use virtual_board::run::{MILLISECOND, VirtualBoard};
+use virtual_board::run::{MILLISECOND, SECOND, VirtualBoard};
 
 struct Arguments {
     board: BoardKind,
@@ -89,6 +89,11 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let mut log = decoder.as_ref().map(Decoder::reader);
     let mut board = VirtualBoard::start(&firmware, Hardware::new(arguments.board, Box::new(device))?)?;
 
+    // Whoever finds a port finds a board that has tested itself and answers.
+    if !board.run_until(2 * SECOND, MILLISECOND, |bench| bench.usb().ready()) {
+        return Err("the firmware did not open its USB port within 2 s".into());
+    }
+
     println!("{} with {}, firmware {}", wiring.name, file.name, firmware.path().display());
     let ready = ready_to_arm(&arguments.device, &file)?;
     let mut outlets: Vec<Box<dyn Outlet>> = Vec::new();
@@ -109,7 +114,7 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     println!("  haptic scene SCENE.toml --port PORT   # devices/scenes has some for {}", file.name);
     println!("  haptic home, polarity, arm, stream, disarm (--port PORT)\nCtrl-C ends the board. Its log:\n");
 
-    let began = Instant::now();
+    let (began, started) = (Instant::now(), board.now());
     loop {
         board.run(MILLISECOND);
         let mut written = Vec::new();
@@ -130,7 +135,7 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
                 println!("{:10.3} {line}", board.now() as f64 * 1e-9);
             }
         }
-        let ahead = Duration::from_nanos(board.now()).saturating_sub(began.elapsed());
+        let ahead = Duration::from_nanos(board.now() - started).saturating_sub(began.elapsed());
         if !arguments.fast && ahead > Duration::ZERO {
             std::thread::sleep(ahead);
         }
