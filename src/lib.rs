@@ -53,6 +53,8 @@ pub mod render {
 pub mod drive {
     pub mod brushed;
     pub mod carrier;
+    pub mod heat;
+    pub mod stage;
 }
 
 /// What keeps the person at the device safe: faults, refusals, limits.

@@ -7,6 +7,7 @@
 
 pub mod compiled;
 mod crest;
+mod fade;
 pub mod frame;
 pub mod host_force;
 mod polarity;
@@ -14,7 +15,7 @@ pub mod program;
 mod saturation;
 mod watch;
 
-use crate::drive::brushed::Axis;
+use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::mechanism::Regularity;
@@ -148,6 +149,24 @@ pub struct Status {
     pub tip: [f32; MAX_JOINTS],
 }
 
+/// `$body` compiled for each number of joints that a device may have, with J for that number: it has neither loops nor
+/// indices to check.
+macro_rules! for_joints {
+    ($joints:expr, $J:ident => $body:expr) => {
+        match $joints {
+            0 => for_joints!(@ 0, $J => $body),
+            1 => for_joints!(@ 1, $J => $body),
+            2 => for_joints!(@ 2, $J => $body),
+            _ => for_joints!(@ MAX_JOINTS, $J => $body),
+        }
+    };
+    (@ $joints:expr, $J:ident => $body:expr) => {{
+        const $J: usize = $joints;
+        $body
+    }};
+}
+use for_joints;
+
 /// The board's control loop.
 #[derive(Debug)]
 pub struct Servo<P> {
@@ -161,9 +180,9 @@ pub struct Servo<P> {
     fault: Option<FaultRecord>,
     frame: Frame,
     period: f32,
-    ramp: f32,
-    /// Torques that the ramp starts from, N m: none when arming, the old scene's when one replaces another.
-    from: [f32; MAX_JOINTS],
+    /// What acted before the scene, on its way out, and what the last step commanded.
+    fade: fade::Fade,
+    acted: fade::Acted,
     /// What each joint may be asked for, N m.
     most_torque: [f32; MAX_JOINTS],
     /// Regularity of the closed loop at the last step.
@@ -183,10 +202,11 @@ pub struct Servo<P> {
     table: [f32; TABLE_VALUES],
 }
 
-impl<P, K> Servo<P>
+impl<P, K, S> Servo<P>
 where
-    P: DerefMut<Target = Program<K>>,
+    P: DerefMut<Target = Program<K, S>>,
     K: Math<f32>,
+    S: Stage,
 {
     /// A disarmed servo without a device.
     pub fn new(hardware: Hardware, rules: Rules) -> Self {
@@ -201,8 +221,8 @@ where
             fault: None,
             frame: Frame::default(),
             period: 1.0 / 20_000.0,
-            ramp: 0.0,
-            from: [0.0; MAX_JOINTS],
+            fade: fade::Fade::default(),
+            acted: fade::Acted::default(),
             most_torque: [0.0; MAX_JOINTS],
             parallel: 1.0,
             host_silent: 0.0,
@@ -224,10 +244,11 @@ where
         self.heat = heat;
     }
 
-    /// The motors' heat, to be handed to [`Servo::start_heat`] of the run after this; `None` while nobody knows.
+    /// The motors' heat, to be handed to [`Servo::start_heat`] of the run after this; `None` while nobody knows, and NaN for a
+    /// motor of which nobody does.
     pub fn heat(&self) -> Option<[f32; MAX_JOINTS]> {
         match &self.program {
-            Some(program) => Some(core::array::from_fn(|i| program.axes[i].heat_held())),
+            Some(program) => Some(core::array::from_fn(|i| program.heat[i].held())),
             None => self.heat,
         }
     }
@@ -353,20 +374,14 @@ where
                 program.controller.step(&samples.counts, &self.table, &mut self.frame, &mut self.motion);
             self.parallel = regularity.parallel;
             self.pull(&mut asked);
-            match self.joints() {
-                0 => {}
-                1 => self.hold_and_drive::<1>(samples, &acted, &regularity, asked),
-                2 => self.hold_and_drive::<2>(samples, &acted, &regularity, asked),
-                _ => self.hold_and_drive::<MAX_JOINTS>(samples, &acted, &regularity, asked),
-            }
+            for_joints!(self.joints(), J => self.hold_and_drive::<J>(samples, &acted, &regularity, asked));
         }
         self.last_counts = samples.counts;
         self.frame.state = self.state;
         Outputs { bridges: matches!(self.state, State::Armed | State::CheckingPolarity) }
     }
 
-    /// Joints of the loaded program, at most [`MAX_JOINTS`]. What loops over them at every crest is compiled for each
-    /// number of them, so it has neither a loop nor an index to check.
+    /// Joints of the loaded program, at most [`MAX_JOINTS`].
     #[inline(always)]
     fn joints(&self) -> usize {
         self.program.as_ref().map_or(0, |program| program.joints.min(MAX_JOINTS))
@@ -385,30 +400,37 @@ where
         self.drive::<J>(asked);
     }
 
-    /// Duties for the next carrier period, signed, ±[`MAX_DUTY`](crate::drive::brushed::MAX_DUTY); zero unless armed.
+    /// What each motor's legs do over the next carrier period, from the bus voltage (V) and what was sampled of each motor:
+    /// for brushed motors currents (A) to duties, signed, ±[`MAX_DUTY`](crate::drive::stage::MAX_DUTY). No voltage unless
+    /// armed. `late` is whether they apply from the next crest on instead of the next valley, see [`Stage::drive`].
     #[inline(always)]
-    pub fn duties(&mut self, bus_voltage: f32, currents: &[f32; MAX_JOINTS]) -> [f32; MAX_JOINTS] {
-        match self.joints() {
-            0 => self.duties_of::<0>(bus_voltage, currents),
-            1 => self.duties_of::<1>(bus_voltage, currents),
-            2 => self.duties_of::<2>(bus_voltage, currents),
-            _ => self.duties_of::<MAX_JOINTS>(bus_voltage, currents),
-        }
+    pub fn duties(
+        &mut self,
+        bus_voltage: f32,
+        samples: &[S::Sample; MAX_JOINTS],
+        late: bool,
+    ) -> [S::Drive; MAX_JOINTS] {
+        for_joints!(self.joints(), J => self.duties_of::<J>(bus_voltage, samples, late))
     }
 
     /// [`Servo::duties`] of J joints.
     #[inline(always)]
-    fn duties_of<const J: usize>(&mut self, bus_voltage: f32, currents: &[f32; MAX_JOINTS]) -> [f32; MAX_JOINTS] {
-        let mut duties = [0.0; MAX_JOINTS];
+    fn duties_of<const J: usize>(
+        &mut self,
+        bus_voltage: f32,
+        samples: &[S::Sample; MAX_JOINTS],
+        late: bool,
+    ) -> [S::Drive; MAX_JOINTS] {
+        let mut drives = [S::Drive::default(); MAX_JOINTS];
         if matches!(self.state, State::Armed | State::CheckingPolarity)
             && let Some(program) = self.program.as_mut()
         {
-            for ((duty, axis), current) in duties.iter_mut().zip(&mut program.axes).zip(currents).take(J) {
-                *duty = axis.duty(bus_voltage, *current);
+            for ((drive, axis), sample) in drives.iter_mut().zip(&mut program.axes).zip(samples).take(J) {
+                *drive = axis.drive(bus_voltage, *sample, late);
             }
         }
-        self.frame.duty = duties;
-        duties
+        self.frame.duty = drives.map(S::duty);
+        drives
     }
 
     /// Latches the first fault and turns the motors off.
@@ -426,15 +448,16 @@ where
 
     fn off(&mut self) {
         self.let_go();
-        self.ramp = 0.0;
+        self.fade = fade::Fade::default();
+        self.acted = fade::Acted::default();
         self.frame.torque = [0.0; MAX_JOINTS];
         self.frame.current = [0.0; MAX_JOINTS];
         if let Some(program) = self.program.as_mut() {
-            program.axes.iter_mut().for_each(Axis::rest);
+            program.axes.iter_mut().for_each(S::rest);
         }
     }
 
-    fn with_program(&mut self, change: impl FnOnce(&mut Program<K>)) -> Result<(), Refusal> {
+    fn with_program(&mut self, change: impl FnOnce(&mut Program<K, S>)) -> Result<(), Refusal> {
         self.program.as_mut().map(|program| change(program)).ok_or(Refusal::NoDevice)
     }
 
@@ -474,26 +497,28 @@ where
             for (axis, old) in program.axes.iter_mut().zip(&old.axes) {
                 axis.inherit(old);
             }
+            for (heat, old) in program.heat.iter_mut().zip(&old.heat) {
+                heat.inherit(old);
+            }
         }
         self.limit_currents(&mut program);
         if self.program.is_none() {
-            for (i, axis) in program.axes.iter_mut().enumerate() {
-                axis.start_from(self.heat.map(|heat| heat[i]));
+            for (i, heat) in program.heat.iter_mut().enumerate() {
+                heat.start_from(self.heat.map(|heat| heat[i]));
             }
         }
-        // What acts now fades into what the new scene asks for.
-        self.from = self.frame.torque;
-        self.ramp = 0.0;
+        self.begin_fade();
         let old = self.program.replace(program);
         self.set_bounds();
         old
     }
 
     /// Puts the rules' currents in force; the motors' own limits still count.
-    fn limit_currents(&self, program: &mut Program<K>) {
+    fn limit_currents(&self, program: &mut Program<K, S>) {
         let limits = &self.rules.limits;
-        for ((axis, most), steady) in program.axes.iter_mut().zip(&limits.current).zip(&limits.continuous_current) {
-            axis.limit(*most, *steady);
+        for (i, (axis, heat)) in program.axes.iter_mut().zip(&mut program.heat).enumerate() {
+            axis.limit(limits.current[i]);
+            heat.limit(axis.max_current(), limits.continuous_current[i]);
         }
     }
 
@@ -570,8 +595,7 @@ where
         if program.controller.inside_a_wall(&self.frame.counts) {
             return Err(Refusal::InsideWall);
         }
-        self.ramp = 0.0;
-        self.from = [0.0; MAX_JOINTS];
+        self.fade = fade::Fade::default();
         self.watch_anew();
         self.state = State::Armed;
         Ok(())
@@ -591,11 +615,12 @@ where
         self.frame.limited = 0;
         match self.state {
             State::Armed => {
-                self.ramp = (self.ramp + self.period * (1.0 / ARM_SECONDS)).min(1.0);
-                if self.ramp < 1.0 {
-                    self.command::<J>(&self.faded(&asked));
+                if self.fade.ramp < 1.0 {
+                    let (faded, wanted) = self.fade_in(&asked);
+                    self.command::<J>(&faded, &wanted);
                 } else {
-                    self.command::<J>(&asked);
+                    self.fade.share = 1.0;
+                    self.command::<J>(&asked, &asked.total);
                 }
                 self.frame.rendered_force = self.rendered::<J>(&asked.total);
             }
@@ -603,7 +628,7 @@ where
                 self.check_polarity();
                 if self.state == State::CheckingPolarity {
                     let torque = self.frame.torque;
-                    self.command::<J>(&Asked { total: torque, gravity: torque, ..Asked::default() });
+                    self.command::<J>(&Asked { total: torque, gravity: torque, ..Asked::default() }, &torque);
                 }
             }
             State::Disarmed | State::Fault => {
@@ -626,28 +651,22 @@ where
         force
     }
 
-    /// While the ramp lasts, part of what acted before, which stands first like gravity, and part of what is asked.
-    #[inline(never)]
-    fn faded(&self, asked: &Asked) -> Asked {
-        let part = |from: f32, to: f32| from + (to - from) * self.ramp;
-        Asked {
-            total: core::array::from_fn(|i| part(self.from[i], asked.total[i])),
-            gravity: core::array::from_fn(|i| part(self.from[i], asked.gravity[i])),
-            rendered: asked.rendered.map(|torque| torque * self.ramp),
-            force_squared: asked.force_squared,
-        }
-    }
-
-    /// Commands the torques asked for within limits, and records in the frame what is left of them.
+    /// Commands the torques asked for within limits, and records in the frame which are not what was `wanted` (N m).
     #[inline(always)]
-    fn command<const J: usize>(&mut self, asked: &Asked) {
+    fn command<const J: usize>(&mut self, asked: &Asked, wanted: &[f32; MAX_JOINTS]) {
+        let left = asked.within(&self.most_torque, self.rules.limits.tip_force, J);
+        self.acted.gravity = left.gravity;
+        self.acted.rendered = if left.share == 1.0 { asked.rendered } else { asked.rendered.map(|r| left.share * r) };
+        self.acted.share = left.share;
+        if self.host.acts {
+            self.host.left = left.share * self.fade.share;
+        }
         let Some(program) = self.program.as_mut() else { return };
-        let torque = asked.within(&self.most_torque, self.rules.limits.tip_force, J);
         for (i, axis) in program.axes.iter_mut().enumerate().take(J) {
-            let current = axis.command(torque[i], self.crests.speed(i));
+            let current = axis.command(left.torque[i], self.crests.speed(i));
             self.frame.torque[i] = axis.torque_of(current);
             // Another torque than was asked, by more than its way through a current rounds; also where that is no number.
-            let kept = (asked.total[i] - self.frame.torque[i]).abs() <= 1.0e-5 * asked.total[i].abs();
+            let kept = (wanted[i] - self.frame.torque[i]).abs() <= 1.0e-5 * wanted[i].abs();
             self.frame.limited |= u8::from(!kept) << i;
             if !self.hardware.bridge.current_sensed {
                 self.frame.current[i] = current;

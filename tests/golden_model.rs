@@ -20,7 +20,8 @@ fn mechanisms() -> impl Iterator<Item = &'static str> {
 
 fn computed(case: &Value, precision: Precision) -> Report {
     let device = DeviceFile::parse(golden::text(&case["device"]), golden::text(&case["id"])).expect("a sound device");
-    let wall = WallForce { normal: list(&case["normal"]), force: number(&case["force"]), stiffness: 1.0 };
+    let wall =
+        WallForce { normal: list(&case["normal"]), force: number(&case["force"]), stiffness: 1.0, feed_forward: true };
     evaluate(&device, &list(&case["q"]), &list(&case["qd"]), &[wall], precision).expect("a regular pose")
 }
 
@@ -86,7 +87,7 @@ fn weff_and_wrr_do_not_depend_on_the_side_of_the_wall() {
         for case in cases("model.json", mechanism) {
             let device = DeviceFile::parse(golden::text(&case["device"]), "golden").expect("a sound device");
             let normal: Vec<f64> = list(&case["normal"]).iter().map(|entry| -entry).collect();
-            let wall = WallForce { normal, force: -number(&case["force"]), stiffness: 1.0 };
+            let wall = WallForce { normal, force: -number(&case["force"]), stiffness: 1.0, feed_forward: true };
             let q = list(&case["q"]);
             let other_side = evaluate(&device, &q, &list(&case["qd"]), &[wall], Precision::F64).expect("regular");
             let expect = &case["expect"];

@@ -231,9 +231,10 @@ fn injection(fault: Fault) -> (&'static str, &'static str) {
         Fault::SensorStale => ("a converter that stops", at_once),
         Fault::CurrentSensor => ("1 A between two sensors of a motor of 3 A", at_once),
         Fault::MotorModel => ("a current sensor that shows none", "as the loop's integrator grows: some 0.2 ms"),
-        Fault::DriverReset => {
-            ("a driver's register that reads other than it was written", "at the next look, within 20 ms")
-        }
+        Fault::DriverReset => (
+            "a driver's register that reads other than it was written",
+            "at the next look, within 20 ms (0.2 s while a host that stops reading is waited for)",
+        ),
         Fault::StrayCurrent => ("more than 0.5 A with the bridges off", "never on: seen before arming"),
         Fault::ClockFailure => ("a crystal that stops", "by the non-maskable interrupt"),
         Fault::SupplyDip => ("3.3 V that fall below 2.9 V", "by the supply monitor's interrupt"),
@@ -408,6 +409,27 @@ fn what_loses_counts_loses_homing_too() {
         assert!(!provoked(fault).servo.status().homed, "{}", fault.name());
     }
     assert!(provoked(Fault::OverCurrent).servo.status().homed);
+}
+
+/// What brings each about in the image is written by `cargo xtask faults`, where a fault without an injector does not
+/// build (emulator/src/inject.rs).
+#[test]
+fn every_fault_was_brought_about_in_the_image_or_it_says_why_it_cannot_be() {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/results/faults.md");
+    let text = std::fs::read_to_string(&path).expect("docs/results/faults.md is there");
+    for fault in Fault::ALL {
+        let begin = format!("| {} | {} |", fault.code(), fault.name());
+        let mut rows = text.lines().filter(|line| line.starts_with(&begin));
+        let (Some(row), None) = (rows.next(), rows.next()) else { panic!("not one row of {}", fault.name()) };
+        let cells: Vec<&str> = row.split('|').map(str::trim).collect();
+        let [_, _, _, how, cause, seen, remedy, _] = cells[..] else { panic!("{row}") };
+        let told = match how.strip_prefix("not possible:") {
+            Some(why) => !why.trim().is_empty(),
+            None => !how.is_empty() && !cause.is_empty() && !seen.is_empty(),
+        };
+        assert!(told && remedy == fault.remedy(), "{row}");
+    }
+    assert_eq!(text.lines().filter(|line| line.contains("not possible:")).count(), 1, "one more than EncoderIllegal");
 }
 
 #[test]
@@ -638,7 +660,7 @@ fn a_current_above_its_limit_is_seen_at_the_next_crest_at_every_rate() {
         let mut rig = armed_at(rate);
         assert_eq!(crests_until_off(&mut rig, 0.0, 10, [6.0, 0.0, 0.0]), Some(1), "{rate} Hz");
         assert_eq!(rig.fault(), Some(Fault::OverCurrent));
-        assert_eq!(rig.servo.duties(24.0, &[0.0; 3]), [0.0; 3]);
+        assert_eq!(rig.servo.duties(24.0, &[0.0; 3], false), [0.0; 3]);
     }
 }
 
@@ -755,5 +777,34 @@ fn a_sound_motor_is_never_called_strange() {
             }
             assert_eq!(rig.fault(), None, "{resistance} ohm at {rate} Hz");
         }
+    }
+}
+
+#[test]
+fn a_joint_limit_holds_however_far_away_the_other_one_is() {
+    for low in [-1.0, -5.0e4, -1.0e6, -1.0e30, f64::NEG_INFINITY] {
+        let mut device = paddle();
+        device.joints[0].limits = Some((low, 0.1));
+        let mut rig = Rig::with(&device, &scene(1, &[]), hardware(), rules());
+        rig.arm();
+        rig.turn(0, 0.5, 1.0);
+        assert_eq!(rig.fault(), Some(Fault::JointLimit), "{low}");
+    }
+}
+
+#[test]
+fn the_polarity_check_asks_no_more_force_than_the_tip_may_make_and_looks_at_no_angle_of_before() {
+    let gentle = Rules { limits: haptic_bridge::safety::limits::Limits { tip_force: 0.2, ..limits() }, ..rules() };
+    let mut rig = Rig::with(&paddle(), &scene(1, &[]), hardware(), gentle);
+    rig.turn(0, 0.5, 1.0);
+    rig.settle();
+    // Homing moves what is read by half a radian, before the next step.
+    rig.execute(Command::Home).expect("at rest");
+    rig.execute(Command::CheckPolarity).expect("ready");
+    for step in 0..1_800 {
+        rig.step();
+        assert_eq!(rig.state(), State::CheckingPolarity, "step {step}");
+        let force = rig.servo.frame().torque[0] / 0.1;
+        assert!(force <= 0.2 * 1.001, "{force} N");
     }
 }

@@ -4,14 +4,13 @@
 mod rig;
 
 use haptic_bridge::board::protocol::{BadForce, ForceAnswer, ForceDone, ForceRequest, HostContact};
-use haptic_bridge::math::Libm;
-use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::host_force::{
     MOST_DAMPING, MOST_DISTANCE, MOST_FORCE, MOST_LEASE, MOST_STIFFNESS, MOST_TORQUE,
 };
 use haptic_bridge::servo::{Command, HostAction, Rules};
 use nalgebra::Vector2;
+use rig::statics::{torques, worth};
 use rig::{RATE, Rig, five_bar, hardware, rules, scene, wall};
 
 /// What rounding does to a torque on its way through a current and back.
@@ -41,18 +40,62 @@ fn look(rig: &mut Rig) -> ForceAnswer {
     rig.servo.force(&ForceRequest::default())
 }
 
-/// Jᵀ f of the five-bar of this rig, by differences of the tip in f64: neither J nor its transpose is asked.
-fn torques(q: &[f32; 3], f: [f64; 2]) -> Vector2<f64> {
-    let device = haptic_bridge::model::device::Device::<f64>::new("test", &five_bar()).expect("a sound device");
-    let AnyMechanism::FiveBar(mechanism) = device.mechanism else { panic!("a five-bar") };
-    let tip = |i: usize, by: f64| {
-        let mut at = Vector2::new(f64::from(q[0]), f64::from(q[1]));
-        at[i] += by;
-        let pose = mechanism.pose::<Libm>(&at);
-        mechanism.tip(&pose)
+#[test]
+fn whatever_a_host_asks_for_is_cut_to_the_tips_limit_and_keeps_its_direction() {
+    let gentle =
+        Rules { limits: haptic_bridge::safety::limits::Limits { tip_force: 1.0, ..rules().limits }, ..rules() };
+    let tip = look(&mut armed()).tip;
+    // A wall 1 mm deep at the tip that pushes with 0.6 N along x.
+    let bilateral = haptic_bridge::render::scene::Wall { bilateral: true, ..wall(tip[0] + 1.0e-3, 600.0) };
+    for (walls, push, size) in
+        [(&[][..], 0.0, 0.25), (&[], 0.0, 0.02), (&[], 0.7, 0.2), (&[bilateral], 0.0, 0.2), (&[bilateral], 0.5, 0.1)]
+    {
+        let mut rig = Rig::with(&five_bar(), &scene(2, walls), hardware(), gentle);
+        rig.arm();
+        let wall = if walls.is_empty() { 0.0 } else { 0.6 };
+        for nth in 0..12_u32 {
+            let (sin, cos) = (0.5 * nth as f32).sin_cos();
+            let both =
+                ForceRequest { torque: [size * cos, size * sin, 0.0], ..force(nth + 1, push * sin, -push * cos) };
+            assert_eq!(rig.servo.force(&both).done, ForceDone::Taken);
+            rig.step();
+            let answer = look(&mut rig);
+            let forces = [wall + push * sin, -push * cos].map(f64::from);
+            let asked =
+                worth(&answer.q, Vector2::new(both.torque[0], both.torque[1]).map(f64::from)) + Vector2::from(forces);
+            let left = worth(&answer.q, Vector2::new(answer.torque[0], answer.torque[1]).map(f64::from));
+            let share = (1.0 / asked.norm()).min(1.0);
+            assert!((left - asked * share).norm() < 2.0e-3, "{left} of {asked}, {both:?}, {answer:?}");
+            assert!((f64::from(answer.share) - share).abs() < 2.0e-3, "{share}: {answer:?}");
+        }
+    }
+}
+
+#[test]
+fn a_tips_limit_that_is_lowered_holds_joint_torques_at_the_next_step_and_all_the_while_that_they_fade() {
+    let mut rig = armed();
+    let request = ForceRequest { hold: 0.02, fade: 0.02, torque: [0.2, -0.1, 0.0], ..request(1) };
+    assert_eq!(rig.servo.force(&request).done, ForceDone::Taken);
+    let force = |rig: &Rig| {
+        let frame = rig.servo.frame();
+        worth(&frame.q, Vector2::new(frame.torque[0], frame.torque[1]).map(f64::from)).norm()
     };
-    let h = 1.0e-6;
-    Vector2::from_fn(|i, _| (tip(i, h) - tip(i, -h)).dot(&Vector2::from(f)) / (2.0 * h))
+    rig.step();
+    assert!(force(&rig) > 2.0, "{} N", force(&rig));
+    for (nth, limit) in [1.5_f32, 0.5].into_iter().enumerate() {
+        let mut lower = rules();
+        lower.limits.tip_force = limit;
+        rig.execute(Command::Rules(lower)).expect("lowered while armed");
+        rig.step();
+        assert!((force(&rig) - f64::from(limit)).abs() < 1.0e-3, "{nth}: {} N", force(&rig));
+    }
+    let mut before = force(&rig);
+    for _ in 0..80 {
+        rig.step();
+        assert!(force(&rig) <= before + 1.0e-4, "{before} N to {} N", force(&rig));
+        before = force(&rig);
+    }
+    assert_eq!(before, 0.0);
 }
 
 #[test]

@@ -142,7 +142,7 @@ fn a_duty_at_its_end_is_marked_by_itself() {
     let gains = Gains { wall: 0, stiffness: 2_900.0, damping: 0.0, feed_forward: FeedForward::Off, washout_hz: 2.0 };
     rig.execute(Command::Gains(gains, Washout::new(2.0, RATE).unwrap())).unwrap();
     rig.servo.control(&rig.samples);
-    rig.servo.duties(24.0, &rig.samples.currents);
+    rig.servo.duties(24.0, &rig.samples.currents, false);
     let frame = *rig.servo.frame();
     assert_eq!(frame.saturation(0), 2.0, "{frame:?}");
     assert_eq!(Frame { limited: 0b101, ..frame }.saturation(0), 3.0);

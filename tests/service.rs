@@ -409,6 +409,23 @@ fn polarity_check(board: &mut Board, way: i32) {
 }
 
 #[test]
+fn a_polarity_check_counts_for_the_device_that_it_was_made_on_and_for_no_other() {
+    let device = rig::device(&rig::paddle());
+    let mut inverted = rig::paddle();
+    if let Some(encoder) = &mut inverted.joints[0].encoder {
+        encoder.inverted = true;
+    }
+    let mut board = Board::ready(true, &device, &quiet());
+    polarity_check(&mut board, 1);
+    for (loaded, known) in [(rig::device(&inverted), false), (rig::device(&rig::five_bar()), false), (device, true)] {
+        board.ask::<SetDevice>(&loaded).unwrap().unwrap();
+        (0..200).for_each(|_| board.tick());
+        let _ = board.service.poll(&mut board.machine);
+        assert_eq!(board.ask::<GetStatus>(&()).unwrap().polarity, known, "{}", loaded.name);
+    }
+}
+
+#[test]
 fn a_polarity_check_that_failed_is_not_undone_by_an_older_one_that_passed() {
     let device = rig::device(&rig::paddle());
     let mut board = Board::ready(true, &device, &quiet());
@@ -423,7 +440,7 @@ fn a_polarity_check_that_failed_is_not_undone_by_an_older_one_that_passed() {
     // The same device again: what was known of it is not true any more, now or after a restart.
     board.ask::<SetDevice>(&device).unwrap().unwrap();
     board.ask::<SetScene>(&quiet()).unwrap().unwrap();
-    (0..20).for_each(|_| board.tick());
+    (0..200).for_each(|_| board.tick());
     board.ask::<Home>(&()).unwrap().unwrap();
     assert_eq!(board.ask::<Arm>(&()).unwrap(), Err(Refusal::PolarityUnchecked));
     board.ask::<Save>(&()).unwrap().unwrap();

@@ -335,6 +335,35 @@ fn a_lowered_limit_acts_at_the_next_step() {
 }
 
 #[test]
+fn a_lowered_tip_force_holds_what_still_fades_from_the_scene_before() {
+    let mut pulled = scene(1, &[]);
+    let spring = haptic_bridge::render::scene::Spring {
+        point: [0.02, 0.0, 0.0],
+        direction: [0.0; 3],
+        stiffness: 100.0,
+        damping: 0.0,
+    };
+    pulled.springs.push(spring).unwrap();
+    let mut rig = Rig::ready(&pulled);
+    rig.arm();
+    // 2 N at an arm of 0.1 m.
+    assert!((rig.servo.frame().torque[0].abs() - 0.2).abs() < 1.0e-3, "{:?}", rig.servo.frame().torque);
+    rig.load(&paddle(), &scene(1, &[]), true).unwrap();
+    rig.step();
+    let mut lower = rules();
+    lower.limits.tip_force = 0.5;
+    rig.execute(Command::Rules(lower)).unwrap();
+    for _ in 0..100 {
+        rig.step();
+        let force = rig.servo.frame().torque[0].abs() / 0.1;
+        assert!(force <= 0.5 * 1.001, "{force} N");
+        // What is left of the 2 N goes on fading over half a second.
+        assert!(force > 0.4, "{force} N");
+    }
+    assert_eq!(rig.state(), State::Armed);
+}
+
+#[test]
 fn gains_that_change_in_contact_change_the_torque_by_the_gains_alone() {
     let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 100.0)]));
     rig.arm();
@@ -375,7 +404,7 @@ fn disarming_acts_before_the_next_duty() {
     rig.turn(0, -0.15, 1.0);
     assert!(rig.duties[0] != 0.0);
     rig.execute(Command::Disarm).unwrap();
-    assert_eq!(rig.servo.duties(24.0, &[0.0; 3]), [0.0; 3]);
+    assert_eq!(rig.servo.duties(24.0, &[0.0; 3], false), [0.0; 3]);
     rig.step();
     assert!(rig.motors_off());
     assert_eq!(rig.state(), State::Disarmed);
@@ -387,7 +416,7 @@ fn a_fault_from_outside_acts_before_the_next_duty() {
     rig.arm();
     rig.turn(0, -0.15, 1.0);
     rig.execute(Command::Fault(FaultRecord { fault: Fault::BreakInput, axis: None, value: 0.0, step: 0 })).unwrap();
-    assert_eq!(rig.servo.duties(24.0, &[0.0; 3]), [0.0; 3]);
+    assert_eq!(rig.servo.duties(24.0, &[0.0; 3], false), [0.0; 3]);
     assert_eq!(rig.state(), State::Fault);
 }
 

@@ -9,7 +9,8 @@ use rigless::device::Level;
 
 use crate::boards::BoardKind;
 use crate::broken::{Broken, Peaks};
-use crate::contact::{WallAt, hold, push, scene};
+use crate::contact::{WallAt, scene};
+use crate::hands::{hold, push};
 use crate::hardware::Hardware;
 use crate::inject::off;
 use crate::rig::Rig;

@@ -23,7 +23,7 @@ use rigless::time::VirtualNanos;
 use crate::boards::{BoardKind, EncoderWires, HalfBridge, MotorWires, Pin, Wiring};
 use crate::broken::{Broken, Peaks};
 use crate::chip::Chip;
-use crate::chip::trigger::Span;
+use crate::chip::trigger::{REFERENCE_UV, Span};
 use crate::drv8301::Drv8301;
 use crate::plant::{Dummy, Plant};
 
@@ -38,12 +38,13 @@ const EDGE_SPACING: u64 = 250;
 
 /// `ARR` of a timer.
 const AUTO_RELOAD: u32 = 0x2C;
+/// `BDTR` of an advanced timer, and its main output enable.
+const BREAK_AND_DEAD_TIME: u32 = 0x44;
+const MAIN_OUTPUT: u64 = 1 << 15;
 /// The 8 MHz crystal of both boards.
 const CRYSTAL_HZ: u64 = 8_000_000;
 /// The rail of both boards, in millivolts.
 const RAIL_MV: u32 = 3300;
-/// VREF+ in microvolts: the converters' inputs are set in that unit, since rigless' millivolts are coarser than a bit.
-pub const REFERENCE_UV: u32 = 3_300_000;
 /// Where a current sensor stands at no current, V.
 const MID_SUPPLY: f64 = 1.65;
 /// SPI3 in rigless' order.
@@ -146,6 +147,14 @@ impl Hardware {
     #[must_use]
     pub fn drives(&self) -> [Drive; 3] {
         self.drives
+    }
+
+    /// Whether no bridge drives its motor at this instant: no timer's main output is enabled, and the enable line is low.
+    pub fn bridges_float(&mut self) -> bool {
+        let driven =
+            ["TIM1", "TIM8"].iter().any(|timer| self.chip.register(timer, BREAK_AND_DEAD_TIME) & MAIN_OUTPUT != 0);
+        let enable = self.wiring.map(|wiring| wiring.enable);
+        !driven && enable.is_none_or(|enable| self.level(enable) == Level::Low)
     }
 
     /// The level that the chip or the board puts on `pin`.

@@ -14,7 +14,7 @@ use crate::boards::BoardKind;
 pub const SETTINGS: Range<u64> = 0x0800_4000..0x0800_C000;
 
 /// The flash sectors that the code is in, as far as images go.
-pub const CODE: Range<u64> = 0x0800_C000..0x0804_0000;
+pub const CODE: Range<u64> = 0x0800_C000..0x0804_C000;
 
 /// A firmware image as a build leaves it, never changed on its way into the emulator.
 #[derive(Clone, Debug)]

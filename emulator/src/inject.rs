@@ -9,18 +9,18 @@ use std::time::Duration;
 
 use haptic::backup::Backup;
 use haptic::link::{Board, BoardError};
-use haptic::sim::{Device, Drive, Hand, Intent, Waypoint};
+use haptic::sim::{Device, Hand, Intent, Waypoint};
 use haptic_bridge::board::settings::{Damage, Key};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::{HostAction, Rules};
-use rigless::device::Level;
 use rigless::time::VirtualNanos;
 
 use crate::boards::BoardKind;
-use crate::contact::{WallAt, firm, hold, push};
+use crate::contact::WallAt;
+use crate::hands::{firm, hold, push};
 use crate::image::{CODE, SETTINGS};
 use crate::rig::{Rig, device_file, firmware};
 use crate::run::{Bench, MICROSECOND, MILLISECOND, SECOND};
@@ -557,9 +557,7 @@ fn after_crest(rig: &Rig, microseconds: u64) {
 
 /// Whether every bridge floats and the power stages are disabled.
 pub fn off(bench: &mut Bench<'_>) -> bool {
-    let hardware = bench.hardware();
-    let enable = hardware.wiring.map(|wiring| wiring.enable);
-    hardware.drives() == [Drive::Floating; 3] && enable.is_none_or(|enable| hardware.level(enable) == Level::Low)
+    bench.hardware().bridges_float()
 }
 
 /// Brings `fault` about and watches what comes of it: latched, bridges off, arming refused, cleared only when asked
@@ -647,14 +645,21 @@ pub fn document() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/results/faults.md")
 }
 
+/// How `fault` is brought about, or why it cannot be, in words.
+#[must_use]
+pub fn how(fault: Fault) -> String {
+    match injection(fault) {
+        Injection::Chip { how, .. } => how.to_owned(),
+        Injection::Unseen(why) => format!("not possible: {why}"),
+    }
+}
+
 /// The row of docs/results/faults.md for `fault`. Values and periods that hang on how fast the image is, such as the
 /// instant at which a moving hand trips a limit, are left out.
 #[must_use]
 pub fn row(fault: Fault, outcome: Option<&Outcome>) -> String {
-    let (how, slow) = match injection(fault) {
-        Injection::Chip { how, within, .. } => (how.to_owned(), within > 5),
-        Injection::Unseen(why) => (format!("not possible: {why}"), false),
-    };
+    let slow = matches!(injection(fault), Injection::Chip { within, .. } if within > 5);
+    let how = how(fault);
     let (cause, seen) = match outcome {
         None => ("", "".to_owned()),
         Some(outcome) => {

@@ -8,11 +8,11 @@ use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::render::velocity::Estimator;
-use haptic_bridge::safety::fault::State;
+use haptic_bridge::safety::fault::{FaultRecord, State};
 
+use crate::cases::Case;
 use crate::rig::Rig;
 use crate::run::MILLISECOND;
-use crate::timing::Case;
 
 /// What came of a stretch under load.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,8 +27,9 @@ pub struct Load {
     pub losses: Losses,
     /// Rows of telemetry that were due.
     pub due: u64,
-    /// Whether the walls were still rendered at the end.
+    /// Whether the walls were still rendered at the end, and the fault if not.
     pub armed: bool,
+    pub fault: Option<FaultRecord>,
     /// Bytes of stack that were never used since boot.
     pub stack_free: u32,
 }
@@ -95,13 +96,15 @@ pub fn run(rig: &mut Rig, (fields, divider): (Fields, u32), rate_hz: u32, millis
     let losses = rig.tool.losses();
     rig.tool.stop_stream().expect("the stream stops");
     let details = rig.tool.details().expect("the board answers");
+    let status = rig.tool.status().expect("the board answers");
     Load {
         steps: after.wrapping_sub(before),
         periods: ((ended - began) * u64::from(rate_hz) / 1_000_000_000) as u32,
         overruns: details.overruns,
         losses,
         due: u64::from(last.wrapping_sub(first) / divider) + 1,
-        armed: rig.tool.status().expect("the board answers").state == State::Armed,
+        armed: status.state == State::Armed,
+        fault: status.fault,
         stack_free: details.stack_free,
     }
 }

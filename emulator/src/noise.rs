@@ -73,9 +73,24 @@ impl Wire for Tapped {
 /// Frames of requests that a tool makes of a disarmed board, as they go over the wire. None of them moves a motor or
 /// writes flash.
 fn requests(rig: &mut Rig) -> Vec<Vec<u8>> {
+    recorded(rig, usual_requests)
+}
+
+/// The frames that a tool sends to the board while it gets to know it, and in `work`, as they go over the wire.
+///
+/// # Panics
+///
+/// When the board does not answer.
+pub fn recorded(rig: &mut Rig, work: impl FnOnce(&mut Rig)) -> Vec<Vec<u8>> {
     let sent = Arc::new(Mutex::new(Vec::new()));
     let tapped = Tapped { wire: rig.shared.wire(), sent: sent.clone() };
     rig.tool = Board::over(Box::new(tapped), "tapped").expect("the board answers");
+    work(rig);
+    let sent = sent.lock().expect("nobody panicked");
+    sent.split_inclusive(|byte| *byte == 0).filter(|frame| frame.len() > 1).map(<[u8]>::to_vec).collect()
+}
+
+fn usual_requests(rig: &mut Rig) {
     rig.load(SCENE);
     rig.tool.details().expect("the board answers");
     rig.tool.status().expect("the board answers");
@@ -86,8 +101,6 @@ fn requests(rig: &mut Rig) -> Vec<Vec<u8>> {
     rig.tool.faults().expect("the board answers");
     rig.tool.start_stream(Fields::USUAL, 20).expect("a stream starts");
     rig.tool.stop_stream().expect("the stream stops");
-    let sent = sent.lock().expect("nobody panicked");
-    sent.split_inclusive(|byte| *byte == 0).filter(|frame| frame.len() > 1).map(<[u8]>::to_vec).collect()
 }
 
 /// Numbers that look random (Marsaglia's xorshift).

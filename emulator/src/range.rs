@@ -12,6 +12,7 @@ use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::pose::unit_normal;
 use haptic::analysis::range::{Domain, Range, predict};
 use haptic::analysis::sampled::{Estimator, Loop};
+use haptic::analysis::several::Member;
 use haptic::device_file::DeviceFile;
 use haptic::measure::campaign::{self, Plan};
 use haptic::measure::progress::{Mode, Progress};
@@ -123,7 +124,7 @@ pub fn on<T>(
     job: impl FnOnce(&mut Bench<'_>) -> Result<T, MeasureError>,
 ) -> Result<T, MeasureError> {
     let setup = Setup {
-        walls: vec![(normal(), 1.0)],
+        walls: vec![Member::new(normal(), 1.0)],
         rate_hz: rate.rate_hz,
         cutoff_hz: rate.cutoff_hz,
         washout_hz: 2.0,
@@ -273,6 +274,7 @@ pub fn section(rate: Rate, progress: &Progress, delay: f64) -> (String, Picture)
         ],
         range: &range,
         passivity: None,
+        washout_hz: None,
         measured_off: &dots(Mode::Off),
         measured_full: &dots(Mode::Full),
     });

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use crate::boards::BoardKind;
-use crate::contact::hold;
+use crate::hands::hold;
 use crate::hardware::Hardware;
 use crate::image::Firmware;
 use crate::log::Decoder;

@@ -25,10 +25,10 @@ pub const SAMPLING: &str = "waiting for the converters";
 pub const STAGES: &[(&str, &[&str])] = &[
     ("entry, exit, overrun check", &["::TIM1_UP_TIM10", "Step::keep_time"]),
     (SAMPLING, &["adc::wait"]),
-    ("currents and bus voltage", &["Io::analog", "Zeros::less"]),
+    ("currents and bus voltage", &["Pins::analog", "Zeros::less"]),
     ("order of a crest", &["Step::crest"]),
     (REQUEST, &["Step::take"]),
-    ("encoders", &["Io::counts", "Encoder::read", "Io::index"]),
+    ("encoders", &["Pins::counts", "Encoder::read", "Pins::index"]),
     ("samples, fault lines", &["Step::hardware_fault"]),
     ("servo", &["Servo::control", "compiled::control"]),
     ("step: angles, speeds", &["Encoders::angles", "Encoders::velocities"]),
@@ -57,12 +57,13 @@ pub const STAGES: &[(&str, &[&str])] = &[
             "::velocity_torque",
         ],
     ),
-    ("limits, at every crest", &["compiled::guard", "Servo::guard", "Servo::guard_joints", "Axis::follow"]),
+    ("limits, at every crest", &["compiled::guard", "Servo::guard", "Servo::guard_joints", "::follow"]),
     ("guard", &["Servo::watch", "Servo::watch_budgets", "Servo::hold_and_drive", "Servo::find", "Servo::index_agrees"]),
     ("drive: torque to current", &["Servo::drive"]),
     ("bridges", &["Step::connect"]),
     ("current loops", &["compiled::legs", "compiled::legs_of", "Servo::duties", "Servo::duties_of"]),
-    ("duties to the timers", &["Io::write"]),
+    ("waiting for the valley", &["servo::wait_for_valley"]),
+    ("duties to the timers", &["Pins::write"]),
     ("telemetry", &["Step::record", "compiled::record"]),
 ];
 

@@ -8,7 +8,7 @@ use std::collections::VecDeque;
 
 use rigless::time::VirtualNanos;
 
-use crate::chip::otg::{Core, Handshake};
+use crate::otg_core::{Core, Handshake};
 
 const MILLISECOND: u64 = 1_000_000;
 /// From seeing a pull-up to the first reset, and each reset's length: the least that USB 2.0 sections 7.1.7.3 and

@@ -1,10 +1,4 @@
-//! The board this image is for. One file per board, one Cargo feature each; a board offers
-//!
-//! - `NAME`, `AXES`, and what its power stage is like,
-//! - `off()`: bridges off by plain register writes, callable from anywhere, even a fault handler,
-//! - `Io`: what the control interrupt owns (encoders, conversions, duties),
-//! - `Gate`: what tasks own (raising the gate drivers or the enable line, checking them),
-//! - `split()`: the chip's peripherals divided among these and the tasks.
+//! What a board is ([`Board`]), and which one this image is for ([`This`]): one file per board, one Cargo feature each.
 
 #[cfg(all(feature = "odrive-v3", feature = "h-bridge-f405"))]
 compile_error!("choose one board: `odrive-v3` or `h-bridge-f405`, not both");
@@ -14,22 +8,76 @@ compile_error!("choose a board: `--features odrive-v3` or `--features h-bridge-f
 #[cfg(all(feature = "h-bridge-f405", not(feature = "odrive-v3")))]
 mod h_bridge_f405;
 #[cfg(all(feature = "h-bridge-f405", not(feature = "odrive-v3")))]
-pub use h_bridge_f405::*;
+pub use h_bridge_f405::HBridgeF405 as This;
 
 #[cfg(feature = "odrive-v3")]
 mod odrive_v3;
 #[cfg(feature = "odrive-v3")]
-pub use odrive_v3::*;
+pub use odrive_v3::OdriveV3 as This;
 
-use core::sync::atomic::{AtomicU8, AtomicU16, Ordering};
-
-use embassy_stm32::Peri;
 use embassy_stm32::peripherals::{FLASH, IWDG, PA11, PA12, USB_OTG_FS};
-use embassy_time::{Duration, block_for};
+use embassy_stm32::{Peri, Peripherals};
+use haptic_bridge::drive::carrier::Carrier;
+use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
+use haptic_bridge::safety::limits::Limits;
 
-use crate::adc;
+use crate::gate::Gate;
+
+/// A motor-driver board.
+pub trait Board {
+    /// Its name, as the host shows it.
+    const NAME: &'static str;
+    /// Motors that it can drive, at most [`MAX_JOINTS`].
+    const AXES: usize;
+    /// What the drive needs to know of its bridges.
+    const BRIDGE: Bridge;
+    /// What nobody can raise over USB.
+    const LIMITS: Limits;
+    /// Faults that it has no means to see.
+    const UNSENSED: &'static [Fault];
+    /// What the control interrupt owns.
+    type Io: Io;
+    /// What tasks own.
+    type Gate: Gate;
+
+    /// Bridges off. Plain register writes: works in any state of the program, even in a fault handler.
+    fn off();
+
+    /// Divides the chip. `carrier` is what the board starts with; nothing runs and nothing is driven yet.
+    fn split(p: Peripherals, carrier: Carrier) -> (Self::Io, Self::Gate, Common);
+}
+
+/// What the control interrupt owns of a board: encoders, conversions, bridges. Every function is bounded in time.
+pub trait Io {
+    /// Encoder counts since power-on, one per axis.
+    fn counts(&mut self) -> [i32; MAX_JOINTS];
+
+    /// The counts last read, of encoders whose index pulse was seen since the last call.
+    fn index(&mut self) -> [Option<i32>; MAX_JOINTS];
+
+    /// The readings that the crest started.
+    fn analog(&mut self) -> Analog;
+
+    /// Compare values of each axis's two legs, applied at the next valley.
+    fn write(&mut self, legs: [[u16; 2]; MAX_JOINTS]);
+
+    /// Connects the bridges to the carrier, or lets them float. Off also drops the gate drivers or the enable line.
+    fn drive(&mut self, on: bool);
+
+    /// What the power stage reports; only true to be asked while it is up.
+    fn fault(&self) -> Option<Fault>;
+
+    /// The carrier in use.
+    fn carrier(&self) -> &Carrier;
+
+    /// Changes the carrier; all axes take it at the same extreme.
+    fn set_carrier(&mut self, carrier: Carrier);
+
+    /// Starts the carrier.
+    fn start(&mut self);
+}
 
 /// Readings of one crest.
 #[derive(Clone, Copy)]
@@ -52,123 +100,4 @@ pub struct Common {
     pub flash: Peri<'static, FLASH>,
     /// The watchdog.
     pub watchdog: Peri<'static, IWDG>,
-}
-
-/// What can go wrong while the power stage is readied.
-#[derive(Clone, Copy, PartialEq, Eq, Debug, defmt::Format)]
-#[cfg_attr(
-    not(feature = "odrive-v3"),
-    expect(dead_code, reason = "a board without gate drivers has fewer ways to fail")
-)]
-pub enum GateError {
-    /// The transfer itself failed.
-    Bus,
-    /// A control register did not read back as written: no driver there, or no supply.
-    Readback,
-    /// The driver reports a fault; its status registers.
-    Fault(u16, u16),
-    /// The current sensors' zero is this many counts from the middle of their range.
-    Offset(u16),
-    /// So many counts of current flow though the bridges are off.
-    Stray(u16),
-}
-
-impl GateError {
-    /// What a fault record keeps of it.
-    pub fn value(self) -> f32 {
-        match self {
-            Self::Bus | Self::Readback => 0.0,
-            Self::Fault(status, _) => f32::from(status),
-            Self::Offset(counts) | Self::Stray(counts) => f32::from(counts) * AMPERES_PER_COUNT,
-        }
-    }
-
-    /// Which fault it is.
-    pub fn fault(self) -> Fault {
-        match self {
-            Self::Bus | Self::Readback | Self::Fault(..) => Fault::GateDriver,
-            Self::Offset(_) | Self::Stray(_) => Fault::StrayCurrent,
-        }
-    }
-}
-
-/// Weight of one reading in a current sensor's zero, learned while no current flows: settled after a hundred readings.
-const ZERO_WEIGHT: f32 = 1.0 / 32.0;
-
-/// Time for the zeros to settle, ms: at least 200 carrier periods.
-const ZERO_MS: u64 = 12;
-
-/// Current that may seem to flow once the zeros are learned and the bridges are still off, A: noise, and an amplifier
-/// whose inputs are no longer shorted.
-#[cfg_attr(not(feature = "odrive-v3"), expect(dead_code, reason = "only an amplifier can be shorted"))]
-const STRAY_A: f32 = 0.5;
-
-/// What the control interrupt does with readings while the bridges are off.
-#[derive(Clone, Copy, PartialEq, Eq)]
-#[repr(u8)]
-enum Zeroing {
-    /// Nothing.
-    No,
-    /// Takes them for zeros.
-    Learn,
-    /// Looks what is left of them beyond the zeros.
-    #[cfg_attr(not(feature = "odrive-v3"), expect(dead_code, reason = "only an amplifier can be shorted"))]
-    Check,
-}
-
-/// Which it is.
-static ZEROING: AtomicU8 = AtomicU8::new(Zeroing::No as u8);
-
-/// Farthest zero from the middle, or farthest reading from its zero, counts, as the control interrupt last saw it.
-static ZERO_WORST: AtomicU16 = AtomicU16::new(0);
-
-/// The zeros of a board's current sensors, and what their readings have been beyond them.
-struct Zeros<const N: usize>([f32; N], [f32; N]);
-
-impl<const N: usize> Zeros<N> {
-    const fn new() -> Self {
-        Self([adc::FULL_SCALE / 2.0; N], [0.0; N])
-    }
-
-    /// Whether readings are for [`Zeros::take`].
-    #[inline(always)]
-    fn wanted() -> bool {
-        ZEROING.load(Ordering::Relaxed) != Zeroing::No as u8
-    }
-
-    /// A sensor's reading less its zero, counts.
-    #[inline(always)]
-    fn less(&self, sensor: usize, raw: u16) -> f32 {
-        f32::from(raw) - self.0[sensor]
-    }
-
-    /// Takes readings while the bridges are off for zeros, or sees what they are beyond them.
-    #[cold]
-    #[inline(never)]
-    fn take(&mut self, raw: [u16; N]) {
-        let learn = ZEROING.load(Ordering::Relaxed) == Zeroing::Learn as u8;
-        let mut worst = 0.0_f32;
-        for ((raw, zero), beyond) in raw.into_iter().zip(&mut self.0).zip(&mut self.1) {
-            let left = f32::from(raw) - *zero;
-            if learn {
-                *zero += left * ZERO_WEIGHT;
-                *beyond = 0.0;
-                worst = worst.max((*zero - adc::FULL_SCALE / 2.0).abs());
-            } else {
-                *beyond += (left - *beyond) * ZERO_WEIGHT;
-                worst = worst.max(beyond.abs());
-            }
-        }
-        ZERO_WORST.store(worst as u16, Ordering::Relaxed);
-    }
-}
-
-/// Has the control interrupt look at the current sensors while the bridges are off, for as long as their zeros take to
-/// settle; the farthest it saw, counts.
-fn settle(how: Zeroing) -> u16 {
-    ZERO_WORST.store(0, Ordering::Relaxed);
-    ZEROING.store(how as u8, Ordering::Relaxed);
-    block_for(Duration::from_millis(ZERO_MS));
-    ZEROING.store(Zeroing::No as u8, Ordering::Relaxed);
-    ZERO_WORST.load(Ordering::Relaxed)
 }

@@ -8,7 +8,7 @@ use embassy_stm32::gpio::Output;
 use embassy_stm32::mode::Blocking;
 use embassy_stm32::spi::{Error, Spi, mode::Master};
 
-use crate::board::GateError;
+use crate::gate::GateError;
 
 /// Gain of the shunt amplifiers, V/V (control register 2, bits 3:2 = 3).
 pub const AMPLIFIER_GAIN: f32 = 80.0;

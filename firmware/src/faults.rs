@@ -11,7 +11,7 @@ use embassy_stm32::interrupt;
 use embassy_stm32::pac;
 use haptic_bridge::safety::fault::{Fault, FaultRecord};
 
-use crate::board;
+use crate::board::{Board, This};
 
 /// Says that a record was written and not that SRAM happens to hold something.
 const WRITTEN: u32 = 0x4C41_5354;
@@ -166,7 +166,7 @@ pub fn take() -> Start {
 
 /// Resets into the chip's USB boot loader: the bridges are off, the next start goes to the ROM.
 pub fn reboot_to_boot_loader() -> ! {
-    board::off();
+    This::off();
     // SAFETY: a single aligned word that only the start-up code reads.
     unsafe { addr_of_mut!(BOOT_REQUEST).cast::<u32>().write_volatile(BOOT_LOADER) };
     SCB::sys_reset()
@@ -174,7 +174,7 @@ pub fn reboot_to_boot_loader() -> ! {
 
 /// Restarts the program with the bridges off.
 pub fn reboot() -> ! {
-    board::off();
+    This::off();
     SCB::sys_reset()
 }
 
@@ -231,7 +231,7 @@ fn panic(info: &PanicInfo) -> ! {
 
 #[inline(never)]
 fn panicked(line: u32, file: u32, len: u32) -> ! {
-    board::off();
+    This::off();
     cortex_m::interrupt::disable();
     write_down_and_reset(1, line, 0, (file, len))
 }
@@ -256,7 +256,7 @@ unsafe extern "C" {
 }
 
 extern "C" fn hard_fault(frame: *const u32) -> ! {
-    board::off();
+    This::off();
     cortex_m::interrupt::disable();
     let (bottom, top) = (addr_of!(_stack_end) as usize, addr_of!(_stack_start) as usize);
     let at = frame as usize;
@@ -274,26 +274,25 @@ extern "C" fn hard_fault(frame: *const u32) -> ! {
 /// A start without a crystal waits for it, with the bridges off.
 #[cortex_m_rt::exception]
 unsafe fn NonMaskableInt() -> ! {
-    gone(5)
+    gone(5, 0)
 }
 
 /// The supply monitor: there are microseconds left in which the processor can be relied on. The next start waits until
 /// the supply is there ([`crate::clock::await_supply`]).
 #[interrupt]
 fn PVD() -> ! {
-    gone(6)
+    gone(6, 0)
 }
 
+/// `pc` is the program counter, or what stands in for it.
 #[inline(never)]
-fn gone(kind: u32) -> ! {
-    board::off();
+fn gone(kind: u32, pc: u32) -> ! {
+    This::off();
     cortex_m::interrupt::disable();
-    write_down_and_reset(kind, 0, 0, (0, 0))
+    write_down_and_reset(kind, pc, 0, (0, 0))
 }
 
 #[cortex_m_rt::exception]
 unsafe fn DefaultHandler(number: i16) {
-    board::off();
-    cortex_m::interrupt::disable();
-    write_down_and_reset(3, number as u32, 0, (0, 0))
+    gone(3, number as u32)
 }

@@ -16,10 +16,11 @@ use haptic_bridge::servo::Command;
 use haptic_bridge::servo::program::Hardware;
 use static_cell::{ConstStaticCell, StaticCell};
 
+use crate::board::{Board, This};
 use crate::machine::Panel;
-use crate::serial::{Event, Incoming, Outgoing, PACKET};
+use crate::serial::{Event, Incoming, Outgoing, PACKET, Serial, UsbDriver};
 use crate::telemetry::TelemetryStream;
-use crate::{board, faults, supervisor, watchdog};
+use crate::{faults, supervisor, watchdog};
 
 bind_interrupts!(struct Irqs {
     OTG_FS => usb::InterruptHandler<USB_OTG_FS>;
@@ -32,12 +33,6 @@ const USB_VENDOR: u16 = 0x1209;
 const USB_PRODUCT: u16 = 0x0001;
 /// The product string by which the tool tells these boards from others that test with the same identifier.
 const USB_PRODUCT_NAME: &str = "haptic-bridge";
-
-/// The USB driver of this chip.
-pub type UsbDriver = Driver<'static, USB_OTG_FS>;
-
-/// The serial port.
-pub type Serial = CdcAcmClass<'static, UsbDriver>;
 
 /// Builds the USB device with its serial port.
 pub fn device(
@@ -56,7 +51,7 @@ pub fn device(
     let driver = Driver::new_fs(peripheral, Irqs, dp, dm, OUT.take(), hardware);
 
     let mut config = embassy_usb::Config::new(USB_VENDOR, USB_PRODUCT);
-    config.manufacturer = Some(board::NAME);
+    config.manufacturer = Some(This::NAME);
     config.product = Some(USB_PRODUCT_NAME);
     config.serial_number = Some(serial_number);
     config.max_power = 100;
@@ -99,7 +94,7 @@ pub async fn serve(mut panel: Panel, hardware: Hardware, previous: Option<FaultR
     let frame = FRAME.take();
     let (sender, receiver) = serial.split();
     let (mut outgoing, mut incoming) = (Outgoing::new(sender), Incoming::new(receiver));
-    let mut service = Service::new(hardware, board::LIMITS);
+    let mut service = Service::new(hardware, This::LIMITS);
     watchdog::patient(|| service.boot(&mut panel));
     if let Some(record) = previous {
         let _ = panel.execute(Command::Fault(record));
@@ -110,10 +105,9 @@ pub async fn serve(mut panel: Panel, hardware: Hardware, previous: Option<FaultR
     let mut more = false;
     loop {
         supervisor::alive(supervisor::Task::Link);
-        // One batch a turn: requests and the other tasks come in between, also where rows come faster than they leave.
-        if more {
-            yield_now().await;
-        }
+        // One request or one batch a turn: the other tasks come in between, also where requests or rows come faster than
+        // they leave, and nothing else here would ever wait.
+        yield_now().await;
         let wake = match (more, stream.runs()) {
             (true, _) => Instant::now(),
             (false, true) => Instant::now() + DRAIN,

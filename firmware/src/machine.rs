@@ -19,8 +19,9 @@ use heapless::spsc::{Consumer, Producer};
 use heapless::{String, Vec};
 use static_cell::StaticCell;
 
-use crate::board::{self, Gate};
+use crate::board::{Board, This};
 use crate::clock::TIMER_HZ;
+use crate::gate::Gate;
 use crate::self_test;
 use crate::servo::{self, Answer, Request};
 use crate::stack;
@@ -38,7 +39,7 @@ pub struct Panel {
     answers: Consumer<'static, Answer>,
     /// Frames of the telemetry stream.
     pub frames: Consumer<'static, Frame>,
-    gate: Gate,
+    gate: <This as Board>::Gate,
     storage: Storage,
     serial: &'static str,
     unused: Vec<&'static StaticCell<Program<BoardMath>>, PROGRAMS>,
@@ -48,7 +49,13 @@ pub struct Panel {
 
 impl Panel {
     /// Call once.
-    pub fn new(link: servo::Link, gate: Gate, storage: Storage, serial: &'static str, carrier: Carrier) -> Self {
+    pub fn new(
+        link: servo::Link,
+        gate: <This as Board>::Gate,
+        storage: Storage,
+        serial: &'static str,
+        carrier: Carrier,
+    ) -> Self {
         static BUFFERS: [StaticCell<Program<BoardMath>>; PROGRAMS] = [const { StaticCell::new() }; PROGRAMS];
         Self {
             requests: link.requests,
@@ -98,10 +105,11 @@ impl Panel {
             let _ = self.ask(Request::Command(Command::Fault(record)));
             return Err(Refusal::Faulted(record.fault));
         }
-        if servo::GATE_READY.load(Ordering::Relaxed) {
-            return Ok(());
-        }
-        match self.gate.raise() {
+        // With the motors off nobody vouches for what an earlier arming left up.
+        lower_gate();
+        let raised = self.gate.raise();
+        servo::GATE_READY.store(raised.is_ok(), Ordering::Relaxed);
+        match raised {
             Ok(()) => Ok(()),
             Err(error) => {
                 defmt::error!("the gate drivers cannot be readied: {}", error);
@@ -116,6 +124,10 @@ impl Panel {
     pub fn watch_gate(&mut self) {
         if !servo::GATE_READY.load(Ordering::Relaxed) {
             return;
+        }
+        // What ended before the control interrupt had connected the bridges left the drivers up.
+        if !on(self.status().state) {
+            return lower_gate();
         }
         let Err(error) = self.gate.check() else { return };
         // A fault that came between lets the drivers forget what they knew: no news.
@@ -134,8 +146,7 @@ impl Machine for Panel {
     fn execute(&mut self, command: Command<BoardProgram>) -> Reply<BoardProgram> {
         let status = self.status();
         // With the motors on, what would switch them on is refused by the servo and has no business with the gate.
-        let on = matches!(status.state, State::Armed | State::CheckingPolarity);
-        let powers_up = matches!(command, Command::Arm | Command::CheckPolarity) && !on;
+        let powers_up = matches!(command, Command::Arm | Command::CheckPolarity) && !on(status.state);
         if powers_up {
             if let Some(record) = status.fault {
                 return (Err(Refusal::Faulted(record.fault)), None);
@@ -146,8 +157,7 @@ impl Machine for Panel {
         }
         let reply = self.ask(Request::Command(command)).reply;
         if powers_up && reply.0.is_err() {
-            servo::GATE_READY.store(false, Ordering::Relaxed);
-            board::off();
+            lower_gate();
         }
         reply
     }
@@ -219,7 +229,7 @@ impl Described for Panel {
         Info {
             protocol: PROTOCOL,
             firmware: text(env!("CARGO_PKG_VERSION")),
-            board: text(board::NAME),
+            board: text(This::NAME),
             serial: text(self.serial),
         }
     }
@@ -230,20 +240,31 @@ impl Described for Panel {
         let delay = self.carrier.delay_samples();
         Details {
             name: String::new(),
-            axes: board::AXES as u8,
+            axes: This::AXES as u8,
             real: true,
             carrier_hz: self.carrier.carrier_hz(),
             delay_samples: if late { 2.0 * delay } else { delay },
             device: None,
             rate_hz: self.carrier.rate_hz(),
             walls: 0,
-            unsensed: board::UNSENSED.iter().map(|fault| fault.code()).collect(),
+            unsensed: This::UNSENSED.iter().map(|fault| fault.code()).collect(),
             damage: Vec::new(),
             overruns: servo::OVERRUNS.load(Ordering::Relaxed),
             longest_cycles: servo::LONGEST_CYCLES.load(Ordering::Relaxed),
             stack_free: stack::never_used(),
         }
     }
+}
+
+/// Whether the motors are on.
+fn on(state: State) -> bool {
+    matches!(state, State::Armed | State::CheckingPolarity)
+}
+
+/// Lets the power stage go, while the motors are off: nothing but a task switches them on.
+fn lower_gate() {
+    servo::GATE_READY.store(false, Ordering::Relaxed);
+    This::off();
 }
 
 /// As much of a text as fits.

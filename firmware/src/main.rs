@@ -14,6 +14,7 @@ mod critical;
 mod drv8301;
 mod encoder;
 mod faults;
+mod gate;
 mod index;
 mod link;
 mod machine;
@@ -27,6 +28,7 @@ mod supervisor;
 mod telemetry;
 mod warmth;
 mod watchdog;
+mod zeros;
 
 use defmt_rtt as _;
 use embassy_executor::Spawner;
@@ -35,12 +37,13 @@ use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
 use haptic_bridge::servo::Rules;
 use haptic_bridge::servo::program::Hardware;
 
+use crate::board::{Board, This};
 use crate::machine::Panel;
 use crate::watchdog::Watchdog;
 
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
-    board::off();
+    This::off();
     faults::enter_boot_loader_if_requested();
     let start = faults::take();
     critical::lower_all();
@@ -56,7 +59,7 @@ async fn main(spawner: Spawner) {
     defmt::info!(
         "{=str} {=str}: started by {}, before that {} at {=u32:#x} (status {=u32:#x}) {=str}; \
          brown-out level {=u8} of 3",
-        board::NAME,
+        This::NAME,
         env!("CARGO_PKG_VERSION"),
         start.cause,
         start.previous,
@@ -67,10 +70,10 @@ async fn main(spawner: Spawner) {
     );
 
     let hardware =
-        Hardware { axes: board::AXES, real: true, bus_sensed: true, bridge: board::BRIDGE, timer_hz: clock::TIMER_HZ };
-    let rules = Rules { limits: board::LIMITS, ..Rules::default() };
+        Hardware { axes: This::AXES, real: true, bus_sensed: true, bridge: This::BRIDGE, timer_hz: clock::TIMER_HZ };
+    let rules = Rules { limits: This::LIMITS, ..Rules::default() };
     let carrier = Carrier::for_rate(clock::TIMER_HZ, CARRIER_MIN_HZ as f32);
-    let (io, gate, common) = board::split(chip, carrier);
+    let (io, gate, common) = This::split(chip, carrier);
     let servo = servo::start(io, hardware, rules, warmth::take());
     let storage = storage::open(common.flash);
     let fault = self_test::failed().or_else(|| start.fault());

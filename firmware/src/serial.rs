@@ -8,11 +8,17 @@ use core::future::{Future as _, poll_fn};
 use core::pin::pin;
 use core::task::Poll;
 
+use embassy_stm32::peripherals::USB_OTG_FS;
+use embassy_stm32::usb::Driver;
 use embassy_time::{Duration, Instant, with_deadline};
-use embassy_usb::class::cdc_acm::{Receiver, Sender};
+use embassy_usb::class::cdc_acm::{CdcAcmClass, Receiver, Sender};
 use haptic_bridge::board::protocol::MAX_FRAME;
 
-use crate::link::UsbDriver;
+/// The USB driver of this chip.
+pub type UsbDriver = Driver<'static, USB_OTG_FS>;
+
+/// The serial port.
+pub type Serial = CdcAcmClass<'static, UsbDriver>;
 
 /// Largest packet of a full-speed bulk endpoint.
 pub const PACKET: usize = 64;

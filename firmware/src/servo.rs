@@ -7,7 +7,8 @@
 //! single-producer single-consumer queue, so nothing here waits and nothing is torn; a full queue drops and counts.
 //!
 //! Time bound: a step that reaches past the following crest is counted, and turns the motors off if they are on
-//! ([`Fault::ControlOverrun`]). One that only reaches past the valley applies half a carrier period later than usual.
+//! ([`Fault::ControlOverrun`]). One that only reaches past the valley applies half a carrier period later than usual,
+//! which the current loops are told.
 
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -28,7 +29,7 @@ use haptic_bridge::servo::{Command, Reply, Rules, Status};
 use heapless::spsc::{Consumer, Producer, Queue};
 use static_cell::StaticCell;
 
-use crate::board::Io;
+use crate::board::{Board, Io as _, This};
 use crate::critical;
 
 /// What tasks ask of the control interrupt, one at a time.
@@ -79,7 +80,7 @@ pub static STREAM_DIVIDER: AtomicU32 = AtomicU32::new(0);
 pub static FRAMES_DROPPED: AtomicU32 = AtomicU32::new(0);
 /// Steps that reached past the next crest.
 pub static OVERRUNS: AtomicU32 = AtomicU32::new(0);
-/// Steps that reached past the valley, where their duty should have applied.
+/// Steps whose duties came after the valley where they should have applied.
 pub static LATE: AtomicU32 = AtomicU32::new(0);
 /// Longest run of the interrupt at a crest, core cycles.
 pub static LONGEST_CYCLES: AtomicU32 = AtomicU32::new(0);
@@ -89,7 +90,7 @@ pub static GATE_READY: AtomicBool = AtomicBool::new(false);
 pub static STALL_EXPECTED: AtomicBool = AtomicBool::new(false);
 
 struct Step {
-    io: Io,
+    io: <This as Board>::Io,
     servo: BoardServo,
     requests: Consumer<'static, Request>,
     answers: Producer<'static, Answer>,
@@ -113,7 +114,7 @@ static STEP: Owned<Step> = Owned(UnsafeCell::new(None));
 
 /// Gives the board to the control interrupt and starts the carrier; `heat` is what the run before left of it in the
 /// motors. Call once.
-pub fn start(mut io: Io, hardware: Hardware, rules: Rules, heat: Option<[f32; MAX_JOINTS]>) -> Link {
+pub fn start(mut io: <This as Board>::Io, hardware: Hardware, rules: Rules, heat: Option<[f32; MAX_JOINTS]>) -> Link {
     static REQUEST_QUEUE: StaticCell<Queue<Request, REQUESTS>> = StaticCell::new();
     static ANSWER_QUEUE: StaticCell<Queue<Answer, REQUESTS>> = StaticCell::new();
     static FRAME_QUEUE: StaticCell<Queue<Frame, FRAMES>> = StaticCell::new();
@@ -142,7 +143,7 @@ fn TIM1_UP_TIM10() {
         w.0 = !0;
         w.set_uif(false);
     });
-    let valley = pac::TIM1.cr1().read().dir() == Dir::UP;
+    let valley = past_valley();
     // SAFETY: this interrupt is the only user since `start` enabled it, and it does not preempt itself.
     let Some(step) = (unsafe { (*STEP.0.get()).as_mut() }) else { return };
     if valley {
@@ -172,19 +173,28 @@ impl Step {
         };
         let mut outputs = compiled::guard(&mut self.servo, &seen);
         self.countdown -= 1;
-        if self.countdown == 0 {
+        let stepped = self.countdown == 0;
+        if stepped {
             self.countdown = self.io.carrier().divider;
             let Crest { counts, bus_voltage, currents, .. } = seen;
             let samples = Samples { counts, bus_voltage, currents, index: self.io.index(), fault: None };
             outputs = compiled::control(&mut self.servo, &samples);
             self.connect(outputs.bridges);
-            self.record();
-            STEPS.store(self.servo.frame().step, Ordering::Relaxed);
         } else if !outputs.bridges {
             self.connect(false);
         }
-        let legs = compiled::legs(&mut self.servo, analog.bus_v, &analog.current_a, self.io.carrier());
+        let late = too_late();
+        let legs = compiled::legs(&mut self.servo, analog.bus_v, &analog.current_a, late, self.io.carrier());
+        if late {
+            wait_for_valley();
+        }
         self.io.write(legs);
+        // What the motors do not wait for.
+        if stepped {
+            LATE.store(LATE.load(Ordering::Relaxed).wrapping_add(u32::from(late)), Ordering::Relaxed);
+            self.record();
+            STEPS.store(self.servo.frame().step, Ordering::Relaxed);
+        }
     }
 
     /// Carries out one request and answers it. Not inlined: it is rare, and would only lengthen the way to the step.
@@ -256,7 +266,7 @@ impl Step {
         }
     }
 
-    /// Counts runs that took too long: past the valley, or past the next crest.
+    /// Counts runs that took too long: past the next crest.
     #[inline(always)]
     fn keep_time(&mut self, cycles: u32) {
         if STALL_EXPECTED.load(Ordering::Relaxed) {
@@ -265,14 +275,31 @@ impl Step {
         if cycles > LONGEST_CYCLES.load(Ordering::Relaxed) {
             LONGEST_CYCLES.store(cycles, Ordering::Relaxed);
         }
-        let valley_passed = pac::TIM1.sr().read().uif();
-        let crest_passed = valley_passed && pac::TIM1.cr1().read().dir() == Dir::DOWN;
+        let crest_passed = pac::TIM1.sr().read().uif() && !past_valley();
         // Core and timer count at the same frequency.
         if crest_passed || cycles > 2 * u32::from(self.io.carrier().top) {
             self.overrun = true;
             OVERRUNS.store(OVERRUNS.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
-        } else if valley_passed {
-            LATE.store(LATE.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
         }
     }
+}
+
+/// Core cycles from here until duties are written: the current loops of three motors take 234 instructions
+/// (docs/results/timing.md).
+const LEGS_CYCLES: u16 = 640;
+
+/// Whether the carrier has passed its valley since the crest.
+fn past_valley() -> bool {
+    pac::TIM1.cr1().read().dir() == Dir::UP
+}
+
+/// Until duties apply no sooner than the current loops were told.
+fn wait_for_valley() {
+    while !past_valley() {}
+}
+
+/// Whether the next valley is too near, or past, for duties worked out now to apply from it on.
+fn too_late() -> bool {
+    // Core and timer count at the same frequency, and the timer down to its valley.
+    past_valley() || pac::TIM1.cnt().read().cnt() < LEGS_CYCLES
 }

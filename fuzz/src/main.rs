@@ -23,7 +23,9 @@ use std::sync::OnceLock;
 /// Every target: its name, which is also that of its seeds' directory, and its function.
 const TARGETS: [(&str, fn(&[u8])); 8] = [
     ("bytes", requests::bytes),
-    ("requests", requests::requests),
+    ("requests", |data| {
+        requests::requests(data);
+    }),
     ("answers", answers::answers),
     ("settings", settings::settings),
     ("device_file", files::device_file),

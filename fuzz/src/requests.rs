@@ -9,13 +9,13 @@ use haptic_bridge::board::settings::{BoardName, Key, Polarity, encode};
 use haptic_bridge::board::telemetry::{Fields, StreamRequest};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModelData, checksum};
-use haptic_bridge::safety::fault::Fault;
-use haptic_bridge::servo::Rules;
+use haptic_bridge::safety::fault::{Fault, State};
+use haptic_bridge::servo::{HostAction, Rules};
 use postcard_rpc::Endpoint;
 use serde::Serialize;
 
 /// Control periods that one input may take, so that long inputs stay fast.
-const MOST_TICKS: u32 = 1_000;
+const MOST_TICKS: u32 = 2_000;
 
 /// Bytes as they come: a board with a device behind its deframer. The first byte chooses the device.
 pub fn bytes(data: &[u8]) {
@@ -39,13 +39,15 @@ pub fn bytes(data: &[u8]) {
     assert!(understood, "the board still answers");
 }
 
-/// A script: each step is an operation and what it needs, read from the input until that ends.
-pub fn requests(data: &[u8]) {
+/// A script: each step is an operation and what it needs, read from the input until that ends. Returns how many of them
+/// ended with the motors on.
+pub fn requests(data: &[u8]) -> u32 {
     let mut input = Input(data);
     let mut board = a_board(input.byte());
-    let mut ticks = 0;
+    let (mut ticks, mut driven) = (0, 0);
     while !input.0.is_empty() && ticks < MOST_TICKS {
         ticks += step(&mut board, &mut input);
+        driven += u32::from(driving(board.state()));
     }
     // Whatever was asked: disarming works at once, and the board still says how it is.
     board.ask::<Disarm>(&()).expect("it can be disarmed").expect("which is never refused");
@@ -54,6 +56,7 @@ pub fn requests(data: &[u8]) {
     assert!(!board.bridges);
     board.ask::<GetStatus>(&()).expect("it has a state");
     board.ask::<GetDetails>(&()).expect("it describes itself");
+    driven
 }
 
 fn a_board(which: u8) -> Board {
@@ -69,7 +72,7 @@ fn step(board: &mut Board, input: &mut Input) -> u32 {
         let body = patched(TEMPLATES[operation].1(input.byte()), input);
         return send(board, TEMPLATES[operation].0, &body);
     };
-    match extra % 8 {
+    match extra % 9 {
         0 => {
             let axis = usize::from(input.byte()) % MAX_JOINTS;
             let moved = i32::from(i16::from_le_bytes([input.byte(), input.byte()]));
@@ -106,11 +109,33 @@ fn step(board: &mut Board, input: &mut Input) -> u32 {
             let _ = board.service.poll(&mut board.machine);
             0
         }
-        _ => {
+        7 => {
             board.machine.flash_broken = input.byte() & 1 == 1;
             0
         }
+        _ => spin(board, usize::from(input.byte())),
     }
+}
+
+/// Turns a joint at twice its speed limit for 10 ms and a dozen counts: whatever was asked for before, no armed board
+/// may go on with that. The control periods that it took.
+fn spin(board: &mut Board, which: usize) -> u32 {
+    let Some(device) = board.service.device() else { return 0 };
+    let axis = which % device.axes().max(1);
+    let (step, limit) = (device.joints[axis].radians_per_count.abs(), board.service.rules().limits.speed[axis]);
+    // The bench's guard is called once a crest of 20 kHz or more.
+    let counts = 2.0 * limit / step / 20_000.0;
+    let ticks = (12.0 / counts).max(500.0);
+    if board.state() != State::Armed || !ticks.is_finite() || ticks >= 2_000.0 {
+        return 0;
+    }
+    let from = board.samples.counts[axis];
+    for tick in 1..=ticks as u32 {
+        board.samples.counts[axis] = from.wrapping_add((counts * tick as f32) as i32);
+        board.tick();
+    }
+    assert!(!driving(board.state()), "joint {axis} turns at twice its limit of {limit} rad/s");
+    ticks as u32
 }
 
 fn send(board: &mut Board, key: postcard_rpc::Key, body: &[u8]) -> u32 {
@@ -119,9 +144,10 @@ fn send(board: &mut Board, key: postcard_rpc::Key, body: &[u8]) -> u32 {
     assert!(answer.is_some(), "every frame with a header is answered");
     let asked_to_move = key == Arm::REQ_KEY || key == CheckPolarity::REQ_KEY;
     assert!(before || asked_to_move || !driving(board.state()), "motors on without being asked");
-    board.tick();
-    board.tick();
-    2
+    // The next request may come before the next control step.
+    let ticks = body.first().map_or(2, |byte| byte % 3);
+    (0..ticks).for_each(|_| board.tick());
+    ticks.into()
 }
 
 /// A message with some bytes of it changed: how many, and whether its end is cut off or something is appended, say the
@@ -161,7 +187,7 @@ impl Input<'_> {
     }
 }
 
-type Template = (postcard_rpc::Key, fn(u8) -> Vec<u8>);
+pub type Template = (postcard_rpc::Key, fn(u8) -> Vec<u8>);
 
 fn bytes_of(message: &impl Serialize) -> Vec<u8> {
     postcard::to_stdvec(message).unwrap_or_default()
@@ -185,7 +211,7 @@ fn table(count: usize) -> Vec<f32> {
 }
 
 /// A sound message for every endpoint, in several variants.
-const TEMPLATES: &[Template] = &[
+pub const TEMPLATES: &[Template] = &[
     (Arm::REQ_KEY, nothing),
     (Disarm::REQ_KEY, nothing),
     (Home::REQ_KEY, nothing),
@@ -203,7 +229,14 @@ const TEMPLATES: &[Template] = &[
     (GetRules::REQ_KEY, nothing),
     (GetFaults::REQ_KEY, nothing),
     (SetDevice::REQ_KEY, |which| bytes_of(&device(which))),
-    (SetScene::REQ_KEY, |which| bytes_of(&scene(which))),
+    (SetScene::REQ_KEY, |which| {
+        let mut scene = scene(which & 0x3F);
+        if let Some(rate) = [200.0, 1_000.0, 20_000.0].get(usize::from(which >> 6)) {
+            scene.rate_hz = *rate;
+            scene.cutoff_hz = scene.cutoff_hz.min(0.4 * rate);
+        }
+        bytes_of(&scene)
+    }),
     (SetMassModel::REQ_KEY, |which| {
         let grid = Grid { interpolation: Interpolation::Bilinear, points: [4; 2], low: [-3.0; 2], spacing: [2.0; 2] };
         bytes_of(&match which % 4 {
@@ -225,14 +258,26 @@ const TEMPLATES: &[Template] = &[
             feed_forward: wall.feed_forward,
             washout_hz: wall.washout_hz,
         });
-        bytes_of(&GainsRequest { wall, estimator: Some((scene(which).estimator, 200.0)) })
+        let cutoff = [200.0, 1e-6, 1.0, 50.0, 99.0, 900.0, 9_999.0, 0.0][usize::from(which >> 5)];
+        bytes_of(&GainsRequest { wall, estimator: Some((scene(which).estimator, cutoff)) })
     }),
+    // One thing tighter than a board's own, so that the next of these asks for the first to be loosened.
     (SetRules::REQ_KEY, |which| {
-        let mut rules = Rules { passivity: which & 1 == 1, ..Rules::default() };
-        let share = 1.0 / f32::from(1 + (which >> 1) % 8);
-        rules.limits.torque = rules.limits.torque.map(|limit| limit * share);
-        rules.limits.current = rules.limits.current.map(|limit| limit * share);
-        rules.index_period = [i32::from(which >> 4) * 1000; MAX_JOINTS];
+        let mut rules = Rules::default();
+        let share = 1.0 / f32::from(2 + (which >> 3) % 8);
+        let less = |limit: [f32; MAX_JOINTS]| limit.map(|limit| limit * share);
+        let limits = &mut rules.limits;
+        match which % 8 {
+            0 => limits.torque = less(limits.torque),
+            1 => limits.current = less(limits.current),
+            2 => limits.speed = less(limits.speed),
+            3 => limits.tip_force = share,
+            4 => limits.power *= share,
+            5 => rules.passivity = true,
+            6 => rules.index_period = [i32::from(which >> 4) * 1000; MAX_JOINTS],
+            _ if which >> 7 == 0 => rules.host_seconds *= share,
+            _ => (rules.host_action, rules.host_seconds) = (HostAction::Ignore, 60.0),
+        }
         bytes_of(&rules)
     }),
     (Stream::REQ_KEY, |which| {
@@ -261,10 +306,10 @@ const TEMPLATES: &[Template] = &[
         bytes_of(&ForceRequest {
             sequence: u32::from(which),
             seen: (which & 1 == 1).then_some(u32::from(which)),
-            hold: 0.01,
+            hold: 0.01 * f32::from(1 + which % 20),
             fade: 0.01,
             force: [f32::from(which), 0.0, 0.0],
-            torque: [0.1, 0.0, 0.0],
+            torque: [0.01 * f32::from(which), 0.0, 0.0],
             contact: (which & 2 == 2).then_some(contact),
         })
     }),

@@ -5,6 +5,7 @@
 //! value, encoded anew. Nothing is sent before the whole file has been understood.
 
 use crate::link::{Board, BoardError};
+use crate::precision::shortest;
 use haptic_bridge::board::protocol::KeyList;
 use haptic_bridge::board::settings::{BoardName, Damage, Entry, Key, Polarity, Setting, decode, encode};
 use haptic_bridge::model::device::Device;
@@ -266,19 +267,6 @@ fn usable_as<S: Setting>(kept: &Kept) -> Result<(Entry, Restored), BackupError> 
             Ok((encode(&value).map_err(|error| damaged(S::KEY, error))?, Restored::Translated))
         }
         Err(other) => Err(damaged(S::KEY, other)),
-    }
-}
-
-/// The same value with every number in the fewest digits that are the same f32, as the board holds it.
-fn shortest(value: Value) -> Value {
-    match value {
-        Value::Number(number) if number.is_f64() => {
-            let short = number.as_f64().and_then(|number| (number as f32).to_string().parse::<f64>().ok());
-            short.and_then(serde_json::Number::from_f64).map_or(Value::Number(number), Value::Number)
-        }
-        Value::Array(values) => values.into_iter().map(shortest).collect(),
-        Value::Object(map) => Value::Object(map.into_iter().map(|(key, value)| (key, shortest(value))).collect()),
-        other => other,
     }
 }
 

@@ -1,16 +1,20 @@
 //! The command line as a whole: the help page with its commands under headings, and how angles and vectors are read.
 
 use crate::commands::{Command, HEADINGS, list_of_fields};
+use clap::error::ContextKind;
 use clap::{CommandFactory, FromArgMatches, Parser};
 use haptic::error::Failure;
+use haptic::plausible::counted;
 use haptic_bridge::model::admissible::Admissible;
+use std::error::Error;
 use std::ffi::OsString;
+use std::num::{IntErrorKind, ParseFloatError, ParseIntError};
 
 /// Configure, watch, simulate and analyse haptic-bridge boards: motor drivers that render hard walls on a device
 /// whose inertia they know.
 ///
 /// Devices are described in TOML files (see devices/), walls in scene files (see devices/scenes/). Units are SI
-/// everywhere: metres, radians, newtons, kilograms.
+/// everywhere (metres, radians, newtons, kilograms) but in `haptic measure-range --pull MM`.
 #[derive(Parser)]
 #[command(name = "haptic", version, max_term_width = 110)]
 pub struct Cli {
@@ -112,8 +116,22 @@ pub fn parse() -> Command {
 
 /// The command that these words, the program's own name first, ask for. Errors are clap's, and so are help and version.
 pub fn read(words: Vec<OsString>) -> Result<Command, clap::Error> {
-    let matches = command().try_get_matches_from(port_after_command(words))?;
+    let matches = command().try_get_matches_from(port_after_command(words)).map_err(what_to_type)?;
     Ok(Cli::from_arg_matches(&matches)?.command)
+}
+
+/// Where a number could not be read, what would be one, in the place of what the parser stumbled over.
+fn what_to_type(error: clap::Error) -> clap::Error {
+    let stumbled = error.source();
+    let wanted = match stumbled.and_then(|source| source.downcast_ref::<ParseIntError>()).map(ParseIntError::kind) {
+        Some(IntErrorKind::InvalidDigit | IntErrorKind::Empty) => "write a whole number, such as 12",
+        _ if stumbled.is_some_and(|source| source.is::<ParseFloatError>()) => "write a number, such as 0.5 or 2e3",
+        _ => return error,
+    };
+    let about = |kind| error.get(kind).map(ToString::to_string).unwrap_or_default();
+    let (value, option) = (about(ContextKind::InvalidValue), about(ContextKind::InvalidArg));
+    let message = format!("invalid value '{value}' for '{option}': {wanted}");
+    clap::Error::raw(error.kind(), message).with_cmd(&command())
 }
 
 /// Lets `--port` stand before the command as well: `haptic --port sim info` is `haptic info --port sim`.
@@ -153,20 +171,40 @@ impl Numbers {
         if self.0.len() == count {
             return Ok(self.0);
         }
-        let reason = format!("{option} has {} numbers, but this device takes {count} ({meaning})", self.0.len());
+        let numbers = counted(self.0.len(), "number");
+        let reason = format!("{option} has {numbers}, but this device takes {count} ({meaning})");
         Err(Failure::wrong(reason).remedy("separate them with commas, without spaces"))
     }
 
     /// One positive number for each of `walls` walls.
     pub fn per_wall(self, walls: usize, option: &str) -> Result<Vec<f64>, Failure> {
         if self.0.len() != walls {
-            let reason = format!("{option} has {} numbers for {walls} walls (--normal)", self.0.len());
+            let numbers = counted(self.0.len(), "number");
+            let reason = format!("{option} has {numbers} for {} (--normal)", counted(walls, "wall"));
             return Err(Failure::wrong(reason).remedy("give one number per --normal, separated by commas"));
         }
         if let Some(wrong) = self.0.iter().find(|value| **value <= 0.0) {
             return Err(Failure::wrong(format!("{option} holds {wrong}")).remedy("every wall needs a positive number"));
         }
         Ok(self.0)
+    }
+
+    /// Which of `walls` walls have the feed-forward: all but those that `without` counts, from 0, and some.
+    pub fn with_feed_forward(without: Option<Self>, walls: usize, option: &str) -> Result<Vec<bool>, Failure> {
+        let mut with = vec![true; walls];
+        for index in without.map_or_else(Vec::new, |without| without.0) {
+            let wall = with.iter_mut().enumerate().find(|(wall, _)| *wall as f64 == index);
+            let Some((_, wall)) = wall else {
+                let reason = format!("{option} names wall {index}, and there are {walls} (--normal)");
+                return Err(Failure::wrong(reason).remedy("count the walls from 0, in the order of --normal"));
+            };
+            *wall = false;
+        }
+        if walls > 0 && !with.contains(&true) {
+            let reason = format!("{option} leaves no wall with a feed-forward");
+            return Err(Failure::wrong(reason).remedy("leave one out: results without any stand beside those with it"));
+        }
+        Ok(with)
     }
 
     /// A direction of `task` entries, made a unit vector.

@@ -363,8 +363,9 @@ fn refusal(error: DescriptionError, top: &Table<'_>, geometry: &Table<'_>, spec:
             let reason = format!("`{key}` in [geometry]: {error}");
             geometry.error_at_element(key, element, impossible(reason, "write the length in metres"))
         }
-        DescriptionError::Assembly => geometry
-            .error_at("assembly", problem("write 1 for the tip left of the line from elbow 1 to elbow 2, else -1")),
+        DescriptionError::Assembly => {
+            geometry.error_at("assembly", problem("write 1 for the tip left of the way from C to D, else -1"))
+        }
         DescriptionError::CannotClose => {
             geometry.error_here(problem("check the lengths, in metres: each link must reach from one end to the other"))
         }

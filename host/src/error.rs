@@ -80,6 +80,20 @@ pub fn print(document: &str) -> Result<(), Failure> {
     }
 }
 
+/// Writes to standard error. A reader that went away (`haptic … 2>&1 | head`) or a full disk stops no command, least of
+/// all one that has motors to turn off: what cannot be said is not said.
+pub fn say(text: fmt::Arguments<'_>) {
+    use std::io::Write;
+    let mut err = std::io::stderr().lock();
+    let _ = err.write_fmt(text).and_then(|()| err.flush());
+}
+
+/// A line on standard error, as `eprintln` but by [`say`]: it never panics.
+#[macro_export]
+macro_rules! tell {
+    ($($text:tt)*) => { $crate::error::say(format_args!("{}\n", format_args!($($text)*))) };
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

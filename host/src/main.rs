@@ -1,6 +1,7 @@
 //! The `haptic` command: parses the command line, runs one command, and turns what went wrong into one line on
 //! standard error and an exit code (0 done, 1 it could not be done, 2 the command or a file is wrong).
 #![forbid(unsafe_code)]
+#![deny(clippy::print_stderr, clippy::print_stdout)]
 
 mod cli;
 mod commands;
@@ -11,7 +12,7 @@ fn main() -> ExitCode {
     match commands::run(cli::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            eprintln!("error: {failure}");
+            haptic::tell!("error: {failure}");
             failure.exit_code()
         }
     }

@@ -25,7 +25,7 @@ pub mod simulated;
 pub mod swing;
 mod walls;
 
-pub use bench::Bench;
+pub use bench::{Bench, rules_for};
 pub use search::Boundary;
 pub use walls::most_tested;
 
@@ -33,6 +33,7 @@ use haptic_bridge::safety::fault::Fault;
 use thiserror::Error;
 
 use crate::analysis::pose::PoseError;
+use crate::analysis::several::Member;
 use crate::link::{BoardError, LinkError};
 
 /// Why a measurement, or the part of it at one damping, ended early. Motors are off whenever a measurement returns one
@@ -51,6 +52,9 @@ pub enum MeasureError {
     /// The board tripped a fault.
     #[error("the board tripped a fault: {0}")]
     Fault(Fault),
+    /// Somebody else has turned the motors off.
+    #[error("the motors were turned off meanwhile, not by this measurement")]
+    Disarmed,
     /// The device stands elsewhere than when the measurement began.
     #[error("the device does not stand where this measurement began")]
     Moved,
@@ -107,9 +111,8 @@ impl MeasureError {
 /// What is measured, and how gently.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setup {
-    /// The walls that act together: normal in the task frame (d entries, any length but zero) and part of the whole
-    /// stiffness and damping (positive, in any unit that all share).
-    pub walls: Vec<(Vec<f64>, f64)>,
+    /// The walls that act together.
+    pub walls: Vec<Member>,
     /// Control rate, Hz.
     pub rate_hz: f64,
     /// Cutoff of the velocity filter, Hz.

@@ -35,10 +35,12 @@ pub struct WallForce {
     pub force: f64,
     /// Its stiffness in any unit that all walls share: with several walls it decides what is rendered.
     pub stiffness: f64,
+    /// Whether it has the feed-forward; one of several may be without.
+    pub feed_forward: bool,
 }
 
 /// One direction of the stiffness of several walls (docs/model.md section 2).
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Direction {
     /// Unit vector, d entries.
     pub along: Vec<f64>,
@@ -84,7 +86,7 @@ pub struct Report {
     /// Condition numbers.
     pub condition: Condition,
     /// What several walls render, the stiffest direction first; empty for one wall.
-    #[serde(skip)]
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub directions: Vec<Direction>,
 }
 
@@ -267,7 +269,12 @@ fn report<T: Real, K: Math<T>, const N: usize, M: Mechanism<T, N>>(
     let qd = vector_of(qd);
     let pulls: Vec<Pull<T, N>> = walls
         .iter()
-        .map(|wall| Pull { normal: vector_of(&wall.normal), stiffness: T::from_f64(wall.stiffness) })
+        .map(|wall| Pull {
+            normal: vector_of(&wall.normal),
+            across: false,
+            stiffness: T::from_f64(wall.stiffness),
+            feed_forward: wall.feed_forward,
+        })
         .collect();
     let force = walls
         .iter()

@@ -153,6 +153,7 @@ pub fn refused(path: &Path, error: &io::Error) -> Failure {
     };
     // An error that wraps another one names the file beside, which nobody knows.
     let why = match error.raw_os_error() {
+        _ if error.kind() == io::ErrorKind::NotFound => "there is no such folder".into(),
         None if error.kind() != io::ErrorKind::Other => error.kind().to_string(),
         _ => error.to_string(),
     };

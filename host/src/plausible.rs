@@ -101,7 +101,7 @@ fn none(warnings: &&[Warning]) -> bool {
 /// Says doubts on standard error, one line each.
 pub fn warn(warnings: &[Warning]) {
     for warning in warnings {
-        eprintln!("haptic: warning: {warning}");
+        crate::tell!("haptic: warning: {warning}");
     }
 }
 
@@ -125,6 +125,13 @@ fn turns(what: &str, angle: f64) -> String {
 /// A number as it was meant, to six significant digits: without what arithmetic left behind them.
 pub fn digits(value: f64) -> String {
     format!("{value:.5e}").parse::<f64>().unwrap_or(value).to_string()
+}
+
+/// So many of a thing.
+pub fn counted(count: impl std::fmt::Display, noun: &str) -> String {
+    let count = count.to_string();
+    let plural = if count == "1" { "" } else { "s" };
+    format!("{count} {noun}{plural}")
 }
 
 /// A number for people: three significant digits, and a prefix where the unit takes one.

@@ -37,11 +37,7 @@ fn example(kind: Kind) -> Example {
                 ("base", "0.05", "between the motors' axes"),
                 ("proximal", "[0.07, 0.07]", "motor to elbow, arm 0 then arm 1"),
                 ("distal", "[0.09, 0.09]", "elbow to tip"),
-                (
-                    "assembly",
-                    "1",
-                    "1: the tip lies left of the way from elbow 0 to elbow 1 (above, seen as drawn); -1: right",
-                ),
+                ("assembly", "1", "1: the tip lies left of the way from C to D (above, seen as drawn); -1: right"),
             ],
             links: &[
                 (0.02, 0.03, 1.0e-5, ARM),

@@ -1,13 +1,17 @@
 //! What a person at the tip can meet: the largest force and the energy of motion that limits leave a device.
 
 use crate::analysis::pose::{PoseError, TaskPose};
-use haptic_bridge::model::description::Description;
+use crate::plausible::device::weight;
+use haptic_bridge::model::description::{Description, Motor};
+use haptic_bridge::model::device::Device;
 use nalgebra::DVector;
 
 /// A device at one pose, to ask what its limits leave.
 #[derive(Clone, Debug)]
 pub struct Tip {
     pose: TaskPose,
+    /// Joint torques that hold the device up there, N m.
+    weight: Vec<f64>,
 }
 
 impl Tip {
@@ -16,7 +20,8 @@ impl Tip {
         let home = description.home.as_ref()?;
         let joints = description.kind.spec().joints;
         let pose = TaskPose::at(description, &home[..joints]).and_then(TaskPose::regular);
-        Some(pose.map(|pose| Self { pose }))
+        let weight = Device::<f64>::new("", description).map_or(Vec::new(), |device| weight(&device, &home[..joints]));
+        Some(pose.map(|pose| Self { pose, weight }))
     }
 
     /// The largest force (N) at the tip that joint torques within ±`torque` (N m) make, whatever their signs.
@@ -38,6 +43,11 @@ impl Tip {
         shares.iter().map(|share| share * newtons / force).collect()
     }
 
+    /// The same, with what holds the device up on top.
+    pub fn limits_for(&self, newtons: f64) -> Vec<f64> {
+        self.torques_for(newtons).iter().zip(&self.weight).map(|(torque, weight)| torque + weight.abs()).collect()
+    }
+
     /// The largest `value` over the corners of a box.
     fn worst(&self, half: &[f64], value: impl Fn(DVector<f64>) -> f64) -> f64 {
         let joints = self.pose.mass.nrows();
@@ -56,8 +66,13 @@ pub const BOARD_SPEED: f64 = 100.0;
 
 /// What each motor itself can do, N m at the joint; 0 without one.
 pub fn motor_torques(description: &Description) -> Vec<f64> {
+    torques_of(description, |motor| motor.max_current)
+}
+
+/// What a current (A) in each motor makes, N m at the joint; 0 without a motor.
+fn torques_of(description: &Description, current: fn(&Motor) -> f64) -> Vec<f64> {
     let motors = description.joints.iter().map(|joint| joint.motor);
-    motors.map(|motor| motor.map_or(0.0, |motor| (motor.torque_constant * motor.max_current).abs())).collect()
+    motors.map(|motor| motor.map_or(0.0, |motor| (motor.torque_constant * current(&motor)).abs())).collect()
 }
 
 #[cfg(test)]
@@ -87,8 +102,8 @@ mod tests {
         const END: &str = "<!-- end of tips -->\n";
         let gentle = f64::from(haptic_bridge::safety::limits::GENTLE_FORCE);
         let mut table = String::from(
-            "| device | rendered, N | torque limits, N m | any torque within them, N | motors alone, N | energy, J |\n\
-             |---|--:|---|--:|--:|--:|\n",
+            "| device | rendered, N | torque limits, N m | any torque within them, N | motors alone, N | an ampere in every motor, N | energy, J |\n\
+             |---|--:|---|--:|--:|--:|--:|\n",
         );
         for (name, file, tip) in shipped() {
             let limits = tip.torques_for(gentle);
@@ -100,7 +115,9 @@ mod tests {
             let most = tip.force(&limits);
             let energy = tip.energy(&[BOARD_SPEED; MAX_JOINTS]);
             let limits = listed.join(", ");
-            writeln!(table, "| {name} | {gentle} | {limits} | {most:.1} | {motors} | {energy:.2} |").expect("it fits");
+            let ampere = tip.force(&torques_of(&file.description, |_| 1.0));
+            writeln!(table, "| {name} | {gentle} | {limits} | {most:.1} | {motors} | {ampere:.1} | {energy:.2} |")
+                .expect("it fits");
         }
         for board in [
             include_str!("../../firmware/src/board/odrive_v3.rs"),

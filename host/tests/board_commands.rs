@@ -72,6 +72,16 @@ fn a_session_from_a_bare_board_to_a_recording() {
 }
 
 #[test]
+fn numbers_of_the_board_have_the_digits_that_they_mean() {
+    let sim = Sim::start(&["--fast"]);
+    // The shipped device's home is (2.3, ...) rad, and single precision's nearest number has sixteen digits.
+    sim.run(&["info", "--json"]).success().stdout(contains("\"q\":[2.3,"));
+    let scene = sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml"), "--json"]).success();
+    scene.stdout(contains("\"point\":[-0.108,0.181,0.0]"));
+    sim.run(&["rules", "--torque", "0.08,1.1", "--json"]).success().stdout(contains("\"torque\":[0.08,1.1]"));
+}
+
+#[test]
 fn a_strict_board_asks_for_everything_a_real_one_does() {
     let sim = Sim::start(&["--fast", "--strict"]);
     sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success();
@@ -304,4 +314,34 @@ fn a_name_lasts_over_a_restart_once_it_is_saved() {
     said(&["arm"]);
     said(&["restart", "--yes"]);
     sim.run(&["info", "--json"]).success().stdout(contains("\"Disarmed\""));
+}
+
+#[test]
+fn torque_limits_leave_room_for_the_devices_weight_and_what_was_lower_before_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let heavy = folder.path().join("heavy.toml").display().to_string();
+    let light = std::fs::read_to_string(file("coupled-five-bar.toml")).unwrap();
+    std::fs::write(&heavy, light.replace("gravity = [0.0, 0.0]", "gravity = [0.0, -9.81]")).unwrap();
+    let limits = |sim: &Sim| -> Vec<f64> {
+        let rules = sim.run(&["rules", "--json"]).success().get_output().stdout.clone();
+        let rules: serde_json::Value = serde_json::from_slice(&rules).unwrap();
+        serde_json::from_value(rules["torque"].clone()).unwrap()
+    };
+    let loaded = |device: &str| {
+        let sim = Sim::start(&["--strict"]);
+        sim.run(&["device", device]).success();
+        limits(&sim)
+    };
+    let (without, with) = (loaded(&file("coupled-five-bar.toml")), loaded(&heavy));
+    let model = haptic(&["model", &heavy, "--json"]).assert().success().get_output().stdout.clone();
+    let model: serde_json::Value = serde_json::from_slice(&model).unwrap();
+    for joint in 0..2 {
+        let weight = model["bias"][joint].as_f64().unwrap().abs();
+        assert!(weight > 0.01, "{model}");
+        assert!((with[joint] - without[joint] - weight).abs() < 1e-4, "{with:?} {without:?} {weight}");
+    }
+    let sim = Sim::start(&["--strict"]);
+    sim.run(&["device", &file("capstan-pantograph.toml")]).success();
+    sim.run(&["device", &file("coupled-five-bar.toml")]).success().stdout(contains("some were lower before"));
+    assert!(limits(&sim)[0] < 0.5 * without[0], "what somebody may have meant stays");
 }

@@ -26,11 +26,13 @@ fn a_pipe_that_closes_ends_a_command_silently() {
     for command in [
         "stream --port sim --rate 1000".to_string(),
         "stream --port sim --rate 1000 --csv -".to_string(),
+        // What is told beside the rows has no reader any more either.
+        "stream --port sim --rate 1e9 --csv - --seconds 0.05 2>&1".to_string(),
         format!("map {device} --normal 0,1 --json"),
         "help".to_string(),
     ] {
-        // The first line is read, then nobody reads.
-        let line = format!("set -o pipefail; timeout 20 \"$0\" {command} | head -n 1 > /dev/null");
+        // A byte is read, then nobody reads: a document may be one long line.
+        let line = format!("set -o pipefail; timeout 20 \"$0\" {command} | head -c 1 > /dev/null");
         let output = Command::new("bash").args(["-c", &line, program]).output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr);
         assert!(matches!(output.status.code(), Some(0 | 141)), "{command}: {:?} {said}", output.status);
@@ -49,6 +51,30 @@ fn numbers_that_cannot_be_are_refused_for_what_they_are() {
     }
     haptic(&["stream", "--port", "sim", "--seconds", "-5"]).assert().code(2).stderr(contains("greater than zero"));
     haptic(&["rules", "--port", "sim", "--torque", "-1,2"]).assert().code(2).stderr(contains("greater than zero"));
+}
+
+#[test]
+fn what_cannot_be_read_is_answered_with_what_to_type() {
+    let device = file("coupled-five-bar.toml");
+    let refused = |arguments: &[&str]| {
+        let done = haptic(arguments).assert().code(2);
+        String::from_utf8_lossy(&done.get_output().stderr).into_owned()
+    };
+    for (arguments, wanted) in [
+        (["range", &device, "--normal=0,1", "--rate=fast"], "'fast' for '--rate <HZ>': write a number, such as"),
+        (
+            ["range", &device, "--normal=0,1", "--difference-over=-3"],
+            "'-3' for '--difference-over <SAMPLES>': write a whole",
+        ),
+        (["measure-range", &device, "--normal=0,1", "--points=1.5"], "'1.5' for '--points <N>': write a whole number"),
+        (["sim", &device, "--fast", "--seed="], "write a whole number, such as"),
+        (["model", &device, "--normal=0,1", "--q=1"], "--q has 1 number, but"),
+        (["range", &device, "--normal=0,1", "--share=1,2"], "--share has 2 numbers for 1 wall ("),
+    ] {
+        let said = refused(&arguments);
+        assert!(said.contains(wanted), "{arguments:?}: {said}");
+        assert!(!said.contains("invalid digit") && !said.contains("literal") && !said.contains("1 numbers"), "{said}");
+    }
 }
 
 #[test]
@@ -126,6 +152,12 @@ fn what_cannot_be_is_refused_before_anything_starts() {
         .assert()
         .code(2)
         .stderr(contains("ending").and(contains("--png")));
+    let progress = folder.path().join("missing").join("p.json");
+    let progress = progress.to_str().unwrap();
+    haptic(&["measure-range", &device, "--port", "sim", "--normal", "0,1", "--progress", progress])
+        .assert()
+        .code(1)
+        .stderr(contains("there is no such folder").and(contains("p.json").count(1)));
     assert!(!std::path::Path::new(wrong).exists());
     haptic(&["sim", "--axes", "1"])
         .timeout(std::time::Duration::from_secs(20))

@@ -47,3 +47,53 @@ fn the_pictures_of_the_results_are_what_their_commands_draw() {
         assert!(std::fs::read(drawn).unwrap() == kept, "`{line}` draws {published} anew");
     }
 }
+
+/// The numbers after `key`.
+fn numbers(text: &str, key: &str) -> Vec<f64> {
+    let value = text.split_once(key).unwrap_or_else(|| panic!("{key} in {text}")).1.split('"').next().unwrap();
+    let words = value.split(|c: char| c.is_whitespace() || c.is_alphabetic()).filter(|word| !word.is_empty());
+    words.map(|word| word.parse().unwrap()).collect()
+}
+
+#[test]
+fn the_drawing_of_a_device_holds_all_of_its_reach() {
+    let folder = tempfile::tempdir().unwrap();
+    let devices = Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices");
+    let mut grounds = 0;
+    for entry in std::fs::read_dir(devices).unwrap().map(|entry| entry.unwrap().path()) {
+        if entry.extension().is_none_or(|extension| extension != "toml") {
+            continue;
+        }
+        let drawn = folder.path().join("drawn.svg");
+        let check = Command::cargo_bin("haptic")
+            .unwrap()
+            .arg("check")
+            .arg(&entry)
+            .arg("--svg")
+            .arg(&drawn)
+            .arg("--force")
+            .assert();
+        check.success();
+        let svg = std::fs::read_to_string(&drawn).unwrap();
+        let Some(ground) = svg.lines().find(|line| line.starts_with("<path transform")) else { continue };
+        grounds += 1;
+        let clip = svg.lines().find(|line| line.starts_with("<clipPath")).unwrap();
+        let [x, y, width, height] = [" x=\"", " y=\"", " width=\"", " height=\""].map(|key| numbers(clip, key)[0]);
+        // Steps of tenths of a pixel, every outline from where the one before began.
+        let path = ground.split_once(" d=\"").unwrap().1.split('"').next().unwrap();
+        let mut began = [0.0, 0.0];
+        for outline in path.split('z').filter(|outline| !outline.is_empty()) {
+            let steps = numbers(&format!("d=\"{outline}\""), "d=\"");
+            let mut pen = began;
+            for (index, step) in steps.chunks_exact(2).enumerate() {
+                pen = [pen[0] + step[0] / 10.0, pen[1] + step[1] / 10.0];
+                if index == 0 {
+                    began = pen;
+                }
+                let inside = (x..=x + width).contains(&pen[0]) && (y..=y + height).contains(&pen[1]);
+                assert!(inside, "{}: {pen:?} is outside of {clip}", entry.display());
+            }
+        }
+    }
+    assert!(grounds > 5);
+}

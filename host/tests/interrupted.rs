@@ -4,14 +4,18 @@
 
 mod sim;
 
+use haptic::analysis::several::Member;
 use haptic::device_file::DeviceFile;
-use haptic::link::Board;
-use haptic::measure::{Bench, Setup};
+use haptic::link::{Board, encode};
+use haptic::measure::{Bench, MeasureError, Setup};
 use haptic::recorder::Recording;
 use haptic::scene_file::SceneFile;
 use haptic::sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, ready_board};
+use haptic_bridge::board::protocol::Disarm;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::{Fault, State};
+use postcard_rpc::Endpoint as _;
+use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use predicates::prelude::*;
 use predicates::str::contains;
 use sim::{Sim, file};
@@ -186,7 +190,7 @@ fn an_interrupted_stream_ends_in_order_and_its_motors_go_off_where_the_rules_say
             assert!(!recording(&csv).torn && text.contains("rows are in"), "{text}");
         }
         sleep(Duration::from_secs(2));
-        sim.run(&["info", "--json"]).success().stdout(contains(format!("\"{state}\"")));
+        sim.until(|now| now == state);
     }
     sim.run(&["faults"]).success().stdout(contains("host"));
 }
@@ -204,10 +208,23 @@ fn arming_a_board_that_watches_its_host_lasts_until_ctrl_c() {
         let text = said(&mut tool);
         let code = tool.wait().unwrap().code();
         assert!(how == "KILL" || code == Some(0), "{text}");
-        sleep(Duration::from_secs(1));
-        sim.run(&["info", "--json"]).success().stdout(contains(format!("\"{state}\"")));
+        sim.until(|now| now == state);
         sim.run(&["clear"]).success();
     }
+}
+
+#[test]
+fn a_fault_while_armed_is_told_with_its_remedy_once() {
+    let sim = Sim::start(&["--hand", "loop"]);
+    sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success();
+    sim.run(&["rules", "--host", "disarm", "--speed", "0.05,0.05"]).success();
+    let ended = sim.run(&["arm"]).code(1);
+    let text = String::from_utf8_lossy(&ended.get_output().stderr).into_owned();
+    assert!(text.contains("SpeedLimit"), "{text}");
+    let faults = sim.run(&["faults", "--json"]).success();
+    let faults: serde_json::Value = serde_json::from_slice(&faults.get_output().stdout).unwrap();
+    let remedy = faults["faults"][0]["remedy"].as_str().unwrap();
+    assert_eq!(text.matches(remedy).count(), 1, "{text}");
 }
 
 #[test]
@@ -246,7 +263,8 @@ fn after_a_measurement_that_was_killed_the_next_one_puts_the_scene_back_or_says_
         let info: serde_json::Value = serde_json::from_slice(&info).unwrap();
         ["walls", "rate_hz", "device"].map(|key| info[key].clone())
     };
-    let before = held();
+    let rules = || String::from_utf8(sim.run(&["rules"]).success().get_output().stdout.clone()).unwrap();
+    let (before, rules_before) = (held(), rules());
     let folder = Folder::new();
     let measure = |kd: &str, name: &str| -> Vec<String> {
         let fixed = ["measure-range", &file("coupled-five-bar.toml"), "--normal=0.6,0.8", "--repeats=1", "--pull=2"];
@@ -257,11 +275,14 @@ fn after_a_measurement_that_was_killed_the_next_one_puts_the_scene_back_or_says_
     let words = |line: &[String]| line.iter().map(String::as_str).collect::<Vec<_>>().join(" ");
     let kill = |name: &str| {
         let mut tool = sim.spawn(&words(&measure("5,15", name)).split(' ').collect::<Vec<_>>());
+        // It keeps what was there.
+        grown(&folder.path(name), 1);
         sleep(Duration::from_secs(3));
         signal(&tool, "KILL");
         tool.wait().unwrap();
-        sleep(Duration::from_secs(2));
+        sim.until(|state| state != "Armed");
         assert_ne!(held(), before, "it was in the middle of it");
+        assert_ne!(rules(), rules_before, "its rules are in force");
         sim.run(&["clear"]).success();
     };
     kill("one.json");
@@ -273,14 +294,16 @@ fn after_a_measurement_that_was_killed_the_next_one_puts_the_scene_back_or_says_
     assert_ne!(held(), before);
     // The same line goes on, and puts it back.
     let same = measure("5,15", "one.json");
-    sim.run(&words(&same).split(' ').collect::<Vec<_>>()).success().stderr(contains("the one before it is put back"));
-    assert_eq!(held(), before);
+    sim.run(&words(&same).split(' ').collect::<Vec<_>>())
+        .success()
+        .stderr(contains("the one before it is put back").and(contains("rules").not()));
+    assert_eq!((held(), rules()), (before, rules_before));
     assert!(!std::fs::read_to_string(folder.path("one.json")).unwrap().contains("before"));
 }
 
 fn setup() -> Setup {
     Setup {
-        walls: vec![(vec![0.6, 0.8], 1.0)],
+        walls: vec![Member::new(vec![0.6, 0.8], 1.0)],
         rate_hz: 1_000.0,
         cutoff_hz: 20.0,
         washout_hz: 2.0,
@@ -314,6 +337,30 @@ fn a_measurement_that_ends_anywhere_has_its_motors_off_and_the_rules_as_they_wer
         assert_eq!(shared.lock().status().state, State::Disarmed, "after {most}");
         assert_eq!(board.rules().unwrap(), before);
         assert_eq!(board.scene().unwrap().as_ref(), Some(&scene));
+    }
+}
+
+#[test]
+fn a_measurement_ends_when_somebody_else_turns_the_motors_off_or_clears_its_fault() {
+    let disarm = || {
+        let key = VarKey::Key8(Disarm::REQ_KEY);
+        encode(&VarHeader { key, seq_no: VarSeq::Seq2(7) }, &[])
+    };
+    for most in [40, 60] {
+        let (device, shared, mut board) = simulated();
+        let (asked, other) = (std::cell::Cell::new(0), shared.clone());
+        let stop = || {
+            asked.set(asked.get() + 1);
+            if asked.get() == most {
+                other.lock().receive(&disarm());
+            }
+            false
+        };
+        let ended = Bench::new(&mut board, &device, setup(), &stop)
+            .and_then(|mut bench| bench.oscillates(FeedForward::Off, 100.0, 1.0, 1.0).map(drop));
+        assert!(asked.get() >= most, "it was in the middle of it");
+        assert!(matches!(ended, Err(MeasureError::Disarmed)), "{ended:?}");
+        assert_eq!(shared.lock().status().state, State::Disarmed);
     }
 }
 

@@ -180,6 +180,7 @@ fn scale_is_round(name: &str, chart: &Chart) {
     let svg = chart.picture.svg();
     let percent = (100.0 * chart.top * 1e6).round() / 1e6;
     assert_eq!(svg.contains(ABOVE), svg.contains(&format!("&gt; {percent}")), "{name}: {percent}");
+    assert!(colour(1.001 * chart.top, chart.top) == ABOVE && colour(0.999 * chart.top, chart.top) != ABOVE, "{name}");
     assert!(svg.contains(&format!(">{percent} %<")), "{name}: no tick at the top, {percent} %");
     assert!(svg.contains("g in every direction"), "{name}");
     assert!(svg.len() < SMALL, "{name}: {} bytes", svg.len());
@@ -194,7 +195,7 @@ struct Found {
 
 /// What `haptic model` says at a pose.
 fn evaluate_share(file: &DeviceFile, q: &[f64], normal: &[f64], held: Admissible) -> Option<Found> {
-    let walls = [WallForce { normal: normal.to_vec(), force: 0.0, stiffness: 1.0 }];
+    let walls = [WallForce { normal: normal.to_vec(), force: 0.0, stiffness: 1.0, feed_forward: true }];
     let report = evaluate_holding(file, q, &vec![0.0; q.len()], &walls, Precision::F64, held).ok()?;
     let pose = haptic::analysis::pose::TaskPose::at(&file.description, q).ok()?;
     Some(Found {

@@ -114,16 +114,28 @@ fn its_defaults_end_well_and_say_what_friction_does() {
 #[test]
 fn the_line_printed_beside_the_numbers_gives_the_theory_that_is_printed() {
     let line = format!(
-        "haptic measure-range {DEVICE} --port sim --q 2.6,1.75 --normal 0.94,-0.34 --kd 15 --repeats 1 --pull 0.1 \
-         --feed-forward off --frictionless --counts 8388608"
+        "haptic measure-range {DEVICE} --port sim --q 2.6,1.75 --normal 0.94,-0.34 --kd 15,4.123456789 --repeats 1 \
+         --pull 0.1 --feed-forward all --frictionless --counts 8388608"
     );
     let measured = document(typed(&line, &["--json"]));
-    let point = &measured["points"][0];
-    let theory = point["theory_kp"].as_f64().unwrap();
-    let predicted = document(typed(measured["theory"].as_str().unwrap(), &["--kd", "15", "--json"]));
-    assert_eq!(predicted["off"]["boundary"][0]["kp"].as_f64(), Some(theory));
-    assert!((point["kp"].as_f64().unwrap() / theory - 1.0).abs() < 0.02, "{point}");
+    let theory = measured["theory"].as_str().unwrap();
+    let predicted = document(typed(theory, &["--json"]));
+    let points = measured["points"].as_array().unwrap();
+    assert_eq!(points.len(), 6);
+    for point in points {
+        let boundary = predicted[point["mode"].as_str().unwrap()]["boundary"].as_array().unwrap();
+        assert_eq!(boundary.len(), 2);
+        assert!(boundary.iter().any(|other| other["kp"] == point["theory_kp"]), "{point}: {boundary:?}");
+        assert!((point["kp"].as_f64().unwrap() / point["theory_kp"].as_f64().unwrap() - 1.0).abs() < 0.02, "{point}");
+    }
     assert!(measured["drive"].as_str().unwrap().contains("current"), "{measured}");
+    // What a person reads has all of them, too.
+    let read = typed(theory, &[]).success();
+    let text = String::from_utf8_lossy(&read.get_output().stdout).into_owned();
+    for point in points {
+        let kp = format!("{:.2}", point["theory_kp"].as_f64().unwrap());
+        assert!(text.lines().any(|line| line.contains(&kp)), "{kp}: {text}");
+    }
 }
 
 #[test]

@@ -6,6 +6,7 @@
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::domain;
 use haptic::analysis::sampled::{self, Estimator, Loop};
+use haptic::analysis::several::Member;
 use haptic::device_file::DeviceFile;
 use haptic::link::Board;
 use haptic::measure::simulated::{Friction, World};
@@ -34,7 +35,7 @@ fn board(file: &DeviceFile) -> SharedBoard {
 
 fn setup(rate_hz: f64, cutoff_hz: f64) -> Setup {
     Setup {
-        walls: vec![(NORMAL.to_vec(), 1.0)],
+        walls: vec![Member::new(NORMAL.to_vec(), 1.0)],
         rate_hz,
         cutoff_hz,
         washout_hz: 2.0,
@@ -102,7 +103,7 @@ fn phantom(feed_forward: FeedForward, finer: f64) -> Result<Boundary, MeasureErr
         joint.encoder.as_mut().unwrap().counts_per_turn *= finer;
     }
     let mut board = Board::over(world.board(&file, 5_000.0).unwrap().wire(), "sim").unwrap();
-    let walls = vec![(vec![0.6, 0.8, 0.0], 1.0)];
+    let walls = vec![Member::new(vec![0.6, 0.8, 0.0], 1.0)];
     let setup = Setup { walls, torque_limit: 1.0, largest_pull: 5e-4, ..setup(5_000.0, 200.0) };
     let mut bench = Bench::new(&mut board, &file, setup, &|| false).unwrap();
     bench.boundary(feed_forward, 20.0, 0, None)

@@ -100,6 +100,28 @@ fn the_document_has_the_documented_keys_and_shapes() {
     assert_eq!(arm["position"].as_array().map(Vec::len), Some(2));
 }
 
+/// Two numbers that differ by no more than rounding.
+fn near(value: &Value, expected: f64) -> bool {
+    value.as_f64().is_some_and(|value| (value - expected).abs() < 1e-12)
+}
+
+#[test]
+fn several_walls_have_the_directions_and_shares_of_their_levels() {
+    let [n, m] = ["--normal=0.6,0.8", "--normal=-0.8,0.6"];
+    let corner = json("coupled-five-bar", &[n, m, "--stiffness=3,1"]);
+    let [first, second] = corner["directions"].as_array().unwrap().as_slice() else { panic!("{corner}") };
+    // Walls at a right angle: their normals, the stiffer first; a third of the stiffness leaves level 1 1 - 1/9.
+    let sign = if first["along"][0].as_f64() > Some(0.0) { 1.0 } else { -1.0 };
+    assert!(near(&first["along"][0], 0.6 * sign) && near(&first["along"][1], 0.8 * sign), "{first}");
+    assert!(near(&first["stiffness"], 1.0) && near(&first["share"], 8.0 / 9.0), "{first}");
+    assert!(near(&second["stiffness"], 1.0 / 3.0) && second["share"].is_null(), "{second}");
+    // Half of a stiffness has the feed-forward: 2/(2 + 2) of it.
+    let half = json("coupled-five-bar", &[n, n, "--no-feed-forward=1"]);
+    assert!(near(&half["directions"][0]["share"], 0.5), "{half}");
+    // One wall has no levels.
+    assert!(json("coupled-five-bar", &[n]).get("directions").is_none());
+}
+
 #[test]
 fn negative_numbers_parse_in_either_notation() {
     let joined = json("haply-2diy", &["--q=-0.3,1.2", "--qd=-1,2", "--normal=-1,0.5", "--force=-2"]);
@@ -188,9 +210,9 @@ fn other_mechanisms_name_their_singularities() {
 #[test]
 fn wrong_arguments_end_with_2_and_say_what_is_wrong() {
     for (args, word) in [
-        (&["--q=1"][..], "--q has 1 numbers, but this device takes 2"),
+        (&["--q=1"][..], "--q has 1 number, but this device takes 2"),
         (&["--q=1,2,3"], "--q has 3 numbers"),
-        (&["--qd=1"], "--qd has 1 numbers"),
+        (&["--qd=1"], "--qd has 1 number,"),
         (&["--normal=0,0"], "--normal is zero"),
         (&["--normal=0,0,1"], "--normal has 3 numbers"),
         (&["--normal=0,1", "--force=1", "--force=2"], "in pairs"),

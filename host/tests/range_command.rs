@@ -29,6 +29,18 @@ fn the_document_has_the_documented_keys() {
 }
 
 #[test]
+fn rate_and_cutoff_have_the_defaults_that_measure_range_has() {
+    let pose = ["--q=0.6,0.9,-0.7", "--normal=-1,0.5", "--json"];
+    let said = json(&[&["range", DEVICE], &pose[..]].concat());
+    assert_eq!(said, json(&[&["range", DEVICE, "--rate", "1000", "--cutoff", "20"], &pose[..]].concat()));
+    for command in ["range", "measure-range"] {
+        let help = haptic(&[command, "--help"]).success().get_output().stdout.clone();
+        let help = String::from_utf8(help).unwrap();
+        assert!(help.contains("[default: 1000]") && help.contains("[default: 20]"), "{command}: {help}");
+    }
+}
+
+#[test]
 fn asked_for_dampings_are_answered_exactly() {
     let document = json(&[&["range", DEVICE, "--kd", "0.5,0.25", "--washout", "2"], &POSE[..]].concat());
     for mode in ["off", "full", "washout"] {
@@ -46,6 +58,23 @@ fn a_picture_is_written_as_svg_and_png() {
     haptic(&[&["range", DEVICE], &POSE[..], &files[..]].concat()).success();
     assert!(std::fs::read_to_string(svg).unwrap().contains("<title>serial-3r"));
     assert!(std::fs::read(png).unwrap().starts_with(b"\x89PNG"));
+}
+
+#[test]
+fn the_picture_says_what_its_symbols_stand_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let svg = folder.path().join("range.svg");
+    let device = DEVICE.replace("serial-3r", "coupled-five-bar");
+    let at = ["--q=2.6,1.75", "--normal=0.94,-0.34", "--rate", "1000", "--cutoff", "20", "--delay", "1"];
+    let said =
+        haptic(&[&["range", &device, "--washout", "2", "--svg", svg.to_str().unwrap()], &at[..]].concat()).success();
+    let said = String::from_utf8(said.get_output().stdout.clone()).unwrap();
+    let drawn = std::fs::read_to_string(svg).unwrap();
+    assert!(said.contains("delay 1 sample,") && drawn.contains("delay 1 sample,"), "{said}");
+    // Colgate and Schenkel: kp < b/(T (1/2 + d)), here 80.72 N/m and 1.5 ms.
+    for symbol in ["b = 0.121 N s/m", "fc = ", "Δ = ", "T: control period", "d: delay", "Weff, Wrr:", "washout 2 Hz"] {
+        assert!(drawn.contains(symbol), "{symbol}");
+    }
 }
 
 #[test]

@@ -7,7 +7,7 @@ mod domains;
 use assert_cmd::Command;
 use domains::{Case, Known};
 use haptic::analysis::range::domain_of_several;
-use haptic::analysis::several::WallSet;
+use haptic::analysis::several::{Member, WallSet};
 use haptic::device_file::DeviceFile;
 use haptic_bridge::model::admissible::Admissible;
 use nalgebra::{DMatrix, DVector};
@@ -29,7 +29,7 @@ fn device(name: &str) -> String {
 #[test]
 fn one_wall_given_twice_is_the_wall_of_the_independent_domains() {
     for Case { id, file, q, normal, around, expected } in domains::all() {
-        let walls = [(normal.clone(), 0.3), (normal, 0.7)];
+        let walls = [Member::new(normal.clone(), 0.3), Member::new(normal, 0.7)];
         let set = WallSet::at(&file.description, &q, &walls, Admissible::default()).unwrap();
         for (mode, Known { kd, kp, .. }) in expected {
             let key = format!("{mode:?}");
@@ -105,22 +105,24 @@ impl Independent {
     }
 }
 
-/// Device, pose, normals, parts and damping of a set of walls.
-type Set = (&'static str, &'static str, &'static [&'static str], &'static str, f64);
+/// Device, pose, normals, parts, walls without the feed-forward and damping of a set of walls.
+type Set = (&'static str, &'static str, &'static [&'static str], &'static str, Option<&'static str>, f64);
 
 /// Facets 2, 5 and 10 degrees apart, corners in the plane and in space.
-const SETS: [Set; 6] = [
-    ("coupled-five-bar", "2.6,1.75", &["0.2419219,0.9702957", "0.2756374,0.9612617"], "1,1", 15.0),
-    ("coupled-five-bar", "2.6,1.75", &["0.2419219,0.9702957", "0.3255682,0.9455186"], "1,1", 15.0),
-    ("coupled-five-bar", "2.6,1.75", &["0.9702957,-0.2419219", "0.9135455,-0.4067366"], "2,1", 15.0),
-    ("coupled-five-bar", "2.6,1.75", &["0.97,0.24", "0.24,-0.97"], "3,1", 15.0),
-    ("phantom-premium-1.5", "0.3,0.9,-0.3", &["0.6,0.8,0", "0,0.6,0.8", "1,0,0.2"], "1,0.5,0.02", 2.0),
-    ("serial-3r", "0.4,0.9,0.7", &["0.6,0.8", "-0.3,0.9"], "1,0.2", 2.0),
+const SETS: [Set; 8] = [
+    ("coupled-five-bar", "2.6,1.75", &["0.2419219,0.9702957", "0.2756374,0.9612617"], "1,1", None, 15.0),
+    ("coupled-five-bar", "2.6,1.75", &["0.2419219,0.9702957", "0.3255682,0.9455186"], "1,1", None, 15.0),
+    ("coupled-five-bar", "2.6,1.75", &["0.9702957,-0.2419219", "0.9135455,-0.4067366"], "2,1", None, 15.0),
+    ("coupled-five-bar", "2.6,1.75", &["0.97,0.24", "0.24,-0.97"], "3,1", None, 15.0),
+    ("coupled-five-bar", "2.6,1.75", &["0.97,-0.24", "0.9,-0.45"], "3,1", Some("1"), 15.0),
+    ("phantom-premium-1.5", "0.3,0.9,-0.3", &["0.6,0.8,0", "0,0.6,0.8", "1,0,0.2"], "1,0.5,0.02", None, 2.0),
+    ("phantom-premium-1.5", "0.3,0.9,-0.3", &["0.6,0.8,0", "0,0.6,0.8", "1,0,0.2"], "1,0.5,0.3", Some("0,2"), 2.0),
+    ("serial-3r", "0.4,0.9,0.7", &["0.6,0.8", "-0.3,0.9"], "1,0.2", None, 2.0),
 ];
 
 #[test]
 fn sets_of_walls_end_where_independent_loops_do() {
-    for (name, q, normals, shares, kd) in SETS {
+    for (name, q, normals, shares, without, kd) in SETS {
         let path = device(name);
         let share: Vec<f64> = shares.split(',').map(|part| part.parse().unwrap()).collect();
         let total: f64 = share.iter().sum();
@@ -129,6 +131,7 @@ fn sets_of_walls_end_where_independent_loops_do() {
         let n: Vec<String> = normals.iter().map(|normal| format!("--normal={normal}")).collect();
         let mut common: Vec<&str> = vec![&path, &q];
         common.extend(n.iter().map(String::as_str));
+        common.extend(without.iter().flat_map(|walls| ["--no-feed-forward", walls]));
 
         // Torques per newton of each wall: `haptic model` says them, less what the device weighs.
         let torque = |forces: &[f64]| {
@@ -199,12 +202,13 @@ fn sets_of_walls_are_measured_to_end_where_they_are_predicted_to() {
     let folder = tempfile::tempdir().unwrap();
     // Without friction nothing stops the redundant arm's own motion, so its tip never rests.
     let measured = SETS.into_iter().filter(|set| set.0 != "serial-3r");
-    for (index, (name, q, normals, shares, kd)) in measured.enumerate() {
+    for (index, (name, q, normals, shares, without, kd)) in measured.enumerate() {
         let progress = folder.path().join(format!("{index}.json"));
         let n: Vec<String> = normals.iter().map(|normal| format!("--normal={normal}")).collect();
         let (path, q, kd) = (device(name), format!("--q={q}"), kd.to_string());
         let mut all = vec!["measure-range", &path, "--port", "sim", &q, "--share", shares, "--kd", &kd];
         all.extend(n.iter().map(String::as_str));
+        all.extend(without.iter().flat_map(|walls| ["--no-feed-forward", walls]));
         all.extend(["--rate", "1000", "--cutoff", "100", "--pull", "0.1", "--torque-limit", "2", "--repeats", "1"]);
         all.extend(["--frictionless", "--ideal-drive", "--counts", "8388608"]);
         all.extend(["--progress", progress.to_str().unwrap()]);
@@ -212,7 +216,7 @@ fn sets_of_walls_are_measured_to_end_where_they_are_predicted_to() {
         assert_eq!(found["walls"].as_array().unwrap().len(), normals.len());
 
         // The line printed beside it is `haptic range` of the same set, behind the board's own delay.
-        let line = format!("{} --kd {kd}", found["theory"].as_str().unwrap());
+        let line = found["theory"].as_str().unwrap();
         let predicted = json(&line.split(' ').skip(1).collect::<Vec<_>>());
         let points = found["points"].as_array().unwrap();
         assert_eq!(points.len(), 2);
@@ -267,5 +271,7 @@ fn shares_that_do_not_fit_are_refused() {
     of(&["--share", "1,2,3"], 2, "3 numbers for 2 walls");
     of(&["--share", "1,0"], 2, "holds 0");
     of(&["--share", "1,-2"], 2, "holds -2");
+    of(&["--no-feed-forward", "2"], 2, "names wall 2, and there are 2");
+    of(&["--no-feed-forward", "0,1"], 2, "leaves no wall with a feed-forward");
     of(&["--feed-forward-gain", "1.2"], 2, "several --normal");
 }

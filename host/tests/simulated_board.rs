@@ -3,14 +3,18 @@
 use haptic::device_file::DeviceFile;
 use haptic::link::{Board, BoardError, fields};
 use haptic::sim::{
-    Around, BoardOptions, Hand, HandSettings, Intent, SHIPPED_DEVICE, SharedBoard, Waypoint, ready_board,
+    Around, BoardOptions, DriveModel, Hand, HandSettings, Intent, Options, SHIPPED_DEVICE, SharedBoard, Waypoint,
+    ready_board,
 };
+use haptic_bridge::math::Libm;
 use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::{HostAction, Rules};
+use nalgebra::Vector2;
 use std::time::Duration;
 
 fn device_file() -> DeviceFile {
@@ -314,6 +318,97 @@ fn the_energy_that_a_wall_gives_out_is_seen_in_telemetry_and_damped_where_the_ru
     assert!((0.75..0.87).contains(&left), "{damped} m/s with damping, {free} m/s without");
 }
 
+/// What a five-bar renders of a force (N) straight up within `most` (N m) of each joint: its share, and the tip's force
+/// of joint torques.
+struct Straight {
+    mechanism: FiveBar<f64>,
+    most: f64,
+}
+
+impl Straight {
+    fn asked(&self, q: &[f64], newtons: f64) -> Vector2<f64> {
+        let pose = self.mechanism.pose::<Libm>(&Vector2::new(q[0], q[1]));
+        self.mechanism.transpose(&pose, &Vector2::new(0.0, newtons))
+    }
+
+    fn share(&self, asked: &Vector2<f64>) -> f64 {
+        asked.iter().fold(1.0, |share, torque| share.min(self.most / torque.abs()))
+    }
+
+    fn at_the_tip(&self, q: &[f64], torque: &Vector2<f64>) -> Vector2<f64> {
+        let pose = self.mechanism.pose::<Libm>(&Vector2::new(q[0], q[1]));
+        self.mechanism.jacobian_inverse(&pose).tr_mul(torque)
+    }
+}
+
+#[test]
+fn a_wall_that_its_motors_cannot_hold_pushes_a_sliding_hand_straight_and_as_much_as_they_can() {
+    const MOST: f64 = 0.3;
+    let device = Options::frictionless();
+    let (shared, mut board) = connect(BoardOptions { device, drive: DriveModel::Ideal, ..BoardOptions::default() });
+    let mut rules = board.rules().unwrap();
+    rules.limits.torque = [MOST as f32; 3];
+    rules.limits.tip_force = 1.0e3;
+    board.set_rules(&rules).unwrap();
+    let mut scene = wall_below(&shared, 0.002, FeedForward::Off);
+    scene.walls[0].damping = 0.0;
+    board.set_scene(&scene).unwrap();
+    board.arm().unwrap();
+    // Torque ramps up after arming.
+    shared.lock().run(0.6);
+    let began = {
+        let mut guard = shared.lock();
+        let (tip, now) = (guard.device().tip(), guard.time());
+        let slid = [tip[0] + 0.03, tip[1] - 0.04, 0.0];
+        let path = vec![Waypoint { time: 0.0, value: tip }, Waypoint { time: 1.0, value: slid }];
+        guard.device_mut().set_hand(Hand::new(HandSettings::default(), Intent::Follow(path), tip, now));
+        now
+    };
+    board.start_stream(fields("q,torque,distance,force,rendered,saturated,state").unwrap(), 20).unwrap();
+    let mut rows = Vec::new();
+    while shared.lock().time() < began + 1.0 {
+        rows.extend(board.rows(Duration::from_millis(50)).unwrap());
+    }
+    let Ok(AnyMechanism::FiveBar(mechanism)) = AnyMechanism::<f64>::new(&device_file().description) else {
+        panic!("the shipped device is a five-bar")
+    };
+    let straight = Straight { mechanism, most: MOST };
+    let (mut beyond, mut flagged, mut deepest, mut aside) = (0, Vec::new(), 0.0_f64, 0.0_f64);
+    let mut last = None::<(f64, f64, f64)>;
+    for row in rows.iter().filter(|row| row.values[5] > 0.05) {
+        let [q0, q1, torque0, torque1, distance, force, rendered, flag0, flag1, ..] = row.values[..] else {
+            panic!("{row:?}")
+        };
+        let q = [q0, q1];
+        let asked = straight.asked(&q, force);
+        let share = straight.share(&asked);
+        let most = straight.share(&(asked * 1.0e6)) * 1.0e6 * force;
+        // By one factor, computed here: as much as the motors hold, and nothing aside.
+        let felt = straight.at_the_tip(&q, &Vector2::new(torque0, torque1));
+        assert!((felt[1] - share * force).abs() < 0.01, "{row:?}: {felt} is not {share} of {force}");
+        assert!(felt[0].abs() < 0.01, "{row:?}: {felt} pulls aside");
+        assert!((rendered - felt[1]).abs() < 0.01, "{row:?}: {felt}");
+        if !(0.999..1.0).contains(&share) {
+            let flag = f64::from(u8::from(share < 1.0));
+            assert_eq!([flag0, flag1], [flag; 2], "{row:?}: {share}");
+            flagged.push(flag);
+        }
+        // Deeper never means less, but for what the motors can do at another pose.
+        if let Some((depth, before, could)) = last.filter(|(depth, ..)| -distance > *depth) {
+            assert!(felt[1] > before + (most - could).min(0.0) - 0.01, "{row:?}: {before} at {depth}");
+        }
+        last = Some((-distance, felt[1], most));
+        beyond += usize::from(share < 0.5);
+        deepest = deepest.max(-distance);
+        aside = aside.max(straight.at_the_tip(&q, &asked.map(|torque| torque.clamp(-MOST, MOST)))[0].abs());
+    }
+    let changes = flagged.windows(2).filter(|pair| pair[0] != pair[1]).count();
+    assert!(flagged.first() == Some(&0.0) && changes == 1, "{changes} changes of the flag");
+    assert!(beyond > 100 && deepest > 0.01, "{beyond} rows with half of the force, {deepest} m deep");
+    assert!(aside > 0.5, "limited joint by joint these rows would pull aside by {aside} N");
+    assert!(rows.iter().all(|row| row.values[9] == 1.0), "armed throughout");
+}
+
 #[test]
 fn a_hand_that_goes_around_keeps_out_of_the_walls_until_the_motors_are_armed() {
     let (shared, mut board) = connect(BoardOptions::default());
@@ -339,45 +434,5 @@ fn a_hand_that_goes_around_keeps_out_of_the_walls_until_the_motors_are_armed() {
         }
         assert!(deepest < -0.001, "armed, it presses: {deepest}");
         board.disarm().unwrap();
-    }
-}
-
-#[test]
-fn a_device_with_weight_is_held_until_it_is_armed_and_passes_the_polarity_check() {
-    for name in ["phantom-premium-1.5", "serial-3r", "woodenhaptics", "fictive-five-bar-turret"] {
-        let path = format!("{}/../devices/{name}.toml", env!("CARGO_MANIFEST_DIR"));
-        let mut file = DeviceFile::load(path).unwrap();
-        let home = file.description.home.unwrap();
-        for (joint, home) in file.description.joints.iter_mut().zip(home) {
-            joint.motor.iter_mut().for_each(|motor| motor.verified = true);
-            joint.limits.get_or_insert((home - 1.0, home + 1.0));
-        }
-        let options = BoardOptions { strict: true, supported: true, ..BoardOptions::default() };
-        let shared = SharedBoard::new(ready_board(&file, options).unwrap());
-        let mut board = Board::over(shared.wire(), "sim").unwrap();
-        board.set_scene(&Scene { task: file.spec().task as u8, ..Scene::default() }).unwrap();
-        let rules = board.rules().unwrap();
-        board.set_rules(&Rules { host_action: HostAction::Ignore, ..rules }).unwrap();
-        shared.lock().run(2.0);
-        assert_eq!(shared.lock().device().q(), home, "{name} is held");
-        board.home().unwrap();
-        board.check_polarity().unwrap();
-        shared.lock().run(7.0);
-        let status = board.status().unwrap();
-        assert!(status.polarity, "{name}: {status:?}");
-        let still = shared.lock().device().q();
-        shared.lock().run(1.0);
-        assert_eq!(shared.lock().device().q(), still, "{name} is held again");
-        board.arm().unwrap();
-        board.disarm().unwrap();
-        shared.lock().run(1.0);
-        let fallen =
-            shared.lock().device().q().iter().zip(still).map(|(q, still)| (q - still).abs()).fold(0.0, f64::max);
-        assert!(fallen > 1e-3, "{name}: from now on nobody holds it, {fallen} rad");
-        // Until the board begins anew, and has to be homed again.
-        board.restart().unwrap();
-        shared.lock().run(1.0);
-        assert_eq!(shared.lock().device().q(), home, "{name} is held");
-        assert_eq!(board.status().unwrap().fault, None, "{name}");
     }
 }

@@ -3,6 +3,7 @@
 //!
 //! The board is raised until it oscillates, through the protocol; friction, hand and encoder steps are off.
 
+use haptic::analysis::several::Member;
 use haptic::device_file::DeviceFile;
 use haptic::link::Board;
 use haptic::measure::{Bench, Setup};
@@ -40,7 +41,7 @@ fn measure(rate_hz: f64, cutoff_hz: f64, share: f64) -> (f64, f64) {
     let shared = SharedBoard::new(ready_board(&file, options).unwrap());
     let mut board = Board::over(shared.wire(), "sim").unwrap();
     let setup = Setup {
-        walls: vec![(vec![1.0], 1.0)],
+        walls: vec![Member::new(vec![1.0], 1.0)],
         rate_hz,
         cutoff_hz,
         washout_hz: 2.0,

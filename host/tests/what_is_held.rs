@@ -31,7 +31,7 @@ fn around(rate_hz: f64, cutoff_hz: f64) -> Loop {
 #[test]
 fn the_rendered_inertia_belongs_to_what_is_held_and_the_effective_one_does_not() {
     let arm = arm();
-    let wall = [WallForce { normal: NORMAL.to_vec(), force: 2.0, stiffness: 1.0 }];
+    let wall = [WallForce { normal: NORMAL.to_vec(), force: 2.0, stiffness: 1.0, feed_forward: true }];
     let mut effective = Vec::new();
     // Found by independent computation.
     for (admissible, ratio) in [

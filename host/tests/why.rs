@@ -6,6 +6,7 @@ use haptic::analysis::range::domain;
 use haptic::analysis::sampled::{Estimator, FeedForward, Loop};
 use haptic::analysis::why::{Limits, why};
 use haptic::cores;
+use haptic::plot::why::draw;
 use haptic_bridge::model::description::{EncoderAt, Transmission};
 use nalgebra::{DMatrix, DVector};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -27,16 +28,20 @@ fn soft_and_held() -> Linearised {
     }
 }
 
-#[test]
-fn every_effect_is_the_loop_without_it() {
-    let device = soft_and_held();
-    let around = Loop {
+fn around(bandwidth_hz: f64) -> Loop {
+    Loop {
         rate_hz: 1000.0,
         delay_samples: 0.5,
         estimator: Estimator::Butterworth(50.0).over(2),
-        drive: Drive::Current { bandwidth_hz: 500.0 },
+        drive: Drive::Current { bandwidth_hz },
         damping_compensation: false,
-    };
+    }
+}
+
+#[test]
+fn every_effect_is_the_loop_without_it() {
+    let device = soft_and_held();
+    let around = around(500.0);
     let told = AtomicUsize::new(0);
     let progress = |_: usize, _: usize| {
         told.fetch_add(1, Ordering::Relaxed);
@@ -104,4 +109,32 @@ fn results_come_in_the_order_of_the_things_whoever_is_first() {
     });
     assert_eq!(squares, things.iter().map(|thing| thing * thing).collect::<Vec<_>>());
     assert_eq!(told.into_inner(), 50);
+}
+
+#[test]
+fn every_word_of_the_picture_lies_in_it() {
+    let around = around(6400.0);
+    let found = why(&soft_and_held(), &around, &|_, _| {}).unwrap();
+    let picture = draw("a device", &["pose".into(), "loop".into()], &found);
+    let svg = picture.svg();
+    let value = |line: &str, key: &str| -> f64 {
+        let rest = line.split_once(&format!(" {key}=\"")).unwrap_or_else(|| panic!("{key}: {line}")).1;
+        rest.split('"').next().unwrap().parse().unwrap()
+    };
+    let width = value(svg.lines().next().unwrap(), "width");
+    let mut words = 0;
+    for line in svg.lines().filter(|line| line.starts_with("<text")) {
+        let text = line.split_once('>').unwrap().1.trim_end_matches("</text>");
+        // A letter of the picture's font is half of its size wide, and a little more.
+        let wide = 0.53 * value(line, "font-size") * text.chars().count() as f64;
+        let x = value(line, "x");
+        let (left, right) = match line {
+            _ if line.contains("\"end\"") => (x - wide, x),
+            _ if line.contains("\"middle\"") => (x - wide / 2.0, x + wide / 2.0),
+            _ => (x, x + wide),
+        };
+        assert!(left >= 0.0 && right <= width, "{line}");
+        words += 1;
+    }
+    assert!(words > 20, "{svg}");
 }

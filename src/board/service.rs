@@ -6,7 +6,6 @@
 
 use crate::board::protocol::{Details, FaultList, ForceAnswer, ForceRequest, GainsRequest, KeyList, Name, WriteEntry};
 use crate::board::settings::{self, BoardName, Damage, Entry, Key, Polarity, Setting};
-use crate::checksum::crc32;
 use crate::math::Math;
 use crate::model::device::Device;
 use crate::model::precomputed::TableChunk;
@@ -259,14 +258,14 @@ impl Service {
     ) -> Result<(), Refusal> {
         let program =
             Program::<Mc::Math>::new(&self.hardware, &self.rules.limits, device, scene, &self.mass, same_device)?;
-        let off = must_be_off(machine).is_ok();
         let held = machine.place(program)?;
         let (result, returned) = machine.execute(Command::Program(held));
         if let Some(held) = returned {
             machine.release(held);
         }
         result?;
-        if off {
+        // What was taken with the motors on has the rate that there is. Asked now, because a fault may have come meanwhile.
+        if must_be_off(machine).is_ok() {
             machine.retime(scene.rate_hz);
         }
         Ok(())
@@ -558,7 +557,8 @@ fn decoded<S: Setting>(entry: &[u8]) -> Result<S, Refusal> {
 
 /// The checksum by which a checked device is known again.
 fn fingerprint<S: Setting>(device: &S) -> Option<u32> {
-    settings::encode(device).ok().map(|entry| crc32(&entry))
+    // An entry ends in the checksum of what is before it; the checksum of all of it is the same for every entry.
+    settings::encode(device).ok()?.last_chunk().map(|sum| u32::from_le_bytes(*sum))
 }
 
 /// Whether every number that the step will use is usable.

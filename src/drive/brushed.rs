@@ -8,14 +8,9 @@
 //! Limits (torque, current, voltage, duty) are enforced here and nowhere else. The duty returned is signed, -1..1 of
 //! the bus voltage across the motor; legs run at ½ ± duty/2.
 
+use super::stage::{Bridge, MAX_DUTY, Stage};
 use crate::math::limited;
 use crate::model::device::Motor;
-use postcard_schema::Schema;
-use serde::{Deserialize, Serialize};
-
-/// Largest |duty|: each leg stays within 0.04 to 0.96, which keeps bootstrap capacitors charged and leaves the
-/// low-side shunts conducting long enough to be sampled.
-pub const MAX_DUTY: f32 = 0.92;
 
 /// [`MAX_DUTY`] less what rounding may add.
 const USABLE_DUTY: f32 = MAX_DUTY * (1.0 - 2.0 * f32::EPSILON);
@@ -49,17 +44,28 @@ const RECENT: f32 = 15.0 / 16.0;
 /// What such a lag may look like while a current is reversed, as a share of the voltage at the largest.
 const LAG_DOUBT: f32 = 1.3;
 
-/// How one board drives its motors.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
-pub struct Bridge {
-    /// Carrier frequency, Hz; the current loop runs once a period.
-    pub carrier_hz: f32,
-    /// Dead time between the switches of a leg, s.
-    pub dead_time: f32,
-    /// Bandwidth of the loop that takes out what the model of the winding leaves, where current is sensed, Hz.
-    pub bandwidth_hz: f32,
-    /// Whether the motors' currents are measured.
-    pub current_sensed: bool,
+/// When a duty acts, as shares of currents: of what it changes the current by within a carrier period, if it acts so long.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Timing {
+    /// Of the duty before it, what that one adds to the current it was to reach before this one acts.
+    before: f32,
+    /// What it makes until the next sample and until the next valley.
+    sample: f32,
+    valley: f32,
+    /// What it would make in the carrier period after that valley.
+    after: f32,
+}
+
+impl Timing {
+    /// In time and late, where `left` is what is left of a free current after half a carrier period. With constant voltage
+    /// a current nears its end as left^(2t): within half a period it makes (1 - left)/(1 - left²) of what it makes in one.
+    fn of(left: f32) -> [Self; 2] {
+        let half = 1.0 / (1.0 + left);
+        [
+            Self { before: 0.0, sample: half, valley: 1.0, after: left * left },
+            Self { before: half, sample: 0.0, valley: half, after: left },
+        ]
+    }
 }
 
 /// One motor's drive: constants made when a device is loaded, and the loop's integrator.
@@ -75,15 +81,17 @@ pub struct Axis {
     /// Voltage that changes the current by 1 A within a carrier period, V/A, and its inverse.
     surge: f32,
     reach: f32,
-    /// Share of a change made at the next sample, half a carrier period after its duty applies.
-    halfway: f32,
+    /// When a duty acts: in time, and late.
+    timing: [Timing; 2],
     proportional: f32,
     integral: f32,
     dead_time_share: f32,
     /// Voltage the integrator holds, V.
     integrator: f32,
-    /// The current that the duties so far lead to, and the one that the next sample should show, A.
+    /// The current that the duties so far lead to at the next valley, what it would change by in another carrier period of
+    /// the same duty, and the current that the next sample should show, A.
     reached: f32,
+    carry: f32,
     expected: f32,
     /// Mean of what samples were below that, A, and the weight of one.
     missing: f32,
@@ -99,22 +107,14 @@ pub struct Axis {
     emf_doubt: f32,
     /// Duty that makes up for the dead time.
     regained: f32,
-    /// I²t accumulator, A² s above what the motor stands for ever.
-    heat: f32,
-    /// What rounding has kept out of `heat` so far: a step's share can be less than its last digit.
-    heat_rest: f32,
-    continuous_squared: f32,
-    /// A² s; infinite where the maximum current may flow for ever.
-    heat_budget: f32,
 }
 
-/// Time a motor stands its maximum current before the thermal budget trips, s.
-pub const PEAK_SECONDS: f32 = 4.0;
+impl Stage for Axis {
+    type Sample = f32;
+    type Drive = f32;
 
-impl Axis {
-    /// A motor on a bridge, allowed at most `max_current` (A; the smaller of this and the motor's own counts) and
-    /// `continuous_current` (A) for ever. A motor without a torque constant gets no current.
-    pub fn new(motor: &Motor<f32>, bridge: &Bridge, max_current: f32, continuous_current: f32) -> Self {
+    /// A motor without a torque constant gets no current.
+    fn new(motor: &Motor<f32>, bridge: &Bridge, max_current: f32) -> Self {
         let kt = motor.torque_constant;
         let usable = kt.abs() > 1.0e-9;
         let carrier_hz = bridge.carrier_hz.max(1.0);
@@ -137,13 +137,13 @@ impl Axis {
             back_emf: motor.back_emf,
             surge,
             reach: if surge > 0.0 { 1.0 / surge } else { 0.0 },
-            halfway: 1.0 / (1.0 + 1.0 / (1.0 + 0.5 * fade * growth(0.5 * fade))),
+            timing: Timing::of(1.0 / (1.0 + 0.5 * fade * growth(0.5 * fade))),
             proportional: bandwidth * inductance,
             integral: bandwidth * motor.resistance / carrier_hz,
             dead_time_share: 2.0 * bridge.dead_time * bridge.carrier_hz,
             ..Self::default()
         };
-        axis.limit(max_current, continuous_current);
+        axis.limit(max_current);
         axis.doubt = match (bridge.current_sensed, inductance > 0.0) {
             (false, _) => f32::INFINITY,
             (true, true) => VOLTAGE_DOUBT,
@@ -153,19 +153,25 @@ impl Axis {
         axis
     }
 
-    /// Sets the currents that are allowed, A, as in [`Axis::new`]; the motor's own limit still counts.
-    pub fn limit(&mut self, max_current: f32, continuous_current: f32) {
+    fn limit(&mut self, max_current: f32) {
         self.max_current = self.motor_current.min(max_current).max(0.0);
-        let continuous = continuous_current.min(self.max_current).max(0.0);
-        self.continuous_squared = continuous * continuous;
-        let budget = (self.max_current * self.max_current - self.continuous_squared) * PEAK_SECONDS;
-        self.heat_budget = if budget > 0.0 { budget } else { f32::INFINITY };
     }
 
-    /// Takes the joint torque (N m) and speed (rad/s) of this control step and returns the current that will be asked
-    /// for (A), after the limit. What is not finite asks for nothing.
+    fn max_current(&self) -> f32 {
+        self.max_current
+    }
+
+    fn max_torque(&self) -> f32 {
+        self.max_current * self.torque_per_amp.abs()
+    }
+
     #[inline(always)]
-    pub fn command(&mut self, torque: f32, speed: f32) -> f32 {
+    fn torque_of(&self, current: f32) -> f32 {
+        current * self.torque_per_amp
+    }
+
+    #[inline(always)]
+    fn command(&mut self, torque: f32, speed: f32) -> f32 {
         self.target = limited(torque * self.amps_per_torque, self.max_current);
         self.emf = limited(self.back_emf * speed, MAX_VOLTAGE);
         // Both legs lose dead time against the current: give it back, fading where the current's sign is unsure.
@@ -173,31 +179,32 @@ impl Axis {
         self.target
     }
 
-    /// Takes the joint's speed (rad/s) of this carrier period: filtered, and as it is.
     #[inline(always)]
-    pub fn follow(&mut self, speed: f32, raw: f32) {
+    fn follow(&mut self, speed: f32, raw: f32) {
         self.emf = self.back_emf * speed;
         // A speed that jumps is ahead of its filter.
         self.emf_doubt = EMF_DOUBT * self.emf.abs() + (self.back_emf * raw - self.emf).abs();
     }
 
     /// The duty for the next carrier period from the bus voltage (V) and the measured current (A, of no effect
-    /// where none is sensed). Call once a carrier period. Zero when the bus voltage is not usable.
+    /// where none is sensed). Zero when the bus voltage is not usable.
     #[inline(always)]
-    pub fn duty(&mut self, bus_voltage: f32, current: f32) -> f32 {
+    fn drive(&mut self, bus_voltage: f32, current: f32, late: bool) -> f32 {
         if !usable(bus_voltage) {
             self.integrator = 0.0;
             return 0.0;
         }
         let error = self.expected - current;
         self.missing += self.error_weight * (error - self.missing);
-        // What the current reached needs to stay, as the motor and the bridge really are.
+        // Where it begins, and what that current needs to stay, as the motor and the bridge really are.
+        let timing = self.timing[usize::from(late)];
+        let begin = self.reached + timing.before * self.carry;
         let hold = self.emf
-            + self.resistance * self.reached
+            + self.resistance * begin
             + self.regained * bus_voltage
             + self.proportional * error
             + self.integrator;
-        let mut rise = self.target - self.reached;
+        let mut rise = self.target - begin;
         let mut voltage = hold + self.surge * rise;
         let available = USABLE_DUTY * bus_voltage;
         // Not further into a voltage that is not there.
@@ -208,8 +215,9 @@ impl Axis {
             rise = limited((voltage - hold) * self.reach, self.max_current);
             voltage * error < 0.0
         };
-        self.expected = self.reached + self.halfway * rise;
-        self.reached += rise;
+        self.expected = begin + timing.sample * rise;
+        self.reached = begin + timing.valley * rise;
+        self.carry = timing.after * rise;
         let (reached, fading) = (self.reached.abs(), RECENT * self.recent);
         self.recent = if reached > fading { reached } else { fading };
         if integrates {
@@ -219,42 +227,31 @@ impl Axis {
         voltage * (1.0 / bus_voltage)
     }
 
-    /// Volts by which a motor at this current and speed differs from the one in the device file, and what it may differ
-    /// by. The loop's integrator is what such a motor would not need; where the bus leaves it no room, a current that
+    #[inline(always)]
+    fn duty(drive: f32) -> f32 {
+        drive
+    }
+
+    /// The loop's integrator is what such a motor would not need; where the bus leaves it no room, a current that
     /// stays behind says as much.
     #[inline(always)]
-    pub fn strain(&self) -> (f32, f32) {
+    fn strain(&self) -> (f32, f32) {
         let strain = self.integrator + self.resistance * self.missing;
         (strain, self.doubt + RESISTANCE_DOUBT * self.resistance * self.recent + self.emf_doubt)
     }
 
-    /// The speed (rad/s) whose back-EMF would be so many volts.
-    pub fn turning(&self, volts: f32) -> f32 {
+    fn turning(&self, volts: f32) -> f32 {
         if self.back_emf.abs() > 1.0e-6 { volts / self.back_emf } else { 0.0 }
     }
 
-    /// Whether the measured current is about what the duties so far make of a sound motor.
-    pub fn flows_as_expected(&self) -> bool {
+    fn flows_as_expected(&self) -> bool {
         self.missing.abs() <= 0.25 * self.reached.abs() + DEAD_TIME_KNEE
     }
 
-    /// Warms the motor model by `squares`, the integral of i² (A² s) over the last `dt` (s); true when its budget is
-    /// spent: the accumulator of i² above what it stands for ever has passed what [`PEAK_SECONDS`] at the maximum
-    /// current put there.
-    #[inline(always)]
-    pub fn heat(&mut self, squares: f32, dt: f32) -> bool {
-        let share = squares - self.continuous_squared * dt + self.heat_rest;
-        let heat = self.heat + share;
-        let warm = heat > 0.0;
-        self.heat_rest = if warm { share - (heat - self.heat) } else { 0.0 };
-        self.heat = if warm { heat } else { 0.0 };
-        self.heat > self.heat_budget
-    }
-
-    /// Forgets the loop's state when the bridge goes off; the motor stays as warm as it is.
-    pub fn rest(&mut self) {
+    fn rest(&mut self) {
         self.integrator = 0.0;
         self.reached = 0.0;
+        self.carry = 0.0;
         self.expected = 0.0;
         self.missing = 0.0;
         self.recent = 0.0;
@@ -263,51 +260,20 @@ impl Axis {
         self.regained = 0.0;
     }
 
-    /// Goes on where the drive that this one replaces stands: loading a scene neither cools a motor nor stops the
-    /// current that flows.
-    pub fn inherit(&mut self, other: &Self) {
-        let Self { heat, heat_rest, integrator, reached, expected, missing, recent, target, .. } = *other;
-        *self = Self { heat, heat_rest, integrator, reached, expected, missing, recent, target, ..*self };
+    fn inherit(&mut self, other: &Self) {
+        let Self { integrator, reached, carry, expected, missing, recent, target, .. } = *other;
+        *self = Self { integrator, reached, carry, expected, missing, recent, target, ..*self };
     }
 
-    /// What the motor model holds, A² s above what the motor stands for ever.
-    pub fn heat_held(&self) -> f32 {
-        self.heat
-    }
-
-    /// Starts the motor model from what another run left, or, where nothing is known, half way to its budget.
-    pub fn start_from(&mut self, heat: Option<f32>) {
-        let unknown = if self.heat_budget.is_finite() { 0.5 * self.heat_budget } else { 0.0 };
-        self.heat = heat.filter(|heat| heat.is_finite() && *heat >= 0.0).unwrap_or(unknown);
-        self.heat_rest = 0.0;
-    }
-
-    /// Torque (N m) at the current limit.
-    pub fn max_torque(&self) -> f32 {
-        self.max_current * self.torque_per_amp.abs()
-    }
-
-    /// Current limit, A.
-    pub fn max_current(&self) -> f32 {
-        self.max_current
-    }
-
-    /// The least speed (rad/s) that a duty at a bus voltage (V) and a current (A) tells: what is left of the voltage
-    /// without the resistance's part is back-EMF, less what a winding half as resistive again (hot, or a poor contact)
-    /// and the dead time could make of it.
+    /// What is left of the voltage without the resistance's part is back-EMF, less what a winding half as resistive again
+    /// (hot, or a poor contact) and the dead time could make of it.
     #[inline(always)]
-    pub fn speed_of(&self, duty: f32, bus_voltage: f32, current: f32) -> f32 {
+    fn speed_of(&self, duty: f32, bus_voltage: f32, current: f32) -> f32 {
         let drop = self.resistance * current;
         let left = duty * bus_voltage - drop;
         let doubt = RESISTANCE_DOUBT * drop.abs() + self.dead_time_share * bus_voltage;
         let usable = self.back_emf.abs() > 1.0e-6 && left.abs() > doubt;
         if usable { (left - doubt * left.signum()) / self.back_emf } else { 0.0 }
-    }
-
-    /// The torque that a current makes, N m.
-    #[inline(always)]
-    pub fn torque_of(&self, current: f32) -> f32 {
-        current * self.torque_per_amp
     }
 }
 

@@ -152,6 +152,21 @@ macro_rules! define {
                     $(Self::$Variant(mechanism) => finite_at::<K, _, $n>(mechanism, q),)*
                 }
             }
+
+            /// |J⁻ᵀ τ|², N²: the square of the force at the tip that joint torques τ (N m) are worth at `q` (rad). Along each
+            /// task direction that is, by virtual work, what they do on the joints while the tip moves there by a unit.
+            pub fn force_squared<K: Math<f32>>(&self, q: &[f32; MAX_JOINTS], torque: &[f32; MAX_JOINTS]) -> f32 {
+                match self {
+                    $(Self::$Variant(mechanism) => force_squared_at::<K, _, $n>(mechanism, q, torque),)*
+                }
+            }
+
+            /// Jᵀ f, N m: the joint torques that make a force f (N, task frame) at the tip at `q` (rad).
+            pub fn torque<K: Math<f32>>(&self, q: &[f32; MAX_JOINTS], force: &[f32; 3]) -> [f32; MAX_JOINTS] {
+                match self {
+                    $(Self::$Variant(mechanism) => torque_at::<K, _, $n>(mechanism, q, force),)*
+                }
+            }
         }
     };
 }
@@ -166,6 +181,32 @@ fn finite_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M, 
     let shaping = MassModel::Exact.shaping(mechanism, &[], &q, &pose, &askew);
     let found = [mechanism.tip(&pose), mechanism.gravity(&pose), shaping.e, shaping.me];
     found.iter().all(|v| v.iter().all(|x| x.is_finite())) && shaping.w_rr.is_finite()
+}
+
+fn torque_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
+    mechanism: &M,
+    q: &[f32; MAX_JOINTS],
+    force: &[f32; 3],
+) -> [f32; MAX_JOINTS] {
+    let head = |values: &[f32; MAX_JOINTS]| SVector::from_fn(|i, _| values.get(i).copied().unwrap_or(0.0));
+    let pose = shared_pose::<f32, K, M, N>(mechanism, &head(q));
+    let torque = mechanism.transpose(&pose, &head(force));
+    core::array::from_fn(|i| torque.get(i).copied().unwrap_or(0.0))
+}
+
+fn force_squared_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
+    mechanism: &M,
+    q: &[f32; MAX_JOINTS],
+    torque: &[f32; MAX_JOINTS],
+) -> f32 {
+    let head = |values: &[f32; MAX_JOINTS]| SVector::from_fn(|i, _| values.get(i).copied().unwrap_or(0.0));
+    let pose = shared_pose::<f32, K, M, N>(mechanism, &head(q));
+    let torque: SVector<f32, N> = head(torque);
+    (0..M::SPEC.task).fold(0.0, |sum, direction| {
+        let unit = SVector::from_fn(|i, _| if i == direction { 1.0 } else { 0.0 });
+        let along = mechanism.inverse(&pose, &unit).dot(&torque);
+        sum + along * along
+    })
 }
 
 /// The angle of count 0 that is nearest to `offset` and has `home` on a whole count (all in rad), so that the pose that

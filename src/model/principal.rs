@@ -2,10 +2,12 @@
 //!
 //! The rendered directions follow the walls' stiffness K = Σ kᵢ nᵢ nᵢᵀ: its eigenvectors e₁, e₂, … in falling order of
 //! its eigenvalues k₁ ≥ k₂ ≥ …. Level R is equation (4) with e₁ … e_R rendered and every other direction admissible.
-//! The force along e_j goes through the levels R = j, j + 1, …; each takes the share 1 - (k_{R+1}/k_R)² of what the
-//! levels before it left, and what is left after the last goes straight through Jᵀ. Where two eigenvalues meet, and
-//! their eigenvectors mean nothing, the level between them has no share: so torques are continuous. That no set of
-//! walls is less stable than without the feed-forward is proven in docs/model.md section 2.
+//! The force along e_j goes through the levels R = j, j + 1, …; each takes the share (1 - (k_{R+1}/k_R)²) p_R of what
+//! the levels before it left, and what is left after the last goes straight through Jᵀ. p_R is 1 where every wall has the
+//! feed-forward; where some are without it, it is less by their part of the stiffness along e₁ … e_R. Where two
+//! eigenvalues meet, and their eigenvectors mean nothing, the level between them has no share: so torques are
+//! continuous. That no set of walls, whichever of them have the feed-forward, is less stable than without is proven in
+//! docs/model.md section 2.
 //!
 //! One wall has no use for this: it is level 1 with its own normal.
 
@@ -18,22 +20,46 @@ use nalgebra::{SMatrix, SVector};
 /// after four.
 const SWEEPS: usize = 6;
 
-/// One wall as far as its stiffness decides what is rendered.
+/// One wall or spring as far as its stiffness decides what is rendered.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pull<T: Real, const N: usize> {
-    /// Its unit normal; zeros beyond the task dimension.
+    /// A wall's unit normal, a spring's line; zeros beyond the task dimension.
     pub normal: SVector<T, N>,
+    /// Whether it is stiff in all directions across `normal` instead of along it; every direction is across a normal of
+    /// length zero.
+    pub across: bool,
     /// Its stiffness, N/m or in any other common unit; not negative.
     pub stiffness: T,
+    /// Whether it has the feed-forward. One that has not takes its part of the stiffness out of every level's share.
+    pub feed_forward: bool,
 }
 
-/// The eigenvectors and eigenvalues of K = Σ kᵢ nᵢ nᵢᵀ.
+impl<T: Real, const N: usize> Pull<T, N> {
+    /// aᵀ S b of two orthonormal directions, S = n nᵀ, or the identity less that.
+    #[inline(always)]
+    fn between(&self, a: &SVector<T, N>, b: &SVector<T, N>) -> T {
+        if self.across {
+            // Of the vectors themselves: the difference of two numbers would lose the softer direction to rounding.
+            self.beside(a).dot(&self.beside(b))
+        } else {
+            a.dot(&self.normal) * b.dot(&self.normal)
+        }
+    }
+
+    fn beside(&self, a: &SVector<T, N>) -> SVector<T, N> {
+        a - self.normal * self.normal.dot(a)
+    }
+}
+
+/// The eigenvectors and eigenvalues of K = Σ kᵢ Sᵢ, Sᵢ = nᵢ nᵢᵀ for a wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Principal<T: Real, const N: usize> {
     /// Orthonormal columns: e₁ … e_d, then the coordinates beyond the task.
     pub basis: SMatrix<T, N, N>,
     /// k₁ ≥ k₂ ≥ … over the stiffness of the stiffest wall; zero beyond the task.
     pub stiffness: SVector<T, N>,
+    /// What of them belongs to springs and to walls without the feed-forward.
+    pub plain: SVector<T, N>,
 }
 
 impl<T: Real, const N: usize> Principal<T, N> {
@@ -45,7 +71,9 @@ impl<T: Real, const N: usize> Principal<T, N> {
     #[inline(never)]
     pub fn new<K: Math<T>>(pulls: &[Pull<T, N>], task: usize) -> Self {
         let largest = pulls.iter().fold(T::zero(), |most, pull| pull.stiffness.greater(most));
-        let weight = |pull: &Pull<T, N>| if largest > T::zero() { pull.stiffness / largest } else { T::one() };
+        // Less than this is none, so that its inverse is a number.
+        let inverse = (largest > T::EPSILON * T::EPSILON).then(|| T::one() / largest);
+        let weight = |pull: &Pull<T, N>| inverse.map_or(T::one(), |inverse| pull.stiffness * inverse);
         let mut axes: [SVector<T, N>; N] = core::array::from_fn(|i| unit(i));
         for _ in 0..SWEEPS {
             let mut turned = false;
@@ -53,11 +81,10 @@ impl<T: Real, const N: usize> Principal<T, N> {
                 for b in a + 1..N.min(task) {
                     let (mut aa, mut bb, mut ab) = (T::zero(), T::zero(), T::zero());
                     for pull in pulls {
-                        let (x, y) = (axes[a].dot(&pull.normal), axes[b].dot(&pull.normal));
-                        let (kx, ky) = (weight(pull) * x, weight(pull) * y);
-                        aa += kx * x;
-                        bb += ky * y;
-                        ab += kx * y;
+                        let k = weight(pull);
+                        aa += k * pull.between(&axes[a], &axes[a]);
+                        bb += k * pull.between(&axes[b], &axes[b]);
+                        ab += k * pull.between(&axes[a], &axes[b]);
                     }
                     if let Some((cosine, sine)) = rotation::<T, K>(aa, bb, ab) {
                         let (old_a, old_b) = (axes[a], axes[b]);
@@ -72,17 +99,18 @@ impl<T: Real, const N: usize> Principal<T, N> {
             }
         }
         let mut basis = SMatrix::<T, N, N>::zeros();
-        let mut stiffness = SVector::<T, N>::zeros();
+        let (mut stiffness, mut plain) = (SVector::<T, N>::zeros(), SVector::<T, N>::zeros());
         for i in 0..N {
             basis.set_column(i, &axes[i]);
             if i < task {
-                stiffness[i] = pulls.iter().fold(T::zero(), |sum, pull| {
-                    let along = axes[i].dot(&pull.normal);
-                    sum + weight(pull) * along * along
-                });
+                for pull in pulls {
+                    let part = weight(pull) * pull.between(&axes[i], &axes[i]);
+                    stiffness[i] += part;
+                    plain[i] += if pull.feed_forward { T::zero() } else { part };
+                }
             }
         }
-        Self { basis, stiffness }
+        Self { basis, stiffness, plain }
     }
 
     /// Column `i` of the basis; zero beyond it, so that asking cannot panic.
@@ -97,13 +125,18 @@ impl<T: Real, const N: usize> Principal<T, N> {
         self.stiffness.get(i).copied().unwrap_or_default()
     }
 
-    /// The share that the level with `rendered` directions takes of what the levels before it left: 1 - (k_{R+1}/k_R)².
+    /// The share that the level with `rendered` directions takes of what the levels before it left:
+    /// (1 - (k_{R+1}/k_R)²) p_R, p_R = P k_R/(P k_R + Q k₁) with P of the stiffness along e₁ … e_R belonging to walls with
+    /// the feed-forward and Q to walls without.
     #[inline(always)]
     pub fn share(&self, rendered: usize) -> T {
         let (stiffer, softer) = (self.along(rendered.wrapping_sub(1)), self.along(rendered));
         if stiffer > T::zero() {
             let ratio = (softer / stiffer).lesser(T::one());
-            (T::one() - ratio) * (T::one() + ratio)
+            let sum = |of: &SVector<T, N>| of.iter().take(rendered).fold(T::zero(), |sum, along| sum + *along);
+            let without = sum(&self.plain);
+            let with = (sum(&self.stiffness) - without) * stiffer;
+            (T::one() - ratio) * (T::one() + ratio) * (with / (with + without * self.along(0)))
         } else {
             T::zero()
         }

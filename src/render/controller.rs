@@ -15,12 +15,11 @@ use crate::model::mechanism::{Mechanism, Regularity, Shaping, shared_pose};
 use crate::model::precomputed::MassModel;
 use crate::model::principal::Principal;
 use crate::model::solve::solve_symmetric;
-use crate::render::scene::{
-    Admissible, FeedForward, MAX_SPRINGS, MAX_WALLS, Scene, SceneError, Spring, VelocityTerms, task_vector,
-};
+use crate::render::scene::{Admissible, FeedForward, MAX_WALLS, Scene, SceneError, VelocityTerms};
 use crate::render::velocity::{Coefficients, Washout};
 use core::marker::PhantomData;
 use encoders::Encoders;
+use guidance::{Beside, Guidance};
 use heapless::Vec;
 use nalgebra::SVector;
 use observers::Observers;
@@ -28,10 +27,11 @@ use plan::Plan;
 use postcard_schema::Schema;
 pub use push::{Push, PushedPlane};
 use serde::{Deserialize, Serialize};
-pub use walls::TOUCH_DEPTH;
 use walls::{Acting, Active, Walls};
+pub use walls::{TOUCH_DEPTH, TOUCH_SHARE};
 
 mod encoders;
+mod guidance;
 mod observers;
 mod plan;
 mod push;
@@ -134,15 +134,6 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     math: PhantomData<K>,
 }
 
-/// Springs, fields, and what the host adds.
-#[derive(Clone, Debug)]
-struct Guidance<T> {
-    springs: Vec<Spring<T>, MAX_SPRINGS>,
-    field_damping: T,
-    push: Option<Push<T>>,
-    any: bool,
-}
-
 /// The part of a scene that is the same for every mechanism.
 struct Prepared<T: Real> {
     coefficients: Coefficients<T>,
@@ -156,10 +147,9 @@ fn prepare<T: Real>(scene: &Scene<T>, task: usize) -> Result<Prepared<T>, SceneE
     scene.check(task)?;
     let coefficients =
         Coefficients::new(scene.estimator, scene.rate_hz, scene.cutoff_hz).map_err(|_| SceneError::Cutoff)?;
-    let mut guidance =
-        Guidance { springs: scene.springs.clone(), field_damping: scene.field_damping, push: None, any: false };
-    guidance.any = guidance.acts();
-    Ok(Prepared { coefficients, walls: Walls::new(scene)?, guidance })
+    let (walls, mut guidance) = (Walls::new(scene)?, Guidance::new(scene));
+    guidance.agree(walls.others());
+    Ok(Prepared { coefficients, walls, guidance })
 }
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
@@ -251,33 +241,45 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             step.motion = self.mechanism.inverse(&pose, &touch.normal);
         }
         let (mut plain, mut straight) = (touch.plain, touch.straight);
+        let mut beside = Beside::none();
         if self.guidance.any {
-            plain += self.guidance.force(&place, &task_part::<T, M, N>(&self.mechanism.velocity(&pose, &qd)));
+            let velocity = task_part::<T, M, N>(&self.mechanism.velocity(&pose, &qd));
+            plain += self.guidance.force(&place, &velocity);
             straight = true;
+            // One joint alone has no other direction to shape into.
+            if self.guidance.is_beside() && N > 1 {
+                beside = self.guidance.beside(&place, &velocity, self.walls.gain());
+            }
         }
 
         // (4): what is shaped goes through M E Wrr⁻¹, the rest straight through Jᵀ.
         if let Some(mut first) = touch.first {
             if let Some(gain) = self.gain
                 && more.is_empty()
+                && !beside.acts
             {
                 let kept = first.shaped * self.below_the_pole(table, &turned, &pose, &first.normal, gain);
                 plain += first.normal * (first.shaped - kept);
                 first.shaped = kept;
                 straight = true;
             }
-            let shaped = more.iter().fold(first.normal * first.shaped, |sum, a| sum + a.normal * a.shaped);
+            let mut shaped = more.iter().fold(first.normal * first.shaped, |sum, a| sum + a.normal * a.shaped);
+            if beside.acts {
+                let stiff = self.guidance.sum(&beside);
+                plain -= stiff;
+                shaped += stiff;
+            }
             let force = plain + shaped;
             step.force_squared = force.dot(&force);
             step.rendered = self.mechanism.transpose(&pose, &force);
             let parallel = regularity.parallel * T::from_f64(1.0 / PARALLEL_REGULARITY);
             let share = fade(regularity.serial.lesser(parallel));
-            if share < T::one() || !more.is_empty() {
+            if share < T::one() || !more.is_empty() || beside.acts {
                 // Copies, so that the usual case need not keep these in memory.
                 let (pose, place, qd, turned, first) = (pose, place, qd, turned, first);
                 let left;
                 (step.torque, left) =
-                    self.shaped_by_several(table, &turned, &pose, &place, &qd, &first, &more, &shaped, share);
+                    self.shaped_by_several(table, &turned, &pose, &place, &qd, &first, &more, &beside, &shaped, share);
                 step.shaping = share;
                 plain += left;
                 straight = true;
@@ -375,9 +377,9 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         (most / gain).lesser(T::one())
     }
 
-    /// The share `share` of the feed-forward of one or several active walls, whose resultant is `force` (N): torques
-    /// without gravity, and what of the force is left for Jᵀ. Out of line: the usual single wall away from
-    /// singularities does not come here.
+    /// The share `share` of the feed-forward of one or several active walls, and what is stiff beside them, whose
+    /// resultant is `force` (N): torques without gravity, and what of the force is left for Jᵀ. Out of line: the usual
+    /// single wall away from singularities does not come here.
     #[allow(clippy::too_many_arguments)]
     #[inline(never)]
     fn shaped_by_several(
@@ -389,18 +391,19 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         qd: &SVector<T, N>,
         first: &Active<T, N>,
         more: &[Active<T, N>],
+        beside: &Beside<T, N>,
         force: &SVector<T, N>,
         share: T,
     ) -> (SVector<T, N>, SVector<T, N>) {
         if share <= T::zero() {
             return (SVector::zeros(), *force);
         }
-        if more.is_empty() {
+        if more.is_empty() && !beside.acts {
             let shaping = self.held(self.mass.shaping(&self.mechanism, table, q, pose, &first.normal), pose);
             let (b, met) = self.bias(pose, place, qd, &Acting::One(first));
             (shaped_torque_beside(&shaping, first.shaped, &b, &met) * share, force * (T::one() - share))
         } else {
-            let together = self.walls.together::<K, N>(first, more, place, M::SPEC.task);
+            let together = self.walls.together::<K, N>(first, more, &self.guidance, beside, place, M::SPEC.task);
             let along = |i| {
                 self.held(self.mass.shaping(&self.mechanism, table, q, pose, &together.principal.direction(i)), pose)
             };
@@ -470,6 +473,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         self.encoders.home(counts, q);
         self.observers.forget();
         self.walls.forget();
+        self.guidance.forget();
     }
 
     /// Counts that homing has subtracted.
@@ -487,6 +491,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         self.encoders.forget();
         self.observers.forget();
         self.walls.forget();
+        self.guidance.forget();
     }
 
     /// Turns the passivity controller on or off.
@@ -503,8 +508,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
     /// What the host adds from the next step on.
     pub fn set_push(&mut self, push: Option<&Push<T>>) {
-        self.guidance.push = push.copied();
-        self.guidance.any = self.guidance.acts();
+        self.guidance.set_push(push);
     }
 
     /// Tip velocity (m/s) at these counts and joint velocities (rad/s), and the force (N) that the host's push makes
@@ -514,13 +518,14 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let pose = shared_pose::<T, K, M, N>(&self.mechanism, &turned);
         let place = task_part::<T, M, N>(&self.mechanism.tip(&pose));
         let velocity = task_part::<T, M, N>(&self.mechanism.velocity(&pose, qd));
-        let force = self.guidance.push.map_or(SVector::zeros(), |push| push.at(&place, &velocity));
+        let force = self.guidance.push().map_or(SVector::zeros(), |push| push.at(&place, &velocity));
         (velocity, force)
     }
 
     /// Applies checked gains between two steps; estimators and the washout's state go on.
     pub fn set_gains(&mut self, gains: &Gains<T>, washout: &Washout<T>) {
         self.walls.set_gains(gains, washout);
+        self.guidance.agree(self.walls.others());
     }
 
     /// Applies checked coefficients of the velocity estimators between two steps; their states go on. Another estimator
@@ -532,26 +537,6 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         self.coefficients = *coefficients;
         self.encoders.retune(coefficients);
         self.plan = Plan::of(self);
-    }
-}
-
-impl<T: Real> Guidance<T> {
-    /// Whether there is anything of it.
-    fn acts(&self) -> bool {
-        !self.springs.is_empty() || self.field_damping > T::zero() || self.push.is_some()
-    }
-
-    /// The force (N) at the tip.
-    #[inline(always)]
-    fn force<const N: usize>(&self, place: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
-        let mut force = velocity * -self.field_damping;
-        if let Some(push) = &self.push {
-            force += push.at(place, velocity);
-        }
-        for spring in &self.springs {
-            force += spring_force(spring, place, velocity);
-        }
-        force
     }
 }
 
@@ -583,17 +568,4 @@ fn fade<T: Real>(regularity: T) -> T {
     }
     let s = ((regularity - low) * T::from_f64(1.0 / (FULL_REGULARITY - NO_REGULARITY))).greater(T::zero());
     s * s * (T::from_f64(3.0) - s - s)
-}
-
-/// The force (N) of one spring at the tip. Not inlined: few scenes have springs, and mechanisms share it.
-#[inline(never)]
-fn spring_force<T: Real, const N: usize>(
-    spring: &Spring<T>,
-    place: &SVector<T, N>,
-    velocity: &SVector<T, N>,
-) -> SVector<T, N> {
-    let direction = task_vector::<T, N>(&spring.direction);
-    let across = |v: SVector<T, N>| v - direction * direction.dot(&v);
-    let stretch = across(place - task_vector::<T, N>(&spring.point));
-    -(stretch * spring.stiffness + across(*velocity) * spring.damping)
 }

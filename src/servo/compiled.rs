@@ -6,9 +6,9 @@
 use crate::drive::carrier::Carrier;
 use crate::math::Minimax;
 use crate::model::catalogue::MAX_JOINTS;
-use crate::servo::Servo;
 use crate::servo::frame::{Crest, Frame, Outputs, Samples};
 use crate::servo::program::Program;
+use crate::servo::{Servo, for_joints};
 use heapless::spsc::Producer;
 
 /// The trigonometry that the board computes with.
@@ -39,14 +39,10 @@ pub fn legs(
     servo: &mut BoardServo,
     bus_voltage: f32,
     currents: &[f32; MAX_JOINTS],
+    late: bool,
     carrier: &Carrier,
 ) -> [[u16; 2]; MAX_JOINTS] {
-    match servo.joints() {
-        0 => legs_of::<0>(servo, bus_voltage, currents, carrier),
-        1 => legs_of::<1>(servo, bus_voltage, currents, carrier),
-        2 => legs_of::<2>(servo, bus_voltage, currents, carrier),
-        _ => legs_of::<MAX_JOINTS>(servo, bus_voltage, currents, carrier),
-    }
+    for_joints!(servo.joints(), J => legs_of::<J>(servo, bus_voltage, currents, late, carrier))
 }
 
 /// [`legs`] of J joints: what has none stays at the middle.
@@ -55,9 +51,10 @@ fn legs_of<const J: usize>(
     servo: &mut BoardServo,
     bus_voltage: f32,
     currents: &[f32; MAX_JOINTS],
+    late: bool,
     carrier: &Carrier,
 ) -> [[u16; 2]; MAX_JOINTS] {
-    let duties = servo.duties_of::<J>(bus_voltage, currents);
+    let duties = servo.duties_of::<J>(bus_voltage, currents, late);
     core::array::from_fn(|axis| carrier.legs(if axis < J { duties[axis] } else { 0.0 }))
 }
 

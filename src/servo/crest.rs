@@ -4,7 +4,8 @@
 //! it is two subtractions, one multiply-add and a few comparisons of bit patterns whose signs are gathered; what is
 //! wrong is found out only when something is.
 
-use super::Servo;
+use super::{Servo, for_joints};
+use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::fault::{Fault, State};
@@ -105,10 +106,11 @@ fn left_of(value: u32, bound: u32) -> i32 {
     bound.wrapping_sub(value) as i32
 }
 
-impl<P, K> Servo<P>
+impl<P, K, S> Servo<P>
 where
-    P: DerefMut<Target = Program<K>>,
+    P: DerefMut<Target = Program<K, S>>,
     K: Math<f32>,
+    S: Stage,
 {
     /// Makes the bounds ready: after anything they depend on has changed.
     pub(super) fn set_crest_bounds(&mut self) {
@@ -144,12 +146,7 @@ where
     /// one is due and before [`Servo::duties`].
     #[inline(always)]
     pub fn guard(&mut self, seen: &Crest) -> Outputs {
-        match self.joints() {
-            0 => Outputs { bridges: false },
-            1 => self.guard_joints::<1>(seen),
-            2 => self.guard_joints::<2>(seen),
-            _ => self.guard_joints::<MAX_JOINTS>(seen),
-        }
+        for_joints!(self.joints(), J => self.guard_joints::<J>(seen))
     }
 
     /// [`Servo::guard`] for J joints.
@@ -270,15 +267,15 @@ fn bus_within(bus: f32, limits: &Limits) -> bool {
     bus >= limits.bus_min && bus <= limits.bus_max
 }
 
-/// A joint's range as counts, rounded outward by less than one; `None` without limits or scale.
+/// A joint's range as counts, rounded outward by less than one; `None` without limits.
 fn range(limits: Option<(f32, f32)>, radians_per_count: f32, offset: f32, zero: i32) -> Option<(i32, i32)> {
     let (low, high) = limits?;
     let ends = [low, high].map(|angle| (angle - offset) / radians_per_count);
     let (first, last) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
-    // Beyond half of what counts can tell apart there is no difference any more.
+    // An end further away than half of what counts can tell apart is none; the other one still is.
     let most = i32::MAX as f32 * 0.25;
-    (first.abs() <= most && last.abs() <= most)
-        .then(|| (zero.wrapping_add(below(first)), zero.wrapping_add(-below(-last))))
+    let within = |end: f32| end.clamp(-most, most);
+    Some((zero.wrapping_add(below(within(first))), zero.wrapping_add(-below(-within(last)))))
 }
 
 /// The largest whole number that is not above `value`.

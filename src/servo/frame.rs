@@ -1,6 +1,6 @@
 //! What goes into a control period and what it leaves behind for telemetry.
 
-use crate::drive::brushed::MAX_DUTY;
+use crate::drive::stage::MAX_DUTY;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::fault::{Fault, State};
 

@@ -1,14 +1,16 @@
 //! Force from the host: what a program on a computer asks the motors for, beside the board's own scene.
 //!
 //! A host reads where the tip is, works out a force and sends it, about once a millisecond. The board adds it to its own
-//! walls before the one rule that cuts torques to what the motors can do (saturation.rs), and under every limit
-//! and fault. It trusts it no longer than it lives: a request acts in full until it is `hold` seconds old, then fades
-//! linearly and is gone after `fade` seconds more. Its age counts from the state that it was computed from, so what came
-//! late has less left to live.
+//! walls before the one rule that cuts torques to what the motors can do and to the limit of the force at the tip
+//! (saturation.rs), where joint torques count as the force that they are worth, and under every limit and fault. It
+//! trusts it no longer than it lives: a request acts in full until it is `hold` seconds old, then fades linearly and is
+//! gone after `fade` seconds more. Its age counts from the state that it was computed from, so what came late has less
+//! left to live.
 //!
 //! A contact is the host's nearest plane, which the board renders at its own rate. When the host moves it, the board goes
 //! there evenly, in as long as the host took since it moved it last: no force steps where a plane does.
 
+use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::render::controller::{Push, PushedPlane};
@@ -269,11 +271,13 @@ pub(super) struct HostForce {
     request: ForceRequest,
     /// Time since the state that it was computed from, s.
     age: f32,
-    /// Share of it that acts in this step.
+    /// Share of it that acts in this step, the joint torques (N m) that this makes, and how long it may yet act, s.
     lease: f32,
+    torque: [f32; MAX_JOINTS],
+    life: f32,
+    /// Share of those that ramp and limits left.
+    pub left: f32,
     contact: Blend,
-    /// What it and the scene ask for in this step, for the answer to tell what the limits leave.
-    asked: Asked,
 }
 
 impl HostForce {
@@ -293,6 +297,8 @@ impl HostForce {
             *self = Self::default();
             return None;
         }
+        self.torque = self.request.torque.map(|torque| torque * self.lease);
+        self.life = self.request.hold + self.request.fade - self.age;
         let plane = self.contact.now();
         Some(Push {
             force: self.request.force.map(|force| force * self.lease),
@@ -303,22 +309,13 @@ impl HostForce {
             },
         })
     }
-
-    /// Adds the joint torques that the host asks for.
-    #[inline(never)]
-    fn add(&mut self, asked: &mut Asked) {
-        for (i, torque) in self.request.torque.iter().enumerate() {
-            asked.rendered[i] += torque * self.lease;
-            asked.total[i] += torque * self.lease;
-        }
-        self.asked = *asked;
-    }
 }
 
-impl<P, K> Servo<P>
+impl<P, K, S> Servo<P>
 where
-    P: DerefMut<Target = Program<K>>,
+    P: DerefMut<Target = Program<K, S>>,
     K: Math<f32>,
+    S: Stage,
 {
     /// Carries out a request between two steps, as far as it can be, and tells how the device is.
     pub fn force(&mut self, request: &ForceRequest) -> ForceAnswer {
@@ -340,14 +337,21 @@ where
         if let Some(program) = self.program.as_ref() {
             let (velocity, pushed) = program.controller.pushed(&self.frame);
             answer.velocity = velocity;
-            if self.host.acts && self.state == State::Armed {
-                let asked = if self.ramp < 1.0 { self.faded(&self.host.asked) } else { self.host.asked };
-                let left = self.ramp * asked.share(&self.most_torque, self.rules.limits.tip_force, program.joints);
-                answer.share = self.host.lease * left;
-                answer.force = pushed.map(|force| force * left);
-            }
+            answer.share = self.host.lease * self.host.left;
+            answer.force = pushed.map(|force| force * self.host.left);
         }
         answer
+    }
+
+    /// The joint torques (N m) that acted in the last step because of the host, and how long they might (s).
+    #[cold]
+    pub(super) fn host_torque(&self) -> ([f32; MAX_JOINTS], f32) {
+        let Some(program) = self.program.as_ref().filter(|_| self.host.left > 0.0) else {
+            return ([0.0; MAX_JOINTS], 0.0);
+        };
+        let (_, force) = program.controller.pushed(&self.frame);
+        let pushed = program.mechanism.torque::<K>(&self.frame.q, &force);
+        (core::array::from_fn(|i| self.host.left * (pushed[i] + self.host.torque[i])), self.host.life)
     }
 
     fn take_force(&mut self, request: &ForceRequest) -> ForceDone {
@@ -393,8 +397,24 @@ where
     #[inline(always)]
     pub(super) fn pull(&mut self, asked: &mut Asked) {
         if self.host.acts {
-            self.host.add(asked);
+            self.add(asked);
             self.frame.torque = asked.total;
+        }
+    }
+
+    /// Adds the host's joint torques, which make a force at the tip as well: that of everything rendered, whose torques
+    /// Jᵀ f are in `asked` already, is worked out anew.
+    #[inline(never)]
+    fn add(&mut self, asked: &mut Asked) {
+        let torque = self.host.torque;
+        if torque != [0.0; MAX_JOINTS]
+            && let Some(program) = self.program.as_ref()
+        {
+            for (i, torque) in torque.iter().enumerate() {
+                asked.rendered[i] += torque;
+                asked.total[i] += torque;
+            }
+            asked.force_squared = program.mechanism.force_squared::<K>(&self.frame.q, &asked.rendered);
         }
     }
 

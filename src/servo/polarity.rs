@@ -1,11 +1,13 @@
 //! The polarity check: a small torque must move each joint the right way before a real device may be armed.
 
 use super::Servo;
+use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::fault::{Fault, State};
 use crate::safety::refusal::Refusal;
 use crate::servo::program::Program;
+use crate::servo::saturation::share_within;
 use core::ops::DerefMut;
 
 /// Largest share of a motor's torque that the polarity check applies.
@@ -20,17 +22,19 @@ pub const POLARITY_SECONDS: f32 = 1.0;
 pub(super) struct Polarity {
     pub(super) axis: usize,
     seconds: f32,
-    from: f32,
+    /// Where the joint stood at its first step, rad.
+    from: Option<f32>,
 }
 
-impl<P, K> Servo<P>
+impl<P, K, S> Servo<P>
 where
-    P: DerefMut<Target = Program<K>>,
+    P: DerefMut<Target = Program<K, S>>,
     K: Math<f32>,
+    S: Stage,
 {
     pub(super) fn start_polarity_check(&mut self) -> Result<(), Refusal> {
         self.ready()?;
-        self.polarity = Polarity { axis: 0, seconds: 0.0, from: self.frame.q[0] };
+        self.polarity = Polarity::default();
         self.polarity_known = false;
         self.watch_anew();
         self.state = State::CheckingPolarity;
@@ -45,7 +49,7 @@ where
         let Some(program) = self.program.as_ref() else { return };
         let i = self.polarity.axis.min(MAX_JOINTS - 1);
         let (joints, most) = (program.joints, program.axes[i].max_torque());
-        let moved = self.frame.q[i] - self.polarity.from;
+        let moved = self.frame.q[i] - *self.polarity.from.get_or_insert(self.frame.q[i]);
         if moved > POLARITY_MOTION {
             if i + 1 >= joints {
                 self.off();
@@ -53,7 +57,7 @@ where
                 self.polarity_known = true;
             } else {
                 let next = (i + 1).min(MAX_JOINTS - 1);
-                self.polarity = Polarity { axis: next, seconds: 0.0, from: self.frame.q[next] };
+                self.polarity = Polarity { axis: next, ..Polarity::default() };
             }
             return;
         }
@@ -65,6 +69,9 @@ where
             return self.trip(Fault::PolarityNoMotion, Some(i as u8), moved);
         }
         let share = POLARITY_SHARE * (self.polarity.seconds * (1.0 / POLARITY_SECONDS)).min(1.0);
-        self.frame.torque[i] = share * most;
+        let mut torque = [0.0; MAX_JOINTS];
+        torque[i] = share * most;
+        let squared = program.mechanism.force_squared::<K>(&self.frame.q, &torque);
+        self.frame.torque[i] = torque[i] * share_within(squared, self.rules.limits.tip_force);
     }
 }

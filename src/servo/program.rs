@@ -1,11 +1,14 @@
 //! A device in a scene, ready to run: the controller of whichever mechanism is loaded, and the drives of its motors.
 
-use crate::drive::brushed::{Axis, Bridge};
+use crate::drive::brushed::Axis;
 use crate::drive::carrier::Carrier;
+use crate::drive::heat::Heat;
+use crate::drive::stage::{Bridge, Stage};
 use crate::math::Math;
 use crate::model::catalogue::Kind;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::device::Device;
+use crate::model::mechanism::AnyMechanism;
 use crate::model::mechanism::Regularity;
 use crate::model::precomputed::{MassModel, MassModelData};
 use crate::render::controller::{Controller, Gains, Push, Step};
@@ -168,11 +171,14 @@ fn record<const N: usize>(
     (step.regularity, Asked { total: frame.torque, gravity, rendered, force_squared: step.force_squared })
 }
 
-/// A device in a scene on a board, ready to run: what is handed to the servo whole.
+/// A device in a scene on a board, ready to run: what is handed to the servo whole. `S` is what stands between a joint's
+/// torque and its motor.
 #[derive(Clone, Debug)]
-pub struct Program<K> {
+pub struct Program<K, S = Axis> {
     pub(crate) controller: AnyController<K>,
-    pub(crate) axes: [Axis; MAX_JOINTS],
+    pub(crate) mechanism: AnyMechanism<f32>,
+    pub(crate) axes: [S; MAX_JOINTS],
+    pub(crate) heat: [Heat; MAX_JOINTS],
     pub(crate) joints: usize,
     pub(crate) limits: [Option<(f32, f32)>; MAX_JOINTS],
     pub(crate) home: Option<[f32; MAX_JOINTS]>,
@@ -187,7 +193,7 @@ pub struct Program<K> {
     pub(crate) carrier_hz: f32,
 }
 
-impl<K: Math<f32>> Program<K> {
+impl<K: Math<f32>, S: Stage> Program<K, S> {
     /// Builds a program for `hardware` under `limits`. `same_device` keeps homing across a change of scene.
     ///
     /// Errors: more joints than axes, a joint without encoder scale, or whatever the scene or the table lacks.
@@ -207,7 +213,8 @@ impl<K: Math<f32>> Program<K> {
         // The current loops run once a carrier period, and the carrier follows the control rate.
         let bridge =
             Bridge { carrier_hz: Carrier::for_rate(hardware.timer_hz, scene.rate_hz).carrier_hz(), ..hardware.bridge };
-        let mut axes = [Axis::default(); MAX_JOINTS];
+        let mut axes = [S::default(); MAX_JOINTS];
+        let mut heat = [Heat::default(); MAX_JOINTS];
         let mut unarmable = if device.home.is_none() && hardware.real { Some(Refusal::NoHome) } else { None };
         for (i, joint) in device.joints.iter().enumerate().take(joints) {
             let scale = joint.radians_per_count;
@@ -221,8 +228,8 @@ impl<K: Math<f32>> Program<K> {
                     if hardware.real && !motor.verified {
                         unarmable = unarmable.or(Some(Refusal::MotorNotVerified(index)));
                     }
-                    let (most, steady) = (limits.current[i], limits.continuous_current[i]);
-                    axes[i] = Axis::new(motor, &bridge, most, steady);
+                    axes[i] = S::new(motor, &bridge, limits.current[i]);
+                    heat[i].limit(axes[i].max_current(), limits.continuous_current[i]);
                 }
             }
             if hardware.real && joint.limits.is_none() {
@@ -231,7 +238,9 @@ impl<K: Math<f32>> Program<K> {
         }
         Ok(Self {
             controller,
+            mechanism: device.mechanism,
             axes,
+            heat,
             joints,
             limits: core::array::from_fn(|i| device.joints[i].limits),
             home: device.home,

@@ -7,9 +7,16 @@
 //! 2. what renders the forces asked for, Jᵀ f, all joints by one factor: the force keeps its direction, and is no larger
 //!    than its own limit allows;
 //! 3. the feed-forward, of the force that is really rendered and as far as the limits leave room, by one factor again.
+//!
+//! A motor whose limit the force uses up leaves no room for the least feed-forward that points the same way, and all of it
+//! for the other way: the common factor would jump from 0 to 1 where that motor's own part passes zero. So the force
+//! leaves a motor's own part its room up to [`ROOM`] of the limit.
 
 use crate::math::{limited, newton_sqrt};
 use crate::model::catalogue::MAX_JOINTS;
+
+/// Share of a joint's limit that what is rendered leaves to the feed-forward where that points the same way.
+const ROOM: f32 = 1.0 / 64.0;
 
 /// Joint torques of one control step by what they are for, N m.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -24,55 +31,90 @@ pub struct Asked {
     pub force_squared: f32,
 }
 
+/// What the limits leave of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Left {
+    /// All torques together, N m.
+    pub torque: [f32; MAX_JOINTS],
+    /// What of them holds the device against gravity, N m.
+    pub gravity: [f32; MAX_JOINTS],
+    /// The share of the forces asked for that is rendered.
+    pub share: f32,
+}
+
 impl Asked {
-    /// The torques within ±`limit` (N m, not negative) of each of the first `joints` joints, and of forces within
+    /// What is within ±`limit` (N m, not negative) of each of the first `joints` joints, and of forces within
     /// `tip_force` (N).
     #[inline(always)]
-    pub fn within(&self, limit: &[f32; MAX_JOINTS], tip_force: f32, joints: usize) -> [f32; MAX_JOINTS] {
+    pub fn within(&self, limit: &[f32; MAX_JOINTS], tip_force: f32, joints: usize) -> Left {
         // A loop, because an iterator's `all` is not inlined on the chip and checks its index there.
         let mut fits = self.force_squared <= tip_force * tip_force;
         for (i, limit) in limit.iter().enumerate().take(joints) {
             let both = self.gravity[i] + self.rendered[i];
             fits &= self.gravity[i].abs() <= *limit && both.abs() <= *limit && self.total[i].abs() <= *limit;
         }
-        if fits { self.total } else { self.cut(limit, tip_force, joints) }
+        if fits {
+            Left { torque: self.total, gravity: self.gravity, share: 1.0 }
+        } else {
+            self.cut(limit, tip_force, joints)
+        }
     }
 
     /// The share of the forces asked for that is rendered within `tip_force` (N) and ±`limit` (N m) of each of the first
     /// `joints` joints.
-    pub fn share(&self, limit: &[f32; MAX_JOINTS], tip_force: f32, joints: usize) -> f32 {
+    fn share(&self, limit: &[f32; MAX_JOINTS], tip_force: f32, joints: usize) -> f32 {
         let mut share = share_within(self.force_squared, tip_force);
         for (i, limit) in limit.iter().enumerate().take(joints) {
-            share = room(limited(self.gravity[i], *limit), self.rendered[i], *limit, share);
+            share = self.room_for_the_rendered(i, *limit, share);
         }
         share
+    }
+
+    /// The largest share, up to `most`, of what is rendered that joint `i` makes within ±`limit` on top of gravity and
+    /// below the room of its feed-forward.
+    fn room_for_the_rendered(&self, i: usize, limit: f32, most: f32) -> f32 {
+        let (base, part) = (limited(self.gravity[i], limit), self.rendered[i]);
+        let along = if part > 0.0 { self.rest(i) } else { -self.rest(i) };
+        if along > 0.0 {
+            // All of both, or the force up to the feed-forward's room.
+            let both = room(base, part + self.rest(i), limit, most);
+            let alone = room(base, part, limit - ROOM * limit, most);
+            if both > alone { both } else { alone }
+        } else {
+            room(base, part, limit, most)
+        }
+    }
+
+    /// What is asked of joint `i` beyond gravity and what is rendered: the feed-forward.
+    fn rest(&self, i: usize) -> f32 {
+        self.total[i] - self.gravity[i] - self.rendered[i]
     }
 
     #[cold]
     #[inline(never)]
     #[allow(clippy::needless_range_loop, reason = "one number for four arrays")]
-    fn cut(&self, limit: &[f32; MAX_JOINTS], tip_force: f32, joints: usize) -> [f32; MAX_JOINTS] {
+    fn cut(&self, limit: &[f32; MAX_JOINTS], tip_force: f32, joints: usize) -> Left {
         let joints = joints.min(MAX_JOINTS);
         let share = self.share(limit, tip_force, joints);
-        let mut torque = [0.0; MAX_JOINTS];
+        let (mut torque, mut gravity) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
         for i in 0..joints {
-            torque[i] = limited(self.gravity[i], limit[i]) + share * self.rendered[i];
+            gravity[i] = limited(self.gravity[i], limit[i]);
+            torque[i] = gravity[i] + share * self.rendered[i];
         }
-        let rest = |i: usize| self.total[i] - self.gravity[i] - self.rendered[i];
         let mut rest_share = share;
         for i in 0..joints {
-            rest_share = room(torque[i], rest(i), limit[i], rest_share);
+            rest_share = room(torque[i], self.rest(i), limit[i], rest_share);
         }
         for i in 0..joints {
             // Once more each by itself: what is not finite asks for nothing, and rounding is no excuse.
-            torque[i] = limited(torque[i] + rest_share * rest(i), limit[i]);
+            torque[i] = limited(torque[i] + rest_share * self.rest(i), limit[i]);
         }
-        torque
+        Left { torque, gravity, share }
     }
 }
 
 /// The share of a force that is within `most` (N), 1 where all of it is; none of what is no number.
-fn share_within(squared: f32, most: f32) -> f32 {
+pub(super) fn share_within(squared: f32, most: f32) -> f32 {
     if squared <= most * most {
         1.0
     } else if squared.is_finite() {
@@ -102,7 +144,7 @@ mod tests {
 
     fn cut(gravity: [f32; 3], rendered: [f32; 3], rest: [f32; 3], limit: [f32; 3]) -> [f32; 3] {
         let total = core::array::from_fn(|i| gravity[i] + rendered[i] + rest[i]);
-        Asked { total, gravity, rendered, force_squared: 0.0 }.within(&limit, 5.0, 3)
+        Asked { total, gravity, rendered, force_squared: 0.0 }.within(&limit, 5.0, 3).torque
     }
 
     #[test]
@@ -114,12 +156,15 @@ mod tests {
             rendered: [0.0, 6.0, 8.0],
             force_squared: 100.0,
         };
-        assert_eq!(asked.within(&[50.0; 3], 5.0, 3), [1.0, 3.0 + 1.0, 4.0 + 0.5]);
-        assert_eq!(asked.within(&[50.0; 3], 10.0, 3), asked.total, "10 N are within 10 N");
-        assert_eq!(asked.within(&[50.0, 50.0, 2.0], 5.0, 3)[..2], [1.0, 1.5], "a joint may leave less than the force");
+        assert_eq!(asked.within(&[50.0; 3], 5.0, 3).torque, [1.0, 3.0 + 1.0, 4.0 + 0.5]);
+        assert_eq!(asked.within(&[50.0; 3], 10.0, 3).torque, asked.total, "10 N are within 10 N");
+        let less = asked.within(&[50.0, 50.0, 2.0], 5.0, 3).torque;
+        // 2 N m less a 64th for that joint's own feed-forward, of 8.
+        let share = (2.0 - 2.0 / 64.0) / 8.0;
+        assert_eq!(less[..2], [1.0, 6.0 * share + 2.0 / 64.0 * 2.0], "a joint may leave less than the force");
         for no_number in [f32::NAN, f32::INFINITY] {
             let asked = Asked { force_squared: no_number, ..asked };
-            assert_eq!(asked.within(&[50.0; 3], 5.0, 3), [1.0, 0.0, 0.0], "only what holds the device");
+            assert_eq!(asked.within(&[50.0; 3], 5.0, 3).torque, [1.0, 0.0, 0.0], "only what holds the device");
         }
     }
 
@@ -138,9 +183,43 @@ mod tests {
     #[test]
     fn gravity_comes_first_and_the_feed_forward_last() {
         let torque = cut([1.5, 0.0, 0.0], [1.0, 1.0, 0.0], [0.5, 1.0, 0.0], [2.0; 3]);
-        assert_eq!(torque, [2.0, 0.5, 0.0], "no room is left for the feed-forward at joint 0");
+        // 0.5 N m are left at joint 0, a 64th of its 2 N m of them for the feed-forward's 0.5 N m.
+        let room = 2.0 / 64.0;
+        assert_eq!(torque, [2.0, 0.5 - room + room / 0.5, 0.0], "hardly any room is left for the feed-forward");
         let torque = cut([1.5, 0.0, 0.0], [1.0, 1.0, 0.0], [-0.5, 1.0, 0.0], [2.0; 3]);
         assert_eq!(torque, [1.75, 1.0, 0.0], "its own part of what is rendered, where it fits");
+    }
+
+    /// A number from -1 to 1 that the `nth` draw of a sequence gives.
+    fn drawn(nth: &mut u32) -> f32 {
+        *nth = nth.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (*nth >> 8) as f32 / 8_388_608.0 - 1.0
+    }
+
+    #[test]
+    fn nothing_steps_on_the_way_from_any_torques_to_any_others() {
+        let limit = [1.0; 3];
+        let mut nth = 7;
+        let mut steepest = 0.0_f32;
+        for _ in 0..300 {
+            // Gravity leaves a tenth of each motor; what is rendered is far beyond the limits, and what is on top of it
+            // goes through 0 somewhere.
+            let mut vector = |size: f32| -> [f32; 3] { core::array::from_fn(|_| size * drawn(&mut nth)) };
+            let (gravity, from, to) = (vector(0.9), [vector(4.0), vector(1.0)], [vector(4.0), vector(1.0)]);
+            let at = |share: f32| {
+                let between = |k: usize| core::array::from_fn(|i| from[k][i] + share * (to[k][i] - from[k][i]));
+                cut(gravity, between(0), between(1), limit)
+            };
+            let mut before = at(0.0);
+            for step in 1..=20_000 {
+                let now = at(step as f32 / 20_000.0);
+                let jump = (0..3).fold(0.0_f32, |most, i| most.max((now[i] - before[i]).abs()));
+                steepest = steepest.max(jump * 20_000.0);
+                before = now;
+            }
+        }
+        // A step of a fiftieth of a limit would be 400.
+        assert!(steepest < 400.0, "{steepest} N m from one end to the other");
     }
 
     #[test]

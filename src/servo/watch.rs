@@ -4,6 +4,7 @@
 
 use super::crest::left;
 use super::{HostAction, Servo};
+use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::math::limited;
 use crate::model::catalogue::MAX_JOINTS;
@@ -48,10 +49,11 @@ impl Budgets {
     }
 }
 
-impl<P, K> Servo<P>
+impl<P, K, S> Servo<P>
 where
-    P: DerefMut<Target = Program<K>>,
+    P: DerefMut<Target = Program<K, S>>,
     K: Math<f32>,
+    S: Stage,
 {
     /// Makes ready what steps and carrier periods are held to: after device, homing, rules or rate have changed.
     pub(super) fn set_bounds(&mut self) {
@@ -115,18 +117,18 @@ where
         acted: &[f32; MAX_JOINTS],
         active: bool,
     ) -> Option<Found> {
-        let program = self.program.as_mut()?;
+        let program = &mut **self.program.as_mut()?;
         let budgets = &mut self.budgets;
         let i = if budgets.joint < J { budgets.joint } else { 0 };
         budgets.joint = i + 1;
         let elapsed = self.period * J as f32;
-        let axis = program.axes.get_mut(i)?;
+        let (axis, motor) = (program.axes.get(i)?, program.heat.get_mut(i)?);
         let mut found = None;
         let count = samples.counts[i];
         let moved = core::mem::replace(&mut budgets.counts[i], count) != count;
         let heat = limited(self.crests.take_heat(i), f32::MAX);
         // The motor model goes on while the motors are off: that is when they cool.
-        if axis.heat(heat, elapsed) {
+        if motor.warm(heat, elapsed) {
             found = Some((Fault::ThermalBudget, Some(i as u8), self.frame.current[i]));
         }
         if moved {

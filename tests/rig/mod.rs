@@ -2,7 +2,7 @@
 //! period.
 #![allow(dead_code, reason = "every test file uses its own part")]
 
-use haptic_bridge::drive::brushed::Bridge;
+use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::math::Minimax;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::catalogue::{MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
@@ -19,6 +19,7 @@ use haptic_bridge::servo::program::Program;
 use haptic_bridge::servo::{Command, HostAction, Rules, Servo};
 
 pub mod board;
+pub mod statics;
 
 pub type Held = Box<Program<Minimax>>;
 
@@ -240,7 +241,7 @@ impl Rig {
                 self.samples.currents = measured;
                 self.outputs = self.servo.control(&self.samples);
             }
-            self.duties = self.servo.duties(self.samples.bus_voltage, &measured);
+            self.duties = self.servo.duties(self.samples.bus_voltage, &measured, false);
             for (i, current) in self.currents.iter_mut().enumerate() {
                 let turned = self.samples.counts[i].wrapping_sub(before[i]) as f32 * core::f32::consts::TAU;
                 let voltage = self.duties[i] * 24.0 - 0.1 * turned / COUNTS as f32 * self.rate;

@@ -1,7 +1,7 @@
 //! Torques never jump: their slopes over the angle between walls, over their stiffness ratio and over depth stay below
 //! bounds that do not depend on how finely one looks.
 
-use super::{at, device, scaled, torque};
+use super::{at, device, scaled, torque, torque_of_some};
 use haptic::device_file::DeviceFile;
 use haptic::model::Precision;
 use haptic_bridge::math::Libm;
@@ -48,6 +48,16 @@ fn turned(task: usize, angle: f64, tilt: f64) -> Vec<f64> {
     }
 }
 
+/// Whether there is a third wall, and which walls have the feed-forward.
+const SOME: [(bool, [bool; 3]); 6] = [
+    (false, [true, true, true]),
+    (true, [true, true, true]),
+    (false, [true, false, true]),
+    (false, [false, true, true]),
+    (true, [false, true, false]),
+    (true, [true, false, true]),
+];
+
 /// N m for each newton straight through Jᵀ or by (4) along any one direction: what slopes are measured in.
 fn lever(device: &DeviceFile, q: &[f64]) -> f64 {
     let task = device.spec().task;
@@ -64,14 +74,14 @@ fn torque_is_continuous_in_the_angle_between_walls() {
     for (device, q) in stages() {
         let (task, lever) = (device.spec().task, lever(&device, &q));
         for ratio in [1.0, 1.3, 30.0, 1.0e4] {
-            for third in [false, true] {
+            for (third, with) in SOME {
                 let f = |angle: f64| {
                     let mut walls =
                         vec![(turned(task, 0.0, 0.4), 1.0, 5.0), (turned(task, angle, 0.4 + angle), ratio, 5.0)];
                     if third {
                         walls.push((turned(task, 0.7, -0.3), 0.5 * ratio, 3.0));
                     }
-                    torque(&device, &q, &walls, Precision::F64)
+                    torque_of_some(&device, &q, &walls, &with[..walls.len()], Precision::F64)
                 };
                 // From walls in one plane, through 1 mrad, where the span of the normals would jump, to beyond 90°.
                 let fine = slope(-2.0e-3, 2.0e-3, 400, f);
@@ -90,14 +100,14 @@ fn torque_is_continuous_in_the_ratio_of_stiffness() {
     for (device, q) in stages() {
         let (task, lever) = (device.spec().task, lever(&device, &q));
         for angle in [1.0e-3, 0.05, 0.6, 1.2, std::f64::consts::FRAC_PI_2] {
-            for third in [false, true] {
+            for (third, with) in SOME {
                 let mut f = |log: f64| {
                     let mut walls =
                         vec![(turned(task, 0.0, 0.4), 1.0, 5.0), (turned(task, angle, 0.4), log.exp(), 5.0)];
                     if third {
                         walls.push((turned(task, 0.7, -0.3), 3.0, 3.0));
                     }
-                    torque(&device, &q, &walls, Precision::F64)
+                    torque_of_some(&device, &q, &walls, &with[..walls.len()], Precision::F64)
                 };
                 let (low, high) = (1.0e-4_f64.ln(), 1.0e4_f64.ln());
                 let whole = slope(low, high, 1_500, &mut f);
@@ -117,13 +127,41 @@ fn step<M: Mechanism<f64, N>, const N: usize>(
     q: &[f64],
     walls: &[(Vec<f64>, f64, f64)],
 ) -> Vec<f64> {
+    step_of_some(m, file, q, walls, &vec![true; walls.len()])
+}
+
+/// Torque for each newton of wall `pushing`, m: by the board's step, 1 and 1.1 mm deep, where all of them count in full.
+pub fn lever_of_the_board(
+    file: &DeviceFile,
+    q: &[f64],
+    walls: &[(Vec<f64>, f64)],
+    with: &[bool],
+    pushing: usize,
+) -> Vec<f64> {
+    let at = |deep: f64| {
+        let depth = |i: usize| if i == pushing { deep } else { 1.0e-3 };
+        let walls: Vec<_> = walls.iter().enumerate().map(|(i, (n, k))| (n.clone(), *k, depth(i))).collect();
+        with_mechanism!(AnyMechanism::<f64>::new(&file.description).unwrap(), m => step_of_some(m, file, q, &walls, with))
+    };
+    let newtons = walls[pushing].1 * 1.0e-4;
+    at(1.1e-3).iter().zip(at(1.0e-3)).map(|(far, near)| (far - near) / newtons).collect()
+}
+
+/// As [`step`], some of the walls without the feed-forward.
+fn step_of_some<M: Mechanism<f64, N>, const N: usize>(
+    m: M,
+    file: &DeviceFile,
+    q: &[f64],
+    walls: &[(Vec<f64>, f64, f64)],
+    with: &[bool],
+) -> Vec<f64> {
     let mut description = file.description;
     for joint in &mut description.joints {
         joint.encoder = Some(Encoder { counts_per_turn: 1.0e9, offset: 0.0, inverted: false });
     }
     let counts: [i32; N] = core::array::from_fn(|i| (q[i] * 1.0e9 / std::f64::consts::TAU).round() as i32);
     let tip = m.tip(&m.pose::<Libm>(&SVector::from_fn(|i, _| f64::from(counts[i]) * std::f64::consts::TAU / 1.0e9)));
-    let walls = walls.iter().map(|(normal, stiffness, depth)| {
+    let walls = walls.iter().zip(with).map(|((normal, stiffness, depth), with)| {
         let three = |f: &dyn Fn(usize) -> f64| core::array::from_fn(|i| if i < M::SPEC.task { f(i) } else { 0.0 });
         Wall {
             surface: Surface::Plane(Plane {
@@ -132,7 +170,7 @@ fn step<M: Mechanism<f64, N>, const N: usize>(
             }),
             stiffness: *stiffness,
             damping: 0.0,
-            feed_forward: FeedForward::Full,
+            feed_forward: if *with { FeedForward::Full } else { FeedForward::Off },
             washout_hz: 2.0,
             damping_compensation: false,
             bilateral: false,
@@ -152,7 +190,7 @@ fn torque_is_continuous_in_depth() {
         let (task, lever) = (file.spec().task, lever(&file, &q));
         for (soft, stiff) in [(2_000.0, 2_000.0), (5_000.0, 20_000.0), (20.0, 200_000.0), (20_000.0, 2.0)] {
             for angle in [0.05, 0.8, std::f64::consts::FRAC_PI_2] {
-                for third in [false, true] {
+                for (third, with) in SOME {
                     // 2 mm deep in the first wall, and gradually touching the second.
                     let f = |depth: f64| {
                         let mut walls =
@@ -160,7 +198,7 @@ fn torque_is_continuous_in_depth() {
                         if third {
                             walls.push((turned(task, 0.7, -0.3), 0.3 * stiff, depth - 1.0e-4));
                         }
-                        with_mechanism!(AnyMechanism::<f64>::new(&file.description).unwrap(), m => step(m, &file, &q, &walls))
+                        with_mechanism!(AnyMechanism::<f64>::new(&file.description).unwrap(), m => step_of_some(m, &file, &q, &walls, &with))
                     };
                     // The walls' own forces give each its stiffness times a lever. The shaping of the first changes
                     // over the depth in which the second grows, the sooner the stiffer it is: ∂w/∂x ≤ 2 · 1.5 k₂/k₁
@@ -171,6 +209,29 @@ fn torque_is_continuous_in_depth() {
                     let touch = slope(-1.0e-7, 1.0e-7, 20, f);
                     assert!(whole < bound && touch < bound, "{} {soft} {stiff}: {whole}, {touch} > {bound}", file.name);
                 }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_board_and_the_model_agree_on_sets_of_which_some_have_the_feed_forward() {
+    for (device, q) in stages() {
+        let task = device.spec().task;
+        let walls =
+            [(turned(task, 0.0, 0.4), 3_000.0), (turned(task, 0.9, 0.4), 2_000.0), (turned(task, 0.7, -0.3), 1_000.0)];
+        for with in [[true, false, true], [false, true, false], [false, false, true], [true, true, true]] {
+            for pushing in 0..3 {
+                let set: Vec<_> = walls
+                    .iter()
+                    .enumerate()
+                    .map(|(i, (n, k))| (n.clone(), *k, f64::from(u8::from(i == pushing))))
+                    .collect();
+                let model = torque_of_some(&device, &q, &set, &with, Precision::F64);
+                let board = lever_of_the_board(&device, &q, &walls, &with, pushing);
+                // The angles are those of whole counts.
+                let error = apart(&model, &board) / apart(&model, &vec![0.0; q.len()]);
+                assert!(error < 1.0e-6, "{} {with:?} {pushing}: {board:?} is not {model:?}", device.name);
             }
         }
     }

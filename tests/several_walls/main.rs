@@ -4,6 +4,7 @@
 mod continuity;
 mod linear;
 mod plant;
+mod springs;
 
 use haptic::device_file::DeviceFile;
 use haptic::model::{Precision, WallForce, evaluate};
@@ -25,13 +26,26 @@ fn scaled(v: &[f64]) -> Vec<f64> {
 
 /// Joint torques for walls of these normals, stiffness and forces, at rest and without what the device weighs.
 fn torque(device: &DeviceFile, q: &[f64], walls: &[(Vec<f64>, f64, f64)], precision: Precision) -> Vec<f64> {
+    torque_of_some(device, q, walls, &vec![true; walls.len()], precision)
+}
+
+/// As [`torque`], some of the walls without the feed-forward.
+fn torque_of_some(
+    device: &DeviceFile,
+    q: &[f64],
+    walls: &[(Vec<f64>, f64, f64)],
+    with: &[bool],
+    precision: Precision,
+) -> Vec<f64> {
     let of = |forces: bool| {
         let walls: Vec<WallForce> = walls
             .iter()
-            .map(|(normal, stiffness, force)| WallForce {
+            .zip(with)
+            .map(|((normal, stiffness, force), feed_forward)| WallForce {
                 normal: normal.clone(),
                 stiffness: *stiffness,
                 force: if forces { *force } else { 0.0 },
+                feed_forward: *feed_forward,
             })
             .collect();
         evaluate(device, q, &vec![0.0; q.len()], &walls, precision).expect("a regular pose").torque

@@ -3,6 +3,7 @@
 //!
 //! Format: STMicroelectronics UM0391, "DfuSe file format specification". All numbers are little-endian.
 
+use crate::checksum::crc32;
 use crate::image::Segment;
 
 /// USB numbers of the STM32's boot loader.
@@ -44,26 +45,15 @@ pub fn file(segments: &[Segment], name: &str) -> Vec<u8> {
     file.extend(0x011A_u16.to_le_bytes());
     file.extend(b"UFD");
     file.push(16);
-    let check = crc32(&file);
+    // The suffix wants it without the last inversion.
+    let check = !crc32(&file);
     file.extend(check.to_le_bytes());
     file
-}
-
-/// CRC-32 (reflected 0x04C11DB7) without the final inversion, as the suffix wants it.
-pub fn crc32(bytes: &[u8]) -> u32 {
-    bytes.iter().fold(u32::MAX, |crc, byte| {
-        (0..8).fold(crc ^ u32::from(*byte), |crc, _| (crc >> 1) ^ (0xEDB8_8320 & (crc & 1).wrapping_neg()))
-    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_check_is_the_published_crc_without_its_last_inversion() {
-        assert_eq!(crc32(b"123456789"), !0xCBF4_3926);
-    }
 
     #[test]
     fn a_file_holds_every_segment_at_its_address_and_nothing_between_them() {
@@ -77,5 +67,7 @@ mod tests {
         assert_eq!(file[11 + 274..][..4], 0x0800_0000_u32.to_le_bytes());
         assert_eq!(file[11 + 274 + 16..][..4], 0x0800_C000_u32.to_le_bytes());
         assert_eq!(&file[file.len() - 8..file.len() - 4], b"UFD\x10");
+        let (checked, check) = file.split_at(file.len() - 4);
+        assert_eq!(check, (!crc32(checked)).to_le_bytes(), "without the last inversion");
     }
 }

@@ -9,7 +9,7 @@ use object::elf::{FileHeader32, PT_LOAD};
 use object::read::elf::{FileHeader as _, ProgramHeader as _};
 use object::{Endianness, Object as _, ObjectSection as _, ObjectSymbol as _, SectionFlags};
 
-use crate::dfu::crc32;
+use crate::checksum::crc32;
 
 /// Flash of the STM32F405RG.
 const FLASH: Range<u64> = 0x0800_0000..0x0810_0000;
@@ -44,7 +44,7 @@ pub fn seal(path: &Path) -> Result<()> {
     let (offset, _) = place.context("the image keeps no place for its checksum")?;
     let bytes: Vec<u8> = parts.into_iter().flatten().map(|address| image.byte(address)).collect();
     let at = offset as usize;
-    data[at..at + 4].copy_from_slice(&(!crc32(&bytes)).to_le_bytes());
+    data[at..at + 4].copy_from_slice(&crc32(&bytes).to_le_bytes());
     fs::write(path, data).with_context(|| format!("cannot write {}", path.display()))
 }
 

@@ -1,6 +1,8 @@
 //! Entry points that need more than one cargo call. `cargo xtask help` lists them.
 
 mod bench;
+#[path = "../../src/checksum.rs"]
+mod checksum;
 mod deny;
 mod dfu;
 mod firmware;
@@ -100,7 +102,11 @@ enum Command {
     /// Measure the range of stable walls on the emulated board, into docs/results.md (half an hour)
     Range,
     /// Bring every fault about on the emulated board, into docs/results/faults.md (an hour)
-    Faults,
+    Faults {
+        /// Only these, by code or name, and only print what came of them; `list`: how each is brought about, or why it
+        /// cannot be; `lying`: the document's second part alone
+        faults: Vec<String>,
+    },
     /// The real firmware on an emulated board with a simulated device, to talk to
     Board {
         /// `[BOARD] [--device FILE] [--tcp PORT] [--fast]`
@@ -143,7 +149,7 @@ fn run(command: Command, install: bool) -> Result<()> {
         Command::Soak(options) => soak::run(&options, install),
         Command::Figures { cases } => report::figures(&cases),
         Command::Range => tests::measure("range", &[], install),
-        Command::Faults => tests::measure("faults", &[], install),
+        Command::Faults { faults } => tests::measure("faults", &faults, install),
         Command::Board { rest } => tests::play(&rest, install),
     }
 }

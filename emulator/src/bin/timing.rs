@@ -5,7 +5,8 @@
 
 use std::process::ExitCode;
 
-use virtual_board::timing::{CASES, document, rates, table};
+use virtual_board::cases::CASES;
+use virtual_board::timing::{document, rates, table};
 
 fn main() -> ExitCode {
     let timings: Vec<_> = CASES

@@ -12,6 +12,9 @@ use rigless::time::VirtualNanos;
 
 use super::hook::{Hook, Hooked};
 
+/// VREF+ in microvolts: the converters' inputs are set in that unit, since rigless' millivolts are coarser than a bit.
+pub const REFERENCE_UV: u32 = 3_300_000;
+
 /// The trigger output, as a request no rigless model uses.
 const TRGO: usize = 100;
 /// The reference of channel 4, likewise.
@@ -34,7 +37,7 @@ pub fn timer(nth: usize) -> MasterTimer {
 #[must_use]
 pub fn converter(nth: usize) -> Converter {
     let mut inner = Adc::with_clock(HSI_HZ / 2);
-    inner.set_reference(crate::hardware::REFERENCE_UV);
+    inner.set_reference(REFERENCE_UV);
     Hooked { inner, hook: ExternalTrigger { instance: CONVERTERS[nth], stopped: false } }
 }
 

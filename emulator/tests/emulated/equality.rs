@@ -6,7 +6,7 @@ use haptic::link::Row;
 use haptic::scene_file::SceneFile;
 use haptic::sim::{Hand, HandSettings, Intent, Waypoint};
 use haptic_bridge::board::telemetry::{Field, Fields};
-use haptic_bridge::drive::brushed::Bridge;
+use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::math::Minimax;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::MassModelData;

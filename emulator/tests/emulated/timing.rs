@@ -1,6 +1,7 @@
 //! The control interrupt under the clock: docs/results/timing.md holds what it takes, and it takes no more.
 
-use virtual_board::timing::{CASES, document, recorded};
+use virtual_board::cases::CASES;
+use virtual_board::timing::{document, recorded};
 
 /// How much longer than recorded a period may get before someone has to look at it and run `cargo xtask timing`.
 const GROWTH: f64 = 1.05;

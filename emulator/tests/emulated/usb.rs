@@ -125,6 +125,53 @@ fn a_computer_that_reads_a_packet_now_and_then_stops_nothing_else() {
     assert_eq!(rig.tool.details().expect("it answers").overruns, 0);
 }
 
+/// Requests that come faster than they are answered leave the other tasks their turns: the watchdog is fed.
+#[test]
+fn a_flood_of_requests_starves_nobody() {
+    let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
+    rig.load(WALL);
+    rig.ready();
+    let frames = noise::recorded(&mut rig, |rig| {
+        rig.tool.status().expect("it answers");
+    });
+    let flood = frames.last().expect("a request was sent").repeat(3000);
+    rig.shared.wire().send(&flood).expect("the port takes it");
+    rig.run(SECOND / 2);
+    let resets = rig.with(|bench| bench.resets().len());
+    assert_eq!(resets, 0, "the watchdog bit");
+    rig.with(|bench| bench.usb().take());
+    rig.tool = Board::over(rig.shared.wire(), "again").expect("the board answers again");
+    let status = rig.tool.status().expect("it answers");
+    assert_eq!((status.state, status.fault), (State::Armed, None));
+}
+
+/// Arming that ends before a control step has connected the bridges leaves nothing up that the next arming would trust:
+/// each reads the drivers back and learns the zeros, 34 ms.
+#[test]
+fn every_arming_readies_the_drivers_anew() {
+    let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
+    rig.load(&format!("rate_hz = 200\n{WALL}"));
+    rig.ready();
+    rig.tool.disarm().expect("the board disarms");
+    let frames = noise::recorded(&mut rig, |rig| {
+        rig.tool.arm().expect("the board arms");
+        rig.tool.disarm().expect("the board disarms");
+    });
+    let both = frames[frames.len() - 2..].concat();
+    for pause in [0, 100 * MILLISECOND] {
+        rig.shared.wire().send(&both).expect("the port takes it");
+        rig.run(40 * MILLISECOND + pause);
+        rig.with(|bench| bench.usb().take());
+        rig.tool = Board::over(rig.shared.wire(), "again").expect("the board answers again");
+        let before = rig.now();
+        rig.tool.arm().expect("the board arms");
+        let took = rig.now() - before;
+        assert!(took > 30 * MILLISECOND, "armed after {} us", took / MICROSECOND);
+        rig.tool.disarm().expect("the board disarms");
+    }
+    assert_eq!(rig.with(|bench| bench.resets().len()), 0);
+}
+
 #[test]
 fn a_minute_of_random_bytes_moves_nothing_and_the_next_session_works() {
     let seed = 0x2F6E_2B1D;

@@ -13,7 +13,8 @@ use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::servo::Rules;
 use virtual_board::boards::BoardKind;
-use virtual_board::contact::{WallAt, firm, hold, push as push_into, scene};
+use virtual_board::contact::{WallAt, scene};
+use virtual_board::hands::{firm, hold, push as push_into};
 use virtual_board::rig::Rig;
 use virtual_board::run::{MILLISECOND, SECOND};
 

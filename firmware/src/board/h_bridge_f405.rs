@@ -4,67 +4,44 @@
 //! Off is the enable line (PC6 low), not the inputs: both inputs low brakes on many bridges. A low level on PB12 cuts
 //! the outputs in hardware, whatever the program does. Pins: docs/wiring-h-bridge-f405.md.
 
-use core::sync::atomic::Ordering;
-
 use embassy_stm32::gpio::{AfType, Flex, Level, Output, Pull, Speed};
 use embassy_stm32::pac;
 use embassy_stm32::pac::timer::TimGp16;
 use embassy_stm32::{Peripherals, peripherals, rcc};
-use haptic_bridge::drive::brushed::Bridge;
 use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
+use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::safety::limits::Limits;
 
-use super::{Analog, Common, GateError, Zeroing, Zeros, settle};
+use super::{Analog, Board, Common, Io};
 use crate::adc;
 use crate::encoder::Encoder;
+use crate::gate::{Gate, GateError};
 use crate::index;
 use crate::pwm;
-use crate::servo;
-
-/// Name of the board, as the host shows it.
-pub const NAME: &str = "h-bridge-f405";
+use crate::zeros::{Zeroing, Zeros, settle};
 
 /// Motors that it can drive.
-pub const AXES: usize = 3;
+const AXES: usize = 3;
 
 /// Time in which both inputs of a bridge are low at each edge: 17 ticks of 1/168 MHz, 101 ns. It is the same at both
 /// edges, so it costs a little voltage and distorts nothing.
-pub const DEAD_TIME_TICKS: u8 = 17;
-
-/// What the drive needs to know. The dead time here costs no voltage (see [`DEAD_TIME_TICKS`]), so none is compensated.
-pub const BRIDGE: Bridge =
-    Bridge { carrier_hz: CARRIER_MIN_HZ as f32, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true };
-
-/// What nobody can raise over USB: the range of the sensors, and of the bus divider.
-pub const LIMITS: Limits = Limits {
-    torque: [10.0; 3],
-    current: [12.0; 3],
-    continuous_current: [6.0; 3],
-    speed: [100.0; 3],
-    power: 40.0,
-    bus_min: 6.0,
-    bus_max: 34.0,
-    tip_force: 100.0,
-};
-
-/// Faults that this board has no means to see.
-pub const UNSENSED: &[Fault] = &[Fault::EncoderIllegal, Fault::GateDriver];
+const DEAD_TIME_TICKS: u8 = 17;
 
 /// Amperes per volt at a current input, and the voltage of no current: a 185 mV/A Hall sensor behind a 5 V to 3.3 V
 /// divider.
 const AMPERES_PER_VOLT: f32 = 1.0 / (0.185 * 0.66);
 
 /// Amperes per count of the converter.
-pub const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE * AMPERES_PER_VOLT;
+const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE * AMPERES_PER_VOLT;
 
 /// Farthest that a zero may be from the middle of the converter's range, counts: 40 mV of the sensor's own and 5 % of a
 /// supply that it halves, behind the divider. More is a current: 0.9 A through a bridge that is off.
 const ZERO_MAX: u16 = 136;
 
 /// Bus divider: 10 kohm over 1 kohm.
-pub const BUS_DIVIDER: f32 = 11.0;
+const BUS_DIVIDER: f32 = 11.0;
 
 /// Bits of the index inputs in port C.
 const INDEX_LINES: [u32; AXES] = [1 << 7, 1 << 8, 1 << 9];
@@ -75,38 +52,98 @@ const BREAK: usize = 12;
 /// Bit of the bridges' enable line in port C.
 const ENABLE: usize = 6;
 
-/// Bridges off: outputs low, enable line low. Plain register writes: works in any state of the program.
-#[inline]
-pub fn off() {
-    pac::GPIOC.bsrr().write(|w| w.set_br(ENABLE, true));
-    pwm::drive(pac::TIM1, false);
+/// This board.
+pub struct HBridgeF405;
+
+impl Board for HBridgeF405 {
+    const NAME: &'static str = "h-bridge-f405";
+    const AXES: usize = AXES;
+    /// What the drive needs to know. The dead time here costs no voltage (see [`DEAD_TIME_TICKS`]), so none is compensated.
+    const BRIDGE: Bridge =
+        Bridge { carrier_hz: CARRIER_MIN_HZ as f32, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true };
+    /// What nobody can raise over USB: the range of the sensors, and of the bus divider.
+    const LIMITS: Limits = Limits {
+        torque: [10.0; 3],
+        current: [12.0; 3],
+        continuous_current: [6.0; 3],
+        speed: [100.0; 3],
+        power: 40.0,
+        bus_min: 6.0,
+        bus_max: 34.0,
+        tip_force: 100.0,
+    };
+    const UNSENSED: &'static [Fault] = &[Fault::EncoderIllegal, Fault::GateDriver];
+    type Io = Pins;
+    type Gate = EnableLine;
+
+    #[inline]
+    fn off() {
+        pac::GPIOC.bsrr().write(|w| w.set_br(ENABLE, true));
+        pwm::drive(pac::TIM1, false);
+    }
+
+    fn split(p: Peripherals, carrier: Carrier) -> (Pins, EnableLine, Common) {
+        core::mem::forget(Output::new(p.PC6, Level::Low, Speed::Low));
+
+        rcc::enable_and_reset::<peripherals::TIM1>();
+        rcc::enable_and_reset::<peripherals::TIM2>();
+        rcc::enable_and_reset::<peripherals::TIM3>();
+        rcc::enable_and_reset::<peripherals::TIM4>();
+        rcc::enable_and_reset::<peripherals::ADC1>();
+        rcc::enable_and_reset::<peripherals::ADC2>();
+
+        // Pulled up: a board without a break line is not held off by it.
+        let mut break_input = Flex::new(p.PB12);
+        break_input.set_as_af_unchecked(1, AfType::input(Pull::Up));
+        core::mem::forget(break_input);
+        let setup = pwm::Setup { channels: [true; 3], dead_time: DEAD_TIME_TICKS, break_input: true };
+        pwm::configure(pac::TIM1, &setup, carrier);
+        let [a, b, c] = [Flex::new(p.PA8), Flex::new(p.PA9), Flex::new(p.PA10)];
+        pwm::outputs([a, b, c, Flex::new(p.PB13), Flex::new(p.PB14), Flex::new(p.PB15)], 1);
+
+        adc::inputs([Flex::new(p.PC0), Flex::new(p.PC1), Flex::new(p.PC2), Flex::new(p.PC3)]);
+        adc::configure(pac::ADC1, &[10, 12]);
+        adc::configure(pac::ADC2, &[11, 13]);
+
+        index::latch(INDEX_LINES[0] | INDEX_LINES[1] | INDEX_LINES[2]);
+        // SAFETY: TIM2 is 32 bits wide and has the registers of a 16-bit timer at the same places; `Encoder` lets it count
+        // to 65 535.
+        let tim2 = unsafe { TimGp16::from_ptr(pac::TIM2.as_ptr()) };
+        let io = Pins {
+            encoders: [
+                Encoder::new(tim2, Flex::new(p.PA15), Flex::new(p.PB3), 1),
+                Encoder::new(pac::TIM3, Flex::new(p.PB4), Flex::new(p.PB5), 2),
+                Encoder::new(pac::TIM4, Flex::new(p.PB6), Flex::new(p.PB7), 2),
+            ],
+            zeros: Zeros::new(),
+            carrier,
+        };
+        (io, EnableLine, Common { usb: (p.USB_OTG_FS, p.PA12, p.PA11), flash: p.FLASH, watchdog: p.IWDG })
+    }
 }
 
 /// What the control interrupt owns.
-pub struct Io {
+pub struct Pins {
     encoders: [Encoder; AXES],
     zeros: Zeros<AXES>,
     carrier: Carrier,
 }
 
-impl Io {
-    /// Encoder counts since power-on, one per axis.
+impl Io for Pins {
     #[inline(always)]
-    pub fn counts(&mut self) -> [i32; MAX_JOINTS] {
+    fn counts(&mut self) -> [i32; MAX_JOINTS] {
         [self.encoders[0].read(), self.encoders[1].read(), self.encoders[2].read()]
     }
 
-    /// The counts last read, of encoders whose index pulse was seen since the last call.
     #[inline(always)]
-    pub fn index(&mut self) -> [Option<i32>; MAX_JOINTS] {
+    fn index(&mut self) -> [Option<i32>; MAX_JOINTS] {
         let seen = index::take();
         let at = |axis: usize| self.encoders[axis].last(seen & INDEX_LINES[axis] != 0);
         [at(0), at(1), at(2)]
     }
 
-    /// The readings that the crest started.
     #[inline(always)]
-    pub fn analog(&mut self) -> Analog {
+    fn analog(&mut self) -> Analog {
         let fresh = adc::wait(pac::ADC1) & adc::wait(pac::ADC2);
         let raw = [adc::result(pac::ADC1, 0), adc::result(pac::ADC2, 0), adc::result(pac::ADC1, 1)];
         if Zeros::<3>::wanted() && fresh {
@@ -121,102 +158,57 @@ impl Io {
     /// Compare values of each axis's two legs, applied at the next valley: the second leg is the first one's complement
     /// here.
     #[inline(always)]
-    pub fn write(&mut self, legs: [[u16; 2]; MAX_JOINTS]) {
+    fn write(&mut self, legs: [[u16; 2]; MAX_JOINTS]) {
         pac::TIM1.ccr(0).write(|w| w.set_ccr(legs[0][0]));
         pac::TIM1.ccr(1).write(|w| w.set_ccr(legs[1][0]));
         pac::TIM1.ccr(2).write(|w| w.set_ccr(legs[2][0]));
     }
 
-    /// Connects the bridges to the carrier, or lets them float. Off also drops the enable line.
     #[inline]
-    pub fn drive(&mut self, on: bool) {
+    fn drive(&mut self, on: bool) {
         if on {
             pwm::drive(pac::TIM1, true);
             pac::GPIOC.bsrr().write(|w| w.set_bs(ENABLE, true));
         } else {
-            off();
+            HBridgeF405::off();
         }
     }
 
     /// What the power stage reports: the break input has cut the outputs, or still would.
     #[inline]
-    pub fn fault(&self) -> Option<Fault> {
+    fn fault(&self) -> Option<Fault> {
         let low = pac::GPIOB.idr().read().idr(BREAK) == pac::gpio::vals::Idr::LOW;
         let cut = !pac::TIM1.bdtr().read().moe();
         (low || cut).then_some(Fault::BreakInput)
     }
 
-    /// The carrier in use.
     #[inline(always)]
-    pub fn carrier(&self) -> &Carrier {
+    fn carrier(&self) -> &Carrier {
         &self.carrier
     }
 
-    /// Changes the carrier; all axes take it at the same extreme.
-    pub fn set_carrier(&mut self, carrier: Carrier) {
+    fn set_carrier(&mut self, carrier: Carrier) {
         pwm::set_carrier(pac::TIM1, carrier);
         self.carrier = carrier;
     }
 
-    /// Starts the carrier.
-    pub fn start(&mut self) {
+    fn start(&mut self) {
         pwm::start(None);
     }
 }
 
 /// What tasks own: nothing to set up on this board, its bridges have no registers.
-pub struct Gate;
+pub struct EnableLine;
 
-impl Gate {
+impl Gate for EnableLine {
     /// Learns the current sensors' zeros, 12 ms. The enable line rises when the control interrupt connects the bridges.
-    pub fn raise(&mut self) -> Result<(), GateError> {
+    fn raise(&mut self) -> Result<(), GateError> {
         let zero = settle(Zeroing::Learn);
-        servo::GATE_READY.store(zero <= ZERO_MAX, Ordering::Relaxed);
-        if zero > ZERO_MAX { Err(GateError::Offset(zero)) } else { Ok(()) }
+        if zero > ZERO_MAX { Err(GateError::Offset(f32::from(zero) * AMPERES_PER_COUNT)) } else { Ok(()) }
     }
 
     /// Nothing to look at: bridges without registers.
-    pub fn check(&mut self) -> Result<(), GateError> {
+    fn check(&mut self) -> Result<(), GateError> {
         Ok(())
     }
-}
-
-/// Divides the chip. `carrier` is what the board starts with; nothing runs and nothing is driven yet.
-pub fn split(p: Peripherals, carrier: Carrier) -> (Io, Gate, Common) {
-    core::mem::forget(Output::new(p.PC6, Level::Low, Speed::Low));
-
-    rcc::enable_and_reset::<peripherals::TIM1>();
-    rcc::enable_and_reset::<peripherals::TIM2>();
-    rcc::enable_and_reset::<peripherals::TIM3>();
-    rcc::enable_and_reset::<peripherals::TIM4>();
-    rcc::enable_and_reset::<peripherals::ADC1>();
-    rcc::enable_and_reset::<peripherals::ADC2>();
-
-    // Pulled up: a board without a break line is not held off by it.
-    let mut break_input = Flex::new(p.PB12);
-    break_input.set_as_af_unchecked(1, AfType::input(Pull::Up));
-    core::mem::forget(break_input);
-    let setup = pwm::Setup { channels: [true; 3], dead_time: DEAD_TIME_TICKS, break_input: true };
-    pwm::configure(pac::TIM1, &setup, carrier);
-    let [a, b, c] = [Flex::new(p.PA8), Flex::new(p.PA9), Flex::new(p.PA10)];
-    pwm::outputs([a, b, c, Flex::new(p.PB13), Flex::new(p.PB14), Flex::new(p.PB15)], 1);
-
-    adc::inputs([Flex::new(p.PC0), Flex::new(p.PC1), Flex::new(p.PC2), Flex::new(p.PC3)]);
-    adc::configure(pac::ADC1, &[10, 12]);
-    adc::configure(pac::ADC2, &[11, 13]);
-
-    index::latch(INDEX_LINES[0] | INDEX_LINES[1] | INDEX_LINES[2]);
-    // SAFETY: TIM2 is 32 bits wide and has the registers of a 16-bit timer at the same places; `Encoder` lets it count
-    // to 65 535.
-    let tim2 = unsafe { TimGp16::from_ptr(pac::TIM2.as_ptr()) };
-    let io = Io {
-        encoders: [
-            Encoder::new(tim2, Flex::new(p.PA15), Flex::new(p.PB3), 1),
-            Encoder::new(pac::TIM3, Flex::new(p.PB4), Flex::new(p.PB5), 2),
-            Encoder::new(pac::TIM4, Flex::new(p.PB6), Flex::new(p.PB7), 2),
-        ],
-        zeros: Zeros::new(),
-        carrier,
-    };
-    (io, Gate, Common { usb: (p.USB_OTG_FS, p.PA12, p.PA11), flash: p.FLASH, watchdog: p.IWDG })
 }

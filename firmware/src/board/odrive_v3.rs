@@ -3,8 +3,6 @@
 //! A brushed motor sits between phases B and C of its axis: both carry the same carrier at 0.5 +- duty/2 and phase A
 //! stays off. Pins: docs/wiring-odrive-v3.md. EN_GATE is common to both drivers, and low resets their registers.
 
-use core::sync::atomic::Ordering;
-
 use embassy_stm32::gpio::{Flex, Level, Output, Speed};
 use embassy_stm32::pac;
 use embassy_stm32::pac::timer::TimAdv;
@@ -12,68 +10,45 @@ use embassy_stm32::spi::{self, Spi};
 use embassy_stm32::time::Hertz;
 use embassy_stm32::{Peripherals, peripherals, rcc};
 use embassy_time::{Duration, block_for};
-use haptic_bridge::drive::brushed::Bridge;
 use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
+use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::safety::limits::Limits;
 
-use super::{Analog, Common, GateError, STRAY_A, Zeroing, Zeros, settle};
+use super::{Analog, Board, Common, Io};
 use crate::adc;
 use crate::clock::TIMER_HZ;
 use crate::drv8301::{self, Drv8301, Inputs};
 use crate::encoder::Encoder;
+use crate::gate::{Gate, GateError};
 use crate::index;
 use crate::pwm;
-use crate::servo;
-
-/// Name of the board, as the host shows it.
-pub const NAME: &str = "odrive-v3";
+use crate::zeros::{Zeroing, Zeros, settle};
 
 /// Motors that it can drive.
-pub const AXES: usize = 2;
+const AXES: usize = 2;
 
 /// Dead time between the switches of a half bridge: 20 ticks of 1/168 MHz, 119 ns, on top of what the driver inserts
 /// itself.
-pub const DEAD_TIME_TICKS: u8 = 20;
-
-/// What the drive needs to know. The current loop's bandwidth is a tenth of the slowest carrier over two pi, rounded
-/// down: with half a period of delay it keeps 60 degrees of phase margin at any carrier.
-pub const BRIDGE: Bridge = Bridge {
-    carrier_hz: CARRIER_MIN_HZ as f32,
-    dead_time: DEAD_TIME_TICKS as f32 / TIMER_HZ as f32,
-    bandwidth_hz: 1000.0,
-    current_sensed: true,
-};
-
-/// What nobody can raise over USB: half of the range of the shunts, and a bus voltage that is safe for a 24 V board
-/// too, whose divider makes it read 1.7 times too high.
-pub const LIMITS: Limits = Limits {
-    torque: [10.0; 3],
-    current: [20.0; 3],
-    continuous_current: [10.0; 3],
-    speed: [100.0; 3],
-    power: 40.0,
-    bus_min: 10.0,
-    bus_max: 50.0,
-    tip_force: 100.0,
-};
-
-/// Faults that this board has no means to see.
-pub const UNSENSED: &[Fault] = &[Fault::EncoderIllegal, Fault::BreakInput];
+const DEAD_TIME_TICKS: u8 = 20;
 
 /// Low-side shunts under phases B and C, ohm.
 const SHUNT_OHM: f32 = 500e-6;
 
 /// Amperes per count of the converter.
-pub const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE / drv8301::AMPLIFIER_GAIN / SHUNT_OHM;
+const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE / drv8301::AMPLIFIER_GAIN / SHUNT_OHM;
 
 /// Farthest that a zero may be from the middle of the converter's range, counts: 4 mV of input offset (SLOS719F section
 /// 6.5) times the gain, and half as much again. It is learned with shorted inputs, so no current hides in it.
 const ZERO_MAX: u16 = 600;
 
+/// Current that may seem to flow once the zeros are learned and the bridges are still off, A: noise, and an amplifier
+/// whose inputs are no longer shorted.
+const STRAY_A: f32 = 0.5;
+
 /// Bus divider of the 56 V boards, 18 kohm over 1 kohm; the 24 V ones have 10 kohm over 1 kohm (11).
-pub const BUS_DIVIDER: f32 = 19.0;
+const BUS_DIVIDER: f32 = 19.0;
 
 const TIMERS: [TimAdv; AXES] = [pac::TIM1, pac::TIM8];
 
@@ -84,40 +59,121 @@ const EN_GATE: usize = 12;
 /// Bit of nFAULT in port D.
 const N_FAULT: usize = 2;
 
-/// Bridges off, gate drivers off. Plain register writes: works in any state of the program.
-#[inline]
-pub fn off() {
-    for timer in TIMERS {
-        pwm::drive(timer, false);
+/// This board.
+pub struct OdriveV3;
+
+impl Board for OdriveV3 {
+    const NAME: &'static str = "odrive-v3";
+    const AXES: usize = AXES;
+    /// What the drive needs to know. The current loop's bandwidth is a tenth of the slowest carrier over two pi, rounded
+    /// down: with half a period of delay it keeps 60 degrees of phase margin at any carrier.
+    const BRIDGE: Bridge = Bridge {
+        carrier_hz: CARRIER_MIN_HZ as f32,
+        dead_time: DEAD_TIME_TICKS as f32 / TIMER_HZ as f32,
+        bandwidth_hz: 1000.0,
+        current_sensed: true,
+    };
+    /// What nobody can raise over USB: half of the range of the shunts, and a bus voltage that is safe for a 24 V board
+    /// too, whose divider makes it read 1.7 times too high.
+    const LIMITS: Limits = Limits {
+        torque: [10.0; 3],
+        current: [20.0; 3],
+        continuous_current: [10.0; 3],
+        speed: [100.0; 3],
+        power: 40.0,
+        bus_min: 10.0,
+        bus_max: 50.0,
+        tip_force: 100.0,
+    };
+    const UNSENSED: &'static [Fault] = &[Fault::EncoderIllegal, Fault::BreakInput];
+    type Io = Pins;
+    type Gate = Drivers;
+
+    #[inline]
+    fn off() {
+        for timer in TIMERS {
+            pwm::drive(timer, false);
+        }
+        pac::GPIOB.bsrr().write(|w| w.set_br(EN_GATE, true));
     }
-    pac::GPIOB.bsrr().write(|w| w.set_br(EN_GATE, true));
+
+    fn split(p: Peripherals, carrier: Carrier) -> (Pins, Drivers, Common) {
+        // EN_GATE first: low, for good measure, before any gate signal has a driver.
+        core::mem::forget(Output::new(p.PB12, Level::Low, Speed::Low));
+        let mut fault = Flex::new(p.PD2);
+        fault.set_as_input(embassy_stm32::gpio::Pull::Up);
+        core::mem::forget(fault);
+        // The brake resistor's half bridge stays off.
+        core::mem::forget((Output::new(p.PB10, Level::Low, Speed::Low), Output::new(p.PB11, Level::Low, Speed::Low)));
+
+        rcc::enable_and_reset::<peripherals::TIM1>();
+        rcc::enable_and_reset::<peripherals::TIM8>();
+        rcc::enable_and_reset::<peripherals::TIM3>();
+        rcc::enable_and_reset::<peripherals::TIM4>();
+        rcc::enable_and_reset::<peripherals::ADC1>();
+        rcc::enable_and_reset::<peripherals::ADC2>();
+
+        let setup = pwm::Setup { channels: [false, true, true], dead_time: DEAD_TIME_TICKS, break_input: false };
+        for timer in TIMERS {
+            pwm::configure(timer, &setup, carrier);
+        }
+        let [a, b, c] = [Flex::new(p.PA8), Flex::new(p.PA9), Flex::new(p.PA10)];
+        pwm::outputs([a, b, c, Flex::new(p.PB13), Flex::new(p.PB14), Flex::new(p.PB15)], 1);
+        let [a, b, c] = [Flex::new(p.PC6), Flex::new(p.PC7), Flex::new(p.PC8)];
+        pwm::outputs([a, b, c, Flex::new(p.PA7), Flex::new(p.PB0), Flex::new(p.PB1)], 3);
+
+        adc::inputs([Flex::new(p.PC0), Flex::new(p.PC1), Flex::new(p.PC2), Flex::new(p.PC3), Flex::new(p.PA6)]);
+        // Phase B of both axes and the bus on one converter, phase C of both on the other.
+        adc::configure(pac::ADC1, &[10, 13, 6]);
+        adc::configure(pac::ADC2, &[11, 12]);
+
+        index::latch(INDEX_LINES[0] | INDEX_LINES[1]);
+        let io = Pins {
+            encoders: [
+                Encoder::new(pac::TIM3, Flex::new(p.PB4), Flex::new(p.PB5), 2),
+                Encoder::new(pac::TIM4, Flex::new(p.PB6), Flex::new(p.PB7), 2),
+            ],
+            zeros: Zeros::new(),
+            carrier,
+        };
+
+        let mut config = spi::Config::default();
+        config.mode = spi::MODE_1;
+        config.frequency = Hertz(2_000_000);
+        let bus = Spi::new_blocking(p.SPI3, p.PC10, p.PC12, p.PC11, config);
+        let gate = Drivers {
+            bus,
+            drivers: [
+                Drv8301::new(Output::new(p.PC13, Level::High, Speed::Low)),
+                Drv8301::new(Output::new(p.PC14, Level::High, Speed::Low)),
+            ],
+        };
+        (io, gate, Common { usb: (p.USB_OTG_FS, p.PA12, p.PA11), flash: p.FLASH, watchdog: p.IWDG })
+    }
 }
 
 /// What the control interrupt owns.
-pub struct Io {
+pub struct Pins {
     encoders: [Encoder; AXES],
     zeros: Zeros<4>,
     carrier: Carrier,
 }
 
-impl Io {
-    /// Encoder counts since power-on, one per axis.
+impl Io for Pins {
     #[inline(always)]
-    pub fn counts(&mut self) -> [i32; MAX_JOINTS] {
+    fn counts(&mut self) -> [i32; MAX_JOINTS] {
         [self.encoders[0].read(), self.encoders[1].read(), 0]
     }
 
-    /// The counts last read, of encoders whose index pulse was seen since the last call.
     #[inline(always)]
-    pub fn index(&mut self) -> [Option<i32>; MAX_JOINTS] {
+    fn index(&mut self) -> [Option<i32>; MAX_JOINTS] {
         let seen = index::take();
         let at = |axis: usize| self.encoders[axis].last(seen & INDEX_LINES[axis] != 0);
         [at(0), at(1), None]
     }
 
-    /// The readings that the crest started.
     #[inline(always)]
-    pub fn analog(&mut self) -> Analog {
+    fn analog(&mut self) -> Analog {
         let fresh = adc::wait(pac::ADC1) & adc::wait(pac::ADC2);
         let raw = [
             adc::result(pac::ADC1, 0),
@@ -136,147 +192,89 @@ impl Io {
         Analog { bus_v, current_a, imbalance_a, fresh }
     }
 
-    /// Compare values of each axis's two legs, applied at the next valley.
     #[inline(always)]
-    pub fn write(&mut self, legs: [[u16; 2]; MAX_JOINTS]) {
+    fn write(&mut self, legs: [[u16; 2]; MAX_JOINTS]) {
         pac::TIM1.ccr(1).write(|w| w.set_ccr(legs[0][0]));
         pac::TIM1.ccr(2).write(|w| w.set_ccr(legs[0][1]));
         pac::TIM8.ccr(1).write(|w| w.set_ccr(legs[1][0]));
         pac::TIM8.ccr(2).write(|w| w.set_ccr(legs[1][1]));
     }
 
-    /// Connects the bridges to the carrier, or lets them float. Off also drops EN_GATE.
     #[inline]
-    pub fn drive(&mut self, on: bool) {
+    fn drive(&mut self, on: bool) {
         if on {
             for timer in TIMERS {
                 pwm::drive(timer, true);
             }
         } else {
-            off();
+            OdriveV3::off();
         }
     }
 
     /// What the power stage reports: a gate driver pulls the common fault line. Only true to be asked while the drivers
     /// are up.
     #[inline]
-    pub fn fault(&self) -> Option<Fault> {
+    fn fault(&self) -> Option<Fault> {
         (pac::GPIOD.idr().read().idr(N_FAULT) == pac::gpio::vals::Idr::LOW).then_some(Fault::GateDriver)
     }
 
-    /// The carrier in use.
     #[inline(always)]
-    pub fn carrier(&self) -> &Carrier {
+    fn carrier(&self) -> &Carrier {
         &self.carrier
     }
 
-    /// Changes the carrier; both axes take it at the same extreme.
-    pub fn set_carrier(&mut self, carrier: Carrier) {
+    fn set_carrier(&mut self, carrier: Carrier) {
         for timer in TIMERS {
             pwm::set_carrier(timer, carrier);
         }
         self.carrier = carrier;
     }
 
-    /// Starts the carriers.
-    pub fn start(&mut self) {
+    fn start(&mut self) {
         pwm::start(Some(pac::TIM8));
     }
 }
 
 /// What tasks own: the gate drivers.
-pub struct Gate {
+pub struct Drivers {
     bus: drv8301::Bus,
     drivers: [Drv8301; AXES],
 }
 
-impl Gate {
-    /// Raises EN_GATE, sets both drivers up, learns the amplifiers' zeros with their inputs shorted and sees that no
-    /// current flows: about 35 ms. On an error everything is off again.
-    pub fn raise(&mut self) -> Result<(), GateError> {
-        pac::GPIOB.bsrr().write(|w| w.set_bs(EN_GATE, true));
-        // SLOS719F 6.7: up to 10 ms until the driver answers.
-        block_for(Duration::from_millis(10));
-        let result = self.set_up();
-        if result.is_err() {
-            off();
-        }
-        servo::GATE_READY.store(result.is_ok(), Ordering::Relaxed);
-        result
-    }
-
+impl Drivers {
     fn set_up(&mut self) -> Result<(), GateError> {
         for driver in &mut self.drivers {
             driver.configure(&mut self.bus, Inputs::Shorted)?;
         }
         let zero = settle(Zeroing::Learn);
         if zero > ZERO_MAX {
-            return Err(GateError::Offset(zero));
+            return Err(GateError::Offset(f32::from(zero) * AMPERES_PER_COUNT));
         }
         for driver in &mut self.drivers {
             driver.configure(&mut self.bus, Inputs::Shunts)?;
         }
         let stray = settle(Zeroing::Check);
-        if f32::from(stray) * AMPERES_PER_COUNT > STRAY_A { Err(GateError::Stray(stray)) } else { Ok(()) }
-    }
-
-    /// Whether both drivers still are as [`Gate::raise`] left them: 130 us.
-    pub fn check(&mut self) -> Result<(), GateError> {
-        self.drivers.iter_mut().try_for_each(|driver| driver.read_back(&mut self.bus, Inputs::Shunts))
+        let current = f32::from(stray) * AMPERES_PER_COUNT;
+        if current > STRAY_A { Err(GateError::Stray(current)) } else { Ok(()) }
     }
 }
 
-/// Divides the chip. `carrier` is what the board starts with; nothing runs and nothing is driven yet.
-pub fn split(p: Peripherals, carrier: Carrier) -> (Io, Gate, Common) {
-    // EN_GATE first: low, for good measure, before any gate signal has a driver.
-    core::mem::forget(Output::new(p.PB12, Level::Low, Speed::Low));
-    let mut fault = Flex::new(p.PD2);
-    fault.set_as_input(embassy_stm32::gpio::Pull::Up);
-    core::mem::forget(fault);
-    // The brake resistor's half bridge stays off.
-    core::mem::forget((Output::new(p.PB10, Level::Low, Speed::Low), Output::new(p.PB11, Level::Low, Speed::Low)));
-
-    rcc::enable_and_reset::<peripherals::TIM1>();
-    rcc::enable_and_reset::<peripherals::TIM8>();
-    rcc::enable_and_reset::<peripherals::TIM3>();
-    rcc::enable_and_reset::<peripherals::TIM4>();
-    rcc::enable_and_reset::<peripherals::ADC1>();
-    rcc::enable_and_reset::<peripherals::ADC2>();
-
-    let setup = pwm::Setup { channels: [false, true, true], dead_time: DEAD_TIME_TICKS, break_input: false };
-    for timer in TIMERS {
-        pwm::configure(timer, &setup, carrier);
+impl Gate for Drivers {
+    /// Raises EN_GATE, sets both drivers up, learns the amplifiers' zeros with their inputs shorted and sees that no
+    /// current flows: about 35 ms. On an error everything is off again.
+    fn raise(&mut self) -> Result<(), GateError> {
+        pac::GPIOB.bsrr().write(|w| w.set_bs(EN_GATE, true));
+        // SLOS719F 6.7: up to 10 ms until the driver answers.
+        block_for(Duration::from_millis(10));
+        let result = self.set_up();
+        if result.is_err() {
+            OdriveV3::off();
+        }
+        result
     }
-    let [a, b, c] = [Flex::new(p.PA8), Flex::new(p.PA9), Flex::new(p.PA10)];
-    pwm::outputs([a, b, c, Flex::new(p.PB13), Flex::new(p.PB14), Flex::new(p.PB15)], 1);
-    let [a, b, c] = [Flex::new(p.PC6), Flex::new(p.PC7), Flex::new(p.PC8)];
-    pwm::outputs([a, b, c, Flex::new(p.PA7), Flex::new(p.PB0), Flex::new(p.PB1)], 3);
 
-    adc::inputs([Flex::new(p.PC0), Flex::new(p.PC1), Flex::new(p.PC2), Flex::new(p.PC3), Flex::new(p.PA6)]);
-    // Phase B of both axes and the bus on one converter, phase C of both on the other.
-    adc::configure(pac::ADC1, &[10, 13, 6]);
-    adc::configure(pac::ADC2, &[11, 12]);
-
-    index::latch(INDEX_LINES[0] | INDEX_LINES[1]);
-    let io = Io {
-        encoders: [
-            Encoder::new(pac::TIM3, Flex::new(p.PB4), Flex::new(p.PB5), 2),
-            Encoder::new(pac::TIM4, Flex::new(p.PB6), Flex::new(p.PB7), 2),
-        ],
-        zeros: Zeros::new(),
-        carrier,
-    };
-
-    let mut config = spi::Config::default();
-    config.mode = spi::MODE_1;
-    config.frequency = Hertz(2_000_000);
-    let bus = Spi::new_blocking(p.SPI3, p.PC10, p.PC12, p.PC11, config);
-    let gate = Gate {
-        bus,
-        drivers: [
-            Drv8301::new(Output::new(p.PC13, Level::High, Speed::Low)),
-            Drv8301::new(Output::new(p.PC14, Level::High, Speed::Low)),
-        ],
-    };
-    (io, gate, Common { usb: (p.USB_OTG_FS, p.PA12, p.PA11), flash: p.FLASH, watchdog: p.IWDG })
+    /// Whether both drivers still are as [`Gate::raise`] left them: 130 us.
+    fn check(&mut self) -> Result<(), GateError> {
+        self.drivers.iter_mut().try_for_each(|driver| driver.read_back(&mut self.bus, Inputs::Shunts))
+    }
 }

@@ -24,6 +24,25 @@ use super::pose::{PoseError, TaskPose, unit_normal};
 use super::sampled::{AnalysisError, FeedForward, Loop};
 use super::spectrum::{exp_minus_identity, growth};
 
+/// One wall of a set that acts together.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Member {
+    /// Normal in the task frame, d entries, any length but zero.
+    pub normal: Vec<f64>,
+    /// Its part of the whole stiffness and damping: positive, in any unit that all share.
+    pub share: f64,
+    /// Whether it has the feed-forward where the others have it.
+    pub feed_forward: bool,
+}
+
+impl Member {
+    /// A wall that has the feed-forward.
+    #[must_use]
+    pub fn new(normal: Vec<f64>, share: f64) -> Self {
+        Self { normal, share, feed_forward: true }
+    }
+}
+
 /// Several walls on a device at rest at one pose.
 #[derive(Clone, Debug)]
 pub struct WallSet {
@@ -46,12 +65,11 @@ pub struct WallSet {
 }
 
 impl WallSet {
-    /// Walls with these normals (d entries, any length but zero) and shares (positive) of stiffness and damping.
-    /// A redundant device holds `admissible`.
+    /// These walls. A redundant device holds `admissible`.
     pub fn at(
         description: &Description,
         q: &[f64],
-        walls: &[(Vec<f64>, f64)],
+        walls: &[Member],
         admissible: Admissible,
     ) -> Result<Self, PoseError> {
         let mechanism = AnyMechanism::new(description)?;
@@ -121,15 +139,20 @@ fn linearised<const N: usize, M: Mechanism<f64, N>>(
     m: &M,
     description: &Description,
     q: &[f64],
-    walls: &[(Vec<f64>, f64)],
+    walls: &[Member],
     admissible: Admissible,
 ) -> Result<WallSet, PoseError> {
     let pose = m.pose::<Libm>(&SVector::from_column_slice(q));
-    let total: f64 = walls.iter().map(|wall| wall.1).sum();
+    let total: f64 = walls.iter().map(|wall| wall.share).sum();
     let mut pulls: Vec<Pull<f64, N>> = Vec::new();
-    for (normal, share) in walls {
-        let unit = unit_normal(normal, M::SPEC.task, N)?;
-        pulls.push(Pull { normal: SVector::from_fn(|i, _| unit[i]), stiffness: share / total });
+    for wall in walls {
+        let unit = unit_normal(&wall.normal, M::SPEC.task, N)?;
+        pulls.push(Pull {
+            normal: SVector::from_fn(|i, _| unit[i]),
+            across: false,
+            stiffness: wall.share / total,
+            feed_forward: wall.feed_forward,
+        });
     }
     let principal = Principal::new::<Libm>(&pulls, M::SPEC.task);
     let most = pulls.iter().map(|pull| pull.stiffness).fold(0.0, f64::max);

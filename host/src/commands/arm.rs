@@ -1,6 +1,6 @@
 //! `haptic arm`: motors on, and somebody there while they are.
 
-use super::port::{Port, answer, fault_in_words};
+use super::port::{Port, answer, fault_alone};
 use haptic::error::{Failure, print};
 use haptic::interrupt;
 use haptic_bridge::safety::fault::State;
@@ -47,7 +47,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let status = board.status()?;
         match status.fault {
             Some(record) if status.state == State::Fault => {
-                let what = fault_in_words(&record, rate);
+                let what = fault_alone(&record, rate);
                 return Err(Failure::impossible(format!("the motors are off: {what}")).remedy(record.fault.remedy()));
             }
             _ if status.state != State::Armed => {

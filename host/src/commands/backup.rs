@@ -32,7 +32,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         return Err(Failure::impossible("the board keeps nothing in flash").remedy("`haptic save` first"));
     }
     for (key, _) in board.details()?.damage.iter().filter(|(key, _)| !backup.settings.contains_key(key.name())) {
-        eprintln!("left out: the stored {} is damaged", key.name());
+        haptic::tell!("left out: the stored {} is damaged", key.name());
     }
     output::write(&args.file, backup.to_text().as_bytes(), args.force.overwrite())?;
     let names: Vec<&str> = backup.settings.keys().map(String::as_str).collect();

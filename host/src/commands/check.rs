@@ -2,6 +2,7 @@
 //! can hardly be meant, without a board.
 
 use super::force::Force;
+use super::port::counted;
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::plausible::scene::Contact;
@@ -180,10 +181,10 @@ fn tip_in_words(description: &Description) -> String {
             let spec = description.kind.spec();
             let moment = if spec.joints > spec.task { ", with a moment on it beside" } else { "" };
             let joints: Vec<String> =
-                tip.torques_for(GENTLE_FORCE.into()).iter().map(|torque| format!("{torque:.3}")).collect();
+                tip.limits_for(GENTLE_FORCE.into()).iter().map(|torque| format!("{torque:.3}")).collect();
             format!(
                 "  at the home pose its motors make up to {:.1} N at the tip{moment}; a board lets walls push with \
-                 {GENTLE_FORCE} N until told otherwise, and `haptic device` sets torque limits for as much ({} N m); at {} rad/s its links carry {:.2} J\n",
+                 {GENTLE_FORCE} N until told otherwise, and `haptic device` sets torque limits for as much and the device's weight ({} N m); at {} rad/s its links carry {:.2} J\n",
                 tip.force(&motors),
                 joints.join(", "),
                 BOARD_SPEED,
@@ -192,8 +193,4 @@ fn tip_in_words(description: &Description) -> String {
         }
         _ => String::new(),
     }
-}
-
-fn counted(count: usize, noun: &str) -> String {
-    format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
 }

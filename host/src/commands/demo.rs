@@ -25,7 +25,7 @@ pub struct Args {
     #[command(flatten)]
     force: Force,
     /// Seed of the hand's tremor, the same for both runs
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = seed)]
     seed: u64,
     /// Print one JSON document
     #[arg(long)]
@@ -52,7 +52,7 @@ impl Bar {
         let done = ((self.part + share) / self.parts).clamp(0.0, 1.0);
         let filled = (done * WIDTH as f64) as usize;
         let (full, empty) = ("█".repeat(filled), "░".repeat(WIDTH - filled));
-        eprint!("\r{full}{empty} {:3.0} %  {doing:<52}", 100.0 * done);
+        haptic::error::say(format_args!("\r{full}{empty} {:3.0} %  {doing:<52}", 100.0 * done));
         let _ = std::io::stderr().flush();
     }
 
@@ -62,7 +62,7 @@ impl Bar {
 
     fn finish(&self) {
         if self.shown {
-            eprint!("\r{:100}\r", "");
+            haptic::error::say(format_args!("\r{:100}\r", ""));
         }
     }
 }
@@ -72,6 +72,10 @@ struct Results {
     inertia: Inertia,
     crossings: [Crossing; 2],
     limits: [Limit; 2],
+}
+
+fn seed(text: &str) -> Result<u64, String> {
+    text.parse().map_err(|_| "write a whole number, 0 or more".into())
 }
 
 /// Runs, reports, draws.

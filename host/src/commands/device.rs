@@ -88,23 +88,38 @@ fn soften(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Result<
     let before = rules.limits;
     let newtons = newtons.unwrap_or(before.tip_force.min(GENTLE_FORCE));
     rules.limits.tip_force = newtons;
-    if let Some(Ok(tip)) = Tip::at_home(&file.description) {
-        for (limit, torque) in rules.limits.torque.iter_mut().zip(tip.torques_for(newtons.into())) {
-            *limit = limit.min(torque as f32);
-        }
+    // What makes so many newtons, and what carries the device beside.
+    let needs: Vec<f32> = match Tip::at_home(&file.description) {
+        Some(Ok(tip)) => tip.limits_for(newtons.into()).into_iter().map(|torque| torque as f32).collect(),
+        _ => Vec::new(),
+    };
+    for (limit, needed) in rules.limits.torque.iter_mut().zip(&needs) {
+        *limit = limit.min(*needed);
     }
     if rules.limits != before {
         board.set_rules(&rules)?;
     }
     let tip =
         format!("  tip force: walls, springs and fields push with at most {newtons} N; `--tip-force` says how much\n");
+    let joints = file.spec().joints;
+    let three = |torques: &[f32]| {
+        let each: Vec<String> = torques.iter().take(joints).map(|torque| format!("{torque:.3}")).collect();
+        each.join(", ")
+    };
+    let limits = three(&rules.limits.torque);
+    // What was lower before stays: somebody may have meant it.
+    if rules.limits.torque.iter().zip(&needs).any(|(limit, needed)| *limit < 0.99 * needed) {
+        return Ok(format!(
+            "{tip}  torque limits: {limits} N m, of which some were lower before; {newtons} N at the tip in the home pose, and what \
+             carries the device, take {}: `haptic rules --torque` raises them\n",
+            three(&needs)
+        ));
+    }
     if rules.limits.torque == before.torque {
         return Ok(tip);
     }
-    let joints = file.spec().joints;
-    let limits: Vec<String> = rules.limits.torque.iter().take(joints).map(|torque| format!("{torque:.3}")).collect();
     Ok(format!(
-        "{tip}  torque limits: {} N m, for at most {newtons} N at the tip in the home pose; `haptic rules --torque` raises them\n",
-        limits.join(", ")
+        "{tip}  torque limits: {limits} N m, for at most {newtons} N at the tip in the home pose beside what carries the device; \
+         `haptic rules --torque` raises them\n"
     ))
 }

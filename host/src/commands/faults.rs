@@ -2,6 +2,7 @@
 
 use super::port::{Port, fault_in_words};
 use haptic::error::{Failure, print};
+use haptic::precision::print_json;
 use serde_json::json;
 
 /// List the faults since the board started, each with its remedy
@@ -28,7 +29,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
                         "step": record.step, "latched": latched == Some(*record) })
             })
             .collect();
-        return print(&format!("{}\n", json!({ "faults": list })));
+        return print_json(json!({ "faults": list }));
     }
     if faults.is_empty() && latched.is_none() {
         return print("no faults since the board started\n");

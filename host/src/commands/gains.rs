@@ -118,7 +118,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         other => other.name(),
     };
     if wall.feed_forward != FeedForward::Off && scene.velocity_terms == VelocityTerms::Off {
-        eprintln!(
+        haptic::tell!(
             "the feed-forward is without velocity terms, as this scene was loaded; `haptic scene FILE` decides anew"
         );
     }

@@ -2,6 +2,7 @@
 
 use super::port::{Port, fault_in_words, numbers, scene_in_words, state_in_words, wall_in_words};
 use haptic::error::{Failure, print};
+use haptic::precision::print_json;
 use haptic_bridge::safety::fault::Fault;
 use serde_json::json;
 
@@ -29,19 +30,16 @@ pub fn run(args: Args) -> Result<(), Failure> {
             json!({ "code": record.fault.code(), "name": record.fault.name(), "axis": record.axis,
                     "value": record.value, "step": record.step })
         });
-        return print(&format!(
-            "{}\n",
-            json!({
-                "port": board.port(), "board": info.board, "serial": info.serial, "firmware": info.firmware,
-                "protocol": info.protocol, "name": details.name, "axes": details.axes, "real": details.real,
-                "device": details.device, "rate_hz": details.rate_hz, "carrier_hz": details.carrier_hz,
-                "delay_samples": details.delay_samples, "walls": details.walls, "unsensed_faults": details.unsensed,
-                "overruns": details.overruns, "longest_cycles": details.longest_cycles,
-                "stack_free": details.stack_free, "state": format!("{:?}", status.state), "homed": status.homed,
-                "polarity_checked": status.polarity, "tip_force": tip_force, "fault": fault, "step": status.step,
-                "bus_voltage": status.bus_voltage, "q": &status.q[..axes], "tip": &status.tip[..axes],
-            })
-        ));
+        return print_json(json!({
+            "port": board.port(), "board": info.board, "serial": info.serial, "firmware": info.firmware,
+            "protocol": info.protocol, "name": details.name, "axes": details.axes, "real": details.real,
+            "device": details.device, "rate_hz": details.rate_hz, "carrier_hz": details.carrier_hz,
+            "delay_samples": details.delay_samples, "walls": details.walls, "unsensed_faults": details.unsensed,
+            "overruns": details.overruns, "longest_cycles": details.longest_cycles,
+            "stack_free": details.stack_free, "state": format!("{:?}", status.state), "homed": status.homed,
+            "polarity_checked": status.polarity, "tip_force": tip_force, "fault": fault, "step": status.step,
+            "bus_voltage": status.bus_voltage, "q": &status.q[..axes], "tip": &status.tip[..axes],
+        }));
     }
     let mut report = String::new();
     let mut line = |name: &str, value: String| report.push_str(&format!("{name:<12}{value}\n"));

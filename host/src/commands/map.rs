@@ -15,6 +15,8 @@ use std::path::PathBuf;
 /// Covers the poses that the device reaches from home without crossing a singularity: effective and rendered inertia
 /// along the normal, the two worst normals at each pose (of the ratio Wrr/Weff and of the coupling Wrr - Weff),
 /// conditioning, and the axes of the operational-space inertia. In JSON, eigenvector k belongs to eigenvalue k.
+/// The picture is a plane of it, with a turret that of the linkage at joint 0 = 0; its colour is coupling/w_rr at the pose's
+/// first two entries of position (docs/devices.md).
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML)

@@ -7,7 +7,7 @@ use super::force::Force;
 use super::port::Port;
 use crate::cli::Numbers;
 use clap::ValueEnum;
-use haptic::analysis::several::WallSet;
+use haptic::analysis::several::{Member, WallSet};
 use haptic::device_file::DeviceFile;
 use haptic::error::Failure;
 use haptic::interrupt;
@@ -16,7 +16,7 @@ use haptic::measure::before::Before;
 use haptic::measure::campaign::{self, Plan};
 use haptic::measure::progress::{Mode, Progress, ProgressError};
 use haptic::measure::simulated::{Friction, World};
-use haptic::measure::{Bench, MeasureError, Setup, most_tested};
+use haptic::measure::{Bench, MeasureError, Setup, most_tested, rules_for};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::device::Device;
 use meter::Meter;
@@ -47,6 +47,9 @@ pub struct Args {
     /// Each wall's part of stiffness and damping, with several --normal; results are the totals [default: equal parts]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     share: Option<Numbers>,
+    /// Walls whose feed-forward is off beside others that have it, counted from 0 in the order of --normal
+    #[arg(long, value_name = "I,J,..")]
+    no_feed_forward: Option<Numbers>,
     /// Control rate in Hz
     #[arg(long, value_name = "HZ", default_value_t = 1_000.0)]
     rate: f64,
@@ -71,7 +74,7 @@ pub struct Args {
     /// Largest joint torque the measurement may ask for, in N m
     #[arg(long, value_name = "NM", default_value_t = 1.0)]
     torque_limit: f64,
-    /// Farthest the tip is pulled aside to set it swinging, in mm
+    /// Farthest the tip is pulled aside to set it swinging: in millimetres, the one option that is not in SI units
     #[arg(long, value_name = "MM", default_value_t = 0.5)]
     pull: f64,
     /// On --port sim: joint angles in rad where it is measured [default: the device file's home]
@@ -170,10 +173,14 @@ pub fn run(args: Args) -> Result<(), Failure> {
         )
         .remedy("use them with --port sim; a board is measured where and as it is"));
     }
+    let along: Vec<(&Vec<f64>, f64)> = walls.iter().map(|wall| (&wall.normal, wall.share)).collect();
     let mut what = format!(
-        "{} along {walls:?} at {} Hz, cutoff {} Hz, washout {} Hz, pull {} mm, {} N m",
+        "{} along {along:?} at {} Hz, cutoff {} Hz, washout {} Hz, pull {} mm, {} N m",
         file.name, args.rate, args.cutoff, args.washout, args.pull, args.torque_limit
     );
+    if let Some(Numbers(without)) = &args.no_feed_forward {
+        what.push_str(&format!(", without the feed-forward of {without:?}"));
+    }
     if world != World::default() {
         what.push_str(&format!(", {world:?}"));
     }
@@ -202,7 +209,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     ready(&mut board, &file, &args)?;
     if !simulated {
         // Should this be killed, the next run still knows.
-        progress.before = before.keep(&board.info().serial);
+        progress.before = before.keep(&board.info().serial, &rules_for(before.rules(), args.torque_limit));
         progress.save(&args.progress).map_err(progress_failure)?;
     }
     let setup = Setup {
@@ -218,7 +225,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let (total, place) = (plan.total(), args.progress.display());
         let date = progress.date.as_ref().map_or(String::new(), |date| format!(", the last of {date}"));
         let none = if earlier == total { ": none is measured now (--anew measures them again)" } else { "" };
-        eprintln!("{earlier} of {total} repeats are in {place} already{date}{none}");
+        haptic::tell!("{earlier} of {total} repeats are in {place} already{date}{none}");
     }
     let meter = Meter::new(plan.total(), plan.repeats, earlier);
     let stop = || {
@@ -247,7 +254,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let back = before.put_back(&mut board);
     let missing = before.missing(&mut board).unwrap_or_else(|_| vec!["device", "scene", "rules"]);
     if back.is_err() || !missing.is_empty() {
-        eprintln!("not put back on the board: {}; load it again", missing.join(", "));
+        haptic::tell!("not put back on the board: {}; load it again", missing.join(", "));
     } else if progress.before.take().is_some() {
         forget(&progress, &args.progress).map_err(progress_failure)?;
     }
@@ -279,15 +286,19 @@ fn before(board: &mut Board, progress: &Progress) -> Result<Before, Failure> {
     }
     let serial = board.info().serial.clone();
     let kept = progress.before.as_ref().filter(|kept| kept.serial == serial.as_str());
-    let Some(Ok((before, same_rules))) = kept.map(|kept| now.with_scene_of(kept)) else {
-        eprintln!(
-            "the scene on the board was left by a measurement that was cut short: load yours again with `haptic scene`, and              look at `haptic rules`"
+    let Some(Ok((before, as_before))) = kept.map(|kept| now.from_kept(kept)) else {
+        haptic::tell!(
+            "the scene on the board was left by a measurement that was cut short: load yours again with `haptic scene`, \
+             and look at `haptic rules`"
         );
         return Ok(now);
     };
-    eprintln!("the scene on the board was left by a measurement that was cut short: the one before it is put back");
-    if !same_rules {
-        eprintln!("the rules are not as they were before that measurement: look at `haptic rules`");
+    haptic::tell!("the scene on the board was left by a measurement that was cut short: the one before it is put back");
+    if !as_before {
+        haptic::tell!("the rules are neither that measurement's nor those before it, and stay: look at `haptic rules`");
+    } else if before.rules() != now.rules() {
+        board.disarm()?;
+        board.set_rules(before.rules())?;
     }
     Ok(before)
 }
@@ -297,8 +308,7 @@ fn forget(progress: &Progress, path: &Path) -> Result<(), ProgressError> {
     if !progress.is_empty() {
         return progress.save(path);
     }
-    std::fs::remove_file(path)
-        .map_err(|error| ProgressError::File { path: path.display().to_string(), reason: error.to_string() })
+    std::fs::remove_file(path).map_err(|error| ProgressError::Unwritten(haptic::output::refused(path, &error)))
 }
 
 /// What to do where the encoders are too coarse or friction hides everything.
@@ -327,7 +337,7 @@ fn plan(args: &Args) -> Result<Plan, Failure> {
 }
 
 /// The walls that are measured together, each with its part.
-fn walls(args: &Args, task: usize) -> Result<Vec<(Vec<f64>, f64)>, Failure> {
+fn walls(args: &Args, task: usize) -> Result<Vec<Member>, Failure> {
     let normals = &args.normal;
     let most = most_tested(task);
     if normals.len() > most {
@@ -338,11 +348,15 @@ fn walls(args: &Args, task: usize) -> Result<Vec<(Vec<f64>, f64)>, Failure> {
         Some(share) => share.per_wall(normals.len(), "--share")?,
         None => vec![1.0; normals.len()],
     };
+    let with = Numbers::with_feed_forward(args.no_feed_forward.clone(), normals.len(), "--no-feed-forward")?;
     let units = normals.iter().map(|normal| normal.clone().unit(task, "--normal"));
-    units.zip(shares).map(|(unit, share)| Ok((unit?, share))).collect()
+    units
+        .zip(shares.into_iter().zip(with))
+        .map(|(unit, (share, feed_forward))| Ok(Member { normal: unit?, share, feed_forward }))
+        .collect()
 }
 
-fn world(args: &Args, file: &DeviceFile, walls: &[(Vec<f64>, f64)]) -> Result<World, Failure> {
+fn world(args: &Args, file: &DeviceFile, walls: &[Member]) -> Result<World, Failure> {
     if args.counts.is_some_and(|counts| !(counts >= 1.0 && counts.is_finite())) {
         return Err(Failure::wrong("--counts must be at least 1"));
     }
@@ -398,7 +412,7 @@ fn ready(board: &mut Board, file: &DeviceFile, args: &Args) -> Result<(), Failur
     if !details.real || args.yes {
         return Ok(());
     }
-    eprintln!(
+    haptic::tell!(
         "This moves the motors by themselves: the tip swings by up to {} mm with at most {} N m, and will oscillate briefly, \
          many times.\nKeep the hand off the device and clear of it. Ctrl-C turns the motors off.",
         args.pull * 12.0,
@@ -407,7 +421,7 @@ fn ready(board: &mut Board, file: &DeviceFile, args: &Args) -> Result<(), Failur
     if !std::io::stdin().is_terminal() {
         return Err(Failure::impossible("nobody is there to agree").remedy("agree beforehand with --yes"));
     }
-    eprint!("Go on? Type yes: ");
+    haptic::error::say(format_args!("Go on? Type yes: "));
     let _ = std::io::stderr().flush();
     let mut answer = String::new();
     let read = std::io::stdin().read_line(&mut answer);
@@ -424,6 +438,7 @@ fn progress_failure(error: ProgressError) -> Failure {
             failure.remedy("keep it and name another file with --progress, or replace it with --anew")
         }
         ProgressError::File { .. } => failure.remedy("name another file with --progress"),
+        ProgressError::Unwritten(failure) => failure,
     }
 }
 
@@ -438,7 +453,7 @@ fn failure(error: MeasureError, args: &Args) -> Failure {
         MeasureError::Link(error) => error.into(),
         MeasureError::Pose(error) => error.into(),
         MeasureError::Progress(error) => progress_failure(error),
-        MeasureError::Interrupted => Failure::impossible(error).remedy(again),
+        MeasureError::Interrupted | MeasureError::Disarmed => Failure::impossible(error).remedy(again),
         MeasureError::Fault(_) => {
             Failure::impossible(error).remedy(format!("see `haptic faults`, put the device back and {again}"))
         }

@@ -14,7 +14,9 @@ use std::path::PathBuf;
 ///
 /// Prints the mass matrix, the effective inertia Weff that a wall meets without the feed-forward, the inertia Wrr that
 /// it meets with it, and the joint torques of both. Give --normal and --force once per wall, and --stiffness once with
-/// one number per wall: several walls share the feed-forward by their stiffness.
+/// one number per wall: several walls share the feed-forward by their stiffness. --json then has "directions", the stiffest
+/// first: along (the unit vector e_j), stiffness along it over that of the stiffest wall, and share (s_R of the level that
+/// renders it and the stiffer ones; null where nothing is left to shape).
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML)
@@ -34,6 +36,9 @@ pub struct Args {
     /// Stiffness of each wall, in N/m or any other unit [default: all alike]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     stiffness: Option<Numbers>,
+    /// Walls whose feed-forward is off beside others that have it, counted from 0 in the order of --normal
+    #[arg(long, value_name = "I,J,..")]
+    no_feed_forward: Option<Numbers>,
     /// What a redundant device holds: orientation, joint-0, joint-1, joint-2 or consistent
     #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = cli::admissible)]
     admissible: Admissible,
@@ -69,7 +74,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     };
     let warnings: Vec<_> = angles(&q, "--q").into_iter().map(Doubt::typed).collect();
     warn(&warnings);
-    let walls = walls(&args.normal, &args.force, args.stiffness, spec.task)?;
+    let walls = walls(&args.normal, &args.force, args.stiffness, args.no_feed_forward, spec.task)?;
     let precision = match args.precision {
         Arithmetic::F32 => Precision::F32,
         Arithmetic::F64 => Precision::F64,
@@ -106,6 +111,7 @@ fn walls(
     normals: &[Numbers],
     forces: &[Numbers],
     stiffness: Option<Numbers>,
+    without: Option<Numbers>,
     task: usize,
 ) -> Result<Vec<WallForce>, Failure> {
     if !forces.is_empty() && forces.len() != normals.len() {
@@ -116,17 +122,18 @@ fn walls(
         Some(stiffness) => stiffness.per_wall(normals.len(), "--stiffness")?,
         None => vec![1.0; normals.len()],
     };
+    let with = Numbers::with_feed_forward(without, normals.len(), "--no-feed-forward")?;
     normals
         .iter()
-        .zip(stiffness)
+        .zip(stiffness.into_iter().zip(with))
         .enumerate()
-        .map(|(index, (normal, stiffness))| {
+        .map(|(index, (normal, (stiffness, feed_forward)))| {
             let normal = normal.clone().unit(task, "--normal")?;
             let force = match forces.get(index) {
                 Some(force) => force.clone().exactly(1, "--force", "force")?[0],
                 None => 0.0,
             };
-            Ok(WallForce { normal, force, stiffness })
+            Ok(WallForce { normal, force, stiffness, feed_forward })
         })
         .collect()
 }

@@ -2,6 +2,8 @@
 
 use haptic::error::{Failure, print};
 use haptic::link::{Board, PortSpec};
+pub use haptic::plausible::counted;
+use haptic::precision::print_json;
 use haptic_bridge::render::scene::{FeedForward, Scene, Wall};
 use haptic_bridge::safety::fault::{FaultRecord, State};
 use std::io::{BufRead, IsTerminal};
@@ -60,7 +62,7 @@ pub fn state_in_words(state: State) -> &'static str {
 
 /// Prints what was done: one JSON document, or a sentence.
 pub fn answer(json: bool, document: serde_json::Value, sentence: &str) -> Result<(), Failure> {
-    if json { print(&format!("{document}\n")) } else { print(sentence) }
+    if json { print_json(document) } else { print(sentence) }
 }
 
 /// Asks somebody at the terminal, unless `yes` agreed beforehand; `what` would happen.
@@ -71,18 +73,13 @@ pub fn confirm(yes: bool, what: &str) -> Result<(), Failure> {
     if !std::io::stdin().is_terminal() {
         return Err(Failure::impossible(format!("{what}, and nobody can be asked")).remedy("repeat with --yes"));
     }
-    eprint!("{what}; go on? [y/N] ");
+    haptic::error::say(format_args!("{what}; go on? [y/N] "));
     let mut answer = String::new();
     let read = std::io::stdin().lock().read_line(&mut answer);
     match read {
         Ok(_) if answer.trim().eq_ignore_ascii_case("y") => Ok(()),
         _ => Err(Failure::impossible("not confirmed").remedy("nothing was done")),
     }
-}
-
-/// So many of a thing.
-pub fn counted(count: usize, noun: &str) -> String {
-    format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
 }
 
 /// What a scene holds.
@@ -126,11 +123,16 @@ pub fn short(value: f32) -> String {
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
 }
 
-/// A fault in words, with its remedy.
+/// A fault in words, with its remedy on a line of its own.
 pub fn fault_in_words(record: &FaultRecord, rate_hz: f32) -> String {
+    format!("{}\n    {}", fault_alone(record, rate_hz), record.fault.remedy())
+}
+
+/// A fault in words, without its remedy.
+pub fn fault_alone(record: &FaultRecord, rate_hz: f32) -> String {
     let axis = record.axis.map_or(String::new(), |axis| format!(", joint {axis}"));
     let seconds = f64::from(record.step) / f64::from(rate_hz.max(1.0));
-    format!("{}{axis}, value {}, {seconds:.3} s after boot\n    {}", record.fault, record.value, record.fault.remedy())
+    format!("{}{axis}, value {}, {seconds:.3} s after boot", record.fault, record.value)
 }
 
 /// Numbers in a row, for people; what rounds to zero has no sign.

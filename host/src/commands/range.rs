@@ -1,6 +1,7 @@
 //! `haptic range`: which walls stay stable on a device, predicted, without and with the feed-forward.
 
 use super::force::Force;
+use super::port::counted;
 use crate::cli::{self, Numbers};
 use clap::{Args as ClapArgs, ValueEnum};
 use haptic::analysis::flexible::Hand;
@@ -9,7 +10,7 @@ use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::pose::motors;
 use haptic::analysis::range::{Domain, Range, WORTHWHILE_RATIO, predict, predict_several};
 use haptic::analysis::sampled::{AnalysisError, Estimator, Loop};
-use haptic::analysis::several::WallSet;
+use haptic::analysis::several::{Member, WallSet};
 use haptic::analysis::why::{Both, Limits, Why, why};
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
@@ -40,11 +41,14 @@ pub struct Args {
     /// Each wall's part of stiffness and damping, with several --normal; results are the totals [default: equal parts]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     share: Option<Numbers>,
+    /// Walls whose feed-forward is off beside others that have it, counted from 0 in the order of --normal
+    #[arg(long, value_name = "I,J,..")]
+    no_feed_forward: Option<Numbers>,
     /// Control rate in Hz
-    #[arg(long, value_name = "HZ")]
+    #[arg(long, value_name = "HZ", default_value_t = 1_000.0)]
     rate: f64,
     /// Cutoff of the velocity filter in Hz
-    #[arg(long, value_name = "HZ")]
+    #[arg(long, value_name = "HZ", default_value_t = 20.0)]
     cutoff: f64,
     /// Delay from reading the encoders to applying the torque, in control samples [default: 0]
     #[arg(long, value_name = "SAMPLES", allow_hyphen_values = true, conflicts_with = "board")]
@@ -168,7 +172,10 @@ impl Args {
                 Ok(Hand { mass, damping, stiffness })
             }
             [_, _, _] => Err(Failure::wrong("--hand holds a negative number").remedy(remedy)),
-            _ => Err(Failure::wrong(format!("--hand has {} numbers, and a hand has 3", numbers.len())).remedy(remedy)),
+            _ => {
+                let numbers = counted(numbers.len(), "number");
+                Err(Failure::wrong(format!("--hand has {numbers}, and a hand has 3")).remedy(remedy))
+            }
         }
     }
 }
@@ -203,6 +210,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
         Some(share) => share.per_wall(normals.len(), "--share")?,
         None => vec![1.0; normals.len()],
     };
+    let with = Numbers::with_feed_forward(args.no_feed_forward.clone(), normals.len(), "--no-feed-forward")?;
+    let members: Vec<Member> = normals
+        .iter()
+        .zip(shares.into_iter().zip(with))
+        .map(|(normal, (share, feed_forward))| Member { normal: normal.clone(), share, feed_forward })
+        .collect();
     if let Some(board) = args.board.filter(|board| board.axes() < spec.joints) {
         let reason = format!("{} has {} joints, and this board drives {}", file.name, spec.joints, board.axes());
         return Err(Failure::wrong(reason).remedy("choose a board with as many axes: h-bridge-f405 has three"));
@@ -222,7 +235,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         drive,
         damping_compensation: args.damping_compensation,
     };
-    let (analyse, passivity) = walls(&args, &file, &q, &normals, &shares, &around)?;
+    let (analyse, passivity) = walls(&args, &file, &q, &members, &around)?;
     let range = analyse(args.kd.as_ref().map(|kd| kd.0.as_slice()))?;
     warnings.extend(costly(&range).map(|text| Doubt { key: None, text }.typed()));
     warn(&warnings);
@@ -241,6 +254,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
             subtitle: subtitle(&args, &q, &normals, range.area_ratio),
             range: &whole,
             passivity: passivity.as_ref(),
+            washout_hz: args.washout,
             measured_off: &[],
             measured_full: &[],
         });
@@ -276,7 +290,7 @@ fn explained(args: &Args, file: &DeviceFile, q: &[f64], normals: &[Vec<f64>], ar
     let watched = std::io::stderr().is_terminal();
     let progress = |done: usize, of: usize| {
         if watched {
-            eprint!("\r{done} of {of} loops{}", if done == of { "\n" } else { "" });
+            haptic::error::say(format_args!("\r{done} of {of} loops{}", if done == of { "\n" } else { "" }));
         }
     };
     Ok(why(&device, around, &progress)?)
@@ -350,13 +364,12 @@ fn walls<'a>(
     args: &'a Args,
     file: &DeviceFile,
     q: &[f64],
-    normals: &[Vec<f64>],
-    shares: &[f64],
+    members: &[Member],
     around: &'a Loop,
 ) -> Result<(Analysis<'a>, Option<Passivity>), Failure> {
     let gain = args.feed_forward_gain;
-    if let [normal] = normals {
-        let device = seen(args, file, q, normal)?;
+    if let [only] = members {
+        let device = seen(args, file, q, &only.normal)?;
         let most = device.most_gain().unwrap_or(1.0);
         if !(0.0..=most).contains(&gain) {
             let reason = format!("--feed-forward-gain {gain} is not from 0 to {most:.3}");
@@ -375,8 +388,7 @@ fn walls<'a>(
         let reason = "several --normal with transmissions ([joint.transmission]) or --hand";
         return Err(Failure::wrong(reason).remedy("analyse one wall at a time, or the rigid device by itself"));
     }
-    let walls: Vec<(Vec<f64>, f64)> = normals.iter().cloned().zip(shares.iter().copied()).collect();
-    let set = WallSet::at(&file.description, q, &walls, args.admissible)?;
+    let set = WallSet::at(&file.description, q, members, args.admissible)?;
     let set = if args.undamped { set.undamped() } else { set };
     Ok((Box::new(move |kd| predict_several(&set, around, kd, args.washout)), None))
 }
@@ -390,10 +402,10 @@ fn subtitle(args: &Args, q: &[f64], normals: &[Vec<f64>], ratio: f64) -> [String
             normals.iter().map(|n| format!("({})", joined(n))).collect::<Vec<_>>().join(" + ")
         ),
         format!(
-            "{} Hz, cutoff {} Hz, delay {} samples, {:?} drive; area ratio {ratio:.3}",
+            "{} Hz, cutoff {} Hz, delay {}, {:?} drive; area ratio {ratio:.3}",
             args.rate,
             args.cutoff,
-            args.delay(),
+            counted(args.delay(), "sample"),
             args.drive()
         )
         .to_lowercase()
@@ -456,11 +468,19 @@ fn readable(
         line("  max kp: of the dampings asked for; without --kd that of the whole range".into());
     }
     line(String::new());
-    // A dozen rows are enough to read; --json and --kd give the rest.
-    let step = (range.off.boundary.len() / 12).max(1);
-    line(format!("  {:>12}{:>14}{:>14}{:>14}", "kd off", "kp_max off", "kd full", "kp_max full"));
-    for (off, full) in range.off.boundary.iter().zip(&range.full.boundary).step_by(step) {
-        line(format!("  {:>12.4}{:>14.2}{:>14.4}{:>14.2}", off.kd, off.kp, full.kd, full.kp));
+    // A dozen rows are enough to read; --json gives the rest.
+    let step = if args.kd.is_some() { 1 } else { (range.off.boundary.len() / 12).max(1) };
+    let domains = [("off", Some(&range.off)), ("full", Some(&range.full)), ("washed", range.washout.as_ref())];
+    let columns = || domains.iter().filter_map(|(name, domain)| Some((name, domain.as_ref()?)));
+    line(columns().fold(" ".into(), |row, (name, _)| {
+        format!("{row} {:>12}{:>14}", format!("kd {name}"), format!("kp_max {name}"))
+    }));
+    for index in (0..range.off.boundary.len()).step_by(step) {
+        line(
+            columns()
+                .filter_map(|(_, domain)| domain.boundary.get(index))
+                .fold(" ".into(), |row, point| format!("{row} {:>12.4}{:>14.2}", point.kd, point.kp)),
+        );
     }
     line(String::new());
     let islands = range.off.islands.len() + range.full.islands.len();

@@ -31,7 +31,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     backup.ready().map_err(wrong)?;
     let mut board = args.port.open()?;
     let ready = backup.ready().map_err(wrong)?;
-    eprintln!("writing flash: the board pauses for up to a second");
+    haptic::tell!("writing flash: the board pauses for up to a second");
     restore(&mut board, &ready)?;
     let mut report = String::new();
     for setting in &ready {

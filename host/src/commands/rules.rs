@@ -115,7 +115,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     let now = board.rules()?;
     if now.host_action != HostAction::Disarm && before.host_action == HostAction::Disarm {
-        eprintln!(
+        haptic::tell!(
             "the host is no longer watched: if this tool is killed or its cable pulled, the motors stay on as they are"
         );
     }

@@ -25,7 +25,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if matches!(board.status()?.state, State::Armed | State::CheckingPolarity) {
         return Err(BoardError::Refused(Refusal::Armed).into());
     }
-    eprintln!("writing flash: the board pauses for up to a second");
+    haptic::tell!("writing flash: the board pauses for up to a second");
     board.save()?;
     let (device, scene) = (board.device()?.is_some(), board.scene()?.is_some());
     let said = match (device, scene) {

@@ -8,13 +8,14 @@ use haptic::interrupt;
 use haptic::scene_file::SceneFile;
 use haptic::sim::door::tcp;
 use haptic::sim::server::{Pace, serve};
-use haptic::sim::{Around, BoardOptions, DriveModel, HandSettings, SHIPPED_DEVICE, ready_board};
+use haptic::sim::{Around, BoardOptions, DriveModel, HandSettings, SHIPPED_DEVICE, Support, ready_board};
 use std::path::PathBuf;
 
 /// Run a simulated board with a device on it, until Ctrl-C
 ///
 /// The board runs the firmware's own control code on a nonlinear simulation of the device and speaks the real protocol
-/// on a pseudo-terminal, or on TCP with --tcp. The device is loaded, and the board ready to take a scene.
+/// on a pseudo-terminal, or on TCP with --tcp. The device is loaded, and the board ready to take a scene. The weight of a
+/// device that has one is carried for you until the motors are armed for the first time and their torque has ramped up.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML) [default: the coupled five-bar that ships]
@@ -28,8 +29,8 @@ pub struct Args {
     /// Let simulated time pass as fast as the computer can while a tool is connected
     #[arg(long)]
     fast: bool,
-    /// Ask of the user what a real board asks: verified motors, limits, homing, polarity check. Until the motors are
-    /// armed for the first time the device is held for you, at home when the board starts
+    /// Ask of the user what a real board asks: verified motors, limits, homing, polarity check. The device is held for
+    /// you, at home when the board starts, until the motors are armed for the first time and their torque has ramped up
     #[arg(long)]
     strict: bool,
     /// What the simulated hand does
@@ -73,7 +74,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut options = BoardOptions {
         drive: if args.ideal_drive { DriveModel::Ideal } else { DriveModel::Electric },
         strict: args.strict,
-        supported: args.strict,
+        support: match args.strict {
+            true => Support::Held,
+            false if file.description.gravity == [0.0; 3] => Support::None,
+            false => Support::Carried,
+        },
         axes: args.axes.into(),
         ..BoardOptions::default()
     };
@@ -93,7 +98,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let settings = HandSettings { tremor: 2e-4, seed: args.seed, ..HandSettings::default() };
         let around = Around::find(&file, walls.as_ref(), tip);
         if args.scene.is_some() && !around.on_a_wall {
-            eprintln!("the hand gets to none of the scene's walls from home: it moves where it is");
+            haptic::tell!("the hand gets to none of the scene's walls from home: it moves where it is");
         }
         board.set_rounds(settings, around);
     }
@@ -113,7 +118,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     ))?;
     let stop = interrupt::watch();
     serve(&mut board, &door, pace, stop.flag());
-    eprintln!("simulated {:.3} s", board.time());
+    haptic::tell!("simulated {:.3} s", board.time());
     Ok(())
 }
 

@@ -1,7 +1,7 @@
 //! `haptic stream`: telemetry to the terminal or to a CSV file, with every loss counted and shown.
 
 use super::force::Force;
-use super::port::{Port, fault_in_words, short, wall_in_words};
+use super::port::{Port, counted, fault_in_words, short, wall_in_words};
 use haptic::error::{Failure, print};
 use haptic::interrupt;
 use haptic::link::{Board, Column, LinkError, Losses, Row, columns, fields};
@@ -79,7 +79,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let divider = (rate_hz / wanted).round().clamp(1.0, f64::from(u32::MAX)) as u32;
     let got = rate_hz / f64::from(divider);
     if (got - wanted).abs() > 1e-3 * wanted {
-        eprintln!("{} rows a second: every {} at {rate_hz} Hz control", short(got as f32), nth(divider));
+        haptic::tell!("{} rows a second: every {} at {rate_hz} Hz control", short(got as f32), nth(divider));
     }
     let columns = columns(args.fields, axes);
     let about = args.csv.as_ref().map(|_| about(&mut board, divider)).transpose()?;
@@ -128,7 +128,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
             Err(error) => break Ended::BoardLost(error),
             Ok(rows) => {
                 for record in board.take_reported_faults() {
-                    eprintln!("fault: {}", fault_in_words(&record, rate_hz as f32));
+                    haptic::tell!("fault: {}", fault_in_words(&record, rate_hz as f32));
                 }
                 let over = follow.take(&rows, args.seconds);
                 match over.and_then(|over| follow.note(&board).map(|()| over)) {
@@ -288,10 +288,10 @@ impl Follow {
         if let Sink::File(recorder) = &mut self.sink {
             recorder.flush()?;
             if std::io::stderr().is_terminal() {
-                eprint!("\r{losses}   ");
+                haptic::error::say(format_args!("\r{losses}   "));
             }
         } else if losses.missing > self.shown.missing || losses.garbled > self.shown.garbled {
-            eprintln!("{losses}");
+            haptic::tell!("{losses}");
         }
         self.shown = losses;
         Ok(())
@@ -345,18 +345,13 @@ fn finish(ended: Ended, mut board: Board, mut follow: Follow, json: bool) -> Res
     let mut kept = losses.to_string();
     let mut file = None;
     if let Sink::File(recorder) = &mut follow.sink {
-        match &ended {
-            Ended::NoRoom(_) => {}
-            Ended::BoardLost(_) => {
-                recorder.comment(&format!("cut short: the board was lost; {losses}"));
-                written = recorder.flush();
-            }
-            _ => {
-                recorder.comment(&losses.to_string());
-                written = recorder.flush();
-            }
+        if !matches!(ended, Ended::NoRoom(_)) {
+            let cut = if matches!(ended, Ended::BoardLost(_)) { "cut short: the board was lost; " } else { "" };
+            recorder.comment(&format!("{cut}{losses}"));
+            written = recorder.flush();
         }
-        let all = format!("{} rows are in {}", recorder.rows(), recorder.place());
+        let are = if recorder.rows() == 1 { "is" } else { "are" };
+        let all = format!("{} {are} in {}", counted(recorder.rows(), "row"), recorder.place());
         let said = losses.to_string();
         let on_the_way = said.trim_start_matches(|c: char| c != ',');
         kept = match losses.received.saturating_sub(recorder.rows()) {
@@ -368,10 +363,10 @@ fn finish(ended: Ended, mut board: Board, mut follow: Follow, json: bool) -> Res
         };
         file = Some((recorder.place(), recorder.rows()));
         if std::io::stderr().is_terminal() {
-            eprintln!();
+            haptic::tell!("");
         }
     }
-    eprintln!("{kept}");
+    haptic::tell!("{kept}");
     if json {
         let names: Vec<&str> =
             ["step", "time_s"].into_iter().chain(follow.columns.iter().map(|column| column.label.as_str())).collect();

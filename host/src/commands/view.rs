@@ -107,7 +107,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         }
         // A board that was unplugged is waited for; the pages stay, and say so. Its port is closed first.
         drop(world);
-        eprintln!("{lost}; waiting for it");
+        haptic::tell!("{lost}; waiting for it");
         let why = serde_json::json!({"is": "lost", "why": lost.to_string()}).to_string();
         world = loop {
             if stop.is_set() {

@@ -7,6 +7,7 @@ use super::{Demo, DemoError};
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::range::domain;
 use crate::analysis::sampled::{self, Estimator, Loop};
+use crate::analysis::several::Member;
 use crate::link::Board;
 use crate::measure::{Bench, Setup};
 use crate::sim::{BoardOptions, DriveModel, Options, SharedBoard, ready_board};
@@ -37,7 +38,7 @@ pub fn limit(demo: &Demo, feed_forward: FeedForward) -> Result<Limit, DemoError>
     let shared = SharedBoard::new(ready_board(&demo.file, options)?);
     let mut board = Board::over(shared.wire(), "sim")?;
     let setup = Setup {
-        walls: vec![(demo.normal.to_vec(), 1.0)],
+        walls: vec![Member::new(demo.normal.to_vec(), 1.0)],
         rate_hz: demo.rate_hz,
         cutoff_hz: demo.cutoff_hz,
         washout_hz: demo.washout_hz,

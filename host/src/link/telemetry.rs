@@ -1,5 +1,6 @@
 //! Telemetry as it arrives: rows with their step, columns with name and unit, and exact accounts of what was lost.
 
+use crate::plausible::counted;
 use haptic_bridge::board::telemetry::{Batch, Field, Fields};
 
 /// One kept control step.
@@ -103,7 +104,7 @@ pub struct Losses {
 
 impl std::fmt::Display for Losses {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{} rows", self.received)?;
+        f.write_str(&counted(self.received, "row"))?;
         if self.missing == 0 && self.garbled == 0 {
             return f.write_str(", none lost");
         }

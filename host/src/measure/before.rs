@@ -24,6 +24,9 @@ pub struct Kept {
     pub serial: String,
     scene: Option<backup::Kept>,
     rules: backup::Kept,
+    /// The rules that the measurement sets: whoever finds them finds nobody's later wish.
+    #[serde(default)]
+    measuring: Option<backup::Kept>,
 }
 
 impl Before {
@@ -44,21 +47,25 @@ impl Before {
         self.scene.as_ref().is_some_and(is_measurement)
     }
 
-    /// As a file keeps it: the scene and the rules of this board.
+    /// As a file keeps it: the scene and the rules of this board, and the rules that the measurement is about to set.
     #[must_use]
-    pub fn keep(&self, serial: &str) -> Option<Kept> {
+    pub fn keep(&self, serial: &str, measuring: &Rules) -> Option<Kept> {
         let scene = match &self.scene {
             Some(scene) => Some(backup::Kept::of(scene)?),
             None => None,
         };
-        Some(Kept { serial: serial.into(), scene, rules: backup::Kept::of(&self.rules)? })
+        let (rules, measuring) = (backup::Kept::of(&self.rules)?, backup::Kept::of(measuring));
+        Some(Kept { serial: serial.into(), scene, rules, measuring })
     }
 
-    /// The same with the scene that was kept before a measurement that was cut short. The rules stay those of now:
-    /// somebody may have lowered them meanwhile. Also says whether they are as they were then.
-    pub fn with_scene_of(&self, kept: &Kept) -> Result<(Self, bool), BackupError> {
+    /// What was kept before a measurement that was cut short. Its rules take the place of those that the measurement set;
+    /// others stay: somebody has lowered them meanwhile. Also says whether the rules are as they were.
+    pub fn from_kept(&self, kept: &Kept) -> Result<(Self, bool), BackupError> {
         let scene = kept.scene.as_ref().map(backup::Kept::read::<Scene<f32>>).transpose()?;
-        Ok((Self { scene, ..self.clone() }, kept.rules.read::<Rules>()? == self.rules))
+        let then = kept.rules.read::<Rules>()?;
+        let measuring = kept.measuring.as_ref().map(backup::Kept::read::<Rules>).transpose()?;
+        let rules = if measuring == Some(self.rules) { then } else { self.rules };
+        Ok((Self { scene, rules, ..self.clone() }, rules == then))
     }
 
     /// The rules that were in force.
@@ -95,5 +102,29 @@ impl Before {
         let scene = now.scene == self.scene || (self.scene.is_none() && empty);
         let parts = [("device", now.device == self.device), ("scene", scene), ("rules", now.rules == self.rules)];
         Ok(parts.into_iter().filter(|(_, same)| !same).map(|(name, _)| name).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn with_torque(torque: f32) -> Before {
+        let mut rules = Rules::default();
+        rules.limits.torque = [torque; 3];
+        Before { device: None, scene: None, rules }
+    }
+
+    #[test]
+    fn the_rules_of_a_measurement_give_way_to_those_before_it_and_anybody_else_s_stay() {
+        let (before, measuring) = (with_torque(5.0), with_torque(1.0));
+        let kept = before.keep("1", &measuring.rules).unwrap();
+        assert_eq!(measuring.from_kept(&kept).unwrap(), (before.clone(), true));
+        assert_eq!(before.from_kept(&kept).unwrap(), (before.clone(), true));
+        let lowered = with_torque(0.5);
+        assert_eq!(lowered.from_kept(&kept).unwrap(), (lowered, false));
+        // A file of an earlier version does not say what the measurement set.
+        let kept = Kept { measuring: None, ..kept };
+        assert_eq!(measuring.from_kept(&kept).unwrap(), (measuring, false));
     }
 }

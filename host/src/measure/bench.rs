@@ -8,7 +8,7 @@ use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::{Fault, State};
-use haptic_bridge::servo::HostAction;
+use haptic_bridge::servo::{HostAction, Rules};
 use nalgebra::DVector;
 
 use super::before::Before;
@@ -40,8 +40,8 @@ pub struct Bench<'a> {
     /// Unit direction of the pulls, d entries: the normal of one wall.
     direction: DVector<f64>,
     layout: Layout,
-    /// Each tested wall's part of the whole.
-    shares: Vec<f64>,
+    /// Each tested wall's part of the whole, and whether it has the feed-forward.
+    shares: Vec<(f64, bool)>,
     /// Force along the pull for each newton of the whole stiffness times the pull: 1 for one wall.
     along: f64,
     /// Holding gains (N/m, N s/m), along the pull first, then across.
@@ -71,8 +71,8 @@ impl<'a> Bench<'a> {
         let set = WallSet::at(&file.description, &q, &setup.walls, Admissible::default())?;
         let direction = set.between_stiffest().ok_or(PoseError::NoDirection)?;
         let across = complement(&direction);
-        let total: f64 = setup.walls.iter().map(|(_, share)| share).sum();
-        let shares: Vec<f64> = setup.walls.iter().map(|(_, share)| share / total).collect();
+        let total: f64 = setup.walls.iter().map(|wall| wall.share).sum();
+        let shares = setup.walls.iter().map(|wall| (wall.share / total, wall.feed_forward)).collect();
 
         // The hold: natural frequency well below filter and rate, damping 0.7.
         let hold_frequency = (0.05 * setup.rate_hz).min(0.3 * TAU * setup.cutoff_hz);
@@ -84,13 +84,7 @@ impl<'a> Bench<'a> {
         }
 
         let before = Before::of(board)?;
-        let mut rules = *before.rules();
-        if rules.host_action != HostAction::Disarm || rules.host_seconds > HOST_SECONDS {
-            (rules.host_action, rules.host_seconds) = (HostAction::Disarm, HOST_SECONDS);
-        }
-        for limit in &mut rules.limits.torque {
-            *limit = limit.min(setup.torque_limit as f32);
-        }
+        let rules = rules_for(before.rules(), setup.torque_limit);
         let device = Linearised::at(&file.description, &q, direction.as_slice())?;
         let torques = [false, true].map(|feed_forward| set.torque(&direction, feed_forward));
         let excitation = Excitation::new(file, &device, &torques, &rules, setup.largest_pull);
@@ -223,8 +217,11 @@ impl<'a> Bench<'a> {
         Err(MeasureError::Stuck)
     }
 
-    /// Clears the fault that a violent oscillation tripped, and arms with the soft hold.
+    /// Clears the fault that a violent oscillation tripped, and arms with the soft hold; unless somebody else has cleared it.
     fn arm_again(&mut self) -> Result<(), MeasureError> {
+        if self.board.status()?.state != State::Fault {
+            return Err(MeasureError::Disarmed);
+        }
         self.board.clear()?;
         self.board.arm()?;
         // Rows from before the fault was cleared still tell of it.
@@ -255,7 +252,8 @@ impl<'a> Bench<'a> {
 
     /// Gives the tested walls their parts of these gains.
     fn test(&mut self, kp: f64, kd: f64, feed_forward: FeedForward) -> Result<(), MeasureError> {
-        for (wall, share) in self.shares.clone().into_iter().enumerate() {
+        for (wall, (share, with)) in self.shares.clone().into_iter().enumerate() {
+            let feed_forward = if with { feed_forward } else { FeedForward::Off };
             self.gains(wall as u8, kp * share, kd * share, feed_forward)?;
         }
         Ok(())
@@ -383,7 +381,11 @@ impl<'a> Bench<'a> {
         let rows = self.board.rows(Duration::from_secs_f64(seconds.clamp(1e-4, 0.1)))?;
         let mut places = Vec::with_capacity(rows.len());
         for row in rows {
-            if row.values[self.state_column] == f64::from(State::Fault as u8) {
+            let state = row.values[self.state_column];
+            if state == f64::from(State::Disarmed as u8) {
+                return Err(MeasureError::Disarmed);
+            }
+            if state == f64::from(State::Fault as u8) {
                 // The record names it; without one the numbers themselves were no good.
                 let fault = self.board.status()?.fault.map_or(Fault::NotFinite, |record| record.fault);
                 return Err(MeasureError::Fault(fault));
@@ -394,6 +396,20 @@ impl<'a> Bench<'a> {
         }
         Ok(places)
     }
+}
+
+/// The rules that a measurement sets on a board with these: motors off soon after its tool is gone, and at most
+/// `torque_limit` N m.
+#[must_use]
+pub fn rules_for(before: &Rules, torque_limit: f64) -> Rules {
+    let mut rules = *before;
+    if rules.host_action != HostAction::Disarm || rules.host_seconds > HOST_SECONDS {
+        (rules.host_action, rules.host_seconds) = (HostAction::Disarm, HOST_SECONDS);
+    }
+    for limit in &mut rules.limits.torque {
+        *limit = limit.min(torque_limit as f32);
+    }
+    rules
 }
 
 impl Drop for Bench<'_> {

@@ -2,6 +2,7 @@
 //! stopped.
 
 use super::before::Kept;
+use crate::error::Failure;
 use crate::output::{self, Overwrite};
 use std::path::Path;
 
@@ -93,14 +94,17 @@ pub struct Progress {
 /// Why a file cannot be used.
 #[derive(Debug, Error)]
 pub enum ProgressError {
-    /// Not readable or writable.
-    #[error("{path}: {reason}")]
+    /// Not readable.
+    #[error("{path} is no file of progress: {reason}")]
     File {
         /// Which.
         path: String,
         /// What the system or the parser says.
         reason: String,
     },
+    /// Not writable.
+    #[error(transparent)]
+    Unwritten(Failure),
     /// It belongs to something else.
     #[error("{path} holds another measurement{} ({found})", date.as_ref().map_or(String::new(), |date| format!(", of {date}")))]
     Another {
@@ -166,9 +170,8 @@ impl Progress {
 
     /// Writes the file, whole or not at all.
     pub fn save(&self, path: &Path) -> Result<(), ProgressError> {
-        let file = |reason: String| ProgressError::File { path: path.display().to_string(), reason };
-        let text = serde_json::to_string_pretty(self).map_err(|e| file(e.to_string()))?;
-        output::write(path, text.as_bytes(), Overwrite::Replace).map_err(|failure| file(failure.to_string()))
+        let text = serde_json::to_string_pretty(self).map_err(|e| ProgressError::Unwritten(Failure::impossible(e)))?;
+        output::write(path, text.as_bytes(), Overwrite::Replace).map_err(ProgressError::Unwritten)
     }
 
     /// Where the range of a mode ends, if that was measured.

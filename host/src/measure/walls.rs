@@ -89,8 +89,8 @@ pub fn scene(
     };
     let layout = Layout::new(setup.walls.len());
     let mut places: Vec<(DVector<f64>, DVector<f64>)> = Vec::new();
-    for (normal, _) in &setup.walls {
-        places.push((tip.clone(), unit_normal(normal, tip.len(), tip.len())?));
+    for wall in &setup.walls {
+        places.push((tip.clone(), unit_normal(&wall.normal, tip.len(), tip.len())?));
     }
     if layout.hold > 0 {
         places.push((tip.clone(), direction.clone()));
@@ -119,12 +119,13 @@ pub fn scene(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::analysis::several::Member;
 
     #[test]
     fn its_own_scenes_are_told_from_all_others() {
         for normals in [vec![vec![0.6, 0.8]], vec![vec![1.0, 0.0], vec![0.3, -0.9]], vec![vec![0.1, 0.2, 0.9]]] {
-            let walls: Vec<_> = normals.into_iter().map(|normal| (normal, 1.0)).collect();
-            let tip = DVector::from_fn(walls[0].0.len(), |i, _| 0.07 - 0.1 * i as f64);
+            let walls: Vec<_> = normals.into_iter().map(|normal| Member::new(normal, 1.0)).collect();
+            let tip = DVector::from_fn(walls[0].normal.len(), |i, _| 0.07 - 0.1 * i as f64);
             let setup = Setup {
                 rate_hz: 1_000.0,
                 cutoff_hz: 20.0,
@@ -133,7 +134,7 @@ mod tests {
                 largest_pull: 2e-3,
                 walls: walls.clone(),
             };
-            let direction = unit_normal(&walls[0].0, tip.len(), tip.len()).unwrap();
+            let direction = unit_normal(&walls[0].normal, tip.len(), tip.len()).unwrap();
             let (_, mut own) = scene(&setup, &tip, &direction, &complement(&direction)).unwrap();
             own.walls[0].stiffness = 300.0;
             assert!(is_measurement(&own));

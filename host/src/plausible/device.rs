@@ -74,8 +74,11 @@ fn lengths(description: &Description) -> Vec<Doubt> {
         let short = length < LENGTHS.0 && name != "base";
         let at = key("geometry", None, "", name);
         if (short || length > LENGTHS.1) && doubts.iter().all(|doubt| doubt.key != Some(at)) {
-            let meant =
-                if short { format!("{} mm?", length * 1e3) } else { format!("{length} mm are {} m", length / 1e3) };
+            let meant = if short {
+                format!("{} mm?", digits(length * 1e3))
+            } else {
+                format!("{length} mm are {} m", digits(length / 1e3))
+            };
             doubts
                 .push(Doubt::new(at, format!("`{name}` in [geometry] is {length} m: lengths are in metres ({meant})")));
         }
@@ -88,7 +91,7 @@ fn too_heavy(at: Key, place: &str, mass: f64, heaviest: f64) -> Doubt {
         "{place} weighs {mass} kg, more than a steel cube half as wide as the longest link ({}): masses are in kg \
          ({mass} g are {} kg)",
         with_unit(heaviest, "kg"),
-        mass / 1e3
+        digits(mass / 1e3)
     );
     Doubt::new(at, text)
 }
@@ -119,7 +122,9 @@ fn of_link(link: &Link, index: usize, place: &str, longest: f64, heaviest: f64) 
         let bound = if gyration > longest {
             format!("more than if all of it were {longest} m away, the longest link's length")
         } else {
-            format!("less than a steel ball of that mass ({:.2e} kg m²)", link.mass * ball * ball)
+            let least = link.mass * ball * ball;
+            let least = if least < 1e-3 { format!("{least:.2e}") } else { digits(least) };
+            format!("less than a steel ball of that mass ({least} kg m²)")
         };
         let text = format!(
             "`inertia` of {place} is {} kg m² for {}: {bound}; it is taken about the centre of mass, in kg m² \
@@ -251,7 +256,7 @@ fn at_home(description: &Description) -> Vec<Doubt> {
 }
 
 /// The joint torques that hold the device up, N m.
-fn weight(device: &Device<f64>, q: &[f64]) -> Vec<f64> {
+pub(crate) fn weight(device: &Device<f64>, q: &[f64]) -> Vec<f64> {
     fn of<const N: usize, M: Mechanism<f64, N>>(m: &M, q: &[f64]) -> Vec<f64> {
         m.gravity(&m.pose::<Libm>(&SVector::<f64, N>::from_column_slice(q))).iter().copied().collect()
     }

@@ -14,8 +14,9 @@ use crate::analysis::cut::{Cut, Fineness};
 use crate::analysis::pose::PoseError;
 use crate::skeleton::{Angle, Point, Skeleton, Turret, skeleton};
 
-/// Longest side of the plane, pixels.
+/// Longest side of the plane, pixels: of a linkage by itself, and of a reach that no limits keep near it.
 const SIDE: f64 = 460.0;
+const WIDE: f64 = 760.0;
 /// Ground of the workspace.
 const REACH: &str = "#e6edf5";
 /// Links.
@@ -30,11 +31,16 @@ pub fn draw(description: &Description, name: &str, q: &[f64], lines: &[String]) 
     let reach = reach(description)?;
     let bars = skeleton.bars.iter().flat_map(|bar| [bar.from, bar.to]);
     let limited = description.joints[..spec.joints].iter().all(|joint| joint.limits.is_some());
-    let (low, high) = if limited { bounds(bars.chain(reach.iter().flatten().copied())) } else { bounds(bars) };
-    // Room for arcs and labels around a linkage drawn by itself.
-    let room = if limited { 0.08 } else { 0.22 } * (high.0 - low.0).max(high.1 - low.1);
+    let (low, high) = bounds(bars.chain(reach.iter().flatten().copied()));
+    // Room for arcs and labels, which a linkage drawn by itself needs most.
+    let (room, side) = match (reach.is_empty(), limited) {
+        (true, _) => (0.22, SIDE),
+        (false, true) => (0.08, SIDE),
+        (false, false) => (0.02, WIDE),
+    };
+    let room = room * (high.0 - low.0).max(high.1 - low.1);
     let (low, high) = ((low.0 - room, low.1 - room), (high.0 + room, high.1 + room));
-    let pixels = SIDE / (high.0 - low.0).max(high.1 - low.1);
+    let pixels = side / (high.0 - low.0).max(high.1 - low.1);
     let frame = Frame {
         at: (86.0, 62.0),
         size: ((high.0 - low.0) * pixels, (high.1 - low.1) * pixels),
@@ -51,7 +57,7 @@ pub fn draw(description: &Description, name: &str, q: &[f64], lines: &[String]) 
         turret_axis(canvas, &frame, description.kind);
         let mut taken: Vec<Area> = skeleton.angles.iter().map(|angle| label(&frame, angle, &skeleton).area()).collect();
         taken.extend(turret_label(&frame, description.kind));
-        links(canvas, &frame, &skeleton, &taken);
+        links(canvas, &frame, &skeleton, taken);
         for (angle, colour) in skeleton.angles.iter().zip([OFF, FULL, WASHOUT]) {
             arc(canvas, &frame, angle, pixels, description, colour, &skeleton);
         }
@@ -68,7 +74,8 @@ pub fn draw(description: &Description, name: &str, q: &[f64], lines: &[String]) 
     canvas.text((frame.at.0, 28.0), 15.0, Anchor::Start, false, &title);
     let what =
         if description.home.is_some_and(|home| home[..spec.joints] == *q) { "at home" } else { "at the pose given" };
-    canvas.text((frame.at.0, 47.0), 12.0, Anchor::Start, false, &format!("{what}; pale ground: where the tip can be"));
+    let ground = if reach.is_empty() { "" } else { "; pale ground: where the tip gets, clear of singular poses" };
+    canvas.text((frame.at.0, 47.0), 12.0, Anchor::Start, false, &format!("{what}{ground}"));
     for (i, line) in notes.iter().enumerate() {
         canvas.text((40.0, bottom + 17.0 * i as f64), 12.0, Anchor::Start, false, line);
     }
@@ -91,6 +98,7 @@ fn notes(description: &Description) -> Vec<String> {
     let side = if description.geometry[5] < 0.0 { "right" } else { "left" };
     let assembly =
         format!("assembly = {}: the tip P lies to the {side} of the way from C to D", description.geometry[5]);
+    let beside_axis = "no ground beside joint 0's axis: joint 0 does not move a tip that is on it, a singular pose";
     let angles = "angles count from the dashed line (zero) and grow counter-clockwise";
     match description.kind {
         Kind::Paddle => vec![angles.into(), "the task coordinate is length × angle, along the arc".into()],
@@ -99,14 +107,20 @@ fn notes(description: &Description) -> Vec<String> {
             angles.into(),
             assembly,
             "joint 0 turns this plane about the x axis: (X, Y, Z) = (x, y cos q0, y sin q0)".into(),
+            beside_axis.into(),
         ],
         Kind::Parallelogram => vec![
             angles.into(),
             "joints 1 and 2 both count from the horizontal".into(),
             "joint 2 turns the crank; its angle is the forearm's".into(),
             "joint 0 turns this plane about the y axis: (X, Y, Z) = (x cos q0, y, -x sin q0)".into(),
+            beside_axis.into(),
         ],
-        Kind::Serial3r => vec![angles.into(), "each joint counts from the link before".into()],
+        Kind::Serial3r => vec![
+            angles.into(),
+            "each joint counts from the link before".into(),
+            "the ground is that of the last link's direction at home".into(),
+        ],
     }
 }
 
@@ -117,7 +131,8 @@ fn overlap(a: &Area, b: &Area) -> bool {
     a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]
 }
 
-fn links(canvas: &mut Canvas, frame: &Frame, skeleton: &Skeleton, taken: &[Area]) {
+/// The links, with labels where nothing is `taken` yet.
+fn links(canvas: &mut Canvas, frame: &Frame, skeleton: &Skeleton, mut taken: Vec<Area>) {
     for bar in &skeleton.bars {
         let ends = [bar.from, bar.to].map(|p| frame.pixel(p.0, p.1));
         canvas.polyline(&ends, Stroke::solid(INK, 9.0));
@@ -163,7 +178,9 @@ fn links(canvas: &mut Canvas, frame: &Frame, skeleton: &Skeleton, taken: &[Area]
         // The first place that is free: outside, inside, towards the other end of the link.
         let places = [(past, outward), (past, -outward), (-past, outward), (-past, -outward)].map(|(p, s)| place(p, s));
         let free = places.iter().find(|at| !taken.iter().any(|other| overlap(&area(**at), other)));
-        canvas.slanted_text(*free.unwrap_or(&places[0]), slope, &text);
+        let at = *free.unwrap_or(&places[0]);
+        taken.push(area(at));
+        canvas.slanted_text(at, slope, &text);
     }
     for (letter, at) in &skeleton.letters {
         let (x, y) = frame.pixel(at.0, at.1);
@@ -230,7 +247,7 @@ struct Label {
 impl Label {
     /// Where it covers the drawing.
     fn area(&self) -> Area {
-        let width = 6.9 * self.text.chars().count() as f64;
+        let width = 6.1 * self.text.chars().count() as f64;
         let start = if self.anchor == Anchor::End { self.at.0 - width } else { self.at.0 };
         [start - 3.0, self.at.1 - 11.0, start + width + 3.0, self.at.1 + 4.0]
     }
@@ -250,12 +267,15 @@ fn label(frame: &Frame, angle: &Angle, skeleton: &Skeleton) -> Label {
         (8.0, Anchor::Start)
     };
     let at = (centre.0 + shift, centre.1 + if skeleton.base.contains(&angle.at) { 38.0 } else { 22.0 });
-    Label { text, at, anchor }
+    let mut label = Label { text, at, anchor };
+    let beyond = label.area()[2] - (frame.at.0 + frame.size.0);
+    label.at.0 -= beyond.max(0.0);
+    label
 }
 
 /// Where the turret's axis is named.
 fn turret_label(frame: &Frame, kind: Kind) -> Option<Area> {
-    const LONG: f64 = 175.0;
+    const LONG: f64 = 100.0;
     let origin = frame.pixel(0.0, 0.0);
     let right = frame.at.0 + frame.size.0 - 8.0;
     Some(match Turret::of(kind)? {
@@ -272,11 +292,11 @@ fn turret_axis(canvas: &mut Canvas, frame: &Frame, kind: Kind) {
     match Turret::of(kind) {
         Some(Turret::AboutX) => {
             canvas.line((left, origin.1), (right, origin.1), axis);
-            canvas.text((right - 8.0, origin.1 + 14.0), 11.5, Anchor::End, false, "joint 0 turns about this axis");
+            canvas.text((right - 8.0, origin.1 + 14.0), 11.5, Anchor::End, false, "axis of joint 0");
         }
         Some(Turret::AboutY) => {
             canvas.line((origin.0, top), (origin.0, bottom), axis);
-            canvas.text((origin.0 - 6.0, top + 8.0), 11.5, Anchor::End, true, "joint 0 turns about this axis");
+            canvas.text((origin.0 - 6.0, top + 8.0), 11.5, Anchor::End, true, "axis of joint 0");
         }
         None => {}
     }

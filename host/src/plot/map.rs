@@ -84,7 +84,7 @@ pub fn chart(
         frame.y.name = "y in the linkage's plane".into();
     }
     let bottom = frame.at.1 + frame.size.1;
-    let mut canvas = Canvas::new((frame.at.0 + frame.size.0 + 130.0).max(620.0), bottom + 104.0);
+    let mut canvas = Canvas::new((frame.at.0 + frame.size.0 + 130.0).max(620.0), bottom + 122.0);
 
     let fine = cut.tiles(Fineness { side: 12.0 / pixels, least: 3.0 / pixels, step: 2.0 * top / LEVELS, top });
     frame.clipped(&mut canvas, |canvas| paint(canvas, &frame, &fine, top));
@@ -106,6 +106,9 @@ pub fn chart(
     arrow(&mut canvas, &frame, cut.seen(normal));
     colour_bar(&mut canvas, &frame, step, top, highest);
     key(&mut canvas, bottom + 74.0, typical, home.is_some());
+    let beside = if Turret::of(description.kind).is_some() { " (joint 0's axis is one)" } else { "" };
+    let coloured = format!("coloured: where the tip gets, clear of singular poses{beside}");
+    canvas.text((frame.at.0, bottom + 112.0), 11.5, Anchor::Start, false, &coloured);
     let picture =
         canvas.finish(&title, "Coupling between rendered and admissible motion over the reachable workspace.");
     Ok(Chart { picture, frame, top })

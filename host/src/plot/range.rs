@@ -8,6 +8,9 @@ use super::colour::{BOUND, FAINT, FULL, OFF, WASHOUT};
 use crate::analysis::passivity::Passivity;
 use crate::analysis::range::{Domain, Range};
 
+/// Distance of the lines below the axes, pixels.
+const LINE: f64 = 17.0;
+
 /// A measured point of the boundary.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeasuredPoint {
@@ -32,6 +35,8 @@ pub struct Contents<'a> {
     pub range: &'a Range,
     /// Bounds drawn beside it.
     pub passivity: Option<&'a Passivity>,
+    /// Frequency of the feed-forward's washout, Hz.
+    pub washout_hz: Option<f64>,
     /// Measured dots without feed-forward.
     pub measured_off: &'a [MeasuredPoint],
     /// Measured dots with feed-forward.
@@ -52,7 +57,8 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
         .fold(0.0_f64, f64::max);
     let above = |value: f64| if value > 0.0 { value * 1.08 } else { 1.0 };
 
-    let mut canvas = Canvas::new(720.0, 486.0);
+    let symbols = contents.passivity.map(symbols).unwrap_or_default();
+    let mut canvas = Canvas::new(720.0, 486.0 + LINE * symbols.len() as f64);
     let frame = Frame {
         at: (86.0, 82.0),
         size: (610.0, 340.0),
@@ -77,7 +83,11 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
         entries.push((Mark::Line(line(FULL, "")), format!("feed-forward (4), Wrr = {}", mass(range.w_rr))));
         if let Some(washout) = &range.washout {
             frame.curve(canvas, &points(washout), line(WASHOUT, "7 3"));
-            entries.push((Mark::Line(line(WASHOUT, "7 3")), "feed-forward with washout".into()));
+            let washed = match contents.washout_hz {
+                Some(hz) => format!("feed-forward, washout {hz} Hz"),
+                None => "feed-forward with washout".into(),
+            };
+            entries.push((Mark::Line(line(WASHOUT, "7 3")), washed));
         }
         frame.curve(canvas, &off, line(OFF, ""));
         entries.push((Mark::Line(line(OFF, "")), format!("no feed-forward, Weff = {}", mass(range.w_eff))));
@@ -85,11 +95,11 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
             let sampled = [(0.0, passivity.sampled(0.0)), (passivity.damping, 0.0)];
             let colgate = Stroke { colour: BOUND, width: 1.6, dash: "5 3" };
             frame.curve(canvas, &sampled, colgate);
-            entries.push((Mark::Line(colgate), "passive: b > kp T (1/2 + delay) + |kd|".into()));
+            entries.push((Mark::Line(colgate), "passive: b > kp T (1/2 + d) + |kd|".into()));
             if let Some(limit) = passivity.quantised() {
                 let abbott = Stroke { colour: BOUND, width: 1.6, dash: "1.5 2.5" };
                 frame.curve(canvas, &[(0.0, limit), (0.04 * frame.x.high, limit)], abbott);
-                entries.push((Mark::Line(abbott), "passive: kp ≤ 2 fc/Δ, friction over encoder step".into()));
+                entries.push((Mark::Line(abbott), "passive: kp ≤ 2 fc/Δ".into()));
             }
         }
         for (dots, colour) in [(contents.measured_full, FULL), (contents.measured_off, OFF)] {
@@ -106,9 +116,31 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
     for (line, text) in contents.subtitle.iter().enumerate() {
         canvas.text((frame.at.0, 48.0 + 18.0 * line as f64), 12.0, Anchor::Start, false, text);
     }
+    for (line, text) in symbols.iter().enumerate() {
+        canvas.text((frame.at.0, 486.0 + LINE * line as f64), 11.5, Anchor::Start, false, text);
+    }
     Frame::legend(&mut canvas, frame.at.0 + frame.size.0 - 10.0, frame.at.1 + 10.0, &entries);
     canvas
         .finish(&contents.title, "Stable stiffness over damping of a virtual wall, without and with the feed-forward.")
+}
+
+/// What the legend's symbols stand for, with the values that they have here.
+fn symbols(passivity: &Passivity) -> Vec<String> {
+    let mut lines = vec![
+        "Weff, Wrr: the inertia that the wall meets; passive: no hand makes it oscillate, without feed-forward".into(),
+        format!(
+            "b = {:.3} N s/m: smallest viscous damping along n; T: control period; d: delay in samples",
+            passivity.damping
+        ),
+    ];
+    if let Some(quantum) = passivity.quantum {
+        let friction = passivity.coulomb;
+        lines.push(format!(
+            "fc = {friction:.3} N: smallest Coulomb friction along n; Δ = {:.3} µm: step of the encoders along n",
+            1e6 * quantum
+        ));
+    }
+    lines
 }
 
 /// A mass with three to four significant digits.

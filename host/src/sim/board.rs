@@ -15,8 +15,9 @@ use haptic_bridge::board::protocol::{
 use haptic_bridge::board::service::{Machine, Service};
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::board::telemetry::Packer;
-use haptic_bridge::drive::brushed::{Bridge, UNKNOWN_WINDING};
+use haptic_bridge::drive::brushed::UNKNOWN_WINDING;
 use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
+use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::math::Minimax;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device as BoardDevice;
@@ -26,7 +27,7 @@ use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::frame::{Crest, Samples};
 use haptic_bridge::servo::program::{Hardware, Program};
-use haptic_bridge::servo::{Command, HostAction, Reply, Rules, Servo, Status};
+use haptic_bridge::servo::{ARM_SECONDS, Command, HostAction, Reply, Rules, Servo, Status};
 use std::collections::BTreeMap;
 
 /// Frequency that the PWM timers count at, as those of the real boards do, Hz.
@@ -54,9 +55,9 @@ pub struct BoardOptions {
     /// Asks of a user what a real board asks: verified motors, limits, homing, polarity check. Its encoders then
     /// start at zero wherever the device stands; otherwise they know their angle.
     pub strict: bool,
-    /// Somebody holds the device from power-on until the motors are armed for the first time, and carries its weight
-    /// while a polarity check moves it, as docs/bring-up.md asks of a user.
-    pub supported: bool,
+    /// What somebody does for the device from power-on until the motors carry it, as docs/bring-up.md asks of a user: while a
+    /// polarity check moves it, its weight is carried, and while the torque ramps up after arming, it is held.
+    pub support: Support,
     /// Motor axes.
     pub axes: usize,
     /// Bytes that wait for a host to read them; what comes on top of it is dropped and counted.
@@ -72,7 +73,7 @@ impl Default for BoardOptions {
             drive: DriveModel::Electric,
             delay: 0.5,
             strict: false,
-            supported: false,
+            support: Support::None,
             axes: 3,
             send_buffer: 256 * 1024,
             serial: "SIM0001".into(),
@@ -197,7 +198,8 @@ pub struct SimulatedBoard {
     /// What the hand does while the motors are on, and whether it does.
     rounds: Option<Around>,
     going: bool,
-    support: Support,
+    /// Since when the motors are armed, s.
+    armed: Option<f64>,
 }
 
 impl SimulatedBoard {
@@ -246,7 +248,7 @@ impl SimulatedBoard {
             dropped: 0,
             rounds: None,
             going: false,
-            support: Support::None,
+            armed: None,
         };
         board.support_anew();
         board.service.boot(&mut board.innards);
@@ -294,7 +296,7 @@ impl SimulatedBoard {
             self.support();
         }
         self.countdown = self.countdown.saturating_sub(carriers);
-        let duties = self.innards.servo.duties(bus_voltage, &currents);
+        let duties = self.innards.servo.duties(bus_voltage, &currents, false);
         if due {
             self.record();
         }
@@ -338,25 +340,31 @@ impl SimulatedBoard {
         }
     }
 
-    /// The device as it is held when the board starts: where it is to be homed.
+    /// The device as it is supported when the board starts; held, where it is to be homed.
     fn support_anew(&mut self) {
-        if self.innards.options.supported {
-            self.support = Support::Held;
+        let support = self.innards.options.support;
+        if support == Support::Held {
             self.device.place(self.device.start());
-            self.device.set_support(Support::Held);
             self.seen = self.device.counts();
         }
+        self.device.set_support(support);
     }
 
     /// What somebody does for the device in this state of the board.
     fn support(&mut self) {
-        let wanted = match (self.support, self.innards.servo.frame().state) {
-            (Support::None, _) | (_, State::Armed) => Support::None,
+        let now = self.device.support();
+        let state = self.innards.servo.frame().state;
+        let time = self.device.time();
+        self.armed = (state == State::Armed).then(|| self.armed.unwrap_or(time));
+        let ramped = self.armed.is_some_and(|armed| time >= armed + f64::from(ARM_SECONDS));
+        let wanted = match (now, state) {
+            (Support::None, _) => Support::None,
+            (_, State::Armed) if ramped => Support::None,
+            (_, State::Armed) => Support::Held,
             (_, State::CheckingPolarity) => Support::Carried,
-            (_, State::Disarmed | State::Fault) => Support::Held,
+            (_, State::Disarmed | State::Fault) => self.innards.options.support,
         };
-        if wanted != self.support {
-            self.support = wanted;
+        if wanted != now {
             self.device.set_support(wanted);
         }
     }

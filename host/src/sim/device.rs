@@ -155,6 +155,11 @@ impl Device {
         }
     }
 
+    /// What somebody does for it.
+    pub fn support(&self) -> Support {
+        self.support
+    }
+
     /// Supports the device from now on, at rest where it is held.
     pub fn set_support(&mut self, support: Support) {
         if support == Support::Held {
@@ -192,6 +197,7 @@ impl Device {
     pub fn start(&self) -> [f64; 3] {
         self.start
     }
+
     /// Number of joints N.
     pub fn joints(&self) -> usize {
         self.plant.joints()

@@ -1,7 +1,7 @@
 //! A board whose device somebody holds still in one wall, at whatever depth: what its limits leave of the wall's force,
 //! free of what a device would do with it. The servo is the firmware's own; nothing moves, and only its steps pass.
 
-use haptic_bridge::drive::brushed::Bridge;
+use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::math::{Libm, Minimax};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::{Description, Encoder};
@@ -174,7 +174,7 @@ impl Held {
         let counts = q.map(|q| (q / std::f64::consts::TAU * COUNTS).round() as i32);
         for _ in 0..steps {
             self.servo.control(&Samples { counts, bus_voltage: 24.0, ..Samples::default() });
-            self.servo.duties(24.0, &[0.0; MAX_JOINTS]);
+            self.servo.duties(24.0, &[0.0; MAX_JOINTS], false);
         }
     }
 }

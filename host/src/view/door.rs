@@ -6,10 +6,11 @@
 
 use super::hub::{Hub, PageId};
 use super::message::FromPage;
+use crate::plot::colour;
 use std::io::{self, Read, Write};
 use std::net::{IpAddr, SocketAddr, TcpListener, TcpStream};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, LazyLock};
 use std::thread;
 use std::time::{Duration, Instant};
 use tungstenite::handshake::machine::TryParse;
@@ -17,8 +18,18 @@ use tungstenite::handshake::server::{Request, create_response, write_response};
 use tungstenite::protocol::{Role, WebSocketConfig};
 use tungstenite::{Message, WebSocket};
 
-/// The page, whole.
-const PAGE: &str = include_str!("page.html");
+/// The page; the colours of the feed-forward are those of every picture.
+static PAGE: LazyLock<String> = LazyLock::new(|| {
+    let colours = [
+        ("{{OFF}}", colour::OFF),
+        ("{{FULL}}", colour::FULL),
+        ("{{WASHOUT}}", colour::WASHOUT),
+        ("{{OFF_ON_DARK}}", colour::OFF_ON_DARK),
+        ("{{FULL_ON_DARK}}", colour::FULL_ON_DARK),
+        ("{{WASHOUT_ON_DARK}}", colour::WASHOUT_ON_DARK),
+    ];
+    colours.iter().fold(include_str!("page.html").into(), |page: String, (name, value)| page.replace(name, value))
+});
 /// What the page may do: run what is in it, and talk to where it came from. Nothing else of the network is for it.
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; \
                       connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
@@ -150,8 +161,9 @@ fn page(stream: &mut TcpStream) -> tungstenite::Result<()> {
         stream,
         "HTTP/1.1 200 OK\r\nContent-Type: text/html; charset=utf-8\r\nContent-Length: {}\r\n\
          Content-Security-Policy: {POLICY}\r\nX-Content-Type-Options: nosniff\r\nReferrer-Policy: no-referrer\r\n\
-         Cache-Control: no-store\r\nConnection: close\r\n\r\n{PAGE}",
-        PAGE.len()
+         Cache-Control: no-store\r\nConnection: close\r\n\r\n{}",
+        PAGE.len(),
+        PAGE.as_str()
     )?;
     Ok(())
 }

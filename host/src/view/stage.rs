@@ -410,8 +410,10 @@ impl<'a> Stage<'a> {
         };
         if let Some(plane) = self.plane.as_ref().filter(|plane| plane.wall == usize::from(wall) && !beyond) {
             let most = plane.stiffness_to(feed_forward, f64::from(damping));
-            let inside = now.stiffness <= plane.stiffness_to(now.feed_forward, now.damping);
-            if inside && f64::from(stiffness) > most {
+            let most_now = plane.stiffness_to(now.feed_forward, now.damping);
+            // Who is outside already is not asked again, but for a feed-forward that lets even less be stable.
+            let less_stable = feed_forward != now.feed_forward && most < most_now;
+            if f64::from(stiffness) > most && (now.stiffness <= most_now || less_stable) {
                 let why = format!(
                     "predicted to be unstable here: with {damping:.1} N s/m and feed-forward {}, walls are stable up to {most:.0} N/m",
                     feed_forward.name()

@@ -43,6 +43,7 @@ fn by_the_wall(browser: &mut Browser, tab: &Tab, before: f64) -> (f64, f64) {
     on(browser, tab, "stage", &format!("view.frame.toX({})", along(0)), &format!("view.frame.toY({})", along(1)))
 }
 
+/// Leads the hand by the mouse to 2 cm behind the wall's surface, and notes the place in `view.goal`.
 fn lead_into_the_wall(browser: &mut Browser, tab: &Tab) {
     let tip = on(
         browser,
@@ -54,7 +55,10 @@ fn lead_into_the_wall(browser: &mut Browser, tab: &Tab) {
     let tip = (tip.0, tip.1 - 25.0);
     let goal = by_the_wall(browser, tab, -0.02);
     browser.drag(tab, tip, goal);
-    browser.until(tab, "view.last.hand !== null");
+    browser.evaluate(tab, "(v => view.goal = [v[0] - 0.02 * v[3], v[1] - 0.02 * v[4]])(view.walls[0].values)");
+    // All of the way: the hand is there with the mouse's first step.
+    let there = "view.last.hand && Math.hypot(view.last.hand.goal[0] - view.goal[0], view.last.hand.goal[1] - view.goal[1]) < 2e-3";
+    browser.hold_until(tab, there);
 }
 
 #[test]
@@ -158,7 +162,7 @@ fn the_wall_is_pressed_by_the_mouse_and_its_feed_forward_changed_under_it() {
     browser.space(&tab, "keyUp");
     browser.until(&tab, "document.body.dataset.state === 'Disarmed'");
     // A wall is dragged by its handle.
-    browser.evaluate(&tab, "$('let-go').click()");
+    browser.evaluate(&tab, "view.goal = null; $('let-go').click()");
     browser.until(&tab, "view.last.hand === null");
     let handle = on(
         &mut browser,

@@ -53,6 +53,21 @@ impl Sim {
         command.args(["--port", &self.port]).assert()
     }
 
+    /// Waits until the board's state is like this, however slow the machine.
+    pub fn until(&self, so: impl Fn(&str) -> bool) {
+        let mut state = String::new();
+        for _ in 0..600 {
+            let info = self.run(&["info", "--json"]).success().get_output().stdout.clone();
+            let info: serde_json::Value = serde_json::from_slice(&info).unwrap();
+            state = info["state"].as_str().unwrap().into();
+            if so(&state) {
+                return;
+            }
+            std::thread::sleep(std::time::Duration::from_millis(100));
+        }
+        panic!("the board is still {state} after a minute");
+    }
+
     /// Starts the tool on this board in the background.
     pub fn spawn(&self, arguments: &[&str]) -> Child {
         let mut command = std::process::Command::cargo_bin("haptic").unwrap();

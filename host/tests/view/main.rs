@@ -104,6 +104,13 @@ fn gains_beyond_the_boundary_are_asked_about_first() {
     page.say(gains(22_000.0));
     page.until_refused("predicted to be unstable");
     assert_eq!(page.walls[0]["feed_forward"], "washout", "nothing was changed");
+    // Outside already, as when the tip slides to where less is stable: without the feed-forward even less would be.
+    page.say(json!({"do": "gains", "wall": 0, "stiffness": 23e3, "damping": 40.0, "feed_forward": "washout", "beyond": true}));
+    page.until("stiffer", |page| page.walls[0]["stiffness"] == 23_000.0);
+    page.say(gains(22_000.0));
+    page.until("a second refusal", |page| page.refused.len() == 2);
+    assert!(page.why().contains("predicted to be unstable"), "{}", page.why());
+    assert_eq!(page.walls[0]["feed_forward"], "washout", "nothing was changed");
     let again = page.refused.last().unwrap()["again"].clone();
     page.say(again);
     page.until("the gains", |page| page.walls[0]["feed_forward"] == "off");
@@ -112,9 +119,9 @@ fn gains_beyond_the_boundary_are_asked_about_first() {
     page.until("softer", |page| page.walls[0]["stiffness"] == 21_000.0);
     page.say(gains(5_000.0));
     page.until("soft", |page| page.walls[0]["stiffness"] == 5_000.0);
-    assert_eq!(page.refused.len(), 1);
+    assert_eq!(page.refused.len(), 2);
     page.say(gains(-1.0));
-    page.until("a refusal", |page| page.refused.len() == 2);
+    page.until("a refusal", |page| page.refused.len() == 3);
 }
 
 /// What the page is for: a hand presses the same wall, without the feed-forward it buzzes, with it it is quiet.
@@ -234,6 +241,31 @@ fn the_page_is_served_to_whom_it_is_for() {
     assert!(ask(&view, "GET / HTTP/1.1\r\nHost: evil.example\r\n\r\n").starts_with("HTTP/1.1 403 "));
     assert!(ask(&view, &format!("POST / HTTP/1.1\r\nHost: {host}\r\n\r\n")).starts_with("HTTP/1.1 400 "));
     assert!(ask(&view, "\0\x01\x02 what\r\n\r\n").starts_with("HTTP/1.1 400 "));
+}
+
+#[test]
+fn the_feed_forward_has_the_colours_of_the_pictures_of_haptic_range() {
+    let folder = tempfile::tempdir().unwrap();
+    let svg = folder.path().join("range.svg");
+    let device = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/coupled-five-bar.toml");
+    let range = ["range", device, "--normal", "0,1", "--kd", "5", "--washout", "2", "--svg", svg.to_str().unwrap()];
+    assert_cmd::Command::cargo_bin("haptic").unwrap().args(range).assert().success();
+    let svg = std::fs::read_to_string(svg).unwrap();
+    // In a legend the line stands before its words.
+    let lines: Vec<&str> = svg.lines().collect();
+    let drawn = |words: &str| {
+        let line = lines.windows(2).find(|pair| pair[1].contains(words)).expect(words)[0];
+        line.split_once("stroke=\"").and_then(|(_, rest)| rest.split_once('"')).expect(line).0
+    };
+    let view = simulated();
+    let page = ask(&view, &format!("GET / HTTP/1.1\r\nHost: {}\r\n\r\n", view.address()));
+    for (name, words) in
+        [("off", ">no feed-forward"), ("full", ">feed-forward (4)"), ("washout", ">feed-forward, washout")]
+    {
+        let shown = page.split_once(&format!("--{name}: ")).and_then(|(_, rest)| rest.split_once(';')).unwrap().0;
+        assert_eq!(shown, drawn(words), "{name}");
+    }
+    assert!(!page.contains("{{"), "every colour is filled in");
 }
 
 #[test]

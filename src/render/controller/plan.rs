@@ -32,7 +32,7 @@ impl Plan {
     ) -> Self {
         let plain = controller.gain.is_none()
             && !controller.coefficients.at_joints()
-            && controller.walls.whole_gain()
+            && controller.walls.gain() == T::one()
             && !controller.walls.damped
             && matches!(controller.mass, MassModel::Exact)
             && (M::SPEC.task == N || controller.admissible == Admissible::Orientation);

@@ -4,7 +4,7 @@ use crate::math::Real;
 use crate::render::scene::task_vector;
 use nalgebra::SVector;
 
-/// A force and a one-sided plane, both through Jᵀ alone: no inertia is shaped for them.
+/// A force, through Jᵀ alone, and a one-sided plane, which acts as a wall without the feed-forward does.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Push<T> {
     /// Force at the tip, N.
@@ -33,13 +33,27 @@ impl<T: Real> Push<T> {
     #[inline(never)]
     pub fn at<const N: usize>(&self, place: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
         let force = task_vector::<T, N>(&self.force);
-        let normal = task_vector::<T, N>(&self.plane.normal);
-        let depth = self.plane.offset - normal.dot(place);
+        let push = self.plane.force(place, velocity);
+        if push > T::zero() { force + task_vector::<T, N>(&self.plane.normal) * push } else { force }
+    }
+}
+
+impl<T: Real> PushedPlane<T> {
+    /// offset - n·p at the tip position `place` (m): positive where it pushes.
+    #[inline(always)]
+    pub(super) fn depth<const N: usize>(&self, place: &SVector<T, N>) -> T {
+        self.offset - task_vector::<T, N>(&self.normal).dot(place)
+    }
+
+    /// Its force along n, N.
+    #[inline(always)]
+    pub(super) fn force<const N: usize>(&self, place: &SVector<T, N>, velocity: &SVector<T, N>) -> T {
+        let depth = self.depth(place);
         if depth > T::zero() {
-            let push = self.plane.stiffness * depth - self.plane.damping * normal.dot(velocity);
-            force + normal * push.greater(T::zero())
+            let along = task_vector::<T, N>(&self.normal).dot(velocity);
+            (self.stiffness * depth - self.damping * along).greater(T::zero())
         } else {
-            force
+            T::zero()
         }
     }
 }

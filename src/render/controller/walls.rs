@@ -5,16 +5,21 @@
 use super::Gains;
 use crate::math::{Math, Real};
 use crate::model::inertia::frame_rate;
-use crate::model::principal::{Principal, Pull};
 use crate::render::scene::{Contact, FeedForward, MAX_WALLS, Scene, SceneError, Surface, Wall};
 use crate::render::velocity::{Coefficients, Velocity, Washout};
 use heapless::Vec;
 use nalgebra::SVector;
+pub use together::{TOUCH_DEPTH, TOUCH_SHARE};
+pub(super) use together::{Together, depth_of};
+
+mod together;
 
 /// One wall.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Running<T: Real> {
     wall: Wall<T>,
+    /// How its force is shaped where it acts together with others: its own feed-forward, or theirs if it has none.
+    together: FeedForward,
     velocity: Velocity<T>,
     washout: Washout<T>,
     passivity: Passivity<T>,
@@ -58,7 +63,7 @@ impl<T: Real> Running<T> {
         let inside = contact.distance < zero;
         if !inside && !wall.bilateral {
             self.passivity.leave(moved);
-            if wall.feed_forward == FeedForward::Washout {
+            if self.together == FeedForward::Washout {
                 self.washout.step(zero);
             }
             return pressed;
@@ -76,7 +81,7 @@ impl<T: Real> Running<T> {
         self.passivity.hold(force);
         pressed.touched = true;
         pressed.force = force;
-        pressed.shaped = match wall.feed_forward {
+        pressed.shaped = match self.together {
             FeedForward::Off => zero,
             FeedForward::Full => force * gain,
             FeedForward::Washout => self.washout.step(force) * gain,
@@ -102,16 +107,22 @@ impl<T: Real> Running<T> {
     /// Not inlined: the same for every mechanism, and rare.
     #[inline(never)]
     fn set_gains(&mut self, gains: &Gains<T>, washout: &Washout<T>) {
-        if self.wall.feed_forward == FeedForward::Washout {
-            self.washout.retune(washout);
-        } else {
-            // It was not stepped, so what it remembers is no longer true.
-            self.washout = *washout;
-        }
+        self.wash(washout);
         self.wall.stiffness = gains.stiffness;
         self.wall.damping = gains.damping;
         self.wall.feed_forward = gains.feed_forward;
         self.wall.washout_hz = gains.washout_hz;
+    }
+
+    /// Takes this design for its washout.
+    fn wash(&mut self, washout: &Washout<T>) {
+        if self.together == FeedForward::Washout {
+            self.washout.retune(washout);
+        } else {
+            // It was not stepped, so what it remembers is no longer true.
+            self.washout = Washout::default();
+            self.washout.retune(washout);
+        }
     }
 }
 
@@ -161,7 +172,7 @@ impl<T: Real> Passivity<T> {
     }
 }
 
-/// A contact whose force goes through the feed-forward in this step.
+/// A contact whose force goes through the feed-forward in this step, its own or that of walls it acts together with.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Active<T: Real, const N: usize> {
     /// Which wall.
@@ -172,32 +183,12 @@ pub(super) struct Active<T: Real, const N: usize> {
     pub shaped: T,
 }
 
-/// Walls that act together: where they are touched, their stiffness, and the directions that it singles out.
-#[derive(Clone, Debug)]
-pub(super) struct Together<T: Real, const N: usize> {
-    active: Vec<Active<T, N>, MAX_WALLS>,
-    pulls: Vec<Pull<T, N>, MAX_WALLS>,
-    pub principal: Principal<T, N>,
-}
-
 /// For what b of the feed-forward is asked.
 pub(super) enum Acting<'a, T: Real, const N: usize> {
     /// One wall.
     One(&'a Active<T, N>),
     /// So many rendered directions of several walls.
-    Level(&'a Together<T, N>, usize),
-}
-
-/// Depth in which a wall's stiffness grows to its own in deciding what is rendered, m: touching a second wall then does
-/// not step the feed-forward of the first. Three steps of a shipped encoder, and the depth of a few newtons in the
-/// stiffest walls that these devices render.
-pub const TOUCH_DEPTH: f64 = 1.0e-4;
-
-/// The share of its stiffness with which a wall counts at a depth (m): a smooth step from 0 to [`TOUCH_DEPTH`].
-#[inline(always)]
-fn grown<T: Real>(depth: T) -> T {
-    let s = (depth * T::from_f64(1.0 / TOUCH_DEPTH)).lesser(T::one()).greater(T::zero());
-    s * s * (T::from_f64(3.0) - s - s)
+    Level(&'a Together<'a, T, N>, usize),
 }
 
 /// All walls of a scene.
@@ -232,7 +223,7 @@ pub(super) struct Touch<T: Real, const N: usize> {
     /// The force that goes straight through Jᵀ (N), if there is one.
     pub plain: SVector<T, N>,
     pub straight: bool,
-    /// The first wall whose force is shaped: by itself, because one is the usual case and need not go through memory.
+    /// The first wall with the feed-forward: by itself, because one is the usual case and need not go through memory.
     pub first: Option<Active<T, N>>,
 }
 
@@ -251,21 +242,49 @@ impl<T: Real> Walls<T> {
             // The two vectors have the same capacity.
             let _ = running.push(Running {
                 wall: *wall,
+                together: wall.feed_forward,
                 velocity: Velocity::default(),
                 washout,
                 passivity: Passivity::default(),
             });
         }
-        Ok(Self {
+        let mut walls = Self {
             running,
             passivity: false,
             gain: scene.feed_forward_gain,
             curved: scene.walls.iter().any(|wall| wall.surface.curved()),
             damped: scene.walls.iter().any(|wall| wall.damping_compensation),
-        })
+        };
+        walls.agree();
+        Ok(walls)
     }
 
-    /// Contacts and forces at the tip position `place` (m); walls beyond the first whose force is shaped go to `more`.
+    /// How the force of walls without the feed-forward, and of springs, is shaped where they act together with walls
+    /// that have it: through a washout if any of those has one, as they do not push sideways at rest either.
+    pub fn others(&self) -> (FeedForward, Option<Washout<T>>) {
+        let with = |feed_forward| self.running.iter().find(move |other| other.wall.feed_forward == feed_forward);
+        match with(FeedForward::Washout).map(|other| other.washout) {
+            Some(washout) => (FeedForward::Washout, Some(washout)),
+            None if with(FeedForward::Full).is_some() => (FeedForward::Full, None),
+            None => (FeedForward::Off, None),
+        }
+    }
+
+    /// Tells walls without the feed-forward what [`Walls::others`] says.
+    fn agree(&mut self) {
+        let (others, washout) = self.others();
+        for running in &mut self.running {
+            let own = running.wall.feed_forward;
+            let together = if own == FeedForward::Off && running.wall.stiffness > T::zero() { others } else { own };
+            if let (FeedForward::Off, Some(washout)) = (own, &washout) {
+                running.wash(washout);
+            }
+            running.together = together;
+        }
+    }
+
+    /// Contacts and forces at the tip position `place` (m); walls whose force is shaped go to `more`, but for the first
+    /// that has the feed-forward itself.
     /// `along` is the tip's velocity (m/s) where an estimator that watches joints knows it. Every estimator runs at every
     /// step, so contact never starts it from zero.
     #[inline(always)]
@@ -306,50 +325,35 @@ impl<T: Real> Walls<T> {
             touch.wall_force += pressed.force;
             touch.energy += running.energy();
             touch.passivity_damping += pressed.passivity_damping;
-            let feed_forward = running.wall.feed_forward;
-            if feed_forward != FeedForward::Full || self.gain != T::one() {
+            if running.together != FeedForward::Full || self.gain != T::one() {
                 touch.plain += contact.normal * (pressed.force - pressed.shaped);
                 touch.straight = true;
             }
-            if feed_forward != FeedForward::Off {
+            if running.together != FeedForward::Off {
                 let active = Active { wall: index, normal: contact.normal, shaped: pressed.shaped };
-                match touch.first {
-                    None => touch.first = Some(active),
-                    Some(_) => {
-                        let _ = more.push(active);
-                    }
+                if touch.first.is_none() && running.wall.feed_forward != FeedForward::Off {
+                    touch.first = Some(active);
+                } else {
+                    let _ = more.push(active);
                 }
             }
+        }
+        if touch.first.is_none() && !more.is_empty() {
+            // Walls without the feed-forward alone.
+            touch.plain += more.iter().fold(SVector::zeros(), |sum, a| sum + a.normal * a.shaped);
+            touch.straight = true;
+            more.clear();
         }
         touch
     }
 
-    /// What walls that act together render, at the tip position `place` (m).
-    #[inline(always)]
-    pub fn together<K: Math<T>, const N: usize>(
-        &self,
-        first: &Active<T, N>,
-        more: &[Active<T, N>],
-        place: &SVector<T, N>,
-        task: usize,
-    ) -> Together<T, N> {
-        let mut active: Vec<Active<T, N>, MAX_WALLS> = Vec::new();
-        let mut pulls: Vec<Pull<T, N>, MAX_WALLS> = Vec::new();
-        for a in core::iter::once(first).chain(more) {
-            let stiffness = self.running.get(a.wall).map_or(T::zero(), |running| {
-                let wall = &running.wall;
-                let depth = -wall.surface.contact::<K, N>(place).distance;
-                if wall.bilateral { wall.stiffness } else { wall.stiffness * grown(depth) }
-            });
-            let _ = active.push(*a);
-            let _ = pulls.push(Pull { normal: a.normal, stiffness });
-        }
-        let principal = Principal::new::<K>(&pulls, task);
-        Together { active, pulls, principal }
+    /// Whether a contact's wall has the feed-forward itself.
+    fn has_feed_forward<const N: usize>(&self, a: &Active<T, N>) -> bool {
+        self.running.get(a.wall).is_some_and(|running| running.wall.feed_forward != FeedForward::Off)
     }
 
-    /// The share of joint damping that is compensated: of several walls, the share in their stiffness of those that
-    /// ask for it.
+    /// The share of joint damping that is compensated: of several walls with the feed-forward, the share in their
+    /// stiffness of those that ask for it.
     pub fn damping_share<const N: usize>(&self, acting: &Acting<'_, T, N>) -> T {
         let asks = |a: &Active<T, N>| self.running.get(a.wall).is_some_and(|r| r.wall.damping_compensation);
         if !self.damped {
@@ -360,7 +364,7 @@ impl<T: Real> Walls<T> {
             Acting::One(_) => T::zero(),
             Acting::Level(together, _) => {
                 let (mut asking, mut all) = (T::zero(), T::zero());
-                for (a, pull) in together.active.iter().zip(&together.pulls) {
+                for (a, pull) in together.walls().filter(|(_, pull)| pull.feed_forward) {
                     all += pull.stiffness;
                     asking += if asks(a) { pull.stiffness } else { T::zero() };
                 }
@@ -388,7 +392,7 @@ impl<T: Real> Walls<T> {
                 // How a principal direction follows the normals that make it: their rates, each by its part in it.
                 let follow = |i: usize| {
                     let (mut sum, mut all) = (SVector::zeros(), T::zero());
-                    for (a, pull) in together.active.iter().zip(&together.pulls) {
+                    for (a, pull) in together.walls() {
                         let along = together.principal.direction(i).dot(&a.normal);
                         sum += rate(a) * (pull.stiffness * along);
                         all += pull.stiffness * along * along;
@@ -417,9 +421,9 @@ impl<T: Real> Walls<T> {
         Some((only, self.passivity))
     }
 
-    /// Whether α is 1.
-    pub fn whole_gain(&self) -> bool {
-        self.gain == T::one()
+    /// α of the feed-forward.
+    pub fn gain(&self) -> T {
+        self.gain
     }
 
     /// Whether a one-sided wall is touched at the tip position `place`.
@@ -436,6 +440,7 @@ impl<T: Real> Walls<T> {
         if let Some(running) = self.running.get_mut(usize::from(gains.wall)) {
             running.set_gains(gains, washout);
         }
+        self.agree();
     }
 
     /// Starts all estimators anew.

@@ -41,7 +41,7 @@ pub extern "C" fn carrier_guard(servo: &mut OnBoard, seen: &Crest, outputs: &mut
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
 pub extern "C" fn carrier_step(servo: &mut OnBoard, bus_voltage: f32, currents: &[f32; 3], duties: &mut [f32; 3]) {
-    *duties = servo.duties(bus_voltage, currents);
+    *duties = servo.duties(bus_voltage, currents, false);
     #[cfg(feature = "broken")]
     {
         duties[0] = currents[servo.status().step as usize];

@@ -75,7 +75,7 @@ impl Meter {
         self.last_line.set(Instant::now());
         let left = self.left().map_or(String::new(), |left| format!(", about {} left", in_words(left)));
         let (done, total) = (self.done.get(), self.total);
-        eprintln!("{done} of {total} repeats after {}{left}", in_words(self.began.elapsed().as_secs_f64()));
+        haptic::tell!("{done} of {total} repeats after {}{left}", in_words(self.began.elapsed().as_secs_f64()));
     }
 
     /// Seconds that are left, once the first search is over.

@@ -1,11 +1,12 @@
 //! What a measurement says: its points beside the theory of the same loop, as a table, a document or a picture.
 
 use super::Args;
+use crate::commands::port::counted;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::pose::PoseError;
 use haptic::analysis::range::{BoundaryPoint, Range, predict, predict_several};
 use haptic::analysis::sampled::{AnalysisError, Estimator, Loop};
-use haptic::analysis::several::WallSet;
+use haptic::analysis::several::{Member, WallSet};
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::measure::campaign::Plan;
@@ -20,10 +21,10 @@ use std::fmt::Write;
 /// The linear theory of the board that was measured.
 pub struct Theory {
     device: Walls,
-    walls: Vec<(Vec<f64>, f64)>,
+    walls: Vec<Member>,
     around: Loop,
     excitation: Excitation,
-    /// The command that predicts the same.
+    /// The command that predicts the same, but for its dampings.
     line: String,
     q: Vec<f64>,
 }
@@ -48,6 +49,11 @@ fn list(values: &[f64]) -> String {
     values.iter().map(f64::to_string).collect::<Vec<_>>().join(",")
 }
 
+/// A damping to six digits, N s/m: theory and printed line then agree in every digit.
+fn printed(kd: f64) -> f64 {
+    format!("{kd:.5e}").parse().unwrap_or(kd)
+}
+
 /// Lag of the boards' current loops at a carrier of 20 kHz, Hz: half a carrier period, as `haptic range` has it.
 const CURRENT_HZ: f64 = 6400.0;
 const CARRIER_HZ: f64 = 20_000.0;
@@ -57,13 +63,13 @@ impl Theory {
     pub fn new(
         args: &Args,
         file: &DeviceFile,
-        walls: Vec<(Vec<f64>, f64)>,
+        walls: Vec<Member>,
         q: &[f64],
         (info, details): (&Info, &Details),
         excitation: Excitation,
     ) -> Result<Self, PoseError> {
         let device = match walls.as_slice() {
-            [(normal, _)] => Walls::One(Linearised::at(&file.description, q, normal)?),
+            [only] => Walls::One(Linearised::at(&file.description, q, &only.normal)?),
             _ => Walls::Several(WallSet::at(&file.description, q, &walls, Admissible::default())?),
         };
         let delay_samples = (f64::from(details.delay_samples) * 1e6).round() / 1e6;
@@ -76,6 +82,9 @@ impl Theory {
         }
         if let (Some(share), true) = (&args.share, walls.len() > 1) {
             let _ = write!(line, " --share {}", list(&share.0));
+        }
+        if let Some(without) = &args.no_feed_forward {
+            let _ = write!(line, " --no-feed-forward {}", list(&without.0));
         }
         let _ = write!(line, " --rate {} --cutoff {} --delay {delay_samples}", args.rate, args.cutoff);
         if !ideal {
@@ -166,7 +175,7 @@ impl Report<'_> {
     /// The points of a mode with the theory's at the same dampings.
     fn beside(&self, mode: Mode) -> Result<Vec<(&Point, BoundaryPoint)>, Failure> {
         let points = self.progress.all(mode);
-        let kd: Vec<f64> = points.iter().map(|point| point.kd).collect();
+        let kd: Vec<f64> = points.iter().map(|point| printed(point.kd)).collect();
         let range = self.theory.predict(Some(&kd), self.washout())?;
         let domain = match mode {
             Mode::Off => range.off,
@@ -174,6 +183,15 @@ impl Report<'_> {
             Mode::Washout => range.washout.unwrap_or(range.full),
         };
         Ok(points.into_iter().zip(domain.boundary).collect())
+    }
+
+    /// The command that predicts the theory's figures.
+    fn line(&self) -> String {
+        let points = self.plan.modes.iter().flat_map(|mode| self.progress.all(*mode));
+        let mut kd: Vec<f64> = points.map(|point| printed(point.kd)).collect();
+        kd.sort_by(f64::total_cmp);
+        kd.dedup();
+        format!("{} --kd {}", self.theory.line, list(&kd))
     }
 
     fn drive(&self) -> String {
@@ -195,10 +213,10 @@ impl Report<'_> {
         [
             place,
             format!(
-                "{} Hz, cutoff {} Hz, delay {} samples, {}",
+                "{} Hz, cutoff {} Hz, delay {}, {}",
                 args.rate,
                 args.cutoff,
-                around.delay_samples,
+                counted(around.delay_samples, "sample"),
                 self.drive()
             ),
         ]
@@ -281,7 +299,7 @@ impl Report<'_> {
         let _ = writeln!(
             text,
             "The theory knows no Coulomb friction, hand, encoder steps or saturation. It is that of:\n  {}",
-            self.theory.line
+            self.line()
         );
         Ok(text)
     }
@@ -348,8 +366,12 @@ impl Report<'_> {
                 }));
             }
         }
-        let walls: Vec<_> =
-            self.theory.walls.iter().map(|(normal, share)| json!({ "normal": normal, "share": share })).collect();
+        let walls: Vec<_> = self
+            .theory
+            .walls
+            .iter()
+            .map(|wall| json!({ "normal": wall.normal, "share": wall.share, "feed_forward": wall.feed_forward }))
+            .collect();
         Ok(json!({
             "date": self.progress.date,
             "q": self.theory.q,
@@ -358,7 +380,7 @@ impl Report<'_> {
             "cutoff_hz": self.args.cutoff,
             "delay_samples": self.theory.around.delay_samples,
             "drive": self.drive(),
-            "theory": self.theory.line,
+            "theory": self.line(),
             "encoder_step_m": self.theory.excitation.quantum,
             "areas": self.areas()?,
             "points": points,
@@ -380,6 +402,7 @@ impl Report<'_> {
             subtitle: self.setting(),
             range: &range,
             passivity: None,
+            washout_hz: self.washout(),
             measured_off: &off,
             measured_full: if full.is_empty() { &washed } else { &full },
         }))

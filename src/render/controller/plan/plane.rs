@@ -4,6 +4,7 @@ use super::super::{Controller, FULL_REGULARITY, PARALLEL_REGULARITY, Step, fade,
 use crate::math::{Math, Real};
 use crate::model::inertia::shaped_torque_beside;
 use crate::model::mechanism::Mechanism;
+use crate::render::controller::guidance::Beside;
 use crate::render::controller::walls::Active;
 use crate::render::scene::shape::Shape;
 use crate::render::scene::{FeedForward, Surface, VelocityTerms};
@@ -74,8 +75,18 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
                     let first = Active { wall: 0, normal: contact.normal, shaped: pressed.shaped };
                     let share = fade(near);
                     let left;
-                    (step.torque, left) =
-                        self.shaped_by_several(&[], &turned, &pose, &place, &qd, &first, &[], &shaped, share);
+                    (step.torque, left) = self.shaped_by_several(
+                        &[],
+                        &turned,
+                        &pose,
+                        &place,
+                        &qd,
+                        &first,
+                        &[],
+                        &Beside::none(),
+                        &shaped,
+                        share,
+                    );
                     step.shaping = share;
                     plain += left;
                     straight = true;

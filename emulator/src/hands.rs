@@ -1,0 +1,34 @@
+//! What hands do with a simulated device.
+
+use haptic::sim::{Device, Hand, HandSettings, Intent, Waypoint};
+
+/// A hand that gives way to nothing.
+#[must_use]
+pub fn firm() -> HandSettings {
+    HandSettings {
+        grip_stiffness: 50_000.0,
+        grip_damping: 100.0,
+        arm_stiffness: 50_000.0,
+        arm_damping: 100.0,
+        ..HandSettings::default()
+    }
+}
+
+/// A firm hand that keeps the tip where it is, as a person does while homing a device that would fall.
+pub fn hold(device: &mut Device) {
+    let here = vec![Waypoint { time: 0.0, value: device.tip() }];
+    device.set_hand(Hand::new(firm(), Intent::Follow(here), device.tip(), device.time()));
+}
+
+/// A hand that carries what the firm one carried and gives way to anything else: the polarity check can move the tip.
+pub fn carry(device: &mut Device) {
+    let weight = vec![Waypoint { time: 0.0, value: device.hand_force() }];
+    device.set_hand(Hand::new(HandSettings::default(), Intent::Push(weight), device.tip(), device.time()));
+}
+
+/// A trembling hand that pushes the tip with `force` (N), reached in `seconds`.
+pub fn push(device: &mut Device, force: [f64; 3], seconds: f64) {
+    let path = vec![Waypoint::default(), Waypoint { time: seconds, value: force }];
+    let settings = HandSettings { tremor: 2e-4, ..HandSettings::default() };
+    device.set_hand(Hand::new(settings, Intent::Push(path), device.tip(), device.time()));
+}

@@ -1,0 +1,139 @@
+//! A device with weight on a simulated board that asks for what a real one asks: somebody holds it until the motors carry
+//! it, and then they do.
+
+use haptic::device_file::DeviceFile;
+use haptic::link::Board;
+use haptic::scene_file::SceneFile;
+use haptic::sim::{BoardOptions, SharedBoard, Support, ready_board};
+use haptic::template;
+use haptic_bridge::model::catalogue::Kind;
+use haptic_bridge::render::scene::Scene;
+use haptic_bridge::safety::fault::State;
+use haptic_bridge::servo::{ARM_SECONDS, HostAction, Rules};
+use std::path::{Path, PathBuf};
+
+fn devices() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices")
+}
+
+/// The scenes that ship for a device.
+fn scenes(name: &str, task: usize) -> Vec<SceneFile> {
+    let files = std::fs::read_dir(devices().join("scenes").join(name)).unwrap().map(|entry| entry.unwrap().path());
+    files.map(|path| SceneFile::load(&path, task).unwrap()).collect()
+}
+
+/// A strict board with this device, which somebody holds, and whatever its file lacks for a board.
+fn strict(mut file: DeviceFile) -> (SharedBoard, Board) {
+    let home = file.description.home.unwrap();
+    for (joint, home) in file.description.joints.iter_mut().zip(home) {
+        joint.motor.iter_mut().for_each(|motor| motor.verified = true);
+        joint.limits.get_or_insert((home - 1.0, home + 1.0));
+    }
+    let options = BoardOptions { strict: true, support: Support::Held, ..BoardOptions::default() };
+    let shared = SharedBoard::new(ready_board(&file, options).unwrap());
+    let mut board = Board::over(shared.wire(), "sim").unwrap();
+    let rules = board.rules().unwrap();
+    board.set_rules(&Rules { host_action: HostAction::Ignore, ..rules }).unwrap();
+    (shared, board)
+}
+
+/// The same, homed, with its polarity checked.
+fn ready_to_arm(file: DeviceFile) -> (SharedBoard, Board) {
+    let name = file.name.clone();
+    let (shared, mut board) = strict(file);
+    board.home().unwrap();
+    board.check_polarity().unwrap();
+    shared.lock().run(7.0);
+    assert!(board.status().unwrap().polarity, "{name}: {:?}", board.status());
+    (shared, board)
+}
+
+/// Arms, and looks where the device is at the ramp's end and long after it.
+fn stays_while_armed(shared: &SharedBoard, board: &mut Board, what: &str) {
+    let before = shared.lock().device().q();
+    board.arm().unwrap_or_else(|error| panic!("{what}: {error}"));
+    shared.lock().run(0.98 * f64::from(ARM_SECONDS));
+    assert_eq!(shared.lock().device().q(), before, "{what} is held while the torque ramps up");
+    shared.lock().run(2.0);
+    let status = board.status().unwrap();
+    assert_eq!((status.state, status.fault), (State::Armed, None), "{what}");
+    let q = shared.lock().device().q();
+    let moved = q.iter().zip(before).map(|(q, before)| (q - before).abs()).fold(0.0, f64::max);
+    // The motors carry the weight; a spring of the scene may pull.
+    assert!(moved < 0.1, "{what} moved by {moved} rad");
+}
+
+#[test]
+fn every_scene_that_ships_for_a_device_with_weight_runs_on_a_strict_board() {
+    for name in ["phantom-premium-1.5", "serial-3r", "woodenhaptics", "fictive-five-bar-turret"] {
+        let file = DeviceFile::load(devices().join(format!("{name}.toml"))).unwrap();
+        for scene in scenes(name, file.spec().task) {
+            let (shared, mut board) = ready_to_arm(file.clone());
+            let what = scene.path.display().to_string();
+            board.set_scene(&scene.scene::<f32>().unwrap()).unwrap();
+            stays_while_armed(&shared, &mut board, &what);
+        }
+    }
+}
+
+#[test]
+fn a_template_with_weight_does_not_fall_while_it_is_armed() {
+    for kind in [Kind::Parallelogram, Kind::FiveBarTurret] {
+        let file = DeviceFile::parse(&template::device_file(kind, "mine"), "mine.toml").unwrap();
+        assert!(file.description.gravity.iter().any(|g| *g != 0.0));
+        let task = file.spec().task as u8;
+        let (shared, mut board) = ready_to_arm(file);
+        board.set_scene(&Scene { task, ..Scene::default() }).unwrap();
+        stays_while_armed(&shared, &mut board, kind.spec().name);
+    }
+}
+
+#[test]
+fn the_weight_of_a_device_is_carried_on_any_simulated_board_until_the_motors_carry_it() {
+    let file = DeviceFile::load(devices().join("woodenhaptics.toml")).unwrap();
+    let [room] = &scenes("woodenhaptics", 3)
+        .into_iter()
+        .filter(|scene| scene.path.ends_with("room.toml"))
+        .collect::<Vec<_>>()[..]
+    else {
+        panic!("no room")
+    };
+    let options = BoardOptions { support: Support::Carried, ..BoardOptions::default() };
+    let shared = SharedBoard::new(ready_board(&file, options).unwrap());
+    let mut board = Board::over(shared.wire(), "sim").unwrap();
+    board.set_scene(&room.scene::<f32>().unwrap()).unwrap();
+    shared.lock().run(2.0);
+    stays_while_armed(&shared, &mut board, "woodenhaptics in a room");
+}
+
+#[test]
+fn a_device_with_weight_is_held_until_it_is_armed_and_passes_the_polarity_check() {
+    for name in ["phantom-premium-1.5", "serial-3r", "woodenhaptics", "fictive-five-bar-turret"] {
+        let file = DeviceFile::load(devices().join(format!("{name}.toml"))).unwrap();
+        let (home, task) = (file.description.home.unwrap(), file.spec().task as u8);
+        let (shared, mut board) = strict(file);
+        board.set_scene(&Scene { task, ..Scene::default() }).unwrap();
+        shared.lock().run(2.0);
+        assert_eq!(shared.lock().device().q(), home, "{name} is held");
+        board.home().unwrap();
+        board.check_polarity().unwrap();
+        shared.lock().run(7.0);
+        let status = board.status().unwrap();
+        assert!(status.polarity, "{name}: {status:?}");
+        let still = shared.lock().device().q();
+        shared.lock().run(1.0);
+        assert_eq!(shared.lock().device().q(), still, "{name} is held again");
+        board.arm().unwrap();
+        shared.lock().run(0.6);
+        board.disarm().unwrap();
+        shared.lock().run(1.0);
+        let fallen =
+            shared.lock().device().q().iter().zip(still).map(|(q, still)| (q - still).abs()).fold(0.0, f64::max);
+        assert!(fallen > 1e-3, "{name}: from now on nobody holds it, {fallen} rad");
+        // Until the board begins anew, and has to be homed again.
+        board.restart().unwrap();
+        shared.lock().run(1.0);
+        assert_eq!(shared.lock().device().q(), home, "{name} is held");
+        assert_eq!(board.status().unwrap().fault, None, "{name}");
+    }
+}

@@ -1,0 +1,92 @@
+//! The seam between joint torques and the legs of a board's bridges: what one motor of a kind makes of a torque.
+//!
+//! [`brushed::Axis`](super::brushed::Axis) is the one that ships. An amplifier that takes a current as its set-point, or a
+//! field-oriented motor with a sample for each phase and a duty for each leg, is another one: the servo holds its limits,
+//! its watch and its thermal budget to whatever stands here (tests/stages.rs has a toy of each).
+
+use crate::model::device::Motor;
+use core::fmt::Debug;
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
+
+/// Largest |duty|: each leg stays within 0.04 to 0.96, which keeps bootstrap capacitors charged and leaves the
+/// low-side shunts conducting long enough to be sampled.
+pub const MAX_DUTY: f32 = 0.92;
+
+/// How one board drives its motors.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Bridge {
+    /// Carrier frequency, Hz; the current loop runs once a period.
+    pub carrier_hz: f32,
+    /// Dead time between the switches of a leg, s.
+    pub dead_time: f32,
+    /// Bandwidth of the loop that takes out what the model of the winding leaves, where current is sensed, Hz.
+    pub bandwidth_hz: f32,
+    /// Whether the motors' currents are measured.
+    pub current_sensed: bool,
+}
+
+/// One motor behind its power stage.
+pub trait Stage: Copy + Debug + Default {
+    /// What the board samples of one motor at each crest: a current (A), or one for each phase, with an angle.
+    type Sample: Copy + Debug + Default;
+    /// What the legs of one motor do until the next crest: a duty, or one for each leg. The default is no voltage.
+    type Drive: Copy + Debug + Default;
+
+    /// A motor on a bridge, allowed at most `max_current`, A (the smaller of this and the motor's own counts).
+    fn new(motor: &Motor<f32>, bridge: &Bridge, max_current: f32) -> Self;
+
+    /// Sets the current that is allowed, A; the motor's own limit still counts.
+    fn limit(&mut self, max_current: f32);
+
+    /// The limit, A.
+    fn max_current(&self) -> f32;
+
+    /// Torque at the limit, N m.
+    fn max_torque(&self) -> f32;
+
+    /// The torque (N m) that a current (A) makes.
+    fn torque_of(&self, current: f32) -> f32;
+
+    /// Takes the joint torque (N m) and speed (rad/s) of this control step and returns the current that will be asked
+    /// for (A), after the limit. What is not finite asks for nothing.
+    fn command(&mut self, torque: f32, speed: f32) -> f32;
+
+    /// Takes the joint's speed (rad/s) of this carrier period: filtered, and as it is.
+    fn follow(&mut self, speed: f32, raw: f32);
+
+    /// What the legs do over the next carrier period, from the bus voltage (V) and what was sampled. Call once a carrier
+    /// period. The period begins at the valley half a period after the sample or, where that is too soon (`late`), at the
+    /// crest after it, and lasts until the next drive applies.
+    fn drive(&mut self, bus_voltage: f32, sample: Self::Sample, late: bool) -> Self::Drive;
+
+    /// The share of the bus voltage that stands across the motor then, signed: for telemetry.
+    fn duty(drive: Self::Drive) -> f32;
+
+    /// Forgets the loop's state when the bridge goes off.
+    fn rest(&mut self);
+
+    /// Goes on where the stage that this one replaces stands: loading a scene does not stop the current that flows.
+    fn inherit(&mut self, other: &Self);
+
+    /// Volts by which the motor at this current and speed differs from the one in the device file, and what it may differ
+    /// by. A stage without a model of its motor doubts nothing.
+    fn strain(&self) -> (f32, f32) {
+        (0.0, f32::INFINITY)
+    }
+
+    /// Whether the measured current is about what a sound motor would have.
+    fn flows_as_expected(&self) -> bool {
+        false
+    }
+
+    /// The speed (rad/s) whose back-EMF would be so many volts.
+    fn turning(&self, _volts: f32) -> f32 {
+        0.0
+    }
+
+    /// The least speed (rad/s) that a duty at a bus voltage (V) and a current (A) tells.
+    fn speed_of(&self, _duty: f32, _bus_voltage: f32, _current: f32) -> f32 {
+        0.0
+    }
+}

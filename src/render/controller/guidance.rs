@@ -1,0 +1,188 @@
+//! Springs, fields, and what the host adds.
+//!
+//! All of it goes straight through Jᵀ, but for what is stiff beside walls that have the feed-forward: springs and the
+//! host's plane then go through the levels of [`crate::model::principal`] with those walls, as walls without the
+//! feed-forward do (docs/model.md section 2).
+
+use super::push::Push;
+use super::walls::depth_of;
+use crate::math::Real;
+use crate::model::principal::Pull;
+use crate::render::scene::{FeedForward, MAX_SPRINGS, Scene, Spring, task_vector};
+use crate::render::velocity::Washout;
+use heapless::Vec;
+use nalgebra::SVector;
+
+/// Springs, fields, and what the host adds.
+#[derive(Clone, Debug)]
+pub(super) struct Guidance<T: Real> {
+    springs: Vec<Spring<T>, MAX_SPRINGS>,
+    field_damping: T,
+    push: Option<Push<T>>,
+    /// Whether there is anything of it.
+    pub any: bool,
+    /// How it is shaped beside walls with the feed-forward; [`FeedForward::Off`] where the scene has none.
+    together: FeedForward,
+    /// Of the springs' force, and of the plane's.
+    washouts: [Washout<T>; 4],
+}
+
+/// The force of what is stiff, beside walls with the feed-forward.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Beside<T, const N: usize> {
+    /// Whether there is anything stiff.
+    pub acts: bool,
+    /// The part of the springs' force that is shaped, N.
+    pub springs: SVector<T, N>,
+    /// The part of the plane's, along its normal, N.
+    pub plane: T,
+}
+
+impl<T: Real, const N: usize> Beside<T, N> {
+    /// Nothing.
+    pub fn none() -> Self {
+        Self { acts: false, springs: SVector::zeros(), plane: T::zero() }
+    }
+}
+
+impl<T: Real> Guidance<T> {
+    /// Of a checked scene.
+    pub fn new(scene: &Scene<T>) -> Self {
+        let mut guidance = Self {
+            springs: scene.springs.clone(),
+            field_damping: scene.field_damping,
+            push: None,
+            any: false,
+            together: FeedForward::Off,
+            washouts: [Washout::default(); 4],
+        };
+        guidance.any = guidance.acts();
+        guidance
+    }
+
+    /// Whether there is anything of it.
+    fn acts(&self) -> bool {
+        !self.springs.is_empty() || self.field_damping > T::zero() || self.push.is_some()
+    }
+
+    /// What the host adds from the next step on.
+    pub fn set_push(&mut self, push: Option<&Push<T>>) {
+        self.push = push.copied();
+        self.any = self.acts();
+        if push.is_none() {
+            let [of_plane, ..] = &mut self.washouts;
+            *of_plane = anew(of_plane);
+        }
+    }
+
+    /// What the host adds.
+    pub fn push(&self) -> Option<&Push<T>> {
+        self.push.as_ref()
+    }
+
+    /// Takes over how walls with the feed-forward want the others shaped beside them.
+    pub fn agree(&mut self, (together, washout): (FeedForward, Option<Washout<T>>)) {
+        if together != self.together {
+            // They were not stepped, so what they remember is no longer true.
+            self.washouts = [Washout::default(); 4];
+        }
+        self.together = together;
+        if let Some(washout) = washout {
+            self.washouts.iter_mut().for_each(|own| own.retune(&washout));
+        }
+    }
+
+    /// Starts the washouts anew.
+    pub fn forget(&mut self) {
+        self.washouts.iter_mut().for_each(|washout| *washout = anew(washout));
+    }
+
+    /// The force (N) at the tip.
+    #[inline(always)]
+    pub fn force<const N: usize>(&self, place: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
+        let mut force = velocity * -self.field_damping;
+        if let Some(push) = &self.push {
+            force += push.at(place, velocity);
+        }
+        for spring in &self.springs {
+            force += spring_force(spring, place, velocity);
+        }
+        force
+    }
+
+    /// Whether walls of this scene have the feed-forward, so that [`Guidance::beside`] wants every step.
+    pub fn is_beside(&self) -> bool {
+        self.together != FeedForward::Off
+    }
+
+    /// The part of [`Guidance::force`] that is shaped beside walls that have the feed-forward, α `gain`.
+    #[inline(never)]
+    pub fn beside<const N: usize>(&mut self, place: &SVector<T, N>, velocity: &SVector<T, N>, gain: T) -> Beside<T, N> {
+        let mut beside = Beside::none();
+        for spring in self.springs.iter().filter(|spring| spring.stiffness > T::zero()) {
+            beside.springs += spring_force(spring, place, velocity);
+            beside.acts = true;
+        }
+        let plane = self.push.as_ref().map(|push| &push.plane).filter(|plane| plane.stiffness > T::zero());
+        let touched = plane.is_some_and(|plane| plane.depth(place) > T::zero());
+        beside.plane = plane.map_or(T::zero(), |plane| plane.force(place, velocity));
+        beside.acts |= touched;
+        if self.together == FeedForward::Washout {
+            let [of_plane, of_springs @ ..] = &mut self.washouts;
+            beside.plane = of_plane.step(beside.plane);
+            for (force, washout) in beside.springs.iter_mut().zip(of_springs) {
+                *force = washout.step(*force);
+            }
+        }
+        beside.springs *= gain;
+        beside.plane = if touched { beside.plane * gain } else { T::zero() };
+        beside
+    }
+
+    /// The force of `beside`, N.
+    #[inline(never)]
+    pub fn sum<const N: usize>(&self, beside: &Beside<T, N>) -> SVector<T, N> {
+        let normal = self.push.as_ref().map_or(SVector::zeros(), |push| task_vector(&push.plane.normal));
+        beside.springs + normal * beside.plane
+    }
+
+    /// How far the springs are stretched, and how deep the plane is touched, by what of their force is shaped, m.
+    pub fn reach<const N: usize>(&self, beside: &Beside<T, N>) -> T {
+        let springs = self.springs.iter().fold(T::zero(), |sum, spring| sum + spring.stiffness);
+        let plane = self.push.as_ref().map_or(T::zero(), |push| push.plane.stiffness);
+        let most = beside.springs.iter().fold(T::zero(), |most, force| most.greater(force.abs()));
+        depth_of(most, springs).greater(depth_of(beside.plane, plane))
+    }
+
+    /// What is stiff at the tip position `place` (m): of the plane with the depth in it (m).
+    pub fn pulls<const N: usize>(&self, place: &SVector<T, N>, mut each: impl FnMut(Pull<T, N>, Option<T>)) {
+        for spring in self.springs.iter().filter(|spring| spring.stiffness > T::zero()) {
+            let normal = task_vector(&spring.direction);
+            each(Pull { normal, across: true, stiffness: spring.stiffness, feed_forward: false }, None);
+        }
+        if let Some(push) = self.push.as_ref().filter(|push| push.plane.depth(place) > T::zero()) {
+            let (normal, stiffness) = (task_vector(&push.plane.normal), push.plane.stiffness);
+            each(Pull { normal, across: false, stiffness, feed_forward: false }, Some(push.plane.depth(place)));
+        }
+    }
+}
+
+/// The same design without a memory.
+fn anew<T: Real>(washout: &Washout<T>) -> Washout<T> {
+    let mut fresh = Washout::default();
+    fresh.retune(washout);
+    fresh
+}
+
+/// The force (N) of one spring at the tip. Not inlined: few scenes have springs, and mechanisms share it.
+#[inline(never)]
+fn spring_force<T: Real, const N: usize>(
+    spring: &Spring<T>,
+    place: &SVector<T, N>,
+    velocity: &SVector<T, N>,
+) -> SVector<T, N> {
+    let direction = task_vector::<T, N>(&spring.direction);
+    let across = |v: SVector<T, N>| v - direction * direction.dot(&v);
+    let stretch = across(place - task_vector::<T, N>(&spring.point));
+    -(stretch * spring.stiffness + across(*velocity) * spring.damping)
+}

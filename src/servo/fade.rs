@@ -1,0 +1,165 @@
+//! The half second ([`ARM_SECONDS`]) from what acted to what the scene asks for: from nothing after arming, and from the
+//! torques of the scene before where one replaces another with the motors on.
+//!
+//! Those torques are fixed, and the tip is not: towards a stretched elbow the same torques are a larger force. So what
+//! rendered forces is held, in every step, to the limit of the force at the tip, and the feed-forward beside it to the
+//! force that it began with. What a host had a part in also ends with its lease.
+//!
+//! Requests come between two steps, so everything here is what the last step left.
+
+use super::{ARM_SECONDS, Servo};
+use crate::drive::stage::Stage;
+use crate::math::Math;
+use crate::model::catalogue::MAX_JOINTS;
+use crate::servo::program::Program;
+use crate::servo::saturation::{Asked, share_within};
+use core::ops::DerefMut;
+
+/// What a step commanded by what it was for.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Acted {
+    /// What carried the device's weight, N m.
+    pub gravity: [f32; MAX_JOINTS],
+    /// What rendered forces, N m: all but the weight and the feed-forward.
+    pub rendered: [f32; MAX_JOINTS],
+    /// The share of the forces asked for that the limits left.
+    pub share: f32,
+}
+
+/// Torques that a host asked for, on their way out.
+#[derive(Clone, Copy, Debug, Default)]
+struct Lease {
+    /// N m, when `life` (s) were left, of which `left` are.
+    torque: [f32; MAX_JOINTS],
+    life: f32,
+    left: f32,
+}
+
+impl Lease {
+    /// What is left of it, N m.
+    fn acts(&self) -> [f32; MAX_JOINTS] {
+        let part = if self.left > 0.0 { self.left / self.life } else { 0.0 };
+        self.torque.map(|torque| part * torque)
+    }
+}
+
+/// What acted before, on its way out. The default is nothing.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Fade {
+    /// How far the scene is in, 0 to 1.
+    pub ramp: f32,
+    /// Share of what was asked in the last step that the ramp let act, before torques were limited.
+    pub share: f32,
+    /// Whether a step of it was.
+    begun: bool,
+    /// Torques that carried the device's weight, N m.
+    weight: [f32; MAX_JOINTS],
+    /// Torques that rendered the scene before, N m.
+    scene: [f32; MAX_JOINTS],
+    host: Lease,
+    /// Torques of the feed-forward, N m, and the square of the force that they began with at the tip, N².
+    aside: [f32; MAX_JOINTS],
+    aside_squared: f32,
+}
+
+impl Fade {
+    /// What renders forces before the ramp, N m.
+    fn rendered(&self) -> [f32; MAX_JOINTS] {
+        let host = self.host.acts();
+        core::array::from_fn(|i| self.scene[i] + host[i])
+    }
+
+    /// `from` on its way to `to`.
+    fn part(&self, from: f32, to: f32) -> f32 {
+        from + (to - from) * self.ramp
+    }
+}
+
+impl<P, K, S> Servo<P>
+where
+    P: DerefMut<Target = Program<K, S>>,
+    K: Math<f32>,
+    S: Stage,
+{
+    /// Lets what the last step commanded fade into what a new program asks for. Call before that takes the old one's place.
+    pub(super) fn begin_fade(&mut self) {
+        // Where no step came between two programs, what acted fades already.
+        if !self.fade.begun {
+            return;
+        }
+        let Some(program) = self.program.as_ref() else { return };
+        let (torque, life) = self.host_torque();
+        let mut host = Lease { torque, life, left: life };
+        if self.fade.host.left > 0.0 {
+            // Of an earlier scene: both end with the one that ends first.
+            host.life = if torque == [0.0; MAX_JOINTS] { self.fade.host.left } else { life.min(self.fade.host.left) };
+            host.left = host.life;
+            let part = (1.0 - self.fade.ramp) * self.acted.share;
+            for (host, earlier) in host.torque.iter_mut().zip(self.fade.host.acts()) {
+                *host += part * earlier;
+            }
+        }
+        let Acted { gravity, rendered, .. } = self.acted;
+        let aside = core::array::from_fn(|i| self.frame.torque[i] - gravity[i] - rendered[i]);
+        self.fade = Fade {
+            ramp: 0.0,
+            share: 0.0,
+            begun: false,
+            weight: gravity,
+            scene: core::array::from_fn(|i| rendered[i] - host.torque[i]),
+            host,
+            aside,
+            aside_squared: program.mechanism.force_squared::<K>(&self.frame.q, &aside),
+        };
+    }
+
+    /// One step of the fade: what is to be commanded instead of `asked`, and what that would be without the limit of the
+    /// force at the tip, N m.
+    #[inline(never)]
+    pub(super) fn fade_in(&mut self, asked: &Asked) -> (Asked, [f32; MAX_JOINTS]) {
+        self.fade.begun = true;
+        self.fade.ramp = (self.fade.ramp + self.period * (1.0 / ARM_SECONDS)).min(1.0);
+        self.fade.host.left -= self.period;
+        self.hold_what_fades();
+        // What is asked is within the limit of the force at the tip by itself.
+        let share = share_within(asked.force_squared, self.rules.limits.tip_force);
+        self.fade.share = self.fade.ramp * share;
+        let (fade, before) = (&self.fade, self.fade.rendered());
+        let faded = Asked {
+            total: self.between(asked, share),
+            gravity: core::array::from_fn(|i| fade.part(fade.weight[i], asked.gravity[i])),
+            rendered: core::array::from_fn(|i| fade.part(before[i], share * asked.rendered[i])),
+            force_squared: 0.0,
+        };
+        (faded, self.between(asked, 1.0))
+    }
+
+    /// Holds what fades to the forces that it may make where the tip is now.
+    fn hold_what_fades(&mut self) {
+        let Some(program) = self.program.as_ref() else { return };
+        let fade = &mut self.fade;
+        let rendered = fade.rendered();
+        if rendered == [0.0; MAX_JOINTS] && fade.aside == [0.0; MAX_JOINTS] {
+            return;
+        }
+        let squared = |torque| program.mechanism.force_squared::<K>(&self.frame.q, torque);
+        let share = share_within(squared(&rendered), self.rules.limits.tip_force);
+        for part in fade.scene.iter_mut().chain(&mut fade.host.torque).chain(&mut fade.aside) {
+            *part *= share;
+        }
+        let aside = squared(&fade.aside);
+        if aside > fade.aside_squared {
+            let share = K::sqrt(fade.aside_squared / aside);
+            fade.aside = fade.aside.map(|torque| share * torque);
+        }
+    }
+
+    /// All of it, with a `share` of what is asked beyond what carries the device, N m.
+    fn between(&self, asked: &Asked, share: f32) -> [f32; MAX_JOINTS] {
+        let (fade, rendered) = (&self.fade, self.fade.rendered());
+        core::array::from_fn(|i| {
+            let from = fade.weight[i] + rendered[i] + fade.aside[i];
+            fade.part(from, asked.gravity[i] + share * (asked.total[i] - asked.gravity[i]))
+        })
+    }
+}

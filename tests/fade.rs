@@ -1,0 +1,305 @@
+//! A scene that replaces another while the motors are on: what acted before fades out without a step, and is held to the
+//! tip's limit wherever the tip goes meanwhile.
+
+mod rig;
+
+use haptic_bridge::board::protocol::{ForceDone, ForceRequest};
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Spring, Surface, Wall};
+use haptic_bridge::safety::fault::State;
+use haptic_bridge::safety::limits::Limits;
+use haptic_bridge::servo::{Command, Rules};
+use nalgebra::Vector2;
+use rig::statics::worth;
+use rig::{Rig, five_bar, hardware, limits, rules, scene, wall};
+
+/// Torque on its way through a current and back.
+const ROUNDING: f64 = 1.0e-3;
+
+/// The force at the tip that the torques of the last step are worth, N.
+fn force(rig: &Rig) -> Vector2<f64> {
+    let frame = rig.servo.frame();
+    worth(&frame.q, Vector2::new(frame.torque[0], frame.torque[1]).map(f64::from))
+}
+
+fn torques(rig: &Rig) -> [f32; MAX_JOINTS] {
+    rig.servo.frame().torque
+}
+
+/// Limits that leave a rig room for this tip force (N) alone.
+fn gentle(tip_force: f32) -> Rules {
+    Rules {
+        limits: Limits { torque: [3.0; MAX_JOINTS], current: [30.0; MAX_JOINTS], tip_force, ..limits() },
+        ..rules()
+    }
+}
+
+/// Springs that pull the tip from its home with these forces, N.
+fn pulled(tip: [f32; 3], forces: &[[f32; 2]]) -> Scene<f32> {
+    let mut scene = scene(2, &[]);
+    for [x, y] in forces {
+        let stiffness = 10.0;
+        let point = [tip[0] + x / stiffness, tip[1] + y / stiffness, 0.0];
+        scene.springs.push(Spring { point, direction: [0.0; 3], stiffness, damping: 0.0 }).expect("room for a spring");
+    }
+    scene
+}
+
+/// A five-bar at home, armed, whose tip a spring pulls with this force, N.
+fn at_home(rules: Rules, pull: [f32; 2]) -> Rig {
+    let tip = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules).servo.frame().tip;
+    let mut rig = Rig::with(&five_bar(), &pulled(tip, &[pull]), hardware(), rules);
+    rig.arm();
+    rig
+}
+
+#[test]
+fn a_tip_that_moves_to_a_stretched_elbow_meanwhile_feels_no_more_than_its_limit() {
+    for pull in [[1.9, 0.0], [-1.3, 1.3], [1.3, 1.3]] {
+        let mut rig = at_home(gentle(2.0), pull);
+        assert!((force(&rig).norm() - 1.9).abs() < 0.1, "{} N", force(&rig).norm());
+        rig.load(&five_bar(), &scene(2, &[]), true).expect("free space");
+        let before = torques(&rig);
+        let mut alone = 0.0_f64;
+        // The elbows stretch.
+        for step in 0..600 {
+            rig.samples.counts[0] += 30;
+            rig.samples.counts[1] -= 30;
+            rig.step();
+            if rig.state() != State::Armed {
+                break;
+            }
+            let left = 1.0 - (step + 1) as f32 / 1_000.0;
+            let old =
+                worth(&rig.servo.frame().q, Vector2::new(before[0], before[1]).map(|torque| (torque * left).into()));
+            alone = alone.max(old.norm());
+            assert!(force(&rig).norm() <= 2.0 + 5.0 * ROUNDING, "{} N, {:?}", force(&rig).norm(), rig.servo.frame());
+        }
+        assert!(alone > 3.0, "the same torques would be {alone} N");
+    }
+}
+
+#[test]
+fn a_torque_limit_that_is_lowered_makes_no_more_force_of_what_fades() {
+    let mut rig = at_home(gentle(5.0), [4.0, 2.0]);
+    let before = force(&rig);
+    rig.load(&five_bar(), &scene(2, &[]), true).expect("free space");
+    rig.step();
+    for joint in 0..2 {
+        let mut lower = gentle(5.0);
+        lower.limits.torque[joint] = 0.1 * torques(&rig)[joint].abs();
+        rig.execute(Command::Rules(lower)).expect("lowered while armed");
+        rig.step();
+        let left = force(&rig);
+        assert!(left.norm() < 0.11 * before.norm(), "{left} of {before}");
+        let aside = (left.x * before.y - left.y * before.x).abs() / before.norm();
+        assert!(aside < 0.01 * before.norm(), "it keeps its direction: {left} of {before}");
+        let mut raised = at_home(gentle(5.0), [4.0, 2.0]);
+        raised.load(&five_bar(), &scene(2, &[]), true).expect("free space");
+        raised.step();
+        rig = raised;
+    }
+}
+
+#[test]
+fn nothing_steps_where_a_wall_that_pushes_sideways_beyond_the_limit_is_replaced() {
+    let tip = Rig::with(&five_bar(), &scene(2, &[]), hardware(), gentle(2.0)).servo.frame().tip;
+    let normal = [0.8, 0.6, 0.0];
+    let surface = Surface::Plane(Plane { point: [tip[0] + 1.0e-3, tip[1], 0.0], normal });
+    let bilateral = Wall { surface, bilateral: true, feed_forward: FeedForward::Full, ..wall(0.0, 2_480.0) };
+    let mut rig = Rig::with(&five_bar(), &scene(2, &[bilateral]), hardware(), gentle(2.0));
+    rig.arm();
+    let before = torques(&rig);
+    assert!(force(&rig).norm() > 2.05, "the feed-forward pushes sideways, too: {} N", force(&rig).norm());
+    rig.load(&five_bar(), &scene(2, &[]), true).expect("free space");
+    let mut last = before;
+    for step in 0..=1_000 {
+        rig.step();
+        let now = torques(&rig);
+        let left = 1.0 - (step + 1) as f32 / 1_000.0;
+        for i in 0..2 {
+            assert!((now[i] - last[i]).abs() < 3.0e-3 * before[i].abs() + 1.0e-6, "step {step}: {last:?} to {now:?}");
+            assert!((now[i] - left.max(0.0) * before[i]).abs() < 2.0e-3 * before[i].abs() + 1.0e-6, "step {step}");
+        }
+        last = now;
+    }
+    assert_eq!(last, [0.0; MAX_JOINTS]);
+}
+
+#[test]
+fn what_a_host_asked_for_ends_with_its_lease_whatever_scene_comes() {
+    for (torque, push) in [([0.1, -0.05, 0.0], [0.0; 3]), ([0.0; 3], [1.0, -0.5, 0.0])] {
+        let mut rig = at_home(gentle(5.0), [0.6, 0.8]);
+        let spring = torques(&rig);
+        let request =
+            ForceRequest { sequence: 1, hold: 0.02, fade: 0.02, torque, force: push, ..ForceRequest::default() };
+        assert_eq!(rig.servo.force(&request).done, ForceDone::Taken);
+        rig.step();
+        let both = torques(&rig);
+        assert!((0..2).all(|i| (both[i] - spring[i]).abs() > 0.005), "{spring:?} {both:?}");
+        rig.load(&five_bar(), &scene(2, &[]), true).expect("free space");
+        rig.step();
+        assert!((0..2).all(|i| (torques(&rig)[i] - both[i]).abs() < 0.05 * both[i].abs()), "no step where it begins");
+        rig.run(0.04);
+        let left = torques(&rig);
+        // 0.041 s of the half second.
+        for i in 0..2 {
+            let expected = (1.0 - 0.041 / 0.5) * spring[i];
+            assert!((left[i] - expected).abs() < 0.01 * spring[i].abs(), "{left:?}, the spring's {spring:?}");
+        }
+    }
+}
+
+/// So many seconds after a scene that comes together with `request`, nothing of a host acts any more.
+#[test]
+fn requests_and_scenes_between_two_steps_leave_nothing_that_outlives_its_lease_or_pushes_the_other_way() {
+    let asks = |sequence, torque: f32| ForceRequest {
+        sequence,
+        hold: 0.02,
+        fade: 0.02,
+        torque: [torque, 0.0, 0.0],
+        ..ForceRequest::default()
+    };
+    let free = scene(2, &[]);
+    for (first, second) in [(0.005, 1.0), (0.1, 0.0), (0.0, 0.1)] {
+        let mut rig = Rig::with(&five_bar(), &free, hardware(), gentle(5.0));
+        rig.arm();
+        assert_eq!(rig.servo.force(&asks(1, first)).done, ForceDone::Taken);
+        rig.step();
+        let before = torques(&rig)[0];
+        assert_eq!(rig.servo.force(&asks(2, second)).done, ForceDone::Taken);
+        rig.load(&five_bar(), &free, true).expect("free space");
+        for _ in 0..80 {
+            rig.step();
+            let now = torques(&rig)[0];
+            assert!(now >= -1.0e-6 && now <= before.max(0.2), "{first} and {second} N m: {before} to {now}");
+        }
+        assert!(torques(&rig)[0].abs() < 1.0e-6, "{first} and {second} N m: {:?} after both leases", torques(&rig));
+    }
+}
+
+#[test]
+fn a_second_scene_within_a_lease_or_a_fade_does_not_prolong_what_a_host_asked_for() {
+    for steps_between in [0, 1, 20] {
+        for (torque, push) in [([0.1, -0.05, 0.0], [0.0; 3]), ([0.0; 3], [4.0, 0.0, 0.0])] {
+            let free = scene(2, &[]);
+            let mut rig = Rig::with(&five_bar(), &free, hardware(), gentle(5.0));
+            rig.arm();
+            let request =
+                ForceRequest { sequence: 1, hold: 0.02, fade: 0.02, torque, force: push, ..ForceRequest::default() };
+            assert_eq!(rig.servo.force(&request).done, ForceDone::Taken);
+            rig.step();
+            for _ in 0..3 {
+                rig.load(&five_bar(), &free, true).expect("free space");
+                (0..steps_between).for_each(|_| rig.step());
+            }
+            rig.run(0.04);
+            assert!(force(&rig).norm() < 1.0e-3, "{steps_between}: {} N after its lease", force(&rig).norm());
+        }
+    }
+}
+
+#[test]
+fn a_limit_that_is_lowered_holds_a_scene_that_comes_before_the_next_step() {
+    for scenes in 1..3 {
+        let mut rig = at_home(gentle(5.0), [3.9, 0.0]);
+        let free = scene(2, &[]);
+        rig.execute(Command::Rules(gentle(1.0))).expect("lowered while armed");
+        (0..scenes).for_each(|_| rig.load(&five_bar(), &free, true).expect("free space"));
+        for _ in 0..500 {
+            rig.step();
+            assert!(force(&rig).norm() <= 1.0 + ROUNDING, "{} N", force(&rig).norm());
+        }
+    }
+}
+
+#[test]
+fn a_scene_that_comes_on_the_way_to_a_stretched_elbow_lifts_no_limit() {
+    for (rate, speed) in [(200.0, 2.0), (200.0, 5.0), (1_000.0, 5.0)] {
+        let at_rate = |scene: Scene<f32>| Scene { rate_hz: rate, cutoff_hz: 0.2 * rate, ..scene };
+        let free = at_rate(scene(2, &[]));
+        let tip = Rig::with(&five_bar(), &free, hardware(), gentle(2.0)).servo.frame().tip;
+        let moved = (speed / rate * 60_000.0 / std::f32::consts::TAU) as i32;
+        for wait in (0..40).map(|nth| nth * 2) {
+            let mut rig = Rig::with(&five_bar(), &at_rate(pulled(tip, &[[1.9, 0.3]])), hardware(), gentle(2.0));
+            rig.arm();
+            for step in 0..200 {
+                rig.samples.counts[0] += moved;
+                rig.samples.counts[1] -= moved;
+                if step == wait * (rate as i32) / 200 / 2 {
+                    let _ = rig.load(&five_bar(), &free, true);
+                }
+                rig.step();
+                if rig.state() != State::Armed {
+                    break;
+                }
+                let now = force(&rig).norm();
+                assert!(now <= 2.0 * 1.01, "{now} N at {rate} Hz and {speed} rad/s, a scene after {wait} steps");
+            }
+        }
+    }
+}
+
+#[test]
+fn weight_that_is_compensated_from_a_scene_on_takes_nothing_out_of_the_limit() {
+    let mut heavy = five_bar();
+    heavy.gravity = [0.0, -9.81, 0.0];
+    for link in &mut heavy.links {
+        link.mass = 0.2;
+    }
+    let model = haptic_bridge::model::device::Device::<f64>::new("test", &heavy).expect("a sound device");
+    let haptic_bridge::model::mechanism::AnyMechanism::FiveBar(mechanism) = model.mechanism else {
+        panic!("a five-bar")
+    };
+    let weight = |q: &[f32; 3]| {
+        use haptic_bridge::model::mechanism::Mechanism;
+        let at = Vector2::new(f64::from(q[0]), f64::from(q[1]));
+        let pose = mechanism.pose::<haptic_bridge::math::Libm>(&at);
+        mechanism.gravity(&pose)
+    };
+    let tip = Rig::with(&heavy, &scene(2, &[]), hardware(), gentle(2.0)).servo.frame().tip;
+    for (before, after) in [(false, true), (true, false), (true, true)] {
+        let with = |scene: Scene<f32>, on| Scene { gravity_compensation: on, ..scene };
+        let mut rig = Rig::with(&heavy, &with(pulled(tip, &[[1.9, 0.0]]), before), hardware(), gentle(2.0));
+        rig.arm();
+        let carried = weight(&rig.servo.frame().q);
+        rig.load(&heavy, &with(scene(2, &[]), after), true).expect("free space");
+        for step in 1..=900 {
+            rig.samples.counts[0] += 3;
+            rig.samples.counts[1] -= 3;
+            rig.step();
+            if rig.state() != State::Armed {
+                break;
+            }
+            let frame = rig.servo.frame();
+            let ramp = f64::from(step) / 1_000.0;
+            let held =
+                carried * if before { 1.0 - ramp } else { 0.0 } + weight(&frame.q) * if after { ramp } else { 0.0 };
+            let rest = Vector2::new(frame.torque[0], frame.torque[1]).map(f64::from) - held;
+            let force = worth(&frame.q, rest).norm();
+            assert!(force <= 2.0 + 0.02, "{force} N at step {step}, {before} to {after}: {frame:?}");
+        }
+    }
+}
+
+#[test]
+fn a_scene_that_comes_as_the_ramp_ends_turns_no_force_round() {
+    for steps in 998..=1_003 {
+        let free = scene(2, &[]);
+        let mut rig = Rig::with(&five_bar(), &free, hardware(), gentle(5.0));
+        rig.execute(Command::Arm).expect("ready");
+        for step in 0..steps {
+            // Four times what the tip may have.
+            let force = [20.0, 0.0, 0.0];
+            let request = ForceRequest { sequence: step + 1, hold: 0.02, fade: 0.05, force, ..ForceRequest::default() };
+            assert_eq!(rig.servo.force(&request).done, ForceDone::Taken);
+            rig.step();
+        }
+        rig.load(&five_bar(), &free, true).expect("free space");
+        for _ in 0..600 {
+            rig.step();
+            assert!(force(&rig).x > -ROUNDING, "a scene after {steps} steps: {} N", force(&rig).x);
+        }
+        assert!(force(&rig).norm() < ROUNDING, "a scene after {steps} steps: {}", force(&rig));
+    }
+}

@@ -1,0 +1,252 @@
+//! Springs, and planes that the host sends, beside walls that have the feed-forward: loops put together here from M, J and
+//! the torques of the board's own step.
+
+use super::linear::{devices, matrices, pose};
+use super::{Random, at, device, scaled};
+use haptic::device_file::DeviceFile;
+use haptic_bridge::math::Libm;
+use haptic_bridge::model::description::Encoder;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::model::precomputed::MassModel;
+use haptic_bridge::render::controller::{Controller, Push, PushedPlane};
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Spring, Surface, Wall};
+use haptic_bridge::with_mechanism;
+use nalgebra::{Complex, DMatrix, DVector, SVector};
+
+/// What acts at the tip: bilateral walls, springs, and a plane of the host's.
+#[derive(Clone, Debug, Default)]
+struct Set {
+    /// Normal, stiffness, and whether it has the feed-forward.
+    walls: Vec<(Vec<f64>, f64, bool)>,
+    /// Line (none: a point) and stiffness.
+    springs: Vec<(Option<Vec<f64>>, f64)>,
+    /// Normal and stiffness.
+    plane: Option<(Vec<f64>, f64)>,
+}
+
+fn three(v: &[f64]) -> [f64; 3] {
+    core::array::from_fn(|i| v.get(i).copied().unwrap_or(0.0))
+}
+
+/// Torques of the board's first step where all of the set lies `shift` (m) from the tip; the plane 1 cm further along its
+/// normal.
+fn torque(file: &DeviceFile, q: &[f64], set: &Set, shift: &[f64]) -> DVector<f64> {
+    fn of<M: Mechanism<f64, N>, const N: usize>(
+        m: M,
+        file: &DeviceFile,
+        q: &[f64],
+        set: &Set,
+        shift: &[f64],
+    ) -> DVector<f64> {
+        let mut description = file.description;
+        for joint in &mut description.joints {
+            joint.encoder = Some(Encoder { counts_per_turn: 1.0e9, offset: 0.0, inverted: false });
+        }
+        let counts: [i32; N] = core::array::from_fn(|i| (q[i] * 1.0e9 / std::f64::consts::TAU).round() as i32);
+        let q = SVector::from_fn(|i, _| f64::from(counts[i]) * std::f64::consts::TAU / 1.0e9);
+        let tip = m.tip(&m.pose::<Libm>(&q));
+        let point: [f64; 3] = core::array::from_fn(|i| if i < M::SPEC.task { tip[i] + three(shift)[i] } else { 0.0 });
+        let walls = set.walls.iter().map(|(normal, stiffness, with)| Wall {
+            surface: Surface::Plane(Plane { point, normal: three(normal) }),
+            stiffness: *stiffness,
+            damping: 0.0,
+            feed_forward: if *with { FeedForward::Full } else { FeedForward::Off },
+            washout_hz: 2.0,
+            damping_compensation: false,
+            bilateral: true,
+        });
+        let springs = set.springs.iter().map(|(line, stiffness)| Spring {
+            point,
+            direction: line.as_ref().map_or([0.0; 3], |line| three(line)),
+            stiffness: *stiffness,
+            damping: 0.0,
+        });
+        let scene = Scene {
+            task: M::SPEC.task as u8,
+            walls: walls.collect(),
+            springs: springs.collect(),
+            gravity_compensation: false,
+            ..Scene::default()
+        };
+        let device = Device::new("device", &description).expect("a sound device");
+        let mut controller =
+            Controller::<f64, M, Libm, N>::new(m, &device, &scene, MassModel::Exact).expect("a sound scene");
+        if let Some((normal, stiffness)) = &set.plane {
+            let n = three(normal);
+            let offset = n.iter().zip(&point).map(|(n, p)| n * p).sum::<f64>() + 0.01;
+            let plane = PushedPlane { normal: n, offset, stiffness: *stiffness, damping: 0.0 };
+            controller.set_push(Some(&Push { force: [0.0; 3], plane }));
+        }
+        DVector::from_iterator(N, controller.step(&counts).torque.iter().copied())
+    }
+    with_mechanism!(AnyMechanism::<f64>::new(&file.description).unwrap(), m => of(m, file, q, set, shift))
+}
+
+/// K of the set, N/m.
+fn stiffness(set: &Set, task: usize) -> DMatrix<f64> {
+    let along = |n: &Vec<f64>| DVector::from_vec(n.clone()) * DVector::from_vec(n.clone()).transpose();
+    let mut sum = DMatrix::zeros(task, task);
+    for (normal, k, _) in &set.walls {
+        sum += along(normal) * *k;
+    }
+    for (line, k) in &set.springs {
+        let line = line.as_ref().map_or(DMatrix::zeros(task, task), along);
+        sum += (DMatrix::identity(task, task) - line) * *k;
+    }
+    if let Some((normal, k)) = &set.plane {
+        sum += along(normal) * *k;
+    }
+    sum
+}
+
+/// Eigenvalues of the loop at a stiffness of 1 N/m: of the tip's acceleration per displacement, 1/s². The first by the
+/// board's torques, the second by Jᵀ alone.
+fn modes(file: &DeviceFile, q: &[f64], set: &Set) -> [Vec<Complex<f64>>; 2] {
+    let (mass, jacobian) = matrices(file, q).expect("a regular pose");
+    let task = jacobian.nrows();
+    let step = 1.0e-3;
+    let rest = torque(file, q, set, &vec![0.0; task]);
+    let columns: Vec<_> = (0..task)
+        .map(|j| {
+            let shift: Vec<f64> = (0..task).map(|i| if i == j { step } else { 0.0 }).collect();
+            (torque(file, q, set, &shift) - &rest) / step
+        })
+        .collect();
+    let inverse = mass.try_inverse().expect("a mass matrix");
+    let plain = jacobian.transpose() * stiffness(set, task);
+    [DMatrix::from_columns(&columns), plain]
+        .map(|torques| (&jacobian * &inverse * torques).complex_eigenvalues().iter().copied().collect())
+}
+
+fn largest(modes: &[Complex<f64>]) -> f64 {
+    modes.iter().map(|mode| mode.norm()).fold(0.0, f64::max)
+}
+
+/// Asserts that the set is as real masses, none lighter than without the feed-forward, and returns how much heavier the
+/// lightest is.
+fn heavier(file: &DeviceFile, q: &[f64], set: &Set) -> f64 {
+    let [board, plain] = modes(file, q, set);
+    let without = largest(&plain);
+    for mode in &board {
+        let real = mode.im.abs() <= 1.0e-5 * without && mode.re >= -1.0e-6 * without;
+        assert!(real, "{} {q:?} {set:?}: {mode} is no mass, {without}", file.name);
+        assert!(mode.re <= without * (1.0 + 1.0e-6), "{} {q:?} {set:?}: {mode}, {without} plain", file.name);
+    }
+    without / largest(&board)
+}
+
+#[test]
+fn no_set_of_walls_and_springs_is_less_stable_with_the_feed_forward_than_without() {
+    let mut random = Random(17);
+    let (mut most, mut cases) = (0.0_f64, 0);
+    for device in devices() {
+        let task = device.spec().task;
+        for set in 0..60 {
+            let q = pose(&device, &mut random);
+            let decades = if set % 4 < 2 { 1.0 } else { 3.0 };
+            let gain = |random: &mut Random| 10_f64.powf(random.between(0.0, decades));
+            let base = random.direction(task);
+            let walls = (0..1 + set % 3)
+                .map(|i| {
+                    let near = set % 2 == 0;
+                    let n = if near { random.near(&base, 0.5) } else { random.direction(task) };
+                    (n, gain(&mut random), i == 0 || random.between(0.0, 1.0) < 0.5)
+                })
+                .collect();
+            let springs = (0..set % 3)
+                .map(|_| {
+                    let line = (random.between(0.0, 1.0) < 0.7).then(|| random.direction(task));
+                    (line, gain(&mut random))
+                })
+                .collect();
+            let plane = (set % 3 == 0 || set % 5 == 0).then(|| (random.direction(task), gain(&mut random)));
+            most = most.max(heavier(&device, &q, &Set { walls, springs, plane }));
+            cases += 1;
+        }
+    }
+    assert!(cases == 420 && most > 1.5, "the feed-forward does something: {most}");
+}
+
+/// The demo's wall, and a direction half way between its normal and Λ times that.
+fn between(file: &DeviceFile, q: &[f64]) -> (Vec<f64>, Vec<f64>) {
+    let n = at(75_f64.to_radians());
+    let (mass, jacobian) = matrices(file, q).expect("a regular pose");
+    let back = jacobian.try_inverse().expect("a square Jacobian");
+    let pulled = back.transpose() * mass * &back * DVector::from_vec(n.clone());
+    let pulled = scaled(pulled.as_slice());
+    let m = scaled(&[n[0] + pulled[0], n[1] + pulled[1]]);
+    (n, m)
+}
+
+#[test]
+fn a_spring_or_a_plane_beside_a_wall_leaves_no_motion_that_runs_away() {
+    let (file, q) = (device("coupled-five-bar"), [2.6, 1.75]);
+    let (n, m) = between(&file, &q);
+    let walls = vec![(n.clone(), 5_000.0, true)];
+    // Straight through Jᵀ beside the wall's own (4): one eigenvalue is negative, whatever the gains are.
+    let (mass, jacobian) = matrices(&file, &q).expect("a regular pose");
+    let alone = modes(&file, &q, &Set { walls: walls.clone(), ..Set::default() })[0].clone();
+    let (n, m) = (DVector::from_vec(n), DVector::from_vec(m));
+    let mobility = &jacobian * mass.try_inverse().expect("a mass matrix") * jacobian.transpose();
+    for stiffness in [100.0, 1_000.0, 5_000.0] {
+        let straight = &n * n.transpose() * largest(&alone) + &mobility * &m * m.transpose() * stiffness;
+        assert!(straight.complex_eigenvalues().iter().any(|mode| mode.re < -1.0), "{stiffness}");
+        let across = vec![-m[1], m[0]];
+        let spring = Set { walls: walls.clone(), springs: vec![(Some(across), stiffness)], plane: None };
+        let plane = Set { walls: walls.clone(), springs: vec![], plane: Some((m.as_slice().to_vec(), stiffness)) };
+        for set in [spring, plane] {
+            heavier(&file, &q, &set);
+        }
+    }
+}
+
+#[test]
+fn torque_is_continuous_in_the_stiffness_of_a_spring() {
+    for (name, q) in [("coupled-five-bar", vec![2.6, 1.75]), ("phantom-premium-1.5", vec![0.3, 0.9, -0.3])] {
+        let file = device(name);
+        let task = file.spec().task;
+        let wall = (scaled(&[0.3, 1.0, 0.2][..task]), 2_000.0, true);
+        let line = scaled(&[1.0, -0.5, 0.4][..task]);
+        let shift = vec![2.0e-3; task];
+        for (spring, plane) in [(Some(None), false), (Some(Some(line.clone())), false), (None, true)] {
+            // Forces of a few newtons whatever the stiffness is, so the torque for each of them is what may step.
+            let at = |log: f64| {
+                let k = log.exp();
+                let springs = spring.iter().map(|line| (line.clone(), k)).collect();
+                let plane = plane.then(|| (line.clone(), k));
+                torque(&file, &q, &Set { walls: vec![wall.clone()], springs, plane }, &shift) / (k + 2_000.0)
+            };
+            let none = torque(&file, &q, &Set { walls: vec![wall.clone()], ..Set::default() }, &shift) / 2_000.0;
+            assert!((at(-7.0) - &none).norm() < 1.0e-5 * none.norm(), "{name}: a soft spring changes nothing");
+            let (steps, low, high) = (3_000, -7.0, 14.0);
+            let step = (high - low) / f64::from(steps);
+            let mut last = at(low);
+            for i in 1..=steps {
+                let next = at(low + step * f64::from(i));
+                let slope = (&next - &last).norm() / step;
+                // A plane is 1 cm deep.
+                assert!(slope < 12.0 * none.norm(), "{name} {i}: {slope} {}", none.norm());
+                last = next;
+            }
+        }
+    }
+}
+
+#[test]
+fn springs_alone_and_beside_walls_without_the_feed_forward_go_straight_through_the_jacobian() {
+    let mut random = Random(4);
+    for device in devices() {
+        let task = device.spec().task;
+        let q = pose(&device, &mut random);
+        let (_, jacobian) = matrices(&device, &q).expect("a regular pose");
+        let springs = vec![(None, 300.0), (Some(random.direction(task)), 800.0)];
+        for walls in [vec![], vec![(random.direction(task), 2_000.0, false)]] {
+            let set = Set { walls, springs: springs.clone(), plane: None };
+            let shift = random.direction(task).iter().map(|x| x * 0.01).collect::<Vec<_>>();
+            let straight = jacobian.transpose() * stiffness(&set, task) * DVector::from_vec(shift.clone());
+            let found = torque(&device, &q, &set, &shift);
+            assert!((&found - &straight).norm() < 1.0e-6 * straight.norm(), "{}: {found} {straight}", device.name);
+        }
+    }
+}

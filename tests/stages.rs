@@ -1,0 +1,216 @@
+//! What stands between a joint's torque and its motor is anything that implements `Stage`: two toys, in the servo that
+//! ships. Limits, watch and thermal budget hold for them as for a brushed motor.
+
+mod rig;
+
+use haptic_bridge::drive::stage::{Bridge, Stage};
+use haptic_bridge::math::{Math, Minimax};
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::device::Motor;
+use haptic_bridge::model::precomputed::MassModelData;
+use haptic_bridge::safety::fault::{Fault, State};
+use haptic_bridge::servo::frame::{Crest, Samples};
+use haptic_bridge::servo::program::Program;
+use haptic_bridge::servo::{Command, Servo};
+use rig::{COUNTS, device, hardware, limits, paddle, rules, scene, wall};
+
+/// An amplifier that closes the current loop itself: its set-point is all that it is told.
+#[derive(Clone, Copy, Debug, Default)]
+struct SetPoint {
+    torque_constant: f32,
+    /// What a set-point of 1 means, A.
+    full_scale: f32,
+    max_current: f32,
+    target: f32,
+}
+
+impl Stage for SetPoint {
+    type Sample = ();
+    type Drive = f32;
+
+    fn new(motor: &Motor<f32>, _: &Bridge, max_current: f32) -> Self {
+        let mut stage =
+            Self { torque_constant: motor.torque_constant, full_scale: motor.max_current, ..Self::default() };
+        stage.limit(max_current);
+        stage
+    }
+    fn limit(&mut self, max_current: f32) {
+        self.max_current = max_current.min(self.full_scale);
+    }
+    fn max_current(&self) -> f32 {
+        self.max_current
+    }
+    fn max_torque(&self) -> f32 {
+        self.max_current * self.torque_constant
+    }
+    fn torque_of(&self, current: f32) -> f32 {
+        current * self.torque_constant
+    }
+    fn command(&mut self, torque: f32, _: f32) -> f32 {
+        self.target = (torque / self.torque_constant).clamp(-self.max_current, self.max_current);
+        self.target
+    }
+    fn follow(&mut self, _: f32, _: f32) {}
+    fn drive(&mut self, _: f32, (): (), _: bool) -> f32 {
+        self.target / self.full_scale
+    }
+    fn duty(drive: f32) -> f32 {
+        drive
+    }
+    fn rest(&mut self) {
+        self.target = 0.0;
+    }
+    fn inherit(&mut self, other: &Self) {
+        self.target = other.target;
+    }
+}
+
+/// What is sampled of a motor with three phases: two currents, A, and the rotor's electrical angle, rad.
+#[derive(Clone, Copy, Debug, Default)]
+struct Phases {
+    currents: [f32; 2],
+    angle: f32,
+}
+
+/// A synchronous motor, its current kept across the rotor's field: a proportional loop in the rotor's frame.
+#[derive(Clone, Copy, Debug, Default)]
+struct FieldOriented {
+    set_point: SetPoint,
+    resistance: f32,
+}
+
+impl Stage for FieldOriented {
+    type Sample = Phases;
+    type Drive = [f32; 3];
+
+    fn new(motor: &Motor<f32>, bridge: &Bridge, max_current: f32) -> Self {
+        Self { set_point: SetPoint::new(motor, bridge, max_current), resistance: motor.resistance }
+    }
+    fn limit(&mut self, max_current: f32) {
+        self.set_point.limit(max_current);
+    }
+    fn max_current(&self) -> f32 {
+        self.set_point.max_current()
+    }
+    fn max_torque(&self) -> f32 {
+        self.set_point.max_torque()
+    }
+    fn torque_of(&self, current: f32) -> f32 {
+        self.set_point.torque_of(current)
+    }
+    fn command(&mut self, torque: f32, speed: f32) -> f32 {
+        self.set_point.command(torque, speed)
+    }
+    fn follow(&mut self, _: f32, _: f32) {}
+    fn drive(&mut self, bus_voltage: f32, seen: Phases, _: bool) -> [f32; 3] {
+        let (sin, cos) = Minimax::sin_cos(seen.angle);
+        let [a, b] = seen.currents;
+        // Clarke and Park, amplitudes kept.
+        let beta = (a + 2.0 * b) / 3.0_f32.sqrt();
+        let (direct, across) = (cos * a + sin * beta, cos * beta - sin * a);
+        let loop_of = |target: f32, is: f32| self.resistance * (target + (target - is)) / bus_voltage;
+        let (direct, across) = (loop_of(0.0, direct), loop_of(self.set_point.target, across));
+        let (alpha, beta) = (cos * direct - sin * across, sin * direct + cos * across);
+        let half = 0.5 * 3.0_f32.sqrt() * beta;
+        [alpha, half - 0.5 * alpha, -half - 0.5 * alpha]
+    }
+    fn duty([a, b, c]: [f32; 3]) -> f32 {
+        ((a * a + b * b + c * c) / 1.5).sqrt()
+    }
+    fn rest(&mut self) {
+        self.set_point.rest();
+    }
+    fn inherit(&mut self, other: &Self) {
+        self.set_point.inherit(&other.set_point);
+    }
+}
+
+/// A paddle on motors of a kind, armed, its tip 1 cm deep in a wall.
+struct Pressed<S: Stage> {
+    servo: Servo<Box<Program<Minimax, S>>>,
+    samples: Samples,
+}
+
+impl<S: Stage> Pressed<S> {
+    fn into_a_wall(stiffness: f32) -> Self {
+        let servo = Servo::new(hardware(), rules());
+        let mut rig = Self { servo, samples: Samples { bus_voltage: 24.0, ..Samples::default() } };
+        let scene = scene(1, &[wall(-0.005, stiffness)]);
+        let program = Program::new(&hardware(), &limits(), &device(&paddle()), &scene, &MassModelData::Exact, false);
+        rig.execute(Command::Program(Box::new(program.expect("a program that fits"))));
+        rig.run(100);
+        rig.execute(Command::Home);
+        rig.execute(Command::PolarityKnown);
+        rig.run(100);
+        rig.execute(Command::Arm);
+        rig.run(1_200);
+        let target = (-0.15 / std::f64::consts::TAU * COUNTS) as i32;
+        while self::State::Armed == rig.servo.status().state && rig.samples.counts[0] > target {
+            rig.samples.counts[0] -= 5;
+            rig.run(1);
+        }
+        rig
+    }
+
+    fn execute(&mut self, command: Command<Box<Program<Minimax, S>>>) {
+        assert_eq!(self.servo.execute(command).0, Ok(()));
+    }
+
+    /// So many control periods.
+    fn run(&mut self, steps: u32) {
+        for _ in 0..steps {
+            // The current that was asked for flows.
+            self.samples.currents = self.servo.frame().torque.map(|torque| torque / 0.1);
+            // 20 kHz and 2 kHz.
+            for _ in 0..10 {
+                self.servo.guard(&Crest::from(&self.samples));
+            }
+            self.servo.control(&self.samples);
+        }
+    }
+}
+
+#[test]
+fn an_amplifier_gets_the_current_of_the_walls_torque_and_nothing_once_the_motors_are_off() {
+    // 1 cm at 250 N/m and an arm of 0.1 m: 0.25 N m, 2.5 A of 3 A.
+    let mut rig = Pressed::<SetPoint>::into_a_wall(250.0);
+    let drives = rig.servo.duties(24.0, &[(); MAX_JOINTS], false);
+    assert!((drives[0] - 2.5 / 3.0).abs() < 0.01, "{drives:?}");
+    rig.execute(Command::Disarm);
+    assert_eq!(rig.servo.duties(24.0, &[(); MAX_JOINTS], false), [0.0; MAX_JOINTS]);
+}
+
+#[test]
+fn limits_and_the_thermal_budget_hold_for_it_as_for_any() {
+    let mut rig = Pressed::<SetPoint>::into_a_wall(1.0e6);
+    let most = limits().torque[0];
+    assert!((rig.servo.frame().torque[0] - most).abs() < 1.0e-6, "{:?}", rig.servo.frame().torque);
+    // (3² - 1²) A² for 4 s, at 2 kHz; it trembles, so that no encoder stands still.
+    for step in 0..8_400 {
+        rig.samples.counts[0] += if step % 2 == 0 { 1 } else { -1 };
+        rig.run(1);
+    }
+    assert_eq!(rig.servo.status().fault.map(|record| record.fault), Some(Fault::ThermalBudget));
+    assert_eq!(rig.servo.duties(24.0, &[(); MAX_JOINTS], false), [0.0; MAX_JOINTS]);
+}
+
+#[test]
+fn a_field_oriented_motor_has_its_voltage_across_the_field_at_any_angle() {
+    let mut rig = Pressed::<FieldOriented>::into_a_wall(250.0);
+    for angle in [0.0_f32, 1.0, 2.5, -2.0] {
+        let current = rig.servo.frame().torque[0] / 0.1;
+        // 2.5 A across the field flow already.
+        let phase = |shift: f32| -current * (angle - shift).sin();
+        let third = std::f32::consts::TAU / 3.0;
+        let mut phases = [Phases::default(); MAX_JOINTS];
+        phases[0] = Phases { currents: [phase(0.0), phase(third)], angle };
+        let drives = rig.servo.duties(24.0, &phases, false);
+        // 2 ohm.
+        let expected = [0.0, third, -third].map(|shift| 2.0 * phase(shift) / 24.0);
+        for (drive, expected) in drives[0].iter().zip(expected) {
+            assert!((drive - expected).abs() < 1.0e-5, "{angle}: {:?} {expected:?}", drives[0]);
+        }
+        assert!((rig.servo.frame().duty[0] - 2.0 * current / 24.0).abs() < 1.0e-5);
+    }
+    assert_eq!(rig.servo.status().state, State::Armed);
+}
