@@ -10,6 +10,7 @@ mod crest;
 mod fade;
 pub mod frame;
 pub mod host_force;
+pub mod joints;
 mod polarity;
 pub mod program;
 mod saturation;
@@ -25,7 +26,8 @@ use crate::render::velocity::{Coefficients, Washout};
 use crate::safety::fault::{Fault, FaultRecord, State};
 use crate::safety::limits::Limits;
 use crate::safety::refusal::Refusal;
-use crate::servo::frame::{Frame, Outputs, Samples};
+use crate::servo::frame::{Frame, Now, Outputs, Samples};
+use crate::servo::joints::{Counts, Currents, Duties, Torques};
 use crate::servo::program::Hardware;
 use crate::servo::program::Program;
 use crate::servo::saturation::Asked;
@@ -178,17 +180,17 @@ pub struct Servo<P> {
     polarity_known: bool,
     polarity: polarity::Polarity,
     fault: Option<FaultRecord>,
-    frame: Frame,
+    now: Now,
     period: f32,
     /// What acted before the scene, on its way out, and what the last step commanded.
     fade: fade::Fade,
     acted: fade::Acted,
-    /// What each joint may be asked for, N m.
-    most_torque: [f32; MAX_JOINTS],
+    /// What each joint may be asked for.
+    most_torque: Torques,
     /// Regularity of the closed loop at the last step.
     parallel: f32,
     host_silent: f32,
-    last_counts: [i32; MAX_JOINTS],
+    last_counts: Counts,
     primed: bool,
     first_index: [Option<i32>; MAX_JOINTS],
     /// Joint motion per metre along the deepest wall's normal at this step, rad/m; see [`Servo::rendered`].
@@ -219,14 +221,14 @@ where
             polarity_known: false,
             polarity: polarity::Polarity::default(),
             fault: None,
-            frame: Frame::default(),
+            now: Now::default(),
             period: 1.0 / 20_000.0,
             fade: fade::Fade::default(),
             acted: fade::Acted::default(),
-            most_torque: [0.0; MAX_JOINTS],
+            most_torque: Torques::default(),
             parallel: 1.0,
             host_silent: 0.0,
-            last_counts: [0; MAX_JOINTS],
+            last_counts: Counts::default(),
             primed: false,
             first_index: [None; MAX_JOINTS],
             motion: [0.0; MAX_JOINTS],
@@ -253,15 +255,16 @@ where
         }
     }
 
-    /// The last step's frame.
-    pub fn frame(&self) -> &Frame {
-        &self.frame
+    /// What telemetry records of the last step, with the present state.
+    #[inline(always)]
+    pub fn frame(&self) -> Frame {
+        Frame::of(&self.now, self.state)
     }
 
-    /// The last step's frame with the present state, field by field: a copy of the whole would be a call of memcpy.
+    /// Control steps since boot, wrapping.
     #[inline(always)]
-    pub fn snapshot(&self) -> Frame {
-        Frame { state: self.state, ..self.frame }
+    pub fn steps(&self) -> u32 {
+        self.now.step
     }
 
     /// For how long no heartbeat has come, s, counted from the start, a change of rules or arming.
@@ -276,10 +279,10 @@ where
             homed: self.homed,
             polarity: self.polarity_known,
             fault: self.fault,
-            step: self.frame.step,
-            bus_voltage: self.frame.bus_voltage,
-            q: self.frame.q,
-            tip: self.frame.tip,
+            step: self.now.step,
+            bus_voltage: self.now.bus_voltage,
+            q: self.now.q,
+            tip: self.now.tip,
         }
     }
 
@@ -356,9 +359,9 @@ where
     /// One control period: reads the samples, steps the controller, guards, and sets what each motor shall do.
     #[inline(always)]
     pub fn control(&mut self, samples: &Samples) -> Outputs {
-        self.frame.step = self.frame.step.wrapping_add(1);
-        self.frame.counts = samples.counts;
-        self.frame.bus_voltage = if self.hardware.bus_sensed { samples.bus_voltage } else { 0.0 };
+        self.now.step = self.now.step.wrapping_add(1);
+        self.now.counts = samples.counts;
+        self.now.bus_voltage = if self.hardware.bus_sensed { samples.bus_voltage } else { 0.0 };
         if let Some((fault, axis, value)) = samples.fault {
             self.trip(fault, axis, value);
         }
@@ -369,15 +372,14 @@ where
         }
         self.push();
         if let Some(program) = self.program.as_mut() {
-            let acted = self.frame.torque;
+            let acted = self.now.torque;
             let (regularity, mut asked) =
-                program.controller.step(&samples.counts, &self.table, &mut self.frame, &mut self.motion);
+                program.controller.step(&samples.counts, &self.table, &mut self.now, &mut self.motion);
             self.parallel = regularity.parallel;
             self.pull(&mut asked);
             for_joints!(self.joints(), J => self.hold_and_drive::<J>(samples, &acted, &regularity, asked));
         }
         self.last_counts = samples.counts;
-        self.frame.state = self.state;
         Outputs { bridges: matches!(self.state, State::Armed | State::CheckingPolarity) }
     }
 
@@ -387,12 +389,12 @@ where
         self.program.as_ref().map_or(0, |program| program.joints.min(MAX_JOINTS))
     }
 
-    /// What follows the controller in a period of J joints. `acted` are the torques (N m) of the period that ended.
+    /// What follows the controller in a period of J joints. `acted` are the torques of the period that ended.
     #[inline(always)]
     fn hold_and_drive<const J: usize>(
         &mut self,
         samples: &Samples,
-        acted: &[f32; MAX_JOINTS],
+        acted: &Torques,
         regularity: &Regularity<f32>,
         asked: Asked,
     ) {
@@ -429,7 +431,7 @@ where
                 *drive = axis.drive(bus_voltage, *sample, late);
             }
         }
-        self.frame.duty = drives.map(S::duty);
+        self.now.duty = Duties(drives.map(S::duty));
         drives
     }
 
@@ -437,7 +439,7 @@ where
     pub fn trip(&mut self, fault: Fault, axis: Option<u8>, value: f32) {
         // A silent host may be listed while the motors stay on; the fault that turns them off replaces it.
         if self.fault.is_none() || self.state != State::Fault {
-            self.fault = Some(FaultRecord { fault, axis, value, step: self.frame.step });
+            self.fault = Some(FaultRecord { fault, axis, value, step: self.now.step });
         }
         if fault.loses_counts() {
             self.homed = false;
@@ -450,8 +452,8 @@ where
         self.let_go();
         self.fade = fade::Fade::default();
         self.acted = fade::Acted::default();
-        self.frame.torque = [0.0; MAX_JOINTS];
-        self.frame.current = [0.0; MAX_JOINTS];
+        self.now.torque = Torques::default();
+        self.now.current = Currents::default();
         if let Some(program) = self.program.as_mut() {
             program.axes.iter_mut().for_each(S::rest);
         }
@@ -472,7 +474,7 @@ where
             return Err(Refusal::Armed);
         }
         program.controller.set_zero(&old.controller.zero());
-        if program.controller.inside_a_wall(&self.frame.counts) {
+        if program.controller.inside_a_wall(&self.now.counts) {
             return Err(Refusal::InsideWall);
         }
         if let Some(refusal) = program.unarmable {
@@ -545,7 +547,7 @@ where
         if (0..program.joints.min(MAX_JOINTS)).any(|i| self.crests.speed(i).abs() > REST_SPEED) {
             return Err(Refusal::Moving);
         }
-        program.controller.home(&self.frame.counts, &home);
+        program.controller.home(&self.now.counts, &home);
         self.homed = true;
         self.first_index = [None; MAX_JOINTS];
         self.set_bounds();
@@ -570,7 +572,7 @@ where
         if self.hardware.real && !self.homed {
             return Err(Refusal::NotHomed);
         }
-        let bus = self.frame.bus_voltage;
+        let bus = self.now.bus_voltage;
         if self.hardware.bus_sensed && !(self.rules.limits.bus_min..=self.rules.limits.bus_max).contains(&bus) {
             return Err(Refusal::BusVoltage);
         }
@@ -579,7 +581,7 @@ where
         }
         for (i, limits) in program.limits.iter().enumerate().take(program.joints) {
             if let Some((low, high)) = limits
-                && !(*low..=*high).contains(&self.frame.q[i])
+                && !(*low..=*high).contains(&self.now.q[i])
             {
                 return Err(Refusal::OutsideLimits(i as u8));
             }
@@ -592,7 +594,7 @@ where
         if self.hardware.real && !self.polarity_known {
             return Err(Refusal::PolarityUnchecked);
         }
-        if program.controller.inside_a_wall(&self.frame.counts) {
+        if program.controller.inside_a_wall(&self.now.counts) {
             return Err(Refusal::InsideWall);
         }
         self.fade = fade::Fade::default();
@@ -611,8 +613,8 @@ where
     /// Sets each motor's current from the step's torques.
     #[inline(always)]
     fn drive<const J: usize>(&mut self, asked: Asked) {
-        self.frame.rendered_force = 0.0;
-        self.frame.limited = 0;
+        self.now.rendered_force = 0.0;
+        self.now.limited = 0;
         match self.state {
             State::Armed => {
                 if self.fade.ramp < 1.0 {
@@ -622,41 +624,42 @@ where
                     self.fade.share = 1.0;
                     self.command::<J>(&asked, &asked.total);
                 }
-                self.frame.rendered_force = self.rendered::<J>(&asked.total);
+                self.now.rendered_force = self.rendered::<J>(&asked.total);
             }
             State::CheckingPolarity => {
                 self.check_polarity();
                 if self.state == State::CheckingPolarity {
-                    let torque = self.frame.torque;
+                    let torque = self.now.torque;
                     self.command::<J>(&Asked { total: torque, gravity: torque, ..Asked::default() }, &torque);
                 }
             }
             State::Disarmed | State::Fault => {
-                self.frame.torque = [0.0; MAX_JOINTS];
+                self.now.torque = Torques::default();
             }
         }
     }
 
-    /// The force (N) that is left of what the walls asked for, when `asked` are the torques (N m) of the step.
+    /// The force (N) that is left of what the walls asked for, when `asked` are the torques of the step.
     ///
     /// A tip that only moves along the deepest wall's normal n, by one unit, moves the joints by E = J⁻¹ n. By virtual
     /// work a joint torque τ therefore is worth E·τ along n (τ = Jᵀ F gives E·τ = n·F), and so the torque that limits
     /// took off is worth E·(asked - left). Weight and springs drop out of the difference.
     #[inline(always)]
-    fn rendered<const J: usize>(&self, asked: &[f32; MAX_JOINTS]) -> f32 {
-        let mut force = self.frame.wall_force;
+    fn rendered<const J: usize>(&self, asked: &Torques) -> f32 {
+        let mut force = self.now.walls.force;
         for (i, asked) in asked.iter().enumerate().take(J) {
-            force -= self.motion[i] * (asked - self.frame.torque[i]);
+            force -= self.motion[i] * (asked - self.now.torque[i]);
         }
         force
     }
 
-    /// Commands the torques asked for within limits, and records in the frame which are not what was `wanted` (N m).
+    /// Commands the torques asked for within limits, and records which are not what was `wanted`.
     #[inline(always)]
-    fn command<const J: usize>(&mut self, asked: &Asked, wanted: &[f32; MAX_JOINTS]) {
+    fn command<const J: usize>(&mut self, asked: &Asked, wanted: &Torques) {
         let left = asked.within(&self.most_torque, self.rules.limits.tip_force, J);
         self.acted.gravity = left.gravity;
-        self.acted.rendered = if left.share == 1.0 { asked.rendered } else { asked.rendered.map(|r| left.share * r) };
+        self.acted.rendered =
+            if left.share == 1.0 { asked.rendered } else { Torques(asked.rendered.map(|r| left.share * r)) };
         self.acted.share = left.share;
         if self.host.acts {
             self.host.left = left.share * self.fade.share;
@@ -664,12 +667,12 @@ where
         let Some(program) = self.program.as_mut() else { return };
         for (i, axis) in program.axes.iter_mut().enumerate().take(J) {
             let current = axis.command(left.torque[i], self.crests.speed(i));
-            self.frame.torque[i] = axis.torque_of(current);
+            self.now.torque[i] = axis.torque_of(current);
             // Another torque than was asked, by more than its way through a current rounds; also where that is no number.
-            let kept = (wanted[i] - self.frame.torque[i]).abs() <= 1.0e-5 * wanted[i].abs();
-            self.frame.limited |= u8::from(!kept) << i;
+            let kept = (wanted[i] - self.now.torque[i]).abs() <= 1.0e-5 * wanted[i].abs();
+            self.now.limited |= u8::from(!kept) << i;
             if !self.hardware.bridge.current_sensed {
-                self.frame.current[i] = current;
+                self.now.current[i] = current;
             }
         }
     }

@@ -23,7 +23,7 @@ fn force(rig: &Rig) -> Vector2<f64> {
 }
 
 fn torques(rig: &Rig) -> [f32; MAX_JOINTS] {
-    rig.servo.frame().torque
+    *rig.servo.frame().torque
 }
 
 /// Limits that leave a rig room for this tip force (N) alone.

@@ -9,6 +9,7 @@ mod rig;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::frame::Crest;
+use haptic_bridge::servo::joints::{Counts, Currents};
 use haptic_bridge::servo::{Command, HostAction, Rules};
 use rig::{RATE, Rig, five_bar, hardware, limits, paddle, rules, scene, wall};
 
@@ -136,7 +137,7 @@ fn origin(fault: Fault) -> Origin {
             while rig.state() == State::Armed && angle < 1.0 {
                 angle += 0.001;
                 let counts = (angle / core::f64::consts::TAU * rig::COUNTS) as i32;
-                rig.samples.counts = [counts, -counts, 0];
+                rig.samples.counts = Counts([counts, -counts, 0]);
                 rig.step();
             }
             rig
@@ -649,8 +650,8 @@ fn crests_until_off(rig: &mut Rig, speed: f64, most: u32, shown: [f32; 3]) -> Op
     let start = rig.samples.counts[0];
     (1..=most).find(|nth| {
         let moved = f64::from(*nth) * speed / 20_000.0 / core::f64::consts::TAU * rig::COUNTS;
-        let counts = [start + moved as i32, 0, 0];
-        !rig.servo.guard(&Crest { counts, bus_voltage: 24.0, currents: shown, ..Crest::default() }).bridges
+        let counts = Counts([start + moved as i32, 0, 0]);
+        !rig.servo.guard(&Crest { counts, bus_voltage: 24.0, currents: Currents(shown), ..Crest::default() }).bridges
     })
 }
 
@@ -704,7 +705,8 @@ fn a_coarse_encoder_is_given_a_few_counts_before_it_is_called_fast() {
     let run = |speed: f64| {
         let mut rig = Rig::with(&coarse, &quiet(), hardware(), rules());
         rig.arm();
-        let counts = |nth: u32| [(f64::from(nth) * speed / 20_000.0 / core::f64::consts::TAU * 400.0) as i32, 0, 0];
+        let counts =
+            |nth: u32| Counts([(f64::from(nth) * speed / 20_000.0 / core::f64::consts::TAU * 400.0) as i32, 0, 0]);
         let off = (1..=1_200).find(|nth| {
             !rig.servo.guard(&Crest { counts: counts(*nth), bus_voltage: 24.0, ..Crest::default() }).bridges
         });

@@ -12,6 +12,7 @@ use haptic_bridge::model::precomputed::MassModelData;
 use haptic_bridge::render::controller::{Controller, FULL_REGULARITY, NO_REGULARITY, PARALLEL_REGULARITY, Step};
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::servo::Command;
+use haptic_bridge::servo::joints::Counts;
 use haptic_bridge::servo::program::Program;
 use nalgebra::{SVector, Vector2, Vector3};
 use page::shipped;
@@ -278,7 +279,7 @@ fn a_device_with_any_number_spoilt_is_refused_or_never_spoils_a_duty() {
             let _ = rig.execute(Command::PolarityKnown);
             let _ = rig.execute(Command::Arm);
             for k in 0..200 {
-                rig.samples.counts = [40 * (k % 50), -30 * (k % 50), 0];
+                rig.samples.counts = Counts([40 * (k % 50), -30 * (k % 50), 0]);
                 rig.step();
                 assert!(rig.duties.iter().all(|duty| duty.abs() <= 0.96), "byte {place}: {:?}", rig.duties);
             }

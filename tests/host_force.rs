@@ -8,6 +8,7 @@ use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::host_force::{
     MOST_DAMPING, MOST_DISTANCE, MOST_FORCE, MOST_LEASE, MOST_STIFFNESS, MOST_TORQUE,
 };
+use haptic_bridge::servo::joints::Torques;
 use haptic_bridge::servo::{Command, HostAction, Rules};
 use nalgebra::Vector2;
 use rig::statics::{torques, worth};
@@ -120,7 +121,7 @@ fn a_request_is_held_then_fades_evenly_and_is_gone() {
         let ending = (age - 0.03).abs() < 0.5 * period;
         assert!(ending || answer.age.is_some() == (age < 0.03), "{age} s: {answer:?}");
     }
-    assert_eq!(rig.servo.frame().torque, [0.0; 3]);
+    assert_eq!(rig.servo.frame().torque, Torques::default());
     assert_eq!(rig.state(), State::Armed);
 }
 
@@ -140,7 +141,7 @@ fn what_comes_late_has_only_the_rest_of_its_life() {
     let answer = rig.servo.force(&ForceRequest { sequence: 2, ..half });
     assert_eq!((answer.done, answer.age), (ForceDone::TooOld, None));
     rig.step();
-    assert_eq!(rig.servo.frame().torque, [0.0; 3]);
+    assert_eq!(rig.servo.frame().torque, Torques::default());
     let future = ForceRequest { seen: Some(answer.step + 10), ..torque(3, 0.2) };
     assert_eq!(rig.servo.force(&future).done, ForceDone::Bad(BadForce::Seen));
 }
@@ -258,7 +259,7 @@ fn only_armed_motors_take_force_and_disarming_or_a_fault_forgets_it() {
         rig.arm();
         assert_eq!(rig.servo.force(&force(1, 1.0, 0.0)).done, ForceDone::Taken);
         rig.step();
-        assert_ne!(rig.servo.frame().torque, [0.0; 3]);
+        assert_ne!(rig.servo.frame().torque, Torques::default());
         if by_fault {
             rig.servo.trip(Fault::GateDriver, None, 0.0);
         } else {
@@ -273,7 +274,7 @@ fn only_armed_motors_take_force_and_disarming_or_a_fault_forgets_it() {
         rig.execute(Command::Arm).unwrap();
         for _ in 0..20 {
             rig.step();
-            assert_eq!(rig.servo.frame().torque, [0.0; 3]);
+            assert_eq!(rig.servo.frame().torque, Torques::default());
         }
         rig.execute(Command::Disarm).unwrap();
     }

@@ -20,7 +20,7 @@ fn pressed(depth: f64) -> Rig {
 
 #[test]
 fn a_wall_within_the_motors_means_is_rendered_as_asked() {
-    let frame = *pressed(0.002).servo.frame();
+    let frame = pressed(0.002).servo.frame();
     assert!((frame.wall_force - 2.0).abs() < 0.02, "{frame:?}");
     assert!((frame.rendered_force - frame.wall_force).abs() < 1e-5, "{frame:?}");
     assert_eq!(frame.saturation(0), 0.0);
@@ -28,7 +28,7 @@ fn a_wall_within_the_motors_means_is_rendered_as_asked() {
 
 #[test]
 fn a_wall_beyond_the_motors_means_is_recorded_as_what_they_can() {
-    let frame = *pressed(0.008).servo.frame();
+    let frame = pressed(0.008).servo.frame();
     assert!((frame.wall_force - 8.0).abs() < 0.02, "asked for: {frame:?}");
     assert!((frame.rendered_force - 3.0).abs() < 1e-4, "0.3 N m at 0.1 m: {frame:?}");
     assert_eq!(frame.saturation(0), 1.0, "and the motor is marked");
@@ -41,7 +41,7 @@ fn a_force_beyond_the_limit_of_the_tip_is_marked_too() {
     let limited = rules();
     rig.execute(Command::Rules(Rules { limits: Limits { tip_force: 1.0, ..limited.limits }, ..limited })).unwrap();
     rig.step();
-    let frame = *rig.servo.frame();
+    let frame = rig.servo.frame();
     assert!((frame.rendered_force - 1.0).abs() < 1e-3, "{frame:?}");
     assert_eq!((frame.saturation(0), frame.saturation(1)), (1.0, 0.0), "{frame:?}");
 }
@@ -51,14 +51,14 @@ fn nothing_is_rendered_with_the_motors_off_nor_in_full_while_torque_ramps_up() {
     let mut rig = pressed(0.002);
     rig.execute(Command::Disarm).unwrap();
     rig.step();
-    let off = *rig.servo.frame();
+    let off = rig.servo.frame();
     assert!(off.wall_force > 1.9 && off.rendered_force == 0.0, "{off:?}");
 
     let mut rig = Rig::ready(&scene(1, &[wall(-0.05, 1_000.0)]));
     rig.execute(Command::Arm).unwrap();
     // In 0.03 s of the half second's ramp the tip is 2 mm deep.
     rig.turn(0, -0.52, 18.0);
-    let ramp = *rig.servo.frame();
+    let ramp = rig.servo.frame();
     assert!(ramp.wall_force > 1.9 && ramp.rendered_force > 0.0, "{ramp:?}");
     assert!(ramp.rendered_force < 0.2 * ramp.wall_force, "{ramp:?}");
 }
@@ -112,7 +112,7 @@ fn on_two_joints_it_is_the_force_that_the_recorded_torques_hold() {
                 rig.samples.counts[i] += turn;
             }
             rig.run(0.02);
-            let frame = *rig.servo.frame();
+            let frame = rig.servo.frame();
             // The counts' own angles: 2.4 and 0.7 rad at home.
             let angle = |i: usize| f64::from(frame.counts[i]) / COUNTS * core::f64::consts::TAU + [2.4, 0.7][i];
             let torque = [f64::from(frame.torque[0]), f64::from(frame.torque[1])];
@@ -143,7 +143,7 @@ fn a_duty_at_its_end_is_marked_by_itself() {
     rig.execute(Command::Gains(gains, Washout::new(2.0, RATE).unwrap())).unwrap();
     rig.servo.control(&rig.samples);
     rig.servo.duties(24.0, &rig.samples.currents, false);
-    let frame = *rig.servo.frame();
+    let frame = rig.servo.frame();
     assert_eq!(frame.saturation(0), 2.0, "{frame:?}");
     assert_eq!(Frame { limited: 0b101, ..frame }.saturation(0), 3.0);
 }

@@ -8,6 +8,7 @@ use haptic_bridge::render::velocity::Washout;
 use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::safety::refusal::Refusal;
+use haptic_bridge::servo::joints::Counts;
 use haptic_bridge::servo::{ARM_SECONDS, Command, HostAction, Rules};
 use rig::{RATE, Rig, five_bar, hardware, limits, paddle, rules, scene, wall};
 
@@ -121,7 +122,7 @@ fn arming_is_refused_at_a_singular_pose() {
         rig.execute(Command::Disarm).unwrap();
         angle += 0.001;
         let counts = (angle / core::f64::consts::TAU * rig::COUNTS) as i32;
-        rig.samples.counts = [counts, -counts, 0];
+        rig.samples.counts = Counts([counts, -counts, 0]);
         rig.step();
     }
     assert_eq!(rig.execute(Command::Arm), Err(Refusal::Singular));
@@ -141,7 +142,7 @@ fn a_device_in_motion_is_not_homed() {
 fn homing_declares_the_pose_of_the_device_file() {
     let mut rig = Rig::bare(hardware(), rules());
     rig.load(&five_bar(), &scene(2, &[]), false).unwrap();
-    rig.samples.counts = [12_345, -54_321, 0];
+    rig.samples.counts = Counts([12_345, -54_321, 0]);
     rig.settle();
     rig.execute(Command::Home).unwrap();
     rig.step();

@@ -10,6 +10,7 @@ use haptic_bridge::model::device::Motor;
 use haptic_bridge::model::precomputed::MassModelData;
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::frame::{Crest, Samples};
+use haptic_bridge::servo::joints::Currents;
 use haptic_bridge::servo::program::Program;
 use haptic_bridge::servo::{Command, Servo};
 use rig::{COUNTS, device, hardware, limits, paddle, rules, scene, wall};
@@ -160,7 +161,7 @@ impl<S: Stage> Pressed<S> {
     fn run(&mut self, steps: u32) {
         for _ in 0..steps {
             // The current that was asked for flows.
-            self.samples.currents = self.servo.frame().torque.map(|torque| torque / 0.1);
+            self.samples.currents = Currents(self.servo.frame().torque.map(|torque| torque / 0.1));
             // 20 kHz and 2 kHz.
             for _ in 0..10 {
                 self.servo.guard(&Crest::from(&self.samples));

@@ -3,13 +3,14 @@
 use haptic_bridge::board::telemetry::{BATCH_VALUES, Batch, Field, Fields, Packer, StreamRequest};
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::servo::frame::Frame;
+use haptic_bridge::servo::joints::Counts;
 use proptest::prelude::*;
 
 fn frame(step: u32) -> Frame {
     Frame {
         step,
         q: [step as f32, 0.5, -0.5],
-        counts: [-7, 16_777_217, 3],
+        counts: Counts([-7, 16_777_217, 3]),
         contacts: 2,
         state: State::Armed,
         ..Frame::default()

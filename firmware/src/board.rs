@@ -22,6 +22,7 @@ use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::safety::limits::Limits;
+use haptic_bridge::servo::joints::{Counts, Currents};
 
 use crate::gate::Gate;
 
@@ -52,7 +53,7 @@ pub trait Board {
 /// What the control interrupt owns of a board: encoders, conversions, bridges. Every function is bounded in time.
 pub trait Io {
     /// Encoder counts since power-on, one per axis.
-    fn counts(&mut self) -> [i32; MAX_JOINTS];
+    fn counts(&mut self) -> Counts;
 
     /// The counts last read, of encoders whose index pulse was seen since the last call.
     fn index(&mut self) -> [Option<i32>; MAX_JOINTS];
@@ -84,10 +85,10 @@ pub trait Io {
 pub struct Analog {
     /// Bus voltage, V.
     pub bus_v: f32,
-    /// Current of each axis, A, positive for positive duty.
-    pub current_a: [f32; MAX_JOINTS],
-    /// What the two sensors of each axis differ by, A; 0 where there is one.
-    pub imbalance_a: [f32; MAX_JOINTS],
+    /// Current of each axis, positive for positive duty.
+    pub currents: Currents,
+    /// What the two sensors of each axis differ by; 0 where there is one.
+    pub imbalance: Currents,
     /// Whether the conversions came.
     pub fresh: bool,
 }

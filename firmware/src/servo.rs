@@ -168,8 +168,8 @@ impl Step {
         let seen = Crest {
             counts: self.io.counts(),
             bus_voltage: analog.bus_v,
-            currents: analog.current_a,
-            imbalance: analog.imbalance_a,
+            currents: analog.currents,
+            imbalance: analog.imbalance,
         };
         let mut outputs = compiled::guard(&mut self.servo, &seen);
         self.countdown -= 1;
@@ -184,7 +184,7 @@ impl Step {
             self.connect(false);
         }
         let late = too_late();
-        let legs = compiled::legs(&mut self.servo, analog.bus_v, &analog.current_a, late, self.io.carrier());
+        let legs = compiled::legs(&mut self.servo, analog.bus_v, &analog.currents, late, self.io.carrier());
         if late {
             wait_for_valley();
         }
@@ -193,7 +193,7 @@ impl Step {
         if stepped {
             LATE.store(LATE.load(Ordering::Relaxed).wrapping_add(u32::from(late)), Ordering::Relaxed);
             self.record();
-            STEPS.store(self.servo.frame().step, Ordering::Relaxed);
+            STEPS.store(self.servo.steps(), Ordering::Relaxed);
         }
     }
 
@@ -259,7 +259,7 @@ impl Step {
 
     #[inline(always)]
     fn record(&mut self) {
-        let wanted = self.servo.frame().step.checked_rem(STREAM_DIVIDER.load(Ordering::Relaxed)) == Some(0);
+        let wanted = self.servo.steps().checked_rem(STREAM_DIVIDER.load(Ordering::Relaxed)) == Some(0);
         if wanted && !compiled::record(&self.servo, &mut self.frames) {
             // This interrupt is the only writer while a stream runs.
             FRAMES_DROPPED.store(FRAMES_DROPPED.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);

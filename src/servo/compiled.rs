@@ -7,6 +7,7 @@ use crate::drive::carrier::Carrier;
 use crate::math::Minimax;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::servo::frame::{Crest, Frame, Outputs, Samples};
+use crate::servo::joints::Currents;
 use crate::servo::program::Program;
 use crate::servo::{Servo, for_joints};
 use heapless::spsc::Producer;
@@ -38,7 +39,7 @@ pub fn control(servo: &mut BoardServo, samples: &Samples) -> Outputs {
 pub fn legs(
     servo: &mut BoardServo,
     bus_voltage: f32,
-    currents: &[f32; MAX_JOINTS],
+    currents: &Currents,
     late: bool,
     carrier: &Carrier,
 ) -> [[u16; 2]; MAX_JOINTS] {
@@ -50,7 +51,7 @@ pub fn legs(
 fn legs_of<const J: usize>(
     servo: &mut BoardServo,
     bus_voltage: f32,
-    currents: &[f32; MAX_JOINTS],
+    currents: &Currents,
     late: bool,
     carrier: &Carrier,
 ) -> [[u16; 2]; MAX_JOINTS] {
@@ -61,5 +62,5 @@ fn legs_of<const J: usize>(
 /// Puts the last step's frame into the queue; false when it is full.
 #[inline(never)]
 pub fn record(servo: &BoardServo, frames: &mut Producer<'static, Frame>) -> bool {
-    frames.enqueue(servo.snapshot()).is_ok()
+    frames.enqueue(servo.frame()).is_ok()
 }

@@ -11,6 +11,7 @@ use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::fault::{Fault, State};
 use crate::safety::limits::{Limits, POWER_SECONDS};
 use crate::servo::frame::{Crest, Outputs};
+use crate::servo::joints::Counts;
 use crate::servo::program::Program;
 use core::ops::DerefMut;
 
@@ -61,7 +62,7 @@ impl Bounds {
 pub(super) struct Crests {
     bounds: [Bounds; MAX_JOINTS],
     primed: bool,
-    counts: [i32; MAX_JOINTS],
+    counts: Counts,
     /// Filtered speeds, counts in a carrier period.
     speed: [f32; MAX_JOINTS],
     /// Squares of each motor's current since [`Crests::take_heat`], A².
@@ -162,7 +163,7 @@ where
         // Negative as soon as something is beyond its bound.
         let mut worst = 0;
         let mut power = 0.0;
-        let mut moves = [0; MAX_JOINTS];
+        let mut moves = Counts::default();
         #[allow(clippy::needless_range_loop, reason = "one number for ten arrays")]
         for i in 0..J {
             let bounds = &crests.bounds[i];
@@ -172,7 +173,7 @@ where
             let raw = moved as f32;
             crests.speed[i] += bounds.gain * (raw - crests.speed[i]);
             let sensed = self.hardware.bridge.current_sensed;
-            let current = if sensed { seen.currents[i] } else { self.frame.current[i] };
+            let current = if sensed { seen.currents[i] } else { self.now.current[i] };
             crests.squares[i] += current * current;
             let speed = crests.speed[i] * bounds.radians;
             program.axes[i].follow(speed, raw * bounds.radians);
@@ -184,7 +185,7 @@ where
                     let (strain, doubt) = program.axes[i].strain();
                     worst |= left(seen.imbalance[i], bounds.imbalance) | left(strain, doubt);
                 }
-                power += self.frame.torque[i] * speed;
+                power += self.now.torque[i] * speed;
             }
         }
         crests.counts = seen.counts;
@@ -204,7 +205,7 @@ where
     /// Something is not well: finds out what comes first, and turns the motors off.
     #[cold]
     #[inline(never)]
-    fn find_at_crest(&mut self, seen: &Crest, moves: &[i32; MAX_JOINTS], active: bool) {
+    fn find_at_crest(&mut self, seen: &Crest, moves: &Counts, active: bool) {
         let Some(program) = self.program.as_ref() else { return };
         let joints = program.joints.min(MAX_JOINTS);
         let mut found = None;
@@ -215,7 +216,7 @@ where
         };
         let (crests, bus) = (&self.crests, seen.bus_voltage);
         let sensed = self.hardware.bridge.current_sensed;
-        let current = |i: usize| if sensed { seen.currents[i] } else { self.frame.current[i] };
+        let current = |i: usize| if sensed { seen.currents[i] } else { self.now.current[i] };
         for i in 0..joints {
             // No number first: it makes every comparison below meaningless.
             note(active && !current(i).is_finite(), Fault::NotFinite, Some(i), current(i));

@@ -10,7 +10,7 @@
 use super::{ARM_SECONDS, Servo};
 use crate::drive::stage::Stage;
 use crate::math::Math;
-use crate::model::catalogue::MAX_JOINTS;
+use crate::servo::joints::Torques;
 use crate::servo::program::Program;
 use crate::servo::saturation::{Asked, share_within};
 use core::ops::DerefMut;
@@ -18,10 +18,10 @@ use core::ops::DerefMut;
 /// What a step commanded by what it was for.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Acted {
-    /// What carried the device's weight, N m.
-    pub gravity: [f32; MAX_JOINTS],
+    /// What carried the device's weight.
+    pub gravity: Torques,
     /// What rendered forces, N m: all but the weight and the feed-forward.
-    pub rendered: [f32; MAX_JOINTS],
+    pub rendered: Torques,
     /// The share of the forces asked for that the limits left.
     pub share: f32,
 }
@@ -29,17 +29,17 @@ pub(super) struct Acted {
 /// Torques that a host asked for, on their way out.
 #[derive(Clone, Copy, Debug, Default)]
 struct Lease {
-    /// N m, when `life` (s) were left, of which `left` are.
-    torque: [f32; MAX_JOINTS],
+    ///, when `life` (s) were left, of which `left` are.
+    torque: Torques,
     life: f32,
     left: f32,
 }
 
 impl Lease {
-    /// What is left of it, N m.
-    fn acts(&self) -> [f32; MAX_JOINTS] {
+    /// What is left of it.
+    fn acts(&self) -> Torques {
         let part = if self.left > 0.0 { self.left / self.life } else { 0.0 };
-        self.torque.map(|torque| part * torque)
+        Torques(self.torque.map(|torque| part * torque))
     }
 }
 
@@ -52,21 +52,21 @@ pub(super) struct Fade {
     pub share: f32,
     /// Whether a step of it was.
     begun: bool,
-    /// Torques that carried the device's weight, N m.
-    weight: [f32; MAX_JOINTS],
-    /// Torques that rendered the scene before, N m.
-    scene: [f32; MAX_JOINTS],
+    /// Torques that carried the device's weight.
+    weight: Torques,
+    /// Torques that rendered the scene before.
+    scene: Torques,
     host: Lease,
-    /// Torques of the feed-forward, N m, and the square of the force that they began with at the tip, N².
-    aside: [f32; MAX_JOINTS],
+    /// Torques of the feed-forward, and the square of the force that they began with at the tip, N².
+    aside: Torques,
     aside_squared: f32,
 }
 
 impl Fade {
-    /// What renders forces before the ramp, N m.
-    fn rendered(&self) -> [f32; MAX_JOINTS] {
+    /// What renders forces before the ramp.
+    fn rendered(&self) -> Torques {
         let host = self.host.acts();
-        core::array::from_fn(|i| self.scene[i] + host[i])
+        Torques::from_fn(|i| self.scene[i] + host[i])
     }
 
     /// `from` on its way to `to`.
@@ -92,31 +92,31 @@ where
         let mut host = Lease { torque, life, left: life };
         if self.fade.host.left > 0.0 {
             // Of an earlier scene: both end with the one that ends first.
-            host.life = if torque == [0.0; MAX_JOINTS] { self.fade.host.left } else { life.min(self.fade.host.left) };
+            host.life = if torque == Torques::default() { self.fade.host.left } else { life.min(self.fade.host.left) };
             host.left = host.life;
             let part = (1.0 - self.fade.ramp) * self.acted.share;
-            for (host, earlier) in host.torque.iter_mut().zip(self.fade.host.acts()) {
+            for (host, earlier) in host.torque.iter_mut().zip(self.fade.host.acts().iter()) {
                 *host += part * earlier;
             }
         }
         let Acted { gravity, rendered, .. } = self.acted;
-        let aside = core::array::from_fn(|i| self.frame.torque[i] - gravity[i] - rendered[i]);
+        let aside = Torques::from_fn(|i| self.now.torque[i] - gravity[i] - rendered[i]);
         self.fade = Fade {
             ramp: 0.0,
             share: 0.0,
             begun: false,
             weight: gravity,
-            scene: core::array::from_fn(|i| rendered[i] - host.torque[i]),
+            scene: Torques::from_fn(|i| rendered[i] - host.torque[i]),
             host,
             aside,
-            aside_squared: program.mechanism.force_squared::<K>(&self.frame.q, &aside),
+            aside_squared: program.mechanism.force_squared::<K>(&self.now.q, &aside),
         };
     }
 
     /// One step of the fade: what is to be commanded instead of `asked`, and what that would be without the limit of the
-    /// force at the tip, N m.
+    /// force at the tip.
     #[inline(never)]
-    pub(super) fn fade_in(&mut self, asked: &Asked) -> (Asked, [f32; MAX_JOINTS]) {
+    pub(super) fn fade_in(&mut self, asked: &Asked) -> (Asked, Torques) {
         self.fade.begun = true;
         self.fade.ramp = (self.fade.ramp + self.period * (1.0 / ARM_SECONDS)).min(1.0);
         self.fade.host.left -= self.period;
@@ -127,8 +127,8 @@ where
         let (fade, before) = (&self.fade, self.fade.rendered());
         let faded = Asked {
             total: self.between(asked, share),
-            gravity: core::array::from_fn(|i| fade.part(fade.weight[i], asked.gravity[i])),
-            rendered: core::array::from_fn(|i| fade.part(before[i], share * asked.rendered[i])),
+            gravity: Torques::from_fn(|i| fade.part(fade.weight[i], asked.gravity[i])),
+            rendered: Torques::from_fn(|i| fade.part(before[i], share * asked.rendered[i])),
             force_squared: 0.0,
         };
         (faded, self.between(asked, 1.0))
@@ -139,25 +139,25 @@ where
         let Some(program) = self.program.as_ref() else { return };
         let fade = &mut self.fade;
         let rendered = fade.rendered();
-        if rendered == [0.0; MAX_JOINTS] && fade.aside == [0.0; MAX_JOINTS] {
+        if rendered == Torques::default() && fade.aside == Torques::default() {
             return;
         }
-        let squared = |torque| program.mechanism.force_squared::<K>(&self.frame.q, torque);
+        let squared = |torque| program.mechanism.force_squared::<K>(&self.now.q, torque);
         let share = share_within(squared(&rendered), self.rules.limits.tip_force);
-        for part in fade.scene.iter_mut().chain(&mut fade.host.torque).chain(&mut fade.aside) {
+        for part in fade.scene.iter_mut().chain(fade.host.torque.iter_mut()).chain(fade.aside.iter_mut()) {
             *part *= share;
         }
         let aside = squared(&fade.aside);
         if aside > fade.aside_squared {
             let share = K::sqrt(fade.aside_squared / aside);
-            fade.aside = fade.aside.map(|torque| share * torque);
+            fade.aside = Torques(fade.aside.map(|torque| share * torque));
         }
     }
 
-    /// All of it, with a `share` of what is asked beyond what carries the device, N m.
-    fn between(&self, asked: &Asked, share: f32) -> [f32; MAX_JOINTS] {
+    /// All of it, with a `share` of what is asked beyond what carries the device.
+    fn between(&self, asked: &Asked, share: f32) -> Torques {
         let (fade, rendered) = (&self.fade, self.fade.rendered());
-        core::array::from_fn(|i| {
+        Torques::from_fn(|i| {
             let from = fade.weight[i] + rendered[i] + fade.aside[i];
             fade.part(from, asked.gravity[i] + share * (asked.total[i] - asked.gravity[i]))
         })

@@ -3,6 +3,7 @@
 use crate::drive::stage::MAX_DUTY;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::fault::{Fault, State};
+use crate::servo::joints::{Counts, Currents, Duties, Torques};
 
 /// A duty as large as this is as large as it can be: the drive's own end, less what rounding may take off it.
 const DUTY_END: f32 = MAX_DUTY * (1.0 - 8.0 * f32::EPSILON);
@@ -10,12 +11,12 @@ const DUTY_END: f32 = MAX_DUTY * (1.0 - 8.0 * f32::EPSILON);
 /// What the hardware saw at one sampling instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Samples {
-    /// Encoder counts, extended to 32 bits, wrapping.
-    pub counts: [i32; MAX_JOINTS],
+    /// Encoder counts.
+    pub counts: Counts,
     /// V; ignored where the board does not sense it.
     pub bus_voltage: f32,
-    /// Motor currents, A; ignored where they are not sensed.
-    pub currents: [f32; MAX_JOINTS],
+    /// Motor currents; ignored where they are not sensed.
+    pub currents: Currents,
     /// Count at the index pulse seen since the last step, late by at most what the joint moved in it.
     pub index: [Option<i32>; MAX_JOINTS],
     /// A fault that hardware or another part of the firmware reports.
@@ -25,20 +26,20 @@ pub struct Samples {
 /// What is sampled at every crest.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Crest {
-    /// Encoder counts, extended to 32 bits, wrapping.
-    pub counts: [i32; MAX_JOINTS],
+    /// Encoder counts.
+    pub counts: Counts,
     /// V; ignored where the board does not sense it.
     pub bus_voltage: f32,
-    /// Motor currents, A; ignored where they are not sensed.
-    pub currents: [f32; MAX_JOINTS],
-    /// What two sensors of a motor's current differ by, A; 0 where it has one.
-    pub imbalance: [f32; MAX_JOINTS],
+    /// Motor currents; ignored where they are not sensed.
+    pub currents: Currents,
+    /// What two sensors of a motor's current differ by; 0 where it has one.
+    pub imbalance: Currents,
 }
 
 impl From<&Samples> for Crest {
     fn from(samples: &Samples) -> Self {
         let Samples { counts, bus_voltage, currents, .. } = *samples;
-        Self { counts, bus_voltage, currents, imbalance: [0.0; MAX_JOINTS] }
+        Self { counts, bus_voltage, currents, imbalance: Currents::default() }
     }
 }
 
@@ -47,6 +48,49 @@ impl From<&Samples> for Crest {
 pub struct Outputs {
     /// Whether the bridges may drive; false means floating.
     pub bridges: bool,
+}
+
+/// What the last step left: the servo's working memory.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Now {
+    /// Control steps since boot.
+    pub step: u32,
+    pub counts: Counts,
+    /// Joint angles, rad, and velocities, rad/s.
+    pub q: [f32; MAX_JOINTS],
+    pub qd: [f32; MAX_JOINTS],
+    /// Tip, m.
+    pub tip: [f32; MAX_JOINTS],
+    /// What the motors are to make, after limits.
+    pub torque: Torques,
+    /// Measured, or commanded where none is sensed.
+    pub current: Currents,
+    /// Of the carrier period that comes.
+    pub duty: Duties,
+    /// V; 0 where it is not sensed.
+    pub bus_voltage: f32,
+    pub walls: AtWalls,
+    /// What the limits leave of the walls' force, N.
+    pub rendered_force: f32,
+    /// See [`Frame::limited`].
+    pub limited: u8,
+}
+
+/// What a step found at the walls, see [`Frame`].
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct AtWalls {
+    pub contacts: u8,
+    /// m
+    pub distance: f32,
+    /// m/s
+    pub normal_velocity: f32,
+    /// N
+    pub force: f32,
+    pub shaping: f32,
+    /// J
+    pub energy: f32,
+    /// N s/m
+    pub passivity_damping: f32,
 }
 
 /// One step as telemetry records it. Vectors are padded with zeros to three entries.
@@ -59,19 +103,19 @@ pub struct Frame {
     /// Walls touched.
     pub contacts: u8,
     /// Encoder counts.
-    pub counts: [i32; MAX_JOINTS],
+    pub counts: Counts,
     /// Joint angles, rad.
     pub q: [f32; MAX_JOINTS],
     /// Joint velocities, rad/s.
     pub qd: [f32; MAX_JOINTS],
     /// Tip, m.
     pub tip: [f32; MAX_JOINTS],
-    /// Joint torques after limits, N m.
-    pub torque: [f32; MAX_JOINTS],
-    /// Measured currents, or commanded ones where none is sensed, A.
-    pub current: [f32; MAX_JOINTS],
-    /// Duties of the last carrier period.
-    pub duty: [f32; MAX_JOINTS],
+    /// Joint torques after limits.
+    pub torque: Torques,
+    /// Measured currents, or commanded ones where none is sensed.
+    pub current: Currents,
+    /// Duties of the carrier period after the step.
+    pub duty: Duties,
     /// Distance to the deepest wall, m.
     pub distance: f32,
     /// Velocity along its normal, m/s.
@@ -95,6 +139,33 @@ pub struct Frame {
 }
 
 impl Frame {
+    /// The record of a step that left the servo in `state`, field by field: a copy of the whole would be a call of memcpy.
+    #[inline(always)]
+    pub(crate) fn of(now: &Now, state: State) -> Self {
+        let Now { step, counts, q, qd, tip, torque, current, duty, bus_voltage, walls, rendered_force, limited } = *now;
+        Self {
+            step,
+            state,
+            contacts: walls.contacts,
+            counts,
+            q,
+            qd,
+            tip,
+            torque,
+            current,
+            duty,
+            distance: walls.distance,
+            normal_velocity: walls.normal_velocity,
+            wall_force: walls.force,
+            rendered_force,
+            limited,
+            shaping: walls.shaping,
+            energy: walls.energy,
+            passivity_damping: walls.passivity_damping,
+            bus_voltage,
+        }
+    }
+
     /// Whether joint `i` could not do what was asked: 1 a limit changed its torque ([`Frame::limited`]), 2 its duty is at
     /// its end, 3 both.
     pub fn saturation(&self, i: usize) -> f32 {

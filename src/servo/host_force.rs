@@ -16,6 +16,7 @@ use crate::model::catalogue::MAX_JOINTS;
 use crate::render::controller::{Push, PushedPlane};
 use crate::safety::fault::State;
 use crate::servo::Servo;
+use crate::servo::joints::Torques;
 use crate::servo::program::Program;
 use crate::servo::saturation::Asked;
 use core::ops::DerefMut;
@@ -273,7 +274,7 @@ pub(super) struct HostForce {
     age: f32,
     /// Share of it that acts in this step, the joint torques (N m) that this makes, and how long it may yet act, s.
     lease: f32,
-    torque: [f32; MAX_JOINTS],
+    torque: Torques,
     life: f32,
     /// Share of those that ramp and limits left.
     pub left: f32,
@@ -297,7 +298,7 @@ impl HostForce {
             *self = Self::default();
             return None;
         }
-        self.torque = self.request.torque.map(|torque| torque * self.lease);
+        self.torque = Torques(self.request.torque.map(|torque| torque * self.lease));
         self.life = self.request.hold + self.request.fade - self.age;
         let plane = self.contact.now();
         Some(Push {
@@ -324,18 +325,18 @@ where
             sequence: request.sequence,
             done,
             state: self.state,
-            step: self.frame.step,
+            step: self.now.step,
             period: self.period,
             age: self.host.acts.then_some(self.host.age),
-            tip: self.frame.tip,
+            tip: self.now.tip,
             velocity: [0.0; 3],
-            q: self.frame.q,
-            torque: self.frame.torque,
+            q: self.now.q,
+            torque: self.now.torque.0,
             force: [0.0; 3],
             share: 0.0,
         };
         if let Some(program) = self.program.as_ref() {
-            let (velocity, pushed) = program.controller.pushed(&self.frame);
+            let (velocity, pushed) = program.controller.pushed(&self.now);
             answer.velocity = velocity;
             answer.share = self.host.lease * self.host.left;
             answer.force = pushed.map(|force| force * self.host.left);
@@ -345,13 +346,13 @@ where
 
     /// The joint torques (N m) that acted in the last step because of the host, and how long they might (s).
     #[cold]
-    pub(super) fn host_torque(&self) -> ([f32; MAX_JOINTS], f32) {
+    pub(super) fn host_torque(&self) -> (Torques, f32) {
         let Some(program) = self.program.as_ref().filter(|_| self.host.left > 0.0) else {
-            return ([0.0; MAX_JOINTS], 0.0);
+            return (Torques::default(), 0.0);
         };
-        let (_, force) = program.controller.pushed(&self.frame);
-        let pushed = program.mechanism.torque::<K>(&self.frame.q, &force);
-        (core::array::from_fn(|i| self.host.left * (pushed[i] + self.host.torque[i])), self.host.life)
+        let (_, force) = program.controller.pushed(&self.now);
+        let pushed = program.mechanism.torque::<K>(&self.now.q, &force);
+        (Torques::from_fn(|i| self.host.left * (pushed[i] + self.host.torque[i])), self.host.life)
     }
 
     fn take_force(&mut self, request: &ForceRequest) -> ForceDone {
@@ -360,7 +361,7 @@ where
         if let Some(bad) = request.wrong(task, joints) {
             return ForceDone::Bad(bad);
         }
-        let age = request.seen.map_or(0, |seen| self.frame.step.wrapping_sub(seen) as i32);
+        let age = request.seen.map_or(0, |seen| self.now.step.wrapping_sub(seen) as i32);
         if age < 0 {
             return ForceDone::Bad(BadForce::Seen);
         }
@@ -398,7 +399,7 @@ where
     pub(super) fn pull(&mut self, asked: &mut Asked) {
         if self.host.acts {
             self.add(asked);
-            self.frame.torque = asked.total;
+            self.now.torque = asked.total;
         }
     }
 
@@ -407,14 +408,14 @@ where
     #[inline(never)]
     fn add(&mut self, asked: &mut Asked) {
         let torque = self.host.torque;
-        if torque != [0.0; MAX_JOINTS]
+        if torque != Torques::default()
             && let Some(program) = self.program.as_ref()
         {
             for (i, torque) in torque.iter().enumerate() {
                 asked.rendered[i] += torque;
                 asked.total[i] += torque;
             }
-            asked.force_squared = program.mechanism.force_squared::<K>(&self.frame.q, &asked.rendered);
+            asked.force_squared = program.mechanism.force_squared::<K>(&self.now.q, &asked.rendered);
         }
     }
 

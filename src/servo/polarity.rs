@@ -6,6 +6,7 @@ use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::fault::{Fault, State};
 use crate::safety::refusal::Refusal;
+use crate::servo::joints::Torques;
 use crate::servo::program::Program;
 use crate::servo::saturation::share_within;
 use core::ops::DerefMut;
@@ -45,11 +46,11 @@ where
     #[cold]
     #[inline(never)]
     pub(super) fn check_polarity(&mut self) {
-        self.frame.torque = [0.0; MAX_JOINTS];
+        self.now.torque = Torques::default();
         let Some(program) = self.program.as_ref() else { return };
         let i = self.polarity.axis.min(MAX_JOINTS - 1);
         let (joints, most) = (program.joints, program.axes[i].max_torque());
-        let moved = self.frame.q[i] - *self.polarity.from.get_or_insert(self.frame.q[i]);
+        let moved = self.now.q[i] - *self.polarity.from.get_or_insert(self.now.q[i]);
         if moved > POLARITY_MOTION {
             if i + 1 >= joints {
                 self.off();
@@ -69,9 +70,9 @@ where
             return self.trip(Fault::PolarityNoMotion, Some(i as u8), moved);
         }
         let share = POLARITY_SHARE * (self.polarity.seconds * (1.0 / POLARITY_SECONDS)).min(1.0);
-        let mut torque = [0.0; MAX_JOINTS];
+        let mut torque = Torques::default();
         torque[i] = share * most;
-        let squared = program.mechanism.force_squared::<K>(&self.frame.q, &torque);
-        self.frame.torque[i] = torque[i] * share_within(squared, self.rules.limits.tip_force);
+        let squared = program.mechanism.force_squared::<K>(&self.now.q, &torque);
+        self.now.torque[i] = torque[i] * share_within(squared, self.rules.limits.tip_force);
     }
 }

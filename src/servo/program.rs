@@ -16,7 +16,8 @@ use crate::render::scene::Scene;
 use crate::render::velocity::{Coefficients, Washout};
 use crate::safety::limits::Limits;
 use crate::safety::refusal::Refusal;
-use crate::servo::frame::Frame;
+use crate::servo::frame::{AtWalls, Now};
+use crate::servo::joints::{Counts, Torques};
 use crate::servo::saturation::Asked;
 
 /// What a board is, as far as the servo cares.
@@ -61,42 +62,42 @@ macro_rules! define {
                 match self { $(Self::$Variant(_) => Kind::$Variant,)* }
             }
 
-            /// One control step with the values of the mass model's table, if it has one; fills what a frame records of
-            /// it and [`Step::motion`], and returns the distances from singularities and what the torques are for.
+            /// One control step with the values of the mass model's table, if it has one; fills what is kept of it and
+            /// [`Step::motion`], and returns the distances from singularities and what the torques are for.
             #[inline(always)]
             pub(crate) fn step(
                 &mut self,
-                counts: &[i32; MAX_JOINTS],
+                counts: &Counts,
                 table: &[f32],
-                frame: &mut Frame,
+                now: &mut Now,
                 motion: &mut [f32; MAX_JOINTS],
             ) -> (Regularity<f32>, Asked) {
                 match self {
                     $(Self::$Variant(controller) => {
-                        // What the frame still holds is what the motors gave since the last step.
-                        controller.acted(&head(&frame.torque));
-                        record(controller.step_with(&head(counts), table), frame, motion)
+                        // What is still there is what the motors gave since the last step.
+                        controller.acted(&head(&now.torque));
+                        record(controller.step_with(&head(counts), table), now, motion)
                     })*
                 }
             }
 
             /// See [`Controller::home`].
-            pub fn home(&mut self, counts: &[i32; MAX_JOINTS], q: &[f32; MAX_JOINTS]) {
+            pub fn home(&mut self, counts: &Counts, q: &[f32; MAX_JOINTS]) {
                 match self { $(Self::$Variant(controller) => controller.home(&head(counts), &head(q)),)* }
             }
 
             /// Counts that homing subtracts.
-            pub fn zero(&self) -> [i32; MAX_JOINTS] {
-                match self { $(Self::$Variant(controller) => pad(&controller.zero()),)* }
+            pub fn zero(&self) -> Counts {
+                match self { $(Self::$Variant(controller) => Counts(pad(&controller.zero())),)* }
             }
 
             /// Takes over homing.
-            pub fn set_zero(&mut self, zero: &[i32; MAX_JOINTS]) {
+            pub fn set_zero(&mut self, zero: &Counts) {
                 match self { $(Self::$Variant(controller) => controller.set_zero(head(zero)),)* }
             }
 
             /// See [`Controller::inside_a_wall`].
-            pub fn inside_a_wall(&self, counts: &[i32; MAX_JOINTS]) -> bool {
+            pub fn inside_a_wall(&self, counts: &Counts) -> bool {
                 match self {
                     $(Self::$Variant(controller) => controller.inside_a_wall(&head(counts)),)*
                 }
@@ -107,12 +108,12 @@ macro_rules! define {
                 match self { $(Self::$Variant(controller) => controller.set_push(push),)* }
             }
 
-            /// Tip velocity (m/s) and the force (N) that the host's push makes where this frame is, see
+            /// Tip velocity (m/s) and the force (N) that the host's push makes where the last step was, see
             /// [`Controller::pushed`].
-            pub(crate) fn pushed(&self, frame: &Frame) -> ([f32; MAX_JOINTS], [f32; MAX_JOINTS]) {
+            pub(crate) fn pushed(&self, now: &Now) -> ([f32; MAX_JOINTS], [f32; MAX_JOINTS]) {
                 match self {
                     $(Self::$Variant(controller) => {
-                        let (velocity, force) = controller.pushed(&head(&frame.counts), &head(&frame.qd).into());
+                        let (velocity, force) = controller.pushed(&head(&now.counts), &head(&now.qd).into());
                         (pad(&velocity.data.0[0]), pad(&force.data.0[0]))
                     })*
                 }
@@ -152,23 +153,31 @@ fn pad<V: Copy + Default, const N: usize>(values: &[V; N]) -> [V; MAX_JOINTS] {
 #[inline(always)]
 fn record<const N: usize>(
     step: Step<f32, N>,
-    frame: &mut Frame,
+    now: &mut Now,
     motion: &mut [f32; MAX_JOINTS],
 ) -> (Regularity<f32>, Asked) {
     *motion = pad(&step.motion.data.0[0]);
-    frame.q = pad(&step.q.data.0[0]);
-    frame.qd = pad(&step.qd.data.0[0]);
-    frame.tip = pad(&step.tip.data.0[0]);
-    frame.torque = pad(&step.torque.data.0[0]);
-    frame.distance = step.distance;
-    frame.normal_velocity = step.normal_velocity;
-    frame.wall_force = step.wall_force;
-    frame.contacts = step.contacts;
-    frame.shaping = step.shaping;
-    frame.energy = step.energy;
-    frame.passivity_damping = step.passivity_damping;
+    now.q = pad(&step.q.data.0[0]);
+    now.qd = pad(&step.qd.data.0[0]);
+    now.tip = pad(&step.tip.data.0[0]);
+    now.torque = Torques(pad(&step.torque.data.0[0]));
+    now.walls = AtWalls {
+        contacts: step.contacts,
+        distance: step.distance,
+        normal_velocity: step.normal_velocity,
+        force: step.wall_force,
+        shaping: step.shaping,
+        energy: step.energy,
+        passivity_damping: step.passivity_damping,
+    };
     let (gravity, rendered) = (pad(&step.gravity.data.0[0]), pad(&step.rendered.data.0[0]));
-    (step.regularity, Asked { total: frame.torque, gravity, rendered, force_squared: step.force_squared })
+    let asked = Asked {
+        total: now.torque,
+        gravity: Torques(gravity),
+        rendered: Torques(rendered),
+        force_squared: step.force_squared,
+    };
+    (step.regularity, asked)
 }
 
 /// A device in a scene on a board, ready to run: what is handed to the servo whole. `S` is what stands between a joint's

@@ -14,19 +14,20 @@
 
 use crate::math::{limited, newton_sqrt};
 use crate::model::catalogue::MAX_JOINTS;
+use crate::servo::joints::Torques;
 
 /// Share of a joint's limit that what is rendered leaves to the feed-forward where that points the same way.
 const ROOM: f32 = 1.0 / 64.0;
 
-/// Joint torques of one control step by what they are for, N m.
+/// Joint torques of one control step by what they are for.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Asked {
     /// All of them together.
-    pub total: [f32; MAX_JOINTS],
+    pub total: Torques,
     /// What holds the device against gravity.
-    pub gravity: [f32; MAX_JOINTS],
+    pub gravity: Torques,
     /// What renders the forces that walls, springs and fields ask for; the rest is the feed-forward.
-    pub rendered: [f32; MAX_JOINTS],
+    pub rendered: Torques,
     /// |f|², the square of those forces' resultant, N².
     pub force_squared: f32,
 }
@@ -34,19 +35,19 @@ pub struct Asked {
 /// What the limits leave of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Left {
-    /// All torques together, N m.
-    pub torque: [f32; MAX_JOINTS],
-    /// What of them holds the device against gravity, N m.
-    pub gravity: [f32; MAX_JOINTS],
+    /// All torques together.
+    pub torque: Torques,
+    /// What of them holds the device against gravity.
+    pub gravity: Torques,
     /// The share of the forces asked for that is rendered.
     pub share: f32,
 }
 
 impl Asked {
-    /// What is within ±`limit` (N m, not negative) of each of the first `joints` joints, and of forces within
+    /// What is within ±`limit` (not negative) of each of the first `joints` joints, and of forces within
     /// `tip_force` (N).
     #[inline(always)]
-    pub fn within(&self, limit: &[f32; MAX_JOINTS], tip_force: f32, joints: usize) -> Left {
+    pub fn within(&self, limit: &Torques, tip_force: f32, joints: usize) -> Left {
         // A loop, because an iterator's `all` is not inlined on the chip and checks its index there.
         let mut fits = self.force_squared <= tip_force * tip_force;
         for (i, limit) in limit.iter().enumerate().take(joints) {
@@ -60,9 +61,9 @@ impl Asked {
         }
     }
 
-    /// The share of the forces asked for that is rendered within `tip_force` (N) and ±`limit` (N m) of each of the first
+    /// The share of the forces asked for that is rendered within `tip_force` (N) and ±`limit` of each of the first
     /// `joints` joints.
-    fn share(&self, limit: &[f32; MAX_JOINTS], tip_force: f32, joints: usize) -> f32 {
+    fn share(&self, limit: &Torques, tip_force: f32, joints: usize) -> f32 {
         let mut share = share_within(self.force_squared, tip_force);
         for (i, limit) in limit.iter().enumerate().take(joints) {
             share = self.room_for_the_rendered(i, *limit, share);
@@ -93,10 +94,10 @@ impl Asked {
     #[cold]
     #[inline(never)]
     #[allow(clippy::needless_range_loop, reason = "one number for four arrays")]
-    fn cut(&self, limit: &[f32; MAX_JOINTS], tip_force: f32, joints: usize) -> Left {
+    fn cut(&self, limit: &Torques, tip_force: f32, joints: usize) -> Left {
         let joints = joints.min(MAX_JOINTS);
         let share = self.share(limit, tip_force, joints);
-        let (mut torque, mut gravity) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+        let (mut torque, mut gravity) = (Torques::default(), Torques::default());
         for i in 0..joints {
             gravity[i] = limited(self.gravity[i], limit[i]);
             torque[i] = gravity[i] + share * self.rendered[i];
@@ -143,28 +144,33 @@ mod tests {
     use super::*;
 
     fn cut(gravity: [f32; 3], rendered: [f32; 3], rest: [f32; 3], limit: [f32; 3]) -> [f32; 3] {
-        let total = core::array::from_fn(|i| gravity[i] + rendered[i] + rest[i]);
-        Asked { total, gravity, rendered, force_squared: 0.0 }.within(&limit, 5.0, 3).torque
+        let total = Torques::from_fn(|i| gravity[i] + rendered[i] + rest[i]);
+        let (gravity, rendered) = (Torques(gravity), Torques(rendered));
+        *Asked { total, gravity, rendered, force_squared: 0.0 }.within(&Torques(limit), 5.0, 3).torque
     }
 
     #[test]
     fn a_force_beyond_its_limit_is_cut_to_it_and_the_feed_forward_with_it() {
         // 3-4-5: 10 N where 5 N may be, in torques that all fit.
         let asked = Asked {
-            total: [1.0, 6.0 + 2.0, 8.0 + 1.0],
-            gravity: [1.0, 0.0, 0.0],
-            rendered: [0.0, 6.0, 8.0],
+            total: Torques([1.0, 6.0 + 2.0, 8.0 + 1.0]),
+            gravity: Torques([1.0, 0.0, 0.0]),
+            rendered: Torques([0.0, 6.0, 8.0]),
             force_squared: 100.0,
         };
-        assert_eq!(asked.within(&[50.0; 3], 5.0, 3).torque, [1.0, 3.0 + 1.0, 4.0 + 0.5]);
-        assert_eq!(asked.within(&[50.0; 3], 10.0, 3).torque, asked.total, "10 N are within 10 N");
-        let less = asked.within(&[50.0, 50.0, 2.0], 5.0, 3).torque;
+        assert_eq!(*asked.within(&Torques([50.0; 3]), 5.0, 3).torque, [1.0, 3.0 + 1.0, 4.0 + 0.5]);
+        assert_eq!(asked.within(&Torques([50.0; 3]), 10.0, 3).torque, asked.total, "10 N are within 10 N");
+        let less = asked.within(&Torques([50.0, 50.0, 2.0]), 5.0, 3).torque;
         // 2 N m less a 64th for that joint's own feed-forward, of 8.
         let share = (2.0 - 2.0 / 64.0) / 8.0;
         assert_eq!(less[..2], [1.0, 6.0 * share + 2.0 / 64.0 * 2.0], "a joint may leave less than the force");
         for no_number in [f32::NAN, f32::INFINITY] {
             let asked = Asked { force_squared: no_number, ..asked };
-            assert_eq!(asked.within(&[50.0; 3], 5.0, 3).torque, [1.0, 0.0, 0.0], "only what holds the device");
+            assert_eq!(
+                *asked.within(&Torques([50.0; 3]), 5.0, 3).torque,
+                [1.0, 0.0, 0.0],
+                "only what holds the device"
+            );
         }
     }
 

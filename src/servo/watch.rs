@@ -11,6 +11,7 @@ use crate::model::catalogue::MAX_JOINTS;
 use crate::model::mechanism::Regularity;
 use crate::safety::fault::{Fault, FaultRecord, State};
 use crate::servo::frame::Samples;
+use crate::servo::joints::{Counts, Torques};
 use crate::servo::program::Program;
 use core::ops::DerefMut;
 
@@ -32,7 +33,7 @@ pub(super) struct Budgets {
     /// The joint whose turn it is.
     joint: usize,
     /// Its encoder's count at its last turn.
-    counts: [i32; MAX_JOINTS],
+    counts: Counts,
     /// Time without a count in spite of torque, s.
     still: [f32; MAX_JOINTS],
     /// Time without a count in spite of back-EMF, s.
@@ -71,22 +72,17 @@ where
 
     /// Looks for everything that must turn the motors off. `acted` are the torques (N m) of the period that ended.
     #[inline(always)]
-    pub(super) fn watch<const J: usize>(
-        &mut self,
-        samples: &Samples,
-        acted: &[f32; MAX_JOINTS],
-        regularity: &Regularity<f32>,
-    ) {
+    pub(super) fn watch<const J: usize>(&mut self, samples: &Samples, acted: &Torques, regularity: &Regularity<f32>) {
         let active = matches!(self.state, State::Armed | State::CheckingPolarity);
         let sensed = self.hardware.bridge.current_sensed;
-        let mut sum = self.frame.wall_force + self.frame.normal_velocity + self.frame.bus_voltage;
+        let mut sum = self.now.walls.force + self.now.walls.normal_velocity + self.now.bus_voltage;
         let mut well = true;
         #[allow(clippy::needless_range_loop, reason = "one number for ten arrays")]
         for i in 0..J {
             if sensed {
-                self.frame.current[i] = samples.currents[i];
+                self.now.current[i] = samples.currents[i];
             }
-            sum += self.frame.q[i] + self.frame.qd[i] + self.frame.torque[i] + self.frame.current[i];
+            sum += self.now.q[i] + self.now.qd[i] + self.now.torque[i] + self.now.current[i];
             if self.rules.index_period[i] > 0 {
                 let moved = samples.counts[i].wrapping_sub(self.last_counts[i]).unsigned_abs();
                 well &= self.index_agrees(i, samples.index[i], moved);
@@ -111,12 +107,7 @@ where
 
     /// What builds up, of the joint whose turn it is.
     #[inline(always)]
-    fn watch_budgets<const J: usize>(
-        &mut self,
-        samples: &Samples,
-        acted: &[f32; MAX_JOINTS],
-        active: bool,
-    ) -> Option<Found> {
+    fn watch_budgets<const J: usize>(&mut self, samples: &Samples, acted: &Torques, active: bool) -> Option<Found> {
         let program = &mut **self.program.as_mut()?;
         let budgets = &mut self.budgets;
         let i = if budgets.joint < J { budgets.joint } else { 0 };
@@ -129,7 +120,7 @@ where
         let heat = limited(self.crests.take_heat(i), f32::MAX);
         // The motor model goes on while the motors are off: that is when they cool.
         if motor.warm(heat, elapsed) {
-            found = Some((Fault::ThermalBudget, Some(i as u8), self.frame.current[i]));
+            found = Some((Fault::ThermalBudget, Some(i as u8), self.now.current[i]));
         }
         if moved {
             budgets.still[i] = 0.0;
@@ -143,7 +134,7 @@ where
             }
             // Voltage across the motor less R i is its back-EMF: when that says several rad/s, counts must move.
             if self.hardware.bridge.current_sensed && self.hardware.bus_sensed {
-                let turning = axis.speed_of(self.frame.duty[i], samples.bus_voltage, self.frame.current[i]);
+                let turning = axis.speed_of(self.now.duty[i], samples.bus_voltage, self.now.current[i]);
                 let suspicious = turning.abs() > 0.25 * self.rules.limits.speed[i];
                 budgets.lost[i] = if suspicious { budgets.lost[i] + elapsed } else { 0.0 };
                 if budgets.lost[i] > LOSS_SECONDS {
@@ -201,7 +192,7 @@ where
             match self.rules.host_action {
                 HostAction::Disarm => note(silent, Fault::HostLost, None, self.host_silent),
                 HostAction::Hold if silent && self.fault.is_none() => {
-                    let (value, step) = (self.host_silent, self.frame.step);
+                    let (value, step) = (self.host_silent, self.now.step);
                     self.fault = Some(FaultRecord { fault: Fault::HostLost, axis: None, value, step });
                 }
                 _ => {}

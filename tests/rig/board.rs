@@ -204,7 +204,7 @@ impl Board {
         assert!(!self.bridges || driving(self.state()), "bridges drive while {:?}", self.state());
         self.samples.fault = None;
         self.samples.index = [None; MAX_JOINTS];
-        let frame = *self.machine.servo.frame();
+        let frame = self.machine.servo.frame();
         if self.packer.wants(frame.step) {
             let _ = self.packer.push(&frame, 0);
         }
@@ -259,7 +259,7 @@ impl Board {
         if !driving(state) {
             let torque = self.machine.servo.frame().torque;
             assert_eq!(duties, [0.0; MAX_JOINTS], "duty while {state:?}");
-            assert_eq!(torque, [0.0; MAX_JOINTS], "torque while {state:?}");
+            assert_eq!(*torque, [0.0; MAX_JOINTS], "torque while {state:?}");
         }
         if state == State::Fault {
             assert!(self.machine.servo.status().fault.is_some(), "a fault has a cause");

@@ -14,6 +14,7 @@ use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::frame::{Crest, Outputs, Samples};
+use haptic_bridge::servo::joints::{Counts, Currents, Torques};
 use haptic_bridge::servo::program::Hardware;
 use haptic_bridge::servo::program::Program;
 use haptic_bridge::servo::{Command, HostAction, Rules, Servo};
@@ -230,11 +231,12 @@ impl Rig {
             let mut measured = self.currents;
             measured[0] = self.shown_current.unwrap_or(measured[0]);
             // The joint turns evenly from sample to sample; the last crest is the one that is due for a step.
-            let counts = core::array::from_fn(|i| {
+            let counts = Counts::from_fn(|i| {
                 let moved = i64::from(self.samples.counts[i].wrapping_sub(before[i]));
                 before[i].wrapping_add((moved * i64::from(nth) / i64::from(carriers)) as i32)
             });
-            let (bus_voltage, imbalance) = (self.samples.bus_voltage, self.imbalance);
+            let (bus_voltage, imbalance) = (self.samples.bus_voltage, Currents(self.imbalance));
+            let measured = Currents(measured);
             let seen = Crest { counts, bus_voltage, currents: measured, imbalance };
             self.outputs = self.servo.guard(&seen);
             if nth == carriers {
@@ -288,6 +290,6 @@ impl Rig {
 
     /// Whether nothing acts: bridges off, no duty, no torque asked for.
     pub fn motors_off(&self) -> bool {
-        !self.outputs.bridges && self.duties == [0.0; MAX_JOINTS] && self.servo.frame().torque == [0.0; MAX_JOINTS]
+        !self.outputs.bridges && self.duties == [0.0; MAX_JOINTS] && self.servo.frame().torque == Torques::default()
     }
 }

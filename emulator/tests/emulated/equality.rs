@@ -11,6 +11,7 @@ use haptic_bridge::math::Minimax;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::MassModelData;
 use haptic_bridge::servo::frame::Samples;
+use haptic_bridge::servo::joints::{Counts, Currents};
 use haptic_bridge::servo::program::Hardware;
 use haptic_bridge::servo::program::Program;
 use haptic_bridge::servo::{Command, Servo};
@@ -92,10 +93,10 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
         let three = |values: Vec<f64>| -> [f64; 3] { std::array::from_fn(|i| values.get(i).copied().unwrap_or(0.0)) };
         servo.execute(Command::Program(Box::new(program))).0.expect("loaded");
         // Homed where it stood; then at rest where the trace begins, until every estimator is at zero.
-        servo.control(&Samples { counts: home, bus_voltage: 24.0, ..Samples::default() });
+        servo.control(&Samples { counts: Counts(home), bus_voltage: 24.0, ..Samples::default() });
         servo.execute(Command::Home).0.expect("homed");
         servo.execute(Command::PolarityKnown).0.expect("known");
-        let start = three(of(&rows[0], Field::Counts)).map(|count| count as i32);
+        let start = Counts(three(of(&rows[0], Field::Counts)).map(|count| count as i32));
         for _ in 0..20_000 {
             servo.control(&Samples { counts: start, bus_voltage: 24.0, ..Samples::default() });
         }
@@ -103,9 +104,9 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
         let mut touched = 0;
         for row in &rows {
             let samples = Samples {
-                counts: three(of(row, Field::Counts)).map(|count| count as i32),
+                counts: Counts(three(of(row, Field::Counts)).map(|count| count as i32)),
                 bus_voltage: of(row, Field::BusVoltage)[0] as f32,
-                currents: three(of(row, Field::Current)).map(|current| current as f32),
+                currents: Currents(three(of(row, Field::Current)).map(|current| current as f32)),
                 ..Samples::default()
             };
             let armed = is_armed(row);
@@ -116,13 +117,13 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
             if !armed {
                 continue;
             }
-            let frame = *servo.frame();
+            let frame = servo.frame();
             let here = |field| -> [f32; 3] {
                 match field {
                     Field::Angle => frame.q,
                     Field::Speed => frame.qd,
                     Field::Tip => frame.tip,
-                    Field::Torque => frame.torque,
+                    Field::Torque => *frame.torque,
                     Field::Distance => [frame.distance, 0.0, 0.0],
                     Field::WallForce => [frame.wall_force, 0.0, 0.0],
                     _ => [frame.shaping, 0.0, 0.0],

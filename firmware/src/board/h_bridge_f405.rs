@@ -13,6 +13,7 @@ use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::safety::limits::Limits;
+use haptic_bridge::servo::joints::{Counts, Currents};
 
 use super::{Analog, Board, Common, Io};
 use crate::adc;
@@ -131,8 +132,8 @@ pub struct Pins {
 
 impl Io for Pins {
     #[inline(always)]
-    fn counts(&mut self) -> [i32; MAX_JOINTS] {
-        [self.encoders[0].read(), self.encoders[1].read(), self.encoders[2].read()]
+    fn counts(&mut self) -> Counts {
+        Counts([self.encoders[0].read(), self.encoders[1].read(), self.encoders[2].read()])
     }
 
     #[inline(always)]
@@ -150,9 +151,9 @@ impl Io for Pins {
             self.zeros.take(raw);
         }
         let current = |axis| self.zeros.less(axis, raw[axis]) * AMPERES_PER_COUNT;
-        let current_a = [current(0), current(1), current(2)];
+        let currents = Currents([current(0), current(1), current(2)]);
         let bus_v = f32::from(adc::result(pac::ADC2, 1)) * (adc::REFERENCE_V / adc::FULL_SCALE * BUS_DIVIDER);
-        Analog { bus_v, current_a, imbalance_a: [0.0; 3], fresh }
+        Analog { bus_v, currents, imbalance: Currents::default(), fresh }
     }
 
     /// Compare values of each axis's two legs, applied at the next valley: the second leg is the first one's complement

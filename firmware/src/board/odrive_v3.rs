@@ -15,6 +15,7 @@ use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::safety::limits::Limits;
+use haptic_bridge::servo::joints::{Counts, Currents};
 
 use super::{Analog, Board, Common, Io};
 use crate::adc;
@@ -161,8 +162,8 @@ pub struct Pins {
 
 impl Io for Pins {
     #[inline(always)]
-    fn counts(&mut self) -> [i32; MAX_JOINTS] {
-        [self.encoders[0].read(), self.encoders[1].read(), 0]
+    fn counts(&mut self) -> Counts {
+        Counts([self.encoders[0].read(), self.encoders[1].read(), 0])
     }
 
     #[inline(always)]
@@ -186,10 +187,10 @@ impl Io for Pins {
         }
         // What leaves phase B comes back through C.
         let [b0, c0, b1, c1] = [0, 1, 2, 3].map(|sensor| self.zeros.less(sensor, raw[sensor]) * AMPERES_PER_COUNT);
-        let current_a = [0.5 * (b0 - c0), 0.5 * (b1 - c1), 0.0];
-        let imbalance_a = [b0 + c0, b1 + c1, 0.0];
+        let currents = Currents([0.5 * (b0 - c0), 0.5 * (b1 - c1), 0.0]);
+        let imbalance = Currents([b0 + c0, b1 + c1, 0.0]);
         let bus_v = f32::from(adc::result(pac::ADC1, 2)) * (adc::REFERENCE_V / adc::FULL_SCALE * BUS_DIVIDER);
-        Analog { bus_v, current_a, imbalance_a, fresh }
+        Analog { bus_v, currents, imbalance, fresh }
     }
 
     #[inline(always)]

@@ -26,6 +26,7 @@ use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::frame::{Crest, Samples};
+use haptic_bridge::servo::joints::{Counts, Currents};
 use haptic_bridge::servo::program::{Hardware, Program};
 use haptic_bridge::servo::{ARM_SECONDS, Command, HostAction, Reply, Rules, Servo, Status};
 use std::collections::BTreeMap;
@@ -187,7 +188,7 @@ pub struct SimulatedBoard {
     hardware: Hardware,
     countdown: u32,
     /// Counts at the last crest.
-    seen: [i32; 3],
+    seen: Counts,
     drive: [Drive; 3],
     bridges: bool,
     injected: Option<(Fault, Option<u8>, f32)>,
@@ -225,7 +226,7 @@ impl SimulatedBoard {
             },
             timer_hz: TIMER_HZ,
         };
-        let seen = device.counts();
+        let seen = Counts(device.counts());
         let mut board = Self {
             service: Service::new(hardware, Limits::default()),
             innards: Innards {
@@ -281,11 +282,11 @@ impl SimulatedBoard {
     fn carrier_period(&mut self, carriers: u32) {
         let carrier = 1.0 / f64::from(self.innards.carrier.carrier_hz());
         let period = carrier * f64::from(carriers);
-        let currents = self.device.currents().map(|current| current as f32);
+        let currents = Currents(self.device.currents().map(|current| current as f32));
         let bus_voltage = self.device.bus_voltage() as f32;
         let due = self.countdown == 0;
-        let counts = self.device.counts();
-        self.guard(&Crest { counts, bus_voltage, currents, imbalance: [0.0; 3] }, carriers);
+        let counts = Counts(self.device.counts());
+        self.guard(&Crest { counts, bus_voltage, currents, imbalance: Currents::default() }, carriers);
         if due {
             self.countdown = self.innards.carrier.divider.into();
             let index = core::array::from_fn(|axis| self.device.index()[axis].then_some(counts[axis]));
@@ -345,7 +346,7 @@ impl SimulatedBoard {
         let support = self.innards.options.support;
         if support == Support::Held {
             self.device.place(self.device.start());
-            self.seen = self.device.counts();
+            self.seen = Counts(self.device.counts());
         }
         self.device.set_support(support);
     }
@@ -373,7 +374,7 @@ impl SimulatedBoard {
     fn guard(&mut self, seen: &Crest, carriers: u32) {
         let moved: [i64; 3] = core::array::from_fn(|axis| i64::from(seen.counts[axis].wrapping_sub(self.seen[axis])));
         for nth in 1..=carriers {
-            let counts = core::array::from_fn(|axis| {
+            let counts = Counts::from_fn(|axis| {
                 self.seen[axis].wrapping_add((moved[axis] * i64::from(nth) / i64::from(carriers)) as i32)
             });
             self.bridges = self.innards.servo.guard(&Crest { counts, ..*seen }).bridges;
@@ -384,7 +385,7 @@ impl SimulatedBoard {
     /// Adds the step to the stream. A row that the host is too slow for is dropped before it is packed, as on the
     /// chip, so that a batch once numbered is also sent.
     fn record(&mut self) {
-        let frame = *self.innards.servo.frame();
+        let frame = self.innards.servo.frame();
         if !self.packer.wants(frame.step) {
             return;
         }

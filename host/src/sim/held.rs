@@ -13,6 +13,7 @@ use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::frame::Samples;
+use haptic_bridge::servo::joints::Counts;
 use haptic_bridge::servo::program::{Hardware, Program};
 use haptic_bridge::servo::{Command, HostAction, Rules, Servo};
 use haptic_bridge::with_mechanism;
@@ -149,7 +150,7 @@ impl Held {
     pub fn felt(&mut self, depth: f64, steps: u32) -> Felt {
         let q = self.pose(depth);
         self.rest(&q, steps);
-        let frame = *self.servo.frame();
+        let frame = self.servo.frame();
         let torque = frame.torque.map(f64::from);
         let (along, across) = self.force(&q, &torque);
         Felt {
@@ -171,7 +172,7 @@ impl Held {
     }
 
     fn rest(&mut self, q: &[f64; 3], steps: u32) {
-        let counts = q.map(|q| (q / std::f64::consts::TAU * COUNTS).round() as i32);
+        let counts = Counts(q.map(|q| (q / std::f64::consts::TAU * COUNTS).round() as i32));
         for _ in 0..steps {
             self.servo.control(&Samples { counts, bus_voltage: 24.0, ..Samples::default() });
             self.servo.duties(24.0, &[0.0; MAX_JOINTS], false);

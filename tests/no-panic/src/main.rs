@@ -9,6 +9,7 @@
 use haptic_bridge::math::Minimax;
 use haptic_bridge::servo::Servo;
 use haptic_bridge::servo::frame::{Crest, Outputs, Samples};
+use haptic_bridge::servo::joints::Currents;
 use haptic_bridge::servo::program::Program;
 
 type OnBoard = Servo<&'static mut Program<Minimax>>;
@@ -40,8 +41,14 @@ pub extern "C" fn carrier_guard(servo: &mut OnBoard, seen: &Crest, outputs: &mut
 /// One carrier period, as the interrupt calls it.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
-pub extern "C" fn carrier_step(servo: &mut OnBoard, bus_voltage: f32, currents: &[f32; 3], duties: &mut [f32; 3]) {
-    *duties = servo.duties(bus_voltage, currents, false);
+pub extern "C" fn carrier_step(
+    servo: &mut OnBoard,
+    bus_voltage: f32,
+    currents: &Currents,
+    late: bool,
+    duties: &mut [f32; 3],
+) {
+    *duties = servo.duties(bus_voltage, currents, late);
     #[cfg(feature = "broken")]
     {
         duties[0] = currents[servo.status().step as usize];
