@@ -16,6 +16,7 @@ pub mod program;
 mod saturation;
 mod watch;
 
+use crate::drive::heat::Heat;
 use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
@@ -198,8 +199,8 @@ pub struct Servo<P> {
     crests: crest::Crests,
     host: host_force::HostForce,
     budgets: watch::Budgets,
-    /// What heat the motors of the first program have, see [`Servo::start_heat`].
-    heat: Option<[f32; MAX_JOINTS]>,
+    /// What heat the motors hold, whatever device is loaded.
+    heat: [Heat; MAX_JOINTS],
     /// Values of the mass model's table, beside the program because one copy of them is all the memory that they get.
     table: [f32; TABLE_VALUES],
 }
@@ -235,24 +236,19 @@ where
             crests: crest::Crests::default(),
             host: host_force::HostForce::default(),
             budgets: watch::Budgets::default(),
-            heat: Some([0.0; MAX_JOINTS]),
+            heat: [Heat::default(); MAX_JOINTS],
             table: [0.0; TABLE_VALUES],
         }
     }
 
-    /// What the motors' heat was when this run began, A² s above what they stand for ever; `None` where nobody knows,
-    /// and then they count as half way to their budget. Without this call they are cold.
-    pub fn start_heat(&mut self, heat: Option<[f32; MAX_JOINTS]>) {
+    /// Goes on with the heat that an earlier run left in the motors. Call before the first program.
+    pub fn start_heat(&mut self, heat: [Heat; MAX_JOINTS]) {
         self.heat = heat;
     }
 
-    /// The motors' heat, to be handed to [`Servo::start_heat`] of the run after this; `None` while nobody knows, and NaN for a
-    /// motor of which nobody does.
-    pub fn heat(&self) -> Option<[f32; MAX_JOINTS]> {
-        match &self.program {
-            Some(program) => Some(core::array::from_fn(|i| program.heat[i].held())),
-            None => self.heat,
-        }
+    /// The motors' heat, to be handed to [`Servo::start_heat`] of the run after this.
+    pub fn heat(&self) -> [Heat; MAX_JOINTS] {
+        self.heat
     }
 
     /// What telemetry records of the last step, with the present state.
@@ -494,31 +490,23 @@ where
                 self.first_index = [None; MAX_JOINTS];
             }
         }
-        // Motors are as warm as they were, whatever is said about them now.
+        // The currents that flow go on.
         if let Some(old) = &self.program {
             for (axis, old) in program.axes.iter_mut().zip(&old.axes) {
                 axis.inherit(old);
             }
-            for (heat, old) in program.heat.iter_mut().zip(&old.heat) {
-                heat.inherit(old);
-            }
-        }
-        self.limit_currents(&mut program);
-        if self.program.is_none() {
-            for (i, heat) in program.heat.iter_mut().enumerate() {
-                heat.start_from(self.heat.map(|heat| heat[i]));
-            }
         }
         self.begin_fade();
         let old = self.program.replace(program);
+        self.limit_currents();
         self.set_bounds();
         old
     }
 
     /// Puts the rules' currents in force; the motors' own limits still count.
-    fn limit_currents(&self, program: &mut Program<K, S>) {
-        let limits = &self.rules.limits;
-        for (i, (axis, heat)) in program.axes.iter_mut().zip(&mut program.heat).enumerate() {
+    fn limit_currents(&mut self) {
+        let (limits, Some(program)) = (&self.rules.limits, self.program.as_mut()) else { return };
+        for (i, (axis, heat)) in program.axes.iter_mut().zip(&mut self.heat).enumerate() {
             axis.limit(limits.current[i]);
             heat.limit(axis.max_current(), limits.continuous_current[i]);
         }
@@ -531,11 +519,10 @@ where
         }
         self.rules = rules;
         self.host_silent = 0.0;
-        if let Some(mut program) = self.program.take() {
+        if let Some(program) = self.program.as_mut() {
             program.controller.set_passivity(rules.passivity);
-            self.limit_currents(&mut program);
-            self.program = Some(program);
         }
+        self.limit_currents();
         self.set_bounds();
         Ok(())
     }

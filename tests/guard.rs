@@ -6,6 +6,7 @@
 
 mod rig;
 
+use haptic_bridge::drive::heat::Heat;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::frame::Crest;
@@ -587,11 +588,11 @@ fn a_hot_motor_cools_while_it_is_off_and_stays_hot_when_a_device_is_loaded_anew(
     assert_eq!(rig.fault(), None, "it has cooled");
 }
 
-/// Seconds for which a paddle at 2.9 A of 3 A goes on, on a board that starts with this heat (A² s) in its motors; 1 A
-/// may flow for ever.
-fn lasts(heat: Option<f32>) -> f32 {
+/// Seconds for which a paddle at 2.9 A of 3 A goes on, on a board that starts with this heat in its motors; 1 A may
+/// flow for ever.
+fn lasts(heat: Heat) -> f32 {
     let mut rig = Rig::bare(hardware(), rules());
-    rig.servo.start_heat(heat.map(|heat| [heat; 3]));
+    rig.servo.start_heat([heat; 3]);
     rig.load(&paddle(), &scene(1, &[wall(-0.005, 290.0)]), false).unwrap();
     rig.settle();
     rig.execute(Command::Home).unwrap();
@@ -608,16 +609,14 @@ fn lasts(heat: Option<f32>) -> f32 {
 #[test]
 fn a_motor_is_as_hot_after_a_reset_as_before_and_warm_where_nobody_knows() {
     // (2.9² - 1) A² fill the budget of (3² - 1) A² times 4 s in 4.3 s.
-    let cold = lasts(Some(0.0));
+    let cold = lasts(Heat::default());
     assert!((4.2..4.5).contains(&cold), "{cold} s");
-    let hot = provoked(Fault::ThermalBudget).servo.heat().unwrap()[0];
+    let hot = provoked(Fault::ThermalBudget).servo.heat()[0];
     // A second of homing and arming cools by 1 A² s, which 0.14 s at 2.9 A make up for.
-    let after = lasts(Some(hot));
+    let after = lasts(hot);
     assert!(after < 0.3, "{after} s");
-    for unknown in [None, Some(f32::NAN), Some(-1.0), Some(f32::INFINITY)] {
-        let warm = lasts(unknown);
-        assert!((0.45 * cold..0.65 * cold).contains(&warm), "{unknown:?}: {warm} s of {cold} s");
-    }
+    let warm = lasts(Heat::UNKNOWN);
+    assert!((0.45 * cold..0.65 * cold).contains(&warm), "{warm} s of {cold} s");
 }
 
 #[test]

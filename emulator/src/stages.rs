@@ -62,7 +62,6 @@ pub const STAGES: &[(&str, &[&str])] = &[
     ("drive: torque to current", &["Servo::drive"]),
     ("bridges", &["Step::connect"]),
     ("current loops", &["compiled::legs", "compiled::legs_of", "Servo::duties", "Servo::duties_of"]),
-    ("waiting for the valley", &["servo::wait_for_valley"]),
     ("duties to the timers", &["Pins::write"]),
     ("telemetry", &["Step::record", "compiled::record"]),
 ];

@@ -77,9 +77,7 @@ impl Panel {
         loop {
             if let Some(answer) = self.answers.dequeue() {
                 // At every look at the servo, a few times a second, what a reset must not cool is put where it stays.
-                if let Some(heat) = answer.heat {
-                    warmth::keep(heat);
-                }
+                warmth::keep(answer.heat);
                 return answer;
             }
         }

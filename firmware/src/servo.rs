@@ -19,6 +19,7 @@ use embassy_stm32::interrupt::InterruptExt;
 use embassy_stm32::pac;
 use embassy_stm32::pac::timer::vals::Dir;
 use haptic_bridge::drive::carrier::Carrier;
+use haptic_bridge::drive::heat::Heat;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::compiled::{self, BoardProgram, BoardServo};
@@ -52,8 +53,8 @@ pub struct Answer {
     pub status: Status,
     /// Of a [`Request::Force`].
     pub force: Option<ForceAnswer>,
-    /// The motors' heat, A² s, where it is known.
-    pub heat: Option<[f32; MAX_JOINTS]>,
+    /// The motors' heat.
+    pub heat: [Heat; MAX_JOINTS],
 }
 
 /// Most requests and answers under way.
@@ -97,6 +98,9 @@ struct Step {
     frames: Producer<'static, Frame>,
     /// Crests until the next control step.
     countdown: u16,
+    /// Crests for which duties are late yet, and those that wait for the valley.
+    late: u8,
+    pending: Option<[[u16; 2]; MAX_JOINTS]>,
     /// The bridges are connected to the carrier.
     driving: bool,
     /// The last step overran.
@@ -114,7 +118,7 @@ static STEP: Owned<Step> = Owned(UnsafeCell::new(None));
 
 /// Gives the board to the control interrupt and starts the carrier; `heat` is what the run before left of it in the
 /// motors. Call once.
-pub fn start(mut io: <This as Board>::Io, hardware: Hardware, rules: Rules, heat: Option<[f32; MAX_JOINTS]>) -> Link {
+pub fn start(mut io: <This as Board>::Io, hardware: Hardware, rules: Rules, heat: [Heat; MAX_JOINTS]) -> Link {
     static REQUEST_QUEUE: StaticCell<Queue<Request, REQUESTS>> = StaticCell::new();
     static ANSWER_QUEUE: StaticCell<Queue<Answer, REQUESTS>> = StaticCell::new();
     static FRAME_QUEUE: StaticCell<Queue<Frame, FRAMES>> = StaticCell::new();
@@ -125,7 +129,18 @@ pub fn start(mut io: <This as Board>::Io, hardware: Hardware, rules: Rules, heat
     io.start();
     let mut servo = BoardServo::new(hardware, rules);
     servo.start_heat(heat);
-    let step = Step { io, servo, requests, answers, frames, countdown: 1, driving: false, overrun: false };
+    let step = Step {
+        io,
+        servo,
+        requests,
+        answers,
+        frames,
+        countdown: 1,
+        late: 0,
+        pending: None,
+        driving: false,
+        overrun: false,
+    };
     // SAFETY: the interrupt is not enabled yet.
     unsafe { *STEP.0.get() = Some(step) };
     interrupt::TIM1_UP_TIM10.set_priority(critical::CONTROL);
@@ -147,7 +162,10 @@ fn TIM1_UP_TIM10() {
     // SAFETY: this interrupt is the only user since `start` enabled it, and it does not preempt itself.
     let Some(step) = (unsafe { (*STEP.0.get()).as_mut() }) else { return };
     if valley {
-        // The duties of the last step have just been taken over.
+        // The duties of the last step have just been taken over, or are late and come next.
+        if let Some(legs) = step.pending.take() {
+            step.io.write(legs);
+        }
         if let Some(request) = step.requests.dequeue() {
             step.take(request);
         }
@@ -183,12 +201,14 @@ impl Step {
         } else if !outputs.bridges {
             self.connect(false);
         }
-        let late = too_late();
+        self.late = if too_late() { LATE_CRESTS } else { self.late.saturating_sub(1) };
+        let late = self.late > 0;
         let legs = compiled::legs(&mut self.servo, analog.bus_v, &analog.currents, late, self.io.carrier());
-        if late {
-            wait_for_valley();
+        if late && !past_valley() {
+            self.pending = Some(legs);
+        } else {
+            self.io.write(legs);
         }
-        self.io.write(legs);
         // What the motors do not wait for.
         if stepped {
             LATE.store(LATE.load(Ordering::Relaxed).wrapping_add(u32::from(late)), Ordering::Relaxed);
@@ -284,6 +304,10 @@ impl Step {
     }
 }
 
+/// Crests for which duties stay late after a step that came too late for its valley: a duty in time before a late one
+/// acts for half a carrier period too long, and where some steps are late, most will be.
+const LATE_CRESTS: u8 = 64;
+
 /// Core cycles from here until duties are written: the current loops of three motors take 234 instructions
 /// (docs/results/timing.md).
 const LEGS_CYCLES: u16 = 640;
@@ -291,11 +315,6 @@ const LEGS_CYCLES: u16 = 640;
 /// Whether the carrier has passed its valley since the crest.
 fn past_valley() -> bool {
     pac::TIM1.cr1().read().dir() == Dir::UP
-}
-
-/// Until duties apply no sooner than the current loops were told.
-fn wait_for_valley() {
-    while !past_valley() {}
 }
 
 /// Whether the next valley is too near, or past, for duties worked out now to apply from it on.

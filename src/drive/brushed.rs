@@ -54,6 +54,8 @@ struct Timing {
     valley: f32,
     /// What it would make in the carrier period after that valley.
     after: f32,
+    /// The part of a change that is asked for so that one half a period longer than it is meant to be makes all of it.
+    part: f32,
 }
 
 impl Timing {
@@ -62,8 +64,8 @@ impl Timing {
     fn of(left: f32) -> [Self; 2] {
         let half = 1.0 / (1.0 + left);
         [
-            Self { before: 0.0, sample: half, valley: 1.0, after: left * left },
-            Self { before: half, sample: 0.0, valley: half, after: left },
+            Self { before: 0.0, sample: half, valley: 1.0, after: left * left, part: 1.0 / (1.0 + half * left * left) },
+            Self { before: half, sample: 0.0, valley: half, after: left, part: 1.0 },
         ]
     }
 }
@@ -76,6 +78,8 @@ pub struct Axis {
     /// What the motor itself stands, A; nothing where it has no torque constant.
     motor_current: f32,
     max_current: f32,
+    /// What a current may overshoot to, A.
+    most: f32,
     resistance: f32,
     back_emf: f32,
     /// Voltage that changes the current by 1 A within a carrier period, V/A, and its inverse.
@@ -155,6 +159,7 @@ impl Stage for Axis {
 
     fn limit(&mut self, max_current: f32) {
         self.max_current = self.motor_current.min(max_current).max(0.0);
+        self.most = 1.3 * self.max_current + 0.6;
     }
 
     fn max_current(&self) -> f32 {
@@ -204,7 +209,11 @@ impl Stage for Axis {
             + self.regained * bus_voltage
             + self.proportional * error
             + self.integrator;
+        // Should the next duty be late, this one makes more of it: no more than is short of an over-current.
+        let (up, down) = ((self.most - begin) * timing.part, (self.most + begin) * -timing.part);
         let mut rise = self.target - begin;
+        rise = if rise > up { up } else { rise };
+        rise = if rise < down { down } else { rise };
         let mut voltage = hold + self.surge * rise;
         let available = USABLE_DUTY * bus_voltage;
         // Not further into a voltage that is not there.
@@ -212,7 +221,7 @@ impl Stage for Axis {
             true
         } else {
             voltage = limited(voltage, available);
-            rise = limited((voltage - hold) * self.reach, self.max_current);
+            rise = limited((voltage - hold) * self.reach, 2.0 * self.most);
             voltage * error < 0.0
         };
         self.expected = begin + timing.sample * rise;

@@ -3,7 +3,14 @@
 /// Time a motor stands its maximum current before the budget trips, s.
 pub const PEAK_SECONDS: f32 = 4.0;
 
-/// What heat one motor holds. The default is that of no motor.
+/// Time after which more that is allowed counts for a motor that is still warm, s.
+pub const WAIT_SECONDS: f32 = 60.0;
+
+/// Words that a [`Heat`] is kept in.
+pub const WORDS: usize = 7;
+
+/// What heat one motor holds. It belongs to the motor and outlasts devices, rules and restarts. The default is a cold motor
+/// of which nothing is allowed yet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Heat {
     /// I²t accumulator, A² s above what the motor stands for ever.
@@ -13,12 +20,15 @@ pub struct Heat {
     /// The part of `held` that is guessed, and the budget that it is half of; an infinite one where the heat is known.
     guess: f32,
     guessed_from: f32,
-    /// i² that the motor stands for ever, A²: as it is allowed, as it counted when the motor was warmed the last time, and
-    /// as it counts.
+    /// i² that the motor stands for ever, A²: as it is allowed, and as it counted when the motor was cold the last time.
     allowed_squared: f32,
     warmed_squared: f32,
+    /// The smaller of both, and what i² beyond it is worth of what `warmed_squared` counts.
     continuous_squared: f32,
-    /// i² at the most that is allowed, A².
+    weight: f32,
+    /// How long more that is allowed has yet to wait while the motor is warm, s.
+    wait: f32,
+    /// i² at the most that is allowed, A²; 0 before the first motor.
     max_squared: f32,
     /// A² s; infinite where the maximum current may flow for ever.
     budget: f32,
@@ -26,28 +36,37 @@ pub struct Heat {
 
 impl Default for Heat {
     fn default() -> Self {
-        Self {
-            held: 0.0,
-            rest: 0.0,
-            guess: 0.0,
-            guessed_from: f32::INFINITY,
-            allowed_squared: 0.0,
-            warmed_squared: 0.0,
-            continuous_squared: 0.0,
-            max_squared: 0.0,
-            budget: f32::INFINITY,
-        }
+        Self { guessed_from: f32::INFINITY, ..Self::UNKNOWN }
     }
 }
 
 impl Heat {
-    /// Sets the currents that are allowed, A; where none is, there is no motor, or it stays as it is. No motor cools any
-    /// faster because more is allowed than when it was warmed: a larger continuous current counts once it is cold.
+    /// The heat of a motor of which nobody knows anything: half of its budget, as soon as there is one.
+    pub const UNKNOWN: Self = Self {
+        held: 0.0,
+        rest: 0.0,
+        guess: 0.0,
+        guessed_from: 0.0,
+        allowed_squared: 0.0,
+        warmed_squared: 0.0,
+        continuous_squared: 0.0,
+        weight: 1.0,
+        wait: WAIT_SECONDS,
+        max_squared: 0.0,
+        budget: f32::INFINITY,
+    };
+
+    /// Sets the currents that are allowed, A; where none is, there is no motor now, and it stays as it is. No motor cools any
+    /// faster because more is allowed: a larger continuous current counts once it is cold, or after [`WAIT_SECONDS`].
+    /// Nor does it stand its peak any longer because less is: what is left of the budget lasts as long at the maximum.
     pub fn limit(&mut self, max_current: f32, continuous_current: f32) {
         if max_current <= 0.0 {
             return;
         }
         let continuous = continuous_current.min(max_current).max(0.0);
+        if continuous * continuous > self.allowed_squared {
+            self.wait = WAIT_SECONDS;
+        }
         self.allowed_squared = continuous * continuous;
         self.max_squared = max_current * max_current;
         self.count();
@@ -55,15 +74,14 @@ impl Heat {
 
     /// Sets what counts of what is allowed.
     fn count(&mut self) {
-        let warm = self.held > 0.0;
-        self.continuous_squared =
-            if warm { self.allowed_squared.min(self.warmed_squared) } else { self.allowed_squared };
-        let budget = (self.max_squared - self.continuous_squared) * PEAK_SECONDS;
-        self.budget = if budget > 0.0 { budget } else { f32::INFINITY };
-        self.guess();
-        if !warm {
-            self.warmed_squared = self.continuous_squared;
+        if self.held <= 0.0 || self.max_squared <= self.warmed_squared {
+            self.warmed_squared = self.allowed_squared;
         }
+        self.continuous_squared = self.allowed_squared.min(self.warmed_squared);
+        let (above, all) = (self.max_squared - self.warmed_squared, self.max_squared - self.continuous_squared);
+        (self.weight, self.budget) =
+            if above > 0.0 { (above / all, above * PEAK_SECONDS) } else { (1.0, f32::INFINITY) };
+        self.guess();
     }
 
     /// Where nothing is known, the guess follows the budget: half of it, less what the motor has cooled since.
@@ -81,33 +99,32 @@ impl Heat {
     /// is above what it stands for ever has passed what [`PEAK_SECONDS`] at the maximum current put there.
     #[inline(always)]
     pub fn warm(&mut self, squares: f32, dt: f32) -> bool {
-        let gain = squares - self.continuous_squared * dt;
-        let share = gain + self.rest;
+        let share = (squares - self.continuous_squared * dt) * self.weight + self.rest;
         let held = self.held + share;
-        if held > 0.0 {
+        if held > 0.0 && self.max_squared > 0.0 {
             self.rest = share - (held - self.held);
             self.held = held;
-            if gain > 0.0 {
-                self.warmed_squared = self.continuous_squared;
-            }
             // It cools from what is known.
             if held < self.guess {
                 self.guess = held;
             }
         } else {
             (self.held, self.rest, self.guess) = (0.0, 0.0, 0.0);
-            if self.continuous_squared != self.allowed_squared {
-                self.count();
-            }
+        }
+        if self.warmed_squared != self.allowed_squared {
+            self.catch_up(dt);
         }
         self.held > self.budget
     }
 
-    /// Goes on where the motor before stands: loading a scene does not cool it, nor does a device that leaves it out.
-    pub fn inherit(&mut self, other: &Self) {
-        let own = core::mem::replace(self, *other);
-        if own.max_squared > 0.0 {
-            (self.allowed_squared, self.max_squared) = (own.allowed_squared, own.max_squared);
+    /// Counts with what is allowed now, if the motor is cold or more has waited for long enough.
+    #[cold]
+    fn catch_up(&mut self, dt: f32) {
+        self.wait -= dt;
+        if self.held <= 0.0 {
+            self.count();
+        } else if self.wait <= 0.0 && self.allowed_squared > self.warmed_squared {
+            self.warmed_squared = self.allowed_squared;
             self.count();
         }
     }
@@ -117,11 +134,32 @@ impl Heat {
         if self.guessed_from == 0.0 { f32::NAN } else { self.held }
     }
 
-    /// Starts from what another run left, or, where nothing is known, half way to the budget.
-    pub fn start_from(&mut self, held: Option<f32>) {
-        let known = held.filter(|held| held.is_finite() && *held >= 0.0);
-        (self.held, self.rest, self.guess) = (known.unwrap_or(0.0), 0.0, 0.0);
-        self.guessed_from = if known.is_some() { f32::INFINITY } else { 0.0 };
-        self.guess();
+    /// All of it in words, to be kept while the board restarts.
+    pub fn words(&self) -> [u32; WORDS] {
+        [
+            self.held,
+            self.rest,
+            self.guess,
+            self.guessed_from,
+            self.allowed_squared,
+            self.warmed_squared,
+            self.max_squared,
+        ]
+        .map(f32::to_bits)
+    }
+
+    /// What [`Heat::words`] kept; unknown where they cannot be that.
+    pub fn from_words(words: [u32; WORDS]) -> Self {
+        let values = words.map(f32::from_bits);
+        let [held, rest, guess, guessed_from, allowed_squared, warmed_squared, max_squared] = values;
+        let finite = [held, guess, allowed_squared, warmed_squared, max_squared];
+        let sound = finite.iter().all(|value| value.is_finite() && *value >= 0.0);
+        if !sound || !rest.is_finite() || guessed_from.is_nan() {
+            return Self::UNKNOWN;
+        }
+        let mut heat =
+            Self { held, rest, guess, guessed_from, allowed_squared, warmed_squared, max_squared, ..Self::UNKNOWN };
+        heat.count();
+        heat
     }
 }

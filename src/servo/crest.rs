@@ -174,10 +174,11 @@ where
             crests.speed[i] += bounds.gain * (raw - crests.speed[i]);
             let sensed = self.hardware.bridge.current_sensed;
             let current = if sensed { seen.currents[i] } else { self.now.current[i] };
-            crests.squares[i] += current * current;
             let speed = crests.speed[i] * bounds.radians;
             program.axes[i].follow(speed, raw * bounds.radians);
             if active {
+                // Of bridges that float only noise is measured.
+                crests.squares[i] += current * current;
                 worst |= left(crests.speed[i], bounds.speed);
                 worst |= bounds.room(seen.counts[i]);
                 worst |= left(current, bounds.current);

@@ -2,7 +2,6 @@
 
 use crate::drive::brushed::Axis;
 use crate::drive::carrier::Carrier;
-use crate::drive::heat::Heat;
 use crate::drive::stage::{Bridge, Stage};
 use crate::math::Math;
 use crate::model::catalogue::Kind;
@@ -187,7 +186,6 @@ pub struct Program<K, S = Axis> {
     pub(crate) controller: AnyController<K>,
     pub(crate) mechanism: AnyMechanism<f32>,
     pub(crate) axes: [S; MAX_JOINTS],
-    pub(crate) heat: [Heat; MAX_JOINTS],
     pub(crate) joints: usize,
     pub(crate) limits: [Option<(f32, f32)>; MAX_JOINTS],
     pub(crate) home: Option<[f32; MAX_JOINTS]>,
@@ -223,7 +221,6 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
         let bridge =
             Bridge { carrier_hz: Carrier::for_rate(hardware.timer_hz, scene.rate_hz).carrier_hz(), ..hardware.bridge };
         let mut axes = [S::default(); MAX_JOINTS];
-        let mut heat = [Heat::default(); MAX_JOINTS];
         let mut unarmable = if device.home.is_none() && hardware.real { Some(Refusal::NoHome) } else { None };
         for (i, joint) in device.joints.iter().enumerate().take(joints) {
             let scale = joint.radians_per_count;
@@ -238,7 +235,6 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
                         unarmable = unarmable.or(Some(Refusal::MotorNotVerified(index)));
                     }
                     axes[i] = S::new(motor, &bridge, limits.current[i]);
-                    heat[i].limit(axes[i].max_current(), limits.continuous_current[i]);
                 }
             }
             if hardware.real && joint.limits.is_none() {
@@ -249,7 +245,6 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
             controller,
             mechanism: device.mechanism,
             axes,
-            heat,
             joints,
             limits: core::array::from_fn(|i| device.joints[i].limits),
             home: device.home,

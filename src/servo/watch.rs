@@ -113,7 +113,7 @@ where
         let i = if budgets.joint < J { budgets.joint } else { 0 };
         budgets.joint = i + 1;
         let elapsed = self.period * J as f32;
-        let (axis, motor) = (program.axes.get(i)?, program.heat.get_mut(i)?);
+        let (axis, motor) = (program.axes.get(i)?, self.heat.get_mut(i)?);
         let mut found = None;
         let count = samples.counts[i];
         let moved = core::mem::replace(&mut budgets.counts[i], count) != count;

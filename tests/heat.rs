@@ -1,0 +1,362 @@
+//! A motor's thermal budget holds whatever is said about the motor: devices with and without it, rules, restarts.
+
+mod rig;
+
+use haptic_bridge::drive::heat::{Heat, WORDS};
+use haptic_bridge::model::description::Motor;
+use haptic_bridge::safety::fault::Fault;
+use haptic_bridge::servo::{Command, Rules};
+use proptest::prelude::*;
+use rig::{Rig, hardware, paddle, rules, scene, wall};
+
+/// A motor that stands `most` (A) for 4 s and `steady` (A) for ever.
+fn motor_of(most: f32, steady: f32) -> Heat {
+    let mut heat = Heat::default();
+    heat.limit(most, steady);
+    heat
+}
+
+/// The same, of which nobody knows how warm it is.
+fn unknown(most: f32, steady: f32) -> Heat {
+    let mut heat = Heat::UNKNOWN;
+    heat.limit(most, steady);
+    heat
+}
+
+/// After how many seconds of `current` (A) it trips, at most `seconds`.
+fn trips(heat: &mut Heat, current: f32, seconds: f32) -> Option<f32> {
+    let dt = 1.0e-3;
+    (0..(seconds / dt).round() as u32).find(|_| heat.warm(current * current * dt, dt)).map(|step| step as f32 * dt)
+}
+
+fn restarted(heat: &Heat) -> Heat {
+    Heat::from_words(heat.words())
+}
+
+#[test]
+fn a_motor_stands_its_peak_for_four_seconds_and_its_continuous_current_for_ever() {
+    let seconds = trips(&mut motor_of(4.0, 1.0), 4.0, 10.0).unwrap();
+    assert!((seconds - 4.0).abs() < 0.01, "{seconds}");
+    assert_eq!(trips(&mut motor_of(4.0, 1.0), 0.999, 200.0), None);
+}
+
+#[test]
+fn the_heat_of_a_step_is_counted_however_small_it_is() {
+    // 50 kHz, a hundredth above the continuous current and far into the budget: a step adds less than the sum's last
+    // digit. (1.01² - 1) A² and a budget of (4² - 1²)·4 A² s, of which 59 are spent: 50 s are left.
+    let mut heat = motor_of(4.0, 1.0);
+    let dt = 1.0 / 50_000.0;
+    for _ in 0..(59.0_f32 / 15.0 / dt) as u32 {
+        heat.warm(4.0 * 4.0 * dt, dt);
+    }
+    let mut seconds = 0.0_f64;
+    while !heat.warm(1.01 * 1.01 * dt, dt) && seconds < 100.0 {
+        seconds += f64::from(dt);
+    }
+    assert!((seconds - 50.0).abs() < 2.0, "{seconds}");
+}
+
+#[test]
+fn a_larger_continuous_current_does_not_cool_a_warm_motor_and_counts_once_it_is_cold() {
+    let mut heat = motor_of(4.0, 1.0);
+    // (4² - 1²) A² for a second.
+    assert_eq!(trips(&mut heat, 4.0, 1.0), None);
+    let mut next = restarted(&heat);
+    for heat in [&mut heat, &mut next] {
+        heat.limit(4.0, 3.0);
+        assert_eq!(trips(heat, 0.0, 5.0), None);
+        let held = heat.held();
+        assert!((held - 10.0).abs() < 0.1, "1 A² s a second: {held} A² s");
+        assert_eq!(trips(heat, 0.0, 11.0), None);
+        assert_eq!(trips(heat, 2.99, 100.0), None, "3 A may flow for ever");
+    }
+}
+
+#[test]
+fn a_larger_continuous_current_counts_after_a_minute_whatever_the_one_before_was() {
+    // 10 mA for ever, by mistake: heated by half an ampere, it would be cold after seven hours.
+    let mut heat = motor_of(3.0, 0.01);
+    assert_eq!(trips(&mut heat, 0.5, 10.0), None);
+    heat.limit(3.0, 1.0);
+    assert!(trips(&mut heat.clone(), 0.99, 59.0).is_some());
+    assert_eq!(trips(&mut heat, 0.0, 59.0), None);
+    assert!(heat.held() > 2.4, "{heat:?}");
+    assert_eq!(trips(&mut heat, 0.0, 5.0), None);
+    assert_eq!(heat.held(), 0.0);
+}
+
+#[test]
+fn a_smaller_continuous_current_leaves_no_longer_peak() {
+    // 0.01 A instead of 2.9 A, half way: the other half of 4 s is left.
+    let mut heat = motor_of(3.0, 2.9);
+    assert_eq!(trips(&mut heat, 3.0, 2.0), None);
+    let mut next = restarted(&heat);
+    for heat in [&mut heat, &mut next] {
+        heat.limit(3.0, 0.01);
+        let more = trips(heat, 3.0, 20.0).unwrap();
+        assert!((more - 2.0).abs() < 0.01, "{more} s more");
+    }
+    // As often as one likes.
+    let (mut heat, mut current, mut seconds) = (motor_of(3.0, 2.99), 2.99_f32, 0.0_f32);
+    while !heat.warm(9.0e-3, 1.0e-3) {
+        seconds += 1.0e-3;
+        current *= 0.998;
+        heat.limit(3.0, current);
+    }
+    assert!((seconds - 4.0).abs() < 0.05, "{seconds} s");
+}
+
+#[test]
+fn heat_that_nobody_knows_is_half_a_budget_as_soon_as_there_is_one() {
+    // Any current that is allowed may flow for ever: there is no budget.
+    let heat = unknown(3.0, 3.0);
+    assert!(heat.held().is_nan());
+    assert!(restarted(&heat).held().is_nan(), "a restart does not tell it");
+    for mut heat in [heat, restarted(&heat)] {
+        heat.limit(3.0, 1.0);
+        // (3² - 1²) A² for 4 s.
+        assert_eq!(heat.held(), 16.0);
+    }
+    // A device that leaves the motor out says nothing of it.
+    let mut absent = Heat::UNKNOWN;
+    absent.limit(0.0, 1.0);
+    assert_eq!(trips(&mut absent, 0.01, 10.0), None);
+    absent.limit(3.0, 1.0);
+    assert_eq!(absent.held(), 16.0);
+}
+
+#[test]
+fn heat_that_nobody_knows_is_never_more_than_half_of_the_budget_in_force() {
+    // A device with motors of 20 A was loaded first, by mistake.
+    let heat = unknown(20.0, 5.0);
+    assert_eq!(heat.held(), 0.5 * 4.0 * 375.0);
+    for mut heat in [heat, restarted(&heat)] {
+        heat.limit(3.0, 5.0);
+        heat.limit(3.0, 1.0);
+        assert!((heat.held() - 16.0).abs() < 0.01, "or it trips until it is switched off: {heat:?}");
+        // What it has cooled counts, also where there is more to guess at.
+        assert_eq!(trips(&mut heat, 0.0, 4.0), None);
+        assert!((heat.held() - 12.0).abs() < 0.01, "{heat:?}");
+        heat.limit(4.0, 1.0);
+        assert!((heat.held() - 26.0).abs() < 0.01, "{heat:?}");
+        // What is known stays: 6 A² s more, of which no budget takes any away.
+        assert_eq!(trips(&mut heat, 2.0, 2.0), None);
+        heat.limit(2.0, 1.0);
+        assert!((heat.held() - 12.0).abs() < 0.01, "half of 12, and 6: {heat:?}");
+    }
+}
+
+#[test]
+fn a_continuous_current_set_too_low_for_a_while_leaves_no_warm_motor_behind() {
+    for noise in [0.0, 0.03] {
+        let mut heat = motor_of(3.0, 1.0);
+        heat.warm(16.0, 0.0);
+        heat.limit(3.0, 0.01);
+        assert_eq!(trips(&mut heat, noise, 100.0), None);
+        heat.limit(3.0, 1.0);
+        assert_eq!(trips(&mut heat, 0.0, 17.0), None);
+        assert_eq!(heat.held(), 0.0, "1 A² s a second, as when it was warmed");
+        assert_eq!(trips(&mut heat, 0.99, 600.0), None);
+    }
+}
+
+#[test]
+fn a_motor_that_a_device_leaves_out_cools_on() {
+    let mut heat = motor_of(3.0, 1.0);
+    heat.warm(20.0, 0.0);
+    heat.limit(0.0, 1.0);
+    assert_eq!(trips(&mut heat, 0.0, 5.0), None);
+    heat.limit(3.0, 1.0);
+    assert!((heat.held() - 15.0).abs() < 0.1, "{heat:?}");
+}
+
+#[test]
+fn a_motor_near_its_budget_has_no_more_because_its_peak_is_allowed_for_ever() {
+    let mut heat = motor_of(3.0, 1.0);
+    heat.warm(31.0, 0.0);
+    heat.limit(3.0, 3.0);
+    // 1 A² s of its 32 are left, at (3² - 1²) A².
+    let lasted = trips(&mut heat, 3.0, 10.0).unwrap();
+    assert!((0.12..0.13).contains(&lasted), "{lasted} s");
+}
+
+#[test]
+fn words_that_are_no_heat_are_one_that_nobody_knows() {
+    let mut sound = motor_of(3.0, 1.0);
+    sound.warm(5.0, 0.0);
+    assert_eq!(restarted(&sound), sound);
+    for place in 0..WORDS {
+        for bits in [f32::NAN.to_bits(), u32::MAX] {
+            let mut words = sound.words();
+            words[place] = bits;
+            assert_eq!(Heat::from_words(words), Heat::UNKNOWN, "word {place}");
+        }
+    }
+}
+
+#[derive(Clone, Debug)]
+enum Event {
+    Rules { most: f32, steady: f32 },
+    Motor(Option<f32>),
+    Restart,
+    Flows { share: f32, seconds: f32 },
+}
+
+fn event() -> impl Strategy<Value = Event> {
+    let steady = prop_oneof![Just(0.3_f32), Just(1.0), Just(1.2), Just(2.0), Just(2.9)];
+    prop_oneof![
+        (1.5_f32..3.5, steady).prop_map(|(most, steady)| Event::Rules { most, steady }),
+        prop_oneof![Just(None), Just(Some(3.0)), Just(Some(1.0)), Just(Some(20.0))].prop_map(Event::Motor),
+        Just(Event::Restart),
+        (0.0_f32..1.0, 0.0_f32..8.0).prop_map(|(share, seconds)| Event::Flows { share, seconds }),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(500) })]
+
+    /// Beside it the most that a motor can have cooled whatever counted when: the integral of i² - c² with the largest
+    /// continuous current c that was allowed so far.
+    #[test]
+    fn nothing_that_is_said_cools_a_motor_sooner(events in proptest::collection::vec(event(), 1..60)) {
+        let (mut heat, mut rules, mut motor) = (Heat::default(), (3.0_f32, 1.0_f32), Some(3.0_f32));
+        heat.limit(3.0, 1.0);
+        let (mut least, mut largest) = (0.0_f64, 1.0_f64);
+        let dt = 0.01_f32;
+        for event in events {
+            match event {
+                Event::Rules { most, steady } => rules = (most, steady),
+                Event::Motor(of) => motor = of,
+                Event::Restart => heat = restarted(&heat),
+                Event::Flows { share, seconds } => {
+                    let current = share * motor.unwrap_or(0.0).min(rules.0);
+                    for _ in 0..(seconds / dt) as u32 {
+                        let trips = heat.warm(current * current * dt, dt);
+                        least = (least + (f64::from(current).powi(2) - largest * largest) * f64::from(dt)).max(0.0);
+                        let held = f64::from(heat.held());
+                        prop_assert!(held >= least - 0.02 - 1.0e-3 * least, "{held} A² s, at least {least}");
+                        if trips {
+                            break;
+                        }
+                    }
+                }
+            }
+            let most = motor.unwrap_or(0.0).min(rules.0);
+            heat.limit(most, rules.1);
+            largest = largest.max(f64::from(rules.1.min(most)));
+        }
+        // And nothing makes it warm for ever: a minute after the last word, what is said counts.
+        heat.limit(3.0, 1.0);
+        let rest = |heat: &mut Heat, seconds: f32| (0..(seconds / dt) as u32).for_each(|_| _ = heat.warm(0.0, dt));
+        rest(&mut heat, 61.0);
+        // 1 A² s a second, worth (3² - 2.9²) / (3² - 1²) of it where 2.9 A were allowed while it was warmed.
+        let seconds = heat.held() / 0.0737 + 1.0;
+        rest(&mut heat, seconds);
+        prop_assert_eq!(heat.held(), 0.0);
+        prop_assert_eq!(trips(&mut heat, 0.99, 60.0), None);
+    }
+}
+
+/// A paddle pressed into a wall at 2.9 A of 3 A until it trips; 1 A may flow for ever.
+fn heated() -> Rig {
+    let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 290.0)]));
+    rig.arm();
+    rig.turn(0, -0.15, 1.0);
+    let there = rig.samples.counts[0];
+    for step in 0..20_000 {
+        // The encoder moves, so that it is the motor's heat and nothing else.
+        rig.samples.counts[0] = there + step % 2;
+        rig.step();
+        if rig.fault().is_some() {
+            break;
+        }
+    }
+    assert_eq!(rig.fault(), Some(Fault::ThermalBudget));
+    rig
+}
+
+fn raised() -> Rules {
+    let mut raised = rules();
+    raised.limits.continuous_current = [2.9; 3];
+    raised
+}
+
+#[test]
+fn a_restart_does_not_let_a_motor_cool_faster() {
+    let mut rig = heated();
+    let heat = rig.servo.heat();
+    rig.execute(Command::Clear).unwrap();
+    rig.execute(Command::Rules(raised())).unwrap();
+    let mut again = Rig::bare(hardware(), raised());
+    again.servo.start_heat(heat);
+    again.load(&paddle(), &scene(1, &[wall(-0.05, 100.0)]), false).unwrap();
+    for rig in [&mut rig, &mut again] {
+        let before = rig.servo.heat()[0].held();
+        rig.run(4.0);
+        let held = rig.servo.heat()[0].held();
+        assert!((before - held - 4.0).abs() < 0.1, "1 A² s a second: {before} to {held}");
+    }
+}
+
+#[test]
+fn noise_of_sensors_is_no_heat_and_a_device_without_motors_no_motor_to_heat() {
+    let mut rig = Rig::bare(hardware(), rules());
+    rig.servo.start_heat([Heat::UNKNOWN; 3]);
+    let mut bare = paddle();
+    bare.joints[0].motor = None;
+    rig.shown_current = Some(0.1);
+    rig.load(&bare, &scene(1, &[wall(-0.05, 100.0)]), false).unwrap();
+    rig.run(1.0);
+    rig.load(&paddle(), &scene(1, &[wall(-0.05, 100.0)]), false).unwrap();
+    rig.run(0.1);
+    rig.run(20.0);
+    assert_eq!(rig.servo.heat()[0].held(), 0.0, "half of 32 A² s at 1 A² s a second");
+}
+
+#[test]
+fn a_tighter_continuous_current_while_armed_gives_no_longer_peak() {
+    let lasts = |tighten: bool| {
+        let mut rules = rules();
+        rules.limits.continuous_current = [2.7; 3];
+        let mut rig = Rig::with(&paddle(), &scene(1, &[wall(-0.005, 290.0)]), hardware(), rules);
+        rig.arm();
+        rig.turn(0, -0.15, 1.0);
+        let there = rig.samples.counts[0];
+        let began = rig.servo.steps();
+        for step in 0..200_000 {
+            rig.samples.counts[0] = there + step % 2;
+            rig.step();
+            if rig.fault().is_some() {
+                break;
+            }
+            if tighten && step % 100 == 0 && rules.limits.continuous_current[0] > 0.3 {
+                rules.limits.continuous_current[0] -= 0.05;
+                rig.execute(Command::Rules(rules)).expect("tightening is allowed while armed");
+            }
+        }
+        assert_eq!(rig.fault(), Some(Fault::ThermalBudget));
+        (rig.servo.steps() - began) as f32 / rig::RATE
+    };
+    let (plain, tightened) = (lasts(false), lasts(true));
+    assert!(tightened <= plain, "{plain} s, tightened {tightened} s");
+}
+
+#[test]
+fn heat_that_nobody_knows_stays_unknown_over_a_restart() {
+    let mut strong = paddle();
+    strong.joints[0].motor = Some(Motor { max_current: 20.0, ..strong.joints[0].motor.unwrap() });
+    let boot = |heat, current: f32| {
+        let mut rules = rules();
+        rules.limits.current = [current; 3];
+        let mut rig = Rig::bare(hardware(), rules);
+        rig.servo.start_heat(heat);
+        rig.load(&strong, &scene(1, &[wall(-0.05, 100.0)]), false).unwrap();
+        rig
+    };
+    for (first, then) in [(1.5, 20.0), (20.0, 3.0)] {
+        let kept = boot([Heat::UNKNOWN; 3], first).servo.heat();
+        let held = boot(kept, then).servo.heat()[0].held();
+        let half = 0.5 * 4.0 * (then * then - 1.0);
+        assert!((held - half).abs() < 0.01 * half, "{first} A, then {then} A: {held} A² s, not {half}");
+    }
+}
