@@ -7,6 +7,7 @@ use predicates::prelude::*;
 use predicates::str::contains;
 use serde_json::Value;
 use sim::{Sim, file, haptic};
+use std::path::Path;
 
 #[test]
 fn a_session_from_a_bare_board_to_a_recording() {
@@ -344,4 +345,44 @@ fn torque_limits_leave_room_for_the_devices_weight_and_what_was_lower_before_is_
     sim.run(&["device", &file("capstan-pantograph.toml")]).success();
     sim.run(&["device", &file("coupled-five-bar.toml")]).success().stdout(contains("some were lower before"));
     assert!(limits(&sim)[0] < 0.5 * without[0], "what somebody may have meant stays");
+}
+
+/// A board whose scene pulls joint 0 past its limit as soon as it is armed, and whose friction leaves it there.
+fn past_a_limit(folder: &Path) -> Sim {
+    let device = folder.join("narrow.toml");
+    let text = std::fs::read_to_string(file("coupled-five-bar.toml")).unwrap();
+    let narrow = text.replacen("inertia = 0.0008\n", "inertia = 0.0008\nlimits = [2.25, 2.35]\n", 1);
+    assert!(narrow != text);
+    std::fs::write(&device, narrow).unwrap();
+    let scene = folder.join("pull.toml");
+    std::fs::write(&scene, "[[spring]]\npoint = [0.3, 0.3]\nstiffness = 30.0\ndamping = 0.0\n").unwrap();
+    Sim::start(&["--fast", device.to_str().unwrap(), "--scene", scene.to_str().unwrap()])
+}
+
+#[test]
+fn clearing_tells_which_joint_is_outside_its_limits() {
+    let folder = tempfile::tempdir().unwrap();
+    let sim = past_a_limit(folder.path());
+    sim.run(&["clear", "--json"]).success().stdout(contains("\"outside_limits\":[]"));
+    sim.run(&["arm"]).success();
+    sim.until(|state| state == "Fault");
+    sim.run(&["clear"])
+        .success()
+        .stdout(contains("cleared JointLimit").and(contains("joint 0 is outside its limits, at 2.")));
+    sim.run(&["clear", "--json"]).success().stdout(contains("\"outside_limits\":[0]"));
+    sim.run(&["arm"]).code(1).stderr(contains("joint 0 is outside its limits"));
+}
+
+#[test]
+fn a_stream_whose_motors_a_fault_turned_off_ends_with_that_fault() {
+    let folder = tempfile::tempdir().unwrap();
+    let sim = past_a_limit(folder.path());
+    let ended = sim.run(&["stream", "--arm", "--seconds", "2", "--json"]).code(1);
+    let output = ended.get_output();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(said.contains("error: the motors are off: JointLimit (7)"), "{said}");
+    let rows: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(rows["values"].as_array().unwrap().len(), 20, "the rows are all there");
+    // One that only looks has done what it was asked.
+    sim.run(&["stream", "--seconds", "0.5"]).success();
 }

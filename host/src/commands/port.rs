@@ -135,6 +135,11 @@ pub fn fault_alone(record: &FaultRecord, rate_hz: f32) -> String {
     format!("{}{axis}, value {}, {seconds:.3} s after boot", record.fault, record.value)
 }
 
+/// What a command ends with whose motors a fault turned off.
+pub fn motors_off(record: &FaultRecord, rate_hz: f32) -> Failure {
+    Failure::impossible(format!("the motors are off: {}", fault_alone(record, rate_hz))).remedy(record.fault.remedy())
+}
+
 /// Numbers in a row, for people; what rounds to zero has no sign.
 pub fn numbers(values: &[f32], unit: &str) -> String {
     let numbers: Vec<String> = values.iter().map(|value| format!("{:.4}", (1e4 * value).round() / 1e4 + 0.0)).collect();
