@@ -386,3 +386,22 @@ fn a_stream_whose_motors_a_fault_turned_off_ends_with_that_fault() {
     // One that only looks has done what it was asked.
     sim.run(&["stream", "--seconds", "0.5"]).success();
 }
+
+#[test]
+fn what_weakens_a_protection_is_told_by_whichever_command_does_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let kept = folder.path().join("kept.json").display().to_string();
+    let sim = Sim::start(&["--fast"]);
+    let (host, force) = ("the host is no longer watched", "may now push at the tip with 30 N, before with 4");
+    let tighten = || sim.run(&["rules", "--host", "disarm", "--tip-force", "4"]).success().stderr("");
+    tighten();
+    sim.run(&["rules", "--host", "ignore", "--tip-force", "30"]).success().stderr(contains(host).and(contains(force)));
+    sim.run(&["save"]).success();
+    sim.run(&["backup", &kept]).success();
+    tighten();
+    sim.run(&["restore", &kept]).success().stderr(contains(host).and(contains(force)));
+    sim.run(&["restore", &kept]).success().stderr(contains(host).or(contains("may now push")).not());
+    tighten();
+    let device = file("coupled-five-bar.toml");
+    sim.run(&["device", &device, "--tip-force", "30"]).success().stderr(contains(host).not().and(contains(force)));
+}
