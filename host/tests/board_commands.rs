@@ -405,3 +405,17 @@ fn what_weakens_a_protection_is_told_by_whichever_command_does_it() {
     let device = file("coupled-five-bar.toml");
     sim.run(&["device", &device, "--tip-force", "30"]).success().stderr(contains(host).not().and(contains(force)));
 }
+
+#[test]
+fn the_limit_of_the_tip_force_goes_as_high_as_the_safety_page_says() {
+    let page = std::fs::read_to_string(file("../docs/safety.md")).unwrap();
+    assert!(page.contains("at most 100 N; 1000 N on a simulated board without `--strict`"));
+    for (options, most) in [(&["--fast", "--strict"][..], "100"), (&["--fast"], "1000")] {
+        let sim = Sim::start(options);
+        sim.run(&["rules", "--tip-force", most]).success().stdout(contains(format!("force at the tip    {most} N")));
+        for command in [&["rules"][..], &["device", &file("coupled-five-bar.toml")]] {
+            let refused = sim.run(&[command, &["--tip-force", "1001"]].concat()).code(1);
+            refused.stderr(contains(format!("1001 N: this board takes more than 0 and at most {most} N")));
+        }
+    }
+}

@@ -23,7 +23,7 @@ use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device as BoardDevice;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
-use haptic_bridge::safety::limits::Limits;
+use haptic_bridge::safety::limits::{Limits, MOST_FORCE};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::frame::{Crest, Samples};
 use haptic_bridge::servo::program::{Hardware, Program};
@@ -178,6 +178,12 @@ impl Described for Innards {
     }
 }
 
+/// What nobody can raise the limits above: where the board takes its motors for real ones, the force of a real board.
+fn most(hardware: Hardware) -> Limits {
+    let limits = Limits::default();
+    if hardware.real { Limits { tip_force: MOST_FORCE, ..limits } } else { limits }
+}
+
 /// A board with a device on it.
 #[derive(Debug)]
 pub struct SimulatedBoard {
@@ -227,7 +233,7 @@ impl SimulatedBoard {
         };
         let seen = device.counts();
         let mut board = Self {
-            service: Service::new(hardware, Limits::default()),
+            service: Service::new(hardware, most(hardware)),
             innards: Innards {
                 servo: Servo::new(hardware, Rules::default()),
                 flash: BTreeMap::new(),
@@ -502,7 +508,7 @@ impl SimulatedBoard {
         let heat = self.innards.servo.heat();
         self.innards.servo = Servo::new(self.hardware, Rules::default());
         self.innards.servo.start_heat(heat);
-        self.service = Service::new(self.hardware, Limits::default());
+        self.service = Service::new(self.hardware, most(self.hardware));
         self.drive = [Drive::Floating; 3];
         self.bridges = false;
         self.packer = Packer::default();
