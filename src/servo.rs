@@ -529,16 +529,23 @@ where
 
     fn home(&mut self) -> Result<(), Refusal> {
         self.must_be_off()?;
-        let program = self.program.as_mut().ok_or(Refusal::NoDevice)?;
+        let program = self.program.as_ref().ok_or(Refusal::NoDevice)?;
         let home = program.home.ok_or(Refusal::NoHome)?;
-        if (0..program.joints.min(MAX_JOINTS)).any(|i| self.crests.speed(i).abs() > REST_SPEED) {
+        let joints = program.joints;
+        if !self.slower_than(REST_SPEED, joints) {
             return Err(Refusal::Moving);
         }
+        let program = self.program.as_mut().ok_or(Refusal::NoDevice)?;
         program.controller.home(&self.now.counts, &home);
         self.homed = true;
         self.first_index = [None; MAX_JOINTS];
         self.set_bounds();
         Ok(())
+    }
+
+    /// Whether none of the first `joints` joints turns faster than `speed`, rad/s.
+    fn slower_than(&self, speed: f32, joints: usize) -> bool {
+        (0..joints.min(MAX_JOINTS)).all(|i| self.crests.speed(i).abs() <= speed)
     }
 
     fn must_be_off(&self) -> Result<(), Refusal> {

@@ -7,19 +7,22 @@
 mod rig;
 
 use haptic_bridge::board::protocol::*;
+use haptic_bridge::board::service::Service;
 use haptic_bridge::board::settings::{self, BoardName, Key};
 use haptic_bridge::board::telemetry::{Fields, StreamRequest};
-use haptic_bridge::model::precomputed::MassModelData;
+use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModelData, checksum};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::{BadLimit, Limit, Limits};
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_bridge::servo::Rules;
+use haptic_bridge::servo::{Rules, Servo};
 use postcard_rpc::Endpoint;
 use postcard_rpc::header::VarHeader;
 use postcard_rpc::standard_icd::WireError;
-use rig::board::{Board, driving, frame};
+use rig::board::{Board, Machinery, driving, frame};
+use rig::{device, five_bar, hardware};
+use std::collections::BTreeMap;
 
 /// The states a board can be in, as a tool meets them.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -521,4 +524,44 @@ fn a_board_with_real_motors_that_nothing_was_said_to_pushes_with_5_newtons_at_th
     let rules = Rules { limits: stronger, ..board.ask::<GetRules>(&()).unwrap() };
     board.ask::<SetRules>(&rules).unwrap().unwrap();
     assert_eq!(board.ask::<GetRules>(&()).unwrap().limits, stronger);
+}
+
+#[test]
+fn a_refusal_for_a_fault_says_once_that_it_is_to_be_cleared() {
+    for fault in Fault::ALL {
+        let said = Refusal::Faulted(*fault).to_string();
+        assert_eq!((said.matches("haptic clear").count(), said.matches("clear").count()), (1, 1), "{said}");
+    }
+}
+
+#[test]
+fn a_refused_piece_of_a_table_leaves_the_table_in_force() {
+    let mut machine = Machinery {
+        servo: Servo::new(hardware(), Rules::default()),
+        flash: BTreeMap::new(),
+        staged: BTreeMap::new(),
+        flash_broken: false,
+        retimed: vec![],
+    };
+    let mut service = Service::new(hardware(), Limits::default());
+    service.set_device(&mut machine, device(&five_bar())).unwrap();
+    let values = [1.0e-3_f32; 3 * 4];
+    let piece = |offset, values: &[f32]| TableChunk { offset, values: values.iter().copied().collect() };
+    service.receive_table(&mut machine, &piece(0, &values)).unwrap();
+    let grid = Grid { interpolation: Interpolation::Bilinear, points: [2, 2], low: [0.0; 2], spacing: [0.5; 2] };
+    let table = MassModelData::Table(grid, checksum(&values));
+    service.set_mass_model(&mut machine, table.clone()).unwrap();
+    // Every program tells the machine its carrier.
+    let installed = machine.retimed.len();
+    for bad in [piece(7, &[1.0]), piece(0, &[f32::NAN]), piece(0, &[f32::INFINITY; 12])] {
+        let refused = service.receive_table(&mut machine, &bad);
+        assert_eq!(refused, Err(Refusal::BadTable), "{bad:?}");
+        assert_eq!(machine.retimed.len(), installed, "{bad:?} put another mass model in force");
+        assert_eq!(
+            service.set_mass_model(&mut machine, table.clone()),
+            Ok(()),
+            "{bad:?} made what came before incomplete"
+        );
+        machine.retimed.truncate(installed);
+    }
 }

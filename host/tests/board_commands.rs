@@ -7,6 +7,7 @@ use predicates::prelude::*;
 use predicates::str::contains;
 use serde_json::Value;
 use sim::{Sim, file, haptic};
+use std::path::Path;
 
 #[test]
 fn a_session_from_a_bare_board_to_a_recording() {
@@ -344,4 +345,96 @@ fn torque_limits_leave_room_for_the_devices_weight_and_what_was_lower_before_is_
     sim.run(&["device", &file("capstan-pantograph.toml")]).success();
     sim.run(&["device", &file("coupled-five-bar.toml")]).success().stdout(contains("some were lower before"));
     assert!(limits(&sim)[0] < 0.5 * without[0], "what somebody may have meant stays");
+}
+
+/// A board whose scene pulls joint 0 past its limit as soon as it is armed, and whose friction leaves it there.
+fn past_a_limit(folder: &Path) -> Sim {
+    let device = folder.join("narrow.toml");
+    let text = std::fs::read_to_string(file("coupled-five-bar.toml")).unwrap();
+    let narrow = text.replacen("inertia = 0.0008\n", "inertia = 0.0008\nlimits = [2.25, 2.35]\n", 1);
+    assert!(narrow != text);
+    std::fs::write(&device, narrow).unwrap();
+    let scene = folder.join("pull.toml");
+    std::fs::write(&scene, "[[spring]]\npoint = [0.3, 0.3]\nstiffness = 30.0\ndamping = 0.0\n").unwrap();
+    Sim::start(&["--fast", device.to_str().unwrap(), "--scene", scene.to_str().unwrap()])
+}
+
+#[test]
+fn clearing_tells_which_joint_is_outside_its_limits() {
+    let folder = tempfile::tempdir().unwrap();
+    let sim = past_a_limit(folder.path());
+    sim.run(&["clear", "--json"]).success().stdout(contains("\"outside_limits\":[]"));
+    sim.run(&["arm"]).success();
+    sim.until(|state| state == "Fault");
+    sim.run(&["clear"])
+        .success()
+        .stdout(contains("cleared JointLimit").and(contains("joint 0 is outside its limits, at 2.")));
+    sim.run(&["clear", "--json"]).success().stdout(contains("\"outside_limits\":[0]"));
+    sim.run(&["arm"]).code(1).stderr(contains("joint 0 is outside its limits"));
+}
+
+#[test]
+fn a_stream_whose_motors_a_fault_turned_off_ends_with_that_fault() {
+    let folder = tempfile::tempdir().unwrap();
+    let sim = past_a_limit(folder.path());
+    let ended = sim.run(&["stream", "--arm", "--seconds", "2", "--json"]).code(1);
+    let output = ended.get_output();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(said.contains("error: the motors are off: JointLimit (7)"), "{said}");
+    let rows: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(rows["values"].as_array().unwrap().len(), 20, "the rows are all there");
+    // One that only looks has done what it was asked.
+    sim.run(&["stream", "--seconds", "0.5"]).success();
+}
+
+#[test]
+fn what_weakens_a_protection_is_told_by_whichever_command_does_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let kept = folder.path().join("kept.json").display().to_string();
+    let sim = Sim::start(&["--fast"]);
+    let (host, force) = ("the host is no longer watched", "may now push at the tip with 30 N, before with 4");
+    let tighten = || sim.run(&["rules", "--host", "disarm", "--tip-force", "4"]).success().stderr("");
+    tighten();
+    sim.run(&["rules", "--host", "ignore", "--tip-force", "30"]).success().stderr(contains(host).and(contains(force)));
+    sim.run(&["save"]).success();
+    sim.run(&["backup", &kept]).success();
+    tighten();
+    sim.run(&["restore", &kept]).success().stderr(contains(host).and(contains(force)));
+    sim.run(&["restore", &kept]).success().stderr(contains(host).or(contains("may now push")).not());
+    tighten();
+    let device = file("coupled-five-bar.toml");
+    sim.run(&["device", &device, "--tip-force", "30"]).success().stderr(contains(host).not().and(contains(force)));
+}
+
+#[test]
+fn the_limit_of_the_tip_force_goes_as_high_as_the_safety_page_says() {
+    let page = std::fs::read_to_string(file("../docs/safety.md")).unwrap();
+    assert!(page.contains("at most 100 N; 1000 N on a simulated board without `--strict`"));
+    for (options, most) in [(&["--fast", "--strict"][..], "100"), (&["--fast"], "1000")] {
+        let sim = Sim::start(options);
+        sim.run(&["rules", "--tip-force", most]).success().stdout(contains(format!("force at the tip    {most} N")));
+        for command in [&["rules"][..], &["device", &file("coupled-five-bar.toml")]] {
+            let refused = sim.run(&[command, &["--tip-force", "1001"]].concat()).code(1);
+            refused.stderr(contains(format!("1001 N: this board takes more than 0 and at most {most} N")));
+        }
+    }
+}
+
+#[test]
+fn homing_straight_after_a_polarity_check_waits_until_the_device_is_back_at_home() {
+    let folder = tempfile::tempdir().unwrap();
+    let device = folder.path().join("mine.toml").display().to_string();
+    haptic(&["new", "five-bar", "--output", &device]).assert().success();
+    let vouched = std::fs::read_to_string(&device).unwrap().replace("verified = false", "verified = true");
+    std::fs::write(&device, vouched).unwrap();
+    let sim = Sim::start(&["--fast", "--strict", &device]);
+    let home = || sim.run(&["home"]).success().get_output().stdout.clone();
+    let first = home();
+    sim.run(&["polarity", "--yes"]).success();
+    assert_eq!(home(), first);
+    // The next look finds it where homing has put it: it was home.
+    let info = sim.run(&["info", "--json"]).success().get_output().stdout.clone();
+    let info: Value = serde_json::from_slice(&info).unwrap();
+    let q: Vec<f64> = serde_json::from_value(info["q"].clone()).unwrap();
+    assert!((q[0] - 2.3).abs() < 1e-3 && (q[1] - 0.8415926).abs() < 1e-3, "{info}");
 }

@@ -39,12 +39,13 @@ fn strict(mut file: DeviceFile) -> (SharedBoard, Board) {
 
 /// The same, homed, with its polarity checked.
 fn ready_to_arm(file: DeviceFile) -> (SharedBoard, Board) {
-    let name = file.name.clone();
+    let (name, home) = (file.name.clone(), file.description.home.unwrap());
     let (shared, mut board) = strict(file);
     board.home().unwrap();
     board.check_polarity().unwrap();
-    shared.lock().run(7.0);
+    shared.lock().run(10.0);
     assert!(board.status().unwrap().polarity, "{name}: {:?}", board.status());
+    assert_eq!(shared.lock().device().q(), home, "{name} is put back");
     (shared, board)
 }
 
@@ -77,12 +78,13 @@ fn every_scene_that_ships_for_a_device_with_weight_runs_on_a_strict_board() {
 }
 
 #[test]
-fn a_template_with_weight_does_not_fall_while_it_is_armed() {
-    for kind in [Kind::Parallelogram, Kind::FiveBarTurret] {
-        let file = DeviceFile::parse(&template::device_file(kind, "mine"), "mine.toml").unwrap();
-        assert!(file.description.gravity.iter().any(|g| *g != 0.0));
+fn every_template_is_homed_checked_and_armed_on_a_strict_board_and_does_not_fall() {
+    for kind in Kind::ALL {
+        let file = DeviceFile::parse(&template::device_file(*kind, "mine"), "mine.toml").unwrap();
         let task = file.spec().task as u8;
         let (shared, mut board) = ready_to_arm(file);
+        // Whoever homes again finds home where it was.
+        board.home().unwrap();
         board.set_scene(&Scene { task, ..Scene::default() }).unwrap();
         stays_while_armed(&shared, &mut board, kind.spec().name);
     }

@@ -7,7 +7,9 @@ mod sim;
 use haptic::analysis::several::Member;
 use haptic::device_file::DeviceFile;
 use haptic::link::{Board, encode};
-use haptic::measure::{Bench, MeasureError, Setup};
+use haptic::measure::before::Before;
+use haptic::measure::progress::Progress;
+use haptic::measure::{Bench, MeasureError, Setup, rules_for};
 use haptic::recorder::Recording;
 use haptic::scene_file::SceneFile;
 use haptic::sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, ready_board};
@@ -299,6 +301,35 @@ fn after_a_measurement_that_was_killed_the_next_one_puts_the_scene_back_or_says_
         .stderr(contains("the one before it is put back").and(contains("rules").not()));
     assert_eq!((held(), rules()), (before, rules_before));
     assert!(!std::fs::read_to_string(folder.path("one.json")).unwrap().contains("before"));
+}
+
+#[test]
+fn a_measurement_that_was_killed_between_its_rules_and_its_scene_gives_way_to_the_rules_before_it() {
+    let sim = Sim::start(&["--fast", "--scene", &file("scenes/coupled-five-bar/wall.toml")]);
+    let rules = || String::from_utf8(sim.run(&["rules"]).success().get_output().stdout.clone()).unwrap();
+    let before = rules();
+    let folder = Folder::new();
+    let note = folder.path("note.json");
+    {
+        let mut board = Board::open(&sim.port.parse().unwrap()).unwrap();
+        let held = Before::of(&mut board).unwrap();
+        let measuring = rules_for(held.rules(), 1.0);
+        let mut progress = Progress::new("any");
+        progress.before = held.keep(&board.info().serial, &measuring);
+        progress.save(&note).unwrap();
+        board.set_rules(&measuring).unwrap();
+    }
+    assert_ne!(rules(), before);
+    // Whatever becomes of the next one; this board holds another device.
+    let (device, note) = (file("haply-2diy.toml"), note.display().to_string());
+    let next = ["measure-range", &device, "--normal=0.6,0.8", "--anew", "--progress", &note];
+    sim.run(&next).code(1).stderr(contains("the rules on the board were left by a measurement that was cut short"));
+    assert_eq!(rules(), before);
+    sim.run(&next).code(1).stderr(contains("were left").not());
+    // Rules that somebody has chosen since stay.
+    sim.run(&["rules", "--torque", "0.5,0.5"]).success();
+    sim.run(&next).code(1).stderr(contains("were left").not());
+    sim.run(&["rules"]).success().stdout(contains("0.5, 0.5 N m"));
 }
 
 fn setup() -> Setup {

@@ -80,12 +80,23 @@ fn walls_beyond_reach_loop_and_motors_are_doubted() {
         (wall("[0.0, 0.125]", "3.0e9", "6.0"), "times that"),
         (wall("[0.0, 0.125]", "3.0e9", "6.0"), "one encoder count into wall 0"),
         (wall("[0.0, 0.125]", "3000.0", "6.0e4"), "the damping of wall 0"),
+        (wall("[0.0, 0.125]", "1.5", "0.01"), "1.5 N/mm are 1500 N/m"),
     ] {
         let (json, err) = checked(&[], Some(&scene));
         assert!(
             json["warnings"].as_array().unwrap().iter().any(|w| w["text"].as_str().unwrap().contains(said)),
             "{err}"
         );
+    }
+}
+
+#[test]
+fn a_soft_wall_that_the_device_can_press_in_full_is_not_doubted() {
+    for stiffness in ["60.0", "0.0"] {
+        let scene =
+            format!("[[wall]]\npoint = [0.0, 0.125]\nnormal = [0.0, -1.0]\nstiffness = {stiffness}\ndamping = 1.0\n");
+        let (json, err) = checked(&[], Some(&scene));
+        assert!(json["warnings"].as_array().unwrap().is_empty(), "{err}");
     }
 }
 

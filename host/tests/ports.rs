@@ -3,8 +3,8 @@
 use haptic::device_file::DeviceFile;
 use haptic::link::{Board, Deframer, LinkError, PortSpec, Wire, encode, fields};
 use haptic::sim::door::{Door, tcp};
-use haptic::sim::server::{Pace, serve};
-use haptic::sim::{BoardOptions, SHIPPED_DEVICE, ready_board};
+use haptic::sim::server::{Hosted, Pace, serve};
+use haptic::sim::{BoardOptions, SHIPPED_DEVICE, SimulatedBoard, ready_board};
 use haptic_bridge::board::protocol::{GetInfo, Info, PROTOCOL};
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{Fault, State};
@@ -14,7 +14,7 @@ use postcard_rpc::header::{VarHeader, VarKey};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{JoinHandle, spawn};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// A simulated board being served; stops when dropped.
 struct Served {
@@ -262,5 +262,60 @@ mod pseudo_terminal {
         let error = Board::open(&PortSpec::Serial("/dev/no-such-port".into())).map(|_| ()).unwrap_err();
         assert!(matches!(error, LinkError::NoSuchPort { .. }), "{error}");
         assert!(error.to_string().contains("/dev/no-such-port"));
+    }
+}
+
+/// A board at 200 Hz that ends its server after half a second of its own time.
+struct HalfASecond {
+    board: SimulatedBoard,
+    stop: Arc<AtomicBool>,
+}
+
+impl Hosted for HalfASecond {
+    fn receive(&mut self, bytes: &[u8]) {
+        self.board.receive(bytes);
+    }
+    fn take_bytes(&mut self, buffer: &mut [u8]) -> usize {
+        self.board.take_bytes(buffer)
+    }
+    fn hang_up(&mut self) {
+        self.board.hang_up();
+    }
+    fn run(&mut self, seconds: f64) {
+        self.board.run(seconds);
+    }
+    fn time(&self) -> f64 {
+        if self.board.time() > 0.5 {
+            self.stop.store(true, Ordering::SeqCst);
+        }
+        self.board.time()
+    }
+}
+
+#[test]
+fn a_board_in_real_time_is_never_ahead_of_the_clock_however_long_its_periods_and_however_much_it_is_asked() {
+    for asked in [false, true] {
+        let door = tcp("127.0.0.1:0".parse().unwrap()).unwrap();
+        let port: PortSpec = door.port.parse().unwrap();
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = Arc::clone(&stop);
+        let server = spawn(move || {
+            let file = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
+            let mut board = ready_board(&file, BoardOptions::default()).unwrap();
+            let scene = Scene { task: 2, rate_hz: 200.0, cutoff_hz: 50.0, ..Scene::default() };
+            board.load(&file.name, &file.description, Some(scene)).unwrap();
+            let mut board = HalfASecond { board, stop: Arc::clone(&stopped) };
+            let (began, before) = (Instant::now(), board.board.time());
+            serve(&mut board, &door, Pace::RealTime, &stopped);
+            (began.elapsed().as_secs_f64(), board.board.time() - before)
+        });
+        if asked {
+            let mut board = Board::open(&port).unwrap();
+            // Every request takes two control periods of the board's time.
+            while board.status().is_ok() && !stop.load(Ordering::SeqCst) {}
+        }
+        let (clock, simulated) = server.join().unwrap();
+        // What it is ahead by is what one slice or one request takes.
+        assert!(simulated < clock + 0.021, "{simulated} s in {clock} s, asked: {asked}");
     }
 }

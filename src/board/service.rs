@@ -230,12 +230,14 @@ impl Service {
     /// the closed form first, so that no step ever looks into half a table.
     pub fn receive_table(&mut self, machine: &mut impl Machine, chunk: &TableChunk) -> Result<(), Refusal> {
         must_be_off(machine)?;
+        let offset = usize::from(chunk.offset);
+        if !self.receiving.fits(offset, &chunk.values) {
+            return Err(Refusal::BadTable);
+        }
         if matches!(self.mass, MassModelData::Table(..)) {
             self.set_mass_model(machine, MassModelData::Exact)?;
         }
-        if !self.receiving.take(usize::from(chunk.offset), &chunk.values) {
-            return Err(Refusal::BadTable);
-        }
+        self.receiving.take(offset, &chunk.values);
         for (start, piece) in (chunk.offset..).step_by(TABLE_PIECE).zip(chunk.values.chunks(TABLE_PIECE)) {
             machine.execute(Command::Table(start, piece.iter().copied().collect())).0?;
         }

@@ -337,18 +337,23 @@ impl Receiving {
     /// Takes a chunk that begins at value `offset`: 0 starts anew, anything else must continue. False when it does not,
     /// when the table would be too long, or when a value is not finite.
     pub fn take(&mut self, offset: usize, chunk: &[f32]) -> bool {
+        if !self.fits(offset, chunk) {
+            return false;
+        }
         if offset == 0 {
             *self = Self::default();
-        }
-        let fits = offset == self.values && offset + chunk.len() <= TABLE_VALUES;
-        if !fits || chunk.iter().any(|value| !value.is_finite()) {
-            return false;
         }
         for value in chunk {
             self.crc.take(&value.to_le_bytes());
         }
         self.values += chunk.len();
         true
+    }
+
+    /// Whether a piece may come next: the first of a table, or the one after the last, of numbers.
+    pub fn fits(&self, offset: usize, chunk: &[f32]) -> bool {
+        let next = offset == 0 || offset == self.values;
+        next && offset + chunk.len() <= TABLE_VALUES && chunk.iter().all(|value| value.is_finite())
     }
 
     /// Whether what came is all of a table of this many values with this checksum.

@@ -90,7 +90,7 @@ faults! {
     BusOverVoltage = 12, "the supply voltage is too high",
         "braking motors feed the supply: use one that can sink, or a brake resistor";
     /// The gate driver pulled its fault pin; value: its status register.
-    GateDriver = 13, "the gate driver reports a fault", "check for shorts at the motor terminals, then clear";
+    GateDriver = 13, "the gate driver reports a fault", "check for shorts at the motor terminals, then `haptic clear`";
     /// A number in the control step was infinite or not a number.
     NotFinite = 14, "a number in the control step was not finite",
         "reload the device and the scene; report it with both files if it returns";
@@ -99,7 +99,7 @@ faults! {
         "move the device back by hand; set joint limits that exclude the pose";
     /// No message from the host for too long; value: seconds.
     HostLost = 16, "the host has not been heard for too long",
-        "check the cable and the program that sends heartbeats, or turn the heartbeat off in the settings";
+        "check the cable and the program that sends heartbeats; `haptic rules --host-seconds` allows a longer silence, `haptic rules --host ignore` any";
     /// The independent watchdog reset the board.
     Watchdog = 17, "the watchdog reset the board: the control loop or a task had stopped",
         "note what was done before, save the log, and report it";
@@ -113,7 +113,7 @@ faults! {
     /// The firmware panicked; value: the line.
     Panic = 21, "the firmware stopped at a panic", "report it with device and scene files";
     /// The break input cut the bridges in hardware.
-    BreakInput = 22, "the break input cut the bridges", "release the emergency stop, then clear";
+    BreakInput = 22, "the break input cut the bridges", "release the emergency stop, then `haptic clear`";
     /// Mean power into the hand exceeded its limit; value: W.
     PowerLimit = 23, "more power went into the hand than its limit allows",
         "lower the stiffness or raise the damping; the wall is unstable or the limit too tight";
@@ -133,7 +133,7 @@ faults! {
         "check the motor's wires, its encoder's direction and coupling, the current sensor, and resistance, inductance and back-EMF in the device file";
     /// A gate driver forgot its settings while the motors were on; value: the register as it was read.
     DriverReset = 29, "a gate driver lost its settings while the motors were on",
-        "check the supply for dips and the driver's soldering, then clear";
+        "check the supply for dips and the driver's soldering, then `haptic clear`";
     /// Current flows though the bridges are off; value: A.
     StrayCurrent = 30, "current flows through a motor though the bridges are off",
         "switch the supply off: a switch of the bridge is broken, or a motor wire touches another; or a current sensor is off its zero";

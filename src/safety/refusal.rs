@@ -93,7 +93,9 @@ impl core::fmt::Display for Refusal {
             Self::InsideWall => f.write_str("the tip is inside a wall: move it out by hand"),
             Self::Moving => f.write_str("the device is moving: hold it still"),
             Self::Faulted(fault) => {
-                write!(f, "{fault}; {}; then `haptic clear`", fault.remedy())
+                write!(f, "{fault}; {}", fault.remedy())?;
+                // Some remedies end with it.
+                if fault.remedy().contains("haptic clear") { Ok(()) } else { f.write_str("; then `haptic clear`") }
             }
             Self::Armed => f.write_str("the motors are armed: `haptic disarm` first"),
             Self::BusVoltage => f.write_str("the supply voltage is out of range: check the supply"),

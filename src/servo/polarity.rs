@@ -15,14 +15,20 @@ use core::ops::DerefMut;
 pub const POLARITY_SHARE: f32 = 0.25;
 /// Joint motion that decides the polarity check, rad.
 pub const POLARITY_MOTION: f32 = 0.02;
-/// Time the polarity check takes to reach its torque, s; it gives up after twice this.
+/// Time the polarity check takes to reach its torque, s; it gives up after twice this. It waits as long at most for the
+/// device to come to rest before a joint's turn: what the joint before has thrown about says nothing of this one.
 pub const POLARITY_SECONDS: f32 = 1.0;
+
+/// Speed at which a joint counts as at rest for it, rad/s: slow against its motion within the time.
+const POLARITY_REST: f32 = 0.02;
 
 /// Progress of the polarity check.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Polarity {
     pub(super) axis: usize,
     seconds: f32,
+    /// For how long the device was waited for to come to rest, s.
+    waited: f32,
     /// Where the joint stood at its first step, rad.
     from: Option<f32>,
 }
@@ -50,6 +56,11 @@ where
         let Some(program) = self.program.as_ref() else { return };
         let i = self.polarity.axis.min(MAX_JOINTS - 1);
         let (joints, most) = (program.joints, program.axes[i].max_torque());
+        let thrown = i > 0 && self.polarity.from.is_none() && !self.slower_than(POLARITY_REST, joints);
+        if thrown && self.polarity.waited < POLARITY_SECONDS {
+            self.polarity.waited += self.period;
+            return;
+        }
         let moved = self.now.q[i] - *self.polarity.from.get_or_insert(self.now.q[i]);
         if moved > POLARITY_MOTION {
             if i + 1 >= joints {

@@ -1,6 +1,6 @@
 //! `haptic arm`: motors on, and somebody there while they are.
 
-use super::port::{Port, answer, fault_alone};
+use super::port::{Port, answer, motors_off};
 use haptic::error::{Failure, print};
 use haptic::interrupt;
 use haptic_bridge::safety::fault::State;
@@ -46,10 +46,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         board.rows(Duration::from_millis(200))?;
         let status = board.status()?;
         match status.fault {
-            Some(record) if status.state == State::Fault => {
-                let what = fault_alone(&record, rate);
-                return Err(Failure::impossible(format!("the motors are off: {what}")).remedy(record.fault.remedy()));
-            }
+            Some(record) if status.state == State::Fault => return Err(motors_off(&record, rate)),
             _ if status.state != State::Armed => {
                 return told(args.json, "disarmed from elsewhere: the motors are off\n");
             }

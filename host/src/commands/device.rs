@@ -1,6 +1,6 @@
 //! `haptic device`: loads a device file onto a board.
 
-use super::port::{Port, answer};
+use super::port::{Port, answer, warn_of_weaker};
 use haptic::device_file::DeviceFile;
 use haptic::error::Failure;
 use haptic::link::Board;
@@ -85,7 +85,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
 /// Limits the force at the tip, lowers the torque limits to what it takes in the home pose, and says so.
 fn soften(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Result<String, Failure> {
     let mut rules = board.rules()?;
-    let before = rules.limits;
+    let earlier = rules;
+    let before = earlier.limits;
     let newtons = newtons.unwrap_or(before.tip_force.min(GENTLE_FORCE));
     rules.limits.tip_force = newtons;
     // What makes so many newtons, and what carries the device beside.
@@ -98,6 +99,7 @@ fn soften(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Result<
     }
     if rules.limits != before {
         board.set_rules(&rules)?;
+        warn_of_weaker(&earlier, &rules);
     }
     let tip =
         format!("  tip force: walls, springs and fields push with at most {newtons} N; `--tip-force` says how much\n");

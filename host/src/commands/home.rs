@@ -2,12 +2,18 @@
 
 use super::port::{Port, answer, numbers};
 use haptic::error::Failure;
+use haptic::link::BoardError;
+use haptic_bridge::safety::refusal::Refusal;
 use serde_json::json;
+use std::time::Duration;
+
+/// How long the device may take to come to rest.
+const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Declare the present pose to be the device's home pose
 ///
 /// Incremental encoders know nothing at power-on. Hold the device still in the pose that [home] of its file names,
-/// then run this. The motors must be off.
+/// then run this; it waits up to a second for the device to be at rest. The motors must be off.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -20,7 +26,14 @@ pub struct Args {
 /// Homes, and reports where the board believes the device to be.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.port.open()?;
-    board.home()?;
+    // Somebody may be about to hold it still; a simulated hand carries it back after a polarity check.
+    let until = board.now() + PATIENCE;
+    while let Err(error) = board.home() {
+        if !matches!(error, BoardError::Refused(Refusal::Moving)) || board.now() >= until {
+            return Err(error.into());
+        }
+        board.rows(Duration::from_millis(20))?;
+    }
     // The next control step computes the new pose.
     let axes = board.device()?.map_or(0, |device| device.axes());
     let status = board.status()?;

@@ -281,11 +281,18 @@ pub fn run(args: Args) -> Result<(), Failure> {
 /// What the board is to hold afterwards: what it holds now, or what it held before a measurement that was killed.
 fn before(board: &mut Board, progress: &Progress) -> Result<Before, Failure> {
     let now = Before::of(board)?;
-    if !now.is_left_over() {
-        return Ok(now);
-    }
     let serial = board.info().serial.clone();
     let kept = progress.before.as_ref().filter(|kept| kept.serial == serial.as_str());
+    if !now.is_left_over() {
+        // Cut short before it had set its scene, it has left its rules.
+        let Some(Ok(Some(before))) = kept.map(|kept| now.without_its_rules(kept)) else { return Ok(now) };
+        haptic::tell!(
+            "the rules on the board were left by a measurement that was cut short: those before it are put back"
+        );
+        board.disarm()?;
+        board.set_rules(before.rules())?;
+        return Ok(before);
+    }
     let Some(Ok((before, as_before))) = kept.map(|kept| now.from_kept(kept)) else {
         haptic::tell!(
             "the scene on the board was left by a measurement that was cut short: load yours again with `haptic scene`, \

@@ -6,6 +6,7 @@ pub use haptic::plausible::counted;
 use haptic::precision::print_json;
 use haptic_bridge::render::scene::{FeedForward, Scene, Wall};
 use haptic_bridge::safety::fault::{FaultRecord, State};
+use haptic_bridge::servo::{HostAction, Rules};
 use std::io::{BufRead, IsTerminal};
 use std::net::{SocketAddr, ToSocketAddrs};
 
@@ -133,6 +134,28 @@ pub fn fault_alone(record: &FaultRecord, rate_hz: f32) -> String {
     let axis = record.axis.map_or(String::new(), |axis| format!(", joint {axis}"));
     let seconds = f64::from(record.step) / f64::from(rate_hz.max(1.0));
     format!("{}{axis}, value {}, {seconds:.3} s after boot", record.fault, record.value)
+}
+
+/// Says on standard error which protection is weaker under the rules in force now than it was before.
+pub fn warn_of_weaker(before: &Rules, now: &Rules) {
+    if now.host_action != HostAction::Disarm && before.host_action == HostAction::Disarm {
+        haptic::tell!(
+            "the host is no longer watched: if this tool is killed or its cable pulled, the motors stay on as they are"
+        );
+    }
+    let (was, is) = (before.limits.tip_force, now.limits.tip_force);
+    if is > was {
+        haptic::tell!(
+            "walls, springs and fields may now push at the tip with {} N, before with {}",
+            short(is),
+            short(was)
+        );
+    }
+}
+
+/// What a command ends with whose motors a fault turned off.
+pub fn motors_off(record: &FaultRecord, rate_hz: f32) -> Failure {
+    Failure::impossible(format!("the motors are off: {}", fault_alone(record, rate_hz))).remedy(record.fault.remedy())
 }
 
 /// Numbers in a row, for people; what rounds to zero has no sign.

@@ -1,6 +1,6 @@
 //! `haptic restore`: puts a backup back into a board.
 
-use super::port::{Port, answer};
+use super::port::{Port, answer, warn_of_weaker};
 use haptic::backup::{Backup, Ready, Restored, restore};
 use haptic::error::Failure;
 use haptic::toml_file::Document;
@@ -32,7 +32,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.port.open()?;
     let ready = backup.ready().map_err(wrong)?;
     haptic::tell!("writing flash: the board pauses for up to a second");
+    let before = board.rules()?;
     restore(&mut board, &ready)?;
+    warn_of_weaker(&before, &board.rules()?);
     let mut report = String::new();
     for setting in &ready {
         report += &match setting.how {

@@ -1,6 +1,6 @@
 //! `haptic rules`: shows or changes what the board enforces, whatever a tool asks for.
 
-use super::port::{Port, answer, counted};
+use super::port::{Port, answer, counted, warn_of_weaker};
 use clap::ValueEnum;
 use haptic::error::Failure;
 use haptic_bridge::safety::limits::Limits;
@@ -114,11 +114,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         board.set_rules(&rules)?;
     }
     let now = board.rules()?;
-    if now.host_action != HostAction::Disarm && before.host_action == HostAction::Disarm {
-        haptic::tell!(
-            "the host is no longer watched: if this tool is killed or its cable pulled, the motors stay on as they are"
-        );
-    }
+    warn_of_weaker(&before, &now);
     answer(args.json, as_json(&now, joints), &in_words(&now, joints))
 }
 

@@ -30,7 +30,8 @@ pub struct Args {
     #[arg(long)]
     fast: bool,
     /// Ask of the user what a real board asks: verified motors, limits, homing, polarity check. The device is held for
-    /// you, at home when the board starts, until the motors are armed for the first time and their torque has ramped up
+    /// you, at home when the board starts and again after a polarity check, until the motors are armed for the first time
+    /// and their torque has ramped up
     #[arg(long)]
     strict: bool,
     /// What the simulated hand does

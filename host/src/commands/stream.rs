@@ -1,13 +1,15 @@
 //! `haptic stream`: telemetry to the terminal or to a CSV file, with every loss counted and shown.
 
 use super::force::Force;
-use super::port::{Port, counted, fault_in_words, short, wall_in_words};
+use super::port::{Port, counted, fault_in_words, motors_off, short, wall_in_words};
 use haptic::error::{Failure, print};
 use haptic::interrupt;
 use haptic::link::{Board, Column, LinkError, Losses, Row, columns, fields};
 use haptic::output;
 use haptic::recorder::{RecordError, Recorder, STATES, Value};
 use haptic_bridge::board::telemetry::{Field, Fields};
+use haptic_bridge::safety::fault::State;
+use haptic_bridge::servo::Status;
 use serde_json::json;
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
@@ -32,7 +34,7 @@ pub struct Args {
     /// Rows per second, at most the control rate [default: 10 on the terminal, 1000 to a file]
     #[arg(long, value_name = "HZ", value_parser = positive)]
     rate: Option<f64>,
-    /// Switch the motors on once rows come, and off at the end
+    /// Switch the motors on once rows come, and off at the end; an error where a fault turned them off before
     #[arg(long)]
     arm: bool,
     /// Stop after so many seconds of the board's time [default: until Ctrl-C]
@@ -143,10 +145,19 @@ pub fn run(args: Args) -> Result<(), Failure> {
     // Motors first: what may go wrong with a file comes after that.
     let disarmed = match ended {
         Ended::BoardLost(_) => Ok(()),
-        _ if args.arm => board.disarm(),
+        _ if args.arm => disarm(&mut board, rate_hz as f32),
         _ => Ok(()),
     };
-    finish(ended, board, follow, args.json).and(disarmed.map_err(Failure::from))
+    finish(ended, board, follow, args.json).and(disarmed)
+}
+
+/// Turns the motors off; an error where a fault did that before.
+fn disarm(board: &mut Board, rate_hz: f32) -> Result<(), Failure> {
+    board.disarm()?;
+    match board.status()? {
+        Status { state: State::Fault, fault: Some(record), .. } => Err(motors_off(&record, rate_hz)),
+        _ => Ok(()),
+    }
 }
 
 /// What a recording is of: lines for its head.

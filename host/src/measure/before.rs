@@ -68,6 +68,14 @@ impl Before {
         Ok((Self { scene, rules, ..self.clone() }, rules == then))
     }
 
+    /// The same with the rules of before a measurement that was cut short, where those in force are the ones that it set.
+    pub fn without_its_rules(&self, kept: &Kept) -> Result<Option<Self>, BackupError> {
+        let then = kept.rules.read::<Rules>()?;
+        let measuring = kept.measuring.as_ref().map(backup::Kept::read::<Rules>).transpose()?;
+        let left = measuring == Some(self.rules) && then != self.rules;
+        Ok(left.then(|| Self { rules: then, ..self.clone() }))
+    }
+
     /// The rules that were in force.
     #[must_use]
     pub fn rules(&self) -> &Rules {
@@ -121,7 +129,10 @@ mod tests {
         let kept = before.keep("1", &measuring.rules).unwrap();
         assert_eq!(measuring.from_kept(&kept).unwrap(), (before.clone(), true));
         assert_eq!(before.from_kept(&kept).unwrap(), (before.clone(), true));
+        assert_eq!(measuring.without_its_rules(&kept).unwrap(), Some(before.clone()));
+        assert_eq!(before.without_its_rules(&kept).unwrap(), None);
         let lowered = with_torque(0.5);
+        assert_eq!(lowered.without_its_rules(&kept).unwrap(), None);
         assert_eq!(lowered.from_kept(&kept).unwrap(), (lowered, false));
         // A file of an earlier version does not say what the measurement set.
         let kept = Kept { measuring: None, ..kept };

@@ -11,11 +11,14 @@ use crate::bench::probe::on_surface;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::{FeedForward, Scene, Surface, Wall};
+use haptic_bridge::safety::limits::GENTLE_FORCE;
 use nalgebra::{DVector, SVector};
 use serde::Serialize;
 
 /// Hand speed (m/s) at which a wall's damping alone should not take all of the motors.
 const SLOW: f64 = 0.1;
+/// Poses of each joint in which a device with so many joints is looked at.
+const PER_JOINT: [usize; 3] = [400, 60, 16];
 /// Carrier of the boards, Hz: torque follows the encoders by half a period of it.
 const CARRIER_HZ: f64 = 20_000.0;
 
@@ -53,6 +56,7 @@ pub fn doubts(device: &Device<f64>, scene: &Scene<f64>) -> (Vec<Doubt>, Vec<Cont
                     continue;
                 };
                 doubts.extend(beyond(wall, &contact, true));
+                doubts.extend(too_soft(device, wall, &contact));
                 contacts.push(contact);
             }
             Touched::Never(nearest) => doubts.push(out_of_reach(index, &wall.surface, nearest)),
@@ -182,25 +186,54 @@ enum Touched {
 /// The pose on a surface that is nearest to home.
 fn touched(device: &Device<f64>, surface: &Surface<f64>) -> Touched {
     let spec = device.mechanism.kind().spec();
-    let per_joint = [400, 60, 16][spec.joints - 1];
+    let per_joint = PER_JOINT[spec.joints - 1];
     let home = device.home.unwrap_or_default();
     let far = |q: &[f64]| q.iter().zip(home).map(|(q, home)| (q - home).powi(2)).sum::<f64>();
     let Ok(found) = on_surface(device, surface, per_joint, 0.0) else { return Touched::Unknown };
     if let Some(nearest) = found.iter().min_by(|a, b| far(&a.q[..spec.joints]).total_cmp(&far(&b.q[..spec.joints]))) {
         return Touched::At(nearest.q[..spec.joints].to_vec(), nearest.normal[..spec.task].to_vec());
     }
-    let Ok(grid) = Reachable::of(device, per_joint, None) else { return Touched::Unknown };
-    let distances = grid.indices().filter_map(|index| {
-        let pose = TaskPose::of(&device.mechanism, &grid.angles(index)).ok()?;
-        let tip = SVector::<f64, 3>::from_fn(|i, _| pose.position.get(i).copied().unwrap_or(0.0));
-        Some(surface.contact::<Libm, 3>(&tip).distance)
-    });
-    let (low, high) = distances.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), d| (l.min(d), h.max(d)));
+    let Some((low, high)) = distances(device, surface) else { return Touched::Unknown };
     match (low, high) {
         (low, _) if low > 0.0 && low.is_finite() => Touched::Never(Some(low)),
         (_, high) if high < 0.0 && high.is_finite() => Touched::Never(None),
         _ => Touched::Unknown,
     }
+}
+
+/// How near a surface the tip comes, negative inside it, and how far off, m; none where the workspace could not be walked.
+fn distances(device: &Device<f64>, surface: &Surface<f64>) -> Option<(f64, f64)> {
+    let grid = Reachable::of(device, PER_JOINT[device.mechanism.kind().spec().joints - 1], None).ok()?;
+    let distances = grid.indices().filter_map(|index| {
+        let pose = TaskPose::of(&device.mechanism, &grid.angles(index)).ok()?;
+        let tip = SVector::<f64, 3>::from_fn(|i, _| pose.position.get(i).copied().unwrap_or(0.0));
+        Some(surface.contact::<Libm, 3>(&tip).distance)
+    });
+    Some(distances.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), d| (l.min(d), h.max(d))))
+}
+
+/// A wall that gives a gentle force, or what the motors have, only at a depth beyond all that the tip moves towards and
+/// away from it. One without stiffness is meant to damp.
+fn too_soft(device: &Device<f64>, wall: &Wall<f64>, contact: &Contact) -> Option<Doubt> {
+    let force = contact.force.unwrap_or(f64::INFINITY).min(GENTLE_FORCE.into());
+    let depth = force / wall.stiffness;
+    // Reach is not looked for where any device has it.
+    if !(wall.stiffness > 0.0 && depth > 0.01) {
+        return None;
+    }
+    let (low, high) = distances(device, &wall.surface).filter(|(low, high)| low < high)?;
+    let text = format!(
+        "wall {} is so soft that it pushes with {} only {} deep, and the tip moves {} towards it at most: stiffness is \
+         in N/m, and {} N/mm are {} N/m",
+        contact.wall,
+        with_unit(force, "N"),
+        with_unit(depth, "m"),
+        with_unit(high - low, "m"),
+        digits(wall.stiffness),
+        digits(1e3 * wall.stiffness),
+    );
+    let key = Key { table: "wall", index: Some(contact.wall), part: "", name: "stiffness" };
+    (depth > high - low).then(|| Doubt::new(key, text))
 }
 
 fn out_of_reach(index: usize, surface: &Surface<f64>, nearest: Option<f64>) -> Doubt {

@@ -23,7 +23,7 @@ use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device as BoardDevice;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
-use haptic_bridge::safety::limits::Limits;
+use haptic_bridge::safety::limits::{Limits, MOST_FORCE};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::frame::{Crest, Samples};
 use haptic_bridge::servo::joints::{Counts, Currents};
@@ -57,7 +57,8 @@ pub struct BoardOptions {
     /// start at zero wherever the device stands; otherwise they know their angle.
     pub strict: bool,
     /// What somebody does for the device from power-on until the motors carry it, as docs/bring-up.md asks of a user: while a
-    /// polarity check moves it, its weight is carried, and while the torque ramps up after arming, it is held.
+    /// polarity check moves it, its weight is carried; after that it is carried back; and while the torque ramps up after arming,
+    /// it is held.
     pub support: Support,
     /// Motor axes.
     pub axes: usize,
@@ -81,6 +82,10 @@ impl Default for BoardOptions {
         }
     }
 }
+
+/// Speed of the joint that has the longest way while a device is carried back that a polarity check has moved, rad/s: so
+/// fast that the board does not take it for one at rest.
+const BACK_SPEED: f64 = 1.0;
 
 /// How often the service looks at the servo, s.
 const POLL_SECONDS: f64 = 0.02;
@@ -179,6 +184,12 @@ impl Described for Innards {
     }
 }
 
+/// What nobody can raise the limits above: where the board takes its motors for real ones, the force of a real board.
+fn most(hardware: Hardware) -> Limits {
+    let limits = Limits::default();
+    if hardware.real { Limits { tip_force: MOST_FORCE, ..limits } } else { limits }
+}
+
 /// A board with a device on it.
 #[derive(Debug)]
 pub struct SimulatedBoard {
@@ -201,6 +212,8 @@ pub struct SimulatedBoard {
     going: bool,
     /// Since when the motors are armed, s.
     armed: Option<f64>,
+    /// From where and since when (s) the device is carried back to where it stood at power-on.
+    carried_back: Option<([f64; 3], f64)>,
 }
 
 impl SimulatedBoard {
@@ -228,7 +241,7 @@ impl SimulatedBoard {
         };
         let seen = Counts(device.counts());
         let mut board = Self {
-            service: Service::new(hardware, Limits::default()),
+            service: Service::new(hardware, most(hardware)),
             innards: Innards {
                 servo: Servo::new(hardware, Rules::default()),
                 flash: BTreeMap::new(),
@@ -250,6 +263,7 @@ impl SimulatedBoard {
             rounds: None,
             going: false,
             armed: None,
+            carried_back: None,
         };
         board.support_anew();
         board.service.boot(&mut board.innards);
@@ -348,6 +362,7 @@ impl SimulatedBoard {
             self.device.place(self.device.start());
             self.seen = Counts(self.device.counts());
         }
+        self.carried_back = None;
         self.device.set_support(support);
     }
 
@@ -367,6 +382,24 @@ impl SimulatedBoard {
         };
         if wanted != now {
             self.device.set_support(wanted);
+        }
+        let off = matches!(state, State::Disarmed | State::Fault);
+        if (now, wanted) == (Support::Carried, Support::Held) && off {
+            // The check has moved it, and homing again would take that for home.
+            self.carried_back = Some((self.device.q(), time));
+        }
+        self.carried_back = self.carried_back.filter(|_| off);
+        if let Some((from, since)) = self.carried_back {
+            let to = self.device.start();
+            let way: [f64; 3] = core::array::from_fn(|i| to[i] - from[i]);
+            let longest = way.iter().fold(0.0_f64, |longest, way| longest.max(way.abs()));
+            let share = (time - since) * BACK_SPEED / longest.max(1e-9);
+            if share < 1.0 {
+                self.device.place(core::array::from_fn(|i| from[i] + share * way[i]));
+            } else {
+                self.device.place(to);
+                self.carried_back = None;
+            }
         }
     }
 
@@ -503,7 +536,7 @@ impl SimulatedBoard {
         let heat = self.innards.servo.heat();
         self.innards.servo = Servo::new(self.hardware, Rules::default());
         self.innards.servo.start_heat(heat);
-        self.service = Service::new(self.hardware, Limits::default());
+        self.service = Service::new(self.hardware, most(self.hardware));
         self.drive = [Drive::Floating; 3];
         self.bridges = false;
         self.packer = Packer::default();

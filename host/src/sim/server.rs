@@ -17,8 +17,10 @@ pub trait Hosted {
     fn take_bytes(&mut self, buffer: &mut [u8]) -> usize;
     /// The tool is gone.
     fn hang_up(&mut self);
-    /// Lets seconds pass.
+    /// Lets seconds pass, and what is left of a control period by then.
     fn run(&mut self, seconds: f64);
+    /// Seconds since power-on.
+    fn time(&self) -> f64;
     /// For how long the host has sent no heartbeat, and for how long it may, s; none where the board does not mind.
     fn host_silence(&self) -> Option<(f64, f64)> {
         None
@@ -38,6 +40,9 @@ impl Hosted for SimulatedBoard {
     fn run(&mut self, seconds: f64) {
         Self::run(self, seconds);
     }
+    fn time(&self) -> f64 {
+        Self::time(self)
+    }
     fn host_silence(&self) -> Option<(f64, f64)> {
         Self::host_silence(self)
     }
@@ -46,7 +51,8 @@ impl Hosted for SimulatedBoard {
 /// How simulated time passes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pace {
-    /// With the wall clock; when the computer is too slow, later.
+    /// With the wall clock and never ahead of it, but for what one request or control period takes; when the computer is
+    /// too slow, later.
     RealTime,
     /// As fast as the computer can while a tool is connected and reads; no telemetry is dropped. Where the board turns
     /// its motors off when the tool is silent, simulated time does not run away from the tool: from a quarter of that
@@ -63,13 +69,18 @@ const CATCH_UP: f64 = 0.1;
 pub fn serve(board: &mut impl Hosted, door: &Door, pace: Pace, stop: &AtomicBool) {
     let mut tools = Tools::default();
     let began = Instant::now();
-    let mut ran = 0.0;
+    let start = board.time();
     let mut skipped = 0.0;
     // Since when the host is silent on the wall clock, and for how long it was by the board's.
     let mut heard = (Instant::now(), 0.0);
     while !stop.load(Ordering::SeqCst) {
         let now = began.elapsed().as_secs_f64() - skipped;
-        let behind = now - ran;
+        // By the board's own time: requests take some, and a slice ends with a control period.
+        let behind = now - (board.time() - start);
+        if pace == Pace::RealTime && behind < -SLICE {
+            std::thread::sleep(Duration::from_secs_f64(SLICE));
+            continue;
+        }
         let idle = match pace {
             Pace::RealTime => behind < SLICE,
             Pace::AsFastAsItCan => {
@@ -116,7 +127,6 @@ pub fn serve(board: &mut impl Hosted, door: &Door, pace: Pace, stop: &AtomicBool
                 skipped += behind - CATCH_UP;
             }
             board.run(SLICE);
-            ran += SLICE;
         }
         tools.pass_on(board);
     }
