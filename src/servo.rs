@@ -247,8 +247,8 @@ where
     }
 
     /// The motors' heat, to be handed to [`Servo::start_heat`] of the run after this.
-    pub fn heat(&self) -> [Heat; MAX_JOINTS] {
-        self.heat
+    pub fn heat(&self) -> &[Heat; MAX_JOINTS] {
+        &self.heat
     }
 
     /// What telemetry records of the last step, with the present state.

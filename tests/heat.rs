@@ -2,7 +2,8 @@
 
 mod rig;
 
-use haptic_bridge::drive::heat::{Heat, WORDS};
+use core::sync::atomic::{AtomicU32, Ordering};
+use haptic_bridge::drive::heat::{Heat, KEPT, WORDS, keep, kept};
 use haptic_bridge::model::description::Motor;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::servo::{Command, Rules};
@@ -194,6 +195,22 @@ fn words_that_are_no_heat_are_one_that_nobody_knows() {
     }
 }
 
+#[test]
+fn what_is_kept_over_a_restart_is_all_of_it_or_nothing() {
+    let memory: [AtomicU32; KEPT] = [const { AtomicU32::new(0) }; KEPT];
+    assert_eq!(kept(&memory), [Heat::UNKNOWN; 3], "memory without power");
+    let mut heat = [motor_of(3.0, 1.0), unknown(20.0, 5.0), Heat::default()];
+    heat[0].warm(5.0, 0.0);
+    keep(&heat, &memory);
+    assert_eq!(kept(&memory), heat);
+    // A restart in the middle of the next writing.
+    for place in 0..KEPT {
+        let before = memory[place].fetch_xor(1 << (place % 32), Ordering::Relaxed);
+        assert_eq!(kept(&memory), [Heat::UNKNOWN; 3], "word {place}");
+        memory[place].store(before, Ordering::Relaxed);
+    }
+}
+
 #[derive(Clone, Debug)]
 enum Event {
     Rules { most: f32, steady: f32 },
@@ -284,7 +301,7 @@ fn raised() -> Rules {
 #[test]
 fn a_restart_does_not_let_a_motor_cool_faster() {
     let mut rig = heated();
-    let heat = rig.servo.heat();
+    let heat = *rig.servo.heat();
     rig.execute(Command::Clear).unwrap();
     rig.execute(Command::Rules(raised())).unwrap();
     let mut again = Rig::bare(hardware(), raised());
@@ -354,7 +371,7 @@ fn heat_that_nobody_knows_stays_unknown_over_a_restart() {
         rig
     };
     for (first, then) in [(1.5, 20.0), (20.0, 3.0)] {
-        let kept = boot([Heat::UNKNOWN; 3], first).servo.heat();
+        let kept = *boot([Heat::UNKNOWN; 3], first).servo.heat();
         let held = boot(kept, then).servo.heat()[0].held();
         let half = 0.5 * 4.0 * (then * then - 1.0);
         assert!((held - half).abs() < 0.01 * half, "{first} A, then {then} A: {held} A² s, not {half}");

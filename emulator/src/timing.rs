@@ -74,7 +74,7 @@ impl Timing {
                 valley = valley.max(length);
                 continue;
             }
-            plain.push(length);
+            plain.push(length - counts[sampled]);
             for (sum, count) in sums.iter_mut().zip(counts) {
                 *sum += count;
             }
@@ -128,7 +128,7 @@ pub fn table(timings: &[Timing]) -> String {
         its first to the one that returns, given to the function of the source that it came from (emulator/src/stages.rs).\n\
         Stages are means over the steps, which run at the carrier's crests. Requests of the tasks (at least 50 a second, for\n\
         the status) are carried out at its valleys. Jitter is the longest less the shortest. Waiting for the converters is time, not work: its count depends on the\n\
-        emulator's speed. Instructions are no cycles: on silicon expect 1.9 to 2.3 cycles each.\n\n"
+        emulator's speed, and the sums are without it. Instructions are no cycles: on silicon expect 1.9 to 2.3 cycles each.\n\n"
         .to_owned();
     let mut row = |name: &str, cells: Vec<String>| {
         let _ = writeln!(text, "| {name} | {} |", cells.join(" | "));

@@ -27,7 +27,6 @@ use crate::servo::{self, Answer, Request};
 use crate::stack;
 use crate::storage::Storage;
 use crate::supervisor;
-use crate::warmth;
 use crate::watchdog;
 
 /// Programs that exist at most: the one that runs and the one that replaces it.
@@ -76,8 +75,6 @@ impl Panel {
         let _ = self.requests.enqueue(request);
         loop {
             if let Some(answer) = self.answers.dequeue() {
-                // At every look at the servo, a few times a second, what a reset must not cool is put where it stays.
-                warmth::keep(answer.heat);
                 return answer;
             }
         }

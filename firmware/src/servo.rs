@@ -32,6 +32,7 @@ use static_cell::StaticCell;
 
 use crate::board::{Board, Io as _, This};
 use crate::critical;
+use crate::warmth;
 
 /// What tasks ask of the control interrupt, one at a time.
 pub enum Request {
@@ -53,8 +54,6 @@ pub struct Answer {
     pub status: Status,
     /// Of a [`Request::Force`].
     pub force: Option<ForceAnswer>,
-    /// The motors' heat.
-    pub heat: [Heat; MAX_JOINTS],
 }
 
 /// Most requests and answers under way.
@@ -237,11 +236,13 @@ impl Step {
                 (Ok(()), None)
             }
         };
+        // A few times a second, what a reset must not cool is put where it stays.
+        warmth::keep(self.servo.heat());
         let status = self.servo.status();
         if !matches!(status.state, State::Armed | State::CheckingPolarity) {
             self.connect(false);
         }
-        let _ = self.answers.enqueue(Answer { reply, status, force, heat: self.servo.heat() });
+        let _ = self.answers.enqueue(Answer { reply, status, force });
     }
 
     /// Connects the bridges or lets them float. Floating drops the gate drivers as well; connecting needs them ready.
@@ -308,9 +309,9 @@ impl Step {
 /// acts for half a carrier period too long, and where some steps are late, most will be.
 const LATE_CRESTS: u8 = 64;
 
-/// Core cycles from here until duties are written: the current loops of three motors take 234 instructions
+/// Core cycles from here until duties are written: the current loops of three motors take some 310 instructions
 /// (docs/results/timing.md).
-const LEGS_CYCLES: u16 = 640;
+const LEGS_CYCLES: u16 = 768;
 
 /// Whether the carrier has passed its valley since the crest.
 fn past_valley() -> bool {

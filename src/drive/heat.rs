@@ -1,5 +1,8 @@
 //! The thermal budget of a motor: I²t above what it stands for ever. It knows the current, not the temperature.
 
+use crate::model::catalogue::MAX_JOINTS;
+use core::sync::atomic::{AtomicU32, Ordering};
+
 /// Time a motor stands its maximum current before the budget trips, s.
 pub const PEAK_SECONDS: f32 = 4.0;
 
@@ -8,6 +11,38 @@ pub const WAIT_SECONDS: f32 = 60.0;
 
 /// Words that a [`Heat`] is kept in.
 pub const WORDS: usize = 7;
+
+/// Words that the heat of all motors is kept in, with their checksum.
+pub const KEPT: usize = WORDS * MAX_JOINTS + 1;
+
+/// Starts the checksum: says that heats were written and not that memory happens to hold something.
+const MARK: u32 = 0x4845_4154;
+
+fn with(sum: u32, word: u32) -> u32 {
+    (sum ^ word).wrapping_mul(0x0100_0193)
+}
+
+/// Writes the heat of all motors to memory that a restart leaves alone.
+#[inline(never)]
+pub fn keep(heat: &[Heat; MAX_JOINTS], memory: &[AtomicU32; KEPT]) {
+    let mut sum = MARK;
+    for (heat, memory) in heat.iter().zip(memory.chunks_exact(WORDS)) {
+        for (word, place) in heat.words().into_iter().zip(memory) {
+            place.store(word, Ordering::Relaxed);
+            sum = with(sum, word);
+        }
+    }
+    memory[KEPT - 1].store(sum, Ordering::Relaxed);
+}
+
+/// What [`keep`] wrote, if it is whole: a restart in the middle of it, or a time without power, leave nothing that is known.
+pub fn kept(memory: &[AtomicU32; KEPT]) -> [Heat; MAX_JOINTS] {
+    let word = |i: usize| memory[i.min(KEPT - 1)].load(Ordering::Relaxed);
+    let words: [[u32; WORDS]; MAX_JOINTS] =
+        core::array::from_fn(|motor| core::array::from_fn(|i| word(WORDS * motor + i)));
+    let whole = word(KEPT - 1) == words.iter().flatten().fold(MARK, |sum, word| with(sum, *word));
+    if whole { words.map(Heat::from_words) } else { [Heat::UNKNOWN; MAX_JOINTS] }
+}
 
 /// What heat one motor holds. It belongs to the motor and outlasts devices, rules and restarts. The default is a cold motor
 /// of which nothing is allowed yet.

@@ -533,7 +533,7 @@ impl SimulatedBoard {
     fn restart(&mut self) {
         self.innards.staged.clear();
         // RAM is not cleared, and motors do not cool by a reset.
-        let heat = self.innards.servo.heat();
+        let heat = *self.innards.servo.heat();
         self.innards.servo = Servo::new(self.hardware, Rules::default());
         self.innards.servo.start_heat(heat);
         self.service = Service::new(self.hardware, most(self.hardware));
