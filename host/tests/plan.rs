@@ -1,6 +1,6 @@
 //! Only what a scene needs: what the planner chooses, that it costs less for less, and that its error holds elsewhere.
 
-use haptic::bench::error::{Terms, Trigonometry, errors};
+use haptic::bench::error::{Law, Terms, Trigonometry, errors};
 use haptic::device_file::DeviceFile;
 use haptic::plan::{Budget, HAND_SPEED, Plan, cost, plan, touched};
 use haptic::scene_file::SceneFile;
@@ -92,7 +92,8 @@ fn the_error_holds_at_poses_the_planner_did_not_look_at() {
         let plan = plan(&device, &file.scene, Budget::Percent(budget), speed).unwrap();
         let elsewhere = touched(&device, &file.scene, other, speed).unwrap();
         assert!(elsewhere.len() > 50, "{name}: {} situations", elsewhere.len());
-        let errors = errors(&device, &elsewhere, &plan.mass, plan.terms, Trigonometry::Minimax).unwrap();
+        let law = Law::of(&file.scene).unwrap();
+        let errors = errors(&device, &elsewhere, &plan.mass, plan.terms, Trigonometry::Minimax, law).unwrap().given;
         assert!(100.0 * errors.share.max <= budget, "{name}: {errors:?}");
     }
 }
