@@ -1,5 +1,6 @@
 //! Only what a scene needs: what the planner chooses, that it costs less for less, and that its error holds elsewhere.
 
+use haptic::bench::counts::instructions;
 use haptic::bench::error::{Law, Terms, Trigonometry, errors};
 use haptic::device_file::DeviceFile;
 use haptic::plan::{Budget, HAND_SPEED, Plan, cost, plan, touched};
@@ -73,6 +74,32 @@ fn instructions_fall_as_a_scene_gets_simpler() {
             [two, one, without_terms, plain, empty].iter().map(|scene| cost(&device, scene, "exact")).collect();
         assert!(costs.windows(2).all(|pair| pair[0] > pair[1]), "{name}: {costs:?}");
         assert!(costs.iter().all(|cost| (50..5000).contains(cost)), "{name}: {costs:?}");
+    }
+}
+
+#[test]
+fn the_results_tell_the_instructions_that_were_counted() {
+    let page = include_str!("../../docs/results.md").replace('\n', " ");
+    let bench = include_str!("../../docs/results/speed-against-error.md");
+    let counted = |mechanism, terms| instructions(mechanism, "minimax", "exact", terms).unwrap();
+    let both = |mechanism| ["feed-forward", "feed-forward+z"].map(|terms| counted(mechanism, terms));
+    for mechanism in ["five-bar", "five-bar-turret", "parallelogram", "serial-3r"] {
+        let [without, with] = both(mechanism);
+        let row = format!("| {mechanism} | {without} | {with} | ");
+        assert!(page.contains(&row), "docs/results.md lacks {row}");
+        for (terms, count) in [("feed-forward", without), ("feed-forward+z", with)] {
+            let row = format!("| minimax | exact | {terms} | {count} | ");
+            assert!(bench.contains(&row), "docs/results/speed-against-error.md lacks {row}");
+        }
+    }
+    let ([without, with], none) = (both("five-bar"), counted("five-bar", "none"));
+    let root = without - instructions("five-bar", "minimax+vsqrt", "exact", "feed-forward").unwrap();
+    for told in [
+        format!("the five-bar's step takes {none} instructions; the feed-forward adds {}, ", without - none),
+        format!("the velocity terms {}.", with - without),
+        format!("would save {root} of them on the five-bar,"),
+    ] {
+        assert!(page.contains(&told), "docs/results.md lacks: {told}");
     }
 }
 
