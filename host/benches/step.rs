@@ -3,7 +3,7 @@
 //! What it takes on the chip is counted, not timed: `cargo xtask bench`.
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use haptic::bench::error::{Terms, torque};
+use haptic::bench::error::{Law, Terms, torque};
 use haptic::bench::precompute::{Precomputed, frozen, most_points, range, table};
 use haptic::bench::probe::workspace;
 use haptic::bench::report::devices;
@@ -12,6 +12,7 @@ use haptic::precision::rounded;
 use haptic_bridge::math::Minimax;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::model::precomputed::{Interpolation, MassModel};
+use haptic_bridge::render::scene::Scene;
 use haptic_bridge::with_mechanism;
 use std::hint::black_box;
 
@@ -22,13 +23,14 @@ fn torques<M: Mechanism<f32, N>, const N: usize>(
     probes: &[haptic::bench::probe::Probe],
 ) {
     let mass = MassModel::<f32, N>::new::<M>(&model.data).expect("a model of this mechanism");
+    let law = Law::of(&Scene::default()).expect("the default cutoff");
     for terms in Terms::ALL {
         let name = format!("{}, {}, {}", M::SPEC.name, model.name(), terms.name());
         let mut next = probes.iter().cycle();
         criterion.bench_function(&name, |bench| {
             bench.iter(|| {
                 let probe = next.next().expect("a cycle does not end");
-                torque::<f32, Minimax, M, N>(mechanism, (&mass, &model.values), terms, black_box(probe))
+                torque::<f32, Minimax, M, N>(mechanism, (&mass, &model.values), terms, law, black_box(probe))
             });
         });
     }

@@ -2,11 +2,12 @@
 //!
 //! The planner looks at where the scene's walls can be touched, with which normals, how hard the motors can push there
 //! and how fast a hand can move; it tries every mass model with and without velocity terms from the cheapest on, in the
-//! board's own precision, and takes the first whose error stays inside [`MARGIN`] of the budget. What it decides is a
-//! scene (with `velocity_terms` and `feed_forward` set) and a mass model, and the board runs exactly that.
+//! board's own precision, and takes the first whose error stays inside [`MARGIN`] of the budget. Where the board lets its
+//! velocity terms fade no choice brings them back: what stays there is told, and not held against the budget. What it
+//! decides is a scene (with `velocity_terms` and `feed_forward` set) and a mass model, and the board runs exactly that.
 
 use crate::bench::counts;
-use crate::bench::error::{Errors, Terms, Trigonometry, errors};
+use crate::bench::error::{Errors, Found, Law, Terms, Trigonometry, errors};
 use crate::bench::precompute::{Precomputed, frozen, most_points, range, table};
 use crate::bench::probe::{Probe, on_surface};
 use crate::error::Failure;
@@ -53,9 +54,12 @@ pub struct Candidate {
     pub terms: &'static str,
     /// Instructions of the slowest control step on the Cortex-M4F.
     pub instructions: u32,
-    /// Its error; none was needed for what could not be cheaper.
+    /// Its error, with what fades whatever is chosen.
     pub errors: Errors,
-    /// That error as a share of the budget.
+    /// What of the error another choice could take away.
+    #[serde(skip)]
+    pub given: Errors,
+    /// That as a share of the budget.
     pub used: f64,
 }
 
@@ -125,7 +129,7 @@ fn plan_on(
         return Ok(Plan { scene, mass, terms: Terms::None, instructions, errors, candidates: Vec::new(), reasons });
     }
 
-    let wanted = scene.velocity_terms;
+    let (wanted, law) = (scene.velocity_terms, Law::of(&scene)?);
     let used_of = |terms| if terms == Terms::FeedForwardZ { wanted } else { VelocityTerms::Off };
     let mut ways = Vec::new();
     for mass in models(device, &probes) {
@@ -142,9 +146,9 @@ fn plan_on(
     let mut candidates: Vec<Candidate> = Vec::new();
     let mut chosen = None;
     for (instructions, terms, mass) in ways {
-        let errors = errors(device, &probes, &mass, terms, Trigonometry::Minimax)?;
-        let used = budget.used(&errors);
-        candidates.push(Candidate { model: mass.name(), terms: terms.name(), instructions, errors, used });
+        let Found { whole: errors, given } = errors(device, &probes, &mass, terms, Trigonometry::Minimax, law)?;
+        let used = budget.used(&given);
+        candidates.push(Candidate { model: mass.name(), terms: terms.name(), instructions, errors, given, used });
         if chosen.is_none() && used <= MARGIN {
             chosen = Some((instructions, terms, mass, errors));
         }
@@ -152,8 +156,8 @@ fn plan_on(
     let Some((instructions, terms, mass, errors)) = chosen else {
         let best = candidates.iter().min_by(|a, b| a.used.total_cmp(&b.used));
         let least = best.map_or(f64::NAN, |best| match budget {
-            Budget::Percent(_) => 100.0 * best.errors.share.max / MARGIN,
-            Budget::OneDutyStep => best.errors.duty.max / MARGIN,
+            Budget::Percent(_) => 100.0 * best.given.share.max / MARGIN,
+            Budget::OneDutyStep => best.given.duty.max / MARGIN,
         });
         let (wanted, unit) = match budget {
             Budget::Percent(percent) => (percent, "percent"),
@@ -165,7 +169,9 @@ fn plan_on(
         .remedy(format!("allow more with --error {:.2}", least * 1.1)));
     };
     scene.velocity_terms = used_of(terms);
-    reasons.extend(explain(&candidates, terms, &mass, budget, speed));
+    let [faded, _] = law.fading(device, &probes);
+    let fading = (wanted != VelocityTerms::Off && faded > 0.0).then_some((faded, law.lag));
+    reasons.extend(explain(&candidates, terms, &mass, budget, speed, fading));
     Ok(Plan { scene, mass, terms, instructions, errors, candidates, reasons })
 }
 
@@ -214,11 +220,19 @@ pub fn cost(device: &Device<f64>, scene: &Scene<f64>, model: &str) -> u32 {
     one + more + plain * per_wall
 }
 
-fn explain(candidates: &[Candidate], terms: Terms, mass: &Precomputed, budget: Budget, speed: f64) -> Vec<String> {
+/// `fading`: the share of the situations in which velocity terms fade, and by how much the estimate lags, s.
+fn explain(
+    candidates: &[Candidate],
+    terms: Terms,
+    mass: &Precomputed,
+    budget: Budget,
+    speed: f64,
+    fading: Option<(f64, f64)>,
+) -> Vec<String> {
     let find = |model: &str, terms: Terms| candidates.iter().find(|c| c.model == model && c.terms == terms.name());
     // As a person feels it; 99 of 100 situations, because the last of them are those next to singularities.
-    let size = |candidate: &Candidate| {
-        let Errors { force, share, duty, .. } = &candidate.errors;
+    let size = |errors: &Errors| {
+        let Errors { force, share, duty, .. } = errors;
         let most = match budget {
             Budget::Percent(_) => format!("{} of what the motors give", percent(share.max)),
             Budget::OneDutyStep => format!("{:.1} steps of the duty", duty.max),
@@ -227,19 +241,29 @@ fn explain(candidates: &[Candidate], terms: Terms, mass: &Precomputed, budget: B
     };
     let mut reasons = Vec::new();
     if let Some(without) = find("exact", Terms::FeedForward) {
-        let size = size(without);
-        reasons.push(if terms == Terms::FeedForward {
-            format!("at {speed} m/s the forces of motion are {size}: too little to compute")
-        } else {
-            format!("at {speed} m/s the forces of motion are {size}: they are compensated")
-        });
+        let verdict = match terms {
+            Terms::FeedForward if budget.used(&without.errors) <= MARGIN => "too little to compute",
+            Terms::FeedForward => "where they do not fade anyway, too little to compute",
+            _ if fading.is_some() => "they are compensated but for what fades",
+            _ => "they are compensated",
+        };
+        reasons.push(format!("at {speed} m/s the forces of motion are {}: {verdict}", size(&without.errors)));
+    }
+    if let (Some((share, lag)), Some(whole)) = (fading, find("exact", Terms::FeedForwardZ)) {
+        reasons.push(format!(
+            "estimated velocities lag by {:.2} ms, so the velocity terms fade where the joints turn fast near a singular pose, in {} of the \
+             situations: up to {} of the forces of motion stay there, whatever computes them; a higher rate and cutoff leave less",
+            1.0e3 * lag,
+            percent(share),
+            newtons(whole.errors.force.max)
+        ));
     }
     if let Some(one) = find("frozen", terms) {
         let verdict = match mass.name() {
             "frozen" => "so one matrix does",
             _ => "so the matrix has to follow the pose",
         };
-        reasons.push(format!("one mass matrix for all of the walls is wrong by {}, {verdict}", size(one)));
+        reasons.push(format!("one mass matrix for all of the walls is wrong by {}, {verdict}", size(&one.given)));
     }
     if let (Some(exact), Some(table), false) = (find("exact", terms), find("bilinear", terms), mass.name() == "frozen")
     {

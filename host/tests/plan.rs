@@ -1,6 +1,7 @@
 //! Only what a scene needs: what the planner chooses, that it costs less for less, and that its error holds elsewhere.
 
-use haptic::bench::error::{Terms, Trigonometry, errors};
+use haptic::bench::counts::instructions;
+use haptic::bench::error::{Law, Terms, Trigonometry, errors};
 use haptic::device_file::DeviceFile;
 use haptic::plan::{Budget, HAND_SPEED, Plan, cost, plan, touched};
 use haptic::scene_file::SceneFile;
@@ -77,6 +78,32 @@ fn instructions_fall_as_a_scene_gets_simpler() {
 }
 
 #[test]
+fn the_results_tell_the_instructions_that_were_counted() {
+    let page = include_str!("../../docs/results.md").replace('\n', " ");
+    let bench = include_str!("../../docs/results/speed-against-error.md");
+    let counted = |mechanism, terms| instructions(mechanism, "minimax", "exact", terms).unwrap();
+    let both = |mechanism| ["feed-forward", "feed-forward+z"].map(|terms| counted(mechanism, terms));
+    for mechanism in ["five-bar", "five-bar-turret", "parallelogram", "serial-3r"] {
+        let [without, with] = both(mechanism);
+        let row = format!("| {mechanism} | {without} | {with} | ");
+        assert!(page.contains(&row), "docs/results.md lacks {row}");
+        for (terms, count) in [("feed-forward", without), ("feed-forward+z", with)] {
+            let row = format!("| minimax | exact | {terms} | {count} | ");
+            assert!(bench.contains(&row), "docs/results/speed-against-error.md lacks {row}");
+        }
+    }
+    let ([without, with], none) = (both("five-bar"), counted("five-bar", "none"));
+    let root = without - instructions("five-bar", "minimax+vsqrt", "exact", "feed-forward").unwrap();
+    for told in [
+        format!("the five-bar's step takes {none} instructions; the feed-forward adds {}, ", without - none),
+        format!("the velocity terms {}.", with - without),
+        format!("would save {root} of them on the five-bar,"),
+    ] {
+        assert!(page.contains(&told), "docs/results.md lacks: {told}");
+    }
+}
+
+#[test]
 fn the_error_holds_at_poses_the_planner_did_not_look_at() {
     let budget = 1.0;
     for (name, file, other) in [
@@ -92,7 +119,8 @@ fn the_error_holds_at_poses_the_planner_did_not_look_at() {
         let plan = plan(&device, &file.scene, Budget::Percent(budget), speed).unwrap();
         let elsewhere = touched(&device, &file.scene, other, speed).unwrap();
         assert!(elsewhere.len() > 50, "{name}: {} situations", elsewhere.len());
-        let errors = errors(&device, &elsewhere, &plan.mass, plan.terms, Trigonometry::Minimax).unwrap();
+        let law = Law::of(&file.scene).unwrap();
+        let errors = errors(&device, &elsewhere, &plan.mass, plan.terms, Trigonometry::Minimax, law).unwrap().given;
         assert!(100.0 * errors.share.max <= budget, "{name}: {errors:?}");
     }
 }

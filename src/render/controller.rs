@@ -454,18 +454,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// The share of the velocity terms that estimated velocities can tell, see [`KNOWN_TURN`].
     #[inline(always)]
     fn known(&self, pose: &M::Pose, qd: &SVector<T, N>) -> T {
-        let regularity = self.mechanism.regularity(pose);
-        let near = regularity.serial.lesser(regularity.parallel);
-        let turned = qd.iter().fold(T::zero(), |most, v| most.greater(v.abs())) * self.coefficients.lag();
-        if turned <= near * T::from_f64(KNOWN_TURN) {
-            return T::one();
-        }
-        let unknown = near * T::from_f64(UNKNOWN_TURN);
-        if turned >= unknown {
-            return T::zero();
-        }
-        let s = (unknown - turned) / (near * T::from_f64(UNKNOWN_TURN - KNOWN_TURN));
-        s * s * (T::from_f64(3.0) - s - s)
+        known_share(&self.mechanism.regularity(pose), qd, self.coefficients.lag())
     }
 
     /// Declares the joints to be at `q` (rad) for these counts. Estimators start anew.
@@ -548,6 +537,23 @@ fn task_part<T: Real, M: Mechanism<T, N>, const N: usize>(v: &SVector<T, N>) -> 
         part[i] = T::zero();
     }
     part
+}
+
+/// The share of the velocity terms that acts at joint velocities `qd` (rad/s) whose estimate lags by `lag` (s), see
+/// [`KNOWN_TURN`].
+#[inline(always)]
+pub fn known_share<T: Real, const N: usize>(regularity: &Regularity<T>, qd: &SVector<T, N>, lag: T) -> T {
+    let near = regularity.serial.lesser(regularity.parallel);
+    let turned = qd.iter().fold(T::zero(), |most, v| most.greater(v.abs())) * lag;
+    if turned <= near * T::from_f64(KNOWN_TURN) {
+        return T::one();
+    }
+    let unknown = near * T::from_f64(UNKNOWN_TURN);
+    if turned >= unknown {
+        return T::zero();
+    }
+    let s = (unknown - turned) / (near * T::from_f64(UNKNOWN_TURN - KNOWN_TURN));
+    s * s * (T::from_f64(3.0) - s - s)
 }
 
 /// How much several walls are like one, for which a gain of the feed-forward above 1 is meant: a smooth step from 1,

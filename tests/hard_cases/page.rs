@@ -130,5 +130,5 @@ What follows from the tables:
   ones every route through M fails, and the one through Λ in task space keeps the most.
 - Neither walls at 1e-4 rad nor walls 1e4 times as stiff as their neighbours cost a digit, nor do thousands of turns,
   nor motors at their limit; an elbow and the rods together keep the four digits as each does alone. What velocity terms
-  lose, they lose to encoder steps: a thousand times what f32 costs.
+  lose, they lose to encoder steps: with 20 000 counts a turn 2000 to 17 000 times what f32 costs, with 2²⁰ 15 to 330.
 ";

@@ -1,7 +1,8 @@
 //! The torque a variant renders, by the board's own code in the board's precision, against f64 and the closed form.
 //!
-//! The reference renders the wall's force whatever moves (docs/model.md section 2), so what a variant leaves out counts.
-//! Torques are told as forces at the tip, J⁻ᵀ Δτ: what a hand there would have to hold.
+//! The reference is the scene's law with all of its velocity terms (docs/model.md section 2), so what a variant leaves
+//! out counts, and so does what the board lets fade because its estimates of velocities lag. Torques are told as forces
+//! at the tip, J⁻ᵀ Δτ: what a hand there would have to hold.
 
 use crate::bench::precompute::Precomputed;
 use crate::bench::probe::Probe;
@@ -14,6 +15,9 @@ use haptic_bridge::model::inertia::{frame_rate, shaped_torque_beside};
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::model::precomputed::MassModel;
 use haptic_bridge::model::solve::solve_symmetric;
+use haptic_bridge::render::controller::known_share;
+use haptic_bridge::render::scene::{Scene, VelocityTerms};
+use haptic_bridge::render::velocity::Coefficients;
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 use serde::Serialize;
@@ -45,6 +49,45 @@ impl Terms {
             Terms::FeedForward => "feed-forward",
             Terms::FeedForwardZ => "feed-forward+z",
         }
+    }
+}
+
+/// The law of the velocity terms, and how far behind the estimated velocities are from which they are computed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Law {
+    /// Which; `Off` is judged as `Rendered`, by what it leaves out.
+    pub terms: VelocityTerms,
+    /// s
+    pub lag: f64,
+}
+
+impl Law {
+    /// Of a scene. Fails where its cutoff does not go with its rate.
+    pub fn of(scene: &Scene<f64>) -> Result<Self, Failure> {
+        let estimator = Coefficients::new(scene.estimator, scene.rate_hz, scene.cutoff_hz)
+            .map_err(|_| Failure::wrong("the cutoff must lie between 0 and half the control rate"))?;
+        Ok(Self { terms: scene.velocity_terms, lag: estimator.lag() })
+    }
+
+    /// The same from velocities that are known at once, where nothing fades.
+    fn whole(self) -> Self {
+        Self { lag: 0.0, ..self }
+    }
+
+    /// The shares of `probes` in which the velocity terms act with less than their whole, and not at all.
+    pub fn fading(self, device: &Device<f64>, probes: &[Probe]) -> [f64; 2] {
+        let shares: Vec<f64> =
+            with_mechanism!(&device.mechanism, m => probes.iter().map(|probe| self.share(m, probe)).collect());
+        [1.0, f64::MIN_POSITIVE].map(|below| {
+            let count = shares.iter().filter(|share| **share < below).count();
+            count as f64 / shares.len().max(1) as f64
+        })
+    }
+
+    /// The share of the velocity terms that acts in a situation.
+    fn share<M: Mechanism<f64, N>, const N: usize>(self, mechanism: &M, probe: &Probe) -> f64 {
+        let pose = mechanism.pose::<Libm>(&SVector::from_fn(|i, _| probe.q[i]));
+        known_share(&mechanism.regularity(&pose), &SVector::<f64, N>::from_fn(|i, _| probe.qd[i]), self.lag)
     }
 }
 
@@ -98,11 +141,22 @@ pub struct Errors {
     pub duty: Size,
 }
 
+/// A variant's errors, by what they are held against.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Found {
+    /// Against the whole law: what is wrong with the force.
+    pub whole: Errors,
+    /// Against what a board gives of it that computes without error and lets its velocity terms fade: what the choice of
+    /// a variant can change.
+    pub given: Errors,
+}
+
 /// The joint torques (N m) of `probe` under a mass model and terms, in the precision `T`.
 pub fn torque<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     mechanism: &M,
     (mass, values): (&MassModel<T, N>, &[T]),
     terms: Terms,
+    law: Law,
     probe: &Probe,
 ) -> [f64; MAX_JOINTS] {
     let vector = |values: &[f64; MAX_JOINTS]| SVector::<T, N>::from_fn(|i, _| T::from_f64(values[i]));
@@ -117,10 +171,13 @@ pub fn torque<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
             let tip =
                 SVector::from_fn(|i, _| if i < M::SPEC.task { T::from_f64(probe.velocity[i]) } else { T::zero() });
             let turning = -frame_rate(&n, &vector(&probe.normal_rate), &tip);
-            b = mechanism.velocity_torque(&pose, &vector(&probe.qd)) + mechanism.shaping(&pose, &turning).me;
+            let qd = vector(&probe.qd);
+            b = mechanism.velocity_torque(&pose, &qd) + mechanism.shaping(&pose, &turning).me;
+            b *= known_share(&mechanism.regularity(&pose), &qd, T::from_f64(law.lag));
         }
-        // The rendered law: b is added whole, and none of it is left for the wall to meet.
-        shaped_torque_beside(&shaping, force, &b, &SVector::zeros())
+        // The paper leaves the rendered part of b for the wall to meet; the rendered law none of it.
+        let met = if law.terms == VelocityTerms::Paper { b } else { SVector::zeros() };
+        shaped_torque_beside(&shaping, force, &b, &met)
     };
     std::array::from_fn(|i| if i < N { torque[i].to_f64() } else { 0.0 })
 }
@@ -134,15 +191,16 @@ macro_rules! define {
             model: &Precomputed,
             terms: Terms,
             trigonometry: Trigonometry,
-        ) -> Result<Errors, Failure> {
+            law: Law,
+        ) -> Result<Found, Failure> {
             let board = rounded(&device.mechanism)?;
             Ok(match (&device.mechanism, &board) {
                 $((AnyMechanism::$Variant(exact), AnyMechanism::$Variant(board)) => match trigonometry {
-                    Trigonometry::Minimax => compare::<Minimax, _, _, $n>(device, exact, board, probes, model, terms),
-                    Trigonometry::Micromath => compare::<Micromath, _, _, $n>(device, exact, board, probes, model, terms),
-                    Trigonometry::Libm => compare::<Libm, _, _, $n>(device, exact, board, probes, model, terms),
+                    Trigonometry::Minimax => compare::<Minimax, _, _, $n>(device, exact, board, probes, model, terms, law),
+                    Trigonometry::Micromath => compare::<Micromath, _, _, $n>(device, exact, board, probes, model, terms, law),
+                    Trigonometry::Libm => compare::<Libm, _, _, $n>(device, exact, board, probes, model, terms, law),
                 },)*
-                _ => Errors::default(),
+                _ => Found::default(),
             })
         }
 
@@ -153,13 +211,14 @@ macro_rules! define {
             model: &Precomputed,
             terms: Terms,
             trigonometry: Trigonometry,
+            law: Law,
         ) -> Result<Parts, Failure> {
             let board = rounded(&device.mechanism)?;
             Ok(match (&device.mechanism, &board) {
                 $((AnyMechanism::$Variant(exact), AnyMechanism::$Variant(board)) => match trigonometry {
-                    Trigonometry::Minimax => parts_of::<Minimax, _, _, $n>(exact, board, probes, model, terms),
-                    Trigonometry::Micromath => parts_of::<Micromath, _, _, $n>(exact, board, probes, model, terms),
-                    Trigonometry::Libm => parts_of::<Libm, _, _, $n>(exact, board, probes, model, terms),
+                    Trigonometry::Minimax => parts_of::<Minimax, _, _, $n>(exact, board, probes, model, terms, law),
+                    Trigonometry::Micromath => parts_of::<Micromath, _, _, $n>(exact, board, probes, model, terms, law),
+                    Trigonometry::Libm => parts_of::<Libm, _, _, $n>(exact, board, probes, model, terms, law),
                 },)*
                 _ => Parts::default(),
             })
@@ -175,14 +234,28 @@ fn compare<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: us
     probes: &[Probe],
     model: &Precomputed,
     terms: Terms,
+    law: Law,
+) -> Found {
+    let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data) else { return Found::default() };
+    let torques: Vec<_> =
+        probes.iter().map(|probe| torque::<f32, K, B, N>(board, (&mass, &model.values), terms, law, probe)).collect();
+    let against = |law: Law| errors_of::<E, N>(device, exact, probes, &torques, law);
+    Found { whole: against(law.whole()), given: against(law) }
+}
+
+/// The errors of `torques` against a law.
+fn errors_of<E: Mechanism<f64, N>, const N: usize>(
+    device: &Device<f64>,
+    exact: &E,
+    probes: &[Probe],
+    found: &[[f64; MAX_JOINTS]],
+    law: Law,
 ) -> Errors {
-    let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data) else { return Errors::default() };
     let steps = duty_steps(device);
     let (mut torques, mut forces, mut shares, mut duties) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    for probe in probes {
-        let right = reference::<E, N>(exact, Terms::FeedForwardZ, probe);
-        let off = difference(torque::<f32, K, B, N>(board, (&mass, &model.values), terms, probe), right);
-        let whole = largest(reference::<E, N>(exact, Terms::None, probe));
+    for (probe, found) in probes.iter().zip(found) {
+        let off = difference(*found, reference::<E, N>(exact, Terms::FeedForwardZ, law, probe));
+        let whole = largest(reference::<E, N>(exact, Terms::None, law, probe));
         let share = |i: usize| off[i].abs() / device.joints[i].motor.map_or(whole, |motor| strongest(&motor));
         torques.push(largest(off));
         forces.push(at_the_tip::<E, N>(exact, probe, off));
@@ -197,8 +270,13 @@ pub fn strongest(motor: &Motor<f64>) -> f64 {
     motor.torque_constant.abs() * motor.max_current
 }
 
-fn reference<E: Mechanism<f64, N>, const N: usize>(exact: &E, terms: Terms, probe: &Probe) -> [f64; MAX_JOINTS] {
-    torque::<f64, Libm, E, N>(exact, (&MassModel::Exact, &[]), terms, probe)
+fn reference<E: Mechanism<f64, N>, const N: usize>(
+    exact: &E,
+    terms: Terms,
+    law: Law,
+    probe: &Probe,
+) -> [f64; MAX_JOINTS] {
+    torque::<f64, Libm, E, N>(exact, (&MassModel::Exact, &[]), terms, law, probe)
 }
 
 /// Infinite where it is no number.
@@ -226,8 +304,10 @@ pub const STIFFNESS: f64 = 20_000.0;
 /// Where a variant's error comes from, each the largest over the situations and by itself.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Parts {
-    /// Terms left out, computed exactly: N at the tip.
+    /// Terms left out or faded, computed exactly: N at the tip.
     pub dropped: f64,
+    /// What nine of ten situations stay below of it.
+    pub dropped_mostly: f64,
     /// The mass model instead of the closed form: N at the tip.
     pub model: f64,
     /// Rounding in f32 and the trigonometry, of the torque of a given force: N at the tip.
@@ -244,17 +324,19 @@ fn parts_of<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: u
     probes: &[Probe],
     model: &Precomputed,
     terms: Terms,
+    law: Law,
 ) -> Parts {
     let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data) else { return Parts::default() };
     let mut parts = Parts { area: f64::INFINITY, ..Parts::default() };
     let more = |most: &mut f64, value: f64| *most = most.max(value);
+    let mut dropped = Vec::new();
     for probe in probes {
         let felt = |a, b| at_the_tip::<E, N>(exact, probe, difference(a, b));
-        let closed = torque::<f32, K, B, N>(board, (&MassModel::Exact, &[]), terms, probe);
-        let same = reference::<E, N>(exact, terms, probe);
-        more(&mut parts.dropped, felt(same, reference::<E, N>(exact, Terms::FeedForwardZ, probe)));
+        let closed = torque::<f32, K, B, N>(board, (&MassModel::Exact, &[]), terms, law, probe);
+        let same = reference::<E, N>(exact, terms, law, probe);
+        dropped.push(felt(same, reference::<E, N>(exact, Terms::FeedForwardZ, law.whole(), probe)));
         more(&mut parts.rounding, felt(closed, same));
-        let prepared = torque::<f32, K, B, N>(board, (&mass, &model.values), terms, probe);
+        let prepared = torque::<f32, K, B, N>(board, (&mass, &model.values), terms, law, probe);
         more(&mut parts.model, felt(prepared, closed));
 
         let (q, q32) = (SVector::<f64, N>::from_fn(|i, _| probe.q[i]), SVector::from_fn(|i, _| probe.q[i] as f32));
@@ -268,13 +350,16 @@ fn parts_of<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: u
         // The inertia met at rest: a newton's torque on the real mobility.
         let resting = Probe { qd: [0.0; MAX_JOINTS], force: 1.0, ..*probe };
         let without = if terms == Terms::None { Terms::None } else { Terms::FeedForward };
-        let newton = torque::<f32, K, B, N>(board, (&mass, &model.values), without, &resting);
+        let newton = torque::<f32, K, B, N>(board, (&mass, &model.values), without, law, &resting);
         let n = SVector::<f64, N>::from_fn(|i, _| probe.normal[i]);
         let moved = solve_symmetric(&exact.mass(&pose), &SVector::from_fn(|i, _| newton[i]));
         let met = 1.0 / exact.transpose(&pose, &n).dot(&moved);
         let ratio = met / exact.shaping(&pose, &n).w_rr;
         parts.area = parts.area.min(if ratio > 0.0 { ratio * ratio } else { 0.0 });
     }
+    dropped.sort_by(f64::total_cmp);
+    parts.dropped = dropped.last().copied().unwrap_or(0.0);
+    parts.dropped_mostly = dropped.get(dropped.len() * 9 / 10).copied().unwrap_or(parts.dropped);
     parts
 }
 

@@ -1,7 +1,7 @@
 //! Every variant of every mechanism with its cost and its error; the page and the picture made of them.
 
 use crate::bench::counts;
-use crate::bench::error::{Errors, Parts, STIFFNESS, Terms, Trigonometry, encoder_step, errors, parts};
+use crate::bench::error::{Errors, Law, Parts, STIFFNESS, Terms, Trigonometry, encoder_step, errors, parts};
 use crate::bench::precompute::{Precomputed, frozen, most_points, range, table};
 use crate::bench::probe::{Probe, workspace};
 use crate::device_file::DeviceFile;
@@ -16,6 +16,7 @@ use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::model::precomputed::{Interpolation, MassModel};
+use haptic_bridge::render::scene::Scene;
 use serde::Serialize;
 use std::fmt::Write;
 use std::hint::black_box;
@@ -55,6 +56,9 @@ pub struct Variant {
     pub error_rms: f64,
     /// All errors.
     pub errors: Errors,
+    /// The same beside what fades whatever is chosen.
+    #[serde(skip)]
+    pub given: Errors,
     /// Where they come from.
     pub parts: Parts,
     /// Nothing of the same mechanism is both cheaper and better: instructions against what is wrong with the force at the
@@ -76,10 +80,15 @@ fn probes(device: &Device<f64>) -> Vec<Probe> {
     workspace(device, density(device.mechanism.kind().spec().joints), HAND_SPEED).unwrap_or_default()
 }
 
+/// As a scene has it that says nothing.
+fn law() -> Result<Law, Failure> {
+    Law::of(&Scene::default())
+}
+
 /// Every variant of `device`; `timed` adds what this computer takes.
 pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failure> {
     let spec = device.mechanism.kind().spec();
-    let probes = probes(device);
+    let (probes, law) = (probes(device), law()?);
     let (points, range) = (most_points(device), range(device, &probes));
     let mut models = vec![Precomputed::default(), frozen(device, &probes)];
     models.extend(table(device, Interpolation::Bilinear, [points; 2], range));
@@ -96,17 +105,18 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
                 if terms == Terms::None && model.name() != "exact" {
                     continue;
                 }
-                let errors = errors(device, &probes, model, terms, trigonometry)?;
-                let parts = parts(device, &probes, model, terms, trigonometry)?;
+                let errors = errors(device, &probes, model, terms, trigonometry, law)?;
+                let parts = parts(device, &probes, model, terms, trigonometry, law)?;
                 let variant = |trig: &str, target, instructions, nanoseconds| Variant {
                     name: format!("{}/{trig}/{}/{}", spec.name, model.name(), terms.name()),
                     mechanism: spec.name,
                     target,
                     instructions,
                     nanoseconds,
-                    error_max: errors.torque.max,
-                    error_rms: errors.torque.rms,
-                    errors,
+                    error_max: errors.whole.torque.max,
+                    error_rms: errors.whole.torque.rms,
+                    errors: errors.whole,
+                    given: errors.given,
                     parts,
                     pareto: false,
                 };
@@ -115,7 +125,7 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
                     found.push(variant(name, "cortex-m4f", count, None));
                 }
                 if timed {
-                    let time = nanoseconds(device, &probes, model, terms, trigonometry)?;
+                    let time = nanoseconds(device, &probes, model, terms, trigonometry, law)?;
                     found.push(variant(names[names.len() - 1], "host", None, Some(time)));
                 }
             }
@@ -126,9 +136,10 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
 }
 
 impl Variant {
-    /// What is wrong with the force at the tip, N: of the torque, and of the wall's force at 20 kN/m.
+    /// What is wrong with the force at the tip, N: of the torque beside what fades in every variant, and of the wall's
+    /// force at 20 kN/m.
     pub fn felt(&self) -> f64 {
-        self.errors.force.max + self.parts.tip
+        self.given.force.max + self.parts.tip
     }
 }
 
@@ -153,12 +164,13 @@ macro_rules! define {
             model: &Precomputed,
             terms: Terms,
             trigonometry: Trigonometry,
+            law: Law,
         ) -> Result<f64, Failure> {
             Ok(match rounded(&device.mechanism)? {
                 $(AnyMechanism::$Variant(m) => match trigonometry {
-                    Trigonometry::Minimax => time::<Minimax, _, $n>(&m, probes, model, terms),
-                    Trigonometry::Micromath => time::<Micromath, _, $n>(&m, probes, model, terms),
-                    Trigonometry::Libm => time::<Libm, _, $n>(&m, probes, model, terms),
+                    Trigonometry::Minimax => time::<Minimax, _, $n>(&m, probes, model, terms, law),
+                    Trigonometry::Micromath => time::<Micromath, _, $n>(&m, probes, model, terms, law),
+                    Trigonometry::Libm => time::<Libm, _, $n>(&m, probes, model, terms, law),
                 },)*
             })
         }
@@ -171,6 +183,7 @@ fn time<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
     probes: &[Probe],
     model: &Precomputed,
     terms: Terms,
+    law: Law,
 ) -> f64 {
     let Some(mass) = MassModel::<f32, N>::new::<M>(&model.data) else { return f64::NAN };
     let some = &probes[..probes.len().min(1000)];
@@ -178,7 +191,7 @@ fn time<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
         let start = Instant::now();
         for probe in some {
             let torque: [f64; MAX_JOINTS] =
-                crate::bench::error::torque::<f32, K, M, N>(m, (&mass, &model.values), terms, black_box(probe));
+                crate::bench::error::torque::<f32, K, M, N>(m, (&mass, &model.values), terms, law, black_box(probe));
             black_box(torque);
         }
         start.elapsed().as_secs_f64() * 1.0e9 / some.len() as f64
@@ -187,7 +200,8 @@ fn time<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
 }
 
 /// The page: one table per mechanism, of the variants on the chip.
-pub fn page(every: &[(Device<f64>, Vec<Variant>)]) -> String {
+pub fn page(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, Failure> {
+    let law = law()?;
     let mut text = String::from(
         "# Speed against error\n\n\
          Made by `cargo xtask bench`; do not edit. What each way of computing the control step costs on the chip, and what error\n\
@@ -199,29 +213,36 @@ pub fn page(every: &[(Device<f64>, Vec<Variant>)]) -> String {
          - **Error**: against the law that renders the wall's force whatever moves (docs/model.md section 2) in f64, over the reachable\n\
          \x20 workspace, normals in every direction, the hand moving at 0.5 m/s, wherever the device's own motors can make that motion, with\n\
          \x20 the largest force that they give beside it. In newtons at the tip, the largest of all situations, each cause by itself: *terms left\n\
-         \x20 out* (computed exactly), the *mass matrix* instead of the closed form, *rounding* in f32 with the trigonometry's error, and what\n\
-         \x20 these do to the *tip*'s position times a wall of 20 kN/m.\n\
+         \x20 out* (computed exactly; also what it is below *in 90 %* of the situations), the *mass matrix* instead of the closed form, *rounding* in f32 with\n\
+         \x20 the trigonometry's error, and what these do to the *tip*'s position times a wall of 20 kN/m.\n\
+         - **Fade**: what the velocity terms lack near singular poses counts as left out, as estimates of velocities lag (docs/model.md\n\
+         \x20 section 2): here as a scene has them that says nothing, 20 kHz and a cutoff of 500 Hz. A slower rate or cutoff leaves\n\
+         \x20 more. Where they are off, a variant with them is one without.\n\
          - **Area**: the stable area of stiffness and damping that is left of that with the exact feed-forward, at the worst situation.\n\
          - **Duty**: all of the torque's error in steps of the duty (4200 at 20 kHz, 24 V bus, the device's own motors): below one is free.\n\
          - **F** marks the Pareto front of each mechanism: nothing there is both cheaper and nearer to the force that\n\
-         \x20 should be felt, the tip's part included.\n\n\
+         \x20 should be felt, the tip's part included and beside the fade, which no variant changes.\n\n\
          `minimax` is what the firmware runs. ![Instructions over error](speed-against-error.svg)\n",
     );
     for (device, variants) in every {
         let _ = writeln!(text, "\n## {} ({})\n", device.mechanism.kind().spec().name, device.name);
-        let step = encoder_step(device, &probes(device));
+        let probes = probes(device);
+        let (step, [faded, off]) = (encoder_step(device, &probes), law.fading(device, &probes));
         let _ = writeln!(
             text,
-            "One encoder step moves the tip by up to {:.1} µm: {:.1e} N at 20 kN/m.\n",
+            "One encoder step moves the tip by up to {:.1} µm: {:.1e} N at 20 kN/m. The velocity terms fade in {:.1} % of the \
+             situations, and in {:.1} % they are off.\n",
             1.0e6 * step,
-            STIFFNESS * step
+            STIFFNESS * step,
+            100.0 * faded,
+            100.0 * off
         );
         let _ = writeln!(
             text,
-            "| trigonometry | mass matrix | terms | instructions | terms left out, N | mass matrix, N | rounding, N | tip, N | area, % | \
+            "| trigonometry | mass matrix | terms | instructions | terms left out, N | in 90 %, N | mass matrix, N | rounding, N | tip, N | area, % | \
              duty steps | |"
         );
-        let _ = writeln!(text, "|---|---|---|---:|---:|---:|---:|---:|---:|---:|---|");
+        let _ = writeln!(text, "|---|---|---|---:|---:|---:|---:|---:|---:|---:|---:|---|");
         let mut rows: Vec<&Variant> = variants.iter().filter(|variant| variant.target == "cortex-m4f").collect();
         rows.sort_by_key(|variant| variant.instructions);
         for variant in rows {
@@ -229,17 +250,17 @@ pub fn page(every: &[(Device<f64>, Vec<Variant>)]) -> String {
             let mut part = || parts.next().unwrap_or_default();
             let (trigonometry, model, terms) = (part(), part(), part());
             let count = variant.instructions.map_or("-".into(), |count| count.to_string());
-            let Parts { dropped, model: matrix, rounding, tip, area } = variant.parts;
+            let Parts { dropped, dropped_mostly, model: matrix, rounding, tip, area } = variant.parts;
             let _ = writeln!(
                 text,
-                "| {trigonometry} | {model} | {terms} | {count} | {dropped:.1e} | {matrix:.1e} | {rounding:.1e} | {tip:.1e} | {:.1} | {} | {} |",
+                "| {trigonometry} | {model} | {terms} | {count} | {dropped:.1e} | {dropped_mostly:.1e} | {matrix:.1e} | {rounding:.1e} | {tip:.1e} | {:.1} | {} | {} |",
                 100.0 * area,
                 steps(variant.errors.duty.max),
                 if variant.pareto { "F" } else { "" }
             );
         }
     }
-    text
+    Ok(text)
 }
 
 fn steps(value: f64) -> String {
@@ -259,7 +280,12 @@ pub fn picture(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
     let frame = Frame {
         at: (80.0, 110.0),
         size: (660.0, 370.0),
-        x: Axis { name: "largest error of the force at the tip, 10ˣ".into(), unit: "N".into(), low, high },
+        x: Axis {
+            name: "largest error of the force at the tip beside the fade, 10ˣ".into(),
+            unit: "N".into(),
+            low,
+            high,
+        },
         y: Axis { name: "instructions".into(), unit: String::new(), low: 0.0, high: f64::from(MOST) },
     };
     let mut entries = Vec::new();
@@ -294,7 +320,8 @@ pub fn picture(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
     });
     for (line, text) in [
         "Instructions on the Cortex-M4F. Error: torque as a force at the tip, plus the tip's error times 20 kN/m;",
-        &format!("below 10⁻⁶ N drawn there.{beyond}"),
+        "below 10⁻⁶ N drawn there. What the velocity terms lack where they fade is the same in all, and left out here.",
+        beyond.trim_start(),
     ]
     .into_iter()
     .enumerate()

@@ -33,10 +33,10 @@ variant: mechanism/trigonometry/mass matrix/terms
   mass matrix: exact (closed form), frozen (one for the workspace), bilinear and bicubic (tables)
   terms: none (Jᵀ f alone), feed-forward, feed-forward+z (with the forces of motion)
 errors, N at the tip at the worst of the poses and speeds that the motors can make, each by itself:
-  left out: terms that are not computed; matrix: the mass matrix instead of the closed form;
+  left out: terms that are not computed, or fade near singular poses (20 kHz, 500 Hz); matrix: the mass matrix instead of the closed form;
   rounding: f32 and trigonometry in the torque; tip: the same in the tip's position, times 20 kN/m
 area: stable area of stiffness and damping that is left of the exact feed-forward's, at the worst of the poses
-front: nothing of the same mechanism is both cheaper and nearer to the force that should be felt
+front: nothing of the same mechanism is both cheaper and nearer to the force that should be felt, beside the fade
 ";
 
 /// Computes and prints, or writes the report.
@@ -60,7 +60,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         .collect::<Result<Vec<_>, Failure>>()?;
     if let (Some(folder), Some([text, drawing])) = (&args.report, &files) {
         std::fs::create_dir_all(folder).map_err(|error| output::refused(folder, &error))?;
-        let (page, picture) = (page(&every), picture(&every));
+        let (page, picture) = (page(&every)?, picture(&every));
         let both = [(text.as_path(), page.as_bytes()), (drawing.as_path(), picture.svg().as_bytes())];
         return output::write_together(&both, args.force.overwrite());
     }
@@ -73,7 +73,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         "variant", "target", "instructions", "ns", "left out", "matrix", "rounding", "tip", "area"
     );
     for variant in every.iter().flat_map(|(_, variants)| variants) {
-        let Parts { dropped, model, rounding, tip, area } = variant.parts;
+        let Parts { dropped, model, rounding, tip, area, .. } = variant.parts;
         text.push_str(&format!(
             "{:<52}{:>11}{:>14}{:>10}{dropped:>12.1e}{model:>12.1e}{rounding:>12.1e}{tip:>12.1e}{:>7.1} %{}\n",
             variant.name,

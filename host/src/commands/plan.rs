@@ -104,20 +104,21 @@ pub fn readable(device: &Device<f64>, plan: &Plan) -> String {
     if !plan.candidates.is_empty() {
         let _ = writeln!(
             text,
-            "\n  {:<12}{:<18}{:>14}{:>18}{:>18}",
-            "matrix", "terms", "instructions", "99 % below", "at worst"
+            "\n  {:<12}{:<18}{:>14}{:>18}{:>18}{:>18}",
+            "matrix", "terms", "instructions", "99 % below", "at worst", "beside the fade"
         );
         for way in &plan.candidates {
             let chosen = way.model == plan.mass.name() && way.terms == plan.terms.name();
             let _ = writeln!(
                 text,
-                "{} {:<12}{:<18}{:>14}{:>18}{:>18}",
+                "{} {:<12}{:<18}{:>14}{:>18}{:>18}{:>18}",
                 if chosen { ">" } else { " " },
                 way.model,
                 way.terms,
                 way.instructions,
                 newtons(way.errors.force.most),
-                percent(way.errors.share.max)
+                percent(way.errors.share.max),
+                percent(way.given.share.max)
             );
         }
     }

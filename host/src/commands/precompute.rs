@@ -3,7 +3,7 @@
 use super::force::Force;
 use crate::cli::Numbers;
 use clap::ValueEnum;
-use haptic::bench::error::{Terms, Trigonometry, errors};
+use haptic::bench::error::{Law, Terms, Trigonometry, errors};
 use haptic::bench::precompute::{Precomputed, frozen, most_points, range, table};
 use haptic::bench::probe::{Probe, workspace};
 use haptic::device_file::DeviceFile;
@@ -11,6 +11,7 @@ use haptic::error::{Failure, print};
 use haptic::output;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::{Interpolation, MassModelData, TABLE_VALUES};
+use haptic_bridge::render::scene::Scene;
 use std::path::PathBuf;
 
 /// Make a mass matrix that the board need not compute, and say what error it leaves
@@ -90,7 +91,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
             })?
         }
     };
-    let errors = errors(&device, &probes, &made, Terms::FeedForward, Trigonometry::Minimax)?;
+    // At rest no law of motion matters.
+    let law = Law::of(&Scene::default())?;
+    let errors = errors(&device, &probes, &made, Terms::FeedForward, Trigonometry::Minimax, law)?.whole;
     let document = serde_json::json!({
         "device": device.name, "kind": made.name(), "model": made.data, "values": made.values, "errors": errors,
     });

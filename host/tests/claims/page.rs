@@ -8,14 +8,14 @@ use haptic::analysis::pose::TaskPose;
 use haptic::analysis::range::predict;
 use haptic::analysis::sampled::{Estimator, Loop};
 use haptic::device_file::DeviceFile;
-use haptic::sim::{Load, Plant};
-use haptic_bridge::math::Minimax;
+use haptic::sim::{Load, Plant, Random};
+use haptic_bridge::math::{Libm, Minimax};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
-use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar};
+use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism};
 use haptic_bridge::model::precomputed::MassModel;
-use haptic_bridge::render::controller::Controller;
+use haptic_bridge::render::controller::{Controller, FULL_REGULARITY, PARALLEL_REGULARITY};
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
 use nalgebra::Vector2;
 use std::fmt::Write;
@@ -30,6 +30,8 @@ const STIFFNESS: f64 = 10_000.0;
 const DAMPING: f64 = 40.0;
 /// An encoder whose steps do not show.
 pub const FINE: f64 = 16_777_216.0;
+/// Home of the demo's device.
+const HOME: [f64; 2] = [2.3, 0.841_592_653_589_79];
 /// The demo's pose and wall.
 pub const DEMO: ([f64; 2], f64) = ([2.6, 1.75], 75.0);
 
@@ -155,10 +157,72 @@ pub fn slide((q, normal, speed): ([f64; 2], f64, f64), terms: VelocityTerms, cou
     Run { speed, velocity_terms: terms, counts_per_turn, ..Run::at((q, normal)) }.farthest(0.04)
 }
 
+/// How far (µm) sliding tips leave their walls, over [`SLID`] slides from poses within 0.6 rad of home, normals and
+/// directions at random, away from singular poses.
+pub struct Slid {
+    /// Medians of "off", "paper" and "rendered".
+    pub medians: [f64; 3],
+    /// In how many "rendered" is worse than "off".
+    pub worse: usize,
+}
+
+/// Slides of a [`Slid`].
+const SLID: usize = 120;
+
+pub fn slid(counts_per_turn: f64) -> Slid {
+    let description = five_bar();
+    // The first of the slides that stay clear of singular poses, of a sequence that is the same everywhere.
+    let mut random = Random::new(15);
+    let mut between = |low, high| random.between(low, high);
+    let mut found: [Vec<f64>; 3] = Default::default();
+    while found[0].len() < SLID {
+        let q = HOME.map(|angle| angle + between(-0.6, 0.6));
+        let (normal, speed) = (between(0.0, 360.0), if between(-1.0, 1.0) < 0.0 { -0.5 } else { 0.5 });
+        if !clear(q) {
+            continue;
+        }
+        let start = TaskPose::at(&description, &q).expect("angles").position;
+        let along = unit(normal + 90.0) * speed;
+        let clear_at = |seconds: f64| {
+            let place = Vector2::new(start[0], start[1]) + along * seconds;
+            let [a, b, _] = joints_at(&description, q, &place);
+            let there = TaskPose::at(&description, &[a, b]).map(|pose| (pose.position[0], pose.position[1]));
+            clear([a, b]) && there.is_ok_and(|(x, y)| (place - Vector2::new(x, y)).norm() < 1e-9)
+        };
+        if ![-0.06, -0.03, 0.02, 0.04].into_iter().all(clear_at) {
+            continue;
+        }
+        for (found, terms) in found.iter_mut().zip([VelocityTerms::Off, VelocityTerms::Paper, VelocityTerms::Rendered])
+        {
+            found.push(1e6 * slide((q, normal, speed), terms, counts_per_turn));
+        }
+    }
+    let worse = found[0].iter().zip(&found[2]).filter(|(off, rendered)| rendered > off).count();
+    let median = |mut values: Vec<f64>| {
+        values.sort_by(f64::total_cmp);
+        0.5 * (values[SLID / 2 - 1] + values[SLID / 2])
+    };
+    Slid { medians: found.map(median), worse }
+}
+
+/// Whether the feed-forward acts in full at a pose of the demo's device.
+fn clear(q: [f64; 2]) -> bool {
+    let AnyMechanism::FiveBar(mechanism) = AnyMechanism::<f64>::new(&five_bar()).expect("a shipped device") else {
+        panic!("a five-bar")
+    };
+    let regularity = mechanism.regularity(&mechanism.pose::<Libm>(&Vector2::from(q)));
+    regularity.serial.min(regularity.parallel / PARALLEL_REGULARITY) >= FULL_REGULARITY
+}
+
 /// The demo's device along the demo's normal.
 pub fn demo() -> Linearised {
-    let n = unit(DEMO.1);
-    Linearised::at(&five_bar(), &DEMO.0, &[n.x, n.y]).expect("a regular pose").undamped()
+    along(&five_bar(), DEMO).undamped()
+}
+
+/// A device at a pose along a normal.
+fn along(description: &Description, (q, normal): ([f64; 2], f64)) -> Linearised {
+    let n = unit(normal);
+    Linearised::at(description, &q, &[n.x, n.y]).expect("a regular pose")
 }
 
 /// kp_max at 40 N s/m, without and with the feed-forward of a gain.
@@ -190,15 +254,51 @@ pub fn perturbed(feed_forward: FeedForward) -> f64 {
 
 /// The share of the gained inertia that is left when the board's model has another inertia of a rotor: the real
 /// device under the torques of the wrong model.
-pub fn kept_with_rotor(joint: usize, factor: f64) -> f64 {
-    let n = unit(DEMO.1);
+pub fn kept_with_rotor(at: ([f64; 2], f64), joint: usize, factor: f64) -> f64 {
     let mut believed = five_bar();
     believed.joints[joint].inertia *= factor;
-    let wrong = Linearised::at(&believed, &DEMO.0, &[n.x, n.y]).expect("a regular pose").shaped_torque();
-    let real = demo();
+    let wrong = along(&believed, at).shaped_torque();
+    let real = along(&five_bar(), at);
     let mobility = real.row.dot(&real.mass.clone().cholesky().expect("positive definite").solve(&wrong));
     let (w_eff, w_rr) = (real.w_eff().expect("a regular pose"), real.w_rr());
     (1.0 / mobility - w_eff) / (w_rr - w_eff)
+}
+
+/// What is kept with a rotor's inertia a half wrong, at poses around home where the feed-forward acts in full and is
+/// worth having.
+pub struct Kept {
+    pub cases: usize,
+    /// Of them, those that keep less than seven eighths.
+    pub below: usize,
+    pub least: f64,
+    pub most: f64,
+}
+
+/// Poses within 0.6 rad of home in steps of 0.05 rad, normals in steps of 15°, Wrr/Weff above 1.3.
+pub fn kept_around_home() -> Kept {
+    let description = five_bar();
+    let mut kept = Kept { cases: 0, below: 0, least: f64::INFINITY, most: f64::NEG_INFINITY };
+    let steps = |i: i32| 0.05 * f64::from(i);
+    for (a, b) in (-12..=12).flat_map(|a| (-12..=12).map(move |b| (a, b))) {
+        let q = [HOME[0] + steps(a), HOME[1] + steps(b)];
+        if !clear(q) {
+            continue;
+        }
+        for normal in (0..12).map(|i| 15.0 * f64::from(i)) {
+            let seen = along(&description, (q, normal));
+            if seen.w_rr() / seen.w_eff().expect("a regular pose") <= 1.3 {
+                continue;
+            }
+            for share in
+                [0, 1].into_iter().flat_map(|joint| [0.5, 1.5].map(|by| kept_with_rotor((q, normal), joint, by)))
+            {
+                kept.cases += 1;
+                kept.below += usize::from(share < 0.875);
+                (kept.least, kept.most) = (kept.least.min(share), kept.most.max(share));
+            }
+        }
+    }
+    kept
 }
 
 /// Degrees between a push on the free tip along the demo's normal and where it goes.
@@ -240,9 +340,14 @@ pub fn tables() -> String {
     line("\n### A wrong rotor inertia\n".into());
     line("| the model's rotor inertia | rotor 0: gain kept, % | rotor 1: gain kept, % |\n|---|---|---|".into());
     for percent in [-50, -25, -10, 10, 25, 50] {
-        let kept = |joint| 100.0 * kept_with_rotor(joint, 1.0 + f64::from(percent) / 100.0);
+        let kept = |joint| 100.0 * kept_with_rotor(DEMO, joint, 1.0 + f64::from(percent) / 100.0);
         line(format!("| {percent:+} % | {:.1} | {:.1} |", kept(0), kept(1)));
     }
+    let Kept { cases, below, least, most } = kept_around_home();
+    line("\n| around home, a half wrong | |\n|---|---|".into());
+    line(format!("| cases | {cases} |"));
+    line(format!("| keep less than 87.5 % of the gain, % of the cases | {:.1} |", 100.0 * below as f64 / cases as f64));
+    line(format!("| least and most kept, % | {:.1} to {:.1} |", 100.0 * least, 100.0 * most));
     line("\n### A sliding tip\n".into());
     line("| q, normal, speed | encoder | off, µm | paper, µm | rendered, µm |\n|---|---|---|---|---|".into());
     for case in SLIDES {
@@ -259,6 +364,13 @@ pub fn tables() -> String {
                 far(VelocityTerms::Rendered)
             ));
         }
+    }
+    line(format!(
+        "\n| {SLID} slides, medians | off, µm | paper, µm | rendered, µm | rendered worse than off |\n|---|---|---|---|---|"
+    ));
+    for (name, counts) in [("ideal", FINE), ("20 000 counts", 20_000.0)] {
+        let Slid { medians: [off, paper, rendered], worse } = slid(counts);
+        line(format!("| {name} | {off:.0} | {paper:.0} | {rendered:.2} | {worse} |"));
     }
     line("\n### A redundant arm\n".into());
     line("| held | Wrr/Weff | area gained |\n|---|---|---|".into());
