@@ -11,6 +11,7 @@ mod lying;
 mod power;
 mod promises;
 mod range;
+mod requests;
 mod session;
 mod timing;
 mod usb;

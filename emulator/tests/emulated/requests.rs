@@ -1,0 +1,159 @@
+//! A refused request changes nothing: every request that a state refuses, made of the firmware itself. Tests of the
+//! library (tests/service.rs) hold the words of each refusal; here the bridges' pins and what the board holds.
+
+use haptic::link::{Board, BoardError};
+use haptic_bridge::board::protocol::TableChunk;
+use haptic_bridge::board::settings::{self, Key};
+use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModelData};
+use haptic_bridge::render::controller::Gains;
+use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::safety::fault::State;
+use haptic_bridge::servo::Rules;
+use virtual_board::boards::BoardKind;
+use virtual_board::inject::off;
+use virtual_board::rig::Rig;
+use virtual_board::run::{MICROSECOND, MILLISECOND};
+
+use crate::session::WALL;
+
+/// A request, and what it is called.
+type Request = (&'static str, fn(&mut Board) -> Result<(), BoardError>);
+
+fn gains(wall: u8, stiffness: f32) -> Gains<f32> {
+    Gains { wall, stiffness, damping: 1.0, feed_forward: FeedForward::Full, washout_hz: 2.0 }
+}
+
+/// The rules in force with something else about them.
+fn rules_with(board: &mut Board, change: impl Fn(&mut Rules)) -> Result<(), BoardError> {
+    let mut rules = board.rules()?;
+    change(&mut rules);
+    board.set_rules(&rules)
+}
+
+/// The scene in force at another rate.
+fn another_rate(board: &mut Board) -> Result<(), BoardError> {
+    let mut scene = board.scene()?.expect("a scene");
+    scene.rate_hz *= 0.5;
+    board.set_scene(&scene)
+}
+
+fn table(board: &mut Board) -> Result<(), BoardError> {
+    let grid = Grid { interpolation: Interpolation::Bilinear, points: [2, 2], low: [0.0; 2], spacing: [0.5; 2] };
+    board.set_mass_model(&MassModelData::Table(grid, 1))
+}
+
+fn stage(board: &mut Board) -> Result<(), BoardError> {
+    let rules = board.rules()?;
+    board.stage_entry(Key::Rules, settings::encode(&rules).expect("rules fit an entry"))
+}
+
+/// What no state allows.
+const NEVER: &[Request] = &[
+    ("limits above the board's", |board| rules_with(board, |rules| rules.limits.torque = [1.0e6; 3])),
+    ("rules that are no numbers", |board| rules_with(board, |rules| rules.limits.power = f32::NAN)),
+    ("gains of a wall that is not there", |board| board.set_wall_gains(gains(9, 300.0))),
+    ("gains that are no numbers", |board| board.set_wall_gains(gains(0, f32::NAN))),
+    ("a table that never came", table),
+    ("a table from its middle", |board| {
+        board.send_table(&TableChunk { offset: 7, values: [1.0].into_iter().collect() })
+    }),
+    ("entries that were not staged", |board| board.commit_entries(&[Key::Rules].into_iter().collect())),
+    ("an entry that is damaged", |board| board.stage_entry(Key::Rules, [1, 2, 3].into_iter().collect())),
+];
+
+/// What needs the motors off.
+const OFF: &[Request] = &[
+    ("arm", Board::arm),
+    ("check polarity", Board::check_polarity),
+    ("home", Board::home),
+    ("save", Board::save),
+    ("device", |board| {
+        let device = board.device()?.expect("a device");
+        board.set_device(&device)
+    }),
+    ("mass model", |board| board.set_mass_model(&MassModelData::Exact)),
+    ("piece of a table", |board| board.send_table(&TableChunk { offset: 0, values: [1.0].into_iter().collect() })),
+    ("stage", stage),
+    ("scene of another rate", another_rate),
+    ("more power", |board| rules_with(board, |rules| rules.limits.power *= 2.0)),
+    ("more speed", |board| rules_with(board, |rules| rules.limits.speed = rules.limits.speed.map(|speed| 2.0 * speed))),
+    ("more current", |board| {
+        rules_with(board, |rules| rules.limits.current = rules.limits.current.map(|current| 2.0 * current))
+    }),
+];
+
+/// What a fault leaves to `haptic clear` first.
+const CLEARED: &[Request] = &[("arm", Board::arm), ("check polarity", Board::check_polarity), ("home", Board::home)];
+
+/// What a board without a device cannot do.
+const DEVICE: &[Request] = &[
+    ("arm", Board::arm),
+    ("check polarity", Board::check_polarity),
+    ("home", Board::home),
+    ("gains", |board| board.set_wall_gains(gains(0, 300.0))),
+];
+
+/// Everything that a tool can read of a board, in words, but for the time.
+fn held(board: &mut Board) -> String {
+    let status = board.status().expect("the board answers");
+    let state = (status.state, status.homed, status.polarity, status.fault);
+    let entries = Key::ALL.map(|key| board.read_entry(key).expect("the board answers"));
+    let device = board.device().expect("the board answers");
+    let scene = board.scene().expect("the board answers");
+    let rules = board.rules().expect("the board answers");
+    format!("{state:?} {device:?} {scene:?} {rules:?} {entries:?}")
+}
+
+/// Makes requests that the board is to refuse, and looks at its pins and its memory after each.
+fn all_refused(rig: &mut Rig, state: State, requests: &[Request]) {
+    assert_eq!(rig.tool.status().expect("the board answers").state, state);
+    let driving = matches!(state, State::Armed | State::CheckingPolarity);
+    for (name, request) in requests {
+        let before = held(&mut rig.tool);
+        let outcome = request(&mut rig.tool);
+        for _ in 0..40 {
+            assert_eq!(!rig.with(off), driving, "{name} while {state:?}");
+            rig.run(25 * MICROSECOND);
+        }
+        assert!(matches!(outcome, Err(BoardError::Refused(_))), "{name} while {state:?}: {outcome:?}");
+        assert_eq!(held(&mut rig.tool), before, "{name} while {state:?}");
+    }
+}
+
+fn ready(kind: BoardKind) -> Rig {
+    let mut rig = Rig::with_device(kind, "pantograph-mk2", |_| ());
+    rig.load(WALL);
+    rig.tool.home().expect("the device can be homed");
+    rig
+}
+
+#[test]
+fn what_a_board_refuses_changes_neither_its_pins_nor_what_it_holds() {
+    for kind in BoardKind::ALL {
+        let mut bare = Rig::empty(kind);
+        all_refused(&mut bare, State::Disarmed, NEVER);
+        all_refused(&mut bare, State::Disarmed, DEVICE);
+
+        let mut rig = Rig::with_device(kind, "pantograph-mk2", |_| ());
+        rig.load(WALL);
+        all_refused(&mut rig, State::Disarmed, &[("arm, not homed", Board::arm)]);
+
+        let mut rig = ready(kind);
+        all_refused(&mut rig, State::Disarmed, NEVER);
+        rig.tool.check_polarity().expect("the polarity check starts");
+        rig.run(20 * MILLISECOND);
+        all_refused(&mut rig, State::CheckingPolarity, OFF);
+
+        let mut rig = ready(kind);
+        rig.check_polarity();
+        rig.arm();
+        all_refused(&mut rig, State::Armed, NEVER);
+        all_refused(&mut rig, State::Armed, OFF);
+
+        rig.with(|bench| bench.hardware().plant.device().expect("a device").set_bus_voltage(58.0));
+        rig.run(20 * MILLISECOND);
+        rig.with(|bench| bench.hardware().plant.device().expect("a device").set_bus_voltage(24.0));
+        all_refused(&mut rig, State::Fault, CLEARED);
+        all_refused(&mut rig, State::Fault, NEVER);
+    }
+}
