@@ -57,16 +57,22 @@ pub fn configure(adc: Adc, channels: &[u8]) {
 pub fn wait(adc: Adc) -> bool {
     for _ in 0..200 {
         if adc.sr().read().jeoc() {
-            adc.sr().write(|w| {
-                // Flags are cleared by writing 0; writing 1 leaves them.
-                w.0 = 0x3F;
-                w.set_jeoc(false);
-                w.set_jstrt(false);
-            });
+            forget(adc);
             return true;
         }
     }
     false
+}
+
+/// Forgets a sequence that nobody has waited for: the next wait is for the next one.
+#[inline]
+pub fn forget(adc: Adc) {
+    adc.sr().write(|w| {
+        // Flags are cleared by writing 0; writing 1 leaves them.
+        w.0 = 0x3F;
+        w.set_jeoc(false);
+        w.set_jstrt(false);
+    });
 }
 
 /// Result of a rank, 0..4095.

@@ -58,6 +58,10 @@ pub trait Io {
     /// The counts last read, of encoders whose index pulse was seen since the last call.
     fn index(&mut self) -> [Option<i32>; MAX_JOINTS];
 
+    /// Forgets conversions that nobody has waited for. Between two crests, so that what is waited for at the next one is
+    /// that one's: a flag left over once would make every reading after it a crest old, or torn between two.
+    fn forget(&mut self);
+
     /// The readings that the crest started.
     fn analog(&mut self) -> Analog;
 

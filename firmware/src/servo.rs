@@ -161,6 +161,7 @@ fn TIM1_UP_TIM10() {
     // SAFETY: this interrupt is the only user since `start` enabled it, and it does not preempt itself.
     let Some(step) = (unsafe { (*STEP.0.get()).as_mut() }) else { return };
     if valley {
+        step.io.forget();
         // The duties of the last step have just been taken over, or are late and come next.
         if let Some(legs) = step.pending.take() {
             step.io.write(legs);

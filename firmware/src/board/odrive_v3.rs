@@ -174,6 +174,12 @@ impl Io for Pins {
     }
 
     #[inline(always)]
+    fn forget(&mut self) {
+        adc::forget(pac::ADC1);
+        adc::forget(pac::ADC2);
+    }
+
+    #[inline(always)]
     fn analog(&mut self) -> Analog {
         let fresh = adc::wait(pac::ADC1) & adc::wait(pac::ADC2);
         let raw = [
