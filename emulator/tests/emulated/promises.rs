@@ -127,9 +127,10 @@ fn the_watchdog_bites_when_the_link_is_silent_though_the_control_interrupt_goes_
 
 #[test]
 fn the_watchdog_bites_when_the_control_interrupt_comes_too_often() {
-    // Shortens TIM1's carrier from 20 to 25 kHz by its auto-reload register, and lets the converters start at its crest by
-    // channel 4's compare register (str r2, [r3, #20]); then goes on where the task begins, as above.
-    let stub = |task| vec![0x4B03_4A02, 0x615A_601A, 0xF008_F8DF, 3360, 0x4001_002C, task];
+    // Shortens TIM1's carrier from 20 to 25 kHz by its auto-reload register, and lets the converters start a tick before
+    // its crest by channel 4's compare register (subs r2, #1; str r2, [r3, #20]); then goes on where the task begins, as
+    // above.
+    let stub = |task| vec![0x4B04_4A03, 0x3A01_601A, 0xBF00_615A, 0xF008_F8DF, 3360, 0x4001_002C, task];
     bitten("10supervisor9supervise4POOL", stub, 40, 300);
 }
 
