@@ -42,18 +42,6 @@ fn pressing(stiffness: f32) -> Rig {
     rig
 }
 
-/// Rests there for so many seconds. The encoder moves, so that it is the motor's heat and nothing else.
-fn tremble(rig: &mut Rig, seconds: f32) {
-    let there = rig.samples.counts[0];
-    for step in 0..(seconds * RATE) as i32 {
-        rig.samples.counts[0] = there + step % 2;
-        rig.step();
-        if rig.state() == State::Fault {
-            break;
-        }
-    }
-}
-
 fn origin(fault: Fault) -> Origin {
     use Origin::{Step, Told};
     match fault {
@@ -111,7 +99,7 @@ fn origin(fault: Fault) -> Origin {
         }),
         Fault::ThermalBudget => Step(|| {
             let mut rig = pressing(290.0);
-            tremble(&mut rig, 10.0);
+            rig.tremble(10.0);
             rig
         }),
         Fault::BusUnderVoltage => Step(|| {
@@ -575,7 +563,7 @@ fn a_hot_motor_cools_while_it_is_off_and_stays_hot_when_a_device_is_loaded_anew(
     let press = |rig: &mut Rig, seconds: f32| {
         rig.arm();
         rig.turn(0, -0.15, 1.0);
-        tremble(rig, seconds);
+        rig.tremble(seconds);
     };
     press(&mut rig, 0.5);
     assert_eq!(rig.fault(), Some(Fault::ThermalBudget), "it had no time to cool");
@@ -601,7 +589,7 @@ fn lasts(heat: Heat) -> f32 {
     rig.arm();
     rig.turn(0, -0.15, 1.0);
     let began = rig.servo.frame().step;
-    tremble(&mut rig, 10.0);
+    rig.tremble(10.0);
     assert_eq!(rig.fault(), Some(Fault::ThermalBudget));
     (rig.servo.frame().step - began) as f32 / RATE
 }

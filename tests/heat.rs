@@ -279,15 +279,7 @@ fn heated() -> Rig {
     let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 290.0)]));
     rig.arm();
     rig.turn(0, -0.15, 1.0);
-    let there = rig.samples.counts[0];
-    for step in 0..20_000 {
-        // The encoder moves, so that it is the motor's heat and nothing else.
-        rig.samples.counts[0] = there + step % 2;
-        rig.step();
-        if rig.fault().is_some() {
-            break;
-        }
-    }
+    rig.tremble(10.0);
     assert_eq!(rig.fault(), Some(Fault::ThermalBudget));
     rig
 }
@@ -338,15 +330,10 @@ fn a_tighter_continuous_current_while_armed_gives_no_longer_peak() {
         let mut rig = Rig::with(&paddle(), &scene(1, &[wall(-0.005, 290.0)]), hardware(), rules);
         rig.arm();
         rig.turn(0, -0.15, 1.0);
-        let there = rig.samples.counts[0];
         let began = rig.servo.steps();
-        for step in 0..200_000 {
-            rig.samples.counts[0] = there + step % 2;
-            rig.step();
-            if rig.fault().is_some() {
-                break;
-            }
-            if tighten && step % 100 == 0 && rules.limits.continuous_current[0] > 0.3 {
+        while rig.fault().is_none() {
+            rig.tremble(0.05);
+            if tighten && rules.limits.continuous_current[0] > 0.3 {
                 rules.limits.continuous_current[0] -= 0.05;
                 rig.execute(Command::Rules(rules)).expect("tightening is allowed while armed");
             }

@@ -280,6 +280,20 @@ impl Rig {
         }
     }
 
+    /// Rests where joint 0 is for so many seconds, or until a fault. The encoder moves, so that it is the motor's heat and
+    /// nothing else.
+    pub fn tremble(&mut self, seconds: f32) {
+        let there = self.samples.counts[0];
+        for step in 0..(seconds * RATE) as i32 {
+            self.samples.counts[0] = there + step % 2;
+            self.step();
+            if self.state() == State::Fault {
+                break;
+            }
+        }
+        self.samples.counts[0] = there;
+    }
+
     pub fn state(&self) -> State {
         self.servo.status().state
     }

@@ -61,11 +61,11 @@ const NEVER: &[Request] = &[
     ("an entry that is damaged", |board| board.stage_entry(Key::Rules, [1, 2, 3].into_iter().collect())),
 ];
 
-/// What needs the motors off.
+/// What readies the motors: it needs them off, no fault, and a device.
+const READYING: &[Request] = &[("arm", Board::arm), ("check polarity", Board::check_polarity), ("home", Board::home)];
+
+/// What else needs the motors off.
 const OFF: &[Request] = &[
-    ("arm", Board::arm),
-    ("check polarity", Board::check_polarity),
-    ("home", Board::home),
     ("save", Board::save),
     ("device", |board| {
         let device = board.device()?.expect("a device");
@@ -80,17 +80,6 @@ const OFF: &[Request] = &[
     ("more current", |board| {
         rules_with(board, |rules| rules.limits.current = rules.limits.current.map(|current| 2.0 * current))
     }),
-];
-
-/// What a fault leaves to `haptic clear` first.
-const CLEARED: &[Request] = &[("arm", Board::arm), ("check polarity", Board::check_polarity), ("home", Board::home)];
-
-/// What a board without a device cannot do.
-const DEVICE: &[Request] = &[
-    ("arm", Board::arm),
-    ("check polarity", Board::check_polarity),
-    ("home", Board::home),
-    ("gains", |board| board.set_wall_gains(gains(0, 300.0))),
 ];
 
 /// Everything that a tool can read of a board, in words, but for the time.
@@ -132,7 +121,8 @@ fn what_a_board_refuses_changes_neither_its_pins_nor_what_it_holds() {
     for kind in BoardKind::ALL {
         let mut bare = Rig::empty(kind);
         all_refused(&mut bare, State::Disarmed, NEVER);
-        all_refused(&mut bare, State::Disarmed, DEVICE);
+        all_refused(&mut bare, State::Disarmed, READYING);
+        all_refused(&mut bare, State::Disarmed, &[("gains", |board| board.set_wall_gains(gains(0, 300.0)))]);
 
         let mut rig = Rig::with_device(kind, "pantograph-mk2", |_| ());
         rig.load(WALL);
@@ -142,18 +132,20 @@ fn what_a_board_refuses_changes_neither_its_pins_nor_what_it_holds() {
         all_refused(&mut rig, State::Disarmed, NEVER);
         rig.tool.check_polarity().expect("the polarity check starts");
         rig.run(20 * MILLISECOND);
+        all_refused(&mut rig, State::CheckingPolarity, READYING);
         all_refused(&mut rig, State::CheckingPolarity, OFF);
 
         let mut rig = ready(kind);
         rig.check_polarity();
         rig.arm();
         all_refused(&mut rig, State::Armed, NEVER);
+        all_refused(&mut rig, State::Armed, READYING);
         all_refused(&mut rig, State::Armed, OFF);
 
         rig.with(|bench| bench.hardware().plant.device().expect("a device").set_bus_voltage(58.0));
         rig.run(20 * MILLISECOND);
         rig.with(|bench| bench.hardware().plant.device().expect("a device").set_bus_voltage(24.0));
-        all_refused(&mut rig, State::Fault, CLEARED);
+        all_refused(&mut rig, State::Fault, READYING);
         all_refused(&mut rig, State::Fault, NEVER);
     }
 }

@@ -84,10 +84,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
 
 /// Limits the force at the tip, lowers the torque limits to what it takes in the home pose, and says so.
 fn soften(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Result<String, Failure> {
-    let mut rules = board.rules()?;
-    let earlier = rules;
-    let before = earlier.limits;
-    let newtons = newtons.unwrap_or(before.tip_force.min(GENTLE_FORCE));
+    let before = board.rules()?;
+    let newtons = newtons.unwrap_or(before.limits.tip_force.min(GENTLE_FORCE));
+    let mut rules = before;
     rules.limits.tip_force = newtons;
     // What makes so many newtons, and what carries the device beside.
     let needs: Vec<f32> = match Tip::at_home(&file.description) {
@@ -97,9 +96,9 @@ fn soften(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Result<
     for (limit, needed) in rules.limits.torque.iter_mut().zip(&needs) {
         *limit = limit.min(*needed);
     }
-    if rules.limits != before {
+    if rules != before {
         board.set_rules(&rules)?;
-        warn_of_weaker(&earlier, &rules);
+        warn_of_weaker(&before, &rules);
     }
     let tip =
         format!("  tip force: walls, springs and fields push with at most {newtons} N; `--tip-force` says how much\n");
@@ -117,7 +116,7 @@ fn soften(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Result<
             three(&needs)
         ));
     }
-    if rules.limits.torque == before.torque {
+    if rules.limits.torque == before.limits.torque {
         return Ok(tip);
     }
     Ok(format!(
