@@ -126,8 +126,7 @@ impl Math<f64> for Libm {
 }
 
 /// One pair of minimax polynomials after a quadrant reduction; absolute error below 1.2e-7 for |angle| ≤ 2π. The square
-/// root is Newton's, within 1.2e-7 of the value of every normal number (tests/trigonometry.rs): a third of the
-/// instructions of libm's, and no table in flash. Multiplications and additions only, so a PC and the chip agree bit for bit.
+/// root is the FPU's, correctly rounded. No table in flash, and a PC and the chip agree bit for bit.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Minimax;
 
@@ -154,26 +153,13 @@ pub fn minimax_sin_cos(angle: f32) -> (f32, f32) {
     if quadrant & 2 == 0 { (sine, cosine) } else { (-sine, -cosine) }
 }
 
-/// Square root: 1/√x from its exponent, three Newton steps, and one of Heron's on the product. NaN for a negative
-/// number, and for an infinite one.
-///
-/// Numbers below 1.2e-38 have no exponent to start from: their root is too small by up to all of itself (1e-40 loses
-/// 40 %, 1e-44 99 %), never too large, never negative. No length whose square is that small is measured by anything.
-#[inline(never)]
-pub fn newton_sqrt(value: f32) -> f32 {
-    if value > 0.0 {
-        let half = 0.5 * value;
-        let mut inverse = f32::from_bits(0x5f37_5a86 - (value.to_bits() >> 1));
-        for _ in 0..3 {
-            inverse *= 1.5 - half * inverse * inverse;
-        }
-        let root = value * inverse;
-        root + 0.5 * inverse * (value - root * root)
-    } else if value == 0.0 {
-        0.0
-    } else {
-        f32::NAN
-    }
+/// Square root, correctly rounded; NaN for a negative number. The FPU's on the chip, libm's elsewhere: the same bits.
+#[inline(always)]
+pub fn sqrt(value: f32) -> f32 {
+    #[cfg(target_arch = "arm")]
+    return haptic_fpu::sqrt(value);
+    #[cfg(not(target_arch = "arm"))]
+    libm::sqrtf(value)
 }
 
 impl Math<f32> for Minimax {
@@ -184,7 +170,7 @@ impl Math<f32> for Minimax {
     }
     #[inline(always)]
     fn sqrt(value: f32) -> f32 {
-        newton_sqrt(value)
+        sqrt(value)
     }
 }
 

@@ -75,7 +75,8 @@ impl Winding {
 fn settled(motor: &Motor<f32>, sensed: bool, torque: f32, speed: f32, seconds: f32) -> (f32, Axis) {
     let mut axis = Axis::new(motor, &bridge(sensed), 10.0);
     let mut winding = Winding::new(*motor, speed);
-    axis.command(torque, speed);
+    axis.follow(speed, speed);
+    axis.command(torque);
     winding.run(&mut axis, (seconds * CARRIER) as usize, |_, _| {});
     (winding.current, axis)
 }
@@ -96,7 +97,7 @@ fn the_current_loop_is_right_although_the_resistance_is_not() {
     warm.resistance *= 1.4;
     let mut axis = Axis::new(&motor(), &bridge(true), 10.0);
     let mut winding = Winding::new(warm, 0.0);
-    axis.command(0.15, 0.0);
+    axis.command(0.15);
     winding.run(&mut axis, 2_000, |_, _| {});
     assert!((winding.current - 3.0).abs() < 1.0e-3, "{}", winding.current);
 }
@@ -110,7 +111,7 @@ fn a_current_that_the_bus_can_make_is_there_within_a_carrier_period() {
         let motor = Motor { resistance, inductance, ..motor() };
         let mut axis = Axis::new(&motor, &Bridge { dead_time: 0.0, ..bridge(true) }, 10.0);
         let mut winding = Winding { dead_time: 0.0, ..Winding::new(motor, 0.0) };
-        axis.command(0.02, 0.0);
+        axis.command(0.02);
         winding.run(&mut axis, 50, |period, current| {
             // Worked out at the crest of period 0, applied from its valley on, complete at the next one.
             let wanted = if period == 0 { 0.0 } else { 0.4 };
@@ -138,7 +139,7 @@ fn a_motor_like_its_file_is_never_strained_by_duties_that_apply_late() {
             let mut axis = Axis::new(&file, &Bridge { dead_time: 0.0, ..bridge(true) }, 10.0);
             let mut winding = Winding { dead_time: 0.0, ..Winding::new(file, 0.0) };
             for target in [0.4, -0.4, 2.0, 0.0, -3.5, 3.5, 0.02, 0.02] {
-                axis.command(0.05 * target, 0.0);
+                axis.command(0.05 * target);
                 let mut most = 0.0_f32;
                 let begin = winding.current;
                 winding.run_late(&mut axis, 40, late, |_, current| {
@@ -170,7 +171,7 @@ fn no_pattern_of_late_duties_makes_an_over_current_of_a_motor_like_its_file() {
                 let mut winding = Winding::new(file, 0.0);
                 for nth in 0..200_usize {
                     winding.speed = 60.0 * (nth as f32 * 0.05).sin();
-                    axis.command(if nth.is_multiple_of(2) { 0.2 } else { -0.2 }, winding.speed);
+                    axis.command(if nth.is_multiple_of(2) { 0.2 } else { -0.2 });
                     axis.follow(winding.speed, winding.speed);
                     winding.run_late(&mut axis, every, |period| late(nth * every + period), |_, _| {});
                     let case = format!("{name}, {resistance} ohm, {inductance} H, every {every}, reversal {nth}");
@@ -188,7 +189,7 @@ fn a_step_beyond_the_bus_takes_longer_and_one_of_another_motor_settles() {
     let step = |actual: Motor<f32>| {
         let mut axis = Axis::new(&motor(), &bridge(true), 10.0);
         let (mut most, mut arrived) = (0.0_f32, None);
-        axis.command(0.1, 0.0);
+        axis.command(0.1);
         Winding::new(actual, 0.0).run(&mut axis, 200, |period, current| {
             most = most.max(current);
             arrived = arrived.or((current > 1.8).then_some(period));
@@ -232,7 +233,7 @@ fn a_winding_that_the_motor_file_knows_nothing_of_overshoots_as_the_loop_integra
     let bandwidth = f64::from(UNKNOWN_WINDING * bridge(true).bandwidth_hz) * core::f64::consts::TAU;
     for (inductance, said) in [(0.45e-3, 0.07), (1.2e-3, 0.14), (1.5e-3, 0.16)] {
         let mut axis = Axis::new(&file, &bridge(true), 10.0);
-        axis.command(0.1, 0.0);
+        axis.command(0.1);
         let mut most = 0.0_f32;
         let mut winding = Winding::new(Motor { inductance, ..file }, 0.0);
         winding.run(&mut axis, 1_000, |_, current| most = most.max(current));
@@ -250,7 +251,7 @@ fn a_winding_that_the_motor_file_knows_nothing_of_does_not_ring() {
     let file = Motor { inductance: 0.0, ..motor() };
     for inductance in [1.0e-5, 1.0e-4, 1.0e-3, 1.5e-3] {
         let mut axis = Axis::new(&file, &bridge(true), 10.0);
-        axis.command(0.1, 0.0);
+        axis.command(0.1);
         let (mut over, mut least) = (false, 2.0_f32);
         let mut winding = Winding::new(Motor { inductance, ..file }, 0.0);
         winding.run(&mut axis, 1_000, |_, current| {
@@ -274,16 +275,16 @@ fn without_a_current_sensor_the_voltage_makes_the_current() {
 #[test]
 fn torque_beyond_the_current_limit_is_not_made() {
     let mut axis = Axis::new(&motor(), &bridge(true), 3.0);
-    assert_eq!(axis.command(99.0, 0.0), 3.0);
-    assert_eq!(axis.command(-99.0, 0.0), -3.0);
+    assert_eq!(axis.command(99.0), 3.0);
+    assert_eq!(axis.command(-99.0), -3.0);
     let mut axis = Axis::new(&motor(), &bridge(true), 99.0);
-    assert_eq!(axis.command(99.0, 0.0), 4.0, "the motor's own limit");
+    assert_eq!(axis.command(99.0), 4.0, "the motor's own limit");
     axis.limit(1.0);
-    assert_eq!(axis.command(99.0, 0.0), 1.0);
+    assert_eq!(axis.command(99.0), 1.0);
     axis.limit(99.0);
-    assert_eq!(axis.command(99.0, 0.0), 4.0);
+    assert_eq!(axis.command(99.0), 4.0);
     axis.limit(-1.0);
-    assert_eq!(axis.command(99.0, 0.0), 0.0);
+    assert_eq!(axis.command(99.0), 0.0);
 }
 
 #[test]
@@ -291,9 +292,9 @@ fn a_motor_without_a_torque_constant_gets_no_current() {
     let mut dead = motor();
     dead.torque_constant = 0.0;
     let mut axis = Axis::new(&dead, &bridge(true), 10.0);
-    assert_eq!(axis.command(1.0, 0.0), 0.0);
+    assert_eq!(axis.command(1.0), 0.0);
     axis.limit(10.0);
-    assert_eq!(axis.command(1.0, 0.0), 0.0);
+    assert_eq!(axis.command(1.0), 0.0);
 }
 
 #[test]
@@ -301,10 +302,12 @@ fn the_integrator_does_not_wind_up_against_a_voltage_that_is_not_there() {
     // 4 A need 6 V and 480 rad/s make 24 V: far beyond the bus. Once the motor slows the current is right within 2 ms.
     let mut axis = Axis::new(&motor(), &bridge(true), 10.0);
     let mut winding = Winding::new(motor(), 480.0);
-    axis.command(0.2, winding.speed);
+    axis.follow(winding.speed, winding.speed);
+    axis.command(0.2);
     winding.run(&mut axis, 20_000, |_, _| {});
     winding.speed = 0.0;
-    axis.command(0.2, winding.speed);
+    axis.follow(winding.speed, winding.speed);
+    axis.command(0.2);
     winding.run(&mut axis, 40, |_, _| {});
     assert!((winding.current - 4.0).abs() < 0.05, "{}", winding.current);
 }
@@ -333,7 +336,8 @@ fn whatever_comes_in_each_leg_stays_between_4_and_96_percent() {
                 for bus in WILD {
                     for current in WILD {
                         let mut axis = Axis::new(&motor(), &bridge(sensed), 10.0);
-                        axis.command(torque, speed);
+                        axis.follow(speed, speed);
+                        axis.command(torque);
                         for late in [false, true, true, false] {
                             let duty = axis.drive(bus, current, late);
                             let legs = [0.5 + 0.5 * duty, 0.5 - 0.5 * duty];
@@ -361,7 +365,8 @@ fn a_motor_made_of_wild_numbers_still_gets_a_duty_within_bounds() {
                     verified: true,
                 };
                 let mut axis = Axis::new(&wild, &bridge(true), c);
-                axis.command(1.0, 1.0);
+                axis.follow(1.0, 1.0);
+                axis.command(1.0);
                 for late in [false, true, true, false] {
                     let duty = axis.drive(BUS, 0.5, late);
                     assert!(duty.abs() <= MAX_DUTY, "{a} {b} {c}: {duty}");
@@ -377,10 +382,12 @@ fn wild_numbers_are_forgotten_as_soon_as_they_are_gone() {
         for speed in WILD {
             for bus in WILD {
                 let mut axis = Axis::new(&motor(), &bridge(true), 10.0);
-                axis.command(torque, speed);
+                axis.follow(speed, speed);
+                axis.command(torque);
                 let drives = [true, false, true].map(|late| axis.drive(bus, torque, late));
                 assert!(drives.iter().all(|duty| duty.abs() <= MAX_DUTY));
-                axis.command(0.1, 0.0);
+                axis.follow(0.0, 0.0);
+                axis.command(0.1);
                 let mut winding = Winding::new(motor(), 0.0);
                 winding.run(&mut axis, 400, |_, _| {});
                 assert!((winding.current - 2.0).abs() < 0.01, "{torque} {speed} {bus}: {}", winding.current);
@@ -392,7 +399,7 @@ fn wild_numbers_are_forgotten_as_soon_as_they_are_gone() {
 #[test]
 fn without_supply_there_is_no_duty() {
     let mut axis = Axis::new(&motor(), &bridge(true), 10.0);
-    axis.command(0.1, 0.0);
+    axis.command(0.1);
     for bus in [0.0, 0.5, -24.0, f32::NAN] {
         assert_eq!(axis.drive(bus, 0.0, false), 0.0);
     }

@@ -5,7 +5,6 @@ mod rig;
 
 use haptic_bridge::math::{Libm, Math, Minimax, Real};
 use haptic_bridge::model::mechanism::AnyMechanism;
-use haptic_bridge::model::precomputed::MassModel;
 use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::{FeedForward, Scene, SceneError};
 use haptic_bridge::render::velocity::{
@@ -279,8 +278,7 @@ fn the_velocity_at_a_wall_is_that_of_the_tip() {
     let AnyMechanism::FiveBar(mechanism) = device.mechanism else { panic!("a five-bar") };
     let scale = device.joints[0].radians_per_count;
     for (name, kind) in Estimator::ALL {
-        let mut controller: Controller<f32, _, Minimax, 2> =
-            Controller::new(mechanism, &device, &wall(*kind), MassModel::Exact).unwrap();
+        let mut controller: Controller<f32, _, Minimax, 2> = Controller::new(mechanism, &device, &wall(*kind)).unwrap();
         // Joint 0 turns by a count a step.
         let rate = scale * RATE as f32;
         let mut last = None;
@@ -307,7 +305,7 @@ fn another_estimator_goes_on_from_the_velocity_that_was() {
     for (from, first) in Estimator::ALL {
         for (to, second) in Estimator::ALL {
             let mut controller: Controller<f32, _, Minimax, 2> =
-                Controller::new(mechanism, &device, &wall(*first), MassModel::Exact).unwrap();
+                Controller::new(mechanism, &device, &wall(*first)).unwrap();
             let mut speeds = Vec::new();
             for n in 0..600 {
                 if n == 400 {

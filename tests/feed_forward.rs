@@ -7,7 +7,6 @@ use haptic_bridge::math::{Libm, Math, Minimax, Real};
 use haptic_bridge::model::description::{Description, Encoder};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
-use haptic_bridge::model::precomputed::MassModel;
 use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::{Cylinder, FeedForward, Plane, Scene, Sphere, Surface, Wall};
 use haptic_bridge::with_mechanism;
@@ -56,7 +55,7 @@ fn controller<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
         ..Scene::default()
     };
     let device = Device::new("device", device).expect("a sound device");
-    Controller::new(mechanism, &device, &scene, MassModel::Exact).expect("a sound scene")
+    Controller::new(mechanism, &device, &scene).expect("a sound scene")
 }
 
 /// x with A x = y, by elimination.

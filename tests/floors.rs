@@ -1,7 +1,9 @@
 //! The library is a house of floors: what lies on one may use its own and those below, and no module is in a circle.
 
+use proc_macro2::{TokenStream, TokenTree};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+use syn::visit::{self, Visit};
 
 /// The floors from the ground up; those that stand on the same level do not know each other.
 const LEVELS: [&[&str]; 6] =
@@ -12,21 +14,19 @@ fn level(floor: &str) -> Option<usize> {
     LEVELS.iter().position(|floors| floors.contains(&floor))
 }
 
-/// A module's source: its place below `src/`, and its text.
+/// A module's source: its place below `src/`, and every path in it, resolved from the crate's root.
 struct Source {
     path: Vec<String>,
-    text: String,
+    paths: Vec<Vec<String>>,
 }
 
 impl Source {
     fn new(path: &str, text: &str) -> Self {
-        let path = path.trim_end_matches(".rs").split('/').map(String::from).collect();
-        // Comments link where they like, and so do those that macros make of text in quotes.
-        let code = text.lines().map(|line| {
-            let outside: String = line.split('"').step_by(2).collect();
-            outside.split("//").next().unwrap_or_default().to_string()
-        });
-        Self { path, text: code.collect::<Vec<_>>().join("\n") }
+        let path: Vec<String> = path.trim_end_matches(".rs").split('/').map(String::from).collect();
+        let file = syn::parse_file(text).unwrap_or_else(|error| panic!("{}: {error}", path.join("/")));
+        let mut reader = Reader { module: path.clone(), paths: Vec::new() };
+        reader.visit_file(&file);
+        Self { path, paths: reader.paths }
     }
 
     fn floor(&self) -> &str {
@@ -38,41 +38,127 @@ impl Source {
         self.path[..self.path.len().min(2)].join("::")
     }
 
-    /// Every `crate::a::b` in it, as (a, b); macros, which the crate's root exports, aside.
-    fn imports(&self) -> Vec<(String, String)> {
-        let parts = self.text.split("crate::").skip(1);
-        parts
-            .flat_map(|rest| match rest.strip_prefix('{') {
-                // Several at once.
-                Some(list) => list.split('}').next().unwrap_or_default().split(',').filter_map(import).collect(),
-                None => import(rest).into_iter().collect::<Vec<_>>(),
-            })
-            .collect()
+    /// This file alone.
+    fn file(&self) -> String {
+        self.path.join("::")
     }
 
     /// What it uses that is not below it.
     fn upward(&self) -> Vec<String> {
         let own = level(self.floor()).unwrap_or_else(|| panic!("{} is on no floor", self.floor()));
+        let other = |path: &&Vec<String>| path[0] != self.floor() && level(&path[0]).is_none_or(|other| other >= own);
         let mut wrong: Vec<String> = self
-            .imports()
-            .into_iter()
-            .filter(|(floor, _)| floor != self.floor() && level(floor).is_none_or(|other| other >= own))
-            .map(|(floor, module)| format!("{} uses {floor}::{module}", self.path.join("/")))
+            .paths
+            .iter()
+            .filter(other)
+            .map(|path| format!("{} uses {}", self.path.join("/"), path.join("::")))
             .collect();
-        if self.text.contains("super::super") && self.path.len() <= 2 {
-            wrong.push(format!("{} reaches outside its floor by super::super", self.path.join("/")));
-        }
+        wrong.sort();
+        wrong.dedup();
         wrong
     }
 }
 
-/// The (a, b) of a path `a::b` that a text starts with; none of a macro.
-fn import(text: &str) -> Option<(String, String)> {
-    let text = text.trim_start();
-    let end = text.find(|c: char| !(c.is_alphanumeric() || c == '_' || c == ':')).unwrap_or(text.len());
-    let mut names = text[..end].split("::");
-    let (floor, module) = (names.next()?, names.next().unwrap_or_default());
-    (!text[end..].starts_with('!')).then(|| (floor.to_string(), module.to_string()))
+/// Collects paths that begin with `crate` or `super`; relative ones stay where they are.
+struct Reader {
+    module: Vec<String>,
+    paths: Vec<Vec<String>>,
+}
+
+impl Reader {
+    /// Takes a path as it is written.
+    fn take(&mut self, names: &[String]) {
+        let mut place = match names.first().map(String::as_str) {
+            Some("crate") => Vec::new(),
+            Some("super") => self.module.clone(),
+            _ => return,
+        };
+        for name in names {
+            match name.as_str() {
+                "crate" => {}
+                "super" => drop(place.pop()),
+                name => place.push(name.to_string()),
+            }
+        }
+        // What the crate's root itself exports (macros, `super` from a floor's own file) is no module.
+        if place.len() > 1 || place.first().is_some_and(|name| level(name).is_some()) {
+            self.paths.push(place);
+        }
+    }
+
+    /// Every path of a `use`.
+    fn tree(&mut self, before: &[String], tree: &syn::UseTree) {
+        let and = |name: &dyn ToString| [before, &[name.to_string()]].concat();
+        match tree {
+            syn::UseTree::Path(path) => self.tree(&and(&path.ident), &path.tree),
+            syn::UseTree::Name(name) => self.take(&and(&name.ident)),
+            syn::UseTree::Rename(name) => self.take(&and(&name.ident)),
+            syn::UseTree::Glob(_) => self.take(before),
+            syn::UseTree::Group(group) => group.items.iter().for_each(|item| self.tree(before, item)),
+        }
+    }
+
+    /// Paths among the tokens of a macro, which are no code yet.
+    fn tokens(&mut self, tokens: TokenStream) {
+        let mut names: Vec<String> = Vec::new();
+        let mut joined = false;
+        for token in tokens {
+            match token {
+                TokenTree::Ident(name) => {
+                    if !joined {
+                        self.take(&std::mem::take(&mut names));
+                    }
+                    names.push(name.to_string());
+                    joined = false;
+                }
+                TokenTree::Punct(mark) if mark.as_char() == ':' => joined = true,
+                other => {
+                    // `crate::name!` is a macro, which belongs to no floor.
+                    let called = matches!(&other, TokenTree::Punct(mark) if mark.as_char() == '!');
+                    let names = std::mem::take(&mut names);
+                    if !called {
+                        self.take(&names);
+                    }
+                    joined = false;
+                    if let TokenTree::Group(group) = other {
+                        self.tokens(group.stream());
+                    }
+                }
+            }
+        }
+        self.take(&names);
+    }
+}
+
+impl<'a> Visit<'a> for Reader {
+    fn visit_item_use(&mut self, item: &'a syn::ItemUse) {
+        self.tree(&[], &item.tree);
+    }
+
+    fn visit_path(&mut self, path: &'a syn::Path) {
+        let names: Vec<String> = path.segments.iter().map(|segment| segment.ident.to_string()).collect();
+        self.take(&names);
+        visit::visit_path(self, path);
+    }
+
+    fn visit_macro(&mut self, call: &'a syn::Macro) {
+        // Not the macro's own path.
+        self.tokens(call.tokens.clone());
+    }
+
+    fn visit_item_mod(&mut self, item: &'a syn::ItemMod) {
+        self.module.push(item.ident.to_string());
+        visit::visit_item_mod(self, item);
+        self.module.pop();
+    }
+
+    fn visit_visibility(&mut self, _: &'a syn::Visibility) {
+        // `pub(super)` uses nothing.
+    }
+
+    fn visit_attribute(&mut self, _: &'a syn::Attribute) {
+        // Comments link where they like.
+    }
 }
 
 fn sources(directory: &Path, found: &mut Vec<PathBuf>) {
@@ -112,9 +198,11 @@ fn circles(sources: &[Source], name: impl Fn(&Source) -> String) -> BTreeMap<Str
     let mut uses: BTreeMap<String, BTreeSet<String>> = modules.iter().map(|m| (m.clone(), BTreeSet::new())).collect();
     for source in sources {
         let own = name(source);
-        for (floor, module) in source.imports() {
-            let other = [format!("{floor}::{module}"), floor].into_iter().find(|name| modules.contains(name));
-            let others = other.filter(|other| *other != own);
+        for path in &source.paths {
+            // The longest beginning of it that is a module.
+            let other = (1..=path.len()).rev().map(|end| path[..end].join("::")).find(|name| modules.contains(name));
+            // Files of one module (`a.rs` and what lies in `a/`) hold it together, from above and from below.
+            let others = other.filter(|other| *other != own && !own.starts_with(&format!("{other}::")));
             uses.entry(own.clone()).or_default().extend(others);
         }
     }
@@ -135,7 +223,7 @@ fn imports_go_down_only() {
     for floor in LEVELS.iter().copied().flatten() {
         assert!(library.iter().any(|source| source.floor() == *floor), "no floor {floor}");
     }
-    let imports: usize = library.iter().map(|source| source.imports().len()).sum();
+    let imports: usize = library.iter().map(|source| source.paths.len()).sum();
     assert!(imports > 100, "only {imports} imports found");
     let wrong: Vec<String> = library.iter().flat_map(Source::upward).collect();
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
@@ -143,9 +231,11 @@ fn imports_go_down_only() {
 
 #[test]
 fn no_module_is_in_a_circle() {
-    let library = circles(&library(), Source::module);
-    assert!(library.is_empty(), "circles among {library:#?}");
-    for folder in ["firmware/src", "emulator/src"] {
+    for name in [Source::module, Source::file] {
+        let circles = circles(&library(), name);
+        assert!(circles.is_empty(), "circles among {circles:#?}");
+    }
+    for folder in ["firmware/src", "emulator/src", "xtask/src"] {
         let circles = circles(&sources_of(folder), |source| source.floor().to_string());
         assert!(circles.is_empty(), "{folder}: circles among {circles:#?}");
     }
@@ -172,6 +262,12 @@ fn an_import_that_runs_up_or_across_is_found() {
     assert_eq!(wrong("model/device.rs", "use crate::{math, render::scene, board};"), 2);
     assert_eq!(wrong("math.rs", "use crate::checksum::crc32;"), 1);
     assert_eq!(wrong("model/device.rs", "use super::super::servo::Servo;"), 1);
+    assert_eq!(wrong("servo.rs", "use super::board::settings::Key;"), 1);
+    assert_eq!(wrong("model/mechanism/five_bar.rs", "use super::super::super::render::scene::Scene;"), 1);
+    assert_eq!(wrong("model/mechanism.rs", "mod tests { use super::super::super::render::scene::Scene; }"), 1);
+    assert_eq!(wrong("model/device.rs", "use crate::{model::{catalogue::Kind, solve}, board::settings};"), 1);
+    assert_eq!(wrong("model/device.rs", "define! { [crate::board::settings::Key] }"), 1);
+    assert_eq!(wrong("model/mechanism/five_bar.rs", "use super::super::solve; use super::Mechanism;"), 0);
     assert_eq!(wrong("servo/watch.rs", "use crate::safety::fault::Fault;\ncrate::mechanisms!(define);"), 0);
     assert_eq!(wrong("model/device.rs", "// see crate::servo::Servo"), 0);
 }

@@ -8,7 +8,6 @@ mod rig;
 use haptic_bridge::math::{Libm, Minimax};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism};
-use haptic_bridge::model::precomputed::MassModelData;
 use haptic_bridge::render::controller::{Controller, FULL_REGULARITY, NO_REGULARITY, PARALLEL_REGULARITY, Step};
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::servo::Command;
@@ -263,7 +262,7 @@ fn a_device_with_any_number_spoilt_is_refused_or_never_spoils_a_duty() {
             spoilt[place..place + 4].copy_from_slice(&poison.to_le_bytes());
             let Ok(device) = postcard::from_bytes::<Device<f32>>(&spoilt) else { continue };
             let mut rig = Rig::bare(rig::hardware(), rig::rules());
-            let program = Program::new(&rig.hardware, &rig.rules.limits, &device, &scene, &MassModelData::Exact, false);
+            let program = Program::new(&rig.hardware, &rig.rules.limits, &device, &scene, false);
             let Ok(program) = program else {
                 refused += 1;
                 continue;

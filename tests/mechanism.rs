@@ -6,7 +6,6 @@ use haptic_bridge::math::{Math, Minimax, Real};
 use haptic_bridge::model::catalogue::Spec;
 use haptic_bridge::model::description::{Description, DescriptionError};
 use haptic_bridge::model::mechanism::{Mechanism, Regularity};
-use haptic_bridge::model::precomputed::MassModel;
 use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::FeedForward;
 use nalgebra::{SMatrix, SVector};
@@ -78,7 +77,7 @@ fn a_toy_mechanism_is_one_impl_and_renders_walls_with_the_feed_forward() {
         wall.feed_forward = feed_forward;
         let scene = rig::scene(2, &[wall]);
         let mut controller: Controller<f32, _, Minimax, 2> =
-            Controller::new(gantry, &device, &scene, MassModel::Exact).expect("a sound scene");
+            Controller::new(gantry, &device, &scene).expect("a sound scene");
         let counts = (-0.2 / device.joints[0].radians_per_count) as i32;
         controller.step(&[counts, 0]);
         let step = controller.step(&[counts, 0]);

@@ -442,6 +442,23 @@ fn the_polarity_check_moves_every_joint_in_turn_and_ends_disarmed() {
 }
 
 #[test]
+fn a_joint_that_glides_after_the_one_before_is_waited_for() {
+    let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
+    rig.execute(Command::CheckPolarity).unwrap();
+    rig.run(0.5);
+    rig.turn(0, 0.021, 0.5);
+    // Three seconds backwards, hardly braked, as a device almost without friction.
+    for step in 0..(3.0 * rig.rate) as u32 {
+        rig.samples.counts[1] -= i32::from(step % 10 == 0);
+        rig.step();
+    }
+    assert_eq!(rig.state(), State::CheckingPolarity, "{:?}", rig.fault());
+    rig.run(0.5);
+    rig.turn(1, 0.1, 0.5);
+    assert!(rig.servo.status().polarity, "{:?}", rig.fault());
+}
+
+#[test]
 fn a_joint_that_turns_the_wrong_way_or_not_at_all_fails_the_polarity_check() {
     let mut rig = Rig::ready(&scene(1, &[]));
     rig.execute(Command::CheckPolarity).unwrap();

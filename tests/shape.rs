@@ -1,8 +1,8 @@
 //! A wall's shape needs nothing but its own file: a toy one, and what follows from its list of keys.
 
 use haptic_bridge::math::{Libm, Math, Real};
-use haptic_bridge::render::scene::shape::{Meaning, Shape, ShapeSpec, Surface, Values};
-use haptic_bridge::render::scene::{Contact, Cylinder, Plane, Sphere};
+use haptic_bridge::render::scene::shape::{Meaning, Shape, ShapeSpec, Values};
+use haptic_bridge::render::scene::{Contact, Cylinder, Plane, Sphere, Surface};
 use nalgebra::{SVector, Vector3};
 
 /// A slab: solid within half its thickness of a plane.

@@ -7,7 +7,6 @@ use haptic_bridge::drive::stage::{Bridge, Stage};
 use haptic_bridge::math::{Math, Minimax};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::device::Motor;
-use haptic_bridge::model::precomputed::MassModelData;
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::frame::{Crest, Samples};
 use haptic_bridge::servo::joints::Currents;
@@ -47,7 +46,7 @@ impl Stage for SetPoint {
     fn torque_of(&self, current: f32) -> f32 {
         current * self.torque_constant
     }
-    fn command(&mut self, torque: f32, _: f32) -> f32 {
+    fn command(&mut self, torque: f32) -> f32 {
         self.target = (torque / self.torque_constant).clamp(-self.max_current, self.max_current);
         self.target
     }
@@ -99,8 +98,8 @@ impl Stage for FieldOriented {
     fn torque_of(&self, current: f32) -> f32 {
         self.set_point.torque_of(current)
     }
-    fn command(&mut self, torque: f32, speed: f32) -> f32 {
-        self.set_point.command(torque, speed)
+    fn command(&mut self, torque: f32) -> f32 {
+        self.set_point.command(torque)
     }
     fn follow(&mut self, _: f32, _: f32) {}
     fn drive(&mut self, bus_voltage: f32, seen: Phases, _: bool) -> [f32; 3] {
@@ -137,7 +136,7 @@ impl<S: Stage> Pressed<S> {
         let servo = Servo::new(hardware(), rules());
         let mut rig = Self { servo, samples: Samples { bus_voltage: 24.0, ..Samples::default() } };
         let scene = scene(1, &[wall(-0.005, stiffness)]);
-        let program = Program::new(&hardware(), &limits(), &device(&paddle()), &scene, &MassModelData::Exact, false);
+        let program = Program::new(&hardware(), &limits(), &device(&paddle()), &scene, false);
         rig.execute(Command::Program(Box::new(program.expect("a program that fits"))));
         rig.run(100);
         rig.execute(Command::Home);

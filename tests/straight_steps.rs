@@ -8,7 +8,6 @@ use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Encoder;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::Mechanism;
-use haptic_bridge::model::precomputed::MassModel;
 use haptic_bridge::render::controller::{Controller, Gains, Push, Step};
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
 use haptic_bridge::render::velocity::{Estimator, Washout};
@@ -91,7 +90,7 @@ fn wander<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
     let tip = mechanism.tip(&mechanism.pose::<K>(&q));
     let place: Vec<f64> = tip.iter().map(|x| x.to_f64()).collect();
     let scene = scene::<T>(&mut draw, &place, M::SPEC.task);
-    let mut straight = Controller::<T, M, K, N>::new(*mechanism, device, &scene, MassModel::Exact).expect("a scene");
+    let mut straight = Controller::<T, M, K, N>::new(*mechanism, device, &scene).expect("a scene");
     let passivity = draw.within(0.0, 1.0) < 0.5;
     straight.set_passivity(passivity);
     let mut general = straight.clone();

@@ -29,30 +29,14 @@ fn what_is_not_a_number_stays_one() {
     }
     assert!(<Minimax as Math<f32>>::sqrt(-1.0).is_nan());
     assert!(<Minimax as Math<f32>>::sqrt(f32::NAN).is_nan());
-    assert!(!<Minimax as Math<f32>>::sqrt(f32::INFINITY).is_finite());
 }
 
 #[test]
-fn the_square_root_is_good_to_the_last_digit_but_one() {
-    assert_eq!(<Minimax as Math<f32>>::sqrt(0.0), 0.0);
-    let mut worst = 0.0f64;
-    // Every 1009th normal number.
-    for bits in (f32::MIN_POSITIVE.to_bits()..=f32::MAX.to_bits()).step_by(1009) {
+fn the_square_root_is_correctly_rounded() {
+    // Every 1009th number that is not negative, subnormal ones and infinity too. Rounding a root of double precision once
+    // more does no harm: it has more than twice the digits.
+    for bits in (0..=f32::INFINITY.to_bits()).step_by(1009).chain([1, f32::INFINITY.to_bits()]) {
         let value = f32::from_bits(bits);
-        let exact = f64::from(value).sqrt();
-        worst = worst.max((f64::from(<Minimax as Math<f32>>::sqrt(value)) / exact - 1.0).abs());
+        assert_eq!(<Minimax as Math<f32>>::sqrt(value), f64::from(value).sqrt() as f32, "{value:e}");
     }
-    assert!(worst < 1.2e-7, "{worst}");
-}
-
-#[test]
-fn the_square_root_of_a_subnormal_number_loses_digits_but_not_its_sign_or_size() {
-    for bits in (1..f32::MIN_POSITIVE.to_bits()).step_by(101) {
-        let root = <Minimax as Math<f32>>::sqrt(f32::from_bits(bits));
-        let exact = f64::from(f32::from_bits(bits)).sqrt();
-        // Never too large by more than the last digits of a normal number.
-        assert!(root >= 0.0 && f64::from(root) <= exact * (1.0 + 1.2e-7), "{bits}: {root} for {exact}");
-    }
-    let lost = |value: f32| 1.0 - f64::from(<Minimax as Math<f32>>::sqrt(value)) / f64::from(value).sqrt();
-    assert!((lost(1.0e-40) - 0.4).abs() < 0.05 && lost(1.0e-44) > 0.98, "{} {}", lost(1.0e-40), lost(1.0e-44));
 }

@@ -10,7 +10,6 @@ use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::{Description, Encoder};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
-use haptic_bridge::model::precomputed::MassModel;
 use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::{
     Admissible, FeedForward, Plane, Scene, SceneError, Sphere, Surface, VelocityTerms, Wall,
@@ -96,8 +95,7 @@ fn outcome(
         let mut scene = Scene { task: task as u8, rate_hz: RATE, cutoff_hz: 5_000.0, ..Scene::default() };
         scene.walls.push(wall(surface)).expect("room");
         with(&mut scene);
-        let mut controller =
-            Controller::<f64, M, Libm, N>::new(m, device, &scene, MassModel::Exact).expect("a sound scene");
+        let mut controller = Controller::<f64, M, Libm, N>::new(m, device, &scene).expect("a sound scene");
         // Steadily through the pose, long enough for the joint filters to know the velocity.
         let counts = |k: i32| {
             (q + qd * (f64::from(k) / RATE)).map(|a| (a / core::f64::consts::TAU * COUNTS_PER_TURN).round() as i32)

@@ -5,7 +5,7 @@
 
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::catalogue::{MAX_JOINTS, MAX_LINKS};
-use haptic_bridge::model::description::{Description, Encoder, Joint, Link};
+use haptic_bridge::model::description::{Description, Encoder, Joint, Link, MAX_MODES};
 
 const fn link(mass: f64, com: f64, inertia: f64, inertia_axial: f64, inertia_transverse: f64) -> Link {
     Link { mass, com, inertia, inertia_axial, inertia_transverse }
@@ -15,11 +15,22 @@ const NO_LINK: Link = link(0.0, 0.0, 0.0, 0.0, 0.0);
 
 const fn joint(inertia: f64, viscous: f64, coulomb: f64, counts_per_turn: f64) -> Joint {
     let encoder = Some(Encoder { counts_per_turn, offset: 0.0, inverted: false });
-    Joint { inertia, viscous, coulomb, limits: None, encoder, motor: None, transmission: None }
+    Joint { inertia, viscous, coulomb, encoder, ..NO_JOINT }
 }
 
-const NO_JOINT: Joint =
-    Joint { inertia: 0.0, viscous: 0.0, coulomb: 0.0, limits: None, encoder: None, motor: None, transmission: None };
+const NO_JOINT: Joint = Joint {
+    inertia: 0.0,
+    viscous: 0.0,
+    coulomb: 0.0,
+    limits: None,
+    encoder: None,
+    motor: None,
+    transmission: None,
+    rigid: false,
+    friction: None,
+    cogging: None,
+    modes: [None; MAX_MODES],
+};
 
 /// `devices/hapkit-paddle.toml`
 pub const PADDLE: Description = Description {

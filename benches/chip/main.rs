@@ -8,12 +8,10 @@
 #![no_main]
 
 mod devices;
-mod fpu;
 
 use core::hint::black_box;
 use core::panic::PanicInfo;
 use core::ptr::{addr_of_mut, write_volatile};
-use fpu::Fpu;
 use haptic_bridge::math::{Libm, Math, Micromath, Minimax};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::Description;
@@ -117,7 +115,6 @@ extern "C" fn all() -> ! {
 #[inline(never)]
 fn every_math(device: &Device<f32>, description: &Description) {
     with_mechanism!(&device.mechanism, mechanism => {
-        variants::<_, Fpu, _>(mechanism, device, description);
         variants::<_, Minimax, _>(mechanism, device, description);
         variants::<_, Micromath, _>(mechanism, device, description);
         variants::<_, Libm, _>(mechanism, device, description);
@@ -158,9 +155,8 @@ fn variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
                 continue;
             }
             let scene = scene::<M, N>(&tip, *walls, *feed_forward, *velocity_terms);
-            let Ok(mut controller) = Controller::<f32, M, K, N>::new(*mechanism, device, &scene, mass.clone()) else {
-                panic!()
-            };
+            let Ok(mut controller) = Controller::<f32, M, K, N>::new(*mechanism, device, &scene) else { panic!() };
+            controller.set_mass(mass.clone());
             let mut text = String::<96>::new();
             for part in [M::SPEC.name, "/", K::NAME, "/", kind, "/", term] {
                 let _ = text.push_str(part);

@@ -1,74 +1,123 @@
-//! haptic-bridge boards for programs in C: the functions that `include/hapticbridge.h` declares and documents.
+//! haptic-bridge boards for programs in C. `include/hapticbridge.h` is made of this file by cbindgen, documentation and all:
+//! `UPDATE_DOCS=1 cargo test -p haptic-capi --test header`.
 //!
-//! Nothing unwinds across the border: a panic becomes [`BROKEN`], and dropping a session disarms its board.
+//! Nothing unwinds across the border: a panic becomes [`HB_BROKEN`], and dropping a session disarms its board.
+
+#![allow(clippy::missing_safety_doc, reason = "what C is told is the documentation: pointers are NULL or what it says")]
 
 use haptic::device_file::DeviceFile;
 use haptic::link::{PortSpec, Session};
 use haptic::scene_file::SceneFile;
 use haptic_bridge::board::protocol::{ForceAnswer, ForceDone, ForceRequest, HostContact};
 use haptic_bridge::render::scene::Scene;
+use haptic_bridge::safety::fault::State as BoardState;
 use std::cell::RefCell;
 use std::ffi::{CStr, CString, c_char};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Mutex, PoisonError};
 
-/// `HB_VERSION`: raised by any change of a structure or a function.
-pub const VERSION: u32 = 1;
-/// `HB_OK`
-pub const OK: i32 = 0;
-/// `HB_FAILED`
-pub const FAILED: i32 = 1;
-/// `HB_BAD_ARGUMENT`
-pub const BAD_ARGUMENT: i32 = 2;
-/// `HB_BROKEN`
-pub const BROKEN: i32 = 3;
+/// Of this header. A library of another number has other structures: compare with hb_version().
+pub const HB_VERSION: u32 = 1;
 
-/// `hb_board`
+/// What a function returns: it was done.
+pub const HB_OK: i32 = 0;
+/// It could not be done: no board, a refusal, a file that is wrong.
+pub const HB_FAILED: i32 = 1;
+/// NULL, or text that is not UTF-8.
+pub const HB_BAD_ARGUMENT: i32 = 2;
+/// A defect of the library; the board was told to disarm.
+pub const HB_BROKEN: i32 = 3;
+
+/// hb_state.done: what was done with a request (docs/host-force.md). It acts.
+pub const HB_TAKEN: i32 = 0;
+/// hold and fade 0: it only asked.
+pub const HB_LOOKED: i32 = 1;
+/// The motors are off.
+pub const HB_NOT_ARMED: i32 = 2;
+/// A request with this number or a later one acts.
+pub const HB_NOT_NEWER: i32 = 3;
+/// More time than hold and fade since the last call.
+pub const HB_TOO_OLD: i32 = 4;
+/// A number that cannot be used.
+pub const HB_BAD: i32 = 5;
+
+/// hb_state.state: the motors are off.
+pub const HB_DISARMED: i32 = 0;
+/// They are on.
+pub const HB_ARMED: i32 = 1;
+/// They are on, a little, one after the other.
+pub const HB_CHECKING_POLARITY: i32 = 2;
+/// They are off until hb_clear().
+pub const HB_FAULT: i32 = 3;
+
+/// A board that this program holds.
 pub struct Board(Mutex<Option<Session>>);
 
-/// `hb_request`
+/// What the motors are asked for, in the place of what was asked for before. All zeros only asks how the device is.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default)]
-#[allow(missing_docs, reason = "documented in the header")]
 pub struct Request {
+    /// For how long it acts in full, 0 to 0.2.
     pub hold_s: f32,
+    /// In how long it then fades to nothing, 0 to 0.2.
     pub fade_s: f32,
+    /// At the tip.
     pub force_n: [f32; 3],
+    /// At the joints.
     pub torque_nm: [f32; 3],
+    /// 1: the board renders the plane below; 0: none.
     pub has_contact: i32,
+    /// A point of it.
     pub point_m: [f32; 3],
+    /// Its unit normal, out of the solid.
     pub normal: [f32; 3],
+    /// Its stiffness.
     pub stiffness_n_m: f32,
+    /// Its damping.
     pub damping_ns_m: f32,
 }
 
-/// `hb_state`
+/// How the device is.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default)]
-#[allow(missing_docs, reason = "documented in the header")]
 pub struct State {
+    /// HB_TAKEN or why not.
     pub done: i32,
+    /// HB_DISARMED and so on.
     pub state: i32,
+    /// Control steps since boot, wrapping.
     pub step: u32,
+    /// From step to step.
     pub period_s: f32,
+    /// Of the state that the acting request was computed from; negative when none acts.
     pub age_s: f32,
+    /// Of what is asked for that acts.
     pub share: f32,
+    /// Where the tip is.
     pub tip_m: [f32; 3],
+    /// How fast it is.
     pub velocity_m_s: [f32; 3],
+    /// Joint angles.
     pub q_rad: [f32; 3],
+    /// Commanded, after all limits.
     pub torque_nm: [f32; 3],
+    /// That the host's force and contact have really added at the tip.
     pub force_n: [f32; 3],
 }
+
+const _: () = assert!(HB_ARMED == BoardState::Armed as i32 && HB_FAULT == BoardState::Fault as i32);
+const _: () = assert!(HB_DISARMED == BoardState::Disarmed as i32);
+const _: () = assert!(HB_CHECKING_POLARITY == BoardState::CheckingPolarity as i32);
 
 impl From<&ForceAnswer> for State {
     fn from(answer: &ForceAnswer) -> Self {
         let done = match answer.done {
-            ForceDone::Taken => 0,
-            ForceDone::Looked => 1,
-            ForceDone::NotArmed => 2,
-            ForceDone::NotNewer => 3,
-            ForceDone::TooOld => 4,
-            ForceDone::Bad(_) => 5,
+            ForceDone::Taken => HB_TAKEN,
+            ForceDone::Looked => HB_LOOKED,
+            ForceDone::NotArmed => HB_NOT_ARMED,
+            ForceDone::NotNewer => HB_NOT_NEWER,
+            ForceDone::TooOld => HB_TOO_OLD,
+            ForceDone::Bad(_) => HB_BAD,
         };
         Self {
             done,
@@ -135,15 +184,15 @@ fn guarded<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, i32> {
         Ok(Ok(value)) => Ok(value),
         Ok(Err(Failure::Words(words))) => {
             say(&words);
-            Err(FAILED)
+            Err(HB_FAILED)
         }
         Ok(Err(Failure::Argument(which))) => {
             say(&format!("{which} is NULL, or no UTF-8"));
-            Err(BAD_ARGUMENT)
+            Err(HB_BAD_ARGUMENT)
         }
         Err(_) => {
             say("a defect of libhapticbridge: please report it with what was called");
-            Err(BROKEN)
+            Err(HB_BROKEN)
         }
     }
 }
@@ -174,25 +223,23 @@ unsafe fn with(board: *const Board, work: impl FnOnce(&mut Session) -> Result<()
         *held = Some(session);
         done
     });
-    done.err().unwrap_or(OK)
+    done.err().unwrap_or(HB_OK)
 }
 
-/// See the header.
+/// HB_VERSION of the library.
 #[unsafe(no_mangle)]
 pub extern "C" fn hb_version() -> u32 {
-    VERSION
+    HB_VERSION
 }
 
-/// See the header.
+/// What went wrong in the last call of this thread that failed; valid until its next call. Never NULL.
 #[unsafe(no_mangle)]
 pub extern "C" fn hb_error() -> *const c_char {
     ERROR.with(|error| error.borrow().as_ptr())
 }
 
-/// See the header.
-///
-/// # Safety
-/// `port` is NULL or a string that ends with a zero.
+/// Opens a board: a serial port or serial number, tcp:HOST:PORT, sim, sim:DEVICE.toml, or NULL for the only one
+/// connected. NULL when it cannot be opened.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_open(port: *const c_char) -> *mut Board {
     let opened = guarded(|| {
@@ -207,10 +254,7 @@ pub unsafe extern "C" fn hb_open(port: *const c_char) -> *mut Board {
     opened.map_or(std::ptr::null_mut(), |session| Box::into_raw(Box::new(Board(Mutex::new(Some(session))))))
 }
 
-/// See the header.
-///
-/// # Safety
-/// `board` is NULL or came from [`hb_open`] and has not been closed; no other call on it is under way.
+/// Disarms the board and lets go of it. NULL is allowed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_close(board: *mut Board) {
     if !board.is_null() {
@@ -223,10 +267,7 @@ pub unsafe extern "C" fn hb_close(board: *mut Board) {
     }
 }
 
-/// See the header.
-///
-/// # Safety
-/// As for the others; the files are NULL or strings that end with a zero.
+/// Loads a device file and a scene file; a NULL scene is free space. Motors must be off.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_load(board: *const Board, device_file: *const c_char, scene_file: *const c_char) -> i32 {
     // SAFETY: as the caller promises.
@@ -245,32 +286,44 @@ pub unsafe extern "C" fn hb_load(board: *const Board, device_file: *const c_char
     }
 }
 
-/// Declares functions that only need a board.
-macro_rules! plain {
-    ($($name:ident: $method:ident;)*) => {$(
-        /// See the header.
-        ///
-        /// # Safety
-        /// `board` is NULL or came from [`hb_open`] and has not been closed.
-        #[unsafe(no_mangle)]
-        pub unsafe extern "C" fn $name(board: *const Board) -> i32 {
-            // SAFETY: as the caller promises.
-            unsafe { with(board, |session| Ok(session.$method()?)) }
-        }
-    )*};
-}
-plain! {
-    hb_home: home;
-    hb_check_polarity: check_polarity;
-    hb_arm: arm;
-    hb_disarm: disarm;
-    hb_clear: clear;
+/// The device stands in its home pose.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn hb_home(board: *const Board) -> i32 {
+    // SAFETY: as the caller promises.
+    unsafe { with(board, |session| Ok(session.home()?)) }
 }
 
-/// See the header.
-///
-/// # Safety
-/// As for the others; `request` is NULL or points to one, `state` to room for one.
+/// Starts the polarity check, which moves each joint a little.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn hb_check_polarity(board: *const Board) -> i32 {
+    // SAFETY: as the caller promises.
+    unsafe { with(board, |session| Ok(session.check_polarity()?)) }
+}
+
+/// Motors on; torque ramps up over half a second. hb_exchange() must then be called at least as often as the board's rules
+/// ask for a sign of the host.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn hb_arm(board: *const Board) -> i32 {
+    // SAFETY: as the caller promises.
+    unsafe { with(board, |session| Ok(session.arm()?)) }
+}
+
+/// Motors off.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn hb_disarm(board: *const Board) -> i32 {
+    // SAFETY: as the caller promises.
+    unsafe { with(board, |session| Ok(session.disarm()?)) }
+}
+
+/// Clears a latched fault.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn hb_clear(board: *const Board) -> i32 {
+    // SAFETY: as the caller promises.
+    unsafe { with(board, |session| Ok(session.clear()?)) }
+}
+
+/// Sends a request (NULL only asks) and waits for the answer, well below a millisecond. A request that was not taken is
+/// no failure: hb_state.done says why.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_exchange(board: *const Board, request: *const Request, state: *mut State) -> i32 {
     // SAFETY: as the caller promises.

@@ -634,7 +634,9 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     let from_cause = ((at - began) / (50 * MICROSECOND)) as u32;
     // Seen before the bridges were ever on, and told by an answer that took its time.
     let never_on = fault == Fault::StrayCurrent;
-    let from_seen = (!restarted).then(|| if never_on { 0 } else { steps.wrapping_sub(record.step) });
+    // A step counts itself at its end, when its bridges have long been off.
+    let since = (steps.wrapping_sub(record.step) as i32).max(0) as u32;
+    let from_seen = (!restarted).then_some(if never_on { 0 } else { since });
     assert!(before <= steps || restarted, "{name}: steps went back");
     Some(Outcome { record, from_cause, from_seen })
 }

@@ -29,6 +29,7 @@ pub struct Load {
     pub due: u64,
     /// Whether the walls were still rendered at the end, and the fault if not.
     pub armed: bool,
+    /// The fault that is latched.
     pub fault: Option<FaultRecord>,
     /// Bytes of stack that were never used since boot.
     pub stack_free: u32,

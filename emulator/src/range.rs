@@ -16,7 +16,7 @@ use haptic::analysis::several::Member;
 use haptic::device_file::DeviceFile;
 use haptic::measure::campaign::{self, Plan};
 use haptic::measure::progress::{Mode, Progress};
-use haptic::measure::{Bench, MeasureError, Setup};
+use haptic::measure::{Bench, Law, MeasureError, Setup};
 use haptic::plot::Picture;
 use haptic::plot::range::{Contents, MeasuredPoint, draw};
 use haptic::sim::Hand;
@@ -25,6 +25,7 @@ use haptic_bridge::model::description::Motor;
 use haptic_bridge::render::scene::FeedForward;
 
 use crate::boards::BoardKind;
+use crate::hands::carry;
 use crate::rig::{Rig, device_file};
 
 /// Where the wall is touched, rad: the pose of the figures in docs/results.md.
@@ -106,6 +107,8 @@ pub fn bench() -> Rig {
         options.substep = 25e-6;
         options.start = Some(POSE);
     });
+    // A loose hand on it for the polarity check: what nothing brakes never comes to rest between two joints.
+    rig.with_simulated(carry);
     rig.prepare("");
     let mut rules = rig.tool.rules().expect("the board answers");
     rules.limits.current = [12.0; 3];
@@ -130,6 +133,7 @@ pub fn on<T>(
         washout_hz: 2.0,
         torque_limit: TORQUE_LIMIT,
         largest_pull: 1e-3,
+        law: Law::default(),
     };
     let (file, shared) = (device(), rig.shared.clone());
     let mut bench = Bench::new(&mut rig.tool, &file, setup, &|| false)?;

@@ -179,16 +179,13 @@ impl Step {
     /// Everything there is to do at a crest.
     #[inline(always)]
     fn crest(&mut self) {
+        // While the converters work.
+        let counts = self.io.counts();
         let analog = self.io.analog();
         if let Some((fault, axis, value)) = self.hardware_fault(analog.fresh) {
             self.servo.trip(fault, axis, value);
         }
-        let seen = Crest {
-            counts: self.io.counts(),
-            bus_voltage: analog.bus_v,
-            currents: analog.currents,
-            imbalance: analog.imbalance,
-        };
+        let seen = Crest { counts, bus_voltage: analog.bus_v, currents: analog.currents, imbalance: analog.imbalance };
         let mut outputs = compiled::guard(&mut self.servo, &seen);
         self.countdown -= 1;
         let stepped = self.countdown == 0;
@@ -201,7 +198,8 @@ impl Step {
         } else if !outputs.bridges {
             self.connect(false);
         }
-        self.late = if too_late() { LATE_CRESTS } else { self.late.saturating_sub(1) };
+        let came_late = too_late();
+        self.late = if came_late { LATE_CRESTS } else { self.late.saturating_sub(1) };
         let late = self.late > 0;
         let legs = compiled::legs(&mut self.servo, analog.bus_v, &analog.currents, late, self.io.carrier());
         if late && !past_valley() {
@@ -211,7 +209,7 @@ impl Step {
         }
         // What the motors do not wait for.
         if stepped {
-            LATE.store(LATE.load(Ordering::Relaxed).wrapping_add(u32::from(late)), Ordering::Relaxed);
+            LATE.store(LATE.load(Ordering::Relaxed).wrapping_add(u32::from(came_late)), Ordering::Relaxed);
             self.record();
             STEPS.store(self.servo.steps(), Ordering::Relaxed);
         }

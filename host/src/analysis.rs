@@ -3,9 +3,11 @@
 //!
 //! Nothing here talks to a board: a pose, a direction and a few numbers about the loop go in, predictions come out.
 //!
+//! - [`amplitudes`]: how much of a recorded signal swings at which frequency
 //! - [`cut`]: the plane of that map that is drawn, in tiles
 //! - [`estimator`]: the velocity estimators as linear filters
 //! - [`flexible`]: what is not rigid about it: transmissions, and a hand on the tip
+//! - [`host`]: the same wall rendered by a program on a computer
 //! - [`map`]: inertia over the workspace: what `haptic map` prints
 //! - [`passivity`]: the classical bounds of walls that no hand can make oscillate
 //! - [`plant`]: the device linearised at a pose, its joint damping and its drives, in continuous time
@@ -14,22 +16,26 @@
 //! - [`boundary`]: the stiffness at which a mode leaves the unit circle, and every other stable interval
 //! - [`pose`]: from a device description and joint angles to the matrices all of this works on
 //! - [`range`]: boundary, area and islands of one device: what `haptic range` prints
+//! - [`ripple`]: what encoder steps make of a pressed wall, by simulation
 //! - [`several`]: the same loop around walls that act together
 //! - [`why`]: what each effect takes from the boundary
 //!
 //! Source: "Inertia Properties and Their Role in Haptic Rendering", the stable domain of virtual walls; sampled-data
 //! theory as in Åström and Wittenmark, *Computer-Controlled Systems*, chapters 2 and 3.
 
+pub mod amplitudes;
 pub mod boundary;
 pub mod cut;
 mod eigenvalues;
 pub mod estimator;
 pub mod flexible;
+pub mod host;
 pub mod map;
 pub mod passivity;
 pub mod plant;
 pub mod pose;
 pub mod range;
+pub mod ripple;
 pub mod sampled;
 pub mod several;
 pub mod spectrum;

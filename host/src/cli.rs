@@ -3,11 +3,13 @@
 use crate::commands::{Command, HEADINGS, list_of_fields};
 use clap::error::ContextKind;
 use clap::{CommandFactory, FromArgMatches, Parser};
+use haptic::continued::Continued;
 use haptic::error::Failure;
 use haptic::plausible::counted;
 use haptic_bridge::model::admissible::Admissible;
 use std::error::Error;
 use std::ffi::OsString;
+use std::io::IsTerminal;
 use std::num::{IntErrorKind, ParseFloatError, ParseIntError};
 
 /// Configure, watch, simulate and analyse haptic-bridge boards: motor drivers that render hard walls on a device
@@ -81,6 +83,14 @@ pub fn examples(command: &str) -> &'static [&'static str] {
         "precompute" => &["haptic precompute devices/haply-2diy.toml --kind frozen --box 1.8,2.2,0.9,1.3"],
         "range" => &["haptic range devices/coupled-five-bar.toml --normal 0.6,0.8 --rate 20000 --cutoff 500"],
         "estimators" => &["haptic estimators devices/coupled-five-bar.toml --q 2.6,1.75 --normal 0.6,0.8"],
+        "tune" => &[
+            "haptic tune devices/haply-2diy.toml --normal 0,1",
+            "haptic tune devices/haply-2diy.toml --scene devices/scenes/haply-2diy/wall-stiff.toml --out tuned.toml",
+        ],
+        "design" => &["haptic design devices/serial-3r.toml --normal 0.42,-0.91 --svg design.svg"],
+        "report" => {
+            &["haptic report devices/haply-2diy.toml devices/scenes/haply-2diy/wall-stiff.toml --out haply.html"]
+        }
         "sim" => &["haptic sim", "haptic sim devices/haply-2diy.toml --tcp 7710 --hand loop"],
         "info" => &["haptic info --port sim", "haptic info --port /dev/ttyACM0 --json"],
         "device" => &["haptic device devices/haply-2diy.toml"],
@@ -92,7 +102,14 @@ pub fn examples(command: &str) -> &'static [&'static str] {
             "haptic stream --csv contact.csv --seconds 10",
             "haptic stream --csv - --fields q,force,rendered --rate 5000 | head -n 100",
         ],
+        "record" => &["haptic record contact.mcap", "haptic record contact.csv --rate 1000 --seconds 10"],
+        "plot" => {
+            &["haptic plot contact.mcap --svg contact.svg", "haptic plot contact.csv --show force --png force.png"]
+        }
+        "replay" => &["haptic replay contact.mcap"],
+        "serve" => &["haptic serve --haply --port sim"],
         "view" => &["haptic view --port sim", "haptic view devices/haply-2diy.toml --port sim"],
+        "monitor" => &["haptic monitor --port sim", "haptic monitor devices/haply-2diy.toml"],
         "measure-range" => {
             &["haptic measure-range devices/coupled-five-bar.toml --port sim --normal 0.6,0.8 --rate 1000 --cutoff 20"]
         }
@@ -224,6 +241,26 @@ impl Numbers {
 pub fn admissible(text: &str) -> Result<Admissible, String> {
     let known = Admissible::ALL.iter().find(|(name, _)| *name == text).map(|(_, choice)| *choice);
     known.ok_or_else(|| format!("write one of {}", Admissible::ALL.map(|(name, _)| name).join(", ")))
+}
+
+/// Runs a long sweep: with a file to keep what is done in, Ctrl-C ends it in order; somebody who watches sees how many
+/// `things` are done.
+pub fn long<R>(
+    path: Option<&std::path::Path>,
+    sweep: &str,
+    things: &str,
+    run: impl FnOnce(Option<&Continued<'_>>, &(dyn Fn(usize, usize) + Sync)) -> Result<R, Failure>,
+) -> Result<R, Failure> {
+    let watched = std::io::stderr().is_terminal();
+    let progress = |done: usize, of: usize| {
+        if watched && of > 1 {
+            haptic::error::say(format_args!("\r{done} of {of} {things}{}", if done == of { "\n" } else { "" }));
+        }
+    };
+    let Some(path) = path else { return run(None, &progress) };
+    let interrupt = haptic::interrupt::watch();
+    let interrupted = || interrupt.is_set();
+    run(Some(&Continued { path, sweep, interrupted: &interrupted }), &progress)
 }
 
 #[cfg(test)]

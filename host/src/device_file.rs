@@ -8,7 +8,8 @@ use haptic_bridge::math::{Libm, Minimax, Real};
 use haptic_bridge::model::catalogue::{Kind, Spec};
 use haptic_bridge::model::catalogue::{MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
 use haptic_bridge::model::description::{
-    Description, DescriptionError, Encoder, EncoderAt, Joint, Link, Motor, Transmission,
+    Cogging, Description, DescriptionError, Encoder, EncoderAt, Joint, Link, MAX_MODES, Motor, Stribeck,
+    StructuralMode, Transmission,
 };
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
@@ -126,6 +127,11 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>), F
         let remedy = "give the links masses, or a smaller motor_inertia in [joint.transmission]";
         return Err(top.error_here(impossible(reason, remedy)));
     }
+    if let Some(joint) = swings_with_all(&description, &home.unwrap_or_default()) {
+        let reason = format!("the modes of joint {joint} swing with more inertia than the links have about it at home");
+        let remedy = "write the part of the inertia about the joint that swings, in kg m²";
+        return Err(top.tables("joint")?[joint].error_at("mode", impossible(reason, remedy)));
+    }
     let at = home.unwrap_or_default().map(|angle| angle as f32);
     if !AnyMechanism::<f32>::new(&description).is_ok_and(|board| board.is_finite_at::<Minimax>(&at)) {
         let reason = "some number is so large that the device overflows the board's 32-bit floats";
@@ -145,7 +151,8 @@ fn impossible(reason: impl Into<String>, remedy: impl Into<String>) -> Problem {
     Problem::Impossible { reason: reason.into(), remedy: remedy.into() }
 }
 
-fn padded<const N: usize>(values: &[f64]) -> [f64; N] {
+/// The values, with zeros after them.
+pub(crate) fn padded<const N: usize>(values: &[f64]) -> [f64; N] {
     core::array::from_fn(|index| values.get(index).copied().unwrap_or(0.0))
 }
 
@@ -225,13 +232,39 @@ fn joints(top: &Table<'_>, spec: &Spec) -> Result<[Joint; MAX_JOINTS], FileError
     for (index, table) in tables.into_iter().enumerate() {
         let place = format!("[[joint]] {index}");
         let table = table.called(place.clone());
-        table.refuse_unknown_keys(&["inertia", "viscous", "coulomb", "limits", "encoder", "motor", "transmission"])?;
+        table.refuse_unknown_keys(&[
+            "inertia",
+            "viscous",
+            "coulomb",
+            "limits",
+            "encoder",
+            "motor",
+            "transmission",
+            "friction",
+            "cogging",
+            "mode",
+        ])?;
         let inertia = table.number("inertia", Must::NotBeNegative)?;
         let inertia = table.required("inertia", inertia, "inertia = 2.0e-6")?;
         let carries = carries_its_body(spec, index);
-        let transmission = table
-            .table("transmission")?
-            .map(|table| transmission_of(&table.called(format!("[joint.transmission] of {place}")), inertia, carries))
+        let rigid = table.is_string("transmission") && table.word("transmission", &[("rigid", true)])?.is_some();
+        let transmission = match table.is_string("transmission") {
+            true => None,
+            false => table
+                .table("transmission")?
+                .map(|table| {
+                    transmission_of(&table.called(format!("[joint.transmission] of {place}")), inertia, carries)
+                })
+                .transpose()?,
+        };
+        let coulomb = table.number("coulomb", Must::NotBeNegative)?.unwrap_or(0.0);
+        let friction = table
+            .table("friction")?
+            .map(|table| friction_of(&table.called(format!("[joint.friction] of {place}")), coulomb))
+            .transpose()?;
+        let cogging = table
+            .table("cogging")?
+            .map(|table| cogging_of(&table.called(format!("[joint.cogging] of {place}"))))
             .transpose()?;
         let encoder = table
             .table("encoder")?
@@ -244,11 +277,15 @@ fn joints(top: &Table<'_>, spec: &Spec) -> Result<[Joint; MAX_JOINTS], FileError
         joints[index] = Joint {
             inertia,
             viscous: table.number("viscous", Must::NotBeNegative)?.unwrap_or(0.0),
-            coulomb: table.number("coulomb", Must::NotBeNegative)?.unwrap_or(0.0),
+            coulomb,
             limits: limits(&table)?,
             encoder,
             motor,
             transmission,
+            rigid,
+            friction,
+            cogging,
+            modes: modes(&table, &place)?,
         };
     }
     Ok(joints)
@@ -284,6 +321,52 @@ fn transmission_of(table: &Table<'_>, inertia: f64, carries_its_body: bool) -> R
     let sides = [("motor", EncoderAt::Motor), ("joint", EncoderAt::Joint)];
     let encoder_at = table.word("encoder_at", &sides)?.unwrap_or_default();
     Ok(Transmission { stiffness, damping, motor_inertia, encoder_at })
+}
+
+/// `coulomb` is the joint's, N m.
+fn friction_of(table: &Table<'_>, coulomb: f64) -> Result<Stribeck, FileError> {
+    table.refuse_unknown_keys(&["static", "stribeck_speed"])?;
+    let rest = table.number("static", Must::NotBeNegative)?;
+    let rest = table.required("static", rest, format!("static = {:?}", 1.5 * coulomb))?;
+    let speed = table.number("stribeck_speed", Must::BePositive)?;
+    let stribeck_speed = table.required("stribeck_speed", speed, "stribeck_speed = 0.1")?;
+    if rest < coulomb {
+        let reason =
+            format!("static is {rest} N m, less than the joint's coulomb ({coulomb}): at rest friction is most");
+        return Err(table.error_at("static", impossible(reason, "write at least as much as `coulomb`")));
+    }
+    Ok(Stribeck { rest, stribeck_speed })
+}
+
+fn cogging_of(table: &Table<'_>) -> Result<Cogging, FileError> {
+    table.refuse_unknown_keys(&["amplitude", "per_turn"])?;
+    let amplitude = table.number("amplitude", Must::NotBeNegative)?;
+    let per_turn = table.number("per_turn", Must::BePositive)?;
+    Ok(Cogging {
+        amplitude: table.required("amplitude", amplitude, "amplitude = 0.001")?,
+        per_turn: table.required("per_turn", per_turn, "per_turn = 24")?,
+    })
+}
+
+/// The `[[joint.mode]]` tables of the joint that messages call `place`.
+fn modes(joint: &Table<'_>, place: &str) -> Result<[Option<StructuralMode>; MAX_MODES], FileError> {
+    let tables = joint.tables("mode")?;
+    if let Some(surplus) = tables.get(MAX_MODES) {
+        let reason = format!("{place} has {} modes, and a joint has {MAX_MODES} at most", tables.len());
+        return Err(surplus.error_here(impossible(reason, "keep those of the lowest frequencies")));
+    }
+    let mut modes = [None; MAX_MODES];
+    for (index, table) in tables.into_iter().enumerate() {
+        let table = table.called(format!("[[joint.mode]] {index} of {place}"));
+        table.refuse_unknown_keys(&["frequency", "damping", "inertia"])?;
+        let positive = |key: &str, example: &str| table.required(key, table.number(key, Must::BePositive)?, example);
+        modes[index] = Some(StructuralMode {
+            frequency: positive("frequency", "frequency = 150.0")?,
+            damping: table.number("damping", Must::NotBeNegative)?.unwrap_or(0.0),
+            inertia: positive("inertia", "inertia = 1.0e-5")?,
+        });
+    }
+    Ok(modes)
 }
 
 fn limits(joint: &Table<'_>) -> Result<Option<(f64, f64)>, FileError> {
@@ -342,6 +425,32 @@ fn home(top: &Table<'_>, spec: &Spec, joints: &[Joint]) -> Result<Option<[f64; M
         }
     }
     Ok(Some(padded(&q)))
+}
+
+/// The first joint whose modes, with those of the joints before it, leave the links without inertia at these angles.
+fn swings_with_all(description: &Description, q: &[f64; MAX_JOINTS]) -> Option<usize> {
+    fn first<const N: usize, M: Mechanism<f64, N>>(
+        mechanism: &M,
+        description: &Description,
+        q: &[f64; MAX_JOINTS],
+    ) -> Option<usize> {
+        let pose = mechanism.pose::<Libm>(&SVector::<f64, N>::from_fn(|index, _| q[index]));
+        let mut mass = mechanism.mass(&pose);
+        if mass.iter().any(|entry| !entry.is_finite()) {
+            // Not a pose of this device, which others say.
+            return None;
+        }
+        (0..N).find(|&joint| {
+            let swings: f64 = description.joints[joint].structural_modes().map(|mode| mode.inertia).sum();
+            mass[(joint, joint)] -= swings;
+            swings > 0.0 && mass.cholesky().is_none()
+        })
+    }
+    if description.joints.iter().all(|joint| joint.structural_modes().next().is_none()) {
+        return None;
+    }
+    let links = AnyMechanism::new(&description.link_side()).ok()?;
+    with_mechanism!(&links, m => first(m, description, q))
 }
 
 /// Whether the linkage closes at these joint angles.

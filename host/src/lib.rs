@@ -28,8 +28,15 @@
 //! | predict which walls are stable | [`analysis`] |
 //! | measure it on a board | [`measure`]; the way to one and back: [`latency`] |
 //! | find the cheapest step that is good enough | [`plan`], [`mod@bench`] |
+//! | find the settings of the stiffest wall | [`mod@tune`] |
+//! | find the best place, direction, posture and links for one | [`mod@design`] |
+//! | let programs made for other devices use one | [`haply`], [`frame`] |
 //! | draw | [`plot`] |
-//! | show a device in the browser | [`view`] |
+//! | record, and play a recording once more | [`recorder`], [`replay`] |
+//! | show a device in the browser, in a terminal | [`view`], [`monitor`] |
+//!
+//! What a program does not need it can leave out: with `default-features = false` there is neither the command line nor PNG (feature
+//! `png`) nor HTTP and WebSocket (`serve`: [`view`], [`haply`]).
 //!
 //! The programs in `examples/` press a wall, follow telemetry, push and predict a range in about twenty lines each.
 //! [`haptic_bridge`] is the code that runs on the board itself; its types (scenes, gains, faults) are those used here.
@@ -40,28 +47,44 @@ pub use haptic_bridge;
 pub mod analysis;
 pub mod backup;
 pub mod bench;
+pub mod continued;
 pub mod cores;
 pub mod demo;
+#[cfg(feature = "tool")]
+pub mod design;
 pub mod device_file;
 pub mod error;
 pub mod file_error;
+pub mod frame;
+#[cfg(feature = "serve")]
+pub mod haply;
 pub mod input;
+#[cfg(feature = "tool")]
 pub mod interrupt;
 pub mod latency;
 pub mod link;
 pub mod measure;
 pub mod model;
+#[cfg(feature = "tool")]
+pub mod monitor;
 pub mod output;
 pub mod plan;
 pub mod plausible;
 pub mod plot;
 pub mod precision;
 pub mod recorder;
+pub mod replay;
 pub mod scene_file;
 pub mod sim;
 pub mod skeleton;
 pub mod summary;
+#[cfg(feature = "tool")]
+pub mod sweep;
 pub mod template;
 pub mod tip;
 pub mod toml_file;
+#[cfg(feature = "tool")]
+pub mod tune;
+#[cfg(feature = "serve")]
 pub mod view;
+pub mod words;

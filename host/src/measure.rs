@@ -27,8 +27,10 @@ mod walls;
 
 pub use bench::{Bench, rules_for};
 pub use search::Boundary;
-pub use walls::most_tested;
+pub use walls::{complement, most_tested};
 
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::render::velocity::Estimator;
 use haptic_bridge::safety::fault::Fault;
 use thiserror::Error;
 
@@ -119,8 +121,44 @@ pub struct Setup {
     pub cutoff_hz: f64,
     /// Corner of the washout where that is measured, Hz.
     pub washout_hz: f64,
+    /// The rest of the law that is measured.
+    pub law: Law,
     /// Largest joint torque the measurement may ask for, N m.
     pub torque_limit: f64,
     /// Farthest the tip is pulled aside, m.
     pub largest_pull: f64,
+}
+
+/// What of a scene decides the range besides rate, cutoff and washout: what scene files say, with their defaults.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Law {
+    /// Velocity estimator.
+    pub estimator: Estimator,
+    /// Whether the joints' own damping is compensated.
+    pub damping_compensation: bool,
+    /// What a redundant device holds.
+    pub admissible: Admissible,
+    /// The device is held no faster than this, Hz: coarse encoders and weak motors hold only softly.
+    pub hold_hz: f64,
+}
+
+impl Default for Law {
+    fn default() -> Self {
+        Self {
+            estimator: Estimator::default(),
+            damping_compensation: false,
+            admissible: Admissible::default(),
+            hold_hz: f64::INFINITY,
+        }
+    }
+}
+
+impl Setup {
+    /// How fast the device is held and its motion judged, Hz: the low-pass's cutoff. The cutoff of an estimator that watches
+    /// joints is not how fast the loop is, and theirs may be fast.
+    #[must_use]
+    pub fn tempo_hz(&self) -> f64 {
+        let own = if self.law.estimator.spec().is_some() { (0.1 * self.rate_hz).min(500.0) } else { self.cutoff_hz };
+        own.min(self.law.hold_hz)
+    }
 }

@@ -11,7 +11,7 @@ use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::model::principal::{Principal, Pull};
 use haptic_bridge::with_mechanism;
 use nalgebra::{DMatrix, SMatrix, SVector};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// A list of rows.
 pub type Rows = Vec<Vec<f64>>;
@@ -91,7 +91,7 @@ pub struct Report {
 }
 
 /// Condition numbers in the 2-norm.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Condition {
     /// Of the tip Jacobian (d x N).
     pub jacobian: f64,

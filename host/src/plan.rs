@@ -166,7 +166,7 @@ fn plan_on(
         return Err(Failure::impossible(format!(
             "no model stays below {wanted} {unit} over the reachable walls; the best leaves {least:.3} {unit}"
         ))
-        .remedy(format!("allow more with --error {:.2}", least * 1.1)));
+        .remedy(format!("allow an error of {:.2}", least * 1.1)));
     };
     scene.velocity_terms = used_of(terms);
     let [faded, _] = law.fading(device, &probes);

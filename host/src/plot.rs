@@ -3,11 +3,13 @@
 //! - [`canvas`]: an SVG document and its few shapes
 //! - [`axes`]: a framed coordinate system with round ticks, curves, dots with error bars, and a legend
 //! - [`colour`]: the palette, and a colour scale that reads the same in print
+//! - [`coupling`]: a device moved along a normal, and its coupling over all directions (the paper's Fig. 1)
 //! - [`device`]: a device at home, with its joints
 //! - [`linkage`]: a device's links and joints
 //! - [`map`]: inertia over the workspace (the paper's Fig. 1)
 //! - [`paddle`]: what a map is to a device with one joint
 //! - [`range`]: the stable domain of a device (the paper's Fig. 3)
+//! - [`signals`]: a recording over time, over penetration, as a spectrum, as a phase portrait
 //! - [`why`]: what each effect takes from it
 //!
 //! PNG is rendered by resvg with the DejaVu fonts compiled in, so a picture looks the same on every machine.
@@ -15,22 +17,23 @@
 pub mod axes;
 pub mod canvas;
 pub mod colour;
+pub mod coupling;
 pub mod device;
 pub mod linkage;
 pub mod map;
 pub mod paddle;
 pub mod range;
+pub mod signals;
 pub mod why;
 
 use std::path::Path;
-use std::sync::Arc;
 
 use crate::error::Failure;
 use crate::output::{self, Overwrite};
-use resvg::{tiny_skia, usvg};
 use thiserror::Error;
 
 /// Pixels of a PNG per unit of its SVG.
+#[cfg(feature = "png")]
 const PNG_SCALE: f32 = 2.0;
 
 /// Why a picture could not be written.
@@ -71,20 +74,26 @@ impl Picture {
         Ok(output::write(path, self.svg.as_bytes(), Overwrite::Replace)?)
     }
 
+    #[cfg(feature = "png")]
     /// Writes it as PNG, two pixels per unit; as [`Picture::save_svg`].
     pub fn save_png(&self, path: &Path) -> Result<(), PictureError> {
         Ok(output::write(path, &self.png()?, Overwrite::Replace)?)
     }
 
+    #[cfg(feature = "png")]
     /// The PNG's bytes.
     pub fn png(&self) -> Result<Vec<u8>, PictureError> {
+        use resvg::{tiny_skia, usvg};
         let drawing = |reason: String| PictureError::Drawing(reason);
         let mut fonts = usvg::fontdb::Database::new();
         fonts.load_font_data(dejavu::sans::regular().to_vec());
         fonts.load_font_data(dejavu::sans::bold().to_vec());
         fonts.load_font_data(dejavu::sans::oblique().to_vec());
-        let options =
-            usvg::Options { fontdb: Arc::new(fonts), font_family: canvas::FONT.into(), ..usvg::Options::default() };
+        let options = usvg::Options {
+            fontdb: std::sync::Arc::new(fonts),
+            font_family: canvas::FONT.into(),
+            ..usvg::Options::default()
+        };
         let tree = usvg::Tree::from_str(&self.svg, &options).map_err(|e| drawing(e.to_string()))?;
         let size = tree.size().to_int_size().scale_by(PNG_SCALE).ok_or_else(|| drawing("it has no size".into()))?;
         let mut pixels =

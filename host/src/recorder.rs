@@ -1,11 +1,19 @@
-//! Recordings: telemetry rows in a CSV file that is whole at every moment.
+//! Recordings: telemetry rows in a file that is whole at every moment, CSV or MCAP ([`mcap`]) by its ending.
 //!
-//! Rows reach the file in blocks of whole lines. What does not fit onto a disk that is full is taken back to the last
+//! Rows of a CSV file reach the file in blocks of whole lines. What does not fit onto a disk that is full is taken back to the last
 //! whole line, and the rows that are there are counted. A file whose writer was killed in the middle of a block is
 //! still read up to its last whole line.
 
+pub mod about;
+pub mod mcap;
+pub mod protobuf;
+
 use crate::error::Failure;
+use crate::link::{Column, Losses};
 use crate::output::{self, Overwrite};
+use about::About;
+use haptic_bridge::board::telemetry::Field;
+use mcap::McapRecorder;
 use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
@@ -26,6 +34,18 @@ pub enum Value {
     Single(f32),
     /// One of a few.
     Word(&'static str),
+}
+
+impl Value {
+    /// A column's number: a state by its name, what the board measured in its own precision.
+    pub fn of(column: &Column, value: f64) -> Self {
+        let state = (column.field == Field::State && column.axis == 0).then(|| STATES.get(value as usize)).flatten();
+        match (state, column.field) {
+            (Some(state), _) => Self::Word(state),
+            (None, Field::Counts | Field::State) => Self::Number(value),
+            (None, _) => Self::Single(value as f32),
+        }
+    }
 }
 
 impl std::fmt::Display for Value {
@@ -60,6 +80,8 @@ pub struct Recorder {
     /// Rows in the file, and in the block.
     rows: u64,
     gathered: u64,
+    /// Bytes that were written.
+    bytes: u64,
 }
 
 /// Why rows could not be written.
@@ -80,8 +102,15 @@ impl Recorder {
             let (file, cut) = output::open(path, overwrite)?;
             Sink::File { file, whole: cut.then_some(0) }
         };
-        let mut recorder =
-            Self { sink, path: path.into(), block: String::new(), columns: columns.len(), rows: 0, gathered: 0 };
+        let mut recorder = Self {
+            sink,
+            path: path.into(),
+            block: String::new(),
+            columns: columns.len(),
+            rows: 0,
+            gathered: 0,
+            bytes: 0,
+        };
         recorder.comment(about);
         recorder.block.push_str(&columns.join(","));
         recorder.block.push('\n');
@@ -138,11 +167,13 @@ impl Recorder {
                     .and_then(|()| out.flush())
                     .map_err(|error| failed(&self.path, error))?;
                 self.rows += gathered;
+                self.bytes += block.len() as u64;
                 Ok(())
             }
             Sink::File { file, whole } => {
                 let Err(error) = file.write_all(block.as_bytes()) else {
                     self.rows += gathered;
+                    self.bytes += block.len() as u64;
                     whole.iter_mut().for_each(|whole| *whole += block.len() as u64);
                     return Ok(());
                 };
@@ -159,6 +190,7 @@ impl Recorder {
                         self.rows += u64::from(line.starts_with(|c: char| c.is_ascii_digit()));
                     }
                     *whole = at;
+                    self.bytes = at;
                 }
                 Err(failed(&self.path, error))
             }
@@ -168,6 +200,11 @@ impl Recorder {
     /// Rows that are in the file.
     pub fn rows(&self) -> u64 {
         self.rows
+    }
+
+    /// Bytes that are in the file.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
     }
 
     /// Where they are, in words.
@@ -185,6 +222,99 @@ impl Drop for Recorder {
     }
 }
 
+/// Telemetry on its way into a file.
+#[derive(Debug)]
+pub enum RowWriter {
+    /// CSV, and what its columns are.
+    Csv(Box<Recorder>, Vec<Column>),
+    /// MCAP.
+    Mcap(Box<McapRecorder>),
+}
+
+/// Whether a file of this name is to be MCAP.
+pub fn is_mcap(path: &Path) -> bool {
+    path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("mcap"))
+}
+
+impl RowWriter {
+    /// Creates the file, of the format that its ending says (`-`: CSV to standard output).
+    pub fn create(path: &Path, about: &About, columns: &[Column], overwrite: Overwrite) -> Result<Self, Failure> {
+        if is_mcap(path) {
+            return Ok(Self::Mcap(Box::new(McapRecorder::create(path, about, columns, overwrite)?)));
+        }
+        let labels = columns.iter().map(|column| column.label.clone());
+        let names: Vec<String> = ["step".to_string(), "time_s".into()].into_iter().chain(labels).collect();
+        Ok(Self::Csv(Box::new(Recorder::create(path, about.text(), &names, overwrite)?), columns.to_vec()))
+    }
+
+    /// Adds a row: its step, its time since the first (s), and a number for each column.
+    pub fn row(&mut self, step: u32, time: f64, row: &[f64]) -> Result<(), RecordError> {
+        match self {
+            Self::Mcap(recorder) => recorder.row(step, time, row),
+            Self::Csv(recorder, columns) => {
+                let values = columns.iter().zip(row).map(|(column, value)| Value::of(column, *value));
+                let row: Vec<Value> =
+                    [Value::Number(f64::from(step)), Value::Number(time)].into_iter().chain(values).collect();
+                recorder.row(&row)
+            }
+        }
+    }
+
+    /// Adds what happened at a time since the first row (s), in words.
+    pub fn event(&mut self, time: f64, words: &str) -> Result<(), RecordError> {
+        match self {
+            Self::Mcap(recorder) => recorder.event(time, words),
+            Self::Csv(recorder, _) => {
+                recorder.comment(&format!("{time} s: {words}"));
+                Ok(())
+            }
+        }
+    }
+
+    /// Writes what was gathered.
+    pub fn flush(&mut self) -> Result<(), RecordError> {
+        match self {
+            Self::Mcap(recorder) => recorder.flush(),
+            Self::Csv(recorder, _) => recorder.flush(),
+        }
+    }
+
+    /// Says what came of it; nothing more is written then.
+    pub fn end(&mut self, words: &str, losses: &Losses) -> Result<(), RecordError> {
+        match self {
+            Self::Mcap(recorder) => recorder.end(words, losses),
+            Self::Csv(recorder, _) => {
+                recorder.comment(words);
+                recorder.flush()
+            }
+        }
+    }
+
+    /// Rows that are in the file.
+    pub fn rows(&self) -> u64 {
+        match self {
+            Self::Mcap(recorder) => recorder.rows(),
+            Self::Csv(recorder, _) => recorder.rows(),
+        }
+    }
+
+    /// Bytes that are in the file.
+    pub fn bytes(&self) -> u64 {
+        match self {
+            Self::Mcap(recorder) => recorder.bytes(),
+            Self::Csv(recorder, _) => recorder.bytes(),
+        }
+    }
+
+    /// Where they are, in words.
+    pub fn place(&self) -> String {
+        match self {
+            Self::Mcap(recorder) => recorder.path().display().to_string(),
+            Self::Csv(recorder, _) => recorder.place(),
+        }
+    }
+}
+
 /// A recording that was read.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Recording {
@@ -199,6 +329,42 @@ pub struct Recording {
 }
 
 impl Recording {
+    /// Reads a file of either format. Errors name it.
+    pub fn load(path: &Path) -> Result<Self, Failure> {
+        let shown = path.display();
+        let bytes = std::fs::read(path).map_err(|error| {
+            Failure::wrong(format!("{shown} cannot be read: {error}")).remedy("name a recording: a .mcap or .csv file")
+        })?;
+        let read = if bytes.starts_with(mcap::MAGIC) {
+            mcap::parse(&bytes)
+        } else {
+            String::from_utf8(bytes).map_err(|_| "neither MCAP nor text".into()).and_then(|text| Self::parse(&text))
+        };
+        let recording = read.map_err(|why| {
+            Failure::wrong(format!("{shown}: {why}"))
+                .remedy("name a file that `haptic record` or `haptic stream` wrote")
+        })?;
+        if recording.columns.is_empty() {
+            return Err(Failure::wrong(format!("{shown} holds no recording")).remedy("name a file of `haptic record`"));
+        }
+        Ok(recording)
+    }
+
+    /// What follows this word at the beginning of a line about the recording.
+    pub fn told(&self, word: &str) -> Option<&str> {
+        self.about.iter().find_map(|line| line.strip_prefix(word)?.strip_prefix(' '))
+    }
+
+    /// The control rate of the board, Hz.
+    pub fn rate_hz(&self) -> Option<f64> {
+        self.told("control rate")?.split(' ').next()?.parse().ok()
+    }
+
+    /// The place of a column.
+    pub fn column(&self, name: &str) -> Option<usize> {
+        self.columns.iter().position(|column| column == name)
+    }
+
     /// Reads the text of a recording up to its last whole line. Errors name the line.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut recording = Self::default();

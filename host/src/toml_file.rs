@@ -179,6 +179,11 @@ impl<'a> Table<'a> {
         self.entries.contains_key(key)
     }
 
+    /// Whether the key is there with a string.
+    pub fn is_string(&self, key: &str) -> bool {
+        self.entries.get(key).is_some_and(|value| matches!(value.get_ref(), DeValue::String(_)))
+    }
+
     /// The value, or an error that shows the `example` to add.
     pub fn required<T>(&self, key: &str, value: Option<T>, example: impl Into<String>) -> Result<T, FileError> {
         value.ok_or_else(|| {

@@ -32,11 +32,17 @@ fn the_pictures_of_the_results_are_what_their_commands_draw() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let folder = tempfile::tempdir().unwrap();
     let text = std::fs::read_to_string(root.join("docs/results.md")).unwrap();
-    let mut lines: Vec<&str> = text.lines().filter(|line| line.starts_with("haptic map ")).collect();
+    let mut lines: Vec<&str> =
+        text.lines().filter(|line| line.starts_with("haptic map ") && line.contains(" docs/results/")).collect();
     assert_eq!(lines.len(), 2);
     let demo = "haptic demo --svg docs/results/demo.svg";
     assert!(text.contains(demo));
     lines.push(demo);
+    let host = "haptic range devices/coupled-five-bar.toml --q 2.6,1.75 --normal 0.94,-0.34 --rate 20000 --cutoff 500 \
+                --delay 0.5 --host-rate 1000 --host-delay 0.001 --svg docs/results/host-wall.svg";
+    let told = std::fs::read_to_string(root.join("docs/host-force.md")).unwrap().replace("\\\n  ", "");
+    assert!(told.contains(&host.replace("docs/results/", "")));
+    lines.push(host);
     for line in lines {
         let mut words: Vec<String> = line.split_whitespace().skip(1).map(String::from).collect();
         let published = words.pop().unwrap();

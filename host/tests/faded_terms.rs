@@ -10,7 +10,6 @@ use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::AnyMechanism;
-use haptic_bridge::model::precomputed::MassModel;
 use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
 use nalgebra::{Matrix2, Vector2};
@@ -188,7 +187,7 @@ fn at_the_end(name: &str, q: [f64; 2], normal: f64, terms: VelocityTerms) -> Vec
     let wall =
         Wall { surface, stiffness: 1_000.0, damping: 0.0, feed_forward, washout_hz, damping_compensation, bilateral };
     scene.walls.push(wall).unwrap();
-    let mut controller = Controller::<f64, _, Libm, 2>::new(mechanism, &device, &scene, MassModel::Exact).unwrap();
+    let mut controller = Controller::<f64, _, Libm, 2>::new(mechanism, &device, &scene).unwrap();
     // Backwards from the end, each millisecond from the next.
     let mut angles = vec![Vector2::from(q)];
     for k in 1..=12 {

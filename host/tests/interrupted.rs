@@ -9,7 +9,7 @@ use haptic::device_file::DeviceFile;
 use haptic::link::{Board, encode};
 use haptic::measure::before::Before;
 use haptic::measure::progress::Progress;
-use haptic::measure::{Bench, MeasureError, Setup, rules_for};
+use haptic::measure::{Bench, Law, MeasureError, Setup, rules_for};
 use haptic::recorder::Recording;
 use haptic::scene_file::SceneFile;
 use haptic::sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, ready_board};
@@ -338,6 +338,7 @@ fn setup() -> Setup {
         rate_hz: 1_000.0,
         cutoff_hz: 20.0,
         washout_hz: 2.0,
+        law: Law::default(),
         torque_limit: 1.0,
         largest_pull: 2e-3,
     }

@@ -10,7 +10,7 @@ use haptic::analysis::several::Member;
 use haptic::device_file::DeviceFile;
 use haptic::link::Board;
 use haptic::measure::simulated::{Friction, World};
-use haptic::measure::{Bench, Boundary, MeasureError, Setup};
+use haptic::measure::{Bench, Boundary, Law, MeasureError, Setup};
 use haptic::sim::{BoardOptions, DriveModel, Options, SHIPPED_DEVICE, SharedBoard, ready_board};
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::State;
@@ -39,6 +39,7 @@ fn setup(rate_hz: f64, cutoff_hz: f64) -> Setup {
         rate_hz,
         cutoff_hz,
         washout_hz: 2.0,
+        law: Law::default(),
         torque_limit: 2.0,
         largest_pull: 3e-4,
     }

@@ -91,6 +91,33 @@ fn walls_beyond_reach_loop_and_motors_are_doubted() {
 }
 
 #[test]
+fn what_a_file_leaves_out_and_what_coarse_encoders_do_is_said() {
+    let rigid = "transmission = \"rigid\"\n";
+    let (json, err) = checked(&[(rigid, "")], None);
+    let [warning] = &json["warnings"].as_array().unwrap()[..] else { panic!("{err}") };
+    let text = warning["text"].as_str().unwrap();
+    assert!(text.contains("motor and link of joint 0 and 1") && text.contains("[joint.transmission]"), "{text}");
+    let soft = "[joint.transmission]\nstiffness = 20.0\n";
+    assert!(checked(&[(rigid, soft)], None).0["warnings"].as_array().unwrap().is_empty());
+
+    // The same wall, whose damping is felt in steps at a high rate, and not at a low one.
+    let scene = |rate: f64, cutoff: f64| {
+        format!(
+            "rate_hz = {rate:?}\ncutoff_hz = {cutoff:?}\n[[wall]]\npoint = [0.0, 0.125]\nnormal = [0.0, -1.0]\n\
+             stiffness = 500.0\ndamping = 12.0\nfeed_forward = \"off\"\n"
+        )
+    };
+    let of = |rate, cutoff| {
+        let (json, err) = checked(&[], Some(&scene(rate, cutoff)));
+        let step = json["scenes"][0]["contacts"][0]["step_n"].as_f64().unwrap();
+        (step, json["warnings"].as_array().unwrap().iter().any(|w| w["text"].as_str().unwrap().contains("buzz")), err)
+    };
+    let (fast, slow) = (of(20_000.0, 2_000.0), of(20_000.0, 100.0));
+    assert!(fast.0 > 1.0 && fast.1, "{fast:?}");
+    assert!(slow.0 < 0.3 && !slow.1, "{slow:?}");
+}
+
+#[test]
 fn a_soft_wall_that_the_device_can_press_in_full_is_not_doubted() {
     for stiffness in ["60.0", "0.0"] {
         let scene =
@@ -145,7 +172,16 @@ fn nothing_shipped_is_doubted() {
         let mut arguments = vec!["check", device.to_str().unwrap()];
         arguments.extend(scenes.iter().map(|path| path.to_str().unwrap()));
         let (code, out, err) = haptic(&arguments);
-        assert_eq!((code, err.as_str()), (0, ""), "{out}");
+        assert_eq!(code, 0, "{err}");
+        // Nobody has published how stiff their cables are, and the files do not pretend.
+        let cables = ["capstan-pantograph", "hapkit-paddle", "phantom-premium-1.5", "woodenhaptics"];
+        let said: Vec<&str> = err.lines().collect();
+        if cables.contains(&device.file_stem().unwrap().to_str().unwrap()) {
+            let [line] = said[..] else { panic!("{err}") };
+            assert!(line.contains("nothing says what lies between motor and link"), "{err}");
+        } else {
+            assert_eq!(said, [""; 0], "{out}");
+        }
         assert!(out.contains("tip at home") && out.contains("largest force"), "{out}");
     }
 }
@@ -221,7 +257,8 @@ fn a_new_file_passes_check_and_is_never_written_over() {
         assert_eq!(haptic(&["new", kind, "-o", path]).0, 0);
         let drawing = folder.path().join(format!("{kind}.svg"));
         let (code, out, err) = haptic(&["check", path, "--svg", drawing.to_str().unwrap()]);
-        assert_eq!((code, err.as_str()), (0, ""), "{out}");
+        assert_eq!((code, err.lines().count()), (0, 1), "{out} {err}");
+        assert!(err.contains("nothing says what lies between motor and link"), "{err}");
         assert!(std::fs::read_to_string(&drawing).unwrap().contains("joint "), "{kind}");
         std::fs::write(path, "mine").unwrap();
         assert_eq!(haptic(&["new", kind, "-o", path]).0, 1);

@@ -98,6 +98,30 @@ fn why_says_what_each_effect_takes_in_numbers_and_as_a_picture() {
 }
 
 #[test]
+fn a_wall_that_a_computer_renders_stands_beside_the_boards_in_numbers_words_and_the_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    let svg = folder.path().join("host.svg");
+    let board = ["range", DEVICE, "--q=0.6,0.9,-0.7", "--normal=-1,0.5", "--rate", "20000", "--cutoff", "500"];
+    let host = ["--host-rate", "1000", "--host-delay", "0.00101", "--svg", svg.to_str().unwrap()];
+    let document = json(&[&board[..], &host, &["--json", "--kd", "0"]].concat());
+    assert_eq!(
+        (document["host"]["rate_hz"].as_f64(), document["host"]["delay_s"].as_f64()),
+        (Some(1e3), Some(1.05e-3))
+    );
+    // At no damping no velocity acts, so this is a board of 1 kHz with 1.05 samples of delay.
+    let slow = ["--q=0.6,0.9,-0.7", "--normal=-1,0.5", "--delay", "1.05", "--kd", "0", "--json"];
+    let slow = json(&[&["range", DEVICE], &slow[..]].concat());
+    let kp = |domain: &Value| domain["boundary"][0]["kp"].as_f64().unwrap();
+    assert!((kp(&document["host"]) / kp(&slow["off"]) - 1.0).abs() < 1e-6, "{document}");
+    assert!(document["off"]["area"].as_f64().unwrap() > 100.0 * document["host"]["area"].as_f64().unwrap());
+    let drawn = std::fs::read_to_string(svg).unwrap();
+    assert!(drawn.contains("rendered by a computer at 1000 Hz, 1.1 ms late"), "the picture names it");
+    let said = haptic(&[&board[..], &["--host-rate", "1000"]].concat()).success();
+    let said = String::from_utf8(said.get_output().stdout.clone()).unwrap();
+    assert!(said.contains("on a computer, 1000 Hz") && said.contains("its forces 1 ms old"), "{said}");
+}
+
+#[test]
 fn what_is_wrong_is_refused_with_one_line() {
     for (change, code) in [
         (vec!["--normal", "0,0", "--rate", "1000", "--cutoff", "20"], 2),
@@ -109,6 +133,10 @@ fn what_is_wrong_is_refused_with_one_line() {
         (vec!["--normal", "1,0", "--rate", "1000", "--cutoff", "20", "--hand", "1,2"], 2),
         (vec!["--normal", "1,0", "--rate", "1000", "--cutoff", "20", "--hand=1,2,-3"], 2),
         (vec!["--normal", "1,0", "--rate", "1000", "--cutoff", "20", "--difference-over", "65"], 2),
+        (vec!["--normal", "1,0", "--host-rate", "1001"], 2),
+        (vec!["--normal", "1,0", "--host-rate", "500", "--host-delay=-1"], 2),
+        (vec!["--normal", "1,0", "--host-delay", "0.001"], 2),
+        (vec!["--normal", "1,0", "--normal", "0,1", "--host-rate", "500"], 2),
         (vec!["--normal", "1,0", "--rate", "1000", "--cutoff", "20", "--q", "0,0,0"], 1),
     ] {
         let done = haptic(&[&["range", DEVICE], &change[..]].concat()).code(code);
@@ -116,4 +144,28 @@ fn what_is_wrong_is_refused_with_one_line() {
         assert!(done.get_output().stdout.is_empty());
         assert!(code == 2 && error.contains("error:") || error.lines().count() == 1, "{change:?}: {error}");
     }
+}
+
+#[test]
+fn a_feed_forward_that_costs_more_than_it_brings_is_warned_of() {
+    // Cables of 300 Hz for a joint of 3e-4 kg m²: the feed-forward, made for a rigid device, drives their mode.
+    let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/coupled-five-bar.toml");
+    let text = std::fs::read_to_string(shipped).unwrap();
+    let soft = text.replacen("\"rigid\"", "{ stiffness = 1065.9, damping = 0.03694 }", 1).replacen(
+        "\"rigid\"",
+        "{ stiffness = 1065.9, damping = 0.02262 }",
+        1,
+    );
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("soft.toml");
+    std::fs::write(&path, soft).unwrap();
+    let of = |device: &str| {
+        let pose = ["--q=2.6,1.75", "--normal=0.2588,0.9659", "--rate", "20000", "--cutoff", "500", "--json"];
+        json(&[&["range", device], &pose[..]].concat())
+    };
+    let found = of(path.to_str().unwrap());
+    assert!(found["area_ratio"].as_f64().unwrap() < 0.7, "{}", found["area_ratio"]);
+    assert!(found["warnings"][0]["text"].as_str().unwrap().contains("costs more than it brings"), "{found}");
+    let rigid = of(shipped);
+    assert!(rigid["area_ratio"].as_f64().unwrap() > 1.2 && rigid.get("warnings").is_none(), "{}", rigid["area_ratio"]);
 }

@@ -6,7 +6,7 @@ use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::domain;
 use haptic::analysis::sampled::{AnalysisError, Estimator, FeedForward, Loop};
 use haptic::device_file::DeviceFile;
-use haptic_bridge::model::description::{EncoderAt, Transmission};
+use haptic_bridge::model::description::{EncoderAt, StructuralMode, Transmission};
 use nalgebra::{DMatrix, DVector};
 use serde_json::Value;
 
@@ -151,4 +151,50 @@ fn a_difference_over_several_samples_is_their_mean_and_more_than_64_are_refused(
     assert!(mean(4).unwrap() < 0.6 * plain);
     assert_eq!(mean(0), Err(AnalysisError::Difference(0)));
     assert_eq!(mean(65), Err(AnalysisError::Difference(65)));
+}
+
+#[test]
+fn a_mode_of_the_only_joint_is_its_link_behind_a_transmission() {
+    let mode = StructuralMode { frequency: 90.0, damping: 0.03, inertia: 4e-4 };
+    let one = |flexible: Flexible| Linearised {
+        gain: 1.0,
+        flexible: Flexible { tip: DMatrix::from_element(1, 1, 0.1), normal: DVector::from_element(1, 1.0), ..flexible },
+        mass: DMatrix::from_element(1, 1, 1e-3),
+        viscous: DVector::from_element(1, 2e-4),
+        row: DVector::from_element(1, 0.1),
+        unit_motion: DVector::from_element(1, 10.0),
+    };
+    let swings = one(Flexible { modes: vec![(0, mode)], ..Flexible::default() });
+    let give = Transmission {
+        stiffness: mode.stiffness(),
+        damping: mode.viscous(),
+        motor_inertia: 6e-4,
+        encoder_at: EncoderAt::Motor,
+    };
+    let soft = one(Flexible { transmissions: vec![Some(give)], ..Flexible::default() });
+    for (rate, cutoff) in [(1000.0, 50.0), (5000.0, 200.0)] {
+        let of = |device: &Linearised| domain(device, &around(rate, cutoff), FeedForward::Off, None).unwrap();
+        let (left, right) = (of(&swings), of(&soft));
+        assert!(right.area > 0.0 && (left.area / right.area - 1.0).abs() < 1e-9, "{} {}", left.area, right.area);
+        let rigid = of(&one(Flexible::default()));
+        // It may help: what swings on a damped spring is an absorber.
+        assert!((left.area / rigid.area - 1.0).abs() > 0.05, "{} {}", left.area, rigid.area);
+    }
+}
+
+#[test]
+fn a_mode_of_any_frequency_or_no_inertia_to_speak_of_is_rigid_in_the_limit() {
+    let stiff = rigid();
+    let around = around(1000.0, 50.0);
+    for (mode, close) in [
+        (StructuralMode { frequency: 1e6, damping: 0.01, inertia: 4e-5 }, 1e-6),
+        (StructuralMode { frequency: 1e9, damping: 0.01, inertia: 4e-5 }, 1e-9),
+        (StructuralMode { frequency: 300.0, damping: 0.5, inertia: 1e-14 }, 1e-6),
+    ] {
+        let known = domain(&stiff, &around, FeedForward::Full, None).unwrap();
+        let mut soft = stiff.clone();
+        soft.flexible.modes = vec![(1, mode)];
+        let found = domain(&soft, &around, FeedForward::Full, None).unwrap();
+        assert!((found.area / known.area - 1.0).abs() < close, "{mode:?}: {} {}", found.area, known.area);
+    }
 }

@@ -2,7 +2,9 @@
 
 use haptic::sim::{Bridge, Device, Drive, Options};
 use haptic_bridge::model::catalogue::Kind;
-use haptic_bridge::model::description::{Description, Encoder, EncoderAt, Joint, Link, Motor, Transmission};
+use haptic_bridge::model::description::{
+    Cogging, Description, Encoder, EncoderAt, Joint, Link, Motor, Stribeck, StructuralMode, Transmission,
+};
 
 const MOTOR: Motor =
     Motor { torque_constant: 0.5, resistance: 2.0, inductance: 0.0, back_emf: 0.5, max_current: 3.0, verified: false };
@@ -12,10 +14,9 @@ fn joint(inertia: f64, viscous: f64, coulomb: f64) -> Joint {
         inertia,
         viscous,
         coulomb,
-        limits: None,
         encoder: Some(Encoder { counts_per_turn: 20_000.0, offset: 0.0, inverted: false }),
         motor: Some(MOTOR),
-        transmission: None,
+        ..Joint::default()
     }
 }
 
@@ -226,4 +227,99 @@ fn a_step_of_any_length_is_the_same_motion() {
         device.q()
     };
     assert_same_pose(run(1), run(400));
+}
+
+fn swinging_paddle(frequency: f64, damping: f64) -> Description {
+    let mut description = paddle(0.0, 0.0);
+    description.joints[0].modes[0] = Some(StructuralMode { frequency, damping, inertia: 3e-4 });
+    description
+}
+
+#[test]
+fn a_mode_is_a_link_behind_a_transmission_seen_from_the_other_side() {
+    // The 3e-4 kg m² that swing are the link of a soft paddle whose motor has the other 7e-4.
+    let mode = StructuralMode { frequency: 80.0, damping: 0.02, inertia: 3e-4 };
+    let mut soft = paddle(0.0, 0.0);
+    let give = Transmission {
+        stiffness: mode.stiffness(),
+        damping: mode.viscous(),
+        motor_inertia: 7e-4,
+        encoder_at: EncoderAt::Motor,
+    };
+    soft.joints[0].transmission = Some(give);
+    let (mut left, mut right) = (device(&swinging_paddle(80.0, 0.02)), device(&soft));
+    for _ in 0..50 {
+        for device in [&mut left, &mut right] {
+            device.step(&[Drive::Torque(0.01); 3], 1e-3);
+        }
+        let (a, b) = (left.q()[0], right.plant().measured()[0]);
+        assert!((a - b).abs() < 1e-12 * (1.0 + b.abs()), "{a} {b}");
+    }
+    assert!(left.q()[0] > 0.01);
+}
+
+#[test]
+fn a_mode_keeps_its_energy_beside_a_transmission_and_a_stiff_one_is_rigid() {
+    let mut both = soft_paddle(40.0, 0.0, EncoderAt::Motor);
+    both.joints[0].modes[0] = Some(StructuralMode { frequency: 150.0, damping: 0.0, inertia: 1e-4 });
+    both.joints[0].modes[1] = Some(StructuralMode { frequency: 400.0, damping: 0.0, inertia: 1e-4 });
+    let mut soft = device(&both);
+    soft.step(&[Drive::Torque(0.05); 3], 3e-3);
+    // What current is left falls in a step.
+    coast(&mut soft, 1e-3);
+    let before = soft.plant().energy();
+    coast(&mut soft, 0.2);
+    assert!((soft.plant().energy() / before - 1.0).abs() < 1e-9, "{} {before}", soft.plant().energy());
+    let (mut stiff, mut rigid) = (device(&swinging_paddle(1e7, 0.0)), device(&paddle(0.0, 0.0)));
+    for device in [&mut stiff, &mut rigid] {
+        device.step(&[Drive::Torque(0.01); 3], 0.05);
+    }
+    assert!((stiff.q()[0] / rigid.q()[0] - 1.0).abs() < 1e-9, "{} {}", stiff.q()[0], rigid.q()[0]);
+}
+
+#[test]
+fn stribeck_friction_holds_more_than_it_brakes() {
+    let mut description = paddle(0.0, 0.01);
+    description.joints[0].friction = Some(Stribeck { rest: 0.02, stribeck_speed: 0.5 });
+    let mut held = device(&description);
+    held.step(&[Drive::Torque(0.0199); 3], 0.1);
+    assert_eq!(held.q()[0], 0.0);
+    // Once moving fast, only Coulomb friction is left: 0.01 N m of the torque accelerate 1e-3 kg m².
+    held.step(&[Drive::Torque(0.0201); 3], 1.0);
+    let before = held.qd()[0];
+    assert!(before > 2.0, "{before}");
+    held.step(&[Drive::Torque(0.0201); 3], 0.1);
+    assert!((held.qd()[0] - before - 0.1 * 10.1).abs() < 1e-6, "{}", held.qd()[0] - before);
+    // Without friction there is none of it.
+    let mut free = Device::new(&description, &Options::frictionless()).unwrap();
+    free.step(&[Drive::Torque(0.001); 3], 0.1);
+    assert!(free.q()[0] > 0.0);
+}
+
+#[test]
+fn cogging_holds_a_motor_in_its_wells_without_a_loss() {
+    let mut description = paddle(0.0, 0.0);
+    description.joints[0].cogging = Some(Cogging { amplitude: 0.005, per_turn: 24.0 });
+    let mut cogging = device(&description);
+    let well = std::f64::consts::TAU / 24.0;
+    // It starts on a crest; from just beside it, it falls into the well and comes up on the other side.
+    cogging.place([0.1 * well, 0.0, 0.0]);
+    let before = cogging.plant().energy();
+    let mut far: f64 = 0.0;
+    for _ in 0..500 {
+        coast(&mut cogging, 1e-3);
+        far = far.max(cogging.q()[0]);
+        // The midpoint rule swings about the energy, and does not drift.
+        assert!((cogging.plant().energy() / before - 1.0).abs() < 1e-6, "{} {before}", cogging.plant().energy());
+    }
+    assert!((far - 0.9 * well).abs() < 1e-3 * well, "{far} {well}");
+    // The smallest torque that it does not hold is its amplitude.
+    for (torque, leaves) in [(0.0049, false), (0.0056, true)] {
+        let mut damped = description;
+        damped.joints[0].viscous = 0.02;
+        let mut pushed = device(&damped);
+        pushed.place([0.5 * well, 0.0, 0.0]);
+        pushed.step(&[Drive::Torque(torque); 3], 3.0);
+        assert_eq!(pushed.q()[0] > 1.5 * well, leaves, "{torque}: {}", pushed.q()[0] / well);
+    }
 }

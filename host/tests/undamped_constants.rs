@@ -6,7 +6,7 @@
 use haptic::analysis::several::Member;
 use haptic::device_file::DeviceFile;
 use haptic::link::Board;
-use haptic::measure::{Bench, Setup};
+use haptic::measure::{Bench, Law, Setup};
 use haptic::sim::{BoardOptions, DriveModel, Options, SharedBoard, ready_board};
 use haptic_bridge::render::scene::FeedForward;
 
@@ -45,6 +45,7 @@ fn measure(rate_hz: f64, cutoff_hz: f64, share: f64) -> (f64, f64) {
         rate_hz,
         cutoff_hz,
         washout_hz: 2.0,
+        law: Law::default(),
         torque_limit: 5.0,
         largest_pull: 1e-3,
     };

@@ -20,6 +20,7 @@ fn soft_and_held() -> Linearised {
             hand: Hand { mass: 0.1, damping: 3.0, stiffness: 200.0 },
             tip: DMatrix::from_row_slice(1, 2, &[0.1, 0.06]),
             normal: DVector::from_vec(vec![1.0]),
+            ..Flexible::default()
         },
         mass: DMatrix::from_row_slice(2, 2, &[3.0e-4, 4.0e-5, 4.0e-5, 1.1e-4]),
         viscous: DVector::from_vec(vec![1e-3, 4e-4]),

@@ -258,8 +258,8 @@ impl Service {
         scene: &Scene<f32>,
         same_device: bool,
     ) -> Result<(), Refusal> {
-        let program =
-            Program::<Mc::Math>::new(&self.hardware, &self.rules.limits, device, scene, &self.mass, same_device)?;
+        let mut program = Program::<Mc::Math>::new(&self.hardware, &self.rules.limits, device, scene, same_device)?;
+        program.set_mass(&self.mass)?;
         let held = machine.place(program)?;
         let (result, returned) = machine.execute(Command::Program(held));
         if let Some(held) = returned {
@@ -493,7 +493,8 @@ impl Service {
         let scene = scene.or_else(|| self.scene.clone()).filter(|scene| usize::from(scene.task) == task);
         let empty = Scene { task: task as u8, ..Scene::default() };
         let runs = scene.as_ref().unwrap_or(&empty);
-        let program = Program::<Mc::Math>::new(&self.hardware, &rules.limits, &device, runs, &mass, same_device)?;
+        let mut program = Program::<Mc::Math>::new(&self.hardware, &rules.limits, &device, runs, same_device)?;
+        program.set_mass(&mass)?;
         let held = machine.place(program)?;
         if let Err(refusal) = machine.commit(keys) {
             machine.release(held);

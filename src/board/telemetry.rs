@@ -262,3 +262,26 @@ impl Packer {
         full
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::servo::frame::Frame;
+    use crate::servo::joints::Torques;
+
+    fields! {
+        Height = 3, "height", "m", false, |frame, _i| frame.tip[1], "How high the tip is";
+        Doubled = 5, "doubled", "N m", true, |frame, i| 2.0 * frame.torque[i], "Twice the torque";
+    }
+
+    /// Everything that is told of a signal follows from its line.
+    #[test]
+    fn a_toy_signal_is_one_line() {
+        let frame = Frame { tip: [0.1, 0.2, 0.3], torque: Torques([1.0, 2.0, 3.0]), ..Frame::default() };
+        let told = |field: &Field| (field.bit(), field.name(), field.unit(), field.is_vector(), field.meaning());
+        let told_of_all =
+            [(8, "height", "m", false, "How high the tip is"), (32, "doubled", "N m", true, "Twice the torque")];
+        assert!(Field::ALL.iter().map(told).eq(told_of_all));
+        assert_eq!(Field::Height.value(&frame, 0), 0.2);
+        assert_eq!([0, 1, 2].map(|i| Field::Doubled.value(&frame, i)), [2.0, 4.0, 6.0]);
+    }
+}

@@ -176,9 +176,8 @@ impl Stage for Axis {
     }
 
     #[inline(always)]
-    fn command(&mut self, torque: f32, speed: f32) -> f32 {
+    fn command(&mut self, torque: f32) -> f32 {
         self.target = limited(torque * self.amps_per_torque, self.max_current);
-        self.emf = limited(self.back_emf * speed, MAX_VOLTAGE);
         // Both legs lose dead time against the current: give it back, fading where the current's sign is unsure.
         self.regained = self.dead_time_share * (self.target / (self.target.abs() + DEAD_TIME_KNEE));
         self.target

@@ -48,9 +48,9 @@ pub trait Stage: Copy + Debug + Default {
     /// The torque (N m) that a current (A) makes.
     fn torque_of(&self, current: f32) -> f32;
 
-    /// Takes the joint torque (N m) and speed (rad/s) of this control step and returns the current that will be asked
-    /// for (A), after the limit. What is not finite asks for nothing.
-    fn command(&mut self, torque: f32, speed: f32) -> f32;
+    /// Takes the joint torque (N m) of this control step and returns the current that will be asked for (A), after the
+    /// limit. What is not finite asks for nothing.
+    fn command(&mut self, torque: f32) -> f32;
 
     /// Takes the joint's speed (rad/s) of this carrier period: filtered, and as it is.
     fn follow(&mut self, speed: f32, raw: f32);

@@ -36,9 +36,9 @@ impl Description {
         links
     }
 
-    /// Whether any joint has a transmission that gives.
+    /// Whether any joint has a transmission that gives or a structural mode.
     pub fn is_flexible(&self) -> bool {
-        self.joints.iter().any(|joint| joint.transmission.is_some())
+        self.joints.iter().any(|joint| joint.transmission.is_some() || joint.structural_modes().next().is_some())
     }
 }
 
@@ -74,6 +74,76 @@ pub struct Joint {
     pub motor: Option<Motor>,
     /// What lies between motor and link where that is not rigid.
     pub transmission: Option<Transmission>,
+    /// The description vouches that nothing gives between motor and link.
+    pub rigid: bool,
+    /// What dry friction is beside `coulomb`, where it is more at rest than in motion.
+    pub friction: Option<Stribeck>,
+    /// What the motor's magnets do without current.
+    pub cogging: Option<Cogging>,
+    /// What swings on the link.
+    pub modes: [Option<StructuralMode>; MAX_MODES],
+}
+
+/// Structural modes of a joint at most.
+pub const MAX_MODES: usize = 2;
+
+/// Dry friction that falls from its value at rest to the Coulomb friction as the joint moves:
+/// coulomb + (rest - coulomb) exp(-(speed/stribeck_speed)²). It acts where `coulomb` acts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stribeck {
+    /// What holds the joint at rest, N m; at least the Coulomb friction.
+    pub rest: f64,
+    /// At which speed most of the difference is gone, rad/s; positive.
+    pub stribeck_speed: f64,
+}
+
+/// A torque that turns with the motor: amplitude sin(per_turn θ), on the motor's side.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cogging {
+    /// N m at the joint.
+    pub amplitude: f64,
+    /// Periods in a turn of the joint.
+    pub per_turn: f64,
+}
+
+/// A part of the joint's link that swings on a spring: a structural mode by its effective inertia, as seen with the joint
+/// held still (docs/model.md section 6).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StructuralMode {
+    /// Hz, undamped, with the joint held still.
+    pub frequency: f64,
+    /// Share of critical damping, not negative.
+    pub damping: f64,
+    /// The part of the inertia about the joint that swings, kg m²; positive.
+    pub inertia: f64,
+}
+
+impl StructuralMode {
+    /// Stiffness of its spring, N m/rad.
+    pub fn stiffness(&self) -> f64 {
+        let omega = core::f64::consts::TAU * self.frequency;
+        self.inertia * omega * omega
+    }
+
+    /// Of its damper, N m s/rad.
+    pub fn viscous(&self) -> f64 {
+        2.0 * self.damping * self.inertia * core::f64::consts::TAU * self.frequency
+    }
+}
+
+impl Joint {
+    /// Dry friction at a speed (rad/s), N m.
+    pub fn dry_friction(&self, speed: f64) -> f64 {
+        self.friction.map_or(self.coulomb, |friction| {
+            let over = speed / friction.stribeck_speed;
+            self.coulomb + (friction.rest - self.coulomb) * libm::exp(-over * over)
+        })
+    }
+
+    /// The structural modes that there are.
+    pub fn structural_modes(&self) -> impl Iterator<Item = StructuralMode> + '_ {
+        self.modes.iter().flatten().copied()
+    }
 }
 
 /// A belt, cable, gear or shaft that gives: motor and link are two bodies with a spring between them, all seen at the

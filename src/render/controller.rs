@@ -157,13 +157,13 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     ///
     /// Errors: whatever [`Scene::check`] finds.
     #[inline(never)]
-    pub fn new(mechanism: M, device: &Device<T>, scene: &Scene<T>, mass: MassModel<T, N>) -> Result<Self, SceneError> {
+    pub fn new(mechanism: M, device: &Device<T>, scene: &Scene<T>) -> Result<Self, SceneError> {
         let Prepared { coefficients, walls, guidance } = prepare(scene, M::SPEC.task)?;
         let biased = scene.velocity_terms != VelocityTerms::Off || walls.damped;
         let moving = biased || guidance.any;
         let mut controller = Self {
             mechanism,
-            mass,
+            mass: MassModel::Exact,
             observers: Observers::new(device, &coefficients),
             encoders: Encoders::new(device, &coefficients, M::SPEC.periodic, moving),
             coefficients,
@@ -180,6 +180,12 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         };
         controller.plan = Plan::of(&mut controller);
         Ok(controller)
+    }
+
+    /// Takes the mass matrix from `mass` from now on instead of the mechanism's closed form.
+    pub fn set_mass(&mut self, mass: MassModel<T, N>) {
+        self.mass = mass;
+        self.plan = Plan::of(self);
     }
 
     /// Joint torques for these encoder counts. Call at the control rate.

@@ -1,12 +1,13 @@
 //! What the device renders: walls, springs and damping fields, as the scene file says them and checked once.
 //!
 //! A [`Scene`] is plain data, the same on host and board; the controller builds its run-time form from it. A wall's
-//! shape is one file below this one and one line in the list of [`shape`].
+//! shape is one file below this one and one line in the list of [`surface`].
 
 mod cylinder;
 mod plane;
 pub mod shape;
 mod sphere;
+pub mod surface;
 
 use crate::math::Real;
 pub use crate::model::admissible::Admissible;
@@ -17,8 +18,8 @@ use nalgebra::SVector;
 pub use plane::Plane;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
-pub use shape::Surface;
 pub use sphere::Sphere;
+pub use surface::Surface;
 
 /// Most walls in a scene.
 pub const MAX_WALLS: usize = 8;

@@ -62,5 +62,6 @@ fn legs_of<const J: usize>(
 /// Puts the last step's frame into the queue; false when it is full.
 #[inline(never)]
 pub fn record(servo: &BoardServo, frames: &mut Producer<'static, Frame>) -> bool {
-    frames.enqueue(servo.frame()).is_ok()
+    // A full queue is known before anything is copied.
+    frames.ready() && frames.enqueue(servo.frame()).is_ok()
 }

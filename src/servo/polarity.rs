@@ -15,20 +15,27 @@ use core::ops::DerefMut;
 pub const POLARITY_SHARE: f32 = 0.25;
 /// Joint motion that decides the polarity check, rad.
 pub const POLARITY_MOTION: f32 = 0.02;
-/// Time the polarity check takes to reach its torque, s; it gives up after twice this. It waits as long at most for the
-/// device to come to rest before a joint's turn: what the joint before has thrown about says nothing of this one.
+/// Time the polarity check takes to reach its torque, s; it gives up after twice this.
 pub const POLARITY_SECONDS: f32 = 1.0;
+/// How long it waits at most for the device to come to rest before a joint's turn, s: what the joint before has thrown
+/// about says nothing of this one, and a device almost without friction glides for seconds.
+pub const POLARITY_PATIENCE: f32 = 5.0;
 
-/// Speed at which a joint counts as at rest for it, rad/s: slow against its motion within the time.
-const POLARITY_REST: f32 = 0.02;
+/// A joint is at rest for it that stays within so much (rad) for so long (s). A speed would not do: between two counts of
+/// a coarse encoder, and where a joint turns back, it is nothing.
+const REST_MOTION: f32 = 0.1 * POLARITY_MOTION;
+const REST_SECONDS: f32 = 0.2;
 
 /// Progress of the polarity check.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Polarity {
     pub(super) axis: usize,
     seconds: f32,
-    /// For how long the device was waited for to come to rest, s.
+    /// For how long the joint was waited for to come to rest, s.
     waited: f32,
+    /// Where it stands, rad, and for how long, s.
+    rests_at: f32,
+    rested: f32,
     /// Where the joint stood at its first step, rad.
     from: Option<f32>,
 }
@@ -53,14 +60,12 @@ where
     #[inline(never)]
     pub(super) fn check_polarity(&mut self) {
         self.now.torque = Torques::default();
-        let Some(program) = self.program.as_ref() else { return };
         let i = self.polarity.axis.min(MAX_JOINTS - 1);
-        let (joints, most) = (program.joints, program.axes[i].max_torque());
-        let thrown = i > 0 && self.polarity.from.is_none() && !self.slower_than(POLARITY_REST, joints);
-        if thrown && self.polarity.waited < POLARITY_SECONDS {
-            self.polarity.waited += self.period;
+        if i > 0 && self.polarity.from.is_none() && !self.at_rest(i) {
             return;
         }
+        let Some(program) = self.program.as_ref() else { return };
+        let (joints, most) = (program.joints, program.axes[i].max_torque());
         let moved = self.now.q[i] - *self.polarity.from.get_or_insert(self.now.q[i]);
         if moved > POLARITY_MOTION {
             if i + 1 >= joints {
@@ -85,5 +90,16 @@ where
         torque[i] = share * most;
         let squared = program.mechanism.force_squared::<K>(&self.now.q, &torque);
         self.now.torque[i] = torque[i] * share_within(squared, self.rules.limits.tip_force);
+    }
+
+    /// Whether joint `i` has come to rest after the one before, or has been waited for long enough.
+    fn at_rest(&mut self, i: usize) -> bool {
+        let (polarity, q) = (&mut self.polarity, self.now.q[i]);
+        polarity.waited += self.period;
+        polarity.rested += self.period;
+        if (q - polarity.rests_at).abs() > REST_MOTION {
+            (polarity.rests_at, polarity.rested) = (q, 0.0);
+        }
+        polarity.rested >= REST_SECONDS || polarity.waited >= POLARITY_PATIENCE
     }
 }

@@ -47,13 +47,23 @@ macro_rules! define {
 
         impl<K: Math<f32>> AnyController<K> {
             /// Builds the run-time form of a device and a scene; designs filters, so not for the interrupt.
-            pub fn new(device: &Device<f32>, scene: &Scene<f32>, mass: &MassModelData) -> Result<Self, Refusal> {
+            pub fn new(device: &Device<f32>, scene: &Scene<f32>) -> Result<Self, Refusal> {
                 match &device.mechanism {
                     $(crate::model::mechanism::AnyMechanism::$Variant(mechanism) => {
-                        let mass = MassModel::new::<crate::model::mechanism::$Variant<f32>>(mass).ok_or(Refusal::BadTable)?;
-                        Controller::new(*mechanism, device, scene, mass).map(Self::$Variant).map_err(Refusal::Scene)
+                        Controller::new(*mechanism, device, scene).map(Self::$Variant).map_err(Refusal::Scene)
                     })*
                 }
+            }
+
+            /// See [`Controller::set_mass`]; refused when the data do not fit the mechanism.
+            pub fn set_mass(&mut self, data: &MassModelData) -> Result<(), Refusal> {
+                match self {
+                    $(Self::$Variant(controller) => {
+                        let mass = MassModel::new::<crate::model::mechanism::$Variant<f32>>(data);
+                        controller.set_mass(mass.ok_or(Refusal::BadTable)?);
+                    })*
+                }
+                Ok(())
             }
 
             /// Which mechanism.
@@ -203,20 +213,19 @@ pub struct Program<K, S = Axis> {
 impl<K: Math<f32>, S: Stage> Program<K, S> {
     /// Builds a program for `hardware` under `limits`. `same_device` keeps homing across a change of scene.
     ///
-    /// Errors: more joints than axes, a joint without encoder scale, or whatever the scene or the table lacks.
+    /// Errors: more joints than axes, a joint without encoder scale, or whatever the scene lacks.
     pub fn new(
         hardware: &Hardware,
         limits: &Limits,
         device: &Device<f32>,
         scene: &Scene<f32>,
-        mass: &MassModelData,
         same_device: bool,
     ) -> Result<Self, Refusal> {
         let joints = device.axes();
         if joints > hardware.axes {
             return Err(Refusal::TooManyJoints { joints: joints as u8, axes: hardware.axes as u8 });
         }
-        let controller = AnyController::new(device, scene, mass)?;
+        let controller = AnyController::new(device, scene)?;
         // The current loops run once a carrier period, and the carrier follows the control rate.
         let bridge =
             Bridge { carrier_hz: Carrier::for_rate(hardware.timer_hz, scene.rate_hz).carrier_hz(), ..hardware.bridge };
@@ -255,6 +264,13 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
             rate_hz: scene.rate_hz,
             carrier_hz: bridge.carrier_hz,
         })
+    }
+
+    /// Takes the mass matrix from a prepared model instead of the mechanism's closed form.
+    ///
+    /// Errors: data that do not fit the mechanism.
+    pub fn set_mass(&mut self, data: &MassModelData) -> Result<(), Refusal> {
+        self.controller.set_mass(data)
     }
 
     /// Its controller.

@@ -12,7 +12,7 @@
 //! for the other way: the common factor would jump from 0 to 1 where that motor's own part passes zero. So the force
 //! leaves a motor's own part its room up to [`ROOM`] of the limit.
 
-use crate::math::{limited, newton_sqrt};
+use crate::math::{limited, sqrt};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::servo::joints::Torques;
 
@@ -119,7 +119,7 @@ pub(super) fn share_within(squared: f32, most: f32) -> f32 {
     if squared <= most * most {
         1.0
     } else if squared.is_finite() {
-        most / newton_sqrt(squared)
+        most / sqrt(squared)
     } else {
         0.0
     }

@@ -6,7 +6,6 @@ use haptic_bridge::math::{Libm, Math, Minimax, Real};
 use haptic_bridge::model::description::{Description, Encoder};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
-use haptic_bridge::model::precomputed::MassModel;
 use haptic_bridge::render::controller::{Controller, FULL_REGULARITY, PARALLEL_REGULARITY, Step};
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use nalgebra::SVector;
@@ -86,7 +85,7 @@ pub fn controller<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     scene: &Scene<T>,
 ) -> Controller<T, M, K, N> {
     let device = Device::<T>::new("hard", device).expect("a sound device");
-    Controller::new(mechanism, &device, scene, MassModel::Exact).expect("a sound scene")
+    Controller::new(mechanism, &device, scene).expect("a sound scene")
 }
 
 /// The first three entries, the missing ones zero.

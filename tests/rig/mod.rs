@@ -8,7 +8,6 @@ use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::catalogue::{MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
 use haptic_bridge::model::description::{Description, Encoder, Joint, Motor};
 use haptic_bridge::model::device::Device;
-use haptic_bridge::model::precomputed::MassModelData;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::Limits;
@@ -205,14 +204,8 @@ impl Rig {
 
     pub fn load(&mut self, description: &Description, scene: &Scene<f32>, same_device: bool) -> Result<(), Refusal> {
         self.rate = scene.rate_hz;
-        let program = Program::new(
-            &self.hardware,
-            &self.rules.limits,
-            &device(description),
-            scene,
-            &MassModelData::Exact,
-            same_device,
-        )?;
+        let device = device(description);
+        let program = Program::new(&self.hardware, &self.rules.limits, &device, scene, same_device)?;
         self.execute(Command::Program(Box::new(program)))
     }
 

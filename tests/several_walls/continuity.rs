@@ -8,7 +8,6 @@ use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Encoder;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
-use haptic_bridge::model::precomputed::MassModel;
 use haptic_bridge::render::controller::{Controller, TOUCH_DEPTH};
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use haptic_bridge::with_mechanism;
@@ -179,8 +178,7 @@ fn step_of_some<M: Mechanism<f64, N>, const N: usize>(
     let scene =
         Scene { task: M::SPEC.task as u8, walls: walls.collect(), gravity_compensation: false, ..Scene::default() };
     let device = Device::new("device", &description).expect("a sound device");
-    let mut controller =
-        Controller::<f64, M, Libm, N>::new(m, &device, &scene, MassModel::Exact).expect("a sound scene");
+    let mut controller = Controller::<f64, M, Libm, N>::new(m, &device, &scene).expect("a sound scene");
     controller.step(&counts).torque.iter().copied().collect()
 }
 

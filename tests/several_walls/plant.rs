@@ -8,7 +8,6 @@ use haptic_bridge::math::Minimax;
 use haptic_bridge::model::description::Encoder;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism, Parallelogram};
-use haptic_bridge::model::precomputed::MassModel;
 use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Spring, Surface, VelocityTerms, Wall};
 use nalgebra::SVector;
@@ -91,8 +90,7 @@ impl Run<'_> {
             ..Scene::default()
         };
         let device = Device::new("device", &description).expect("a sound device");
-        let mut controller =
-            Controller::<f32, M, Minimax, N>::new(m, &device, &scene, MassModel::Exact).expect("a sound scene");
+        let mut controller = Controller::<f32, M, Minimax, N>::new(m, &device, &scene).expect("a sound scene");
         match self.push {
             Some(aim) => {
                 let value = core::array::from_fn(|i| tip[i] + aim[i]);
@@ -384,8 +382,8 @@ fn the_feed_forward_of_several_walls_fades_near_a_singularity() {
     };
     let step = |q: [f64; 2], feed_forward| {
         let scene = Scene { task: 2, walls: walls(feed_forward).into_iter().collect(), ..Scene::default() };
-        let mut controller = Controller::<f32, FiveBar<f32>, Minimax, 2>::new(m, &device, &scene, MassModel::Exact)
-            .expect("a sound scene");
+        let mut controller =
+            Controller::<f32, FiveBar<f32>, Minimax, 2>::new(m, &device, &scene).expect("a sound scene");
         controller.step(&q.map(|q| (q / std::f64::consts::TAU * 1_048_576.0).round() as i32))
     };
     let (mut last, mut shares, mut changed) = (None::<SVector<f32, 2>>, Vec::new(), 0.0_f32);

@@ -8,7 +8,6 @@ use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Encoder;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
-use haptic_bridge::model::precomputed::MassModel;
 use haptic_bridge::render::controller::{Controller, Push, PushedPlane};
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Spring, Surface, Wall};
 use haptic_bridge::with_mechanism;
@@ -70,8 +69,7 @@ fn torque(file: &DeviceFile, q: &[f64], set: &Set, shift: &[f64]) -> DVector<f64
             ..Scene::default()
         };
         let device = Device::new("device", &description).expect("a sound device");
-        let mut controller =
-            Controller::<f64, M, Libm, N>::new(m, &device, &scene, MassModel::Exact).expect("a sound scene");
+        let mut controller = Controller::<f64, M, Libm, N>::new(m, &device, &scene).expect("a sound scene");
         if let Some((normal, stiffness)) = &set.plane {
             let n = three(normal);
             let offset = n.iter().zip(&point).map(|(n, p)| n * p).sum::<f64>() + 0.01;

@@ -9,8 +9,9 @@ use std::process::Stdio;
 use anyhow::{Context as _, Result, bail, ensure};
 use serde_json::{Value, json};
 
-use crate::firmware::{root, target_directory};
-use crate::toolchain::{TARGET, Toolchain, Use, cargo, run};
+use crate::paths::{root, target_directory};
+use crate::toolchain::{TARGET, Use, cargo, run};
+use crate::tools;
 
 const BINARY: &str = "haptic-bridge-counting";
 /// By how much a variant may grow over the committed figure.
@@ -22,7 +23,7 @@ fn kept() -> PathBuf {
 
 /// Builds the counting image; its path.
 fn image(install: bool) -> Result<PathBuf> {
-    let mut command = Toolchain::find(Use::Build, install)?.cargo(Use::Build);
+    let mut command = tools::provide(&[Use::Build], install)?.cargo(Use::Build);
     command.current_dir(root().join("firmware")).arg("--target-dir").arg(target_directory());
     run(command.args(["--locked", "--package", BINARY, "--profile", "firmware"]))?;
     Ok(target_directory().join(TARGET).join("firmware").join(BINARY))

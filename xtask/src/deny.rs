@@ -10,7 +10,7 @@ use semver::{Version, VersionReq};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
-use crate::firmware::root;
+use crate::paths::root;
 use crate::toolchain::{cargo, run as run_command};
 
 /// Where every dependency comes from, as cargo names it.

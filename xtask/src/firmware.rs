@@ -1,6 +1,5 @@
 //! Building, measuring, linting and flashing the firmware images.
 
-use std::env;
 use std::path::PathBuf;
 use std::process::Command;
 
@@ -8,28 +7,15 @@ use anyhow::{Context as _, Result, bail};
 
 use crate::dfu;
 use crate::image::{FLASH_LIMIT, Image, RAM_LIMIT, seal};
+use crate::paths::{root, target_directory};
 use crate::toolchain::{TARGET, Toolchain, Use, run};
+use crate::tools;
 
 /// All boards, by the name of their Cargo feature.
 pub const BOARDS: [&str; 2] = ["odrive-v3", "h-bridge-f405"];
 
 const BINARY: &str = "haptic-bridge-firmware";
 const CHIP: &str = "STM32F405RGTx";
-
-/// The root of the repository.
-pub fn root() -> PathBuf {
-    let mut path = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
-    path.pop();
-    path
-}
-
-/// Where builds go.
-pub fn target_directory() -> PathBuf {
-    match env::var_os("CARGO_TARGET_DIR") {
-        Some(directory) => root().join(directory),
-        None => root().join("target"),
-    }
-}
 
 fn cargo(toolchain: Toolchain, purpose: Use, board: &str) -> Command {
     let mut command = toolchain.cargo(purpose);
@@ -40,7 +26,7 @@ fn cargo(toolchain: Toolchain, purpose: Use, board: &str) -> Command {
 
 /// Builds one image and keeps it under its board's name, with its checksum in it; its path.
 pub fn build(board: &str, install: bool) -> Result<PathBuf> {
-    let toolchain = Toolchain::find(Use::Build, install)?;
+    let toolchain = tools::provide(&[Use::Build], install)?;
     run(&mut cargo(toolchain, Use::Build, board))?;
     let directory = target_directory().join(TARGET).join("firmware");
     let image = directory.join(format!("{BINARY}-{board}.elf"));
@@ -81,7 +67,7 @@ pub fn size(install: bool) -> Result<()> {
 
 /// Lints the library and the firmware as compiled for the chip.
 pub fn clippy(install: bool) -> Result<()> {
-    let toolchain = Toolchain::find(Use::Clippy, install)?;
+    let toolchain = tools::provide(&[Use::Clippy], install)?;
     for board in BOARDS {
         run(cargo(toolchain, Use::Clippy, board).args(["--package", "haptic-bridge", "--", "-D", "warnings"]))?;
     }

@@ -5,7 +5,7 @@ use std::process::Command;
 
 use anyhow::{Context as _, Result, ensure};
 
-use crate::firmware::root;
+use crate::paths::root;
 use crate::toolchain::run;
 
 /// Holds every Rust file that git knows against rustfmt.

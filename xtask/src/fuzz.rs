@@ -11,7 +11,7 @@ use std::thread;
 use anyhow::{Context as _, Result, bail};
 use clap::builder::PossibleValuesParser;
 
-use crate::firmware::{root, target_directory};
+use crate::paths::{root, target_directory};
 use crate::report;
 use crate::toolchain::{Use, cargo, host, run as run_command};
 use crate::tools;

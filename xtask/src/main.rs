@@ -10,6 +10,8 @@ mod format;
 mod fuzz;
 mod image;
 mod no_panic;
+mod paths;
+mod python;
 mod report;
 mod soak;
 mod tests;
@@ -73,6 +75,12 @@ enum Command {
     /// Of these, the tests that run the images on the emulated board
     TestBoard {
         /// Further arguments of `cargo test`
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        rest: Vec<String>,
+    },
+    /// Of these, the tests of the package for Python
+    Python {
+        /// Further arguments of pytest
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         rest: Vec<String>,
     },
@@ -140,6 +148,7 @@ fn run(command: Command, install: bool) -> Result<()> {
         Command::Tools => tools::check(install),
         Command::Test => tests::all(install),
         Command::TestBoard { rest } => tests::board(&rest, install),
+        Command::Python { rest } => python::test(&rest, &python::ALONE, install),
         Command::Timing => tests::measure("timing", &[], install),
         Command::Fuzz(options) => fuzz::run(&options, install),
         Command::Sanitize { rest } => undefined::sanitize(&rest),

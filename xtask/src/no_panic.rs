@@ -5,9 +5,10 @@ use std::process::Command;
 
 use anyhow::{Context as _, Result, ensure};
 
-use crate::firmware::{root, target_directory};
+use crate::paths::{root, target_directory};
 use crate::thumb::Image;
 use crate::toolchain::{TARGET, Toolchain, Use, run};
+use crate::tools;
 
 /// Most stack the control step may take, bytes: an eighth of what the images reserve.
 const STACK_LIMIT: u32 = 2560;
@@ -24,7 +25,7 @@ fn cargo(toolchain: Toolchain) -> Command {
 
 /// Links the step alone, and reads the result.
 pub fn prove(install: bool) -> Result<()> {
-    let toolchain = Toolchain::find(Use::Build, install)?;
+    let toolchain = tools::provide(&[Use::Build], install)?;
     run(&mut cargo(toolchain)).context("a panic is left in the control step; the linker's message above says so")?;
     let image = Image::read(&target_directory().join("no-panic").join(TARGET).join("release/no-panic"))?;
     let reach = image.reach(&["control_step", "carrier_guard", "carrier_step"])?;

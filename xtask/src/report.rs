@@ -6,7 +6,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context as _, Result};
 
-use crate::firmware::root;
+use crate::paths::root;
 use crate::toolchain::{cargo, run};
 
 /// Writes `docs/results/NAME` and says so.

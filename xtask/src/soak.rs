@@ -5,7 +5,7 @@ use std::fs;
 
 use anyhow::{Context as _, Result};
 
-use crate::firmware::{root, target_directory};
+use crate::paths::{root, target_directory};
 use crate::toolchain::{cargo, run as run_command};
 use crate::{report, tests};
 

@@ -7,7 +7,7 @@ use std::time::Instant;
 use anyhow::Result;
 
 use crate::toolchain::{cargo, run};
-use crate::{bench, deny, firmware, fuzz, no_panic, report, tools};
+use crate::{bench, deny, firmware, fuzz, no_panic, paths, python, report, tools};
 
 /// Seconds of fuzzing that each target gets in the whole run.
 const FUZZ_SECONDS: u32 = 4;
@@ -23,8 +23,9 @@ pub fn all(install: bool) -> Result<()> {
         Ok(())
     };
     stage("library, simulated board and tool", &|| {
-        run(cargo().current_dir(firmware::root()).args(["test", "--locked", "--workspace"]))
+        run(cargo().current_dir(paths::root()).args(["test", "--locked", "--workspace"]))
     })?;
+    stage("package for Python", &|| python::test(&[], &python::AFTERWARDS, install))?;
     stage("licences, sources and advisories of dependencies", &deny::check)?;
     stage("fuzzing", &|| fuzz::run(&fuzz::Options::short(FUZZ_SECONDS), install))?;
     stage("images and their sizes", &|| firmware::size(install))?;
@@ -37,7 +38,7 @@ pub fn all(install: bool) -> Result<()> {
 /// Types what the documents say to type and what takes longer than a test of the tool may (host/tests/documents).
 fn documents() -> Result<()> {
     let test = ["test", "--locked", "--package", "haptic", "--test", "documents", "--", "--ignored"];
-    run(cargo().current_dir(firmware::root()).args(test))
+    run(cargo().current_dir(paths::root()).args(test))
 }
 
 /// The tests of the real images on the emulated chip. Further arguments go to `cargo test`.
@@ -62,7 +63,7 @@ pub fn measure(program: &str, arguments: &[String], install: bool) -> Result<()>
 fn emulated(call: &str, install: bool) -> Result<Command> {
     let images = firmware::build_all(install)?;
     let mut command = cargo();
-    command.current_dir(firmware::root().join("emulator")).args([call, "--locked", "--ignore-rust-version"]);
+    command.current_dir(paths::root().join("emulator")).args([call, "--locked", "--ignore-rust-version"]);
     if let Some(directory) = images.first().and_then(|image| image.parent()) {
         command.env("HAPTIC_FIRMWARE_DIR", directory);
     }

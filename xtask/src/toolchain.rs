@@ -13,9 +13,7 @@ use std::process::Command;
 
 use anyhow::{Context as _, Result, bail};
 
-use crate::firmware::{root, target_directory};
-use crate::tools;
-pub use crate::tools::Use;
+use crate::paths::{root, target_directory};
 
 /// The target triple of the chip.
 pub const TARGET: &str = "thumbv7em-none-eabihf";
@@ -31,6 +29,21 @@ pub const DEBIAN_LINKER: &str = "/usr/bin/rust-lld";
 /// Its clippy.
 pub const DEBIAN_CLIPPY: &str = "/usr/bin/cargo-clippy";
 
+/// What a stage does.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Use {
+    /// Builds for the chip.
+    Build,
+    /// Lints for the chip.
+    Clippy,
+    /// Builds libFuzzer, which is C++.
+    Fuzz,
+    /// Opens the page of `haptic view` in a browser.
+    Page,
+    /// Tries the package for Python.
+    Python,
+}
+
 /// How to compile for the chip on this computer.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Toolchain {
@@ -41,11 +54,6 @@ pub enum Toolchain {
 }
 
 impl Toolchain {
-    /// Finds a way, installing Debian's packages when that is wanted.
-    pub fn find(purpose: Use, install: bool) -> Result<Self> {
-        tools::provide(&[purpose], install)
-    }
-
     /// A cargo call for the chip: `cargo SUBCOMMAND …` with the target and, where needed, the core library's source.
     pub fn cargo(self, purpose: Use) -> Command {
         let subcommand = if purpose == Use::Clippy { "clippy" } else { "rustc" };

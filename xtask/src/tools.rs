@@ -10,20 +10,9 @@ use std::process::Command;
 use anyhow::{Result, bail};
 use semver::Version;
 
-use crate::toolchain::{DEBIAN_CARGO, DEBIAN_CLIPPY, DEBIAN_CORE, DEBIAN_LINKER, DEBIAN_RUSTC, TARGET, Toolchain, run};
-
-/// What a stage does.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Use {
-    /// Builds for the chip.
-    Build,
-    /// Lints for the chip.
-    Clippy,
-    /// Builds libFuzzer, which is C++.
-    Fuzz,
-    /// Opens the page of `haptic view` in a browser.
-    Page,
-}
+use crate::toolchain::{
+    DEBIAN_CARGO, DEBIAN_CLIPPY, DEBIAN_CORE, DEBIAN_LINKER, DEBIAN_RUSTC, TARGET, Toolchain, Use, run,
+};
 
 /// Something that a stage cannot do without.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -35,11 +24,12 @@ enum Tool {
     Clippy,
     Cpp,
     Browser,
+    Python,
 }
 
 impl Tool {
-    const ALL: [Self; 7] =
-        [Self::Compiler, Self::Cargo, Self::Core, Self::Linker, Self::Clippy, Self::Cpp, Self::Browser];
+    const ALL: [Self; 8] =
+        [Self::Compiler, Self::Cargo, Self::Core, Self::Linker, Self::Clippy, Self::Cpp, Self::Browser, Self::Python];
 
     fn name(self) -> &'static str {
         match self {
@@ -50,6 +40,7 @@ impl Tool {
             Self::Clippy => "its clippy",
             Self::Cpp => "a C++ compiler (c++, or what CXX names) for libFuzzer",
             Self::Browser => "a browser without a screen (chromium) for the tests of `haptic view`",
+            Self::Python => "Python 3.11 or newer with venv and pip (python3)",
         }
     }
 
@@ -63,6 +54,7 @@ impl Tool {
             Self::Clippy => "rust-web-clippy",
             Self::Cpp => "g++",
             Self::Browser => "chromium",
+            Self::Python => "python3-venv",
         }
     }
 
@@ -77,6 +69,9 @@ impl Tool {
             Self::Cpp => version(&env::var("CXX").unwrap_or_else(|_| "c++".into())),
             // The names that host/tests/browser tries.
             Self::Browser => ["chromium", "chromium-browser", "google-chrome"].into_iter().any(version),
+            Self::Python => {
+                succeeds("python3", &["-c", "import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))"])
+            }
         }
     }
 }
@@ -108,6 +103,7 @@ impl Found {
         let needed = Tool::ALL.into_iter().filter(|tool| match tool {
             Tool::Cpp => uses.contains(&Use::Fuzz),
             Tool::Browser => uses.contains(&Use::Page),
+            Tool::Python => uses.contains(&Use::Python),
             Tool::Clippy => uses.contains(&Use::Clippy) && !self.rustup,
             tool => chip.contains(tool) && !self.rustup && (uses.contains(&Use::Build) || uses.contains(&Use::Clippy)),
         });
@@ -143,7 +139,7 @@ impl Found {
             "On Debian, as root (or with --install, which does the same):\n    {}\n",
             self.install_line(missing)
         );
-        let by_hand = |tool: &&Tool| matches!(tool, Tool::Cpp | Tool::Browser);
+        let by_hand = |tool: &&Tool| matches!(tool, Tool::Cpp | Tool::Browser | Tool::Python);
         let rest: Vec<&str> = missing.iter().filter(by_hand).map(|tool| tool.name()).collect();
         if rest.len() < missing.len() {
             text += &format!("Elsewhere:\n    rustup target add {TARGET}");
@@ -182,7 +178,7 @@ pub fn provide(uses: &[Use], install: bool) -> Result<Toolchain> {
 }
 
 /// What `cargo xtask test` does.
-pub const TEST: [Use; 3] = [Use::Build, Use::Fuzz, Use::Page];
+pub const TEST: [Use; 4] = [Use::Build, Use::Fuzz, Use::Page, Use::Python];
 
 /// Says that everything is there that the tests need, or what is not.
 pub fn check(install: bool) -> Result<()> {
@@ -190,7 +186,9 @@ pub fn check(install: bool) -> Result<()> {
         Toolchain::Rustup => "rustup's compiler, which has the target",
         Toolchain::Debian => "Debian's compiler, with the source of the core library and rust-lld",
     };
-    println!("for the chip: {chip}\nfor libFuzzer: a C++ compiler\nfor `haptic view`: a browser\nnothing is missing");
+    println!(
+        "for the chip: {chip}\nfor libFuzzer: a C++ compiler\nfor `haptic view`: a browser\nfor the package: Python\nnothing is missing"
+    );
     Ok(())
 }
 
@@ -243,7 +241,7 @@ mod tests {
     /// What a fresh Debian had after `--install`: everything but the linker, whose package nothing depends on.
     #[test]
     fn a_compiler_without_a_linker_is_found_out_before_it_compiles() {
-        let after = found(&[Tool::Compiler, Tool::Cargo, Tool::Core, Tool::Cpp, Tool::Browser], None);
+        let after = found(&[Tool::Compiler, Tool::Cargo, Tool::Core, Tool::Cpp, Tool::Browser, Tool::Python], None);
         let missing = after.missing(&TEST);
         assert_eq!(missing, [Tool::Linker]);
         assert_eq!(after.packages(&missing), ["rust-web-llvm"]);
@@ -264,7 +262,7 @@ mod tests {
         for tool in &missing {
             assert!(text.contains(tool.name()), "{tool:?} in\n{text}");
         }
-        let line = "rustc-web cargo-web rust-web-src rust-web-llvm g++ chromium && apt-get install -y --no-install-recommends \
+        let line = "rustc-web cargo-web rust-web-src rust-web-llvm g++ chromium python3-venv && apt-get install -y --no-install-recommends \
                     \"$(basename \"$(readlink /usr/bin/rust-lld)\")\"";
         assert!(text.contains(line) && text.contains("rustup target add"), "{text}");
     }
@@ -273,7 +271,7 @@ mod tests {
     fn what_rustup_has_is_not_asked_of_debian_and_nobody_needs_what_no_stage_uses() {
         let rustup = Found { rustup: true, ..found(&[], None) };
         assert!(rustup.missing(&[Use::Build, Use::Clippy]).is_empty());
-        assert_eq!(rustup.missing(&TEST), [Tool::Cpp, Tool::Browser]);
+        assert_eq!(rustup.missing(&TEST), [Tool::Cpp, Tool::Browser, Tool::Python]);
         assert!(!rustup.complaint(&[Tool::Cpp, Tool::Browser]).contains("rustup"));
         assert_eq!(found(&[], None).missing(&[Use::Fuzz]), [Tool::Cpp]);
     }

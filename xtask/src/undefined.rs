@@ -4,16 +4,16 @@ use std::process::Command;
 
 use anyhow::{Result, bail};
 
-use crate::firmware;
+use crate::paths;
 use crate::toolchain::{cargo, host, run};
 
 /// The library's tests under the address sanitizer, which watches memory. The switch is one of the compiler's unstable
 /// ones. Further arguments go to `cargo test`.
 pub fn sanitize(arguments: &[String]) -> Result<()> {
     let mut test = cargo();
-    test.current_dir(firmware::root()).args(["test", "--locked", "--package", "haptic-bridge", "--lib", "--tests"]);
+    test.current_dir(paths::root()).args(["test", "--locked", "--package", "haptic-bridge", "--lib", "--tests"]);
     // Of its own, because everything is compiled anew; with a target named, the flag does not reach build scripts.
-    test.args(["--target", &host()?, "--target-dir"]).arg(firmware::target_directory().join("sanitize"));
+    test.args(["--target", &host()?, "--target-dir"]).arg(paths::target_directory().join("sanitize"));
     test.env("RUSTC_BOOTSTRAP", "1").env("RUSTFLAGS", "-Zsanitizer=address").env_remove("CARGO_ENCODED_RUSTFLAGS");
     run(test.args(arguments))
 }
@@ -54,7 +54,7 @@ pub fn miri() -> Result<()> {
     // As rustup runs it: what a cargo call inherits names another toolchain.
     let miri = || {
         let mut command = Command::new("rustup");
-        command.current_dir(firmware::root()).env_remove("RUSTUP_TOOLCHAIN").args(["run", "nightly", "cargo", "miri"]);
+        command.current_dir(paths::root()).env_remove("RUSTUP_TOOLCHAIN").args(["run", "nightly", "cargo", "miri"]);
         command
     };
     if !miri().arg("--version").output().is_ok_and(|output| output.status.success()) {
@@ -63,7 +63,7 @@ pub fn miri() -> Result<()> {
     for (file, tests) in UNDER_MIRI {
         let mut test = miri();
         test.args(["test", "--locked", "--package", "haptic-bridge", "--test", file, "--target-dir"]);
-        test.arg(firmware::target_directory().join("miri")).arg("--").args(tests);
+        test.arg(paths::target_directory().join("miri")).arg("--").args(tests);
         // Files are read and time passes; sums are rounded as they are elsewhere; a property is tried a few times.
         test.env("MIRIFLAGS", "-Zmiri-disable-isolation -Zmiri-deterministic-floats").env("PROPTEST_CASES", "4");
         run(&mut test)?;
@@ -78,7 +78,7 @@ mod tests {
     #[test]
     fn what_miri_is_to_run_is_there() {
         for (file, tests) in UNDER_MIRI {
-            let path = firmware::root().join(format!("tests/{file}.rs"));
+            let path = paths::root().join(format!("tests/{file}.rs"));
             let text = std::fs::read_to_string(&path).unwrap();
             for test in tests {
                 assert!(text.contains(&format!("\nfn {test}")), "no test in {} begins with {test}", path.display());

@@ -9,7 +9,6 @@ use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::math::Minimax;
 use haptic_bridge::model::device::Device;
-use haptic_bridge::model::precomputed::MassModelData;
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::{Counts, Currents};
 use haptic_bridge::servo::program::Hardware;
@@ -80,7 +79,7 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
         let device = Device::new(&file.name, &file.description).expect("a device");
         let scene = SceneFile::parse(&scene, "scene", task).expect("a scene").scene().expect("it fits f32");
         let program: Program<Minimax> =
-            Program::new(&hardware, &rules.limits, &device, &scene, &MassModelData::Exact, false).expect("a program");
+            Program::new(&hardware, &rules.limits, &device, &scene, false).expect("a program");
         let mut servo = Servo::new(hardware, rules);
         let of = |row: &Row, field: Field| -> Vec<f64> {
             columns

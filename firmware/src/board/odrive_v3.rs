@@ -192,7 +192,8 @@ impl Io for Pins {
             self.zeros.take(raw);
         }
         // What leaves phase B comes back through C.
-        let [b0, c0, b1, c1] = [0, 1, 2, 3].map(|sensor| self.zeros.less(sensor, raw[sensor]) * AMPERES_PER_COUNT);
+        let amperes = |sensor: usize| self.zeros.less(sensor, raw[sensor]) * AMPERES_PER_COUNT;
+        let (b0, c0, b1, c1) = (amperes(0), amperes(1), amperes(2), amperes(3));
         let currents = Currents([0.5 * (b0 - c0), 0.5 * (b1 - c1), 0.0]);
         let imbalance = Currents([b0 + c0, b1 + c1, 0.0]);
         let bus_v = f32::from(adc::result(pac::ADC1, 2)) * (adc::REFERENCE_V / adc::FULL_SCALE * BUS_DIVIDER);

@@ -1,7 +1,8 @@
-//! What is not rigid about a device: transmissions between motors and links, and a hand on the tip (docs/model.md
-//! section 6), linearised at a pose in continuous time.
+//! What is not rigid about a device: transmissions between motors and links, structural modes of the links, and a hand on
+//! the tip (docs/model.md section 6), linearised at a pose in continuous time.
 //!
-//! Generalised coordinates are the links' joint angles q and, behind each transmission, its motor's angle θ. The states
+//! Generalised coordinates are the links' joint angles q, behind each transmission its motor's angle θ, and of each mode the
+//! angle of what swings. The states
 //! are scaled by their energy: velocities by a Cholesky factor of the mass matrix, every spring's deflection by the
 //! root of its stiffness. A lossless device is then a rotation, however far apart its frequencies lie.
 //!
@@ -13,7 +14,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use haptic_bridge::model::description::{EncoderAt, Transmission};
+use haptic_bridge::model::description::{EncoderAt, StructuralMode, Transmission};
 
 use super::plant::{ContinuousPlant, Lags, Linearised};
 
@@ -47,6 +48,8 @@ impl Hand {
 pub struct Flexible {
     /// Of each joint; empty where all are rigid.
     pub transmissions: Vec<Option<Transmission>>,
+    /// Structural modes, each with its joint.
+    pub modes: Vec<(usize, StructuralMode)>,
     /// On the tip.
     pub hand: Hand,
     /// The tip's Jacobian, d x N, m/rad: what the hand moves with.
@@ -58,12 +61,13 @@ pub struct Flexible {
 impl Flexible {
     /// Whether it is all rigid, and in nobody's hand.
     pub fn is_rigid(&self) -> bool {
-        !self.hand.is_there() && self.transmissions.iter().all(Option::is_none)
+        !self.hand.is_there() && self.modes.is_empty() && self.transmissions.iter().all(Option::is_none)
     }
 }
 
 /// The matrices of the device in generalised coordinates, in sample units (see [`super::plant`]): time in samples,
-/// forces in m/T². Links first, then the motors of the joints that have a transmission.
+/// forces in m/T². Links first, then the motors of the joints that have a transmission, then
+/// what swings on the links.
 struct Bodies {
     mass: DMatrix<f64>,
     damping: DMatrix<f64>,
@@ -90,7 +94,18 @@ impl Bodies {
                 links[(joint, joint)] -= transmission.motor_inertia;
             }
         }
+        for (joint, mode) in &flexible.modes {
+            links[(*joint, *joint)] -= mode.inertia;
+        }
         let mobility = links.clone().cholesky()?.inverse();
+        let (swinging, stiff): (Vec<(usize, StructuralMode)>, Vec<_>) =
+            flexible.modes.iter().partition(|(joint, mode)| {
+                let ease = 1.0 / mode.inertia + mobility[(*joint, *joint)];
+                (mode.stiffness() * ease).sqrt() * t < RIGID_PER_SAMPLE
+            });
+        for (joint, mode) in &stiff {
+            links[(*joint, *joint)] += mode.inertia;
+        }
         let compliant: Vec<(usize, Transmission)> = (0..joints)
             .filter_map(|joint| gives(joint).map(|transmission| (joint, transmission)))
             .filter(|(joint, transmission)| {
@@ -105,8 +120,8 @@ impl Bodies {
         }
         let hand = &flexible.hand;
         let held = if hand.stiffness > 0.0 { flexible.tip.nrows() } else { 0 };
-        let size = joints + compliant.len();
-        let springs = compliant.len() + held;
+        let size = joints + compliant.len() + swinging.len();
+        let springs = compliant.len() + swinging.len() + held;
         let mut bodies = Self {
             mass: DMatrix::zeros(size, size),
             damping: DMatrix::zeros(size, size),
@@ -115,7 +130,7 @@ impl Bodies {
             motor: (0..joints).collect(),
             encoder: (0..joints).collect(),
             twist: vec![None; joints],
-            held: (held > 0).then_some(compliant.len()),
+            held: (held > 0).then_some(compliant.len() + swinging.len()),
         };
         bodies.mass.view_mut((0, 0), (joints, joints)).copy_from(&links);
         if hand.is_there() {
@@ -139,8 +154,19 @@ impl Bodies {
                 bodies.damping[(a, b)] += sign * transmission.damping;
             }
         }
+        for (index, (q, mode)) in swinging.iter().enumerate() {
+            let spring = compliant.len() + index;
+            let (q, swings) = (*q, joints + spring);
+            bodies.mass[(swings, swings)] = mode.inertia;
+            bodies.deflection[(spring, swings)] = 1.0;
+            bodies.deflection[(spring, q)] = -1.0;
+            bodies.stiffness[spring] = mode.stiffness();
+            for (a, b, sign) in [(swings, swings, 1.0), (q, q, 1.0), (swings, q, -1.0), (q, swings, -1.0)] {
+                bodies.damping[(a, b)] += sign * mode.viscous();
+            }
+        }
         for direction in 0..held {
-            let spring = compliant.len() + direction;
+            let spring = compliant.len() + swinging.len() + direction;
             bodies.deflection.view_mut((spring, 0), (1, joints)).copy_from(&flexible.tip.row(direction));
             bodies.stiffness[spring] = hand.stiffness;
         }

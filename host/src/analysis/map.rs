@@ -11,8 +11,12 @@
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::{Device, Joint};
+use haptic_bridge::model::mechanism::AnyMechanism;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+
+use crate::continued::Continued;
+use crate::error::Failure;
 
 use super::pose::{PoseError, TaskPose, unit_normal};
 use crate::model::Condition;
@@ -21,7 +25,7 @@ use crate::model::Condition;
 const WALKABLE_SINE: f64 = 0.08;
 
 /// A normal and what it makes of the inertia.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Worst {
     /// Unit normal in the task frame.
     pub normal: Vec<f64>,
@@ -30,7 +34,7 @@ pub struct Worst {
 }
 
 /// One pose of the map.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MapPoint {
     /// Joint angles, rad.
     pub q: Vec<f64>,
@@ -374,16 +378,50 @@ pub fn map_holding(
     points: usize,
     admissible: Admissible,
 ) -> Result<Vec<MapPoint>, PoseError> {
+    swept(description, normal, points, admissible, |pieces, work| {
+        Ok(crate::cores::map(pieces, &|_, _| {}, work).into_iter().flatten().collect())
+    })
+}
+
+/// Poses that a sweep does at a time.
+const PIECE: usize = 256;
+
+/// As [`map_holding`], with `progress`, that can be interrupted and `continued`.
+pub fn map_continued(
+    description: &Description,
+    normal: &[f64],
+    points: usize,
+    admissible: Admissible,
+    continued: Option<&Continued<'_>>,
+    progress: &(dyn Fn(usize, usize) + Sync),
+) -> Result<Vec<MapPoint>, Failure> {
+    swept(description, normal, points, admissible, |pieces, work| {
+        Ok(crate::continued::map(pieces, continued, progress, work)?.into_iter().flatten().collect())
+    })
+}
+
+/// What is done with one piece of the poses.
+type Piece<'a> = &'a (dyn Fn(&Vec<Vec<f64>>) -> Vec<MapPoint> + Sync);
+
+fn swept<E: From<PoseError>>(
+    description: &Description,
+    normal: &[f64],
+    points: usize,
+    admissible: Admissible,
+    sweep: impl FnOnce(&[Vec<Vec<f64>>], Piece<'_>) -> Result<Vec<MapPoint>, E>,
+) -> Result<Vec<MapPoint>, E> {
     let spec = description.kind.spec();
     let normal = unit_normal(normal, spec.task, spec.joints)?;
     let per_joint = (points as f64).powf(1.0 / spec.joints as f64).round().max(2.0) as usize;
     let reachable = Reachable::from_home(description, per_joint, None)?;
-    let mut found = Vec::new();
-    for index in reachable.indices() {
-        let q = reachable.angles(index);
-        found.extend(at_holding(description, &q, &normal, admissible)?);
-    }
-    Ok(found)
+    let device = AnyMechanism::new(description).map_err(PoseError::from)?;
+    let poses: Vec<Vec<f64>> = reachable.indices().map(|index| reachable.angles(index)).collect();
+    let pieces: Vec<Vec<Vec<f64>>> = poses.chunks(PIECE).map(<[Vec<f64>]>::to_vec).collect();
+    sweep(&pieces, &|piece| {
+        // Each was a pose of this device when it was reached.
+        let at = |q: &Vec<f64>| evaluate(&TaskPose::of(&device, q).ok()?.holding(admissible), q, &normal);
+        piece.iter().filter_map(at).collect()
+    })
 }
 
 #[cfg(test)]

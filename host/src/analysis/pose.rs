@@ -20,7 +20,7 @@ pub const SINGULAR_SINE: f64 = 1e-6;
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum PoseError {
     /// Wrong number of joint angles.
-    #[error("this device has {joints} joints, so --q takes {joints} angles, not {found}")]
+    #[error("this device has {joints} joints, so a pose has {joints} angles, not {found}")]
     Joints {
         /// N of the device.
         joints: usize,
@@ -56,7 +56,7 @@ impl From<PoseError> for crate::error::Failure {
     fn from(error: PoseError) -> Self {
         match error {
             PoseError::Serial | PoseError::Parallel => {
-                Self::impossible(error).remedy("choose a pose away from it with --q")
+                Self::impossible(error).remedy("choose joint angles away from it")
             }
             _ => Self::wrong(error),
         }
@@ -169,8 +169,8 @@ pub fn unit_normal(normal: &[f64], task: usize, joints: usize) -> Result<DVector
 }
 
 impl Linearised {
-    /// The device at rest at `q` (rad), seen along `normal` (d entries, any length but zero), with its joint damping and
-    /// its transmissions.
+    /// The device at rest at `q` (rad), seen along `normal` (d entries, any length but zero), with its joint damping,
+    /// its transmissions and its structural modes.
     pub fn at(description: &Description, q: &[f64], normal: &[f64]) -> Result<Self, PoseError> {
         Self::holding(description, q, normal, Admissible::default())
     }
@@ -186,6 +186,9 @@ impl Linearised {
         let mut seen = Self::of(&Device::new("", description)?, q, normal, admissible)?;
         if description.is_flexible() {
             seen.flexible.transmissions = description.joints[..joints].iter().map(|joint| joint.transmission).collect();
+            let modes = description.joints[..joints].iter().enumerate();
+            seen.flexible.modes =
+                modes.flat_map(|(index, joint)| joint.structural_modes().map(move |mode| (index, mode))).collect();
         }
         Ok(seen)
     }

@@ -9,6 +9,7 @@
 use serde::Serialize;
 
 use super::boundary::{Circle, Interval};
+use super::host::HostWall;
 use super::plant::Linearised;
 use super::sampled::{AnalysisError, FeedForward, Loop, OpenLoop};
 use super::several::{Loops, WallSet};
@@ -20,7 +21,7 @@ pub const BOUNDARY_POINTS: usize = 200;
 pub const WORTHWHILE_RATIO: f64 = 1.05;
 
 /// One point of the boundary.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, serde::Deserialize)]
 pub struct BoundaryPoint {
     /// Damping, N s/m.
     pub kd: f64,
@@ -75,6 +76,9 @@ pub struct Range {
     pub washout: Option<Domain>,
     /// Area with the feed-forward over area without; zero where nothing is stable.
     pub area_ratio: f64,
+    /// The same wall rendered by a program on a computer, when asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub host: Option<HostWall>,
 }
 
 /// Predicts the stable domain of `device` in `around`: without, with, and (at `washout_hz`) with washed-out
@@ -94,7 +98,7 @@ pub fn predict(
     let w_eff = device.w_eff().ok_or(AnalysisError::Singular)?;
     let feed_forward_gain = (device.gain != 1.0).then_some(device.gain);
     let inertia_met = feed_forward_gain.and_then(|_| device.inertia_met());
-    Ok(Range { w_eff, w_rr: device.w_rr(), feed_forward_gain, inertia_met, off, full, washout, area_ratio })
+    Ok(Range { w_eff, w_rr: device.w_rr(), feed_forward_gain, inertia_met, off, full, washout, area_ratio, host: None })
 }
 
 /// Predicts the stable domain for one kind of feed-forward.
@@ -124,7 +128,7 @@ pub fn predict_several(
     let area_ratio = if off.area > 0.0 { full.area / off.area } else { 0.0 };
     let met = |feed_forward| set.met(feed_forward).ok_or(AnalysisError::Singular);
     let (w_eff, w_rr) = (met(false)?, met(true)?);
-    Ok(Range { w_eff, w_rr, feed_forward_gain: None, inertia_met: None, off, full, washout, area_ratio })
+    Ok(Range { w_eff, w_rr, feed_forward_gain: None, inertia_met: None, off, full, washout, area_ratio, host: None })
 }
 
 /// As [`domain`] of walls that act together.
@@ -143,7 +147,7 @@ pub fn domain_of_several(
 }
 
 /// Stable intervals of one gain with the other held, in sample units.
-trait Bounded {
+pub(super) trait Bounded {
     fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError>;
     fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError>;
 }
@@ -166,7 +170,12 @@ impl Bounded for Loops {
     }
 }
 
-fn bounded(circle: &mut impl Bounded, mass: f64, sample_s: f64, kd: Option<&[f64]>) -> Result<Domain, AnalysisError> {
+pub(super) fn bounded(
+    circle: &mut impl Bounded,
+    mass: f64,
+    sample_s: f64,
+    kd: Option<&[f64]>,
+) -> Result<Domain, AnalysisError> {
     let damping_unit = mass / sample_s;
     let stiffness_unit = damping_unit / sample_s;
 
@@ -219,6 +228,45 @@ pub fn stiffness_at(
     let kd_max = support.last().map_or(0.0, |last| last.high);
     let kp = supported_stiffness(&support, kd / damping_unit, &circle.stiffness_intervals(kd / damping_unit)?);
     Ok((kp * damping_unit / open.sample_s, kd_max * damping_unit))
+}
+
+/// The largest stiffness (N/m) that is stable at each damping of `kd` (N s/m), zero where none is, on a device that the
+/// controller takes for `believed`.
+pub fn stiffnesses(
+    device: &Linearised,
+    believed: &Linearised,
+    around: &Loop,
+    mode: FeedForward,
+    kd: &[f64],
+) -> Result<Vec<f64>, AnalysisError> {
+    let points = boundary_of(device, believed, around, mode, |_| kd.to_vec())?;
+    Ok(points.into_iter().map(|point| point.kp).collect())
+}
+
+/// The boundary of such a device at the dampings (N s/m) that `kd` chooses from the largest one with which anything is
+/// stable.
+pub fn boundary_of(
+    device: &Linearised,
+    believed: &Linearised,
+    around: &Loop,
+    mode: FeedForward,
+    kd: impl FnOnce(f64) -> Vec<f64>,
+) -> Result<Vec<BoundaryPoint>, AnalysisError> {
+    let open = OpenLoop::believing(device, believed, around, mode)?;
+    let damping_unit = open.mass / open.sample_s;
+    let mut circle = Circle::new(&open, around.delay_samples);
+    let support = circle.damping_intervals()?;
+    let kd_max = support.last().map_or(0.0, |last| last.high) * damping_unit;
+    let mut points = Vec::new();
+    for kd in kd(kd_max) {
+        let kd_hat = kd / damping_unit;
+        let kp_hat = match supports(&support, kd_hat) {
+            true => supported_stiffness(&support, kd_hat, &circle.stiffness_intervals(kd_hat)?),
+            false => 0.0,
+        };
+        points.push(BoundaryPoint { kd, kp: kp_hat * damping_unit / open.sample_s });
+    }
+    Ok(points)
 }
 
 /// Whether the smallest stiffness is stable at this damping.

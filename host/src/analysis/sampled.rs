@@ -61,6 +61,14 @@ pub enum AnalysisError {
     /// Negative, not finite, or longer than [`LONGEST_DELAY`].
     #[error("the delay must lie between 0 and 64 samples, not {0}")]
     Delay(f64),
+    /// Requests of a program that renders the wall.
+    #[error("a host asks {rate} times a second, and it must be 1 to {board}, the board's own rate")]
+    HostRate {
+        /// Hz.
+        rate: f64,
+        /// Hz.
+        board: f64,
+    },
     /// Samples of the difference.
     #[error("a difference can be taken over 1 to 64 samples, not {0}")]
     Difference(usize),
@@ -109,13 +117,13 @@ pub(crate) struct OpenLoop {
     /// Sample period, s.
     pub sample_s: f64,
     /// Motions that no feedback sees by construction (damping compensation alone has any).
-    drift: Option<Drift>,
-    resonances: Vec<(f64, f64)>,
+    pub(super) drift: Option<Drift>,
+    pub(super) resonances: Vec<(f64, f64)>,
 }
 
 /// States at which the loop rests whatever the gains: one column per motion for the states, and the force it needs.
 #[derive(Clone, Debug)]
-struct Drift {
+pub(super) struct Drift {
     /// States per unit of motion, without the rendered position.
     states: DMatrix<f64>,
     /// Wall force per unit of motion, in force units: the rendered position settles at -force/kp.
@@ -229,6 +237,17 @@ impl Loop {
 impl OpenLoop {
     /// Puts the loop around the device.
     pub fn new(device: &Linearised, around: &Loop, mode: FeedForward) -> Result<Self, AnalysisError> {
+        Self::believing(device, device, around, mode)
+    }
+
+    /// As [`OpenLoop::new`], with a controller that takes the device for `believed`: its feed-forward, its damping
+    /// compensation and what it predicts are that one's.
+    pub fn believing(
+        device: &Linearised,
+        believed: &Linearised,
+        around: &Loop,
+        mode: FeedForward,
+    ) -> Result<Self, AnalysisError> {
         around.check()?;
         if let FeedForward::Washout(hz) = mode {
             around.check_cutoff(hz)?;
@@ -254,30 +273,30 @@ impl OpenLoop {
         }
 
         // Torque directions, in metres: what one force unit of each input becomes.
-        let shaped = device.shaped_torque();
+        let shaped = believed.shaped_torque();
         let mut directions = match mode {
             FeedForward::Off => vec![device.row.clone()],
             FeedForward::Full => vec![shaped.clone()],
             FeedForward::Washout(_) => vec![device.row.clone(), &shaped - &device.row],
         };
         let walls = directions.len();
-        let projected = &device.mass * &device.unit_motion / device.w_rr();
+        let projected = &believed.mass * &believed.unit_motion / believed.w_rr();
         if compensated {
             // τ += (I - M E Wrr⁻¹ Eᵀ) B q̇, one input per damped joint, its velocity per sample.
             for joint in (0..joints).filter(|&j| damps(device, j, sample_s)) {
-                let mut column = &projected * -device.unit_motion[joint];
+                let mut column = &projected * -believed.unit_motion[joint];
                 column[joint] += 1.0;
-                directions.push(column * (device.viscous[joint] * sample_s / mass));
+                directions.push(column * (believed.viscous[joint] * sample_s / mass));
             }
         }
         let inputs = DMatrix::from_columns(&directions);
         let plant =
             reduce(device, &around.drive, &inputs, sample_s, mass, compensated).ok_or(AnalysisError::Singular)?;
         // Acceleration per sample² that one unit of each input gives: along the normal, then of each joint.
-        let inverse = device.mass.clone().cholesky().ok_or(AnalysisError::Singular)?.inverse();
+        let inverse = believed.mass.clone().cholesky().ok_or(AnalysisError::Singular)?.inverse();
         let given = inverse * &inputs * mass;
         let pushes = DMatrix::from_fn(joints + 1, inputs.ncols(), |i, input| match i {
-            0 => device.row.dot(&given.column(input)),
+            0 => believed.row.dot(&given.column(input)),
             joint => given[(joint - 1, input)],
         });
         Ok(assemble(device, around, mode, &plant, walls, mass, &pushes))
@@ -470,7 +489,7 @@ fn assemble(
     }
 }
 
-fn resonances(free: &DMatrix<f64>, states: usize) -> Vec<(f64, f64)> {
+pub(super) fn resonances(free: &DMatrix<f64>, states: usize) -> Vec<(f64, f64)> {
     let modes = eigenvalues(free.view((0, 0), (states, states)).into_owned()).unwrap_or_default();
     let polar = modes.into_iter().map(|gamma| (gamma + 1.0).to_polar());
     polar.filter(|(_, angle)| *angle > 0.0 && *angle < std::f64::consts::PI).collect()

@@ -116,6 +116,11 @@ fn cases(device: &Linearised, around: &Loop) -> Vec<(&'static str, &'static str,
         rigid.flexible.transmissions.clear();
         add("compliance", "rigid transmissions", rigid, around.clone());
     }
+    if !device.flexible.modes.is_empty() {
+        let mut still = device.clone();
+        still.flexible.modes.clear();
+        add("structure", "no structural modes", still, around.clone());
+    }
     if device.flexible.hand.is_there() {
         add("hand", "no hand", device.clone().held(Hand::default()), around.clone());
     }

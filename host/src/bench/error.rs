@@ -91,11 +91,10 @@ impl Law {
     }
 }
 
-/// Sines and cosines as the variant computes them. (`minimax+vsqrt` differs from `Minimax`, what ships, by the last
-/// digit of a square root.)
+/// Sines, cosines and square roots as the variant computes them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Trigonometry {
-    /// Minimax polynomials.
+    /// Minimax polynomials and the FPU's square root: what ships.
     Minimax,
     /// The micromath crate.
     Micromath,

@@ -8,8 +8,10 @@ use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
 use crate::analysis::range::stiffness_at;
 use crate::analysis::sampled::{Estimator as Linear, FeedForward as Mode, Loop};
-use crate::device_file::DeviceFile;
+use crate::continued::{self, Continued};
+use crate::device_file::{DeviceFile, padded};
 use crate::error::Failure;
+use crate::measure::complement;
 use crate::plausible::scene::usual_delay;
 use crate::sim::{EncoderModel, Load, Plant};
 use haptic_bridge::math::Minimax;
@@ -18,14 +20,11 @@ use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::Mechanism;
-use haptic_bridge::model::precomputed::MassModel;
 use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use haptic_bridge::render::velocity::{Chosen, Coefficients, CutoffMeans, Estimator};
 use haptic_bridge::with_mechanism;
-use serde::Serialize;
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use serde::{Deserialize, Serialize};
 
 /// The hand that presses the wall for the ripple: mass (kg), damping (N s/m), stiffness (N/m) and push (N).
 const HAND: (f64, f64, f64, f64) = (0.05, 3.0, 200.0, 3.0);
@@ -65,15 +64,15 @@ pub struct Comparison<'a> {
 }
 
 /// What one estimator makes of the device.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// Its word in scene files.
-    pub estimator: &'static str,
+    pub estimator: String,
     /// Its own value, where it takes one.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub value: Option<u32>,
     /// Its cutoff, Hz, where it has one.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cutoff_hz: Option<f64>,
     /// ∫ largest quiet stiffness over damping, N²s/m²: simulated, with encoder steps and friction. Sought up to 1e7 N/m and
     /// to five times the damping that is predicted stable with the Butterworth; beyond, the area is at least this.
@@ -88,11 +87,105 @@ pub struct Row {
     pub noise_m_s: f64,
 }
 
-/// One estimator with its choices.
+/// One estimator with its choices, and what the wall does with its velocity.
 #[derive(Clone, Copy, Debug)]
 struct Candidate {
     kind: Estimator,
     cutoff_hz: f64,
+    shaping: Shaping,
+}
+
+/// The feed-forward of the wall.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shaping {
+    /// How much of it.
+    pub feed_forward: FeedForward,
+    /// Corner of the washout, Hz.
+    pub washout_hz: f64,
+    /// Whether the joints' own damping is compensated.
+    pub damping_compensation: bool,
+    /// What a redundant device holds.
+    pub admissible: Admissible,
+}
+
+impl Shaping {
+    /// None: estimators are compared without.
+    const NONE: Self = Self {
+        feed_forward: FeedForward::Off,
+        washout_hz: 2.0,
+        damping_compensation: false,
+        admissible: Admissible::Orientation,
+    };
+}
+
+/// What is done to a wall.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Trial {
+    /// A hand pushes steadily. Friction may then lock the tip between two encoder steps, and a wall that would rattle is
+    /// quiet.
+    Pressed,
+    /// A hand pushes now more, now less, and slides along the wall.
+    SlidAlong,
+    /// The tip strikes it at this speed (m/s), without a hand.
+    Struck(f64),
+}
+
+/// Sliding along the wall, m/s; how the push of a hand that slides swings, as a share of it and in Hz; how long is looked,
+/// s; and from which frequency on (Hz) a force is ripple and no longer what the hand does.
+const SLIDE: f64 = 0.03;
+const SWINGS: (f64, f64) = (0.5, 1.0);
+const SLIDE_S: f64 = 0.5;
+const RIPPLE_HZ: f64 = 20.0;
+
+/// How a wall is under a hand that presses it and slides along it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Pressed {
+    /// Root mean square of what its force has above 20 Hz, N; none where the tip flies off.
+    pub ripple_n: Option<f64>,
+    /// Whether it pushes on average as hard as the hand does there, within a tenth and friction.
+    pub holds: bool,
+}
+
+/// Presses the wall of a comparison with one estimator and feed-forward, by simulation, and slides along it.
+pub fn pressed(
+    comparison: &Comparison<'_>,
+    kind: Estimator,
+    cutoff_hz: f64,
+    shaping: Shaping,
+) -> Result<Pressed, Failure> {
+    let device = comparison.file.device().map_err(Failure::wrong)?;
+    let bench = Bench::new(comparison, device)?;
+    let mut held = comparison.file.description;
+    held.handle_mass += HAND.0;
+    let candidate = Candidate { kind, cutoff_hz, shaping };
+    let seconds = SETTLE_S + SLIDE_S;
+    let trace = bench.run(&candidate, comparison.wall, false, &held, Trial::SlidAlong, seconds)?;
+    if trace.lost {
+        return Ok(Pressed { ripple_n: None, holds: false });
+    }
+    let settled = (SETTLE_S * comparison.rate_hz) as usize;
+    let mean = trace.force[settled..].iter().sum::<f64>() / (trace.force.len() - settled) as f64;
+    let square = fast(&trace.force, comparison.rate_hz, settled).map(|fast| fast * fast).sum::<f64>();
+    let ripple = (square / (trace.force.len() - settled) as f64).sqrt();
+    // A soft wall gives way, and the hand's own spring holds a part.
+    let pushes =
+        (settled..trace.force.len()).filter_map(|n| bench.hand(Trial::SlidAlong, n as f64 / comparison.rate_hz));
+    let push = pushes.map(|(_, push)| push).sum::<f64>() / (trace.force.len() - settled) as f64;
+    let expected = push * comparison.wall.0 / (comparison.wall.0 + HAND.2);
+    Ok(Pressed { ripple_n: Some(ripple), holds: (mean / expected - 1.0).abs() < 0.1 + bench.friction() / expected })
+}
+
+/// What a force has above `RIPPLE_HZ` from sample `from` on: less a trend that two poles make of it, one after the other.
+pub fn fast(force: &[f64], rate_hz: f64, from: usize) -> impl Iterator<Item = f64> + '_ {
+    let share = 1.0 - (-std::f64::consts::TAU * RIPPLE_HZ / rate_hz).exp();
+    let (mut first, mut second) = (0.0, 0.0);
+    let all = force.iter().map(move |force| {
+        first += share * (force - first);
+        let quick = force - first;
+        second += share * (quick - second);
+        quick - second
+    });
+    all.skip(from)
 }
 
 /// Every estimator with its usual value and its longest window; where the cutoff is its bandwidth also at a quarter and
@@ -101,7 +194,7 @@ fn candidates(cutoff_hz: f64) -> Vec<Candidate> {
     let mut found = Vec::new();
     for (_, kind) in Estimator::ALL {
         let (Some(spec), Some(usual)) = (kind.spec(), kind.chosen()) else {
-            found.push(Candidate { kind: *kind, cutoff_hz });
+            found.push(Candidate { kind: *kind, cutoff_hz, shaping: Shaping::NONE });
             continue;
         };
         let mut values = vec![usual.value];
@@ -110,7 +203,11 @@ fn candidates(cutoff_hz: f64) -> Vec<Candidate> {
             let kind = kind.choosing(Chosen { value, filtered: false });
             let own = spec.cutoff == CutoffMeans::Bandwidth;
             let shares: &[f64] = if own { &[1.0, 0.25, 0.0625] } else { &[1.0] };
-            found.extend(shares.iter().map(|share| Candidate { kind, cutoff_hz: cutoff_hz * share }));
+            found.extend(shares.iter().map(|share| Candidate {
+                kind,
+                cutoff_hz: cutoff_hz * share,
+                shaping: Shaping::NONE,
+            }));
         }
     }
     found
@@ -142,28 +239,34 @@ fn around(rate_hz: f64, cutoff_hz: f64) -> Loop {
 }
 
 /// Compares every estimator. Those with at least the Butterworth's area come first, by their ripple; the others follow
-/// by area. The same in any order of work: nothing is random.
-pub fn compare(comparison: &Comparison<'_>) -> Result<Vec<Row>, Failure> {
+/// by area. The same in any order of work: nothing is random. `progress` hears how many are done; it can be `continued`.
+pub fn compare(
+    comparison: &Comparison<'_>,
+    continued: Option<&Continued<'_>>,
+    progress: &(dyn Fn(usize, usize) + Sync),
+) -> Result<Vec<Row>, Failure> {
     let device = comparison.file.device().map_err(Failure::wrong)?;
     let linearised = Linearised::of(&device, comparison.q, comparison.normal, Admissible::default())?;
     let around = around(comparison.rate_hz, comparison.cutoff_hz);
     let (_, damping) = stiffness_at(&linearised, &around, Mode::Off, 0.0)?;
     let bench = Bench::new(comparison, device)?;
     let candidates = candidates(comparison.cutoff_hz);
-    let (next, rows) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
-    let workers = std::thread::available_parallelism().map_or(1, usize::from).min(candidates.len());
-    std::thread::scope(|scope| {
-        for _ in 0..workers {
-            scope.spawn(|| {
-                while let Some(candidate) = candidates.get(next.fetch_add(1, Ordering::Relaxed)) {
-                    let row = bench.row(candidate, damping);
-                    rows.lock().unwrap_or_else(|held| held.into_inner()).push(row);
-                }
-            });
+    // A row that cannot be is none that a file keeps: the sweep ends there.
+    let failed = std::sync::OnceLock::new();
+    let rows = continued::map(&candidates, continued, progress, |candidate| match bench.row(candidate, damping) {
+        Ok(row) => Some(row),
+        Err(failure) => {
+            let _ = failed.set(failure);
+            None
         }
-    });
-    let mut rows =
-        rows.into_inner().unwrap_or_else(|held| held.into_inner()).into_iter().collect::<Result<Vec<_>, _>>()?;
+    })?;
+    if let Some(failure) = failed.into_inner() {
+        return Err(failure);
+    }
+    let rows: Option<Vec<Row>> = rows.into_iter().collect();
+    let mut rows = rows.ok_or_else(|| {
+        Failure::impossible("a sweep that ended in an error was continued").remedy("delete its file and begin anew")
+    })?;
     let enough = rows.iter().find(|row| row.estimator == "butterworth").map_or(0.0, |row| row.area);
     rows.sort_by(|a, b| {
         let first = |row: &Row| row.area >= enough && row.holds;
@@ -174,11 +277,18 @@ pub fn compare(comparison: &Comparison<'_>) -> Result<Vec<Row>, Failure> {
         first(b)
             .cmp(&first(a))
             .then_with(|| within(a, b))
-            .then_with(|| a.estimator.cmp(b.estimator))
+            .then_with(|| a.estimator.cmp(&b.estimator))
             .then_with(|| a.value.cmp(&b.value))
             .then_with(|| b.delay_s.total_cmp(&a.delay_s))
     });
     Ok(rows)
+}
+
+/// Root mean square of the force of the pressed wall with one estimator, as [`Row::ripple_n`], N.
+pub fn ripple_of(comparison: &Comparison<'_>, kind: Estimator) -> Result<Option<f64>, Failure> {
+    let device = comparison.file.device().map_err(Failure::wrong)?;
+    let candidate = Candidate { kind, cutoff_hz: comparison.cutoff_hz, shaping: Shaping::NONE };
+    Ok(Bench::new(comparison, device)?.ripple(&candidate)?.0)
 }
 
 /// The device with its wall.
@@ -190,14 +300,12 @@ struct Bench<'a> {
     q: [f64; MAX_JOINTS],
     normal: [f64; MAX_JOINTS],
     tip: [f64; MAX_JOINTS],
+    /// A unit vector along the wall; zero where there is only one direction.
+    across: [f64; MAX_JOINTS],
     /// Joint motion per metre of tip motion along the normal, rad/m.
     motion: [f64; MAX_JOINTS],
     /// Tip motion along the normal in one count of the coarsest joint, m.
     count: f64,
-}
-
-fn padded(values: &[f64]) -> [f64; MAX_JOINTS] {
-    core::array::from_fn(|i| values.get(i).copied().unwrap_or(0.0))
 }
 
 /// What a run showed at every control step, until the tip flew off.
@@ -231,6 +339,8 @@ impl<'a> Bench<'a> {
         let row = pose.jacobian.tr_mul(&nalgebra::DVector::from_fn(pose.jacobian.nrows(), |i, _| along(i)));
         let per_count = row.iter().zip(&encoders).map(|(lever, encoder)| (lever * encoder.resolution()).abs());
         let count = per_count.fold(0.0, f64::max);
+        let normal = nalgebra::DVector::from_column_slice(comparison.normal);
+        let across = complement(&normal).first().map_or([0.0; MAX_JOINTS], |across| padded(across.as_slice()));
         let mut pushed = plant.clone();
         pushed.push(padded(comparison.normal));
         Ok(Self {
@@ -241,6 +351,7 @@ impl<'a> Bench<'a> {
             q: padded(comparison.q),
             normal: padded(comparison.normal),
             tip: plant.tip(),
+            across,
             motion: pushed.qd(),
             count,
         })
@@ -252,9 +363,9 @@ impl<'a> Bench<'a> {
             surface: Surface::Plane(Plane { point: self.tip.map(|v| v as f32), normal: self.normal.map(|v| v as f32) }),
             stiffness: stiffness as f32,
             damping: damping as f32,
-            feed_forward: FeedForward::Off,
-            washout_hz: 2.0,
-            damping_compensation: false,
+            feed_forward: candidate.shaping.feed_forward,
+            washout_hz: candidate.shaping.washout_hz as f32,
+            damping_compensation: candidate.shaping.damping_compensation,
             bilateral,
         };
         Scene {
@@ -262,6 +373,7 @@ impl<'a> Bench<'a> {
             rate_hz: self.comparison.rate_hz as f32,
             cutoff_hz: candidate.cutoff_hz as f32,
             estimator: candidate.kind,
+            admissible: candidate.shaping.admissible,
             walls: [wall].into_iter().collect(),
             ..Scene::default()
         }
@@ -275,7 +387,7 @@ impl<'a> Bench<'a> {
         let coefficients = Coefficients::<f64>::new(candidate.kind, self.comparison.rate_hz, candidate.cutoff_hz)
             .map_err(Failure::wrong)?;
         Ok(Row {
-            estimator: candidate.kind.name(),
+            estimator: candidate.kind.name().into(),
             value: spec.and_then(|spec| spec.key).and(candidate.kind.chosen()).map(|chosen| chosen.value),
             cutoff_hz: has_cutoff.then_some(candidate.cutoff_hz),
             area: self.area(candidate, damping)?,
@@ -334,7 +446,7 @@ impl<'a> Bench<'a> {
         // As fast as the wall's own swing of so many counts, but no faster than a hand strikes.
         let mass = self.mass()?;
         let speed = (STRUCK * self.count * (wall.0 / mass).sqrt()).min(0.5);
-        let trace = self.run(candidate, wall, true, &description, Some(speed), REST_S)?;
+        let trace = self.run(candidate, wall, true, &description, Trial::Struck(speed), REST_S)?;
         if trace.lost {
             return Ok(false);
         }
@@ -353,7 +465,7 @@ impl<'a> Bench<'a> {
     fn ripple(&self, candidate: &Candidate) -> Result<(Option<f64>, bool), Failure> {
         let mut held = self.comparison.file.description;
         held.handle_mass += HAND.0;
-        let trace = self.run(candidate, self.comparison.wall, false, &held, None, SETTLE_S + LOOK_S)?;
+        let trace = self.run(candidate, self.comparison.wall, false, &held, Trial::Pressed, SETTLE_S + LOOK_S)?;
         if trace.lost {
             return Ok((None, false));
         }
@@ -367,26 +479,26 @@ impl<'a> Bench<'a> {
     /// What dry friction can hold along the normal, N.
     fn friction(&self) -> f64 {
         let joints = self.comparison.file.description.joints;
-        joints.iter().zip(self.motion).map(|(joint, motion)| joint.coulomb * motion.abs()).sum()
+        joints.iter().zip(self.motion).map(|(joint, motion)| joint.dry_friction(0.0) * motion.abs()).sum()
     }
 
-    /// Simulates so many seconds of the wall: struck at a speed (m/s) without a hand, or pressed by one.
+    /// Simulates so many seconds of a trial of the wall.
     fn run(
         &self,
         candidate: &Candidate,
         wall: (f64, f64),
         bilateral: bool,
         description: &Description,
-        struck: Option<f64>,
+        trial: Trial,
         seconds: f64,
     ) -> Result<Trace, Failure> {
         let mut plant =
             Plant::new(description, self.q, true, [(f64::NEG_INFINITY, f64::INFINITY); 3]).map_err(Failure::wrong)?;
-        if let Some(speed) = struck {
+        if let Trial::Struck(speed) = trial {
             plant.push(self.normal.map(|n| -n * speed));
         }
         let scene = self.scene(candidate, wall, bilateral);
-        with_mechanism!(&self.board.mechanism, m => self.simulate(*m, &scene, &mut plant, struck.is_none(), seconds))
+        with_mechanism!(&self.board.mechanism, m => self.simulate(*m, &scene, &mut plant, trial, seconds))
     }
 
     fn simulate<M: Mechanism<f32, N>, const N: usize>(
@@ -394,18 +506,19 @@ impl<'a> Bench<'a> {
         mechanism: M,
         scene: &Scene<f32>,
         plant: &mut Plant,
-        pressed: bool,
+        trial: Trial,
         seconds: f64,
     ) -> Result<Trace, Failure> {
-        let mut controller = Controller::<f32, M, Minimax, N>::new(mechanism, &self.board, scene, MassModel::Exact)
-            .map_err(Failure::wrong)?;
+        let mut controller =
+            Controller::<f32, M, Minimax, N>::new(mechanism, &self.board, scene).map_err(Failure::wrong)?;
         let rate = self.comparison.rate_hz;
         let period = 1.0 / rate;
         let late = usual_delay(rate) * period;
         let steps = (seconds * rate) as usize;
         let mut trace = Trace { distance: Vec::with_capacity(steps), force: Vec::with_capacity(steps), lost: false };
         let mut before = [0.0; MAX_JOINTS];
-        for _ in 0..steps {
+        for n in 0..steps {
+            let hand = self.hand(trial, n as f64 * period);
             let q = plant.q();
             let counts: [i32; N] = core::array::from_fn(|i| self.encoders[i].counts(q[i]));
             controller.acted(&core::array::from_fn(|i| before[i] as f32));
@@ -420,23 +533,42 @@ impl<'a> Bench<'a> {
                 trace.lost = true;
                 break;
             }
-            self.advance(plant, before, late, pressed);
-            self.advance(plant, torque, period - late, pressed);
+            self.advance(plant, before, late, hand);
+            self.advance(plant, torque, period - late, hand);
             before = torque;
         }
         Ok(trace)
     }
 
-    /// Lets the device move under motor torques, in steps of 50 µs at most.
-    fn advance(&self, plant: &mut Plant, torque: [f64; MAX_JOINTS], time: f64, pressed: bool) {
+    /// Where a hand wants to be (m) and how it pushes (N) at a time (s), where there is one.
+    fn hand(&self, trial: Trial, time: f64) -> Option<([f64; MAX_JOINTS], f64)> {
+        let push = HAND.3;
+        match trial {
+            Trial::Struck(_) => None,
+            Trial::Pressed => Some((self.tip, push)),
+            Trial::SlidAlong => {
+                let (share, hz) = SWINGS;
+                let goal = core::array::from_fn(|i| self.tip[i] + SLIDE * time * self.across[i]);
+                Some((goal, push * (1.0 + share * (std::f64::consts::TAU * hz * time).sin())))
+            }
+        }
+    }
+
+    /// Lets the device move under motor torques and a hand, in steps of 50 µs at most.
+    fn advance(&self, plant: &mut Plant, torque: [f64; MAX_JOINTS], time: f64, hand: Option<([f64; MAX_JOINTS], f64)>) {
         let pieces = (time / 50.0e-6).ceil().max(1.0);
         for _ in 0..pieces as usize {
             let mut force = [0.0; MAX_JOINTS];
-            if pressed {
-                let (_, damping, stiffness, push) = HAND;
+            if let Some((goal, push)) = hand {
+                let (_, damping, stiffness, _) = HAND;
                 let (tip, velocity) = (plant.tip(), plant.tip_velocity());
+                // A hand carries its own weight.
+                let gravity = self.comparison.file.description.gravity;
                 for i in 0..MAX_JOINTS {
-                    force[i] = -push * self.normal[i] - stiffness * (tip[i] - self.tip[i]) - damping * velocity[i];
+                    force[i] = -push * self.normal[i]
+                        - stiffness * (tip[i] - goal[i])
+                        - damping * velocity[i]
+                        - HAND.0 * gravity[i];
                 }
             }
             plant.step(&Load { torque, damping: [0.0; MAX_JOINTS], force }, time / pieces);
@@ -454,8 +586,8 @@ impl<'a> Bench<'a> {
         mechanism: M,
         scene: &Scene<f32>,
     ) -> Result<f64, Failure> {
-        let mut controller = Controller::<f32, M, Minimax, N>::new(mechanism, &self.board, scene, MassModel::Exact)
-            .map_err(Failure::wrong)?;
+        let mut controller =
+            Controller::<f32, M, Minimax, N>::new(mechanism, &self.board, scene).map_err(Failure::wrong)?;
         let steps = (SLOW_S * self.comparison.rate_hz) as usize;
         let (mut sum, mut looked) = (0.0, 0);
         for n in 0..steps {

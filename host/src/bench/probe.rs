@@ -4,6 +4,7 @@
 use crate::analysis::map::Reachable;
 use crate::analysis::pose::PoseError;
 use crate::bench::error::strongest;
+use crate::device_file::padded;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::device::Device;
@@ -81,10 +82,6 @@ pub fn on_surface(
         });
     }
     Ok(probes)
-}
-
-fn padded(values: &[f64]) -> [f64; MAX_JOINTS] {
-    std::array::from_fn(|i| values.get(i).copied().unwrap_or(0.0))
 }
 
 fn pad<const N: usize>(values: &SVector<f64, N>) -> [f64; MAX_JOINTS] {

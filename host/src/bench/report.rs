@@ -93,13 +93,10 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
     let mut models = vec![Precomputed::default(), frozen(device, &probes)];
     models.extend(table(device, Interpolation::Bilinear, [points; 2], range));
     models.extend(table(device, Interpolation::Bicubic, [points; 2], range));
-    let back_ends = [
-        (Trigonometry::Minimax, &["minimax+vsqrt", "minimax"][..]),
-        (Trigonometry::Micromath, &["micromath"][..]),
-        (Trigonometry::Libm, &["libm"][..]),
-    ];
+    let back_ends =
+        [(Trigonometry::Minimax, "minimax"), (Trigonometry::Micromath, "micromath"), (Trigonometry::Libm, "libm")];
     let mut found = Vec::new();
-    for (trigonometry, names) in back_ends {
+    for (trigonometry, name) in back_ends {
         for model in &models {
             for terms in Terms::ALL {
                 if terms == Terms::None && model.name() != "exact" {
@@ -107,8 +104,8 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
                 }
                 let errors = errors(device, &probes, model, terms, trigonometry, law)?;
                 let parts = parts(device, &probes, model, terms, trigonometry, law)?;
-                let variant = |trig: &str, target, instructions, nanoseconds| Variant {
-                    name: format!("{}/{trig}/{}/{}", spec.name, model.name(), terms.name()),
+                let variant = |target, instructions, nanoseconds| Variant {
+                    name: format!("{}/{name}/{}/{}", spec.name, model.name(), terms.name()),
                     mechanism: spec.name,
                     target,
                     instructions,
@@ -120,13 +117,11 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
                     parts,
                     pareto: false,
                 };
-                for name in names {
-                    let count = counts::instructions(spec.name, name, model.name(), terms.name());
-                    found.push(variant(name, "cortex-m4f", count, None));
-                }
+                let count = counts::instructions(spec.name, name, model.name(), terms.name());
+                found.push(variant("cortex-m4f", count, None));
                 if timed {
                     let time = nanoseconds(device, &probes, model, terms, trigonometry, law)?;
-                    found.push(variant(names[names.len() - 1], "host", None, Some(time)));
+                    found.push(variant("host", None, Some(time)));
                 }
             }
         }

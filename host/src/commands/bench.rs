@@ -29,7 +29,7 @@ pub struct Args {
 /// What the columns and the words of a variant's name mean.
 const LEGEND: &str = "
 variant: mechanism/trigonometry/mass matrix/terms
-  trigonometry: minimax (polynomials, what the firmware runs), minimax+vsqrt (with the FPU's own root), micromath, libm
+  trigonometry: minimax (polynomials and the FPU's root, what the firmware runs), micromath, libm
   mass matrix: exact (closed form), frozen (one for the workspace), bilinear and bicubic (tables)
   terms: none (Jᵀ f alone), feed-forward, feed-forward+z (with the forces of motion)
 errors, N at the tip at the worst of the poses and speeds that the motors can make, each by itself:

@@ -2,7 +2,7 @@
 
 use super::force::Force;
 use crate::cli::{self, Numbers};
-use haptic::analysis::map::{MapPoint, map_holding};
+use haptic::analysis::map::{MapPoint, map_continued};
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::plot::map::draw;
@@ -30,6 +30,9 @@ pub struct Args {
     /// What a redundant device holds: orientation, joint-0, joint-1, joint-2 or consistent
     #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = cli::admissible)]
     admissible: Admissible,
+    /// Keep what is done in this file, and go on from it; Ctrl-C then ends in order
+    #[arg(long = "continue", value_name = "FILE")]
+    continued: Option<PathBuf>,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -55,7 +58,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let file = DeviceFile::load(&args.device)?;
     let normal = args.normal.unit(file.spec().task, "--normal")?;
     let pictured = args.svg.is_some() || args.png.is_some();
-    let points = map_holding(&file.description, &normal, args.points as usize, args.admissible)?;
+    let sweep = format!("map {:?} {normal:?} {} {:?}", file.description, args.points, args.admissible);
+    let points = cli::long(args.continued.as_deref(), &sweep, "pieces", |continued, progress| {
+        map_continued(&file.description, &normal, args.points as usize, args.admissible, continued, progress)
+    })?;
     if points.is_empty() {
         return Err(Failure::impossible("no pose of this grid is regular").remedy("ask for more --points"));
     }

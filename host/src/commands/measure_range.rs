@@ -16,7 +16,7 @@ use haptic::measure::before::Before;
 use haptic::measure::campaign::{self, Plan};
 use haptic::measure::progress::{Mode, Progress, ProgressError};
 use haptic::measure::simulated::{Friction, World};
-use haptic::measure::{Bench, MeasureError, Setup, most_tested, rules_for};
+use haptic::measure::{Bench, Law, MeasureError, Setup, most_tested, rules_for};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::device::Device;
 use meter::Meter;
@@ -217,6 +217,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         rate_hz: args.rate,
         cutoff_hz: args.cutoff,
         washout_hz: args.washout,
+        law: Law::default(),
         torque_limit: args.torque_limit,
         largest_pull: args.pull * 1e-3,
     };

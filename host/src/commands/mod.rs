@@ -7,6 +7,7 @@ mod check;
 mod clear;
 mod completions;
 mod demo;
+mod design;
 mod device;
 mod dfu;
 mod disarm;
@@ -21,20 +22,27 @@ mod list;
 mod map;
 mod measure_range;
 mod model;
+mod monitor;
 mod name;
 mod new;
 mod plan;
+mod plot;
 mod polarity;
 mod port;
 mod precompute;
 mod range;
+mod record;
+mod replay;
+mod report;
 mod restart;
 mod restore;
 mod rules;
 mod save;
 mod scene;
+mod serve;
 mod sim;
 mod stream;
+mod tune;
 mod view;
 
 use haptic::error::Failure;
@@ -74,6 +82,11 @@ commands! {
         (Bench, bench)
         (Range, range)
         (Estimators, estimators)
+        (Tune, tune)
+        (Design, design)
+        (Report, report)
+        (Plot, plot)
+        (Replay, replay)
     }
     "With a board" {
         (List, list)
@@ -88,7 +101,10 @@ commands! {
         (Arm, arm)
         (Disarm, disarm)
         (Stream, stream)
+        (Record, record)
+        (Serve, serve)
         (View, view)
+        (Monitor, monitor)
         (MeasureRange, measure_range)
         (Faults, faults)
         (Clear, clear)

@@ -4,7 +4,8 @@ use haptic::error::{Failure, print};
 use haptic::link::{Board, PortSpec};
 pub use haptic::plausible::counted;
 use haptic::precision::print_json;
-use haptic_bridge::render::scene::{FeedForward, Scene, Wall};
+pub use haptic::words::{feed_forward_in_words, short, wall_in_words};
+use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{FaultRecord, State};
 use haptic_bridge::servo::{HostAction, Rules};
 use std::io::{BufRead, IsTerminal};
@@ -93,35 +94,6 @@ pub fn scene_in_words(scene: &Scene<f32>) -> String {
         parts.push(format!("a field of {} N s/m", short(scene.field_damping)));
     }
     parts.join(", ")
-}
-
-/// A wall in words.
-pub fn wall_in_words(wall: &Wall<f32>) -> String {
-    let shape = wall.surface.spec().name;
-    let (stiffness, damping) = (short(wall.stiffness), short(wall.damping));
-    format!("{shape}, {stiffness} N/m, {damping} N s/m, feed-forward {}", feed_forward_in_words(wall))
-}
-
-/// Its feed-forward in words.
-pub fn feed_forward_in_words(wall: &Wall<f32>) -> String {
-    match wall.feed_forward {
-        FeedForward::Washout => format!("washout at {} Hz", short(wall.washout_hz)),
-        other => other.name().into(),
-    }
-}
-
-/// A number to five digits, without zeros that say nothing.
-pub fn short(value: f32) -> String {
-    let digits = match value.abs() {
-        size if size > 0.0 && size.is_finite() => (4 - f64::from(size).log10().floor() as i32).max(0) as usize,
-        _ => 0,
-    };
-    if digits > 12 {
-        return format!("{value:.4e}");
-    }
-    // Display gives a float the fewest digits that mean it, where a precision would write out those it does not have.
-    let text = if digits == 0 { value.round().to_string() } else { format!("{value:.digits$}") };
-    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
 }
 
 /// A fault in words, with its remedy on a line of its own.

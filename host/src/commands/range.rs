@@ -5,11 +5,13 @@ use super::port::counted;
 use crate::cli::{self, Numbers};
 use clap::{Args as ClapArgs, ValueEnum};
 use haptic::analysis::flexible::Hand;
+use haptic::analysis::host::{Host, HostWall};
 use haptic::analysis::passivity::Passivity;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::pose::motors;
 use haptic::analysis::range::{Domain, Range, WORTHWHILE_RATIO, predict, predict_several};
-use haptic::analysis::sampled::{AnalysisError, Estimator, Loop};
+use haptic::analysis::ripple::{Along, LIGHT_HAND, Line, PUSH_N, Pressed, Ripple};
+use haptic::analysis::sampled::{AnalysisError, Estimator, FeedForward, Loop};
 use haptic::analysis::several::{Member, WallSet};
 use haptic::analysis::why::{Both, Limits, Why, why};
 use haptic::device_file::DeviceFile;
@@ -18,6 +20,7 @@ use haptic::plausible::scene::usual_delay;
 use haptic::plausible::{Doubt, Warned, angles, warn};
 use haptic::plot::range::{Contents, draw};
 use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::model::description::Description;
 use haptic_bridge::render::scene::{MAX_RATE_HZ, MIN_RATE_HZ};
 use std::fmt::Write;
 use std::io::IsTerminal;
@@ -91,10 +94,28 @@ pub struct Args {
     /// as the boards' loops do, which make a current within one
     #[arg(long, value_name = "HZ", default_value_t = 6400.0)]
     current_bandwidth: f64,
+    /// Also analyse the wall rendered by a program on a computer that asks so many times a second, over this board
+    #[arg(long, value_name = "HZ")]
+    host_rate: Option<f64>,
+    /// Age of that program's forces when they begin to act, in seconds, as `haptic latency` measures it
+    /// [default: from one request to the next]
+    #[arg(long, value_name = "S", requires = "host_rate", allow_hyphen_values = true)]
+    host_delay: Option<f64>,
     /// Say why the boundary lies where it lies: what sampling, delay, drive, filter, transmissions, hand and joint
     /// damping take from it, each by the same loop without it; --svg and --png then draw that
     #[arg(long)]
     why: bool,
+    /// Also simulate what encoder steps make of a wall that a hand presses with 3 N, and say from which stiffness on the
+    /// root mean square of its force exceeds this bound, in N; damping is that of --damping-ratio, or each of --kd. The
+    /// hand is that of --hand, or a light one (0.05 kg, 3 N s/m, 200 N/m)
+    #[arg(long, value_name = "N")]
+    ripple: Option<f64>,
+    /// The same of one wall, whose stiffness (N/m) and damping (N s/m) are given
+    #[arg(long, value_name = "KP,KD", allow_hyphen_values = true)]
+    wall: Option<Numbers>,
+    /// Damping of the walls of --ripple, as a share of the critical damping of the inertia they meet
+    #[arg(long, value_name = "RATIO", default_value_t = 0.7)]
+    damping_ratio: f64,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -162,6 +183,10 @@ impl Args {
             Some(_) => DriveKind::Current,
             None => self.drive.unwrap_or(DriveKind::Ideal),
         }
+    }
+
+    fn host(&self) -> Option<Host> {
+        self.host_rate.map(|rate_hz| Host { rate_hz, delay_s: self.host_delay.unwrap_or(1.0 / rate_hz) })
     }
 
     fn hand(&self) -> Result<Hand, Failure> {
@@ -240,6 +265,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     warnings.extend(costly(&range).map(|text| Doubt { key: None, text }.typed()));
     warn(&warnings);
     let why = if args.why { Some(explained(&args, &file, &q, &normals, &around)?) } else { None };
+    let steps = stepped(&args, &file, &q, &normals, &around)?;
     let pictures = args.svg.is_some() || args.png.is_some();
     if let Some(why) = why.as_ref().filter(|_| pictures) {
         let title = format!("{}: what each effect takes from the stiffest wall", file.name);
@@ -262,13 +288,190 @@ pub fn run(args: Args) -> Result<(), Failure> {
         args.png.as_deref().map(|path| picture.save_png(path)).transpose()?;
     }
     if args.json {
-        let result = Explained { range: &range, why: why.as_ref() };
+        let result = Explained { range: &range, why: why.as_ref(), ripple: steps.as_ref() };
         let json =
             serde_json::to_string(&Warned { result: &result, warnings: &warnings }).map_err(Failure::impossible)?;
         return print(&(json + "\n"));
     }
-    print(&readable(&file.name, &args, &q, &normals, &range, passivity.as_ref(), file.description.is_flexible()))?;
-    why.map_or(Ok(()), |why| print(&in_words(&why)))
+    print(&readable(&file.name, &args, &q, &normals, &range, passivity.as_ref(), &file.description))?;
+    why.map_or(Ok(()), |why| print(&in_words(&why)))?;
+    steps.map_or(Ok(()), |steps| print(&steps.in_words()))
+}
+
+/// What encoder steps make of pressed walls.
+#[derive(serde::Serialize)]
+struct Steps {
+    /// What one count of the coarsest joint moves along the normal, m.
+    count_m: f64,
+    push_n: f64,
+    /// Mass (kg), damping (N s/m), stiffness (N/m).
+    hand: [f64; 3],
+    /// One entry for each way of damping.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    lines: Vec<StepsAlong>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    wall: Option<StepsOfWall>,
+}
+
+#[derive(serde::Serialize)]
+struct StepsAlong {
+    bound_n: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    damping_ratio: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    kd: Option<f64>,
+    off: Along,
+    full: Along,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    washout: Option<Along>,
+}
+
+#[derive(serde::Serialize)]
+struct StepsOfWall {
+    /// The largest force that one count alone makes, N.
+    step_n: f64,
+    off: Ripple,
+    full: Ripple,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    washout: Option<Ripple>,
+}
+
+/// What encoder steps make of the walls that were asked for.
+fn stepped(
+    args: &Args,
+    file: &DeviceFile,
+    q: &[f64],
+    normals: &[Vec<f64>],
+    around: &Loop,
+) -> Result<Option<Steps>, Failure> {
+    if args.ripple.is_none() && args.wall.is_none() {
+        return Ok(None);
+    }
+    let [normal] = normals else {
+        let reason = "--ripple or --wall with several --normal";
+        return Err(Failure::wrong(reason).remedy("ask for the ripple of one wall at a time"));
+    };
+    if args.damping_compensation {
+        let reason = "--ripple or --wall with --damping-compensation";
+        return Err(Failure::wrong(reason).remedy("the ripple is simulated without it: leave it out"));
+    }
+    let positive = |value: f64, what: &str| match value.is_finite() && value > 0.0 {
+        true => Ok(value),
+        false => Err(Failure::wrong(format!("{what} {value} is not more than zero")).remedy("write a positive number")),
+    };
+    let device = seen(args, file, q, normal)?;
+    let mut description = file.description;
+    if args.undamped {
+        description.joints.iter_mut().for_each(|joint| joint.viscous = 0.0);
+    }
+    let hand = if args.hand.is_some() { args.hand()? } else { LIGHT_HAND };
+    let (q, normal) = (q.to_vec(), normal.clone());
+    let pressed = Pressed { device: &device, description, q, normal, around, hand, push_n: PUSH_N };
+    let unseen = || {
+        Failure::wrong(format!("{} has joints without [joint.encoder]", args.device.display()))
+            .remedy("ripple is what encoder steps make: add them")
+    };
+    let count_m = pressed.count_m().ok_or_else(unseen)?;
+    let washout = args.washout.map(FeedForward::Washout);
+    let mut lines = Vec::new();
+    if let Some(bound) = args.ripple {
+        let bound_n = positive(bound, "--ripple")?;
+        let ratio = positive(args.damping_ratio, "--damping-ratio")?;
+        let dampings: Vec<Line> = match &args.kd {
+            Some(Numbers(dampings)) => dampings.iter().map(|kd| Line::Damping(*kd)).collect(),
+            None => vec![Line::Ratio(ratio)],
+        };
+        for line in dampings {
+            let along = |mode| pressed.along(mode, line, bound_n)?.ok_or_else(unseen);
+            let (damping_ratio, kd) = match line {
+                Line::Ratio(ratio) => (Some(ratio), None),
+                Line::Damping(kd) => (None, Some(kd)),
+            };
+            lines.push(StepsAlong {
+                bound_n,
+                damping_ratio,
+                kd,
+                off: along(FeedForward::Off)?,
+                full: along(FeedForward::Full)?,
+                washout: washout.map(along).transpose()?,
+            });
+        }
+    }
+    let wall = match args.wall.clone() {
+        None => None,
+        Some(wall) => {
+            let wall = wall.exactly(2, "--wall", "numbers, stiffness and damping")?;
+            if wall[0].is_nan() || wall[0] <= 0.0 || wall[1].is_nan() || wall[1] < 0.0 {
+                return Err(Failure::wrong("--wall needs a stiffness above zero and a damping that is not negative")
+                    .remedy("write N/m and N s/m, such as 5000,150"));
+            }
+            let of = |mode| pressed.ripple(mode, wall[0], wall[1]).ok_or_else(unseen);
+            Some(StepsOfWall {
+                step_n: pressed.step_n(wall[0], wall[1]).ok_or_else(unseen)?,
+                off: of(FeedForward::Off)?,
+                full: of(FeedForward::Full)?,
+                washout: washout.map(of).transpose()?,
+            })
+        }
+    };
+    Ok(Some(Steps { count_m, push_n: PUSH_N, hand: [hand.mass, hand.damping, hand.stiffness], lines, wall }))
+}
+
+impl Steps {
+    fn in_words(&self) -> String {
+        let mut text = String::new();
+        let [mass, damping, stiffness] = self.hand;
+        let _ = writeln!(
+            text,
+            "\n  encoder steps, simulated: one count is {:.4} mm here; a hand of {mass} kg, {damping} N s/m, {stiffness} \
+             N/m presses with {} N",
+            1e3 * self.count_m,
+            self.push_n
+        );
+        for line in &self.lines {
+            let damping = match (line.damping_ratio, line.kd) {
+                (Some(ratio), _) => format!("{ratio} of critical damping"),
+                (_, kd) => format!("kd = {} N s/m", kd.unwrap_or_default()),
+            };
+            let mut row = |label: &str, along: &Along| {
+                let from = match along.kp_from {
+                    Some(kp) => format!("from {kp:.1} N/m on"),
+                    None => "at no wall tried".into(),
+                };
+                let _ = writeln!(
+                    text,
+                    "  {label:<18} force ripple above {} N rms {from}; stable to {:.1} N/m ({damping})",
+                    line.bound_n, along.kp_stable
+                );
+            };
+            row("no feed-forward", &line.off);
+            row("feed-forward (4)", &line.full);
+            if let Some(washout) = &line.washout {
+                row("washout", washout);
+            }
+        }
+        if let Some(wall) = &self.wall {
+            let mut row = |label: &str, ripple: &Ripple| {
+                let _ = match (ripple.rms_n, ripple.peak_n, ripple.motion_m) {
+                    (Some(rms), Some(peak), Some(motion)) => writeln!(
+                        text,
+                        "  {label:<18} {} N/m, {} N s/m: ripple {rms:.3} N rms, {peak:.3} N peak; the tip moves {:.4} mm",
+                        ripple.kp,
+                        ripple.kd,
+                        1e3 * motion
+                    ),
+                    _ => writeln!(text, "  {label:<18} {} N/m, {} N s/m: the tip flies off", ripple.kp, ripple.kd),
+                };
+            };
+            row("no feed-forward", &wall.off);
+            row("feed-forward (4)", &wall.full);
+            if let Some(washout) = &wall.washout {
+                row("washout", washout);
+            }
+            let _ = writeln!(text, "  one count alone changes that wall's force by up to {:.3} N", wall.step_n);
+        }
+        text
+    }
 }
 
 /// The document of `--json`.
@@ -278,6 +481,8 @@ struct Explained<'a> {
     range: &'a Range,
     #[serde(skip_serializing_if = "Option::is_none")]
     why: Option<&'a Why>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    ripple: Option<&'a Steps>,
 }
 
 /// What each effect takes, of the one wall that there is.
@@ -378,7 +583,15 @@ fn walls<'a>(
             );
         }
         let passivity = Passivity::new(&device, &file.description, 1.0 / args.rate, around.delay_samples);
-        return Ok((Box::new(move |kd| predict(&device, around, kd, args.washout)), Some(passivity)));
+        let analyse = move |kd: Option<&[f64]>| {
+            let host = args.host().map(|host| host.domain(&device, around, kd)).transpose()?;
+            Ok(Range { host, ..predict(&device, around, kd, args.washout)? })
+        };
+        return Ok((Box::new(analyse), Some(passivity)));
+    }
+    if args.host_rate.is_some() {
+        let reason = "--host-rate with several --normal";
+        return Err(Failure::wrong(reason).remedy("a wall that a computer renders is analysed one at a time"));
     }
     if gain != 1.0 {
         let reason = format!("--feed-forward-gain {gain} with several --normal");
@@ -414,13 +627,19 @@ fn subtitle(args: &Args, q: &[f64], normals: &[Vec<f64>], ratio: f64) -> [String
 }
 
 /// What is in the loop that is not in every one.
-fn besides(args: &Args, flexible: bool) -> Vec<String> {
+fn besides(args: &Args, description: &Description) -> Vec<String> {
     let mut besides = Vec::new();
-    if flexible {
-        besides.push("with the transmissions of the device file".to_string());
+    if description.is_flexible() {
+        besides.push("with the transmissions and modes of the device file".to_string());
     }
     if let Some(Numbers(hand)) = &args.hand {
         besides.push(format!("in a hand of {} kg, {} N s/m, {} N/m", hand[0], hand[1], hand[2]));
+    }
+    let joints = &description.joints[..description.kind.spec().joints];
+    if joints.iter().any(|joint| joint.friction.is_some() || joint.cogging.is_some()) {
+        besides.push(
+            "without dry friction and cogging, which are not linear (--ripple and `haptic sim` have them)".into(),
+        );
     }
     if args.difference_over > 1 {
         besides.push(format!("velocity from the difference over {} samples", args.difference_over));
@@ -435,7 +654,7 @@ fn readable(
     normals: &[Vec<f64>],
     range: &Range,
     passivity: Option<&Passivity>,
-    flexible: bool,
+    description: &Description,
 ) -> String {
     let mut text = String::new();
     let mut line = |content: String| {
@@ -444,7 +663,7 @@ fn readable(
     let [pose, around] = subtitle(args, q, normals, range.area_ratio);
     line(format!("{name}: {pose}"));
     line(format!("  {around}"));
-    for more in besides(args, flexible) {
+    for more in besides(args, description) {
         line(format!("  {more}"));
     }
     line(format!("  effective inertia Weff, met without feed-forward  {:>12.6} kg", range.w_eff));
@@ -464,13 +683,21 @@ fn readable(
     if let Some(washout) = &range.washout {
         row(&format!("washout {} Hz", args.washout.unwrap_or_default()), washout);
     }
+    if let Some(host) = &range.host {
+        row(&format!("on a computer, {:.0} Hz", host.rate_hz), &host.domain);
+    }
     if args.kd.is_some() {
         line("  max kp: of the dampings asked for; without --kd that of the whole range".into());
     }
     line(String::new());
     // A dozen rows are enough to read; --json gives the rest.
     let step = if args.kd.is_some() { 1 } else { (range.off.boundary.len() / 12).max(1) };
-    let domains = [("off", Some(&range.off)), ("full", Some(&range.full)), ("washed", range.washout.as_ref())];
+    let domains = [
+        ("off", Some(&range.off)),
+        ("full", Some(&range.full)),
+        ("washed", range.washout.as_ref()),
+        ("host", range.host.as_ref().map(|host| &host.domain)),
+    ];
     let columns = || domains.iter().filter_map(|(name, domain)| Some((name, domain.as_ref()?)));
     line(columns().fold(" ".into(), |row, (name, _)| {
         format!("{row} {:>12}{:>14}", format!("kd {name}"), format!("kp_max {name}"))
@@ -501,6 +728,9 @@ fn readable(
             ));
         }
     }
+    if let Some(host) = &range.host {
+        line(format!("  {}", on_a_computer(range, host)));
+    }
     line(verdict(range));
     text
 }
@@ -514,6 +744,18 @@ fn price(w_eff: f64, w_rr: f64, gain: f64) -> String {
         gain * coupling / (1.0 - gain * coupling),
         coupling / (1.0 - coupling)
     )
+}
+
+/// What rendering on the board is worth, in a sentence.
+fn on_a_computer(range: &Range, host: &HostWall) -> String {
+    let top = |domain: &Domain| domain.boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
+    let by =
+        format!("a computer that asks {:.0} times a second, its forces {} ms old", host.rate_hz, 1e3 * host.delay_s);
+    if top(&host.domain) == 0.0 {
+        return format!("rendered by {by}: never stable");
+    }
+    let times = top(&range.off) / top(&host.domain);
+    format!("rendered by {by}: the board's own wall is up to {times:.1} times as stiff")
 }
 
 /// What the feed-forward buys, in a sentence.

@@ -1,18 +1,20 @@
 //! `haptic stream`: telemetry to the terminal or to a CSV file, with every loss counted and shown.
 
 use super::force::Force;
-use super::port::{Port, counted, fault_in_words, motors_off, short, wall_in_words};
+use super::port::{Port, counted, fault_in_words, motors_off, short};
 use haptic::error::{Failure, print};
 use haptic::interrupt;
 use haptic::link::{Board, Column, LinkError, Losses, Row, columns, fields};
-use haptic::output;
-use haptic::recorder::{RecordError, Recorder, STATES, Value};
+use haptic::output::Overwrite;
+use haptic::recorder::about::About;
+use haptic::recorder::{RecordError, RowWriter, Value, is_mcap};
+use haptic::words::{bytes_in_words, nth_step};
 use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::servo::Status;
 use serde_json::json;
 use std::io::{IsTerminal, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Show telemetry, or record it to a CSV file
@@ -45,7 +47,7 @@ pub struct Args {
     json: bool,
 }
 
-fn positive(text: &str) -> Result<f64, String> {
+pub(super) fn positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
         Ok(_) => Err("must be greater than zero".into()),
@@ -66,48 +68,76 @@ pub fn list_of_fields() -> String {
 enum Sink {
     Terminal { since_header: usize },
     Kept(Vec<Vec<Value>>),
-    File(Box<Recorder>),
+    File(Box<RowWriter>),
+}
+
+/// What is followed, and where it goes.
+pub(super) struct Wanted<'a> {
+    pub file: Option<&'a Path>,
+    pub overwrite: Overwrite,
+    pub fields: Fields,
+    /// Rows a second.
+    pub rate: f64,
+    pub arm: bool,
+    pub seconds: Option<f64>,
+    pub json: bool,
+    /// The file's size is told as well.
+    pub sized: bool,
 }
 
 /// Streams until the time is over, Ctrl-C, or the board goes away.
 pub fn run(args: Args) -> Result<(), Failure> {
     if let Some(path) = &args.csv {
+        if is_mcap(path) {
+            return Err(Failure::wrong(format!("--csv {} would hold what its ending does not say", path.display()))
+                .remedy("haptic record writes MCAP, or name another file"));
+        }
         args.force.check([path])?;
     }
     let mut board = args.port.open()?;
+    let wanted = Wanted {
+        file: args.csv.as_deref(),
+        overwrite: args.force.overwrite(),
+        fields: args.fields,
+        rate: args.rate.unwrap_or(if args.csv.is_some() { 1000.0 } else { 10.0 }),
+        arm: args.arm,
+        seconds: args.seconds,
+        json: args.json,
+        sized: false,
+    };
+    follow(&mut board, &wanted)
+}
+
+/// Follows the board's telemetry as it is wanted.
+pub(super) fn follow(board: &mut Board, wanted: &Wanted<'_>) -> Result<(), Failure> {
     let rate_hz = f64::from(board.details()?.rate_hz);
     let axes = board.device()?.map_or(0, |device| device.axes());
-    let wanted = args.rate.unwrap_or(if args.csv.is_some() { 1000.0 } else { 10.0 });
-    let divider = (rate_hz / wanted).round().clamp(1.0, f64::from(u32::MAX)) as u32;
+    let divider = (rate_hz / wanted.rate).round().clamp(1.0, f64::from(u32::MAX)) as u32;
     let got = rate_hz / f64::from(divider);
-    if (got - wanted).abs() > 1e-3 * wanted {
-        haptic::tell!("{} rows a second: every {} at {rate_hz} Hz control", short(got as f32), nth(divider));
+    if (got - wanted.rate).abs() > 1e-3 * wanted.rate {
+        haptic::tell!("{} rows a second: every {} at {rate_hz} Hz control", short(got as f32), nth_step(divider));
     }
-    let columns = columns(args.fields, axes);
-    let about = args.csv.as_ref().map(|_| about(&mut board, divider)).transpose()?;
+    let columns = columns(wanted.fields, axes);
+    let about = wanted.file.map(|_| About::read(board, divider)).transpose()?;
     let stop = interrupt::watch();
     board.keep_alive();
-    board.start_stream(args.fields, divider)?;
-    if args.arm {
+    board.start_stream(wanted.fields, divider)?;
+    if wanted.arm {
         board.arm()?;
     }
     // Only now: where the board refuses, no file is made, and none replaced.
-    let sink = match (&args.csv, about) {
-        (Some(path), Some(about)) => {
-            let mut names = vec!["step".to_string(), "time_s".to_string()];
-            names.extend(columns.iter().map(|column| column.label.clone()));
-            match Recorder::create(path, &about, &names, args.force.overwrite()) {
-                Ok(recorder) => Sink::File(Box::new(recorder)),
-                Err(failure) => {
-                    if args.arm {
-                        board.disarm()?;
-                    }
-                    board.stop_stream()?;
-                    return Err(failure);
+    let sink = match (wanted.file, about) {
+        (Some(path), Some(about)) => match RowWriter::create(path, &about, &columns, wanted.overwrite) {
+            Ok(writer) => Sink::File(Box::new(writer)),
+            Err(failure) => {
+                if wanted.arm {
+                    board.disarm()?;
                 }
+                board.stop_stream()?;
+                return Err(failure);
             }
-        }
-        _ if args.json => Sink::Kept(Vec::new()),
+        },
+        _ if wanted.json => Sink::Kept(Vec::new()),
         _ => Sink::Terminal { since_header: usize::MAX },
     };
     let mut follow = Follow {
@@ -121,6 +151,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         missing: 0,
         shown: Losses::default(),
         last_note: board.now(),
+        sized: wanted.sized,
     };
     let ended = loop {
         if stop.is_set() {
@@ -129,11 +160,14 @@ pub fn run(args: Args) -> Result<(), Failure> {
         match board.rows(Duration::from_millis(200)) {
             Err(error) => break Ended::BoardLost(error),
             Ok(rows) => {
+                let mut happened = Ok(());
                 for record in board.take_reported_faults() {
-                    haptic::tell!("fault: {}", fault_in_words(&record, rate_hz as f32));
+                    let words = fault_in_words(&record, rate_hz as f32);
+                    haptic::tell!("fault: {words}");
+                    happened = happened.and(follow.event(&words));
                 }
-                let over = follow.take(&rows, args.seconds);
-                match over.and_then(|over| follow.note(&board).map(|()| over)) {
+                let over = happened.and_then(|()| follow.take(&rows, wanted.seconds));
+                match over.and_then(|over| follow.note(board).map(|()| over)) {
                     Ok(false) => {}
                     Ok(true) => break Ended::AsAsked,
                     Err(RecordError::ReaderGone) => break Ended::ReaderGone,
@@ -145,10 +179,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
     // Motors first: what may go wrong with a file comes after that.
     let disarmed = match ended {
         Ended::BoardLost(_) => Ok(()),
-        _ if args.arm => disarm(&mut board, rate_hz as f32),
+        _ if wanted.arm => disarm(board, rate_hz as f32),
         _ => Ok(()),
     };
-    finish(ended, board, follow, args.json).and(disarmed)
+    finish(ended, board, follow, wanted.json).and(disarmed)
 }
 
 /// Turns the motors off; an error where a fault did that before.
@@ -158,52 +192,6 @@ fn disarm(board: &mut Board, rate_hz: f32) -> Result<(), Failure> {
         Status { state: State::Fault, fault: Some(record), .. } => Err(motors_off(&record, rate_hz)),
         _ => Ok(()),
     }
-}
-
-/// What a recording is of: lines for its head.
-fn about(board: &mut Board, divider: u32) -> Result<String, Failure> {
-    let details = board.details()?;
-    let info = board.info().clone();
-    let scene = board.scene()?;
-    let rules = board.rules()?;
-    let name = if details.name.is_empty() { String::new() } else { format!(" \"{}\"", details.name) };
-    let mut text = format!(
-        "haptic-bridge recording, fields in docs/telemetry.md\n\
-         date {}\n\
-         tool {}, firmware {}, protocol {}\n\
-         board {} {}{name}\n\
-         device {}\n\
-         control rate {} Hz, every {}, delay {} samples\n",
-        output::date(),
-        env!("CARGO_PKG_VERSION"),
-        info.firmware,
-        info.protocol,
-        info.board,
-        info.serial,
-        details.device.as_deref().unwrap_or("none"),
-        details.rate_hz,
-        nth(divider),
-        details.delay_samples,
-    );
-    for (index, wall) in scene.iter().flat_map(|scene| scene.walls.iter().enumerate()) {
-        text.push_str(&format!("wall {index}: {}\n", wall_in_words(wall)));
-    }
-    // For programs: the same and the rest, as the board holds them at the start.
-    text.push_str(&format!("scene {}\n", serde_json::to_string(&scene).map_err(Failure::impossible)?));
-    text.push_str(&format!("rules {}\n", serde_json::to_string(&rules).map_err(Failure::impossible)?));
-    Ok(text)
-}
-
-/// "3rd step".
-fn nth(divider: u32) -> String {
-    let ending = match (divider % 10, divider % 100) {
-        (_, 11..=13) => "th",
-        (1, _) => "st",
-        (2, _) => "nd",
-        (3, _) => "rd",
-        _ => "th",
-    };
-    if divider == 1 { "step".into() } else { format!("{divider}{ending} step") }
 }
 
 /// How the stream came to its end.
@@ -227,6 +215,7 @@ struct Follow {
     missing: u64,
     shown: Losses,
     last_note: Duration,
+    sized: bool,
 }
 
 impl Follow {
@@ -249,13 +238,9 @@ impl Follow {
     }
 
     fn pass(&mut self, row: &Row, time: f64) -> Result<(), RecordError> {
-        let values = self.columns.iter().zip(&row.values).map(|(column, value)| in_words(column, *value));
+        let values = self.columns.iter().zip(&row.values).map(|(column, value)| Value::of(column, *value));
         match &mut self.sink {
-            Sink::File(recorder) => {
-                let values: Vec<Value> =
-                    [Value::Number(f64::from(row.step)), Value::Number(time)].into_iter().chain(values).collect();
-                recorder.row(&values)
-            }
+            Sink::File(writer) => writer.row(row.step, time, &row.values),
             Sink::Kept(kept) => {
                 kept.push(
                     [Value::Number(f64::from(row.step)), Value::Number(time)].into_iter().chain(values).collect(),
@@ -288,6 +273,16 @@ impl Follow {
         }
     }
 
+    /// Keeps what happened where rows are kept.
+    fn event(&mut self, words: &str) -> Result<(), RecordError> {
+        let first = self.first_step.unwrap_or(self.last_step);
+        let time = f64::from(self.last_step.wrapping_sub(first)) / self.rate_hz;
+        match &mut self.sink {
+            Sink::File(writer) if self.sized => writer.event(time, words),
+            _ => Ok(()),
+        }
+    }
+
     /// Twice a second: what is recorded is put on disk, and new losses are said.
     fn note(&mut self, board: &Board) -> Result<(), RecordError> {
         let now = board.now();
@@ -296,10 +291,11 @@ impl Follow {
         }
         self.last_note = now;
         let losses = self.losses(board);
-        if let Sink::File(recorder) = &mut self.sink {
-            recorder.flush()?;
+        if let Sink::File(writer) = &mut self.sink {
+            writer.flush()?;
             if std::io::stderr().is_terminal() {
-                haptic::error::say(format_args!("\r{losses}   "));
+                let size = if self.sized { format!(", {}", bytes_in_words(writer.bytes())) } else { String::new() };
+                haptic::error::say(format_args!("\r{losses}{size}   "));
             }
         } else if losses.missing > self.shown.missing || losses.garbled > self.shown.garbled {
             haptic::tell!("{losses}");
@@ -311,16 +307,6 @@ impl Follow {
     /// What is missing among the rows that were passed on.
     fn losses(&self, board: &Board) -> Losses {
         Losses { received: self.rows, missing: self.missing, ..board.losses() }
-    }
-}
-
-/// A state by its name, everything else by its number.
-fn in_words(column: &Column, value: f64) -> Value {
-    let state = (column.field == Field::State && column.axis == 0).then(|| STATES.get(value as usize)).flatten();
-    match (state, column.field) {
-        (Some(state), _) => Value::Word(state),
-        (None, Field::Counts | Field::State) => Value::Number(value),
-        (None, _) => Value::Single(value as f32),
     }
 }
 
@@ -343,7 +329,7 @@ fn as_json(value: &Value) -> serde_json::Value {
 }
 
 /// Stops the stream and says what came of it: one count, in the file, on the terminal and in JSON.
-fn finish(ended: Ended, mut board: Board, mut follow: Follow, json: bool) -> Result<(), Failure> {
+fn finish(ended: Ended, board: &mut Board, mut follow: Follow, json: bool) -> Result<(), Failure> {
     let stopped = match ended {
         Ended::BoardLost(_) => Ok(()),
         _ => board.stop_stream(),
@@ -351,18 +337,18 @@ fn finish(ended: Ended, mut board: Board, mut follow: Follow, json: bool) -> Res
     if matches!(ended, Ended::ReaderGone) {
         return Ok(());
     }
-    let losses = follow.losses(&board);
+    let losses = follow.losses(board);
     let mut written = Ok(());
     let mut kept = losses.to_string();
     let mut file = None;
     if let Sink::File(recorder) = &mut follow.sink {
         if !matches!(ended, Ended::NoRoom(_)) {
             let cut = if matches!(ended, Ended::BoardLost(_)) { "cut short: the board was lost; " } else { "" };
-            recorder.comment(&format!("{cut}{losses}"));
-            written = recorder.flush();
+            written = recorder.end(&format!("{cut}{losses}"), &losses);
         }
         let are = if recorder.rows() == 1 { "is" } else { "are" };
-        let all = format!("{} {are} in {}", counted(recorder.rows(), "row"), recorder.place());
+        let size = if follow.sized { format!(", {}", bytes_in_words(recorder.bytes())) } else { String::new() };
+        let all = format!("{} {are} in {}{size}", counted(recorder.rows(), "row"), recorder.place());
         let said = losses.to_string();
         let on_the_way = said.trim_start_matches(|c: char| c != ',');
         kept = match losses.received.saturating_sub(recorder.rows()) {
@@ -372,7 +358,7 @@ fn finish(ended: Ended, mut board: Board, mut follow: Follow, json: bool) -> Res
             }
             unwritten => format!("{all}, {unwritten} that came could not be written and are lost{on_the_way} before"),
         };
-        file = Some((recorder.place(), recorder.rows()));
+        file = Some((recorder.place(), recorder.rows(), recorder.bytes()));
         if std::io::stderr().is_terminal() {
             haptic::tell!("");
         }
@@ -386,9 +372,10 @@ fn finish(ended: Ended, mut board: Board, mut follow: Follow, json: bool) -> Res
             "dropped_by_board": losses.dropped_by_board, "batches_lost": losses.batches_lost,
             "frames_garbled": losses.garbled,
         });
-        if let Some((place, rows)) = &file {
+        if let Some((place, rows, bytes)) = &file {
             document["file"] = json!(place);
             document["rows"] = json!(rows);
+            document["bytes"] = json!(bytes);
         }
         if let Sink::Kept(rows) = &follow.sink {
             document["values"] = rows.iter().map(|row| row.iter().map(as_json).collect::<Vec<_>>()).collect();
@@ -400,18 +387,5 @@ fn finish(ended: Ended, mut board: Board, mut follow: Follow, json: bool) -> Res
         (Ended::BoardLost(error), _) if file.is_none() => Err(error.into()),
         (Ended::BoardLost(error), _) => Err(Failure::impossible(error).remedy(kept)),
         _ => Ok(stopped?),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn steps_are_counted_as_people_do() {
-        assert_eq!(
-            [1, 2, 3, 4, 11, 21, 22, 112].map(nth).join(", "),
-            "step, 2nd step, 3rd step, 4th step, 11th step, 21st step, 22nd step, 112th step"
-        );
     }
 }

@@ -4,12 +4,15 @@ use super::port::{Port, address};
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::interrupt;
-use haptic::link::PortSpec;
+use haptic::link::{LinkError, PortSpec};
 use haptic::scene_file::SceneFile;
-use haptic::view::hub::Hub;
+use haptic::view::hub::{Event, Hub};
 use haptic::view::{Door, Stage, World};
+use haptic_bridge::render::scene::Scene;
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Receiver;
 use std::thread;
 use std::time::Duration;
 
@@ -37,12 +40,15 @@ pub struct Args {
     /// [default: 7720, or a free port where that is taken]
     #[arg(long, value_name = "ADDRESS")]
     listen: Option<String>,
+    /// Where recordings that the page begins go
+    #[arg(long, value_name = "FOLDER", default_value = ".")]
+    record_to: PathBuf,
     /// Rows a second that the page is told of, at most the control rate [default: as many as the link carries]
     #[arg(long, value_name = "HZ", value_parser = rate)]
     rate: Option<f64>,
 }
 
-fn rate(text: &str) -> Result<f64, String> {
+pub(super) fn rate(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
         Ok(_) => Err("must be greater than zero".into()),
@@ -50,76 +56,118 @@ fn rate(text: &str) -> Result<f64, String> {
     }
 }
 
+/// What is looked at, and how often.
+pub(super) struct Shown {
+    port: Port,
+    file: Option<DeviceFile>,
+    scene: Option<Scene<f32>>,
+    rate: Option<f64>,
+    folder: PathBuf,
+}
+
+impl Shown {
+    /// Reads the files.
+    pub(super) fn of(
+        port: Port,
+        device: Option<&PathBuf>,
+        scene: Option<&PathBuf>,
+        rate: Option<f64>,
+        folder: PathBuf,
+    ) -> Result<Self, Failure> {
+        let named = match port.spec() {
+            PortSpec::Sim(Some(path)) => Some(path),
+            _ => device,
+        };
+        let file = named.map(DeviceFile::load).transpose()?;
+        let scene = match scene {
+            None => None,
+            Some(_) if !matches!(port.spec(), PortSpec::Sim(_)) => {
+                return Err(Failure::wrong("--scene is for --port sim; a board keeps the scene it has")
+                    .remedy("load it first: haptic scene FILE"));
+            }
+            Some(path) => {
+                let task = file.as_ref().map(|file| file.spec().task).ok_or_else(|| {
+                    Failure::wrong("--scene without a device file").remedy("name the device as well, before --port sim")
+                })?;
+                let scene = SceneFile::load(path, task)?.scene::<f32>();
+                Some(scene.map_err(|error| Failure::wrong(format!("{}: {error}", path.display())))?)
+            }
+        };
+        Ok(Self { port, file, scene, rate, folder })
+    }
+
+    fn open(&self) -> Result<World, Failure> {
+        let file = self.file.clone();
+        match (matches!(self.port.spec(), PortSpec::Sim(_)), file) {
+            (true, None) => World::demo(),
+            (true, Some(file)) => World::simulate(file, self.scene.clone()),
+            (false, file) => Ok(World::of(self.port.open()?, file)),
+        }
+    }
+
+    /// Plays until `stop`; a board that was unplugged is waited for. `opened` is called once, when there is something
+    /// to see, and `lost` with the reason whenever a board is waited for.
+    pub(super) fn play(
+        &self,
+        hub: &Hub,
+        events: &Receiver<Event>,
+        stop: &AtomicBool,
+        opened: impl FnOnce() -> Result<(), Failure>,
+        lost: impl Fn(&LinkError),
+    ) -> Result<(), Failure> {
+        let mut world = self.open()?;
+        let mut opened = Some(opened);
+        loop {
+            let mut stage = Stage::open(&mut world, hub, events, self.rate, &self.folder)?;
+            if let Some(opened) = opened.take() {
+                opened()?;
+            }
+            let Err(error) = stage.run(stop) else { return Ok(()) };
+            if matches!(self.port.spec(), PortSpec::Sim(_)) {
+                return Err(error.into());
+            }
+            // The pages stay, and say so. The board's port is closed first.
+            drop(world);
+            lost(&error);
+            let why = serde_json::json!({"is": "lost", "why": error.to_string()}).to_string();
+            world = loop {
+                if stop.load(Ordering::SeqCst) {
+                    return Err(error.into());
+                }
+                hub.to_all(|outbox| outbox.messages.push_back(why.clone()));
+                thread::sleep(Duration::from_millis(500));
+                if let Ok(back) = self.open() {
+                    break back;
+                }
+            };
+            // Nobody is in command of a board that has just come back.
+            while events.try_recv().is_ok() {}
+        }
+    }
+}
+
 /// Serves the page.
 pub fn run(args: Args) -> Result<(), Failure> {
     let stop = interrupt::watch();
-    let named = match args.port.spec() {
-        PortSpec::Sim(Some(path)) => Some(path),
-        _ => args.device.as_ref(),
-    };
-    let file = named.map(DeviceFile::load).transpose()?;
-    let simulated = matches!(args.port.spec(), PortSpec::Sim(_));
-    let scene = match &args.scene {
-        None => None,
-        Some(_) if !simulated => {
-            return Err(Failure::wrong("--scene is for --port sim; a board keeps the scene it has")
-                .remedy("load it first: haptic scene FILE"));
-        }
-        Some(path) => {
-            let task = file.as_ref().map(|file| file.spec().task).ok_or_else(|| {
-                Failure::wrong("--scene without a device file").remedy("name the device: haptic view DEVICE --port sim")
-            })?;
-            let scene = SceneFile::load(path, task)?.scene::<f32>();
-            Some(scene.map_err(|error| Failure::wrong(format!("{}: {error}", path.display())))?)
-        }
-    };
-    let open = |file: Option<DeviceFile>, scene| match (simulated, file) {
-        (true, None) => World::demo(),
-        (true, Some(file)) => World::simulate(file, scene),
-        (false, file) => Ok(World::of(args.port.open()?, file)),
-    };
-    let mut world = open(file.clone(), scene)?;
-
-    let door = match &args.listen {
-        Some(text) => {
-            let address = address(text, "--listen")?;
-            Door::open(address).map_err(|error| {
-                Failure::impossible(format!("cannot listen on {address}: {error}"))
-                    .remedy("choose another --listen PORT")
-            })?
-        }
-        None => Door::open((Ipv4Addr::LOCALHOST, USUAL_PORT).into())
-            .or_else(|_| Door::open((Ipv4Addr::LOCALHOST, 0).into()))
-            .map_err(Failure::impossible)?,
-    };
-    let url = door.url().map_err(Failure::impossible)?;
+    let shown = Shown::of(args.port, args.device.as_ref(), args.scene.as_ref(), args.rate, args.record_to)?;
     let (hub, events) = Hub::new();
-    let mut door = Some(door);
-    loop {
-        let mut stage = Stage::open(&mut world, &hub, &events, args.rate)?;
-        if let Some(door) = door.take() {
-            print(&format!("open {url} in a browser\nCtrl-C ends it\n"))?;
-            door.serve(hub.clone());
-        }
-        let Err(lost) = stage.run(stop.flag()) else { return Ok(()) };
-        if simulated {
-            return Err(lost.into());
-        }
-        // A board that was unplugged is waited for; the pages stay, and say so. Its port is closed first.
-        drop(world);
-        haptic::tell!("{lost}; waiting for it");
-        let why = serde_json::json!({"is": "lost", "why": lost.to_string()}).to_string();
-        world = loop {
-            if stop.is_set() {
-                return Err(lost.into());
+    let opened = || {
+        let door = match &args.listen {
+            Some(text) => {
+                let address = address(text, "--listen")?;
+                Door::open(address).map_err(|error| {
+                    Failure::impossible(format!("cannot listen on {address}: {error}"))
+                        .remedy("choose another --listen PORT")
+                })?
             }
-            hub.to_all(|outbox| outbox.messages.push_back(why.clone()));
-            thread::sleep(Duration::from_millis(500));
-            if let Ok(back) = open(file.clone(), None) {
-                break back;
-            }
+            None => Door::open((Ipv4Addr::LOCALHOST, USUAL_PORT).into())
+                .or_else(|_| Door::open((Ipv4Addr::LOCALHOST, 0).into()))
+                .map_err(Failure::impossible)?,
         };
-        // Nobody is in command of a board that has just come back.
-        while events.try_recv().is_ok() {}
-    }
+        let url = door.url().map_err(Failure::impossible)?;
+        print(&format!("open {url} in a browser\nCtrl-C ends it\n"))?;
+        door.serve(hub.clone());
+        Ok(())
+    };
+    shown.play(&hub, &events, stop.flag(), opened, |lost| haptic::tell!("{lost}; waiting for it"))
 }

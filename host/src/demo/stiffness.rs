@@ -9,7 +9,7 @@ use crate::analysis::range::domain;
 use crate::analysis::sampled::{self, Estimator, Loop};
 use crate::analysis::several::Member;
 use crate::link::Board;
-use crate::measure::{Bench, Setup};
+use crate::measure::{Bench, Law, Setup};
 use crate::sim::{BoardOptions, DriveModel, Options, SharedBoard, ready_board};
 use haptic_bridge::render::scene::FeedForward;
 
@@ -42,6 +42,7 @@ pub fn limit(demo: &Demo, feed_forward: FeedForward) -> Result<Limit, DemoError>
         rate_hz: demo.rate_hz,
         cutoff_hz: demo.cutoff_hz,
         washout_hz: demo.washout_hz,
+        law: Law::default(),
         torque_limit: 2.0,
         largest_pull: 1e-3,
     };

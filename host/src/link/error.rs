@@ -9,7 +9,7 @@ use std::io;
 pub enum LinkError {
     /// No board among the serial ports.
     #[error(
-        "no board found{}; plug one in, or name its port with --port (a serial port, tcp:HOST:PORT, or sim)",
+        "no board found{}; plug one in, or name its port (a serial port, tcp:HOST:PORT, or sim)",
         if others.is_empty() { " and no serial ports at all".into() } else { format!(" (other serial ports: {})", others.join(", ")) }
     )]
     NoBoard {
@@ -17,7 +17,7 @@ pub enum LinkError {
         others: Vec<String>,
     },
     /// Several boards, and none was chosen.
-    #[error("several boards found: {}; choose one with --port PORT or --port SERIAL-NUMBER", .0.join(", "))]
+    #[error("several boards found: {}; choose one by its port or its serial number", .0.join(", "))]
     SeveralBoards(Vec<String>),
     /// The port's name means nothing.
     #[error(
@@ -107,6 +107,9 @@ impl From<LinkError> for Failure {
     fn from(error: LinkError) -> Self {
         match error {
             LinkError::CannotSimulate(_) => Self::wrong(error),
+            LinkError::NoBoard { .. } | LinkError::SeveralBoards(_) => {
+                Self::impossible(error).remedy("--port and HAPTIC_PORT take it")
+            }
             _ => Self::impossible(error),
         }
     }

@@ -67,6 +67,16 @@ pub fn columns(fields: Fields, axes: usize) -> Vec<Column> {
     columns
 }
 
+/// What a full-speed USB serial port carries with room to spare, bytes of telemetry a second.
+const USB: f64 = 600e3;
+
+/// Rows of `fields` a second that the link to a board carries with room to spare, at most one every control step: every
+/// one where the board is simulated, whose link is this computer's memory.
+pub fn rows_that_fit(board: &str, fields: Fields, axes: usize, rate_hz: f64) -> f64 {
+    let most = if board.starts_with("simulated") { rate_hz } else { USB / (4 * fields.width(axes).max(1)) as f64 };
+    rate_hz / (rate_hz / most).ceil().max(1.0)
+}
+
 /// The set of fields named in a comma-separated list; `all` and `usual` are sets of their own. Errors name the
 /// word that is no field, and the fields there are.
 pub fn fields(names: &str) -> Result<Fields, String> {

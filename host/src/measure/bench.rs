@@ -4,7 +4,6 @@ use std::f64::consts::{PI, TAU};
 use std::time::Duration;
 
 use haptic_bridge::board::telemetry::Field;
-use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::{Fault, State};
@@ -68,14 +67,14 @@ impl<'a> Bench<'a> {
         let status = board.status()?;
         let q: Vec<f64> = status.q[..spec.joints].iter().map(|&v| f64::from(v)).collect();
         let tip = DVector::from_fn(spec.task, |i, _| f64::from(status.tip[i]));
-        let set = WallSet::at(&file.description, &q, &setup.walls, Admissible::default())?;
+        let set = WallSet::at(&file.description, &q, &setup.walls, setup.law.admissible)?;
         let direction = set.between_stiffest().ok_or(PoseError::NoDirection)?;
         let across = complement(&direction);
         let total: f64 = setup.walls.iter().map(|wall| wall.share).sum();
         let shares = setup.walls.iter().map(|wall| (wall.share / total, wall.feed_forward)).collect();
 
         // The hold: natural frequency well below filter and rate, damping 0.7.
-        let hold_frequency = (0.05 * setup.rate_hz).min(0.3 * TAU * setup.cutoff_hz);
+        let hold_frequency = (0.05 * setup.rate_hz).min(0.3 * TAU * setup.tempo_hz());
         let mut holding = Vec::new();
         for direction in std::iter::once(&direction).chain(&across) {
             let seen = Linearised::at(&file.description, &q, direction.as_slice())?;
@@ -346,7 +345,7 @@ impl<'a> Bench<'a> {
     fn watch(&mut self, feed_forward: FeedForward, kp: f64, kd: f64, pull: f64) -> Result<Verdict, MeasureError> {
         self.test(kp, kd, feed_forward)?;
         let row_seconds = f64::from(self.divider) / self.setup.rate_hz;
-        let mut swing = Swing::new(row_seconds, self.setup.cutoff_hz, self.excitation.quantum, pull.abs());
+        let mut swing = Swing::new(row_seconds, self.setup.tempo_hz(), self.excitation.quantum, pull.abs());
         let first = self.board.status()?.step;
         loop {
             for at in self.places(0.02)? {

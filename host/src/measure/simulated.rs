@@ -50,6 +50,7 @@ impl World {
             }
             if matches!(self.friction, Friction::Viscous | Friction::None) {
                 joint.coulomb = 0.0;
+                joint.friction = None;
             }
             if let (Some(encoder), Some(counts)) = (&mut joint.encoder, self.counts) {
                 encoder.counts_per_turn = counts;

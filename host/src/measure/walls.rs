@@ -85,6 +85,8 @@ pub fn scene(
         rate_hz: setup.rate_hz as f32,
         cutoff_hz: setup.cutoff_hz as f32,
         velocity_terms: VelocityTerms::Off,
+        estimator: setup.law.estimator,
+        admissible: setup.law.admissible,
         ..Scene::default()
     };
     let layout = Layout::new(setup.walls.len());
@@ -105,7 +107,7 @@ pub fn scene(
             damping: 0.0,
             feed_forward: FeedForward::Off,
             washout_hz: setup.washout_hz as f32,
-            damping_compensation: false,
+            damping_compensation: setup.law.damping_compensation,
             bilateral: true,
         };
         scene.walls.push(wall).map_err(|_| {
@@ -120,6 +122,7 @@ pub fn scene(
 mod tests {
     use super::*;
     use crate::analysis::several::Member;
+    use crate::measure::Law;
 
     #[test]
     fn its_own_scenes_are_told_from_all_others() {
@@ -130,6 +133,7 @@ mod tests {
                 rate_hz: 1_000.0,
                 cutoff_hz: 20.0,
                 washout_hz: 2.0,
+                law: Law::default(),
                 torque_limit: 1.0,
                 largest_pull: 2e-3,
                 walls: walls.clone(),

@@ -47,6 +47,7 @@ pub fn doubts(description: &Description) -> Vec<Doubt> {
     for (index, joint) in description.joints.iter().enumerate().take(spec.joints) {
         doubts.extend(of_joint(joint, index));
     }
+    doubts.extend(forgotten(description));
     let gravity = description.gravity.iter().take(spec.task).map(|g| g * g).sum::<f64>().sqrt();
     if gravity != 0.0 && !(1.0..12.0).contains(&gravity) {
         let text = format!("gravity is {gravity:.3} m/s² in all: 9.81 on earth");
@@ -54,6 +55,22 @@ pub fn doubts(description: &Description) -> Vec<Doubt> {
     }
     doubts.extend(at_home(description));
     doubts
+}
+
+/// What a file leaves out that decides how stiff a wall can be: what lies between motor and link.
+fn forgotten(description: &Description) -> Option<Doubt> {
+    let joints = &description.joints[..description.kind.spec().joints];
+    let silent = |joint: &Joint| joint.motor.is_some() && joint.transmission.is_none() && !joint.rigid;
+    let first = joints.iter().position(silent)?;
+    let silent: Vec<String> =
+        joints.iter().enumerate().filter(|(_, joint)| silent(joint)).map(|(index, _)| index.to_string()).collect();
+    let text = format!(
+        "nothing says what lies between motor and link of joint {}: predictions take it for rigid, and a cable or a belt \
+         decides how stiff a wall can be; write [joint.transmission], or transmission = \"rigid\" where the motor sits on \
+         the joint",
+        silent.join(" and ")
+    );
+    Some(Doubt::new(key("joint", Some(first), "", "transmission"), text))
 }
 
 /// The mechanism's longest link, m.

@@ -17,6 +17,9 @@ use serde::Serialize;
 
 /// Hand speed (m/s) at which a wall's damping alone should not take all of the motors.
 const SLOW: f64 = 0.1;
+/// A wall whose force one encoder count changes by more than this is felt to buzz, N: its ripple is about half of it, root
+/// mean square (docs/encoder-steps.md).
+const BUZZ: f64 = 1.0;
 /// Poses of each joint in which a device with so many joints is looked at.
 const PER_JOINT: [usize; 3] = [400, 60, 16];
 /// Carrier of the boards, Hz: torque follows the encoders by half a period of it.
@@ -39,6 +42,8 @@ pub struct Contact {
     pub force: Option<f64>,
     /// How far the tip moves along the normal in one encoder count, m.
     pub count: f64,
+    /// The largest force that one count alone makes with this wall's gains and this scene's estimator, N.
+    pub step_n: f64,
 }
 
 /// The delay of a board at a control rate when nothing else is known, control samples: half a period of the carrier.
@@ -57,6 +62,7 @@ pub fn doubts(device: &Device<f64>, scene: &Scene<f64>) -> (Vec<Doubt>, Vec<Cont
                 };
                 doubts.extend(beyond(wall, &contact, true));
                 doubts.extend(too_soft(device, wall, &contact));
+                doubts.extend(buzzing(scene, &contact));
                 contacts.push(contact);
             }
             Touched::Never(nearest) => doubts.push(out_of_reach(index, &wall.surface, nearest)),
@@ -101,6 +107,7 @@ pub fn meets(
     let along = DVector::from_fn(pose.jacobian.nrows(), |i, _| normal.get(i).copied().unwrap_or(0.0));
     let per_radian = pose.jacobian.tr_mul(&along);
     let count = per_radian.iter().zip(&device.joints).map(|(move_, joint)| (move_ * joint.radians_per_count).abs());
+    let count = count.fold(0.0, f64::max);
     Some(Contact {
         wall: index,
         q: q.to_vec(),
@@ -108,7 +115,8 @@ pub fn meets(
         stable_to,
         damping_to,
         force: force_along(device, &pose, normal),
-        count: count.fold(0.0, f64::max),
+        count,
+        step_n: count * (wall.stiffness + wall.damping * around.estimator.quickest(around.rate_hz)),
     })
 }
 
@@ -167,6 +175,26 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> 
         doubts.push(doubt("damping", text));
     }
     doubts
+}
+
+/// What encoder steps make of a wall at this rate.
+fn buzzing(scene: &Scene<f64>, contact: &Contact) -> Option<Doubt> {
+    let wall = scene.walls.get(contact.wall)?;
+    // The wall that cannot be had anyway has its own doubt.
+    if contact.step_n <= BUZZ || wall.stiffness > contact.stable_to || wall.damping > contact.damping_to {
+        return None;
+    }
+    let text = format!(
+        "one encoder count ({}) changes the force of wall {} by up to {} at {} Hz: it will buzz unless friction holds it \
+         (`haptic range` with --wall {},{} simulates that); less damping, a lower cutoff, a slower velocity or more counts help",
+        with_unit(contact.count, "m"),
+        contact.wall,
+        with_unit(contact.step_n, "N"),
+        scene.rate_hz,
+        wall.stiffness,
+        wall.damping
+    );
+    Some(Doubt::new(Key { table: "wall", index: Some(contact.wall), part: "", name: "damping" }, text))
 }
 
 /// A ratio with two significant digits.

@@ -47,7 +47,7 @@ impl Axis {
         let size = self.low.abs().max(self.high.abs());
         let prefixes = [(1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ")];
         // Base units only take a prefix where it reads well: never "mkg" and no prefix on an empty unit.
-        if self.unit.is_empty() || self.unit == "kg" {
+        if self.unit.is_empty() || self.unit == "kg" || self.unit == "dB" {
             return (1.0, self.unit.clone());
         }
         let (factor, prefix) = prefixes.into_iter().find(|(f, _)| size >= 2.0 * f).unwrap_or((1e-6, "µ"));

@@ -8,6 +8,8 @@ pub const OFF: &str = "#0072B2";
 pub const FULL: &str = "#D55E00";
 /// With washed-out feed-forward.
 pub const WASHOUT: &str = "#009E73";
+/// Rendered by a computer.
+pub const HOST: &str = "#CC79A7";
 /// [`OFF`], [`FULL`] and [`WASHOUT`] on a dark ground: the same hues, lighter.
 pub const OFF_ON_DARK: &str = "#56B4E9";
 /// See [`OFF_ON_DARK`].

@@ -4,7 +4,7 @@
 use super::Picture;
 use super::axes::{Axis, Frame, Mark};
 use super::canvas::{Anchor, Canvas, Stroke};
-use super::colour::{BOUND, FAINT, FULL, OFF, WASHOUT};
+use super::colour::{BOUND, FAINT, FULL, HOST, OFF, WASHOUT};
 use crate::analysis::passivity::Passivity;
 use crate::analysis::range::{Domain, Range};
 
@@ -91,6 +91,13 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
         }
         frame.curve(canvas, &off, line(OFF, ""));
         entries.push((Mark::Line(line(OFF, "")), format!("no feed-forward, Weff = {}", mass(range.w_eff))));
+        if let Some(host) = &range.host {
+            frame.area_under(canvas, &points(&host.domain), HOST, 0.5);
+            frame.curve(canvas, &points(&host.domain), line(HOST, ""));
+            let late = format!("{:.1}", 1e3 * host.delay_s);
+            let name = format!("rendered by a computer at {:.0} Hz, {late} ms late", host.rate_hz);
+            entries.push((Mark::Line(line(HOST, "")), name));
+        }
         if let Some(passivity) = contents.passivity {
             let sampled = [(0.0, passivity.sampled(0.0)), (passivity.damping, 0.0)];
             let colgate = Stroke { colour: BOUND, width: 1.6, dash: "5 3" };

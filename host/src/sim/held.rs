@@ -7,7 +7,6 @@ use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::{Description, Encoder};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
-use haptic_bridge::model::precomputed::MassModelData;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::Limits;
@@ -130,7 +129,7 @@ impl Held {
             bridge: Bridge { carrier_hz: 20_000.0, dead_time: 0.0, bandwidth_hz: 1_000.0, current_sensed: false },
         };
         let device = Device::new("held", &description).map_err(|_| Refusal::BadDevice)?;
-        let program = Program::new(&hardware, &press.limits, &device, &scene, &MassModelData::Exact, false)?;
+        let program = Program::new(&hardware, &press.limits, &device, &scene, false)?;
         let rules = Rules { limits: press.limits, host_action: HostAction::Ignore, ..Rules::default() };
         let mut servo = Servo::new(hardware, rules);
         servo.execute(Command::Program(Box::new(program))).0?;

@@ -5,10 +5,15 @@
 //! symplectic for position-dependent forces, exact for a constant torque on a constant inertia, and dry friction is a
 //! *set* of admissible impulses rather than a sign function: a joint that friction can hold does not creep or chatter.
 //! A transmission (docs/model.md section 6) is a spring and a damper between a motor and its link, integrated by the
-//! same rule's implicit mean: stable however stiff it is, and without a loss of its own.
+//! same rule's implicit mean: stable however stiff it is, and without a loss of its own. A structural mode is a body on
+//! such a spring whose end velocity is eliminated from the same equations before they are solved: it costs a few
+//! products. Stribeck friction is dry friction of the bound that the speed at the step's start gives; cogging acts at the
+//! angle at its middle.
 
 use haptic_bridge::math::Libm;
-use haptic_bridge::model::description::{Description, DescriptionError, EncoderAt, Transmission};
+use haptic_bridge::model::description::{
+    Cogging, Description, DescriptionError, EncoderAt, Joint, MAX_MODES, StructuralMode, Transmission,
+};
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::with_mechanism;
 use nalgebra::{SMatrix, SVector};
@@ -31,7 +36,9 @@ pub struct Plant {
     joints: usize,
     task: usize,
     viscous: [f64; 3],
-    coulomb: [f64; 3],
+    /// The joints with what of their dry friction and cogging acts.
+    dry: [Joint; 3],
+    cogging: [Option<Cogging>; 3],
     stops: [(f64, f64); 3],
     q: [f64; 3],
     qd: [f64; 3],
@@ -41,10 +48,34 @@ pub struct Plant {
     /// Motor angles (rad) and velocities (rad/s) of the joints that have a transmission; the others' are the joint's.
     theta: [f64; 3],
     theta_d: [f64; 3],
+    /// What swings on each joint's link: the mode, its angle (rad) and velocity (rad/s).
+    modes: [[Option<Swinging>; MAX_MODES]; 3],
     /// Friction impulse of the last step, N m s: where the solver starts.
     friction: [f64; 3],
     tip: [f64; 3],
     tip_velocity: [f64; 3],
+}
+
+/// A structural mode and its state.
+#[derive(Clone, Copy, Debug)]
+struct Swinging {
+    mode: StructuralMode,
+    angle: f64,
+    velocity: f64,
+}
+
+impl Swinging {
+    /// What it adds to its joint over a step of `h`, seen from the joint at `q` (rad) that moves with `qd` (rad/s): inertia
+    /// (kg m²) and momentum (N m s) on the two sides of M v⁺ = …, and its velocity at the end where the joint's is zero
+    /// then, with what each unit of the joint's adds.
+    fn over(&self, q: f64, qd: f64, h: f64) -> (f64, f64, f64, f64) {
+        let inertia = self.mode.inertia;
+        let mean = 0.5 * h * self.mode.viscous() + 0.25 * h * h * self.mode.stiffness();
+        let pulled = h * self.mode.stiffness() * (q - self.angle);
+        let share = mean / (inertia + mean);
+        let alone = ((inertia - mean) * self.velocity + pulled + mean * qd) / (inertia + mean);
+        (inertia * share, -inertia * (alone - self.velocity), alone, share)
+    }
 }
 
 /// Sweeps of the friction solver. It starts from the previous step's answer, and two sweeps already settle N ≤ 3
@@ -75,7 +106,8 @@ impl Plant {
             joints: spec.joints,
             task: spec.task,
             viscous: description.joints.map(|joint| share * joint.viscous),
-            coulomb: description.joints.map(|joint| share * joint.coulomb),
+            dry: if friction { description.joints } else { [Joint::default(); 3] },
+            cogging: description.joints.map(|joint| joint.cogging),
             stops,
             q,
             qd: [0.0; 3],
@@ -83,6 +115,9 @@ impl Plant {
             transmissions: description.joints.map(|joint| joint.transmission),
             theta: q,
             theta_d: [0.0; 3],
+            modes: core::array::from_fn(|i| {
+                description.joints[i].modes.map(|mode| mode.map(|mode| Swinging { mode, angle: q[i], velocity: 0.0 }))
+            }),
             friction: [0.0; 3],
             tip: [0.0; 3],
             tip_velocity: [0.0; 3],
@@ -111,6 +146,10 @@ impl Plant {
     pub fn motor_velocity(&self) -> [f64; 3] {
         core::array::from_fn(|i| if self.transmissions[i].is_some() { self.theta_d[i] } else { self.qd[i] })
     }
+    /// Angles of the motors, at the joints, rad.
+    fn motor_angle(&self) -> [f64; 3] {
+        core::array::from_fn(|i| if self.transmissions[i].is_some() { self.theta[i] } else { self.q[i] })
+    }
     /// Angles that the encoders measure, rad.
     pub fn measured(&self) -> [f64; 3] {
         core::array::from_fn(|i| match self.transmissions[i] {
@@ -134,23 +173,46 @@ impl Plant {
         self.qdd = [0.0; 3];
         (self.theta, self.theta_d) = (q, qd);
         self.friction = [0.0; 3];
+        self.swing_along();
         self.refresh();
+    }
+
+    /// Lets what swings move with its joint.
+    fn swing_along(&mut self) {
+        for (joint, modes) in self.modes.iter_mut().enumerate() {
+            for mode in modes.iter_mut().flatten() {
+                (mode.angle, mode.velocity) = (self.q[joint], self.qd[joint]);
+            }
+        }
     }
 
     /// Gives the tip the velocity `velocity` (m/s), with no other motion where the device is redundant.
     pub fn push(&mut self, velocity: [f64; 3]) {
         with_mechanism!(&self.mechanism, m => self.qd = array(&m.inverse(&m.pose::<Libm>(&vector(&self.q)), &vector(&velocity))));
         self.theta_d = self.qd;
+        self.swing_along();
         self.refresh();
     }
 
-    /// Kinetic energy ½ q̇ᵀ M q̇ and what the springs of the transmissions hold, J.
+    /// Kinetic energy ½ q̇ᵀ M q̇ and what the springs of transmissions and modes and the magnets of the motors hold, J.
     pub fn energy(&self) -> f64 {
         fn moving<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &[f64; 3], qd: &[f64; 3]) -> f64 {
             let qd: SVector<f64, N> = vector(qd);
             0.5 * qd.dot(&(m.mass(&m.pose::<Libm>(&vector(q))) * qd))
         }
         let links = with_mechanism!(&self.mechanism, m => moving(m, &self.q, &self.qd));
+        let turned = self.motor_angle();
+        let besides = |joint: usize| {
+            let swinging = self.modes[joint].iter().flatten().map(|swinging| {
+                let Swinging { mode, angle, velocity } = swinging;
+                let moving = velocity.powi(2) - self.qd[joint].powi(2);
+                0.5 * (mode.inertia * moving + mode.stiffness() * (angle - self.q[joint]).powi(2))
+            });
+            let magnets = self.cogging[joint].map_or(0.0, |cogging| {
+                cogging.amplitude / cogging.per_turn * (1.0 + (cogging.per_turn * turned[joint]).cos())
+            });
+            swinging.sum::<f64>() + magnets
+        };
         let behind = |joint: usize| {
             self.transmissions[joint].map_or(0.0, |transmission| {
                 let twist = self.theta[joint] - self.q[joint];
@@ -158,7 +220,7 @@ impl Plant {
                     + transmission.stiffness * twist.powi(2))
             })
         };
-        links + (0..self.joints).map(behind).sum::<f64>()
+        links + (0..self.joints).map(|joint| behind(joint) + besides(joint)).sum::<f64>()
     }
 
     /// The torques that hold the device against gravity here, N m.
@@ -194,7 +256,21 @@ impl Plant {
         let pose = m.pose::<Libm>(&middle);
         let centred = qd + vector::<N>(&self.qdd) * (0.5 * h);
 
-        let mass = m.mass(&pose);
+        let mut mass = m.mass(&pose);
+        for i in 0..N {
+            for swinging in self.modes[i].iter().flatten() {
+                mass[(i, i)] -= swinging.mode.inertia;
+            }
+        }
+        let (angle, speed) = (self.motor_angle(), self.motor_velocity());
+        let bounds: [f64; 3] = core::array::from_fn(|i| self.dry[i].dry_friction(speed[i]) * h);
+        let mut load = *load;
+        for i in 0..N {
+            if let Some(cogging) = self.cogging[i] {
+                load.torque[i] += cogging.amplitude * (cogging.per_turn * (angle[i] + 0.5 * h * speed[i])).sin();
+            }
+        }
+        let load = &load;
         let mut force: SVector<f64, N> = vector(&load.force);
         for entry in self.task..N {
             force[entry] = 0.0;
@@ -202,7 +278,7 @@ impl Plant {
         let drive =
             vector::<N>(&load.torque) + m.transpose(&pose, &force) - m.coriolis(&pose, &centred) - m.gravity(&pose);
         if self.transmissions.iter().any(Option::is_some) {
-            return self.advance_flexible(m, load, mass, drive - vector::<N>(&load.torque), h);
+            return self.advance_flexible(m, load, mass, drive - vector::<N>(&load.torque), &bounds, h);
         }
         // Viscous friction as the trapezoid's mean: (M + hB/2) v⁺ = (M - hB/2) v + h τ - impulses.
         let mut damped = mass;
@@ -211,16 +287,22 @@ impl Plant {
             let half = 0.5 * h * (self.viscous[i] + load.damping[i]);
             damped[(i, i)] += half;
             momentum[i] -= half * qd[i];
+            for swinging in self.modes[i].iter().flatten() {
+                let (inertia, given, ..) = swinging.over(self.q[i], qd[i], h);
+                damped[(i, i)] += inertia;
+                momentum[i] += given;
+            }
         }
         // Not invertible only when the state is already not finite; the old velocity is then as good as any.
         let inverse = damped.try_inverse().unwrap_or_else(SMatrix::zeros);
         let free = inverse * momentum;
-        let bounds = core::array::from_fn(|i| self.coulomb[i] * h);
+        let bounds = core::array::from_fn(|i| bounds[i]);
         let outside = core::array::from_fn(|i| self.outside(i, middle[i]));
         let mut friction = vector(&self.friction);
         let after = free - inverse * reactions::<N>(&inverse, &free, &bounds, &outside, &mut friction);
         self.friction = array(&friction);
 
+        self.swing(&array(&after), h);
         self.q = array(&(middle + after * (0.5 * h)));
         self.qdd = array(&((after - qd) / h));
         self.qd = array(&after);
@@ -236,6 +318,7 @@ impl Plant {
         load: &Load,
         mass: SMatrix<f64, N, N>,
         drive: SVector<f64, N>,
+        dry: &[f64; 3],
         h: f64,
     ) {
         const BOTH: usize = 6;
@@ -264,12 +347,20 @@ impl Plant {
             }
             force[turned] += load.torque[i];
             damping[(turned, turned)] += self.viscous[i] + load.damping[i];
-            bounds[turned] = self.coulomb[i] * h;
+            bounds[turned] = dry[i];
         }
         // The spring's mean force over the step is that of its mean deflection, h/4 (v + v⁺) further than now.
         let mean = damping * (0.5 * h) + stiffness * (0.25 * h * h);
-        let inverse = (inertia + mean).try_inverse().unwrap_or_else(SMatrix::zeros);
-        let free = inverse * ((inertia - mean) * velocity + force * h);
+        let (mut before, mut momentum) = (inertia + mean, (inertia - mean) * velocity + force * h);
+        for i in 0..N {
+            for swinging in self.modes[i].iter().flatten() {
+                let (inertia, given, ..) = swinging.over(self.q[i], self.qd[i], h);
+                before[(i, i)] += inertia;
+                momentum[i] += given;
+            }
+        }
+        let inverse = before.try_inverse().unwrap_or_else(SMatrix::zeros);
+        let free = inverse * momentum;
         let turned = |i: usize| if self.transmissions[i].is_some() { 3 + i } else { i };
         let mut friction = SVector::<f64, BOTH>::zeros();
         for i in 0..N {
@@ -277,6 +368,7 @@ impl Plant {
         }
         let after = free - inverse * reactions::<BOTH>(&inverse, &free, &bounds, &outside, &mut friction);
         self.friction = core::array::from_fn(|i| if i < N { friction[turned(i)] } else { 0.0 });
+        self.swing(&core::array::from_fn(|i| after[i]), h);
         for i in 0..N {
             self.q[i] += 0.5 * h * (velocity[i] + after[i]);
             self.qdd[i] = (after[i] - velocity[i]) / h;
@@ -286,6 +378,18 @@ impl Plant {
         }
         let pose = m.pose::<Libm>(&vector(&self.q));
         self.observe(m, &pose);
+    }
+
+    /// Moves what swings on by `h`, before its joints, whose velocities at the end are `after`.
+    fn swing(&mut self, after: &[f64; 3], h: f64) {
+        for (joint, modes) in self.modes.iter_mut().enumerate() {
+            for swinging in modes.iter_mut().flatten() {
+                let (_, _, alone, share) = swinging.over(self.q[joint], self.qd[joint], h);
+                let velocity = alone + share * after[joint];
+                swinging.angle += 0.5 * h * (swinging.velocity + velocity);
+                swinging.velocity = velocity;
+            }
+        }
     }
 
     /// Whether a joint at `q` (rad) is at its lower or upper stop, or beyond.

@@ -98,7 +98,7 @@ fn token() -> io::Result<String> {
 }
 
 /// Reads the head of a GET request; everything else is none.
-fn head(stream: &mut TcpStream) -> Option<Request> {
+pub(crate) fn head(stream: &mut TcpStream) -> Option<Request> {
     let began = Instant::now();
     let mut bytes = Vec::new();
     while bytes.len() < HEAD {

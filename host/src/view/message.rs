@@ -54,6 +54,11 @@ pub enum FromPage {
     },
     /// What this page's oscilloscope shows.
     Scope(ScopeRequest),
+    /// Begin or end a recording, in the folder of the tool.
+    Record {
+        /// On or off.
+        on: bool,
+    },
     /// Whether this page listens to the motors.
     Sound {
         /// On or off.

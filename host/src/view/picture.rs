@@ -12,20 +12,22 @@ use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
-use haptic_bridge::render::scene::Scene;
+use haptic_bridge::render::scene::{Scene, Spring};
 use nalgebra::{DVector, Vector3};
 use serde::Serialize;
 
-/// What is streamed for the page.
+/// What is streamed for the page, and recorded: all that `haptic replay` needs is among it.
 pub const FIELDS: Fields = Fields(
     Field::Angle.bit()
         | Field::Tip.bit()
         | Field::Torque.bit()
         | Field::Distance.bit()
+        | Field::NormalVelocity.bit()
         | Field::WallForce.bit()
         | Field::RenderedForce.bit()
         | Field::Saturated.bit()
         | Field::Energy.bit()
+        | Field::Counts.bit()
         | Field::State.bit(),
 );
 
@@ -57,6 +59,8 @@ pub struct Geometry {
     pub ellipse: Option<Ellipse>,
     /// Force of the motors at the tip, N.
     pub force: Flat,
+    /// Where each of the scene's springs holds the tip from: its point, or its line's nearest one, m.
+    pub springs: Vec<Flat>,
 }
 
 /// The numbers of a moment.
@@ -140,6 +144,7 @@ impl<'a> Newest<'a> {
             geometry.bars = drawn.bars.iter().map(|bar| [bar.from.into(), bar.to.into()]).collect();
             geometry.base = drawn.base.iter().map(|base| (*base).into()).collect();
         }
+        geometry.springs = scene.springs.iter().map(|spring| flat(&held_from(spring, &tip[..task]))).collect();
         let recent = (RECENT * rows_hz).ceil() as u64;
         let wall = nearest_wall(scene, &tip[..task]);
         let mut numbers = Numbers {
@@ -169,6 +174,13 @@ impl<'a> Newest<'a> {
         }
         (geometry, numbers)
     }
+}
+
+/// The place that a spring pulls the tip to.
+fn held_from(spring: &Spring<f64>, tip: &[f64]) -> [f64; 3] {
+    let Spring { point, direction, .. } = spring;
+    let along: f64 = tip.iter().enumerate().map(|(i, tip)| (tip - point[i]) * direction[i]).sum();
+    core::array::from_fn(|i| point[i] + along * direction[i])
 }
 
 /// A paddle's task is an arc's length; its tip is drawn where its skeleton has it.
@@ -218,6 +230,16 @@ mod tests {
         let found = ellipse(3.0 * c * c + s * s, 2.0 * s * c, 3.0 * s * s + c * c);
         assert!((found.axes[0] - 3.0).abs() < 1e-12 && (found.axes[1] - 1.0).abs() < 1e-12);
         assert!((found.angle - 0.3).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_spring_holds_from_its_point_or_from_the_nearest_of_its_line() {
+        let mut spring = Spring { point: [0.1, 0.2, 0.0], direction: [0.0; 3], stiffness: 1.0, damping: 0.0 };
+        assert_eq!(held_from(&spring, &[0.5, 0.9]), [0.1, 0.2, 0.0]);
+        spring.direction = [0.6, 0.8, 0.0];
+        // Along the line by 0.6 · 0.4 + 0.8 · 0.7 = 0.8.
+        let [x, y, z] = held_from(&spring, &[0.5, 0.9]);
+        assert!((x - 0.58).abs() < 1e-12 && (y - 0.84).abs() < 1e-12 && z == 0.0, "{x}, {y}, {z}");
     }
 
     #[test]

@@ -5,7 +5,7 @@ use crate::analysis::range::{BoundaryPoint, predict};
 use crate::plausible::scene::around;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::{FeedForward, Scene};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread;
 
@@ -27,7 +27,7 @@ pub struct Question {
 }
 
 /// The boundary for each kind of feed-forward.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Plane {
     /// Which wall.
     pub wall: usize,

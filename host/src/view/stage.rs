@@ -10,8 +10,13 @@ use super::picture::{FIELDS, Geometry, Newest, Numbers, nearest_wall};
 use super::scope::{LONGEST, Ring, Scope};
 use super::stability::{Oracle, Plane, Question};
 use super::world::{World, hand_settings, lead};
-use crate::link::{Board, BoardError, Column, LinkError, columns};
+use crate::error::Failure;
+use crate::link::{Board, BoardError, Column, LinkError, Losses, Row, columns, rows_that_fit};
+use crate::output::{self, Overwrite};
 use crate::precision::{widened, widened_scene};
+use crate::recorder::about::About;
+use crate::recorder::{RecordError, RowWriter};
+use crate::words::wall_in_words;
 use haptic_bridge::board::telemetry::Field;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::controller::Gains;
@@ -20,6 +25,7 @@ use haptic_bridge::safety::fault::{FaultRecord, State};
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
 use std::thread;
@@ -42,8 +48,6 @@ const CATCH_UP: Duration = Duration::from_millis(50);
 const SLICE: Duration = Duration::from_millis(8);
 /// How far a joint turns before the boundary is worked out anew, rad.
 const TURNED: f64 = 0.02;
-/// What a full-speed USB serial port carries with room to spare, bytes of telemetry a second.
-const USB: f64 = 600e3;
 /// Cycles a second of the boards' core.
 const CORE_HZ: f64 = 168e6;
 
@@ -75,6 +79,48 @@ pub struct Stage<'a> {
     plane: Option<Plane>,
     asked: Option<(usize, Vec<f64>)>,
     pace: Pace,
+    /// Where recordings go, and the one under way.
+    folder: PathBuf,
+    recording: Option<Recording>,
+}
+
+/// A recording under way.
+struct Recording {
+    writer: RowWriter,
+    rate_hz: f64,
+    /// Steps of its first and its newest row.
+    steps: Option<(u32, u32)>,
+    rows: u64,
+    /// What had been lost before it began.
+    before: Losses,
+}
+
+impl Recording {
+    /// Time of its newest row, s.
+    fn time(&self) -> f64 {
+        self.steps.map_or(0.0, |(first, newest)| f64::from(newest.wrapping_sub(first)) / self.rate_hz)
+    }
+
+    fn take(&mut self, row: &Row) -> Result<(), RecordError> {
+        let first = self.steps.map_or(row.step, |(first, _)| first);
+        self.steps = Some((first, row.step));
+        self.rows += 1;
+        self.writer.row(row.step, self.time(), &row.values)
+    }
+
+    /// Ends it; in words what came of it.
+    fn end(mut self, now: Losses, cut: bool) -> Result<String, RecordError> {
+        let losses = Losses {
+            received: self.rows,
+            missing: now.missing.saturating_sub(self.before.missing),
+            dropped_by_board: now.dropped_by_board.saturating_sub(self.before.dropped_by_board),
+            batches_lost: now.batches_lost.saturating_sub(self.before.batches_lost),
+            garbled: now.garbled.saturating_sub(self.before.garbled),
+        };
+        let cut = if cut { "cut short: the board was lost; " } else { "" };
+        self.writer.end(&format!("{cut}{losses}"), &losses)?;
+        Ok(format!("recorded {}: {losses}", self.writer.place()))
+    }
 }
 
 /// Simulated time against the wall clock.
@@ -103,6 +149,15 @@ struct Picture<'a> {
     load: Option<f64>,
     speed: Option<f64>,
     pages: usize,
+    recording: Option<Recorded>,
+}
+
+/// The recording under way, as a page sees it.
+#[derive(Serialize)]
+struct Recorded {
+    file: String,
+    rows: u64,
+    bytes: u64,
 }
 
 #[derive(Serialize)]
@@ -114,22 +169,22 @@ struct HandSeen {
 
 impl<'a> Stage<'a> {
     /// Sets the board up to be looked at: heartbeats, and a stream of every step, or of `rows_hz` rows a second.
+    /// Recordings go to `folder`.
     pub fn open(
         world: &'a mut World,
         hub: &'a Hub,
         events: &'a Receiver<Event>,
         rows_hz: Option<f64>,
-    ) -> Result<Self, crate::error::Failure> {
+        folder: &Path,
+    ) -> Result<Self, Failure> {
         let board = &mut world.board;
         let details = board.details()?;
         let device = board.device()?.ok_or(BoardError::Refused(haptic_bridge::safety::refusal::Refusal::NoDevice))?;
         let scene = board.scene()?.ok_or(BoardError::Refused(haptic_bridge::safety::refusal::Refusal::NoScene))?;
         let (device, scene) = (widened(&device)?, widened_scene(&scene)?);
         let rate_hz = f64::from(details.rate_hz);
-        let most = match world.simulated {
-            Some(_) => rate_hz,
-            None => USB / (4 * FIELDS.width(device.axes())) as f64,
-        };
+        let name = if world.simulated.is_some() { "simulated" } else { "" };
+        let most = rows_that_fit(name, FIELDS, device.axes(), rate_hz);
         let divider = (rate_hz / rows_hz.unwrap_or(most).min(rate_hz)).ceil().max(1.0) as u32;
         let rows_hz = rate_hz / f64::from(divider);
         let columns = columns(FIELDS, device.axes());
@@ -164,6 +219,8 @@ impl<'a> Stage<'a> {
             plane: None,
             asked: None,
             pace: Pace { began: now, board_began: board_now, measured: (now, board_now), speed: 1.0 },
+            folder: folder.into(),
+            recording: None,
         };
         stage.say_to_all(&stage.about());
         stage.say_to_all(&stage.walls());
@@ -177,6 +234,7 @@ impl<'a> Stage<'a> {
     /// Plays until `stop` is set or the board is lost. The motors are off afterwards.
     pub fn run(&mut self, stop: &AtomicBool) -> Result<(), LinkError> {
         let played = self.play(stop);
+        self.stop_recording(played.is_err());
         // A board that is lost turns them off itself.
         let disarmed = self.board().disarm();
         if let (Ok(()), Err(BoardError::Link(error))) = (&played, disarmed) {
@@ -236,6 +294,11 @@ impl<'a> Stage<'a> {
                 }
             }
             self.last_step = Some(row.step);
+            if let Some(recording) = &mut self.recording
+                && let Err(error) = recording.take(&row)
+            {
+                self.recording_failed(error);
+            }
             self.ring.push(row.values.iter().map(|value| *value as f32));
             if !self.listeners.is_empty() {
                 self.sound.push(row.get(Field::Torque).iter().sum::<f64>() as f32);
@@ -244,7 +307,9 @@ impl<'a> Stage<'a> {
             self.trail.push([tip[0], tip.get(1).copied().unwrap_or(0.0)]);
         }
         for record in self.world.board.take_reported_faults() {
-            self.fault = Some(in_words(&record));
+            let words = in_words(&record);
+            self.note(&words);
+            self.fault = Some(words);
         }
         let state = match Newest::of(&self.ring, &self.columns).get(Field::State, 0) as u8 {
             1 => State::Armed,
@@ -326,6 +391,54 @@ impl<'a> Stage<'a> {
         Ok(())
     }
 
+    fn start_recording(&mut self, id: PageId) -> Result<(), BoardError> {
+        if self.recording.is_some() {
+            self.refuse(id, "a recording is under way");
+            return Ok(());
+        }
+        let name = format!("haptic-{}.mcap", output::date().replace(':', ""));
+        let path = output::unused(&self.folder.join(name));
+        let divider = self.divider;
+        let writer = About::read(self.board(), divider).and_then(|about| {
+            let writer = RowWriter::create(&path, &about, &self.columns, Overwrite::Never)?;
+            Ok((writer, about.rate_hz))
+        });
+        match writer {
+            Ok((writer, rate_hz)) => {
+                let before = self.board().losses();
+                self.recording = Some(Recording { writer, rate_hz, steps: None, rows: 0, before });
+            }
+            Err(failure) => self.refuse(id, &failure.to_string()),
+        }
+        Ok(())
+    }
+
+    fn stop_recording(&mut self, cut: bool) {
+        let losses = self.board().losses();
+        match self.recording.take().map(|recording| recording.end(losses, cut)) {
+            Some(Ok(words)) => self.say_to_all(&json!({"is": "recorded", "words": words})),
+            Some(Err(error)) => self.recording_failed(error),
+            None => {}
+        }
+    }
+
+    /// What is in its file stays there.
+    fn recording_failed(&mut self, error: RecordError) {
+        self.recording = None;
+        if let RecordError::Failed(failure) = error {
+            self.refuse_all(&format!("the recording has ended: {failure}"));
+        }
+    }
+
+    /// Keeps in the recording what happened.
+    fn note(&mut self, words: &str) {
+        if let Some(recording) = &mut self.recording
+            && let Err(error) = recording.writer.event(recording.time(), words)
+        {
+            self.recording_failed(error);
+        }
+    }
+
     fn commands(&self, id: PageId) -> bool {
         self.command.is_some_and(|(holder, _)| holder == id)
     }
@@ -374,6 +487,8 @@ impl<'a> Stage<'a> {
             // Only a press arms: not a key that was down when something else turned the motors off.
             FromPage::Hold {} => self.held = self.held.map(|_| Instant::now()),
             FromPage::Clear {} => self.board().clear()?,
+            FromPage::Record { on: true } => self.start_recording(id)?,
+            FromPage::Record { on: false } => self.stop_recording(false),
             FromPage::Gains { wall, stiffness, damping, feed_forward, beyond } => {
                 self.change_gains(id, wall, stiffness, damping, feed_forward, beyond)?;
             }
@@ -471,6 +586,10 @@ impl<'a> Stage<'a> {
             }
         }
         self.say_to_all(&self.walls());
+        let walls = self.scene.walls.iter().enumerate();
+        let words: Vec<String> =
+            walls.map(|(index, wall)| format!("wall {index}: {}", wall_in_words(&wall.cast()))).collect();
+        self.note(&words.join("; "));
         Ok(())
     }
 
@@ -504,6 +623,11 @@ impl<'a> Stage<'a> {
             load: self.load,
             speed: self.world.simulated.is_some().then_some(self.pace.speed),
             pages: self.hub.count(),
+            recording: self.recording.as_ref().map(|recording| Recorded {
+                file: recording.writer.place(),
+                rows: recording.rows,
+                bytes: recording.writer.bytes(),
+            }),
         };
         // Numbers that are none become null: a page leaves them out.
         if let Ok(text) = serde_json::to_string(&picture) {
@@ -557,6 +681,9 @@ impl<'a> Stage<'a> {
     fn look(&mut self) -> Result<(), LinkError> {
         let details = self.board().details()?;
         let cycles = f64::from(details.longest_cycles);
+        if let Some(Err(error)) = self.recording.as_mut().map(|recording| recording.writer.flush()) {
+            self.recording_failed(error);
+        }
         self.load = (cycles > 0.0).then(|| cycles * f64::from(details.carrier_hz) / CORE_HZ);
         let (now, board_now) = (Instant::now(), self.world.board.now());
         let (then, board_then) = std::mem::replace(&mut self.pace.measured, (now, board_now));
@@ -598,7 +725,16 @@ impl<'a> Stage<'a> {
                 "damping": wall.damping, "feed_forward": wall.feed_forward, "washout_hz": wall.washout_hz,
             })
         });
-        json!({"is": "walls", "walls": walls.collect::<Vec<_>>()})
+        let springs = self.scene.springs.iter().map(|spring| {
+            json!({
+                "point": spring.point, "direction": spring.direction, "stiffness": spring.stiffness,
+                "damping": spring.damping,
+            })
+        });
+        json!({
+            "is": "walls", "walls": walls.collect::<Vec<_>>(), "springs": springs.collect::<Vec<_>>(),
+            "field_damping": self.scene.field_damping,
+        })
     }
 
     fn say(&self, id: PageId, message: &Value) {

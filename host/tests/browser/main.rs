@@ -143,6 +143,7 @@ fn the_dot_is_dragged_and_stops_at_the_boundary_until_one_goes_on() {
         "$('notice').classList.contains('shown') && $('why').textContent.includes('predicted to be unstable')",
     );
     assert_eq!(browser.evaluate(&tab, "view.walls[0].stiffness < 21e3"), true, "it stays on the stable side");
+    browser.until(&tab, "view.again?.stiffness > 22e3");
     browser.evaluate(&tab, "$('anyway').click()");
     browser.until(&tab, "view.walls[0].stiffness > 21e3 && document.body.dataset.stable === 'false'");
 }
@@ -177,6 +178,52 @@ fn the_wall_is_pressed_by_the_mouse_and_its_feed_forward_changed_under_it() {
     assert_eq!(browser.complaints(), [""; 0]);
 }
 
+/// How many pixels of a canvas are of a colour of the palette, in a square around a place of the drawn plane (m).
+fn coloured(browser: &mut Browser, tab: &Tab, place: &str, colour: &str, half: u32) -> u64 {
+    let count = format!(
+        "(() => {{ const c = $('stage'), r = devicePixelRatio, p = {place}, k = c.getContext('2d'); k.save(); \
+         const one = document.createElement('canvas').getContext('2d'); one.fillStyle = palette['{colour}'] || '#0d8a8a'; \
+         one.fillRect(0, 0, 1, 1); const w = one.getImageData(0, 0, 1, 1).data; k.restore(); \
+         const x = Math.round(view.frame.toX(p[0]) * r), y = Math.round(view.frame.toY(p[1]) * r); \
+         const d = k.getImageData(x - {half}, y - {half}, 2 * {half}, 2 * {half}).data; let n = 0; \
+         for (let i = 0; i < d.length; i += 4) if (d[i + 3] > 200 && Math.abs(d[i] - w[0]) + Math.abs(d[i + 1] - w[1]) + Math.abs(d[i + 2] - w[2]) < 24) n++; \
+         return n; }})()"
+    );
+    browser.evaluate(tab, &count).as_u64().unwrap()
+}
+
+/// No picture lies: a spring that pulls the tip is seen, from where it holds to the tip, and its line.
+#[test]
+fn springs_of_the_scene_are_drawn_where_they_hold() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join("springs.toml");
+    // The line y = 0.15 above the tip, and a point to its right.
+    let springs = "[[spring]]\npoint = [0.0, 0.15]\ndirection = [1.0, 0.0]\nstiffness = 250.0\ndamping = 1.0\n\n\
+                   [[spring]]\npoint = [0.06, 0.10]\nstiffness = 100.0\ndamping = 1.0\n";
+    std::fs::write(&scene, springs).unwrap();
+    let device = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/haply-2diy.toml");
+    let view = View::start(&[device, "--port", "sim", "--scene", scene.to_str().unwrap()]);
+    let mut browser = Browser::start();
+    let tab = browser.open(&view.url, LAPTOP, 1.0);
+    browser.until(&tab, "window.view && view.pictures > 10");
+    browser.evaluate(&tab, "theme(false)");
+    browser.until(&tab, "view.frame && view.pictures > 20");
+    let tip = browser.evaluate(&tab, "view.last.geometry.tip").clone();
+    let (x, y) = (tip[0].as_f64().unwrap(), tip[1].as_f64().unwrap());
+    let mut seen =
+        |at: (f64, f64), half| coloured(&mut browser, &tab, &format!("[{}, {}]", at.0, at.1), "spring", half);
+    assert!(seen((x, 0.5 * (y + 0.15)), 8) > 10, "no spring between the line and the tip");
+    assert!(seen((x - 0.04, 0.15), 12) > 5, "its line is not drawn");
+    assert!(seen((0.5 * (x + 0.06), 0.5 * (y + 0.10)), 8) > 10, "no spring between the point and the tip");
+    assert!(seen((0.06, 0.10), 5) > 30, "the point is not drawn");
+    assert_eq!(seen((x - 0.04, 0.14), 6), 0, "nothing is where no spring is");
+    assert_eq!(browser.complaints(), [""; 0]);
+    if let Ok(folder) = std::env::var("HAPTIC_PICTURES") {
+        let png = browser.picture(&tab, false);
+        std::fs::write(format!("{folder}/view-spring.png"), png).unwrap();
+    }
+}
+
 /// At every size nothing sticks out and the key is in sight; pictures for a person to look at.
 #[test]
 fn the_page_fits_a_phone_a_laptop_and_a_projector() {
@@ -209,4 +256,97 @@ fn the_page_fits_a_phone_a_laptop_and_a_projector() {
             std::fs::write(format!("{folder}/view-{name}.png"), png).unwrap();
         }
     }
+}
+
+/// Seconds of processor time that a process has had.
+fn processor_seconds(process: u32) -> f64 {
+    let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap();
+    let fields: Vec<&str> = stat.rsplit(')').next().unwrap().split_whitespace().collect();
+    // User and system time, in ticks of 10 ms on every Linux that this runs on.
+    0.01 * (fields[11].parse::<f64>().unwrap() + fields[12].parse::<f64>().unwrap())
+}
+
+fn middle(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+#[test]
+#[ignore = "a measurement, no test: docs/view.md names its command line"]
+fn how_fast_the_page_is() {
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/");
+    let (device, scene) = (format!("{root}coupled-five-bar.toml"), format!("{root}scenes/coupled-five-bar/wall.toml"));
+    // Watching alone: the board is another process, and every one of its 20,000 steps a second is a row.
+    let mut sim = std::process::Command::new(env!("CARGO_BIN_EXE_haptic"));
+    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port().to_string();
+    let mut sim = sim
+        .args(["sim", &device, "--scene", &scene, "--tcp", &port])
+        .stdout(std::process::Stdio::null())
+        .spawn()
+        .unwrap();
+    while std::net::TcpStream::connect(format!("127.0.0.1:{port}")).is_err() {
+        std::thread::sleep(std::time::Duration::from_millis(50));
+    }
+    let view = View::start(&[&device, "--port", &format!("tcp:127.0.0.1:{port}"), "--rate", "20000"]);
+    let mut browser = Browser::start();
+    let watch = |browser: &mut Browser, view: &View, what: &str| {
+        let tab = browser.open(&view.url, LAPTOP, 1.0);
+        browser.until(&tab, "window.view && view.pictures > 30 && view.hello.rows_hz === 20000");
+        browser.front(&tab);
+        browser.evaluate(
+            &tab,
+            "view.m = { frames: 0, inside: true, base: Infinity, contacts: [], prev: 0, due: null, lost: view.last.lost }; \
+             { const drawn = drawStage, seen = picture; \
+               drawStage = () => { drawn(); view.m.frames++; const due = view.m.due; view.m.due = null; \
+                 if (due) requestAnimationFrame(() => { const t = performance.now() - view.m.base; view.m.contacts.push([t - due[0], t - due[1]]); }); }; \
+               picture = p => { const m = view.m, now = performance.now(), inside = p.numbers.depth > 0; m.base = Math.min(m.base, now - 1e3 * p.time); \
+                 if (inside && !m.inside) m.due = [1e3 * m.prev, 1e3 * p.time]; m.inside = inside; m.prev = p.time; seen(p); }; }",
+        );
+        let (began, used) = (std::time::Instant::now(), processor_seconds(view.process()));
+        let pictures = browser.evaluate(&tab, "view.pictures").as_f64().unwrap();
+        if what.contains("in its own process") {
+            for _ in 0..20 {
+                for place in ["[v[0] - 0.01 * v[3], v[1] - 0.01 * v[4]]", "[v[0] + 0.01 * v[3], v[1] + 0.01 * v[4]]"] {
+                    browser.evaluate(&tab, &format!("(v => say({{do: 'hand', at: {place}}}))(view.walls[0].values)"));
+                    std::thread::sleep(std::time::Duration::from_millis(700));
+                }
+            }
+        } else {
+            std::thread::sleep(std::time::Duration::from_secs(20));
+        }
+        let seconds = began.elapsed().as_secs_f64();
+        let share = 100.0 * (processor_seconds(view.process()) - used) / seconds;
+        let found = browser.evaluate(
+            &tab,
+            "({ m: view.m, pictures: view.pictures, lost: view.last.lost - view.m.lost, speed: view.last.speed })",
+        );
+        let of = |value: &Value| value.as_f64().unwrap();
+        println!(
+            "{what}: {:.0} pictures and {:.0} frames a second, {} rows lost, {share:.0} % of one core",
+            (of(&found["pictures"]) - pictures) / seconds,
+            of(&found["m"]["frames"]) / seconds,
+            found["lost"]
+        );
+        if let Some(speed) = found["speed"].as_f64() {
+            println!("  the simulation ran at {:.0} % of its time", 100.0 * speed);
+        }
+        let contacts: Vec<(f64, f64)> =
+            found["m"]["contacts"].as_array().unwrap().iter().map(|pair| (of(&pair[0]), of(&pair[1]))).collect();
+        if !contacts.is_empty() {
+            let (most, least) = contacts.iter().copied().unzip::<f64, f64, Vec<_>, Vec<_>>();
+            println!(
+                "  contact to pixel: {:.0} to {:.0} ms in the middle of {} contacts (between the last picture without and the first with it)",
+                middle(least),
+                middle(most),
+                contacts.len()
+            );
+        }
+        browser.close(&tab);
+    };
+    watch(&mut browser, &view, "watching a board");
+    drop(view);
+    sim.kill().unwrap();
+    sim.wait().unwrap();
+    let view = View::start(&[&device, "--port", "sim", "--scene", &scene]);
+    watch(&mut browser, &view, "simulating the board in its own process as well");
 }

@@ -12,6 +12,17 @@ pub fn file(name: &str) -> String {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../devices").join(name).display().to_string()
 }
 
+/// Waits until something is so, however slow the machine.
+pub fn until(what: &str, so: impl Fn() -> bool) {
+    for _ in 0..6_000 {
+        if so() {
+            return;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
+    panic!("{what}: not after a minute");
+}
+
 /// The tool, with these arguments.
 pub fn haptic(arguments: &[&str]) -> Command {
     let mut command = Command::cargo_bin("haptic").unwrap();

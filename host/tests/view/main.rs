@@ -134,11 +134,15 @@ fn the_wall_buzzes_without_the_feed_forward_and_is_quiet_with_it() {
     let below = |i: usize| tip[i] - 0.026 * normal[3 + i].as_f64().unwrap();
     page.arm();
     page.play(0.6);
-    page.say(json!({"do": "hand", "at": [below(0), below(1)]}));
+    // Each time anew from outside: where friction holds a quiet wall quiet, and a wall that swings on swinging, only the way
+    // in decides.
     let mut ripple = |mode: &str| {
+        page.say(json!({"do": "hand", "at": tip}));
+        page.play(0.8);
         let gains =
             json!({"do": "gains", "wall": 0, "stiffness": 22e3, "damping": 40.0, "feed_forward": mode, "beyond": true});
         page.say(gains);
+        page.say(json!({"do": "hand", "at": [below(0), below(1)]}));
         page.play(1.5);
         assert!(page.picture["numbers"]["depth"].as_f64().unwrap() > 0.0, "{}", page.picture);
         assert!(page.picture["numbers"]["force"].as_f64().unwrap() > 2.0, "{}", page.picture);
@@ -217,6 +221,44 @@ fn what_is_no_message_is_refused_and_nothing_ends() {
         assert!(began.elapsed() < PATIENCE);
     }
     page.arm();
+}
+
+#[test]
+fn a_page_records_what_it_sees_and_it_plays_once_more() {
+    let folder = tempfile::tempdir().unwrap();
+    let view = View::start(&["--port", "sim", "--record-to", folder.path().to_str().unwrap()]);
+    let mut page = Page::in_command(&view);
+    let mut watcher = Page::open(&view);
+    watcher.say(json!({"do": "record", "on": true}));
+    watcher.until_refused("another page is in command");
+    page.say(json!({"do": "record", "on": true}));
+    page.until("rows", |page| page.picture["recording"]["rows"].as_u64().is_some_and(|rows| rows > 50));
+    page.say(json!({"do": "record", "on": true}));
+    page.until_refused("under way");
+    page.arm();
+    page.play(0.5);
+    page.say(json!({"do": "record", "on": false}));
+    page.until("its end", |page| page.recorded.is_some());
+    let file = std::fs::read_dir(folder.path()).unwrap().next().unwrap().unwrap().path();
+    let recording = haptic::recorder::Recording::load(&file).unwrap();
+    let (words, rows) = (page.recorded.clone().unwrap(), recording.rows.len());
+    assert!(!recording.torn && words.contains(&format!("{rows} rows, none lost")), "{words}");
+    let armed = recording.rows.iter().filter(|row| row[recording.column("state").unwrap()] == 1.0).count();
+    assert!(armed > 300, "{armed} of {rows}");
+    assert!(haptic::replay::replay(&recording).unwrap().is_same());
+}
+
+#[test]
+fn the_page_is_told_of_springs_and_of_where_they_hold() {
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/");
+    let scene = format!("{root}scenes/haply-2diy/groove.toml");
+    let view = View::start(&[&format!("{root}haply-2diy.toml"), "--port", "sim", "--scene", &scene]);
+    let page = Page::in_command(&view);
+    assert_eq!(page.springs[0]["stiffness"], 250.0, "{}", page.springs);
+    // The line y = 0.115: straight above or below the tip.
+    let (tip, held) = (&page.picture["geometry"]["tip"], &page.picture["geometry"]["springs"][0]);
+    let apart = (tip[0].as_f64().unwrap() - held[0].as_f64().unwrap()).abs();
+    assert!(apart < 1e-6 && (held[1].as_f64().unwrap() - 0.115).abs() < 1e-6, "{tip}: {held}");
 }
 
 fn ask(view: &View, request: &str) -> String {

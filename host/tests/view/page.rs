@@ -35,6 +35,11 @@ impl View {
         Self { child, url }
     }
 
+    /// Its process.
+    pub fn process(&self) -> u32 {
+        self.child.id()
+    }
+
     /// Address and port.
     pub fn address(&self) -> &str {
         self.url.trim_start_matches("http://").split('/').next().unwrap()
@@ -60,6 +65,8 @@ pub struct Page {
     /// The newest of each kind of message.
     pub hello: Value,
     pub walls: Value,
+    pub springs: Value,
+    pub recorded: Option<String>,
     pub plane: Value,
     pub picture: Value,
     /// Every refusal so far.
@@ -92,6 +99,8 @@ impl Page {
             you: 0,
             hello: Value::Null,
             walls: Value::Null,
+            springs: Value::Null,
+            recorded: None,
             plane: Value::Null,
             picture: Value::Null,
             refused: Vec::new(),
@@ -137,7 +146,10 @@ impl Page {
                 match message["is"].as_str().unwrap() {
                     "you" => self.you = message["you"].as_u64().unwrap(),
                     "hello" => self.hello = message,
-                    "walls" => self.walls = message["walls"].clone(),
+                    "walls" => {
+                        (self.walls, self.springs) = (message["walls"].clone(), message["springs"].clone());
+                    }
+                    "recorded" => self.recorded = Some(message["words"].as_str().unwrap().into()),
                     "plane" => self.plane = message["plane"].clone(),
                     "picture" => self.picture = message,
                     "refused" => self.refused.push(message),

@@ -166,14 +166,19 @@ impl<T: Real> FiveBar<T> {
         tip: &Vector2<T>,
         a: Option<&Vector2<T>>,
     ) -> Vector2<T> {
-        // The rods stay rigid: uᵢ·(a - p̈_elbow) + |u̇ᵢ|² = 0.
-        let qdd = |i: usize| {
-            let rod_rate = tip - left(&pose.arm[i]) * qd[i];
-            let outward = pose.arm[i] * (qd[i] * qd[i]);
-            let along = a.map_or(outward, |a| a + outward);
-            (pose.rod[i].dot(&along) + rod_rate.dot(&rod_rate)) * pose.inverse_k[i]
+        Vector2::new(Self::arm_acceleration(pose, qd, tip, a, 0), Self::arm_acceleration(pose, qd, tip, a, 1))
+    }
+
+    /// [`FiveBar::joint_acceleration`] of one arm: its rod stays rigid, uᵢ·(a - p̈_elbow) + |u̇ᵢ|² = 0.
+    #[inline(always)]
+    fn arm_acceleration(pose: &Pose<T>, qd: &Vector2<T>, tip: &Vector2<T>, a: Option<&Vector2<T>>, i: usize) -> T {
+        let rod_rate = tip - left(&pose.arm[i]) * qd[i];
+        let outward = pose.arm[i] * (qd[i] * qd[i]);
+        let along = match a {
+            Some(a) => a + outward,
+            None => outward,
         };
-        Vector2::new(qdd(0), qdd(1))
+        (pose.rod[i].dot(&along) + rod_rate.dot(&rod_rate)) * pose.inverse_k[i]
     }
 
     /// What a tip acceleration `a` (or none) and joint accelerations `qdd` take at joint velocities `qd`: the force at

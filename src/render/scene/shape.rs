@@ -1,16 +1,11 @@
 //! What makes a wall's shape: how far the tip is from it, and which values a scene file gives for it.
 //!
-//! A shape is one file beside this one and one line in the list at its end. Scene files, checks and conversion between
-//! precisions follow from its [`ShapeSpec`].
+//! A shape is one file beside this one and one line in the list of [`surface`](super::surface). Scene files, checks and
+//! conversion between precisions follow from its [`ShapeSpec`].
 
 use super::Contact;
-use super::cylinder::Cylinder;
-use super::plane::Plane;
-use super::sphere::Sphere;
 use crate::math::{Math, Real};
 use nalgebra::SVector;
-use postcard_schema::Schema;
-use serde::{Deserialize, Serialize};
 
 /// Most numbers that the values of a shape take together.
 pub const SHAPE_VALUES: usize = 8;
@@ -66,102 +61,6 @@ pub trait Shape<T: Real>: Copy {
     fn contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N>;
     /// ṅ (1/s) at the tip position `p` (m) moving at `velocity` (m/s).
     fn normal_rate<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N>;
-}
-
-macro_rules! shapes {
-    ($($(#[$doc:meta])* $Shape:ident;)*) => {
-        /// A wall's shape. Vectors are in the task frame; entries beyond the task dimension are zero.
-        #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
-        pub enum Surface<T> { $($(#[$doc])* $Shape($Shape<T>),)* }
-
-        impl<T: Real> Surface<T> {
-            /// What scene files say of each shape.
-            pub const SPECS: &'static [ShapeSpec] = &[$(<$Shape<T> as Shape<T>>::SPEC),*];
-
-            /// What scene files say of this one.
-            pub fn spec(&self) -> ShapeSpec {
-                match self { $(Self::$Shape(_) => <$Shape<T> as Shape<T>>::SPEC,)* }
-            }
-
-            /// The shape of this name, with these values.
-            pub fn from_values(name: &str, values: &Values<T>) -> Option<Self> {
-                $(if name == <$Shape<T> as Shape<T>>::SPEC.name {
-                    return Some(Self::$Shape(Shape::from_values(values)));
-                })*
-                None
-            }
-
-            /// Its values, in the order of its [`ShapeSpec::keys`].
-            pub fn values(&self) -> Values<T> {
-                match self { $(Self::$Shape(shape) => shape.values(),)* }
-            }
-
-            /// The same in another precision.
-            pub fn cast<U: Real>(&self) -> Surface<U> {
-                let values = self.values().map(|value| U::from_f64(value.to_f64()));
-                match self { $(Self::$Shape(_) => Surface::$Shape(Shape::from_values(&values)),)* }
-            }
-
-            /// Whether the normal turns with the tip.
-            pub fn curved(&self) -> bool {
-                match self { $(Self::$Shape(_) => <$Shape<T> as Shape<T>>::CURVED,)* }
-            }
-
-            /// The contact of curved surfaces. Not inlined: mechanisms share it, and planes do not pay for it.
-            #[inline(never)]
-            fn curved_contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N> {
-                match self { $(Self::$Shape(shape) => shape.contact::<K, N>(p),)* }
-            }
-
-            /// ṅ (1/s) at the tip position `p` moving at `velocity` (m/s). Not inlined, as it is zero for planes.
-            #[inline(never)]
-            pub fn normal_rate<K: Math<T>, const N: usize>(
-                &self,
-                p: &SVector<T, N>,
-                velocity: &SVector<T, N>,
-            ) -> SVector<T, N> {
-                match self { $(Self::$Shape(shape) => shape.normal_rate::<K, N>(p, velocity),)* }
-            }
-        }
-    };
-}
-
-shapes! {
-    /// A half-space.
-    Plane;
-    /// A ball, or what is outside it (in the plane: a disc).
-    Sphere;
-    /// A cylinder, or what is outside it (in space only).
-    Cylinder;
-}
-
-impl<T: Real> Surface<T> {
-    /// Distance and normal at the tip position `p` (m).
-    #[inline(always)]
-    pub fn contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N> {
-        match self {
-            Self::Plane(plane) => plane.contact::<K, N>(p),
-            curved => curved.curved_contact::<K, N>(p),
-        }
-    }
-
-    /// Whether every value is what its meaning says, for a device of task dimension `task`.
-    pub(super) fn valid(&self, task: usize) -> bool {
-        let values = self.values();
-        let mut rest = values.as_slice();
-        self.spec().keys.iter().all(|(_, meaning)| {
-            let Some((value, after)) = rest.split_at_checked(meaning.width()) else { return false };
-            rest = after;
-            let flat = || value.iter().skip(task).all(|entry| *entry == T::zero());
-            let squared = value.iter().fold(T::zero(), |sum, entry| sum + *entry * *entry);
-            match meaning {
-                Meaning::Point => flat() && value.iter().all(|entry| entry.is_finite()),
-                Meaning::Direction => flat() && super::is_unit(squared),
-                Meaning::Length => value.iter().all(|length| *length > T::zero() && length.is_finite()),
-                Meaning::Flag => true,
-            }
-        })
-    }
 }
 
 /// 1 for true.

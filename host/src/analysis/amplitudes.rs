@@ -1,0 +1,105 @@
+//! How much of a recorded signal swings at which frequency.
+
+use std::f64::consts::TAU;
+
+/// Longest piece of a signal that is transformed at once, samples.
+const LONGEST: usize = 16_384;
+/// Shortest that is worth it.
+const SHORTEST: usize = 64;
+
+/// A line of a spectrum.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Line {
+    /// Hz
+    pub frequency: f64,
+    /// Amplitude of a sine at that frequency, in the signal's unit.
+    pub amplitude: f64,
+}
+
+/// The amplitudes of an even signal's sines, from 0 Hz to half of its rate: pieces of up to 16384 samples that overlap by
+/// half, each less its mean and under a Hann window, averaged by their power (Welch 1967). None where there are fewer than
+/// 64 samples.
+pub fn spectrum(signal: &[f64], rate_hz: f64) -> Option<Vec<Line>> {
+    if signal.len() < SHORTEST {
+        return None;
+    }
+    // The largest power of two that fits.
+    let size = (1 << signal.len().ilog2()).min(LONGEST);
+    let window: Vec<f64> = (0..size).map(|i| 0.5 - 0.5 * (TAU * i as f64 / size as f64).cos()).collect();
+    let gain: f64 = window.iter().sum();
+    let mut power = vec![0.0; size / 2 + 1];
+    let pieces = (signal.len() - size) / (size / 2) + 1;
+    for piece in 0..pieces {
+        let samples = &signal[piece * size / 2..][..size];
+        let mean = samples.iter().sum::<f64>() / size as f64;
+        let mut turned: Vec<(f64, f64)> = samples.iter().zip(&window).map(|(v, w)| ((v - mean) * w, 0.0)).collect();
+        transform(&mut turned);
+        for (sum, (re, im)) in power.iter_mut().zip(turned) {
+            *sum += (re * re + im * im) / pieces as f64;
+        }
+    }
+    let line = |(i, power): (usize, f64)| Line {
+        frequency: i as f64 * rate_hz / size as f64,
+        amplitude: 2.0 * power.sqrt() / gain,
+    };
+    Some(power.into_iter().enumerate().map(line).collect())
+}
+
+/// Fourier transform in place of a power of two of complex numbers (Cooley and Tukey 1965).
+fn transform(values: &mut [(f64, f64)]) {
+    let count = values.len();
+    let bits = count.trailing_zeros();
+    for i in 0..count {
+        let j = i.reverse_bits() >> (usize::BITS - bits);
+        if i < j {
+            values.swap(i, j);
+        }
+    }
+    let mut half = 1;
+    while half < count {
+        for i in 0..half {
+            let (sin, cos) = (-TAU * i as f64 / (2 * half) as f64).sin_cos();
+            for k in (i..count).step_by(2 * half) {
+                let (a, b) = (values[k], values[k + half]);
+                let turned = (b.0 * cos - b.1 * sin, b.0 * sin + b.1 * cos);
+                values[k] = (a.0 + turned.0, a.1 + turned.1);
+                values[k + half] = (a.0 - turned.0, a.1 - turned.1);
+            }
+        }
+        half *= 2;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_transform_is_the_sum_that_defines_it() {
+        let signal: Vec<(f64, f64)> = (0..64_u64).map(|i| ((i * i % 17) as f64, (i * 7 % 5) as f64)).collect();
+        let mut fast = signal.clone();
+        transform(&mut fast);
+        for (k, found) in fast.iter().enumerate() {
+            let sum = signal.iter().enumerate().fold((0.0, 0.0), |sum: (f64, f64), (n, (re, im))| {
+                let (sin, cos) = (-TAU * (k * n) as f64 / 64.0).sin_cos();
+                (sum.0 + re * cos - im * sin, sum.1 + re * sin + im * cos)
+            });
+            assert!((found.0 - sum.0).hypot(found.1 - sum.1) < 1e-9, "{k}");
+        }
+    }
+
+    #[test]
+    fn a_sine_shows_its_amplitude_at_its_frequency_and_its_mean_not_at_all() {
+        let rate = 20_000.0;
+        for (hz, amplitude) in [(61.035_156_25, 3.0), (1_000.0, 0.02)] {
+            let signal: Vec<f64> =
+                (0..50_000).map(|i| 7.0 + amplitude * (TAU * hz * f64::from(i) / rate).sin()).collect();
+            let lines = spectrum(&signal, rate).unwrap();
+            let top = lines.iter().max_by(|a, b| a.amplitude.total_cmp(&b.amplitude)).unwrap();
+            assert!((top.frequency - hz).abs() < rate / LONGEST as f64, "{top:?}");
+            // Between two lines the Hann window shows 15 % less at most.
+            assert!(top.amplitude <= 1.001 * amplitude && top.amplitude > 0.84 * amplitude, "{top:?}");
+        }
+        assert_eq!(spectrum(&[0.0; 63], 1.0), None);
+    }
+}

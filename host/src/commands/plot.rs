@@ -1,0 +1,104 @@
+//! `haptic plot`: pictures of a recording, fit for a paper.
+
+use super::force::Force;
+use super::port::counted;
+use haptic::error::{Failure, print};
+use haptic::plot::signals::{Found, Request, View, draw, panels};
+use haptic::precision::print_json;
+use haptic::recorder::Recording;
+use haptic::words::short;
+use std::path::PathBuf;
+
+/// Draw a recording: signals over time, force over penetration, spectrum, phase
+///
+/// Prints what the recording says in numbers; --svg and --png draw it. A row that was lost is a gap in every curve.
+#[derive(clap::Args)]
+pub struct Args {
+    /// A recording: .mcap or .csv
+    file: PathBuf,
+    /// What to draw, separated by commas: time, force, spectrum, phase [default: what the recording has the columns for]
+    #[arg(long, value_name = "VIEWS", value_parser = views)]
+    show: Option<Views>,
+    /// Columns to draw over time and as a spectrum, separated by commas [default: rendered_n]
+    #[arg(long, value_name = "COLUMNS", value_delimiter = ',')]
+    signals: Vec<String>,
+    /// From this time of the recording on, s
+    #[arg(long, value_name = "SECONDS")]
+    from: Option<f64>,
+    /// To this time, s
+    #[arg(long, value_name = "SECONDS")]
+    to: Option<f64>,
+    /// Highest frequency of the spectrum [default: 1000 Hz, or half of the rate where that is less]
+    #[arg(long, value_name = "HZ", value_parser = super::stream::positive)]
+    most_hz: Option<f64>,
+    /// Print one JSON document: the numbers, and every point that is drawn
+    #[arg(long)]
+    json: bool,
+    /// Draw to an SVG file
+    #[arg(long, value_name = "FILE")]
+    svg: Option<PathBuf>,
+    /// Draw to a PNG file
+    #[arg(long, value_name = "FILE")]
+    png: Option<PathBuf>,
+    #[command(flatten)]
+    force: Force,
+}
+
+#[derive(Clone, Debug)]
+struct Views(Vec<View>);
+
+fn views(text: &str) -> Result<Views, String> {
+    let view = |name: &str| {
+        let known = View::ALL.iter().find(|(known, _)| *known == name.trim()).map(|(_, view)| *view);
+        known.ok_or_else(|| format!("write some of {}", View::ALL.map(|(name, _)| name).join(", ")))
+    };
+    text.split(',').map(view).collect::<Result<Vec<View>, String>>().map(Views)
+}
+
+/// Reads, prints and draws.
+pub fn run(args: Args) -> Result<(), Failure> {
+    args.force.pictures(args.svg.as_ref(), args.png.as_ref())?;
+    let recording = Recording::load(&args.file)?;
+    let request = Request {
+        views: args.show.map_or(Vec::new(), |views| views.0),
+        signals: args.signals,
+        from: args.from,
+        to: args.to,
+        most_hz: args.most_hz,
+    };
+    let found = panels(&recording, &request)?;
+    if args.svg.is_some() || args.png.is_some() {
+        let told = |word: &str| recording.told(word).unwrap_or("unknown");
+        let title = format!("{}, {}", told("device"), told("date"));
+        let walls: Vec<String> = recording.about.iter().filter(|line| line.starts_with("wall ")).cloned().collect();
+        let mut subtitle = vec![format!("board {}; control rate {}", told("board"), told("control rate"))];
+        subtitle.extend(walls.into_iter().take(3));
+        let picture = draw(&title, &subtitle, &found);
+        args.svg.as_deref().map(|path| picture.save_svg(path)).transpose()?;
+        args.png.as_deref().map(|path| picture.save_png(path)).transpose()?;
+    }
+    if args.json {
+        return print_json(serde_json::to_value(&found).map_err(Failure::impossible)?);
+    }
+    print(&readable(&recording, &found))
+}
+
+fn readable(recording: &Recording, found: &Found) -> String {
+    let mut text = format!("{} over {:.3} s", counted(found.rows, "row"), found.seconds);
+    if found.missing > 0 {
+        text.push_str(&format!(", {} missing between them", counted(found.missing, "row")));
+    }
+    if recording.torn {
+        text.push_str("; the file is cut short behind them");
+    }
+    text.push('\n');
+    for panel in &found.panels {
+        let of: Vec<&str> = panel.curves.iter().map(|curve| curve.name.as_str()).collect();
+        let note = if panel.note.is_empty() { String::new() } else { format!(": {}", panel.note) };
+        text.push_str(&format!("  {} over {}, of {}{note}\n", panel.y.name, panel.x.name, of.join(", ")));
+    }
+    if let Some(stiffness) = found.stiffness {
+        text.push_str(&format!("stiffness that was there: {} N/m\n", short(stiffness as f32)));
+    }
+    text
+}

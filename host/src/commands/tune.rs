@@ -1,0 +1,430 @@
+//! `haptic tune`: the settings of the stiffest wall on a device, and what limits it.
+
+use super::force::Force;
+use crate::cli::{self, Numbers};
+use clap::ValueEnum;
+use haptic::device_file::DeviceFile;
+use haptic::error::{Failure, print};
+use haptic::interrupt;
+use haptic::link::{Board, PortSpec};
+use haptic::output;
+use haptic::plausible::digits;
+use haptic::plausible::scene::doubts;
+use haptic::scene_file::SceneFile;
+use haptic::sweep::Sweep;
+use haptic::tune::measured::{self, Measured};
+use haptic::tune::{
+    Answer, Baseline, Found, Margins, Question, RATES_HZ, Settings, USUAL_RIPPLE_N, baseline, ripple_like, to_toml,
+    tune,
+};
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::render::scene::{FeedForward, Scene, Surface};
+use serde::Serialize;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+/// Find the settings that render the stiffest wall on a device
+///
+/// Searches control rate, velocity estimator, cutoff, damping, stiffness, washout and feed-forward for the stiffest wall
+/// that stays stable within margins (a device that is not quite the one in the file), ripples little under a hand that
+/// slides along it, and asks no more of the motors than they have; says what limits it. Stability is predicted, ripple is simulated
+/// with the steps of the encoders. Takes a minute; Ctrl-C ends it, and with --progress the same command goes on from there.
+/// With --scene the pose, the normal and the ripple are those of a wall that is there, and both are compared.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Device file (TOML)
+    device: PathBuf,
+    /// Joint angles in rad, such as 2.4,0.7 [default: where the wall of --scene is touched, or the device file's home]
+    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
+    q: Option<Numbers>,
+    /// Normal of the wall, any length [default: that of the wall of --scene]
+    #[arg(long, value_name = "X,Y,..", required_unless_present = "scene", allow_hyphen_values = true)]
+    normal: Option<Numbers>,
+    /// A scene file whose wall is to be made stiffer: it is held to the same margins, and compared
+    #[arg(long, value_name = "FILE")]
+    scene: Option<PathBuf>,
+    /// Which wall of --scene, from 0
+    #[arg(long, value_name = "INDEX", default_value_t = 0, requires = "scene")]
+    wall: usize,
+    /// Largest ripple: root mean square of what the wall's force has above 20 Hz under a hand that presses with 1.5 to 4.5 N
+    /// and slides along it at 30 mm/s, in N
+    /// [default: 0.1, or that of the wall of --scene as it is written, and 0.002 at least]
+    #[arg(long, value_name = "N")]
+    ripple: Option<f64>,
+    /// Control rates to look at, in Hz
+    #[arg(long, value_name = "A,B,..", default_value = "1000,5000,10000,20000")]
+    rates: Numbers,
+    /// Feed-forwards to look at; full pushes a resting hand along the wall
+    #[arg(long, value_name = "KIND", value_delimiter = ',', default_value = "off,washout")]
+    feed_forward: Vec<Kind>,
+    /// Factor by which the motors may be stronger or weaker than the file says
+    #[arg(long, value_name = "FACTOR", default_value_t = Margins::default().gain)]
+    gain_margin: f64,
+    /// Delay beyond the board's own, in s
+    #[arg(long, value_name = "S", default_value_t = Margins::default().delay_s)]
+    delay_margin: f64,
+    /// Share by which the whole device may be lighter or heavier
+    #[arg(long, value_name = "SHARE", default_value_t = Margins::default().mass)]
+    mass_error: f64,
+    /// Share by which each link and rotor may be lighter or heavier on its own
+    #[arg(long, value_name = "SHARE", default_value_t = Margins::default().inertia)]
+    inertia_error: f64,
+    /// Encoder counts into the wall at which the motors may give all that they have
+    #[arg(long, value_name = "N", default_value_t = 1.0)]
+    counts: f64,
+    /// Speed in m/s at which the damping alone may take all that the motors have
+    #[arg(long, value_name = "M/S", default_value_t = 0.1)]
+    speed: f64,
+    /// What a redundant device holds [default: what the scene says, or orientation]
+    #[arg(long, value_name = "COORDINATE", value_parser = cli::admissible)]
+    admissible: Option<Admissible>,
+    /// Measure both on the simulated board as well, with everything switched on: some minutes
+    #[arg(long)]
+    measure: bool,
+    /// Keep what was looked at in this file until the answer is there, and go on from it
+    #[arg(long, value_name = "FILE")]
+    progress: Option<PathBuf>,
+    /// Write a scene file with the wall
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Load the scene onto this board: a serial port or a board's serial number, or tcp:HOST:PORT (never HAPTIC_PORT's)
+    #[arg(long, value_name = "PORT")]
+    port: Option<PortSpec>,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    force: Force,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Kind {
+    /// None
+    Off,
+    /// The paper's equation (4)
+    Full,
+    /// The same, gone at rest
+    Washout,
+}
+
+/// The document of `--json`.
+#[derive(Serialize)]
+struct Document<'a> {
+    device: &'a str,
+    q: &'a [f64],
+    normal: &'a [f64],
+    ripple_limit_n: f64,
+    margins: Margins,
+    #[serde(flatten)]
+    answer: &'a Answer,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    scene: Option<&'a Baseline>,
+    /// The stiffness that was found over the scene's at the same margins and no more ripple.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    times: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    measured: Option<&'a Measured>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    scene_measured: Option<&'a Measured>,
+}
+
+/// Where the wall is.
+struct Place {
+    q: Vec<f64>,
+    normal: Vec<f64>,
+    point: Option<Vec<f64>>,
+    written: Option<Settings>,
+    admissible: Admissible,
+}
+
+/// Searches, prints, writes and loads.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let overwrite = args.force.overwrite();
+    if let Some(out) = &args.out {
+        output::check(out, overwrite)?;
+    }
+    if let Some(PortSpec::Sim(_)) = args.port {
+        return Err(Failure::wrong("a board on --port sim ends with this command, and nothing of it is left")
+            .remedy("run `haptic sim` in another terminal and use the port that it prints"));
+    }
+    let file = DeviceFile::load(&args.device)?;
+    let place = place(&args, &file)?;
+    let mut board = args.port.as_ref().map(|port| opened(port, &file)).transpose()?;
+    let mut question = Question {
+        file: &file,
+        q: place.q.clone(),
+        normal: place.normal.clone(),
+        admissible: place.admissible,
+        margins: Margins {
+            gain: args.gain_margin,
+            delay_s: args.delay_margin,
+            mass: args.mass_error,
+            inertia: args.inertia_error,
+            hand: true,
+        },
+        ripple_n: args.ripple.unwrap_or(USUAL_RIPPLE_N),
+        counts: args.counts,
+        speed: args.speed,
+        rates_hz: if args.rates.0.is_empty() { RATES_HZ.to_vec() } else { args.rates.0.clone() },
+        feed_forwards: args
+            .feed_forward
+            .iter()
+            .map(|kind| match kind {
+                Kind::Off => FeedForward::Off,
+                Kind::Full => FeedForward::Full,
+                Kind::Washout => FeedForward::Washout,
+            })
+            .collect(),
+        known: None,
+    };
+    if let (None, Some(written)) = (args.ripple, &place.written) {
+        question.ripple_n = ripple_like(&question, written)?;
+    }
+    let before = place.written.map(|written| baseline(&question, &written)).transpose()?;
+    question.known = before.map(|before| before.settings);
+    let asked = format!(
+        "tune {} {:?} {:?} {:?} {:?} {:?} {} {} {} {:?} {:?} {:?}",
+        file.name,
+        file.description,
+        question.q,
+        question.normal,
+        question.admissible,
+        question.margins,
+        question.ripple_n,
+        question.counts,
+        question.speed,
+        question.rates_hz,
+        question.feed_forwards,
+        question.known
+    );
+    let interrupt = interrupt::watch();
+    let sweep = Sweep::new(&asked, args.progress.as_deref(), Some(interrupt))?;
+    let answer = tune(&question, &sweep)?;
+    let stop = || interrupt.is_set();
+    let (mut here, mut there) = (None, None);
+    if args.measure {
+        let stages: Vec<Option<Settings>> = vec![before.map(|before| before.settings), Some(answer.best.settings)];
+        let mut found = haptic::cores::map(&stages, &|_, _| {}, |settings| {
+            settings.map(|s| measured::measure(&question, &s, &stop))
+        });
+        here = found.pop().flatten().transpose()?;
+        there = found.pop().flatten().transpose()?;
+    }
+    sweep.finish();
+    let times = before
+        .filter(|before| before.settings.stiffness > 0.0)
+        .map(|before| answer.best.settings.stiffness / before.settings.stiffness);
+    let point = match &place.point {
+        Some(point) => point.clone(),
+        // Beyond the tip, which a board does not find inside the wall when it is armed.
+        None => tip(&file, &question.q)?.iter().zip(&question.normal).map(|(p, n)| p - 5e-3 * n).collect(),
+    };
+    let about = about(&args, &file, &answer, question.ripple_n);
+    let text = to_toml(&answer.best.settings, question.admissible, &point, &question.normal, &about);
+    let scene: Scene<f32> = SceneFile::parse(&text, "tuned.toml", file.spec().task)?
+        .scene()
+        .map_err(|error| Failure::impossible(format!("the scene that was found is none: {error}")))?;
+    if let Some(out) = &args.out {
+        output::write(out, text.as_bytes(), overwrite)?;
+    }
+    if let Some(board) = &mut board {
+        board.set_scene(&scene)?;
+    }
+    let document = Document {
+        device: &file.name,
+        q: &question.q,
+        normal: &question.normal,
+        ripple_limit_n: question.ripple_n,
+        margins: question.margins,
+        answer: &answer,
+        scene: before.as_ref(),
+        times,
+        measured: here.as_ref(),
+        scene_measured: there.as_ref(),
+    };
+    if args.json {
+        return print(&(serde_json::to_string(&document).map_err(Failure::impossible)? + "\n"));
+    }
+    let mut said = readable(&document);
+    if let Some(out) = &args.out {
+        let _ = writeln!(said, "written to {}", out.display());
+    }
+    if let Some(board) = &board {
+        let _ = writeln!(said, "loaded on {}", board.port());
+    }
+    print(&said)
+}
+
+/// The board, if it holds the device.
+fn opened(port: &PortSpec, file: &DeviceFile) -> Result<Board, Failure> {
+    let mut board = Board::open(port)?;
+    let device = haptic_bridge::model::device::Device::new(&file.name, &file.description).map_err(Failure::wrong)?;
+    match board.device()? {
+        Some(held) if held == device => Ok(board),
+        held => {
+            let found = held.map_or("no device".into(), |held| format!("another {}", held.name));
+            Err(Failure::impossible(format!("the board holds {found}, the file is {}", file.name))
+                .remedy("load it with `haptic device` first"))
+        }
+    }
+}
+
+fn tip(file: &DeviceFile, q: &[f64]) -> Result<Vec<f64>, Failure> {
+    Ok(haptic::analysis::pose::TaskPose::at(&file.description, q)?.regular()?.position)
+}
+
+/// Pose and normal: as typed, of the scene's wall, or home.
+fn place(args: &Args, file: &DeviceFile) -> Result<Place, Failure> {
+    let spec = file.spec();
+    let q = args.q.clone().map(|q| q.exactly(spec.joints, "--q", "joint angles")).transpose()?;
+    let normal = args.normal.clone().map(|normal| normal.unit(spec.task, "--normal")).transpose()?;
+    let home = || match file.description.home {
+        Some(home) => Ok(home[..spec.joints].to_vec()),
+        None => Err(Failure::wrong(format!("{} has no [home], so there is no pose", args.device.display()))
+            .remedy("say which with --q")),
+    };
+    let Some(path) = &args.scene else {
+        let normal = normal.ok_or_else(|| Failure::wrong("no --normal"))?;
+        let admissible = args.admissible.unwrap_or_default();
+        return Ok(Place { q: q.map_or_else(home, Ok)?, normal, point: None, written: None, admissible });
+    };
+    let scene = SceneFile::load(path, spec.task)?.scene;
+    let Some(wall) = scene.walls.get(args.wall) else {
+        return Err(Failure::wrong(format!("{} has no wall {}", path.display(), args.wall)).remedy("count from 0"));
+    };
+    let touched = touched(file, &scene, args.wall);
+    let found = |what: &str| {
+        Failure::impossible(format!("wall {} of {} cannot be touched", args.wall, path.display()))
+            .remedy(format!("say {what}"))
+    };
+    let q = match (q, &touched) {
+        (Some(q), _) => q,
+        (None, Some((q, _))) => q.clone(),
+        (None, None) => return Err(found("--q and --normal")),
+    };
+    let normal = match (normal, &wall.surface, touched) {
+        (Some(normal), ..) => normal,
+        (None, Surface::Plane(plane), _) => plane.normal[..spec.task].to_vec(),
+        (None, _, Some((_, normal))) => normal,
+        (None, _, None) => return Err(found("--normal")),
+    };
+    let point = match wall.surface {
+        Surface::Plane(plane) if args.normal.is_none() => plane.point[..spec.task].to_vec(),
+        _ => tip(file, &q)?,
+    };
+    Ok(Place {
+        q,
+        normal,
+        point: Some(point),
+        written: Settings::of(&scene, args.wall),
+        admissible: args.admissible.unwrap_or(scene.admissible),
+    })
+}
+
+/// Where the device touches a wall of a scene, nearest to home.
+fn touched(file: &DeviceFile, scene: &Scene<f64>, wall: usize) -> Option<(Vec<f64>, Vec<f64>)> {
+    let device = file.device::<f64>().ok()?;
+    let (_, contacts) = doubts(&device, scene);
+    contacts.into_iter().find(|contact| contact.wall == wall).map(|contact| (contact.q, contact.normal))
+}
+
+fn about(args: &Args, file: &DeviceFile, answer: &Answer, ripple: f64) -> Vec<String> {
+    let scene = args.scene.as_deref().map_or(String::new(), |scene: &Path| format!(", after {}", scene.display()));
+    vec![
+        format!("The stiffest wall that `haptic tune` found on {}{scene}.", file.name),
+        format!(
+            "Ripple {:.3} N of {ripple:.3} N that were allowed; limited by: {}.",
+            answer.best.ripple_n, answer.active
+        ),
+    ]
+}
+
+/// Settings in a line.
+fn in_words(settings: &Settings) -> String {
+    let mut text = format!("{} Hz, {}", settings.rate_hz, settings.estimator);
+    if settings.value != 0 {
+        let _ = write!(text, " {}", settings.value);
+    }
+    if settings.has_cutoff() {
+        let _ = write!(text, " at {} Hz", settings.cutoff_hz);
+    }
+    let _ = write!(text, ", damping {} N s/m, feed-forward {}", settings.damping, settings.feed_forward.name());
+    if settings.feed_forward == FeedForward::Washout {
+        let _ = write!(text, " at {} Hz", settings.washout_hz);
+    }
+    if settings.damping_compensation {
+        text.push_str(", damping compensated");
+    }
+    text
+}
+
+fn readable(document: &Document<'_>) -> String {
+    let Document { answer, margins, .. } = document;
+    let best: &Found = &answer.best;
+    let mut text = String::new();
+    let mut line = |content: String| {
+        let _ = writeln!(text, "{content}");
+    };
+    let joined = |values: &[f64]| values.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");
+    line(format!("{}: q = ({}) rad, n = ({})", document.device, joined(document.q), joined(document.normal)));
+    line(format!("  the stiffest wall        {:>10} N/m   ripple {:.4} N", best.settings.stiffness, best.ripple_n));
+    line(format!("    {}", in_words(&best.settings)));
+    if let Some(scene) = document.scene {
+        let ripple =
+            scene.ripple_n.map_or("none keeps margins and ripple".into(), |ripple| format!("ripple {ripple:.4} N"));
+        line(format!("  the scene's settings     {:>10} N/m   {ripple}", scene.settings.stiffness));
+        line(format!(
+            "    {}; {} N/m as written, {} N/m within the margins whatever it ripples",
+            in_words(&scene.settings),
+            scene.as_written,
+            scene.within_margins
+        ));
+    }
+    if let Some(times) = document.times {
+        line(format!(
+            "  {times:.2} times as stiff within the same margins and {} N of ripple",
+            digits(document.ripple_limit_n)
+        ));
+    }
+    line(format!(
+        "\n  limited by: {}; within a gain margin of {}, {:.1} us more delay, {:.0} % of mass, {:.0} % of each inertia, and in hands",
+        answer.active,
+        margins.gain,
+        1e6 * margins.delay_s,
+        100.0 * margins.mass,
+        100.0 * margins.inertia
+    ));
+    line(format!("  {:<30}{:>14}", "at this damping, alone", "up to N/m"));
+    for limit in &answer.limits {
+        let up_to = limit.stiffness.map_or("no bound".into(), |stiffness| format!("{stiffness:.0}"));
+        line(format!("    {:<28}{up_to:>14}", limit.limit));
+    }
+    line("  beside it".into());
+    for beside in &answer.beside {
+        let ripple = beside.ripple_n.map_or("flies off".into(), |ripple| format!("ripple {ripple:.4} N"));
+        let beyond = if beside.allowed { "" } else { ", beyond margins or motors" };
+        line(format!("    {:>10} N/m with {} N s/m: {ripple}{beyond}", beside.stiffness, beside.damping));
+    }
+    line("\n  the best of each estimator".into());
+    for found in &answer.others {
+        line(format!(
+            "    {:>10} N/m  {:.4} N  {}",
+            found.settings.stiffness,
+            found.ripple_n,
+            in_words(&found.settings)
+        ));
+    }
+    line(format!("  {} combinations, {} of them simulated", answer.looked_at.0, answer.looked_at.1));
+    let mut measured = |name: &str, measured: &Measured| {
+        let ripple = measured.ripple_n.map_or("the hand is not held".into(), |ripple| format!("ripple {ripple:.4} N"));
+        let open = measured.open.as_ref().map_or(String::new(), |why| format!(" and no end was seen: {why}"));
+        line(format!("  {name}: {ripple}; struck, it comes to rest up to {:.0} N/m{open}", measured.stiffness));
+    };
+    if let Some(found) = document.scene_measured {
+        measured("on the simulated board, the scene's settings", found);
+    }
+    if let Some(found) = document.measured {
+        measured("on the simulated board, these", found);
+    }
+    text
+}

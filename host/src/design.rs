@@ -1,0 +1,89 @@
+//! Where and how a device renders walls best: directions at a pose, places in the workspace, what each link, rotor and gear
+//! is worth, and the posture of a redundant arm.
+//!
+//! Everything here rests on one law of docs/model.md: without joint damping the stable boundary of a loop is that of a
+//! single mass, so the stiffest wall is in proportion to the inertia that it meets, Weff without the feed-forward and Wrr
+//! with it. What it leaves out (joint damping, friction, transmissions, the force that the motors have) is for `haptic range`
+//! and `haptic tune` at the pose that was chosen.
+//!
+//! Inertia grows without bound towards a singular pose along the direction that is lost there. So the best place lies at
+//! the edge of what is allowed, which is said: poses nearer to a singularity than a given sine are left out.
+
+pub mod place;
+pub mod posture;
+pub mod sensitivity;
+
+use crate::analysis::plant::{Drive, Linearised};
+use crate::analysis::pose::TaskPose;
+use crate::analysis::range::domain;
+use crate::analysis::sampled::{Estimator, FeedForward, Loop};
+use crate::error::Failure;
+use crate::plausible::scene::usual_delay;
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::device::Device;
+use nalgebra::{DMatrix, DVector};
+
+/// The largest stiffness (N/m) of an undamped kilogram in the loop of a board at this rate and cutoff, of all dampings.
+pub fn stiffness_per_kilogram(rate_hz: f64, cutoff_hz: f64) -> Result<f64, Failure> {
+    let kilogram = Linearised {
+        mass: DMatrix::identity(1, 1),
+        viscous: DVector::zeros(1),
+        row: DVector::from_element(1, 1.0),
+        unit_motion: DVector::from_element(1, 1.0),
+        gain: 1.0,
+        flexible: Default::default(),
+    };
+    let around = Loop {
+        rate_hz,
+        delay_samples: usual_delay(rate_hz),
+        estimator: Estimator::Butterworth(cutoff_hz),
+        drive: Drive::Ideal,
+        damping_compensation: false,
+    };
+    let found = domain(&kilogram, &around, FeedForward::Off, None)?;
+    Ok(found.boundary.iter().map(|point| point.kp).fold(0.0, f64::max))
+}
+
+/// How far a pose is from the nearest singularity: the lesser sine.
+#[must_use]
+pub fn clearance(pose: &TaskPose) -> f64 {
+    pose.regularity.serial.min(pose.regularity.parallel)
+}
+
+/// Whether joint angles lie within the limits.
+#[must_use]
+pub fn within_limits(device: &Device<f64>, q: &[f64]) -> bool {
+    let inside = |(angle, low, high): (f64, f64, f64)| (low - 1e-9..=high + 1e-9).contains(&angle);
+    let joints = q.iter().zip(&device.joints);
+    joints.filter_map(|(q, joint)| joint.limits.map(|(low, high)| (*q, low, high))).all(inside)
+}
+
+/// The whole task position of a pose: the tip, and on a redundant arm its orientation.
+fn task_position(pose: &TaskPose, q: &[f64]) -> DVector<f64> {
+    DVector::from_fn(q.len(), |i, _| pose.position.get(i).copied().unwrap_or_else(|| q.iter().sum()))
+}
+
+/// Joint angles near `from` (rad) that bring a device to a task position (tip in m, then φ): Newton's method. `None` where
+/// that is out of reach.
+#[must_use]
+pub fn reaching(device: &Device<f64>, from: &[f64], place: &DVector<f64>) -> Option<Vec<f64>> {
+    let mut q = from.to_vec();
+    for _ in 0..40 {
+        let pose = TaskPose::of(&device.mechanism, &q).ok()?.regular().ok()?;
+        let off = place - task_position(&pose, &q);
+        if off.norm() < 1e-12 {
+            return Some(q);
+        }
+        let step = &pose.inverse * off;
+        // Long steps overshoot near the edge of the reach.
+        let shorter = (0.2 / step.amax().max(1e-300)).min(1.0);
+        q.iter_mut().zip(step.iter()).for_each(|(q, step)| *q += shorter * step);
+    }
+    let pose = TaskPose::of(&device.mechanism, &q).ok()?;
+    ((place - task_position(&pose, &q)).norm() < 1e-9).then_some(q)
+}
+
+/// A device that is analysed, not sent.
+fn lumped(description: &Description) -> Result<Device<f64>, Failure> {
+    Device::new("", description).map_err(Failure::wrong)
+}

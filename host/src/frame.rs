@@ -1,0 +1,100 @@
+//! From a device's task frame to the operator's, in which other people's programs compute: CHAI3D's has x towards the operator,
+//! y to the right and z up.
+
+use haptic_bridge::model::catalogue::Kind;
+use std::str::FromStr;
+
+/// For each of CHAI3D's axes, which task axis it is and which way; none where the device does not move.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Axes(pub [Option<(usize, f64)>; 3]);
+
+impl Axes {
+    /// Those of a mechanism as it usually stands; a planar device that has weight stands upright, another lies on the table.
+    pub fn of(kind: Kind, weight: bool) -> Self {
+        let (x, y, z) = (Some((0, 1.0)), Some((1, 1.0)), Some((2, 1.0)));
+        let back = |axis: Option<(usize, f64)>| axis.map(|(index, sign)| (index, -sign));
+        match kind {
+            // Its vertical is y, and the arm reaches along x towards who holds it.
+            Kind::Parallelogram => Self([x, back(z), y]),
+            // The motors are away from the operator, who is where y points to.
+            Kind::FiveBarTurret => Self([y, back(x), z]),
+            Kind::Paddle => Self([None, x, None]),
+            _ if weight => Self([None, x, y]),
+            _ => Self([y, back(x), None]),
+        }
+    }
+
+    /// A vector of the task frame in CHAI3D's.
+    pub fn to_chai3d(self, task: [f64; 3]) -> [f64; 3] {
+        self.0.map(|axis| axis.map_or(0.0, |(index, sign)| sign * task[index]))
+    }
+
+    /// And back; what the device does not have is left out.
+    pub fn to_task(self, chai3d: [f64; 3]) -> [f64; 3] {
+        let mut task = [0.0; 3];
+        for (axis, value) in self.0.iter().zip(chai3d) {
+            if let Some((index, sign)) = axis {
+                task[*index] = sign * value;
+            }
+        }
+        task
+    }
+}
+
+impl FromStr for Axes {
+    type Err = String;
+
+    /// Such as `y,-x,0`: what CHAI3D's x, y and z are.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong =
+            || format!("`{text}` are no axes: write three of x, y, z, -x, -y, -z and 0, none twice, such as y,-x,0");
+        let words: Vec<&str> = text.split(',').map(str::trim).collect();
+        let [a, b, c] = words[..] else { return Err(wrong()) };
+        let mut axes = [None; 3];
+        for (axis, word) in axes.iter_mut().zip([a, b, c]) {
+            let (sign, name) = word.strip_prefix('-').map_or((1.0, word), |name| (-1.0, name));
+            *axis = match name {
+                "0" if sign > 0.0 => None,
+                "x" => Some((0, sign)),
+                "y" => Some((1, sign)),
+                "z" => Some((2, sign)),
+                _ => return Err(wrong()),
+            };
+        }
+        let mut used: Vec<usize> = axes.iter().flatten().map(|(index, _)| *index).collect();
+        used.sort_unstable();
+        let count = used.len();
+        used.dedup();
+        if used.len() == count && count > 0 { Ok(Self(axes)) } else { Err(wrong()) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_axes_are_right_handed_and_go_there_and_back() {
+        for kind in Kind::ALL {
+            for weight in [false, true] {
+                let axes = Axes::of(*kind, weight);
+                let entries = kind.spec().task;
+                let task: [f64; 3] = std::array::from_fn(|i| if i < entries { 1.0 + i as f64 } else { 0.0 });
+                assert_eq!(axes.to_task(axes.to_chai3d(task)), task, "{kind:?}");
+                if entries == 3 {
+                    let [a, b, c] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(|e| axes.to_chai3d(e));
+                    let cross = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+                    assert_eq!(cross, c, "{kind:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn axes_are_read_from_text() {
+        assert_eq!("y,-x,0".parse(), Ok(Axes([Some((1, 1.0)), Some((0, -1.0)), None])));
+        for wrong in ["", "x,y", "x,x,0", "0,0,0", "x,y,q", "x,y,-0", "x,y,z,0"] {
+            assert!(wrong.parse::<Axes>().is_err(), "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,192 @@
+//! The page of `haptic view` in a terminal (`haptic monitor`, docs/monitor.md): what is seen of a board ([`seen`]), put on
+//! the screen ([`screen`]), and what keys say to it.
+//!
+//! It is one more page of the stage ([`crate::view::stage`]), in this process: everything that moves a board goes through
+//! the same messages, with the same questions and the same dead man's key. A terminal does not tell when a key is let go,
+//! but repeats one that is held: Space switches the motors on once it repeats, and they go off when it no longer does.
+
+pub mod screen;
+pub mod seen;
+
+use crate::view::hub::{Hub, PageId};
+use crate::view::message::FromPage;
+use ratatui::crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+use seen::Seen;
+use std::io;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// Between two looks at keys and at what has come: a picture of the stage.
+const LOOK: Duration = Duration::from_millis(16);
+/// How long a key that is held may take to begin repeating. Terminals take 250 to 660 ms.
+const REPEAT: Duration = Duration::from_millis(1000);
+/// How long it may pause between repeats before it counts as let go.
+const LET_GO: Duration = Duration::from_millis(400);
+/// A step of the hand, m; ten times as far with Shift.
+const STEP: f64 = 5e-4;
+/// A step of a gain.
+const TURN: f32 = 1.05;
+
+/// The dead man's key.
+#[derive(Debug, Default)]
+struct Held {
+    /// When Space last came.
+    pressed: Option<Instant>,
+    /// Whether the motors were asked for.
+    on: bool,
+}
+
+impl Held {
+    /// Space has come: what to say.
+    fn press(&mut self, now: Instant) -> Option<FromPage> {
+        let repeats = self.pressed.is_some_and(|before| now.duration_since(before) <= REPEAT);
+        self.pressed = Some(now);
+        match (self.on, repeats) {
+            (true, _) => Some(FromPage::Hold {}),
+            (false, true) => {
+                self.on = true;
+                Some(FromPage::Arm {})
+            }
+            (false, false) => None,
+        }
+    }
+
+    /// Time has passed: what to say.
+    fn wait(&mut self, now: Instant) -> Option<FromPage> {
+        let silent = self.pressed.is_none_or(|before| now.duration_since(before) > LET_GO);
+        (self.on && silent).then(|| self.release())
+    }
+
+    fn release(&mut self) -> FromPage {
+        *self = Self::default();
+        FromPage::Release {}
+    }
+}
+
+/// Shows a board in this terminal until `q`, or until `stop` is set; it is set afterwards.
+pub fn run(hub: &Hub, stop: &AtomicBool) -> io::Result<()> {
+    let watched = match hub.come() {
+        None => Ok(()),
+        Some(id) => ratatui::try_init().and_then(|mut terminal| {
+            let watched = watch(&mut terminal, hub, id, stop);
+            ratatui::restore();
+            hub.go(id);
+            watched
+        }),
+    };
+    stop.store(true, Ordering::SeqCst);
+    watched
+}
+
+fn watch(terminal: &mut ratatui::DefaultTerminal, hub: &Hub, id: PageId, stop: &AtomicBool) -> io::Result<()> {
+    let mut seen = Seen::default();
+    let mut held = Held::default();
+    let mut here = Instant::now();
+    let say = |message: FromPage| hub.said(id, Ok(message));
+    say(FromPage::Take {});
+    while !stop.load(Ordering::SeqCst) {
+        let waiting = hub.take(id);
+        let mut news = waiting.scope.is_some() || waiting.picture.is_some() || !waiting.messages.is_empty();
+        for text in waiting.messages.iter().chain(&waiting.picture) {
+            if let Some(request) = seen.hear(text) {
+                say(request);
+            }
+        }
+        if let Some(sweep) = waiting.scope {
+            seen.sweep(&sweep);
+        }
+        // Something else turned the motors off: the key has to be pressed anew.
+        if held.on && seen.was_held() && !seen.held() {
+            held = Held::default();
+        }
+        seen.remember_held(held.on);
+        while event::poll(Duration::ZERO)? {
+            news = true;
+            match event::read()? {
+                Event::Key(key) if key.kind != KeyEventKind::Release => {
+                    if is_end(&key) {
+                        return Ok(());
+                    }
+                    let words = if key.code == KeyCode::Char(' ') {
+                        held.press(Instant::now()).into_iter().collect()
+                    } else {
+                        pressed(&mut seen, &key)
+                    };
+                    for message in words {
+                        if matches!(message, FromPage::Disarm {}) {
+                            held = Held::default();
+                        }
+                        say(message);
+                    }
+                }
+                _ => {}
+            }
+        }
+        held.wait(Instant::now()).into_iter().for_each(say);
+        if here.elapsed() > Duration::from_secs(1) {
+            here = Instant::now();
+            say(FromPage::Here {});
+        }
+        if news {
+            terminal.draw(|frame| screen::draw(frame, &seen))?;
+        }
+        event::poll(LOOK)?;
+    }
+    Ok(())
+}
+
+fn is_end(key: &KeyEvent) -> bool {
+    let control = key.modifiers.contains(KeyModifiers::CONTROL);
+    matches!(key.code, KeyCode::Char('q')) || control && matches!(key.code, KeyCode::Char('c' | 'd'))
+}
+
+/// What a key says to the board, and what it changes on the screen.
+fn pressed(seen: &mut Seen, key: &KeyEvent) -> Vec<FromPage> {
+    let far = if key.modifiers.contains(KeyModifiers::SHIFT) { 10.0 } else { 1.0 };
+    let mut lead = |x: f64, y: f64| seen.lead(far * STEP * x, far * STEP * y).into_iter().collect();
+    match key.code {
+        KeyCode::Left => lead(-1.0, 0.0),
+        KeyCode::Right => lead(1.0, 0.0),
+        KeyCode::Up => lead(0.0, 1.0),
+        KeyCode::Down => lead(0.0, -1.0),
+        KeyCode::Esc | KeyCode::Char('x') => vec![FromPage::Disarm {}],
+        KeyCode::Char('g') => vec![FromPage::Hand { at: None }],
+        KeyCode::Char('k') => seen.gains(TURN, 1.0, false),
+        KeyCode::Char('j') => seen.gains(1.0 / TURN, 1.0, false),
+        KeyCode::Char('l') => seen.gains(1.0, TURN, false),
+        KeyCode::Char('h') => seen.gains(1.0, 1.0 / TURN, false),
+        KeyCode::Char('f') => seen.gains(1.0, 1.0, true),
+        KeyCode::Char('y') => seen.again().into_iter().collect(),
+        KeyCode::Char('c') => vec![FromPage::Clear {}],
+        KeyCode::Char('t') => vec![seen.take_or_give()],
+        KeyCode::Char('r') => vec![FromPage::Record { on: !seen.is_recording() }],
+        KeyCode::Char('w') => {
+            seen.next_wall();
+            Vec::new()
+        }
+        KeyCode::Char('1') => seen.next_signal(0).into_iter().collect(),
+        KeyCode::Char('2') => seen.next_signal(1).into_iter().collect(),
+        KeyCode::Char('s') => seen.next_window().into_iter().collect(),
+        _ => Vec::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_key_that_repeats_arms_and_one_that_stops_lets_go() {
+        let (mut held, began) = (Held::default(), Instant::now());
+        let at = |ms: u64| began + Duration::from_millis(ms);
+        assert_eq!(held.press(at(0)), None, "one press is none that is held");
+        assert_eq!(held.wait(at(500)), None);
+        assert_eq!(held.press(at(600)), Some(FromPage::Arm {}));
+        assert_eq!(held.press(at(640)), Some(FromPage::Hold {}));
+        assert_eq!(held.wait(at(1000)), None);
+        assert_eq!(held.wait(at(1041)), Some(FromPage::Release {}));
+        assert_eq!(held.wait(at(5000)), None);
+        assert_eq!(held.press(at(5000)), None, "and it begins anew");
+        assert_eq!(held.press(at(6001)), None, "two presses that are far apart are none that is held");
+    }
+}

@@ -1,0 +1,100 @@
+//! What a recording is of: read from the board once, written at the head of every file.
+
+use crate::backup::Kept;
+use crate::error::Failure;
+use crate::link::Board;
+use crate::output;
+use crate::words::{nth_step, wall_in_words};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// Date, versions, board, device, scene, gains and rules of a recording.
+#[derive(Clone, Debug, PartialEq)]
+pub struct About {
+    /// Its lines, as they stand at the head of a CSV file.
+    text: String,
+    /// Control rate, Hz.
+    pub rate_hz: f64,
+    /// Control steps between rows.
+    pub divider: u32,
+    delay_samples: f32,
+}
+
+impl About {
+    /// As the board is now.
+    pub fn read(board: &mut Board, divider: u32) -> Result<Self, Failure> {
+        let details = board.details()?;
+        let info = board.info().clone();
+        let (device, scene, rules) = (board.device()?, board.scene()?, board.rules()?);
+        let name = if details.name.is_empty() { String::new() } else { format!(" \"{}\"", details.name) };
+        let mut text = format!(
+            "haptic-bridge recording, fields in docs/telemetry.md\n\
+             date {}\n\
+             tool {}, firmware {}, protocol {}\n\
+             board {} {}{name}\n\
+             device {}\n\
+             control rate {} Hz, every {}, delay {} samples\n",
+            output::date(),
+            env!("CARGO_PKG_VERSION"),
+            info.firmware,
+            info.protocol,
+            info.board,
+            info.serial,
+            details.device.as_deref().unwrap_or("none"),
+            details.rate_hz,
+            nth_step(divider),
+            details.delay_samples,
+        );
+        for (index, wall) in scene.iter().flat_map(|scene| scene.walls.iter().enumerate()) {
+            text.push_str(&format!("wall {index}: {}\n", wall_in_words(wall)));
+        }
+        // For programs: the same and the rest, as the board holds them at the start.
+        text.push_str(&format!("scene {}\n", json(&scene)?));
+        text.push_str(&format!("rules {}\n", json(&rules)?));
+        // And once more to the bit, as a backup has them: `haptic replay` computes with these.
+        let mut settings = BTreeMap::new();
+        settings.extend(device.and_then(|device| Some(("device", bytes_alone(Kept::of(&device)?)))));
+        settings.extend(scene.and_then(|scene| Some(("scene", bytes_alone(Kept::of(&scene)?)))));
+        settings.extend(Kept::of(&rules).map(|rules| ("rules", bytes_alone(rules))));
+        text.push_str(&format!("settings {}\n", json(&settings)?));
+        Ok(Self { text, rate_hz: details.rate_hz.into(), divider, delay_samples: details.delay_samples })
+    }
+
+    /// Its lines.
+    pub fn text(&self) -> &str {
+        &self.text
+    }
+
+    /// The same for programs: the lines together, and each by its first word.
+    pub fn map(&self) -> BTreeMap<String, String> {
+        let lines = self.text.lines().skip(1).filter(|line| !line.starts_with("control rate"));
+        // Versions stand in one line: "tool 0.1.0, firmware 0.1.0, protocol 6".
+        let parts =
+            lines.flat_map(|line| if line.starts_with("tool ") { line.split(", ").collect() } else { vec![line] });
+        let lines = parts.filter_map(|line| match line.strip_prefix("wall ") {
+            Some(wall) => wall.split_once(": ").map(|(index, is)| (format!("wall {index}"), is.into())),
+            None => line.split_once(' ').map(|(word, rest)| (word.into(), rest.into())),
+        });
+        let told = [
+            ("about".to_string(), self.text.clone()),
+            ("divider".into(), self.divider.to_string()),
+            ("rate_hz".into(), self.rate_hz.to_string()),
+            ("delay_samples".into(), self.delay_samples.to_string()),
+            (
+                "time_base".into(),
+                "log times are this computer's clock at the first row, and from there on the board's control steps"
+                    .into(),
+            ),
+        ];
+        lines.chain(told).collect()
+    }
+}
+
+/// Version and bytes; what they mean stands beside them already.
+fn bytes_alone(kept: Kept) -> Kept {
+    Kept { value: None, ..kept }
+}
+
+fn json(value: &impl Serialize) -> Result<String, Failure> {
+    serde_json::to_string(value).map_err(Failure::impossible)
+}

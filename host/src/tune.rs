@@ -1,0 +1,732 @@
+//! The settings that render the stiffest wall on a device: rate, velocity estimator, cutoff, damping, stiffness, washout
+//! and feed-forward, within margins, a ripple and what the motors have.
+//!
+//! Stability is that of the exact sampled loop ([`crate::analysis`]), for a device that is not quite the one in the file
+//! ([`Margins`]). Ripple is what encoder steps make of a pressed wall, by simulation ([`ripple`]): the analysis is linear
+//! and knows no steps. Levant's differentiator has no linear loop, so it is not searched.
+//!
+//! For each estimator at each rate and cutoff the largest stiffness over damping is a curve; at each of its dampings the
+//! wall is made softer until it keeps the ripple. Candidates whose curve lies below the best that was found are not
+//! simulated. They are looked at in rounds of a fixed size, so the answer does not depend on the number of cores. A wall with
+//! a feed-forward is looked for with the settings that do best without.
+
+mod margins;
+pub mod measured;
+mod scene;
+
+pub use margins::{Margins, vertex};
+pub use scene::to_toml;
+
+use crate::analysis::plant::{Drive, Linearised};
+use crate::analysis::pose::TaskPose;
+use crate::analysis::range::{WORTHWHILE_RATIO, boundary_of, stiffnesses};
+use crate::analysis::sampled::{AnalysisError, Estimator as Linear, FeedForward as Mode, Loop};
+use crate::bench::estimators::{Comparison, Pressed, Shaping, pressed};
+use crate::device_file::DeviceFile;
+use crate::error::Failure;
+use crate::plausible::device::force_along;
+use crate::plausible::scene::usual_delay;
+use crate::sweep::Sweep;
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::render::scene::{FeedForward, Scene};
+use haptic_bridge::render::velocity::{Chosen, CutoffMeans, Estimator};
+use margins::Corner;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// The highest rate at which a board was seen to miss no period in contact, Hz (docs/results/timing.md): of the emulated
+/// chip, with the shipped estimator.
+pub const FASTEST_HZ: f64 = 30_000.0;
+/// Rates that are searched where none are named, Hz.
+pub const RATES_HZ: [f64; 4] = [1_000.0, 5_000.0, 10_000.0, 20_000.0];
+/// -3 dB of the boards' current loops, Hz: as `haptic range --board` has it.
+const CURRENT_HZ: f64 = 6400.0;
+/// Cutoffs of the low-passes, and of what has a bandwidth of its own, Hz.
+const CUTOFFS_HZ: [f64; 8] = [20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 4000.0];
+const BANDWIDTHS_HZ: [f64; 6] = [10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0];
+/// Samples of the differences and of the adaptive windows.
+const WINDOWS: [u32; 4] = [4, 8, 16, 32];
+/// Dampings of a curve, as shares of where it ends.
+const DAMPINGS: usize = 12;
+const SHARES: (f64, f64) = (0.03, 0.9);
+/// Stiffness is found to this ratio.
+const BETTER: f64 = 1.03;
+/// Candidates whose ripple is simulated at once.
+const ROUND: usize = 8;
+/// Corners of the washout, Hz: the highest that keeps nearly all of the stiffness.
+const WASHOUTS_HZ: [f64; 5] = [20.0, 10.0, 5.0, 2.0, 1.0];
+const KEEPS: f64 = 0.98;
+/// A tip that moves through encoder steps makes a wall ripple by 1/√12 of its force in one step, whatever is done about the
+/// velocity. Walls beyond this many times the stiffness of which that alone is the ripple are not looked at: where one ripples
+/// less in the simulation, friction has locked the tip, and it will not always.
+const STEPS: f64 = 1.2;
+/// With how many settings that do well without a feed-forward the others are looked at.
+const FOLLOWED: usize = 16;
+/// How much more and less is tried to say what stops it.
+const MORE: f64 = 1.15;
+
+/// What is asked.
+#[derive(Clone, Debug)]
+pub struct Question<'a> {
+    /// The device.
+    pub file: &'a DeviceFile,
+    /// Pose, rad.
+    pub q: Vec<f64>,
+    /// Unit normal of the wall.
+    pub normal: Vec<f64>,
+    /// What a redundant device holds.
+    pub admissible: Admissible,
+    /// How far the device may be from its file.
+    pub margins: Margins,
+    /// Largest root mean square of what the force of a wall has above 20 Hz under a hand that slides along it, N.
+    pub ripple_n: f64,
+    /// Encoder counts into the wall at which the motors may give all that they have; more is finer.
+    pub counts: f64,
+    /// Speed at which the wall's damping alone may take all that the motors have, m/s.
+    pub speed: f64,
+    /// Control rates, Hz.
+    pub rates_hz: Vec<f64>,
+    /// Which feed-forwards may be taken.
+    pub feed_forwards: Vec<FeedForward>,
+    /// Settings with stiffness and damping that are there already and keep the margins: no answer is softer.
+    pub known: Option<Settings>,
+}
+
+/// Everything about a wall that is not where it is.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Settings {
+    /// Control rate, Hz.
+    pub rate_hz: f64,
+    /// Velocity estimator, with its own value.
+    #[serde(skip)]
+    pub kind: Estimator,
+    /// Its word.
+    pub estimator: &'static str,
+    /// Its own value, 0 where it takes none.
+    pub value: u32,
+    /// Hz.
+    pub cutoff_hz: f64,
+    /// How much feed-forward.
+    pub feed_forward: FeedForward,
+    /// Corner of the washout, Hz.
+    pub washout_hz: f64,
+    /// Whether the joints' own damping is compensated.
+    pub damping_compensation: bool,
+    /// N/m
+    pub stiffness: f64,
+    /// N s/m
+    pub damping: f64,
+}
+
+impl Settings {
+    /// Those of a wall in a scene.
+    #[must_use]
+    pub fn of(scene: &Scene<f64>, wall: usize) -> Option<Self> {
+        let wall = scene.walls.get(wall)?;
+        Some(Self {
+            rate_hz: scene.rate_hz,
+            kind: scene.estimator,
+            estimator: scene.estimator.name(),
+            value: scene.estimator.chosen().map_or(0, |chosen| chosen.value),
+            cutoff_hz: scene.cutoff_hz,
+            feed_forward: wall.feed_forward,
+            washout_hz: wall.washout_hz,
+            damping_compensation: wall.damping_compensation,
+            stiffness: wall.stiffness,
+            damping: wall.damping,
+        })
+    }
+
+    fn mode(&self) -> Mode {
+        match self.feed_forward {
+            FeedForward::Off => Mode::Off,
+            FeedForward::Full => Mode::Full,
+            FeedForward::Washout => Mode::Washout(self.washout_hz),
+        }
+    }
+
+    /// Whether both have the same rate, estimator and cutoff.
+    fn is_like(&self, other: &Self) -> bool {
+        (self.rate_hz, self.kind, self.cutoff_hz) == (other.rate_hz, other.kind, other.cutoff_hz)
+    }
+
+    /// Whether its cutoff does anything.
+    #[must_use]
+    pub fn has_cutoff(&self) -> bool {
+        let filtered = self.kind.chosen().is_some_and(|chosen| chosen.filtered);
+        match self.kind.spec() {
+            Some(spec) => filtered || spec.cutoff == CutoffMeans::Bandwidth,
+            None => self.kind != Estimator::BackwardDifference,
+        }
+    }
+
+    fn around(&self) -> Option<Loop> {
+        Some(Loop {
+            rate_hz: self.rate_hz,
+            delay_samples: usual_delay(self.rate_hz),
+            estimator: Linear::of(self.kind, self.cutoff_hz)?,
+            drive: Drive::Current { bandwidth_hz: CURRENT_HZ },
+            damping_compensation: self.damping_compensation,
+        })
+    }
+}
+
+/// A wall that keeps everything that was asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Found {
+    /// The settings.
+    #[serde(flatten)]
+    pub settings: Settings,
+    /// Root mean square of what its force has above 20 Hz under a hand that slides along it, N.
+    pub ripple_n: f64,
+}
+
+/// What one limit alone would allow at the damping that was found.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Limit {
+    /// Which.
+    pub limit: &'static str,
+    /// Largest stiffness, N/m; none where it sets no bound up to four times what was found.
+    pub stiffness: Option<f64>,
+}
+
+/// A wall a little beside the one that was found.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Beside {
+    /// N/m
+    pub stiffness: f64,
+    /// N s/m
+    pub damping: f64,
+    /// Whether it is stable within the margins, and the motors have it.
+    pub allowed: bool,
+    /// N; none where the tip flies off.
+    pub ripple_n: Option<f64>,
+}
+
+/// The answer.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Answer {
+    /// The best.
+    pub best: Found,
+    /// What stops it.
+    pub active: &'static str,
+    /// What every limit alone would allow.
+    pub limits: Vec<Limit>,
+    /// What is beside it: stiffer, with more damping, with less.
+    pub beside: Vec<Beside>,
+    /// The best of each estimator that was simulated, the stiffest first.
+    pub others: Vec<Found>,
+    /// How many combinations of rate, estimator, cutoff and feed-forward there were, and of how many ripple was simulated.
+    pub looked_at: (usize, usize),
+}
+
+/// The wall's settings that came before, held to the same margins.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Baseline {
+    /// Rate, estimator, cutoff, damping and feed-forward of the scene, with the largest stiffness within margins and ripple;
+    /// 0 where there is none.
+    #[serde(flatten)]
+    pub settings: Settings,
+    /// Ripple at that stiffness, N.
+    pub ripple_n: Option<f64>,
+    /// The largest stiffness within the margins, whatever it ripples, N/m.
+    pub within_margins: f64,
+    /// The stiffness that the scene has, N/m.
+    pub as_written: f64,
+}
+
+/// Ripple of a wall with these settings. The one place where tuning asks for it: by simulation with the steps of the
+/// encoders, a quarter of a second of computing.
+pub fn ripple(question: &Question<'_>, settings: &Settings) -> Result<Pressed, Failure> {
+    let comparison = Comparison {
+        file: question.file,
+        q: &question.q,
+        normal: &question.normal,
+        rate_hz: settings.rate_hz,
+        cutoff_hz: settings.cutoff_hz,
+        wall: (settings.stiffness, settings.damping),
+    };
+    let shaping = Shaping {
+        feed_forward: settings.feed_forward,
+        washout_hz: settings.washout_hz,
+        damping_compensation: settings.damping_compensation,
+        admissible: question.admissible,
+    };
+    pressed(&comparison, settings.kind, settings.cutoff_hz, shaping)
+}
+
+/// The question with what does not change between candidates.
+struct Bench<'a> {
+    question: &'a Question<'a>,
+    nominal: Linearised,
+    /// Corners of the margins without and with a feed-forward.
+    corners: [Vec<Corner>; 2],
+    /// Largest stiffness (N/m) and damping (N s/m) for the motors.
+    most: (f64, f64),
+    /// Stiffness (N/m) of which encoder steps alone make all of the ripple: a step in each joint is an error evenly spread over
+    /// itself, 1/√12 of it, and the joints' are independent.
+    steps: f64,
+}
+
+/// What a candidate can have at most: kp within the margins and the motors over damping.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Curve {
+    points: Vec<(f64, f64)>,
+}
+
+impl Curve {
+    fn top(&self) -> f64 {
+        self.points.iter().map(|point| point.1).fold(0.0, f64::max)
+    }
+}
+
+/// `value` rounded to three digits, down where `down`.
+fn three_digits(value: f64, down: bool) -> f64 {
+    if value <= 0.0 || !value.is_finite() {
+        return value;
+    }
+    let unit = 10_f64.powi(2 - value.log10().floor() as i32);
+    let scaled = value * unit;
+    (if down { (scaled + 1e-9).floor() } else { scaled.round() }) / unit
+}
+
+impl<'a> Bench<'a> {
+    fn new(question: &'a Question<'a>) -> Result<Self, Failure> {
+        let Question { file, q, normal, admissible, .. } = question;
+        let nominal = Linearised::holding(&file.description, q, normal, *admissible)?;
+        let device = file.device::<f64>().map_err(Failure::wrong)?;
+        let pose = TaskPose::of(&device.mechanism, q)?.regular()?;
+        let force = force_along(&device, &pose, normal).ok_or_else(|| {
+            Failure::wrong(format!("{} has joints without [joint.motor]", file.path.display()))
+                .remedy("a wall is as stiff as motors make it: add them")
+        })?;
+        let n = nalgebra::DVector::from_fn(q.len(), |i, _| normal.get(i).copied().unwrap_or(0.0));
+        let steps = pose.jacobian.tr_mul(&n);
+        let counts = || steps.iter().zip(&device.joints).map(|(lever, joint)| (lever * joint.radians_per_count).abs());
+        let count = counts().fold(0.0, f64::max);
+        let spread = counts().map(|count| count * count / 12.0).sum::<f64>().sqrt();
+        let corners =
+            [false, true].map(|shaped| question.margins.corners(&file.description, q, normal, *admissible, shaped));
+        let [off, shaped] = corners;
+        Ok(Self {
+            question,
+            nominal,
+            corners: [off?, shaped?],
+            most: (force / (question.counts * count), force / question.speed),
+            steps: question.ripple_n / spread,
+        })
+    }
+
+    /// What is there already, if it keeps the ripple.
+    fn known(&self) -> Result<Option<Found>, Failure> {
+        let Some(settings) = self.question.known.filter(|known| known.stiffness > 0.0) else { return Ok(None) };
+        let ripple_n = ripple(self.question, &settings)?.ripple_n;
+        let kept = ripple_n.filter(|ripple| *ripple <= self.question.ripple_n);
+        Ok(kept.map(|ripple_n| Found { settings, ripple_n }))
+    }
+
+    fn corners(&self, settings: &Settings) -> &[Corner] {
+        &self.corners[usize::from(settings.feed_forward != FeedForward::Off)]
+    }
+
+    /// kp over damping within margins and motors. Nothing where some corner is unstable at every gain, or has no bound.
+    fn curve(&self, settings: &Settings) -> Option<Curve> {
+        let around = settings.around()?;
+        let hard = self.corners(settings).first()?;
+        let (low, high) = SHARES;
+        let points = boundary_of(&hard.device, &hard.believed, &hard.around(&around), settings.mode(), |end| {
+            let share = |i: usize| low * (high / low).powf(i as f64 / (DAMPINGS - 1) as f64);
+            let dampings = (0..DAMPINGS).map(|i| three_digits((end * share(i)).min(self.most.1), false));
+            let mut dampings: Vec<f64> = dampings.collect();
+            dampings.dedup();
+            dampings
+        });
+        let dampings: Vec<f64> = points.ok()?.iter().map(|point| point.kd).collect();
+        let points = self.allowed(settings, &dampings)?;
+        let curve = Curve { points: dampings.into_iter().zip(points).collect() };
+        (curve.top() > 0.0).then_some(curve)
+    }
+
+    /// Largest stiffness at each damping within margins and motors.
+    fn allowed(&self, settings: &Settings, dampings: &[f64]) -> Option<Vec<f64>> {
+        let around = settings.around()?;
+        let most = self.most.0.min(STEPS * self.steps);
+        let mut least: Vec<f64> =
+            dampings.iter().map(|damping| if *damping > self.most.1 { 0.0 } else { most }).collect();
+        for corner in self.corners(settings) {
+            let found =
+                stiffnesses(&corner.device, &corner.believed, &corner.around(&around), settings.mode(), dampings);
+            least.iter_mut().zip(found.ok()?).for_each(|(least, found)| *least = least.min(found));
+        }
+        Some(least)
+    }
+
+    /// The wall with these gains, if it keeps the ripple.
+    fn tried(&self, settings: &Settings, stiffness: f64, damping: f64) -> Result<Option<Found>, Failure> {
+        let settings = Settings { stiffness: three_digits(stiffness, true), damping, ..*settings };
+        let Pressed { ripple_n, holds } = ripple(self.question, &settings)?;
+        let found = ripple_n.filter(|ripple| holds && *ripple <= self.question.ripple_n);
+        Ok(found.map(|ripple_n| Found { settings, ripple_n }))
+    }
+
+    /// The stiffest wall of a candidate that keeps the ripple and is stiffer than `floor` (N/m): at each damping, as stiff as
+    /// margins, motors and ripple let it be. One trial tells of most dampings that they are not worth it.
+    fn best_on(&self, settings: &Settings, curve: &Curve, floor: f64) -> Result<Option<Found>, Failure> {
+        let mut best: Option<Found> = None;
+        for &(damping, most) in &curve.points {
+            let floor = best.map_or(floor, |best| best.settings.stiffness);
+            let least = if floor > 0.0 { BETTER * floor } else { most / 50.0 };
+            if most < least {
+                continue;
+            }
+            let Some(mut found) = self.tried(settings, least, damping)? else { continue };
+            if let Some(top) = self.tried(settings, most, damping)? {
+                best = Some(top);
+                continue;
+            }
+            let (mut low, mut high) = (least, most);
+            while high / low > BETTER {
+                let middle = (low * high).sqrt();
+                match self.tried(settings, middle, damping)? {
+                    Some(stiffer) => (low, found) = (middle, stiffer),
+                    None => high = middle,
+                }
+            }
+            best = Some(found);
+        }
+        Ok(best)
+    }
+}
+
+/// Every combination of rate, estimator and cutoff with one feed-forward.
+fn combinations(question: &Question<'_>, feed_forward: FeedForward) -> Vec<Settings> {
+    let viscous = question.file.description.joints.iter().any(|joint| joint.viscous > 0.0);
+    let rigid = !question.file.description.is_flexible();
+    let compensations: &[bool] =
+        if feed_forward != FeedForward::Off && viscous && rigid { &[false, true] } else { &[false] };
+    let mut found = Vec::new();
+    for &rate_hz in &question.rates_hz {
+        let usual_cutoff = (0.1 * rate_hz).min(500.0);
+        let mut add = |kind: Estimator, cutoff_hz: f64| {
+            found.extend(compensations.iter().map(|&damping_compensation| Settings {
+                rate_hz,
+                kind,
+                estimator: kind.name(),
+                value: kind.chosen().map_or(0, |chosen| chosen.value),
+                cutoff_hz,
+                feed_forward,
+                washout_hz: 2.0,
+                damping_compensation,
+                stiffness: 0.0,
+                damping: 0.0,
+            }));
+        };
+        for (_, kind) in Estimator::ALL {
+            let kind = *kind;
+            let below = |hz: &&f64| **hz <= 0.4 * rate_hz;
+            match kind.spec() {
+                None if kind == Estimator::BackwardDifference => add(kind, usual_cutoff),
+                None => CUTOFFS_HZ.iter().filter(below).for_each(|hz| add(kind, *hz)),
+                Some(_) if Linear::of(kind, usual_cutoff).is_none() => {}
+                Some(spec) if spec.cutoff == CutoffMeans::Bandwidth => {
+                    BANDWIDTHS_HZ.iter().filter(below).for_each(|hz| add(kind, *hz));
+                }
+                Some(_) => WINDOWS
+                    .iter()
+                    .for_each(|value| add(kind.choosing(Chosen { value: *value, filtered: false }), usual_cutoff)),
+            }
+        }
+    }
+    found
+}
+
+/// Refuses what no board does.
+fn check(question: &Question<'_>) -> Result<(), Failure> {
+    if let Some(rate) = question.rates_hz.iter().find(|rate| !(200.0..=FASTEST_HZ).contains(*rate)) {
+        return Err(Failure::wrong(format!("no board was seen to hold {rate} Hz in contact"))
+            .remedy(format!("write rates from 200 to {FASTEST_HZ} Hz")));
+    }
+    let sizes = [question.ripple_n, question.counts, question.speed];
+    if sizes.iter().any(|size| !(size.is_finite() && *size > 0.0)) {
+        return Err(Failure::wrong("--ripple, --counts and --speed must be positive"));
+    }
+    question.margins.check()
+}
+
+/// Searches. The same in any order of work.
+pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<Answer, Failure> {
+    check(question)?;
+    let bench = Bench::new(question)?;
+    let coupled = bench.nominal.w_eff().is_some_and(|w_eff| bench.nominal.w_rr() / w_eff > 1.0 + 1e-3);
+    let mut best = bench.known()?;
+    let mut all: Vec<Found> = best.into_iter().collect();
+    let mut looked_at = (0, 0);
+    let mut well: Vec<Settings> = Vec::new();
+    for &feed_forward in &question.feed_forwards {
+        if feed_forward != FeedForward::Off && !coupled {
+            continue;
+        }
+        let mut combinations = combinations(question, feed_forward);
+        if feed_forward != FeedForward::Off && !well.is_empty() {
+            combinations.retain(|other| well.iter().any(|one| one.is_like(other)));
+        }
+        let stage = format!("walls, feed-forward {}", feed_forward.name());
+        let curves = sweep.map(&stage, &combinations, |settings| bench.curve(settings))?;
+        let mut candidates: Vec<(Settings, Curve)> =
+            combinations.into_iter().zip(curves).filter_map(|(settings, curve)| Some((settings, curve?))).collect();
+        looked_at.0 += candidates.len();
+        // Where they promise as much the faster first, which has more in reserve. Stable: equals stay in their order.
+        candidates.sort_by(|(one, a), (other, b)| {
+            b.top().total_cmp(&a.top()).then_with(|| other.rate_hz.total_cmp(&one.rate_hz))
+        });
+        let found = simulated(&bench, &candidates, feed_forward, sweep, &mut looked_at.1)?;
+        if feed_forward == FeedForward::Off {
+            well = candidates.iter().map(|(settings, _)| *settings).collect();
+            let stiffness = |settings: &Settings| {
+                let found = found.iter().find(|found| found.settings.is_like(settings));
+                found.map_or(0.0, |found| found.settings.stiffness)
+            };
+            well.sort_by(|a, b| stiffness(b).total_cmp(&stiffness(a)));
+            well.truncate(FOLLOWED);
+        }
+        let Some(stiffest) = stiffest(&found) else { continue };
+        let refined = refined(&bench, stiffest, sweep)?;
+        all.extend(found);
+        all.push(refined);
+        // A feed-forward has its price: it must bring more than it costs.
+        let worth = best.is_none_or(|best| {
+            let price = if feed_forward == FeedForward::Off { 1.0 } else { WORTHWHILE_RATIO };
+            refined.settings.stiffness > price * best.settings.stiffness
+        });
+        if worth {
+            best = Some(refined);
+        }
+    }
+    let Some(best) = best else {
+        return Err(Failure::impossible(format!(
+            "no wall here keeps a ripple of {} N within the margins",
+            question.ripple_n
+        ))
+        .remedy("allow more --ripple, or ask at another pose or normal (`haptic design`)"));
+    };
+    let (active, limits, beside) = limits(&bench, &best)?;
+    Ok(Answer { best, active, limits, beside, others: of_each_estimator(all), looked_at })
+}
+
+/// The stiffest, the earlier of those that are as good as equal.
+fn stiffest(found: &[Found]) -> Option<Found> {
+    let stiffer = |other: &Found, best: &Found| other.settings.stiffness > BETTER * best.settings.stiffness;
+    found.iter().copied().reduce(|best, other| if stiffer(&other, &best) { other } else { best })
+}
+
+/// Simulates candidates from the most promising on, until none can be better than the best.
+fn simulated(
+    bench: &Bench<'_>,
+    candidates: &[(Settings, Curve)],
+    feed_forward: FeedForward,
+    sweep: &Sweep,
+    count: &mut usize,
+) -> Result<Vec<Found>, Failure> {
+    let mut found: Vec<Found> = Vec::new();
+    for (round, some) in candidates.chunks(ROUND).enumerate() {
+        let best = stiffest(&found).map_or(0.0, |found| found.settings.stiffness);
+        if some[0].1.top() <= best {
+            break;
+        }
+        let stage = format!("ripple, feed-forward {}, round {}", feed_forward.name(), round + 1);
+        let results = sweep.map(&stage, some, |(settings, curve)| {
+            let found = bench.best_on(settings, curve, best);
+            found.map(|found| found.map(kept)).map_err(|failure| failure.to_string())
+        })?;
+        *count += some.len();
+        for ((settings, _), result) in some.iter().zip(results) {
+            found.extend(result.map_err(Failure::impossible)?.map(|kept| restored(settings, kept)));
+        }
+    }
+    Ok(found)
+}
+
+/// What of a result is not in the settings that were asked for.
+fn kept(found: Found) -> [f64; 3] {
+    [found.settings.stiffness, found.settings.damping, found.ripple_n]
+}
+
+fn restored(settings: &Settings, [stiffness, damping, ripple_n]: [f64; 3]) -> Found {
+    Found { settings: Settings { stiffness, damping, ..*settings }, ripple_n }
+}
+
+/// Cutoffs between those of the grid, then the highest corner of the washout that keeps the stiffness.
+fn refined(bench: &Bench<'_>, found: Found, sweep: &Sweep) -> Result<Found, Failure> {
+    let better = |candidates: Vec<Settings>, floor: f64, stage: &str| -> Result<Vec<Found>, Failure> {
+        let results = sweep.map(stage, &candidates, |settings| {
+            let Some(curve) = bench.curve(settings) else { return Ok(None) };
+            bench.best_on(settings, &curve, floor).map(|found| found.map(kept)).map_err(|failure| failure.to_string())
+        })?;
+        let with = candidates.iter().zip(results);
+        let mut found = Vec::new();
+        for (settings, result) in with {
+            found.extend(result.map_err(Failure::impossible)?.map(|kept| restored(settings, kept)));
+        }
+        Ok(found)
+    };
+    let name = found.settings.feed_forward.name();
+    let mut best = found;
+    if best.settings.has_cutoff() {
+        let near = [0.45, 0.67, 1.5, 2.2].map(|factor| three_digits(best.settings.cutoff_hz * factor, false));
+        let near = near.into_iter().filter(|hz| *hz <= 0.4 * best.settings.rate_hz);
+        let candidates = near.map(|cutoff_hz| Settings { cutoff_hz, ..best.settings }).collect();
+        let mut all = vec![best];
+        all.extend(better(candidates, best.settings.stiffness, &format!("cutoffs, feed-forward {name}"))?);
+        best = stiffest(&all).unwrap_or(best);
+    }
+    let near = [0.76, 0.87, 1.15, 1.32].map(|factor| three_digits(best.settings.damping * factor, false));
+    let results = sweep.map(&format!("dampings, feed-forward {name}"), &near, |damping| {
+        let Some(most) = bench.allowed(&best.settings, &[*damping]) else { return Ok(None) };
+        let curve = Curve { points: vec![(*damping, most[0])] };
+        let found = bench.best_on(&best.settings, &curve, best.settings.stiffness);
+        found.map(|found| found.map(kept)).map_err(|failure| failure.to_string())
+    })?;
+    for result in results {
+        let found = result.map_err(Failure::impossible)?.map(|kept| restored(&best.settings, kept));
+        best = stiffest(&[Some(best), found].into_iter().flatten().collect::<Vec<_>>()).unwrap_or(best);
+    }
+    if best.settings.feed_forward == FeedForward::Washout {
+        let candidates = WASHOUTS_HZ.map(|washout_hz| Settings { washout_hz, ..best.settings }).to_vec();
+        let all = better(candidates, 0.8 * best.settings.stiffness, "washouts")?;
+        let most = stiffest(&all).map_or(0.0, |found| found.settings.stiffness).max(best.settings.stiffness);
+        best = all.into_iter().find(|found| found.settings.stiffness >= KEEPS * most).unwrap_or(best);
+    }
+    Ok(best)
+}
+
+fn of_each_estimator(mut all: Vec<Found>) -> Vec<Found> {
+    all.sort_by(|a, b| b.settings.stiffness.total_cmp(&a.settings.stiffness));
+    let mut best: BTreeMap<&str, usize> = BTreeMap::new();
+    for (index, found) in all.iter().enumerate() {
+        best.entry(found.settings.estimator).or_insert(index);
+    }
+    let mut indices: Vec<usize> = best.into_values().collect();
+    indices.sort_unstable();
+    indices.into_iter().map(|index| all[index]).collect()
+}
+
+/// What stops the wall: each limit alone, and what more damping would bring.
+fn limits(bench: &Bench<'_>, best: &Found) -> Result<(&'static str, Vec<Limit>, Vec<Beside>), Failure> {
+    let settings = &best.settings;
+    let Some(around) = settings.around() else { return Ok(("", Vec::new(), Vec::new())) };
+    let shaped = settings.feed_forward != FeedForward::Off;
+    let question = bench.question;
+    let mut limits = Vec::new();
+    for (limit, margins) in question.margins.alone() {
+        let corners =
+            margins.corners(&question.file.description, &question.q, &question.normal, question.admissible, shaped)?;
+        let mut least = f64::INFINITY;
+        for corner in corners {
+            let around = corner.around(&around);
+            let found = stiffnesses(&corner.device, &corner.believed, &around, settings.mode(), &[settings.damping]);
+            match found {
+                Err(AnalysisError::Unbounded) => {}
+                found => least = least.min(found?[0]),
+            }
+        }
+        limits.push(Limit { limit, stiffness: least.is_finite().then_some(least) });
+    }
+    limits.push(Limit { limit: "motors and encoder counts", stiffness: Some(bench.most.0) });
+    limits.push(Limit { limit: "ripple of encoder steps alone", stiffness: Some(bench.steps) });
+    limits.push(Limit { limit: "ripple", stiffness: rippling(bench, settings)? });
+
+    let mut beside = Vec::new();
+    for (stiffer, more) in [(MORE, 1.0), (1.0, MORE), (1.0, 1.0 / MORE)] {
+        let stiffness = three_digits(settings.stiffness * stiffer, false);
+        let damping = three_digits(settings.damping * more, false);
+        let allowed = bench.allowed(settings, &[damping]).is_some_and(|most| most[0] >= stiffness);
+        let ripple_n = ripple(question, &Settings { stiffness, damping, ..*settings })?.ripple_n;
+        beside.push(Beside { stiffness, damping, allowed, ripple_n });
+    }
+    let most = bench.allowed(settings, &[settings.damping]).map_or(0.0, |most| most[0]);
+    let active = if settings.stiffness < 0.96 * most {
+        "ripple"
+    } else if settings.stiffness >= 0.96 * bench.most.0 {
+        "motors and encoder counts"
+    } else if settings.stiffness >= 0.96 * STEPS * bench.steps {
+        "ripple of encoder steps alone"
+    } else if settings.damping * MORE > bench.most.1 {
+        "motors and damping"
+    } else {
+        "all margins together"
+    };
+    Ok((active, limits, beside))
+}
+
+/// The stiffness at which ripple alone would end this wall: up to four times its own.
+fn rippling(bench: &Bench<'_>, settings: &Settings) -> Result<Option<f64>, Failure> {
+    let keeps = |stiffness: f64| -> Result<bool, Failure> {
+        let Pressed { ripple_n, holds } = ripple(bench.question, &Settings { stiffness, ..*settings })?;
+        Ok(holds && ripple_n.is_some_and(|ripple| ripple <= bench.question.ripple_n))
+    };
+    let (mut low, mut high) = (settings.stiffness, 4.0 * settings.stiffness);
+    if keeps(high)? {
+        return Ok(None);
+    }
+    for _ in 0..5 {
+        let middle = (low * high).sqrt();
+        if keeps(middle)? { low = middle } else { high = middle }
+    }
+    Ok(Some(low))
+}
+
+/// The ripple that a wall may have where nothing else is said, N: what the estimators were made to come below.
+pub const USUAL_RIPPLE_N: f64 = 0.1;
+
+/// The least ripple that is asked for where a scene's wall has less, N.
+pub const LEAST_RIPPLE_N: f64 = 0.002;
+
+/// The ripple that settings like these may have: as much as the wall as it is written, and no less than the least.
+pub fn ripple_like(question: &Question<'_>, written: &Settings) -> Result<f64, Failure> {
+    Ok(ripple(question, written)?.ripple_n.unwrap_or(USUAL_RIPPLE_N).max(LEAST_RIPPLE_N))
+}
+
+/// The settings of a scene's wall, as stiff as the same margins and ripple let them be.
+pub fn baseline(question: &Question<'_>, written: &Settings) -> Result<Baseline, Failure> {
+    check(question)?;
+    let bench = Bench::new(question)?;
+    if written.around().is_none() {
+        return Err(Failure::wrong(format!("`{}` has no linear analysis to hold it to margins", written.estimator))
+            .remedy("compare with a scene that has another estimator"));
+    }
+    let most = bench.allowed(written, &[written.damping]).map_or(0.0, |allowed| three_digits(allowed[0], true));
+    let at = |stiffness: f64| -> Result<Option<Found>, Failure> {
+        let settings = Settings { stiffness: three_digits(stiffness, true), ..*written };
+        let ripple_n = if stiffness > 0.0 { ripple(question, &settings)?.ripple_n } else { None };
+        Ok(ripple_n.map(|ripple_n| Found { settings, ripple_n }))
+    };
+    let keeps = |found: &Option<Found>| found.is_some_and(|found| found.ripple_n <= question.ripple_n);
+    let mut best = at(most)?;
+    if most > 0.0 && !keeps(&best) {
+        // Down from there, as far as it takes, but not below what keeps it as it is written.
+        let (mut low, mut high) = (0.0_f64, most);
+        let mut step = most;
+        best = None;
+        let as_written = if written.stiffness <= most { at(written.stiffness)? } else { None };
+        if keeps(&as_written) {
+            (low, best) = (written.stiffness, as_written);
+        }
+        while low == 0.0 && step > 1e-3 * most {
+            step /= 2.0;
+            let found = at(step)?;
+            if keeps(&found) { (low, best) = (step, found) } else { high = step }
+        }
+        while low > 0.0 && high / low > 1.03 {
+            let middle = (low * high).sqrt();
+            let found = at(middle)?;
+            if keeps(&found) { (low, best) = (middle, found) } else { high = middle }
+        }
+    }
+    let nothing = Settings { stiffness: 0.0, ..*written };
+    Ok(Baseline {
+        settings: best.map_or(nothing, |best| best.settings),
+        ripple_n: best.map(|best| best.ripple_n),
+        within_margins: most,
+        as_written: written.stiffness,
+    })
+}

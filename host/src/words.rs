@@ -1,0 +1,73 @@
+//! How people are told of walls and numbers.
+
+use haptic_bridge::render::scene::{FeedForward, Wall};
+
+/// A wall in words.
+pub fn wall_in_words(wall: &Wall<f32>) -> String {
+    let shape = wall.surface.spec().name;
+    let (stiffness, damping) = (short(wall.stiffness), short(wall.damping));
+    format!("{shape}, {stiffness} N/m, {damping} N s/m, feed-forward {}", feed_forward_in_words(wall))
+}
+
+/// Its feed-forward in words.
+pub fn feed_forward_in_words(wall: &Wall<f32>) -> String {
+    match wall.feed_forward {
+        FeedForward::Washout => format!("washout at {} Hz", short(wall.washout_hz)),
+        other => other.name().into(),
+    }
+}
+
+/// A number to five digits, without zeros that say nothing.
+pub fn short(value: f32) -> String {
+    let digits = match value.abs() {
+        size if size > 0.0 && size.is_finite() => (4 - f64::from(size).log10().floor() as i32).max(0) as usize,
+        _ => 0,
+    };
+    if digits > 12 {
+        return format!("{value:.4e}");
+    }
+    // Display gives a float the fewest digits that mean it, where a precision would write out those it does not have.
+    let text = if digits == 0 { value.round().to_string() } else { format!("{value:.digits$}") };
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
+}
+
+/// So many bytes, for people.
+pub fn bytes_in_words(bytes: u64) -> String {
+    match bytes as f64 {
+        size if size < 1e3 => format!("{size} bytes"),
+        size if size < 1e6 => format!("{:.1} kB", 1e-3 * size),
+        size if size < 1e9 => format!("{:.1} MB", 1e-6 * size),
+        size => format!("{:.2} GB", 1e-9 * size),
+    }
+}
+
+/// "3rd step".
+pub fn nth_step(divider: u32) -> String {
+    let ending = match (divider % 10, divider % 100) {
+        (_, 11..=13) => "th",
+        (1, _) => "st",
+        (2, _) => "nd",
+        (3, _) => "rd",
+        _ => "th",
+    };
+    if divider == 1 { "step".into() } else { format!("{divider}{ending} step") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_are_counted_as_people_do() {
+        assert_eq!(
+            [1, 2, 3, 4, 11, 21, 22, 112].map(nth_step).join(", "),
+            "step, 2nd step, 3rd step, 4th step, 11th step, 21st step, 22nd step, 112th step"
+        );
+    }
+
+    #[test]
+    fn sizes_are_told_in_the_unit_that_fits() {
+        let told = [17, 1_234, 3_600_000, 2_500_000_000].map(bytes_in_words);
+        assert_eq!(told.join(", "), "17 bytes, 1.2 kB, 3.6 MB, 2.50 GB");
+    }
+}

@@ -1,0 +1,119 @@
+//! The simulated board with everything that is linear switched on (cables that give, joint damping, windings, current
+//! loops, carrier, the board's own step) meets the complete prediction within a tenth.
+//!
+//! `cargo test -p haptic --test complete -- --ignored --nocapture` measures the table of docs/results/complete.md.
+
+use assert_cmd::Command;
+use serde_json::Value;
+use std::path::Path;
+
+/// Frequency of each joint's cable against its motor, Hz, and its share of critical damping.
+const CABLE: (f64, f64) = (400.0, 0.05);
+/// A turret's own body is on the link's side: the motor has this share of its inertia.
+const TURRET_MOTOR: f64 = 0.3;
+
+/// The shipped device with a cable at every joint.
+fn with_cables(device: &str, turret: bool) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../devices/{device}.toml"));
+    let text = std::fs::read_to_string(path).unwrap();
+    let mut joint = 0;
+    let mut soft = String::new();
+    for line in text.lines() {
+        soft += line;
+        soft.push('\n');
+        if let Some(inertia) = line.strip_prefix("inertia = ").filter(|_| soft.contains("[[joint]]")) {
+            let whole: f64 = inertia.split_whitespace().next().unwrap().parse().unwrap();
+            let motor = if turret && joint == 0 { TURRET_MOTOR * whole } else { whole };
+            let stiffness = motor * (std::f64::consts::TAU * CABLE.0).powi(2);
+            let damping = 2.0 * CABLE.1 * (stiffness * motor).sqrt();
+            soft += &format!(
+                "transmission = {{ stiffness = {stiffness}, damping = {damping}, motor_inertia = {motor} }}\n"
+            );
+            joint += 1;
+        }
+    }
+    assert!(joint >= 2, "{device}");
+    soft
+}
+
+/// Mode, measured and predicted stiffness (N/m; none where it could not be measured).
+type Row = (String, Option<f64>, f64);
+
+fn measured(device: &str, normal: &str, (rate, cutoff): (u32, u32), kinds: &str) -> Result<(f64, Vec<Row>), String> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("soft.toml");
+    std::fs::write(&path, with_cables(device, normal.matches(',').count() == 2)).unwrap();
+    let path = path.to_str().unwrap();
+    let run = |arguments: &[&str]| {
+        let (rate, cutoff) = (rate.to_string(), cutoff.to_string());
+        let loop_ = ["--normal", normal, "--rate", &rate, "--cutoff", &cutoff, "--washout", "2", "--json"];
+        let done = Command::cargo_bin("haptic").unwrap().args(arguments).args(loop_).output().unwrap();
+        serde_json::from_slice::<Value>(&done.stdout).map_err(|_| {
+            let told = String::from_utf8_lossy(&done.stderr).into_owned();
+            told.lines().rev().find(|line| line.starts_with("error")).unwrap_or_default().to_string()
+        })
+    };
+    let range = run(&["range", path, "--board", "h-bridge-f405"])?;
+    let limit = |mode: &str| range[mode]["kd_max"].as_f64().unwrap();
+    // A third of the way, in three digits.
+    let kd = format!("{:.2e}", 0.35 * limit("off").min(limit("full")));
+    let progress = folder.path().join("progress.json");
+    let document = run(&[
+        "measure-range",
+        path,
+        "--port",
+        "sim",
+        "--kd",
+        &kd,
+        "--repeats",
+        "1",
+        "--feed-forward",
+        kinds,
+        "--friction",
+        "viscous",
+        "--counts",
+        "4194304",
+        "--yes",
+        "--progress",
+        progress.to_str().unwrap(),
+    ])?;
+    let rows = document["points"].as_array().unwrap().iter().map(|point| {
+        (point["mode"].as_str().unwrap().into(), point["kp"].as_f64(), point["theory_kp"].as_f64().unwrap())
+    });
+    Ok((kd.parse().unwrap(), rows.collect()))
+}
+
+#[test]
+fn a_pantograph_with_cables_is_as_stiff_as_predicted() {
+    let (_, rows) = measured("capstan-pantograph", "0.6,0.8", (1_000, 100), "all").unwrap();
+    assert_eq!(rows.len(), 3);
+    for (mode, found, predicted) in rows {
+        let found = found.unwrap();
+        assert!((found / predicted - 1.0).abs() < 0.1, "{mode}: {found} is not {predicted}");
+    }
+}
+
+#[test]
+#[ignore = "minutes: it prints docs/results/complete.md"]
+fn three_devices_at_three_rates() {
+    println!("| device | rate, cutoff | kd, N s/m | feed-forward | measured, N/m | predicted, N/m | off by |");
+    println!("|---|---|---|---|---|---|---|");
+    for loop_ in [(1_000, 100), (5_000, 200), (20_000, 500)] {
+        for (device, normal) in
+            [("capstan-pantograph", "0.6,0.8"), ("phantom-premium-1.5", "0.6,0.8,0"), ("woodenhaptics", "0.6,0.8,0")]
+        {
+            let place = format!("| {device} | {}, {} Hz |", loop_.0, loop_.1);
+            match measured(device, normal, loop_, "all") {
+                Err(told) => println!("{place} | | not measured: {told} | | |"),
+                Ok((kd, rows)) => {
+                    for (mode, found, predicted) in rows {
+                        let off = found
+                            .map_or("not found".into(), |found| format!("{:+.1} %", 100.0 * (found / predicted - 1.0)));
+                        let found = found.map_or("-".into(), |found| format!("{found:.0}"));
+                        println!("{place} {kd} | {mode} | {found} | {predicted:.0} | {off} |");
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,199 @@
+//! `haptic plot`: what is drawn is what was recorded. A recording of known functions is drawn, and the picture is read back
+//! by its own ticks and labels, without the code that drew it.
+
+use assert_cmd::Command;
+use predicates::str::contains;
+use std::f64::consts::TAU;
+use std::path::Path;
+
+/// Rows a second, and how many.
+const RATE: f64 = 1000.0;
+const ROWS: usize = 2000;
+/// Lost on the way.
+const GAP: std::ops::Range<usize> = 600..700;
+
+fn depth(t: f64) -> f64 {
+    2e-3 * (TAU * 2.0 * t).sin()
+}
+
+fn force(t: f64) -> f64 {
+    (3000.0 * depth(t)).max(0.0)
+}
+
+fn torque(t: f64) -> f64 {
+    0.25 + 0.5 * (TAU * 125.0 * t).sin()
+}
+
+fn recording(path: &Path) {
+    let mut text =
+        "# haptic-bridge recording\n# date 2026-01-01\n# device a-device\n# control rate 1000 Hz, every step\n\
+                    # wall 0: plane, 3000 N/m\nstep,time_s,torque0_n_m,distance_m,velocity_m_s,rendered_n\n"
+            .to_string();
+    for row in (0..ROWS).filter(|row| !GAP.contains(row)) {
+        let t = row as f64 / RATE;
+        let speed = -2e-3 * TAU * 2.0 * (TAU * 2.0 * t).cos();
+        text.push_str(&format!("{},{t},{},{},{speed},{}\n", row + 77, torque(t), -depth(t), force(t)));
+    }
+    std::fs::write(path, text).unwrap();
+}
+
+/// A coordinate system read from an SVG: what each axis is called, and its lines in SI units.
+#[derive(Debug, Default)]
+struct Panel {
+    labels: Vec<String>,
+    lines: Vec<Vec<(f64, f64)>>,
+}
+
+fn attribute(line: &str, name: &str) -> Option<f64> {
+    line.split_once(&format!(" {name}=\""))?.1.split_once('"')?.0.parse().ok()
+}
+
+fn words(line: &str) -> &str {
+    line.split_once('>').and_then(|(_, rest)| rest.split_once('<')).map_or("", |(words, _)| words)
+}
+
+/// The unit's prefix in "time (ms)" as a factor.
+fn factor(label: &str) -> f64 {
+    let unit = label.rsplit_once('(').map_or("", |(_, unit)| unit.trim_end_matches(')'));
+    match unit {
+        "m" | "s" | "N" | "Hz" | "N m" | "m/s" | "dB" | "" => 1.0,
+        unit if unit.starts_with('m') => 1e-3,
+        unit if unit.starts_with('µ') => 1e-6,
+        unit if unit.starts_with('k') => 1e3,
+        other => panic!("{other}"),
+    }
+}
+
+fn read(svg: &str) -> Vec<Panel> {
+    let mut panels = Vec::new();
+    let (mut drawn, mut ticks, mut labels) = (Vec::new(), [Vec::new(), Vec::new()], Vec::new());
+    let lines: Vec<&str> = svg.lines().collect();
+    for (index, line) in lines.iter().enumerate() {
+        if let Some((_, rest)) = line.split_once("<polyline points=\"") {
+            let pairs = rest.split_once('"').unwrap().0.split(' ').filter_map(|pair| pair.split_once(','));
+            // A dashed line is the axis through zero.
+            if !line.contains("stroke-dasharray") {
+                drawn.push(pairs.map(|(x, y)| (x.parse().unwrap(), y.parse().unwrap())).collect::<Vec<(f64, f64)>>());
+            }
+        } else if line.starts_with("<line") {
+            let at = |name| attribute(line, name).unwrap();
+            let value: Option<f64> = words(lines[index + 1]).parse().ok();
+            match value {
+                Some(value) if at("x1") == at("x2") => ticks[0].push((at("x1"), value)),
+                Some(value) if at("y1") == at("y2") => ticks[1].push((at("y1"), value)),
+                _ => {}
+            }
+        } else if line.starts_with("<text") && line.contains("font-size=\"13\"") {
+            labels.push(words(line).to_string());
+            if labels.len() == 2 {
+                let scale = |axis: usize, pixel: f64| {
+                    let ((p0, v0), (p1, v1)) = (ticks[axis][0], *ticks[axis].last().unwrap());
+                    (v0 + (pixel - p0) / (p1 - p0) * (v1 - v0)) * factor(&labels[axis])
+                };
+                let lines = drawn.iter().map(|line| line.iter().map(|(x, y)| (scale(0, *x), scale(1, *y))).collect());
+                panels.push(Panel { lines: lines.collect(), labels: std::mem::take(&mut labels) });
+                (drawn, ticks) = (Vec::new(), [Vec::new(), Vec::new()]);
+            }
+        }
+    }
+    panels
+}
+
+#[test]
+fn the_picture_says_what_was_recorded() {
+    let folder = tempfile::tempdir().unwrap();
+    let (csv, svg, png) = (folder.path().join("a.csv"), folder.path().join("a.svg"), folder.path().join("a.png"));
+    recording(&csv);
+    let plot = |more: &[&str]| {
+        let mut command = Command::cargo_bin("haptic").unwrap();
+        command.arg("plot").arg(&csv).args(more).assert()
+    };
+    let files = ["--svg", svg.to_str().unwrap(), "--png", png.to_str().unwrap()];
+    plot(&files)
+        .success()
+        .stdout(contains("1900 rows over 1.999 s, 100 rows missing between them"))
+        .stdout(contains("stiffness that was there: 3000 N/m"));
+    plot(&files).code(1).stderr(contains("--force"));
+
+    let text = std::fs::read_to_string(&svg).unwrap();
+    assert!(text.contains("a-device, 2026-01-01") && text.contains("wall 0: plane, 3000 N/m"));
+    let panels = read(&text);
+    let names: Vec<&str> = panels.iter().flat_map(|panel| &panel.labels).map(String::as_str).collect();
+    let expected = [
+        "time (ms)",
+        "rendered (N)",
+        "penetration (mm)",
+        "rendered (N)",
+        "frequency (Hz)",
+        "amplitude re 1 N (dB)",
+        "distance to the wall (mm)",
+        "velocity (mm/s)",
+    ];
+    assert_eq!(names, expected);
+
+    // Over time: every point lies on the function, and no line leads over what was lost.
+    let time = &panels[0];
+    assert_eq!(time.lines.len(), 2, "{}", time.lines.len());
+    assert!(time.lines[0].len() > 300);
+    for (t, f) in time.lines.iter().flatten() {
+        assert!((f - force(*t)).abs() < 0.06, "{f} N at {t} s, and it was {}", force(*t));
+    }
+    assert!((time.lines[0].last().unwrap().0 - 0.599).abs() < 2e-3 && (time.lines[1][0].0 - 0.7).abs() < 2e-3);
+    let highest = time.lines.iter().flatten().fold(0.0_f64, |most, (_, f)| most.max(*f));
+    assert!((highest - 6.0).abs() < 0.02, "{highest}");
+    // Over penetration: the wall's stiffness, from outside to 2 mm.
+    let wall = panels[1].lines.iter().flatten();
+    assert!(wall.clone().any(|(x, _)| *x > 1.99e-3) && wall.clone().all(|(x, _)| *x > -0.3e-3));
+    for (x, f) in wall {
+        assert!((f - 3000.0 * x.max(0.0)).abs() < 0.06, "{f} N in a depth of {x} m");
+    }
+    // Phase: (x/2 mm)² + (v/25.1 mm/s)² = 1.
+    for (x, v) in panels[3].lines.iter().flatten() {
+        let radius = (x / 2e-3).hypot(v / (2e-3 * TAU * 2.0));
+        assert!((radius - 1.0).abs() < 0.02, "{x} m, {v} m/s");
+    }
+    let picture = std::fs::read(&png).unwrap();
+    assert_eq!(&picture[1..4], b"PNG");
+    let size = |at: usize| u32::from_be_bytes(picture[at..at + 4].try_into().unwrap());
+    let height: f64 = attribute(text.lines().next().unwrap(), "height").unwrap();
+    assert_eq!((size(16), size(20)), (1440, (2.0 * height) as u32), "two pixels per unit");
+
+    // A sine shows its amplitude at its frequency, and its mean not at all.
+    plot(&["--signals", "torque0_n_m", "--show", "spectrum", "--most-hz", "400", "--force", "--svg", files[1]])
+        .success()
+        .stdout(contains("at 125.0 Hz"));
+    let panels = read(&std::fs::read_to_string(&svg).unwrap());
+    assert_eq!(panels[0].labels, ["frequency (Hz)", "amplitude re 1 N m (dB)"].map(str::to_string));
+    let line: Vec<(f64, f64)> = panels[0].lines[0].iter().map(|(hz, db)| (*hz, 10f64.powf(db / 20.0))).collect();
+    let top = line.iter().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
+    assert!((top.0 - 125.0).abs() < 1.0 && (top.1 - 0.5).abs() < 0.005, "{top:?}");
+    assert!(line.iter().all(|(hz, a)| (hz - 125.0).abs() < 5.0 || *a < 0.01) && line.last().unwrap().0 < 401.0);
+
+    // The points of --json are the recording's own.
+    let json = plot(&["--json", "--show", "time", "--from", "0.1", "--to", "0.2"]).success();
+    let json: serde_json::Value = serde_json::from_slice(&json.get_output().stdout).unwrap();
+    let points = json["panels"][0]["curves"][0]["pieces"][0].as_array().unwrap();
+    assert_eq!((points.len(), json["rows"].as_u64(), json["missing"].as_u64()), (101, Some(101), Some(0)));
+    let (t, f) = (points[50][0].as_f64().unwrap(), points[50][1].as_f64().unwrap());
+    assert!((t - 0.15).abs() < 1e-9 && (f - force(0.15)).abs() < 1e-9);
+}
+
+#[test]
+fn what_cannot_be_drawn_is_refused_in_words() {
+    let folder = tempfile::tempdir().unwrap();
+    let csv = folder.path().join("a.csv");
+    recording(&csv);
+    let refused = |more: &[&str], said: &str| {
+        let mut command = Command::cargo_bin("haptic").unwrap();
+        command.arg("plot").arg(&csv).args(more).assert().code(2).stderr(contains(said));
+    };
+    refused(&["--signals", "nothing_n"], "no column nothing_n; it has step, time_s, torque0_n_m");
+    refused(&["--from", "5"], "0 rows to draw; the recording has rows from 0 to 1.999 s");
+    refused(&["--show", "colour"], "time, force, spectrum, phase");
+    std::fs::write(&csv, "not, a recording\n1,2\n").unwrap();
+    refused(&[], "no column step");
+    std::fs::write(&csv, b"\x89MCAP0\r\nrubbish").unwrap();
+    refused(&[], "no channel /rows");
+    std::fs::write(&csv, [0xff, 0xfe, 0x00]).unwrap();
+    refused(&[], "neither MCAP nor text");
+}

@@ -1,0 +1,90 @@
+//! The page of `haptic report` needs nothing else, and is what its own lines print.
+
+use assert_cmd::Command;
+use std::path::Path;
+
+fn root() -> std::path::PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+fn haptic(arguments: &[&str]) -> String {
+    let output = Command::cargo_bin("haptic").unwrap().current_dir(root()).args(arguments).output().unwrap();
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn plain(text: &str) -> String {
+    text.replace("&lt;", "<").replace("&gt;", ">").replace("&quot;", "\"").replace("&amp;", "&")
+}
+
+/// The names of all elements, each closed where it should be.
+fn elements(page: &str) -> Vec<String> {
+    let (mut open, mut all): (Vec<String>, Vec<String>) = (Vec::new(), Vec::new());
+    for tag in page.split('<').skip(1) {
+        let tag = tag.split_once('>').unwrap_or_else(|| panic!("no end: {}", &tag[..40.min(tag.len())])).0;
+        let name: String = tag.trim_start_matches('/').chars().take_while(char::is_ascii_alphanumeric).collect();
+        if tag.starts_with('!') {
+            continue;
+        }
+        if tag.starts_with('/') {
+            assert_eq!(open.pop(), Some(name));
+        } else {
+            all.push(name.clone());
+            if !tag.ends_with('/') {
+                open.push(name);
+            }
+        }
+    }
+    assert!(open.is_empty(), "{open:?}");
+    all
+}
+
+#[test]
+fn the_page_needs_nothing_else_and_every_line_on_it_prints_what_stands_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("page.html");
+    let page = path.to_str().unwrap();
+    let (device, scene) = ("devices/haply-2diy.toml", "devices/scenes/haply-2diy/wall-stiff.toml");
+    haptic(&["report", device, scene, "--without", "estimators,tune", "--out", page]);
+    let page = std::fs::read_to_string(path).unwrap();
+    let elements = elements(&page);
+    for name in ["script", "link", "img", "iframe", "object", "a"] {
+        assert!(!elements.contains(&name.to_string()), "{name}");
+    }
+    for word in ["http:", "https:", "src=", "href=", "@import", "url(h"] {
+        assert!(!page.contains(word), "{word}");
+    }
+    assert_eq!(elements.iter().filter(|name| *name == "svg").count(), 5, "check, map, range, why and design draw");
+    // Parts of pictures that others refer to have one name each.
+    let mut names: Vec<&str> = page.split("id=\"").skip(1).map(|rest| rest.split('"').next().unwrap()).collect();
+    let many = names.len();
+    names.sort_unstable();
+    names.dedup();
+    assert_eq!(names.len(), many);
+
+    let lines: Vec<String> =
+        page.split("<code class=\"line\">").skip(1).map(|rest| plain(rest.split("</code>").next().unwrap())).collect();
+    assert_eq!(lines.len(), 7);
+    let mut pages = page.split("<section>").skip(1);
+    for line in lines {
+        let section = plain(pages.next().unwrap());
+        let words: Vec<&str> = line.split(' ').skip(1).collect();
+        let words = match words.iter().position(|word| *word == "--svg") {
+            Some(at) => &words[..at],
+            None => &words[..],
+        };
+        let said = haptic(words);
+        assert!(said.len() > 100 && section.contains(said.trim_end()), "{line}\n{said}");
+    }
+}
+
+#[test]
+fn a_page_that_is_there_is_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("page.html");
+    std::fs::write(&path, "mine").unwrap();
+    let mut command = Command::cargo_bin("haptic").unwrap();
+    command.current_dir(root()).args(["report", "devices/hapkit-paddle.toml", "--out", path.to_str().unwrap()]);
+    command.assert().code(1);
+    assert_eq!(std::fs::read_to_string(path).unwrap(), "mine");
+}

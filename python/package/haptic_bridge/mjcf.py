@@ -1,0 +1,163 @@
+"""A device file as a model of MuJoCo: another engine's linkage for the same device.
+
+Read from the file by itself, without the code that the board runs, so that the two can be held against each other.
+"""
+
+import math
+import os
+import tomllib
+from typing import Any
+
+__all__ = ["from_device", "joint_angles"]
+
+Z = "0 0 1"
+
+
+def from_device(path: str | os.PathLike[str], *, timestep: float = 5e-5) -> str:
+    """The MJCF of a device file: hinges q0, q1, .. are its actuated joints, the site `tip` is its tip.
+
+    A motor actuator with gear 1 (N m) is at each, in that order. Joint friction is there; transmissions, limits and motors are not. Linkages that
+    close are closed by a constraint that gives a little; their other hinges start where `joint_angles` puts them.
+    """
+    with open(path, "rb") as file:
+        device = tomllib.load(file)
+    build = {
+        "paddle": _paddle,
+        "serial-3r": _serial,
+        "five-bar": _five_bar,
+        "five-bar-turret": _five_bar_turret,
+        "parallelogram": _parallelogram,
+    }[device["mechanism"]]
+    bodies, equality = build(device)
+    gravity = (list(device.get("gravity", [])) + [0.0, 0.0, 0.0])[:3]
+    count = len(device["joint"])
+    motors = "".join(f'<motor joint="q{joint}" gear="1"/>' for joint in range(count))
+    return (
+        f'<mujoco model="{device["name"]}"><compiler angle="radian" inertiafromgeom="false"/>'
+        f'<option timestep="{timestep}" gravity="{_numbers(*gravity)}" integrator="implicitfast">'
+        '<flag contact="disable"/></option>'
+        f"<worldbody>{bodies}</worldbody>"
+        f"<equality>{equality}</equality><actuator>{motors}</actuator></mujoco>"
+    )
+
+
+def joint_angles(path: str | os.PathLike[str], q: Any) -> dict[str, float]:
+    """The angle of every hinge of `from_device` with the actuated joints at q (rad)."""
+    with open(path, "rb") as file:
+        device = tomllib.load(file)
+    q = [float(angle) for angle in q]
+    angles = {f"q{joint}": angle for joint, angle in enumerate(q)}
+    kind = device["mechanism"]
+    if kind == "parallelogram":
+        # Absolute angles: the crank leaves along -(cos q2, sin q2), and what hangs on both is parallel to the other.
+        angles["fore"] = q[2] - q[1]
+        angles["coupler"] = q[1] - q[2] - math.pi
+    if kind in ("five-bar", "five-bar-turret"):
+        # Distal angles by geometry: the tip is to the left of C to D, or to the right.
+        one, two = q[-2:]
+        geometry = device["geometry"]
+        half = geometry["base"] / 2
+        c = (-half + geometry["proximal"][0] * math.cos(one), geometry["proximal"][0] * math.sin(one))
+        d = (half + geometry["proximal"][1] * math.cos(two), geometry["proximal"][1] * math.sin(two))
+        across = math.hypot(d[0] - c[0], d[1] - c[1])
+        a, b = geometry["distal"]
+        along = (across**2 + a**2 - b**2) / (2 * across)
+        height = geometry["assembly"] * math.sqrt(a**2 - along**2)
+        e = ((d[0] - c[0]) / across, (d[1] - c[1]) / across)
+        tip = (c[0] + along * e[0] - height * e[1], c[1] + along * e[1] + height * e[0])
+        angles["distal0"] = math.atan2(tip[1] - c[1], tip[0] - c[0]) - one
+        angles["distal1"] = math.atan2(tip[1] - d[1], tip[0] - d[0]) - two
+    return angles
+
+
+def _numbers(*values: float) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _hinge(name: str, axis: str, joint: dict[str, float] | None) -> str:
+    friction = ""
+    if joint is not None:
+        friction = (
+            f' armature="{float(joint["inertia"])!r}" damping="{float(joint.get("viscous", 0.0))!r}"'
+            f' frictionloss="{float(joint.get("coulomb", 0.0))!r}"'
+        )
+    return f'<joint name="{name}" type="hinge" axis="{axis}"{friction}/>'
+
+
+def _inertial(link: dict[str, float]) -> str:
+    normal = link["inertia"]
+    # MuJoCo wants every body to have some inertia in every direction; in a plane the others turn nothing.
+    axial = link.get("inertia_axial", 0.0) or 1e-3 * normal
+    across = link.get("inertia_transverse", normal)
+    return f'<inertial pos="{_numbers(link["com"], 0, 0)}" mass="{link["mass"]!r}" diaginertia="{_numbers(axial, across, normal)}"/>'
+
+
+def _handle(device: dict[str, Any]) -> str:
+    mass = device.get("handle", {}).get("mass", 0.0)
+    body = f'<inertial pos="0 0 0" mass="{mass!r}" diaginertia="1e-15 1e-15 1e-15"/>' if mass else ""
+    return body + '<site name="tip"/>'
+
+
+def _body(name: str, at: float, content: str) -> str:
+    return f'<body name="{name}" pos="{_numbers(at, 0, 0)}">{content}</body>'
+
+
+def _paddle(device: dict[str, Any]) -> tuple[str, str]:
+    joint = _hinge("q0", Z, device["joint"][0])
+    empty = '<inertial pos="0 0 0" mass="1e-12" diaginertia="1e-15 1e-15 1e-15"/>'
+    handle = _body("handle", device["geometry"]["length"], _handle(device))
+    return _body("paddle", 0.0, joint + empty + handle), ""
+
+
+def _serial(device: dict[str, Any]) -> tuple[str, str]:
+    lengths = device["geometry"]["lengths"]
+    inner = _body("handle", lengths[2], _handle(device))
+    for index in (2, 1, 0):
+        content = _hinge(f"q{index}", Z, device["joint"][index]) + _inertial(device["link"][index]) + inner
+        inner = _body(f"link{index}", lengths[index - 1] if index else 0.0, content)
+    return inner, ""
+
+
+def _closed(device: dict[str, Any], first: int) -> tuple[str, str]:
+    geometry, links, joints = device["geometry"], device["link"], device["joint"]
+    arms = ""
+    for side, at in ((0, -geometry["base"] / 2), (1, geometry["base"] / 2)):
+        end = _body("handle", geometry["distal"][0], _handle(device)) if side == 0 else ""
+        distal = _hinge(f"distal{side}", Z, None) + _inertial(links[2 + side]) + end
+        if side == 1:
+            distal += f'<site name="end" pos="{_numbers(geometry["distal"][1], 0, 0)}"/>'
+        distal = _body(f"distal{side}", geometry["proximal"][side], distal)
+        content = _hinge(f"q{first + side}", Z, joints[first + side]) + _inertial(links[side]) + distal
+        arms += _body(f"proximal{side}", at, content)
+    return arms, '<connect site1="tip" site2="end" solref="0.0002 1" solimp="0.99999 0.99999 1e-6"/>'
+
+
+def _five_bar(device: dict[str, Any]) -> tuple[str, str]:
+    return _closed(device, 0)
+
+
+def _turret(device: dict[str, Any], axis: str, content: str) -> str:
+    empty = '<inertial pos="0 0 0" mass="1e-12" diaginertia="1e-15 1e-15 1e-15"/>'
+    return _body("turret", 0.0, _hinge("q0", axis, device["joint"][0]) + empty + content)
+
+
+def _five_bar_turret(device: dict[str, Any]) -> tuple[str, str]:
+    arms, equality = _closed(device, 1)
+    return _turret(device, "1 0 0", arms), equality
+
+
+def _parallelogram(device: dict[str, Any]) -> tuple[str, str]:
+    geometry, joints = device["geometry"], device["joint"]
+    upper, fore, crank, coupler = device["link"]
+    # The forearm's own end behind E is the crank's length away: the coupler is as long as the upper arm.
+    forearm = _hinge("fore", Z, None) + _inertial(fore) + _body("handle", geometry["fore"], _handle(device))
+    forearm += f'<site name="rear" pos="{_numbers(-geometry["crank"], 0, 0)}"/>'
+    first = _hinge("q1", Z, joints[1]) + _inertial(upper) + _body("forearm", geometry["upper"], forearm)
+    rod = _hinge("coupler", Z, None) + _inertial(coupler)
+    rod += f'<site name="end" pos="{_numbers(geometry["upper"], 0, 0)}"/>'
+    # Joint 2's angle is the forearm's; the crank points the other way.
+    second = _hinge("q2", Z, joints[2]) + _inertial(crank) + _body("rod", geometry["crank"], rod)
+    arms = _body("upper", 0.0, first)
+    arms += f'<body name="crank" euler="0 0 {math.pi!r}">{second}</body>'
+    equality = '<connect site1="rear" site2="end" solref="0.0002 1" solimp="0.99999 0.99999 1e-6"/>'
+    return _turret(device, "0 1 0", arms), equality

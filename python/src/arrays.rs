@@ -1,0 +1,53 @@
+//! Between numpy and plain numbers.
+
+use crate::errors::RequestError;
+use numpy::{IxDyn, PyArray, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+
+/// Rows of numbers with a shape in front: `shape` of [..., width].
+pub struct Rows {
+    pub shape: Vec<usize>,
+    pub rows: Vec<Vec<f64>>,
+}
+
+/// What a caller gives for rows of `width`: anything that numpy makes numbers of.
+pub fn rows(what: &str, given: &Bound<'_, PyAny>, width: usize) -> PyResult<Rows> {
+    // Arrays that came over a wire need not lie where a processor likes its numbers.
+    let array = given.py().import("numpy")?.call_method1("require", (given, "float64", ["C", "A"]))?;
+    let array: PyReadonlyArrayDyn<'_, f64> = array.extract()?;
+    let shape = array.shape().to_vec();
+    match shape.split_last() {
+        Some((last, leading)) if *last == width => {
+            let flat: Vec<f64> = array.as_array().iter().copied().collect();
+            let rows = if width == 0 { Vec::new() } else { flat.chunks(width).map(<[f64]>::to_vec).collect() };
+            Ok(Rows { shape: leading.to_vec(), rows })
+        }
+        _ => Err(RequestError::new_err(format!(
+            "{what} has the shape {shape:?}, and its last dimension must be {width}"
+        ))),
+    }
+}
+
+impl Rows {
+    /// One row for each of `poses`: as many as there are, or one for all.
+    pub fn along(self, what: &str, poses: &Rows) -> PyResult<Vec<Vec<f64>>> {
+        match self.rows.len() {
+            1 if self.shape.is_empty() => Ok(vec![self.rows[0].clone(); poses.rows.len()]),
+            _ if self.shape == poses.shape => Ok(self.rows),
+            _ => Err(RequestError::new_err(format!(
+                "{what} goes over {:?} and the poses over {:?}; give one, or one for each pose",
+                self.shape, poses.shape
+            ))),
+        }
+    }
+}
+
+/// An array of this shape, in C order.
+pub fn array<'py>(py: Python<'py>, values: Vec<f64>, shape: &[usize]) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+    PyArray::from_vec(py, values).reshape(IxDyn(shape))
+}
+
+/// An array of one dimension.
+pub fn list<'py, T: Copy + Into<f64>>(py: Python<'py>, values: &[T]) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+    array(py, values.iter().map(|value| (*value).into()).collect(), &[values.len()])
+}

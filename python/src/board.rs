@@ -1,0 +1,378 @@
+//! Boards: real ones, and simulated ones in this process.
+
+use crate::arrays::{array, list};
+use crate::device::{Device, Scene};
+use crate::errors::{self, LinkError, RequestError};
+use crate::recording::Recording;
+use haptic::haptic_bridge::board::protocol::{ForceAnswer, ForceDone, ForceRequest, HostContact};
+use haptic::haptic_bridge::board::telemetry::Fields;
+use haptic::haptic_bridge::render::controller::Gains;
+use haptic::haptic_bridge::render::scene::Scene as BoardScene;
+use haptic::link::{self, BoardError, PortSpec, Row, Session, columns};
+use haptic::recorder::STATES;
+use numpy::PyArrayDyn;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+/// How long one wait for telemetry is before Ctrl-C is looked for, s.
+const LOOK: f64 = 0.1;
+
+/// How the device is, in the answer to a request (docs/host-force.md). Arrays have three entries, 0 where the device has
+/// none.
+#[pyclass(frozen, module = "haptic_bridge")]
+pub struct State(ForceAnswer);
+
+#[pymethods]
+impl State {
+    /// What was done with the request, in words: it begins with "taken" or "not taken".
+    #[getter]
+    fn done(&self) -> String {
+        self.0.done.to_string()
+    }
+    /// Whether the request acts.
+    #[getter]
+    fn taken(&self) -> bool {
+        self.0.done == ForceDone::Taken
+    }
+    /// Disarmed, Armed, CheckingPolarity or Fault.
+    #[getter]
+    fn state(&self) -> &'static str {
+        STATES[self.0.state as usize]
+    }
+    /// Control periods since the board started, wrapping at 2³².
+    #[getter]
+    fn step(&self) -> u32 {
+        self.0.step
+    }
+    /// From one control period to the next, s.
+    #[getter]
+    fn period_s(&self) -> f32 {
+        self.0.period
+    }
+    /// Since the state that the acting request was computed from, s; None when none acts.
+    #[getter]
+    fn age_s(&self) -> Option<f32> {
+        self.0.age
+    }
+    /// The part of what was asked for that acts, 0 to 1.
+    #[getter]
+    fn share(&self) -> f32 {
+        self.0.share
+    }
+    /// Tip, m, shape (3,).
+    #[getter]
+    fn tip<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        list(py, &self.0.tip)
+    }
+    /// Velocity of the tip, m/s, shape (3,), filtered as the scene says.
+    #[getter]
+    fn velocity<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        list(py, &self.0.velocity)
+    }
+    /// Joint angles, rad, shape (3,).
+    #[getter]
+    fn q<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        list(py, &self.0.q)
+    }
+    /// Joint torques commanded, after all limits, N m, shape (3,).
+    #[getter]
+    fn torque<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        list(py, &self.0.torque)
+    }
+    /// Force at the tip that the host's requests really added, N, shape (3,).
+    #[getter]
+    fn force<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        list(py, &self.0.force)
+    }
+    fn __repr__(&self) -> String {
+        format!("<State {}, tip {:?} m, {}>", self.state(), self.0.tip, self.0.done)
+    }
+}
+
+/// The stream that is followed.
+#[derive(Clone, Copy)]
+struct Stream {
+    fields: Fields,
+    axes: usize,
+}
+
+/// What is held while a board is open.
+struct Held {
+    session: Session,
+    stream: Option<Stream>,
+}
+
+/// A board while this program holds it.
+///
+/// Board(port): a serial port or serial number, "tcp:HOST:PORT", "sim" or "sim:DEVICE.toml"; without one the only board
+/// connected. Use it in a `with` block: the motors go off at its end, however it ends, and when the board is let go of. Calls
+/// from several threads wait for each other; none holds the interpreter's lock while it waits for the board.
+#[pyclass(frozen, module = "haptic_bridge")]
+pub struct Board(Mutex<Option<Held>>);
+
+impl Board {
+    pub fn of(session: Session) -> Self {
+        Self(Mutex::new(Some(Held { session, stream: None })))
+    }
+
+    fn with<T: Send>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&mut Held) -> Result<T, BoardError> + Send,
+    ) -> PyResult<T> {
+        py.detach(|| {
+            let mut held = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+            let held = held.as_mut().ok_or_else(|| LinkError::new_err("the board was closed; open it again"))?;
+            work(held).map_err(errors::board)
+        })
+    }
+
+    fn exchanged(&self, py: Python<'_>, request: ForceRequest) -> PyResult<State> {
+        self.with(py, |held| Ok(State(held.session.exchange(request)?)))
+    }
+}
+
+/// Three entries, of which the device's own must be there.
+fn vector(what: &str, given: &[f64]) -> PyResult<[f32; 3]> {
+    if given.is_empty() || given.len() > 3 {
+        return Err(RequestError::new_err(format!("{what} has {} entries, and must have 1 to 3", given.len())));
+    }
+    Ok(std::array::from_fn(|i| given.get(i).map_or(0.0, |value| *value as f32)))
+}
+
+#[pymethods]
+impl Board {
+    #[new]
+    #[pyo3(signature = (port = None))]
+    fn new(py: Python<'_>, port: Option<&str>) -> PyResult<Self> {
+        let spec = match port {
+            Some(port) => port.parse::<PortSpec>().map_err(RequestError::new_err)?,
+            None => PortSpec::Find,
+        };
+        py.detach(|| Session::open(&spec)).map(Self::of).map_err(errors::link)
+    }
+
+    fn __enter__(slf: PyRef<'_, Self>) -> PyRef<'_, Self> {
+        slf
+    }
+
+    #[pyo3(signature = (*_error))]
+    fn __exit__(&self, py: Python<'_>, _error: &Bound<'_, pyo3::types::PyTuple>) {
+        self.close(py);
+    }
+
+    /// Disarms the board and lets go of it. Twice is once.
+    fn close(&self, py: Python<'_>) {
+        py.detach(|| drop(self.0.lock().unwrap_or_else(PoisonError::into_inner).take()));
+    }
+
+    /// What the board is: a dict of board, serial, firmware, protocol and port.
+    #[getter]
+    fn info<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let (info, port) = self.with(py, |held| Ok((held.session.info().clone(), held.session.port().to_owned())))?;
+        let dict = PyDict::new(py);
+        dict.set_item("board", info.board.as_str())?;
+        dict.set_item("serial", info.serial.as_str())?;
+        dict.set_item("firmware", info.firmware.as_str())?;
+        dict.set_item("protocol", info.protocol)?;
+        dict.set_item("port", port)?;
+        Ok(dict)
+    }
+
+    /// Disarmed, Armed, CheckingPolarity or Fault.
+    #[getter]
+    fn state(&self, py: Python<'_>) -> PyResult<&'static str> {
+        self.with(py, |held| Ok(STATES[held.session.status()?.state as usize]))
+    }
+
+    /// The latched fault in words; None without one.
+    #[getter]
+    fn fault(&self, py: Python<'_>) -> PyResult<Option<String>> {
+        self.with(py, |held| Ok(held.session.status()?.fault.map(|record| record.fault.to_string())))
+    }
+
+    /// Loads a device and a scene; without a scene, free space. Motors must be off.
+    #[pyo3(signature = (device, scene = None))]
+    fn load(&self, py: Python<'_>, device: &Device, scene: Option<&Scene>) -> PyResult<()> {
+        let data = device.file.device().map_err(|error| RequestError::new_err(error.to_string()))?;
+        let task = device.file.spec().task as u8;
+        let scene = match scene {
+            Some(scene) => scene.file.scene().map_err(|error| RequestError::new_err(error.to_string()))?,
+            None => BoardScene { task, ..BoardScene::default() },
+        };
+        self.with(py, |held| {
+            held.session.set_device(&data)?;
+            held.session.set_scene(&scene)
+        })
+    }
+
+    /// The device stands in its home pose.
+    fn home(&self, py: Python<'_>) -> PyResult<()> {
+        self.with(py, |held| held.session.home())
+    }
+
+    /// Starts the polarity check, which moves each joint a little.
+    fn check_polarity(&self, py: Python<'_>) -> PyResult<()> {
+        self.with(py, |held| held.session.check_polarity())
+    }
+
+    /// Motors on; torque ramps up over half a second. The board must then hear from this program as often as its rules ask.
+    fn arm(&self, py: Python<'_>) -> PyResult<()> {
+        self.with(py, |held| held.session.arm())
+    }
+
+    /// Motors off.
+    fn disarm(&self, py: Python<'_>) -> PyResult<()> {
+        self.with(py, |held| held.session.disarm())
+    }
+
+    /// Clears a latched fault.
+    fn clear(&self, py: Python<'_>) -> PyResult<()> {
+        self.with(py, |held| held.session.clear())
+    }
+
+    /// Changes one wall's stiffness (N/m) and damping (N s/m), also while it is touched.
+    fn set_gains(&self, py: Python<'_>, wall: u8, stiffness: f32, damping: f32) -> PyResult<()> {
+        let there = self.with(py, |held| {
+            let scene = held.session.scene()?;
+            let Some(now) = scene.as_ref().and_then(|scene| scene.walls.get(usize::from(wall))) else {
+                return Ok(Err(scene.map_or(0, |scene| scene.walls.len())));
+            };
+            let (feed_forward, washout_hz) = (now.feed_forward, now.washout_hz);
+            let gains = Gains { wall, stiffness, damping, feed_forward, washout_hz };
+            held.session.set_wall_gains(gains).map(Ok)
+        })?;
+        there.map_err(|walls| RequestError::new_err(format!("the scene has {walls} walls, so there is no wall {wall}")))
+    }
+
+    /// How the device is; asks nothing of the motors.
+    fn look(&self, py: Python<'_>) -> PyResult<State> {
+        self.exchanged(py, ForceRequest::default())
+    }
+
+    /// Pushes with a force (N) at the tip, up to 3 entries in the task frame, in the place of what was asked for before.
+    ///
+    /// hold_s: how long it acts in full, fade_s: in how long it then fades to nothing, 0 to 0.2 s each. contact: (point (m),
+    /// unit normal, stiffness (N/m), damping (N s/m)) of a plane that the board renders at its own rate. A force that was not
+    /// taken raises nothing: State.done says why.
+    #[pyo3(signature = (force, *, contact = None, hold_s = link::HOLD, fade_s = link::FADE))]
+    fn force(
+        &self,
+        py: Python<'_>,
+        force: Vec<f64>,
+        contact: Option<(Vec<f64>, Vec<f64>, f32, f32)>,
+        hold_s: f32,
+        fade_s: f32,
+    ) -> PyResult<State> {
+        let contact = contact
+            .map(|(point, normal, stiffness, damping)| {
+                Ok::<_, PyErr>(HostContact {
+                    point: vector("the contact's point", &point)?,
+                    normal: vector("the contact's normal", &normal)?,
+                    stiffness,
+                    damping,
+                })
+            })
+            .transpose()?;
+        let force = vector("the force", &force)?;
+        self.exchanged(py, ForceRequest { hold: hold_s, fade: fade_s, force, contact, ..ForceRequest::default() })
+    }
+
+    /// Pushes with torques (N m) at the joints, in the place of what was asked for before; hold_s and fade_s as of force.
+    #[pyo3(signature = (torque, *, hold_s = link::HOLD, fade_s = link::FADE))]
+    fn torque(&self, py: Python<'_>, torque: Vec<f64>, hold_s: f32, fade_s: f32) -> PyResult<State> {
+        let torque = vector("the torques", &torque)?;
+        self.exchanged(py, ForceRequest { hold: hold_s, fade: fade_s, torque, ..ForceRequest::default() })
+    }
+
+    /// Starts a stream of every `divider`-th control period's fields (names of docs/telemetry.md with commas between, or
+    /// "usual", "all"). Returns the names of the columns that `rows` will have.
+    #[pyo3(signature = (fields = "usual", divider = 1))]
+    fn start_stream(&self, py: Python<'_>, fields: &str, divider: u32) -> PyResult<Vec<String>> {
+        let fields = link::fields(fields).map_err(RequestError::new_err)?;
+        self.with(py, |held| {
+            let axes = held.session.device()?.map_or(0, |device| device.axes());
+            held.session.start_stream(fields, divider)?;
+            held.stream = Some(Stream { fields, axes });
+            Ok(names(fields, axes))
+        })
+    }
+
+    /// The rows that have come, waiting at most timeout_s for the first: shape (rows, columns), `step` first.
+    #[pyo3(signature = (timeout_s = 0.1))]
+    fn rows<'py>(&self, py: Python<'py>, timeout_s: f64) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        let timeout =
+            Duration::try_from_secs_f64(timeout_s).map_err(|error| RequestError::new_err(error.to_string()))?;
+        let (rows, width) = self.with(py, |held| {
+            let width = held.stream.map_or(0, |stream| names(stream.fields, stream.axes).len());
+            Ok((held.session.rows(timeout)?, width))
+        })?;
+        let rows: Vec<Vec<f64>> = rows.iter().map(with_step).collect();
+        array(py, rows.concat(), &[rows.len(), width])
+    }
+
+    /// Stops the stream.
+    fn stop_stream(&self, py: Python<'_>) -> PyResult<()> {
+        self.with(py, |held| held.session.stop_stream())
+    }
+
+    /// What the stream has lost so far: a dict of received, missing, dropped_by_board, batches_lost, garbled.
+    #[getter]
+    fn losses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let losses = self.with(py, |held| Ok(held.session.losses()))?;
+        let dict = PyDict::new(py);
+        dict.set_item("received", losses.received)?;
+        dict.set_item("missing", losses.missing)?;
+        dict.set_item("dropped_by_board", losses.dropped_by_board)?;
+        dict.set_item("batches_lost", losses.batches_lost)?;
+        dict.set_item("garbled", losses.garbled)?;
+        Ok(dict)
+    }
+
+    /// Follows the board for so many seconds of its own time and returns a Recording, with `step` as first column.
+    #[pyo3(signature = (seconds, fields = "usual", divider = 1))]
+    fn record(&self, py: Python<'_>, seconds: f64, fields: &str, divider: u32) -> PyResult<Recording> {
+        let columns = self.start_stream(py, fields, divider)?;
+        let mut rows = Vec::new();
+        let now = |held: &mut Held| Ok(held.session.now().as_secs_f64());
+        let end = self.with(py, now)? + seconds;
+        loop {
+            let left = end - self.with(py, now)?;
+            if left <= 0.0 {
+                break;
+            }
+            let wait = Duration::from_secs_f64(left.min(LOOK));
+            let came = self.with(py, |held| Ok(held.session.rows(wait)?))?;
+            rows.extend(came.iter().map(with_step));
+            py.check_signals()?;
+        }
+        self.stop_stream(py)?;
+        let about = vec![format!("{}", self.with(py, |held| Ok(held.session.losses()))?)];
+        Ok(Recording { columns, rows, about, torn: false })
+    }
+}
+
+fn names(fields: Fields, axes: usize) -> Vec<String> {
+    let own = columns(fields, axes).into_iter().map(|column| column.label);
+    std::iter::once("step".to_owned()).chain(own).collect()
+}
+
+fn with_step(row: &Row) -> Vec<f64> {
+    std::iter::once(f64::from(row.step)).chain(row.values.iter().copied()).collect()
+}
+
+/// The boards that are connected: a list of dicts with port, serial and board.
+#[pyfunction]
+pub fn boards(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
+    let (found, _) = py.detach(link::boards);
+    let dict = |board: link::BoardPort| {
+        let dict = PyDict::new(py);
+        dict.set_item("port", board.path)?;
+        dict.set_item("serial", board.serial)?;
+        dict.set_item("board", board.kind)?;
+        Ok(dict)
+    };
+    found.into_iter().map(dict).collect()
+}

@@ -1,0 +1,427 @@
+//! Devices: model, range and map as arrays.
+
+use crate::arrays::{Rows, array, list, rows};
+use crate::errors::{ImpossibleError, RequestError, failure};
+use haptic::analysis::flexible::Hand;
+use haptic::analysis::host::Host;
+use haptic::analysis::map::{MapPoint, map_holding};
+use haptic::analysis::plant::{Drive, Linearised};
+use haptic::analysis::pose::{motors, unit_normal};
+use haptic::analysis::range::{BOUNDARY_POINTS, Domain, Range, predict};
+use haptic::analysis::sampled::{Estimator, Loop};
+use haptic::cores;
+use haptic::device_file::DeviceFile;
+use haptic::error::Failure;
+use haptic::haptic_bridge::model::admissible::Admissible;
+use haptic::model::{Precision, Report, WallForce, evaluate_holding};
+use haptic::scene_file::SceneFile;
+use numpy::PyArrayDyn;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::path::PathBuf;
+
+/// One of a few words, or the words there are.
+pub fn word<T: Copy>(what: &str, given: &str, all: &[(&str, T)]) -> PyResult<T> {
+    all.iter().find(|(name, _)| *name == given).map(|(_, value)| *value).ok_or_else(|| {
+        let known: Vec<&str> = all.iter().map(|(name, _)| *name).collect();
+        RequestError::new_err(format!("{what} cannot be {given:?}; choose among {}", known.join(", ")))
+    })
+}
+
+/// What one pose gives, or why it gives nothing; a pose that is wrong ends the call.
+fn each<T>(found: Vec<Result<T, Failure>>, keep: bool) -> PyResult<Vec<Option<T>>> {
+    let many = found.len() > 1;
+    found
+        .into_iter()
+        .enumerate()
+        .map(|(index, result)| match result {
+            Ok(value) => Ok(Some(value)),
+            Err(error) if keep && error.blame() == haptic::error::Blame::World => Ok(None),
+            Err(error) if many => {
+                let text = format!("pose {index}: {error}");
+                Err(match error.blame() {
+                    haptic::error::Blame::World => ImpossibleError::new_err(text),
+                    haptic::error::Blame::Request => RequestError::new_err(text),
+                })
+            }
+            Err(error) => Err(failure(error)),
+        })
+        .collect()
+}
+
+/// A column over the poses: `tail` numbers each, NaN where a pose has none.
+struct Columns<'py, 'a, T> {
+    into: Bound<'py, PyDict>,
+    shape: &'a [usize],
+    found: &'a [Option<T>],
+}
+
+impl<T> Columns<'_, '_, T> {
+    fn add(&self, name: &str, tail: &[usize], pick: impl Fn(&T) -> Vec<f64>) -> PyResult<()> {
+        let each: usize = tail.iter().product();
+        let values = self.found.iter().flat_map(|found| found.as_ref().map_or_else(|| vec![f64::NAN; each], &pick));
+        let shape: Vec<usize> = self.shape.iter().chain(tail).copied().collect();
+        self.into.set_item(name, array(self.into.py(), values.collect(), &shape)?)
+    }
+}
+
+/// A device, read from a device file (docs/model.md section 4) and found sound.
+///
+/// N joints, d task dimensions; SI units, angles in rad. Poses are arrays of shape (..., N): one pose (N,) or any number of
+/// them; results have the same leading shape. The interpreter's lock is released while they are computed, on all cores.
+#[pyclass(frozen, module = "haptic_bridge")]
+pub struct Device {
+    pub file: DeviceFile,
+}
+
+#[pymethods]
+impl Device {
+    /// Device(path): reads a device file.
+    #[new]
+    fn new(path: PathBuf) -> PyResult<Self> {
+        Ok(Self { file: DeviceFile::load(path).map_err(failure)? })
+    }
+
+    /// Reads the text of a device file; `origin` is what messages call it.
+    #[staticmethod]
+    #[pyo3(signature = (text, origin = "device.toml"))]
+    fn parse(text: &str, origin: &str) -> PyResult<Self> {
+        Ok(Self { file: DeviceFile::parse(text, origin).map_err(failure)? })
+    }
+
+    /// The device's name.
+    #[getter]
+    fn name(&self) -> &str {
+        &self.file.name
+    }
+
+    /// Which mechanism: paddle, five-bar, five-bar-turret, parallelogram or serial-3r.
+    #[getter]
+    fn mechanism(&self) -> &'static str {
+        self.file.spec().name
+    }
+
+    /// N.
+    #[getter]
+    fn joints(&self) -> usize {
+        self.file.spec().joints
+    }
+
+    /// d.
+    #[getter]
+    fn task(&self) -> usize {
+        self.file.spec().task
+    }
+
+    /// The pose that homing declares, rad, shape (N,); None where the file has none.
+    #[getter]
+    fn home<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArrayDyn<f64>>>> {
+        self.file.description.home.map(|home| list(py, &home[..self.joints()])).transpose()
+    }
+
+    /// What must still be added before a real board arms; empty when nothing is missing.
+    #[getter]
+    fn lacks(&self) -> Vec<String> {
+        self.file.lacks_for_a_board()
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<Device {}: {}, {} joints>", self.file.name, self.mechanism(), self.joints())
+    }
+
+    /// The model at poses, as `haptic model` prints it.
+    ///
+    /// q: (..., N) rad. qd: (..., N) rad/s, zero by default. With a wall's normal (d,) or (..., d), any length, and its
+    /// force in N there is what equation (4) is made of as well. precision "f32" runs the very code that a board runs.
+    ///
+    /// Returns a dict of arrays: position (..., d) m, jacobian (..., d, N) m/rad, mass (..., N, N) kg m², bias (..., N) N m:
+    /// c + g; condition_jacobian, condition_mass (...). With a normal: w_rr, w_eff, coupling (...) kg, w_ra (..., N-1),
+    /// w_aa (..., N-1, N-1), z_r (...) N, z_a, f_a (..., N-1), torque, torque_without_feed_forward (..., N) N m.
+    ///
+    /// A singular pose raises ImpossibleError, or has NaN with singular="nan".
+    #[pyo3(signature = (q, *, qd = None, normal = None, force = 0.0, precision = "f64", admissible = "orientation", singular = "raise"))]
+    #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
+    fn model<'py>(
+        &self,
+        py: Python<'py>,
+        q: &Bound<'py, PyAny>,
+        qd: Option<&Bound<'py, PyAny>>,
+        normal: Option<&Bound<'py, PyAny>>,
+        force: f64,
+        precision: &str,
+        admissible: &str,
+        singular: &str,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let (n, d) = (self.joints(), self.task());
+        let poses = rows("q", q, n)?;
+        let speeds = match qd {
+            Some(qd) => rows("qd", qd, n)?.along("qd", &poses)?,
+            None => vec![vec![0.0; n]; poses.rows.len()],
+        };
+        let normals = normal.map(|normal| self.units(normal, &poses)).transpose()?;
+        let precision = word("precision", precision, &[("f64", Precision::F64), ("f32", Precision::F32)])?;
+        let admissible = word("admissible", admissible, &Admissible::ALL)?;
+        let keep = keeps(singular)?;
+        let found: Vec<Result<Report, Failure>> = py.detach(|| {
+            let all: Vec<usize> = (0..poses.rows.len()).collect();
+            cores::map(&all, &|_, _| {}, |pose| {
+                let wall = normals.as_ref().map(|normals| WallForce {
+                    normal: normals[*pose].clone(),
+                    force,
+                    stiffness: 1.0,
+                    feed_forward: true,
+                });
+                let walls: Vec<WallForce> = wall.into_iter().collect();
+                if poses.rows[*pose].iter().chain(&speeds[*pose]).any(|number| !number.is_finite()) {
+                    return Err(Failure::wrong("joint angles and velocities must be finite numbers"));
+                }
+                evaluate_holding(&self.file, &poses.rows[*pose], &speeds[*pose], &walls, precision, admissible)
+                    .map_err(Failure::from)
+            })
+        });
+        let found = each(found, keep)?;
+        let columns = Columns { into: PyDict::new(py), shape: &poses.shape, found: &found };
+        columns.add("position", &[d], |report| report.position.clone())?;
+        columns.add("jacobian", &[d, n], |report| report.jacobian.concat())?;
+        columns.add("mass", &[n, n], |report| report.mass.concat())?;
+        columns.add("bias", &[n], |report| report.bias.clone())?;
+        columns.add("condition_jacobian", &[], |report| vec![report.condition.jacobian])?;
+        columns.add("condition_mass", &[], |report| vec![report.condition.mass])?;
+        if normals.is_some() {
+            columns.add("w_rr", &[], |report| report.w_rr.concat())?;
+            columns.add("w_ra", &[n - 1], |report| report.w_ra.concat())?;
+            columns.add("w_aa", &[n - 1, n - 1], |report| report.w_aa.concat())?;
+            columns.add("w_eff", &[], |report| report.w_eff.concat())?;
+            columns.add("coupling", &[], |report| report.coupling.concat())?;
+            columns.add("z_r", &[], |report| report.z_r.clone())?;
+            columns.add("z_a", &[n - 1], |report| report.z_a.clone())?;
+            columns.add("f_a", &[n - 1], |report| report.f_a.clone())?;
+            columns.add("torque", &[n], |report| report.torque.clone())?;
+            let plain = |report: &Report| report.torque_without_feed_forward.clone();
+            columns.add("torque_without_feed_forward", &[n], plain)?;
+        }
+        Ok(columns.into)
+    }
+
+    /// Which walls are stable at poses, as `haptic range` predicts it (rates and cutoffs in Hz, delay in control samples).
+    ///
+    /// q: (..., N) rad; normal: (d,) or (..., d). kd: the dampings (N s/m) at which the boundary is wanted, k of them; by
+    /// default k is 200, even ones up to kd_max. estimator: butterworth, first-order, backward-difference, alpha-beta or
+    /// predicted. drive: ideal, voltage or current. hand: (kg, N s/m, N/m). host_rate_hz and host_delay_s (s, by default one
+    /// request's time) analyse the wall rendered by a program on a computer as well.
+    ///
+    /// Returns a dict: w_eff, w_rr (...) kg, area_ratio (...), and for each of "off", "full", "washout" (with washout_hz) and
+    /// "host" a dict of area (...) N² s/m², kd_max (...) N s/m, kd and kp (..., k) in N s/m and N/m. Stable islands above
+    /// the boundary are not in it.
+    ///
+    /// A singular pose raises ImpossibleError, or has NaN with singular="nan".
+    #[pyo3(signature = (
+        q, normal, *, rate_hz = 1000.0, cutoff_hz = 20.0, delay = 0.0, estimator = "butterworth", difference_over = 1,
+        kd = None, washout_hz = None, damping_compensation = false, feed_forward_gain = 1.0, admissible = "orientation",
+        undamped = false, drive = "ideal", current_bandwidth_hz = 6400.0, hand = None, host_rate_hz = None,
+        host_delay_s = None, singular = "raise"
+    ))]
+    #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
+    fn range<'py>(
+        &self,
+        py: Python<'py>,
+        q: &Bound<'py, PyAny>,
+        normal: &Bound<'py, PyAny>,
+        rate_hz: f64,
+        cutoff_hz: f64,
+        delay: f64,
+        estimator: &str,
+        difference_over: usize,
+        kd: Option<Vec<f64>>,
+        washout_hz: Option<f64>,
+        damping_compensation: bool,
+        feed_forward_gain: f64,
+        admissible: &str,
+        undamped: bool,
+        drive: &str,
+        current_bandwidth_hz: f64,
+        hand: Option<(f64, f64, f64)>,
+        host_rate_hz: Option<f64>,
+        host_delay_s: Option<f64>,
+        singular: &str,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let poses = rows("q", q, self.joints())?;
+        let normals = self.units(normal, &poses)?;
+        let estimators = [
+            ("butterworth", Estimator::Butterworth(cutoff_hz)),
+            ("first-order", Estimator::FirstOrder(cutoff_hz)),
+            ("backward-difference", Estimator::BackwardDifference),
+            ("alpha-beta", Estimator::AlphaBeta(cutoff_hz)),
+            ("predicted", Estimator::Predicted(cutoff_hz)),
+        ];
+        let estimator = word("estimator", estimator, &estimators)?;
+        let filters =
+            matches!(estimator, Estimator::Butterworth(_) | Estimator::FirstOrder(_) | Estimator::BackwardDifference);
+        if difference_over != 1 && !filters {
+            return Err(RequestError::new_err("difference_over needs an estimator that takes a difference"));
+        }
+        let drive = match word("drive", drive, &[("ideal", 0), ("voltage", 1), ("current", 2)])? {
+            0 => Drive::Ideal,
+            1 => Drive::Voltage(motors(&self.file.description).ok_or_else(|| {
+                RequestError::new_err(format!("{} has joints without [joint.motor]", self.file.name))
+            })?),
+            _ => Drive::Current { bandwidth_hz: current_bandwidth_hz },
+        };
+        let around = Loop {
+            rate_hz,
+            delay_samples: delay,
+            estimator: if difference_over == 1 { estimator } else { estimator.over(difference_over) },
+            drive,
+            damping_compensation,
+        };
+        let admissible = word("admissible", admissible, &Admissible::ALL)?;
+        let hand = hand.map_or(Hand::default(), |(mass, damping, stiffness)| Hand { mass, damping, stiffness });
+        if [hand.mass, hand.damping, hand.stiffness].iter().any(|number| !(number.is_finite() && *number >= 0.0)) {
+            return Err(RequestError::new_err(
+                "a hand is mass (kg), damping (N s/m) and stiffness (N/m), none negative",
+            ));
+        }
+        if host_delay_s.is_some() && host_rate_hz.is_none() {
+            return Err(RequestError::new_err("host_delay_s without host_rate_hz"));
+        }
+        let host = host_rate_hz.map(|hz| Host { rate_hz: hz, delay_s: host_delay_s.unwrap_or(1.0 / hz) });
+        let keep = keeps(singular)?;
+        let points = kd.as_ref().map_or(BOUNDARY_POINTS, Vec::len);
+        let one = |pose: usize| -> Result<Range, Failure> {
+            let mut device =
+                Linearised::holding(&self.file.description, &poses.rows[pose], &normals[pose], admissible)?.held(hand);
+            device.gain = feed_forward_gain;
+            let most = device.most_gain().unwrap_or(1.0);
+            if !(0.0..=most).contains(&feed_forward_gain) {
+                return Err(Failure::wrong(format!(
+                    "a feed-forward gain of {feed_forward_gain} is not from 0 to {most:.3}"
+                )));
+            }
+            let device = if undamped { device.undamped() } else { device };
+            let range = predict(&device, &around, kd.as_deref(), washout_hz)?;
+            let host = host.map(|host| host.domain(&device, &around, kd.as_deref())).transpose()?;
+            Ok(Range { host, ..range })
+        };
+        let found = py.detach(|| {
+            let all: Vec<usize> = (0..poses.rows.len()).collect();
+            cores::map(&all, &|_, _| {}, |pose| one(*pose))
+        });
+        let found = each(found, keep)?;
+        let columns = Columns { into: PyDict::new(py), shape: &poses.shape, found: &found };
+        columns.add("w_eff", &[], |range| vec![range.w_eff])?;
+        columns.add("w_rr", &[], |range| vec![range.w_rr])?;
+        columns.add("area_ratio", &[], |range| vec![range.area_ratio])?;
+        let domain = |name: &str, pick: &dyn Fn(&Range) -> Option<&Domain>| -> PyResult<()> {
+            let inner = Columns { into: PyDict::new(py), shape: &poses.shape, found: &found };
+            let number = |of: fn(&Domain) -> f64| move |range: &Range| vec![pick(range).map_or(f64::NAN, of)];
+            inner.add("area", &[], number(|domain| domain.area))?;
+            inner.add("kd_max", &[], number(|domain| domain.kd_max))?;
+            let curve = |of: fn(&haptic::analysis::range::BoundaryPoint) -> f64| {
+                move |range: &Range| {
+                    pick(range).map_or_else(Vec::new, |domain| domain.boundary.iter().map(of).collect())
+                }
+            };
+            inner.add("kd", &[points], curve(|point| point.kd))?;
+            inner.add("kp", &[points], curve(|point| point.kp))?;
+            columns.into.set_item(name, inner.into)
+        };
+        domain("off", &|range| Some(&range.off))?;
+        domain("full", &|range| Some(&range.full))?;
+        if washout_hz.is_some() {
+            domain("washout", &|range| range.washout.as_ref())?;
+        }
+        if host.is_some() {
+            domain("host", &|range| range.host.as_ref().map(|host| &host.domain))?;
+        }
+        Ok(columns.into)
+    }
+
+    /// Inertia over the reachable workspace, as `haptic map` prints it: about `points` grid poses, M of which are reached.
+    ///
+    /// Returns a dict of arrays: q (M, N) rad, position (M, d) m, w_eff, w_rr, coupling (M,) kg along the normal (d,),
+    /// condition_jacobian, condition_mass (M,), worst_ratio (M,), worst_ratio_normal (M, d), worst_coupling (M,) kg,
+    /// worst_coupling_normal (M, d), eigenvalues (M, d) kg ascending, eigenvectors (M, d, d), the k-th at [:, k].
+    #[pyo3(signature = (normal, *, points = 2000, admissible = "orientation"))]
+    fn map<'py>(
+        &self,
+        py: Python<'py>,
+        normal: Vec<f64>,
+        points: usize,
+        admissible: &str,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let (n, d) = (self.joints(), self.task());
+        let admissible = word("admissible", admissible, &Admissible::ALL)?;
+        let found = py.detach(|| map_holding(&self.file.description, &normal, points, admissible)).map_err(failure)?;
+        let found: Vec<Option<MapPoint>> = found.into_iter().map(Some).collect();
+        let columns = Columns { into: PyDict::new(py), shape: &[found.len()], found: &found };
+        columns.add("q", &[n], |point| point.q.clone())?;
+        columns.add("position", &[d], |point| point.position.clone())?;
+        columns.add("w_eff", &[], |point| vec![point.w_eff])?;
+        columns.add("w_rr", &[], |point| vec![point.w_rr])?;
+        columns.add("coupling", &[], |point| vec![point.coupling])?;
+        columns.add("condition_jacobian", &[], |point| vec![point.condition.jacobian])?;
+        columns.add("condition_mass", &[], |point| vec![point.condition.mass])?;
+        columns.add("worst_ratio", &[], |point| vec![point.worst_ratio.value])?;
+        columns.add("worst_ratio_normal", &[d], |point| point.worst_ratio.normal.clone())?;
+        columns.add("worst_coupling", &[], |point| vec![point.worst_coupling.value])?;
+        columns.add("worst_coupling_normal", &[d], |point| point.worst_coupling.normal.clone())?;
+        columns.add("eigenvalues", &[d], |point| point.eigenvalues.clone())?;
+        columns.add("eigenvectors", &[d, d], |point| point.eigenvectors.concat())?;
+        Ok(columns.into)
+    }
+}
+
+impl Device {
+    /// Unit normals, one for each pose.
+    fn units(&self, given: &Bound<'_, PyAny>, poses: &Rows) -> PyResult<Vec<Vec<f64>>> {
+        let (n, d) = (self.joints(), self.task());
+        let normals = rows("normal", given, d)?.along("normal", poses)?;
+        let unit = |normal: Vec<f64>| {
+            let unit = unit_normal(&normal, d, n).map_err(failure)?;
+            Ok(unit.iter().copied().take(d).collect())
+        };
+        normals.into_iter().map(unit).collect()
+    }
+}
+
+fn keeps(singular: &str) -> PyResult<bool> {
+    word("singular", singular, &[("raise", false), ("nan", true)])
+}
+
+/// A scene: walls, springs and fields, read from a scene file (docs/model.md section 4).
+#[pyclass(frozen, module = "haptic_bridge")]
+pub struct Scene {
+    pub file: SceneFile,
+}
+
+#[pymethods]
+impl Scene {
+    /// Scene(path, task): reads a scene file for a device of `task` dimensions.
+    #[new]
+    fn new(path: PathBuf, task: usize) -> PyResult<Self> {
+        Ok(Self { file: SceneFile::load(path, task).map_err(failure)? })
+    }
+
+    /// Reads the text of a scene file; `origin` is what messages call it.
+    #[staticmethod]
+    #[pyo3(signature = (text, task, origin = "scene.toml"))]
+    fn parse(text: &str, task: usize, origin: &str) -> PyResult<Self> {
+        Ok(Self { file: SceneFile::parse(text, origin, task).map_err(failure)? })
+    }
+
+    /// How many walls it has.
+    #[getter]
+    fn walls(&self) -> usize {
+        self.file.scene.walls.len()
+    }
+
+    /// Control steps a second, Hz.
+    #[getter]
+    fn rate_hz(&self) -> f64 {
+        self.file.scene.rate_hz
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<Scene: {} walls at {} Hz>", self.walls(), self.rate_hz())
+    }
+}

@@ -1,0 +1,53 @@
+//! Exceptions, in the words of the tool.
+
+use haptic::error::{Blame, Failure};
+use haptic::link::{BoardError, LinkError as NoLink};
+use pyo3::PyErr;
+use pyo3::create_exception;
+use pyo3::exceptions::PyException;
+
+create_exception!(
+    haptic_bridge,
+    HapticError,
+    PyException,
+    "Something that haptic-bridge could not do; its text says why."
+);
+create_exception!(
+    haptic_bridge,
+    RequestError,
+    HapticError,
+    "A file or an argument is wrong, and would be wrong again."
+);
+create_exception!(
+    haptic_bridge,
+    ImpossibleError,
+    HapticError,
+    "A sound request that has no answer, such as at a singular pose."
+);
+create_exception!(haptic_bridge, LinkError, HapticError, "No board can be reached, or it went away.");
+create_exception!(haptic_bridge, RefusedError, HapticError, "The board refuses.");
+
+/// Of anything that the tool ends with.
+pub fn failure(failure: impl Into<Failure>) -> PyErr {
+    let failure = failure.into();
+    match failure.blame() {
+        Blame::Request => RequestError::new_err(failure.to_string()),
+        Blame::World => ImpossibleError::new_err(failure.to_string()),
+    }
+}
+
+/// Of a board.
+pub fn board(error: BoardError) -> PyErr {
+    match error {
+        BoardError::Link(error) => link(error),
+        BoardError::Refused(_) => RefusedError::new_err(error.to_string()),
+    }
+}
+
+/// Of the way to one.
+pub fn link(error: NoLink) -> PyErr {
+    match error {
+        NoLink::CannotSimulate(_) => RequestError::new_err(error.to_string()),
+        _ => LinkError::new_err(error.to_string()),
+    }
+}

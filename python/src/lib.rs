@@ -1,0 +1,32 @@
+//! haptic-bridge for Python: the module `haptic_bridge._native`, whose classes and functions `haptic_bridge` exports.
+//! What they take and give is documented where they are, and typed in `haptic_bridge/__init__.pyi`.
+#![forbid(unsafe_code)]
+
+mod arrays;
+mod board;
+mod device;
+mod errors;
+mod recording;
+mod simulation;
+
+use pyo3::prelude::*;
+
+/// Everything that `haptic_bridge` exports.
+#[pymodule]
+fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    let py = module.py();
+    module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    module.add("HapticError", py.get_type::<errors::HapticError>())?;
+    module.add("RequestError", py.get_type::<errors::RequestError>())?;
+    module.add("ImpossibleError", py.get_type::<errors::ImpossibleError>())?;
+    module.add("LinkError", py.get_type::<errors::LinkError>())?;
+    module.add("RefusedError", py.get_type::<errors::RefusedError>())?;
+    module.add_class::<device::Device>()?;
+    module.add_class::<device::Scene>()?;
+    module.add_class::<simulation::Simulation>()?;
+    module.add_class::<board::Board>()?;
+    module.add_class::<board::State>()?;
+    module.add_class::<recording::Recording>()?;
+    module.add_function(wrap_pyfunction!(board::boards, module)?)?;
+    module.add_function(wrap_pyfunction!(recording::read_recording, module)?)
+}

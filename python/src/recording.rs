@@ -1,0 +1,78 @@
+//! Telemetry as arrays.
+
+use crate::arrays::array;
+use crate::errors::RequestError;
+use haptic::recorder::Recording as Read;
+use numpy::PyArrayDyn;
+use pyo3::exceptions::PyKeyError;
+use pyo3::prelude::*;
+use std::path::PathBuf;
+
+/// Rows of telemetry with names.
+///
+/// `recording["tip_x_m"]` is one column, shape (rows,); `recording.data` all of them, shape (rows, columns). Column names end
+/// with their unit; `step` counts control periods since the board started. A state is 0 disarmed, 1 armed, 2 checking
+/// polarity, 3 fault.
+#[pyclass(frozen, module = "haptic_bridge")]
+pub struct Recording {
+    pub columns: Vec<String>,
+    pub rows: Vec<Vec<f64>>,
+    pub about: Vec<String>,
+    pub torn: bool,
+}
+
+#[pymethods]
+impl Recording {
+    /// Names of the columns, each with its unit.
+    #[getter]
+    fn columns(&self) -> Vec<String> {
+        self.columns.clone()
+    }
+
+    /// All numbers, shape (rows, columns).
+    #[getter]
+    fn data<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        array(py, self.rows.concat(), &[self.rows.len(), self.columns.len()])
+    }
+
+    /// The comment lines of the file.
+    #[getter]
+    fn about(&self) -> Vec<String> {
+        self.about.clone()
+    }
+
+    /// Whether the file ended within a line, which was left out.
+    #[getter]
+    fn torn(&self) -> bool {
+        self.torn
+    }
+
+    fn __len__(&self) -> usize {
+        self.rows.len()
+    }
+
+    fn __getitem__<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        let Some(column) = self.columns.iter().position(|column| column == name) else {
+            return Err(PyKeyError::new_err(format!("no column {name}; there are {}", self.columns.join(", "))));
+        };
+        array(py, self.rows.iter().map(|row| row[column]).collect(), &[self.rows.len()])
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<Recording: {} rows of {}>", self.rows.len(), self.columns.join(", "))
+    }
+}
+
+/// Reads what `haptic stream --csv` wrote.
+///
+/// A file whose writer was killed is read up to its last whole line (`torn`).
+#[pyfunction]
+pub fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<Recording> {
+    py.detach(|| {
+        let name = path.display();
+        let text = std::fs::read_to_string(&path)
+            .map_err(|error| RequestError::new_err(format!("{name}: cannot be read: {error}")))?;
+        let read = Read::parse(&text).map_err(|error| RequestError::new_err(format!("{name}: {error}")))?;
+        Ok(Recording { columns: read.columns, rows: read.rows, about: read.about, torn: read.torn })
+    })
+}

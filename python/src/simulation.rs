@@ -1,0 +1,131 @@
+//! A simulated board whose device can be seen and moved.
+
+use crate::arrays::list;
+use crate::board::Board;
+use crate::device::{Device, Scene};
+use crate::errors::{self, RequestError};
+use haptic::haptic_bridge::render::scene::Scene as BoardScene;
+use haptic::link::{Board as Linked, Session};
+use haptic::sim::{BoardOptions, DriveModel, Hand, HandSettings, Intent, Options, SharedBoard, Waypoint, ready_board};
+use numpy::PyArrayDyn;
+use pyo3::prelude::*;
+
+/// A simulated board with a device on it: the firmware's code around a simulated linkage, motors and encoders.
+///
+/// Simulation(device, scene=None, *, ideal=False, friction=True, strict=False): no scene is free space; ideal motors make the commanded torque at
+/// once; a strict board asks for homing, the polarity check and verified motors, as a real one does. Time passes only in
+/// `run`, `drive` and while a Board of it waits for an answer.
+#[pyclass(frozen, module = "haptic_bridge")]
+pub struct Simulation {
+    shared: SharedBoard,
+    joints: usize,
+    task: usize,
+}
+
+#[pymethods]
+impl Simulation {
+    #[new]
+    #[pyo3(signature = (device, scene = None, *, ideal = false, friction = true, strict = false))]
+    fn new(device: &Device, scene: Option<&Scene>, ideal: bool, friction: bool, strict: bool) -> PyResult<Self> {
+        let options = BoardOptions {
+            drive: if ideal { DriveModel::Ideal } else { DriveModel::Electric },
+            device: Options { friction, ..Options::default() },
+            strict,
+            ..BoardOptions::default()
+        };
+        let wrong = |error: &dyn std::fmt::Display| RequestError::new_err(error.to_string());
+        let board = ready_board(&device.file, options).map_err(|error| wrong(&error))?;
+        let shared = SharedBoard::new(board);
+        let spec = device.file.spec();
+        let scene = match scene {
+            Some(scene) => scene.file.scene().map_err(|error| wrong(&error))?,
+            None => BoardScene { task: spec.task as u8, ..BoardScene::default() },
+        };
+        let mut session = Session::of(Linked::over(shared.wire(), "sim").map_err(errors::link)?);
+        session.set_scene(&scene).map_err(errors::board)?;
+        Ok(Self { shared, joints: spec.joints, task: spec.task })
+    }
+
+    /// The board, to talk to; one at a time.
+    fn board(&self) -> PyResult<Board> {
+        Ok(Board::of(Session::of(Linked::over(self.shared.wire(), "sim").map_err(errors::link)?)))
+    }
+
+    /// Lets so many seconds pass.
+    fn run(&self, py: Python<'_>, seconds: f64) {
+        py.detach(|| self.shared.lock().run(seconds));
+    }
+
+    /// Runs one control period with the device at rest at q (N,) rad, and returns the motors' torques, N m, shape (N,): the
+    /// board's code in somebody else's world. Its encoders round q to their steps; its velocities are those it estimates.
+    fn drive<'py>(&self, py: Python<'py>, q: Vec<f64>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        let q = self.angles(&q)?;
+        let torque = py.detach(|| {
+            let mut board = self.shared.lock();
+            board.device_mut().place(q);
+            board.control_period();
+            board.device().torque()
+        });
+        list(py, &torque[..self.joints])
+    }
+
+    /// Puts the device at rest at q (N,) rad; its encoders see it move there.
+    fn place(&self, q: Vec<f64>) -> PyResult<()> {
+        let q = self.angles(&q)?;
+        self.shared.lock().device_mut().place(q);
+        Ok(())
+    }
+
+    /// Takes the tip in a hand that goes through waypoints [(seconds from now, x, y, ..), ...], in m, in smooth strokes;
+    /// with push=True they are forces in N. An empty list lets go.
+    #[pyo3(signature = (waypoints, *, push = false))]
+    fn hand(&self, waypoints: Vec<Vec<f64>>, push: bool) -> PyResult<()> {
+        let point = |numbers: Vec<f64>| match numbers.split_first() {
+            Some((time, value)) if value.len() == self.task => {
+                let value = std::array::from_fn(|i| value.get(i).copied().unwrap_or(0.0));
+                Ok(Waypoint { time: *time, value })
+            }
+            _ => Err(RequestError::new_err(format!("a waypoint is a time and {} numbers", self.task))),
+        };
+        let waypoints: Vec<Waypoint> = waypoints.into_iter().map(point).collect::<PyResult<_>>()?;
+        let intent = match (waypoints.is_empty(), push) {
+            (true, _) => Intent::LetGo,
+            (_, false) => Intent::Follow(waypoints),
+            (_, true) => Intent::Push(waypoints),
+        };
+        let mut board = self.shared.lock();
+        let hand = Hand::new(HandSettings::default(), intent, board.device().tip(), board.device().time());
+        board.device_mut().set_hand(hand);
+        Ok(())
+    }
+
+    /// Seconds that have passed.
+    #[getter]
+    fn time(&self) -> f64 {
+        self.shared.lock().time()
+    }
+    /// True joint angles, rad, shape (N,).
+    #[getter]
+    fn q<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        list(py, &self.shared.lock().device().q()[..self.joints])
+    }
+    /// True tip, m, shape (d,).
+    #[getter]
+    fn tip<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        list(py, &self.shared.lock().device().tip()[..self.task])
+    }
+    /// Force of the hand on the tip, N, shape (d,).
+    #[getter]
+    fn hand_force<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        list(py, &self.shared.lock().device().hand_force()[..self.task])
+    }
+}
+
+impl Simulation {
+    fn angles(&self, q: &[f64]) -> PyResult<[f64; 3]> {
+        if q.len() != self.joints || q.iter().any(|angle| !angle.is_finite()) {
+            return Err(RequestError::new_err(format!("q must be {} finite angles", self.joints)));
+        }
+        Ok(std::array::from_fn(|i| q.get(i).copied().unwrap_or(0.0)))
+    }
+}

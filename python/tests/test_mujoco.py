@@ -1,0 +1,102 @@
+"""MuJoCo as an independent plant: its linkage for our device file, and our board's wall in its world."""
+
+import numpy as np
+import pytest
+
+import haptic_bridge as hb
+
+mujoco = pytest.importorskip("mujoco")
+pytestmark = pytest.mark.mujoco
+
+NAMES = ["hapkit-paddle", "serial-3r", "coupled-five-bar", "pantograph-mk2", "fictive-five-bar-turret", "phantom-premium-1.5"]
+
+
+def placed(path, q, **options):
+    model = mujoco.MjModel.from_xml_string(hb.mjcf.from_device(path, **options))
+    data = mujoco.MjData(model)
+    for name, angle in hb.mjcf.joint_angles(path, q).items():
+        data.joint(name).qpos[0] = angle
+    mujoco.mj_forward(model, data)
+    return model, data
+
+
+def reduced(model, data, joints):
+    """(G, M): what all hinges do when the actuated ones move and the linkage stays closed, and the inertia of that."""
+    driven = [model.joint(f"q{joint}").dofadr[0] for joint in range(joints)]
+    rest = [dof for dof in range(model.nv) if dof not in driven]
+    g = np.zeros((model.nv, joints))
+    g[driven, range(joints)] = 1.0
+    if rest:
+        # The two sites that a constraint holds together move alike.
+        first, second = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+        names = ("tip", "end") if has(model, "distal1") else ("rear", "end")
+        mujoco.mj_jacSite(model, data, first, None, model.site(names[0]).id)
+        mujoco.mj_jacSite(model, data, second, None, model.site(names[1]).id)
+        apart = first - second
+        g[rest] = -np.linalg.lstsq(apart[:, rest], apart[:, driven], rcond=None)[0]
+    moved = np.zeros((model.nv, joints))
+    for joint in range(joints):
+        column = np.zeros(model.nv)
+        mujoco.mj_mulM(model, data, column, g[:, joint].copy())
+        moved[:, joint] = column
+    return g, g.T @ moved
+
+
+def has(model, joint):
+    return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint) != -1
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_same_linkage_has_the_same_tip_inertia_and_forces(devices, name):
+    path = devices / f"{name}.toml"
+    device = hb.Device(path)
+    n, d = device.joints, device.task
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        q = np.asarray(device.home) + rng.uniform(-0.15, 0.15, n)
+        model, data = placed(path, q)
+        ours = device.model(q)
+        g, mass = reduced(model, data, n)
+        np.testing.assert_allclose(mass, ours["mass"], rtol=2e-6, atol=1e-6 * np.abs(mass).max())
+        if name != "hapkit-paddle":  # whose task is the length of its arc
+            np.testing.assert_allclose(data.site("tip").xpos[:d], ours["position"], atol=1e-12)
+            jacobian = np.zeros((3, model.nv))
+            mujoco.mj_jacSite(model, data, jacobian, None, model.site("tip").id)
+            np.testing.assert_allclose(jacobian[:d] @ g, ours["jacobian"], atol=1e-10)
+        # Gravity, at rest: the same torques hold it.
+        np.testing.assert_allclose(g.T @ data.qfrc_bias, ours["bias"], atol=1e-8 + 1e-6 * np.abs(ours["bias"]).max())
+
+
+@pytest.mark.parametrize("name", ["serial-3r", "coupled-five-bar"])
+def test_the_board_holds_a_wall_in_mujoco_s_world(devices, name):
+    """The board's code gets MuJoCo's angles through its encoders, and MuJoCo its torques: 1 N into a wall of 2000 N/m comes
+    to rest half a millimetre inside."""
+    path = devices / f"{name}.toml"
+    device = hb.Device(path)
+    period, ramp, steps = 1e-4, 6000, 16000
+    model, data = placed(path, device.home, timestep=period / 2)
+    model.dof_frictionloss[:] = 0.0
+    normal, stiffness, force = np.array([0.0, -1.0]), 2000.0, 1.0
+    surface = data.site("tip").xpos[:2] - 1e-3 * normal
+    scene = (
+        f"rate_hz = {1 / period}\ncutoff_hz = 300.0\n[[wall]]\npoint = {surface.tolist()}\nnormal = {normal.tolist()}\n"
+        f"stiffness = {stiffness}\ndamping = 20.0\nfeed_forward = 'off'\n"
+    )
+    simulation = hb.Simulation(device, hb.Scene.parse(scene, 2), ideal=True)
+    handle = model.site("tip").bodyid[0]
+    driven = [model.joint(f"q{joint}").qposadr[0] for joint in range(device.joints)]
+    depth = []
+    with simulation.board() as board:
+        board.arm()
+        for step in range(steps):
+            data.ctrl[:] = simulation.drive(data.qpos[driven])
+            if step < ramp:  # Somebody holds the device while the torque ramps up.
+                continue
+            if step % 100 == 0:
+                assert board.look().state == "Armed"
+            data.xfrc_applied[handle, :2] = -force * normal
+            mujoco.mj_step(model, data, 2)
+            depth.append((surface - data.site("tip").xpos[:2]) @ normal)
+    rest = np.array(depth[-1000:])
+    np.testing.assert_allclose(rest.mean(), force / stiffness, rtol=0.03)
+    assert np.ptp(rest) < 1e-4 and max(depth) < 2e-3

@@ -1,0 +1,39 @@
+"""What the stubs promise is there, with the same arguments, and everything has a docstring."""
+
+import ast
+import inspect
+import pathlib
+
+import haptic_bridge
+from haptic_bridge import _native
+
+STUB = pathlib.Path(haptic_bridge.__file__).with_name("_native.pyi")
+
+
+def test_the_stubs_name_what_there_is_and_nothing_else():
+    tree = ast.parse(STUB.read_text())
+    promised = {node.name: node for node in tree.body if isinstance(node, ast.ClassDef | ast.FunctionDef)}
+    public = {name for name in promised if not name.startswith("_")}
+    assert public | {"__version__"} == {name for name in haptic_bridge.__all__ if name != "mjcf"}
+    for name in public:
+        there, node = getattr(_native, name), promised[name]
+        assert there.__doc__, name
+        if isinstance(node, ast.FunctionDef):
+            compare(there, node)
+            continue
+        own = {member.name: member for member in node.body if isinstance(member, ast.FunctionDef)}
+        if name.endswith("Error"):
+            continue
+        assert {key for key in vars(there) if not key.startswith("_")} == {key for key in own if not key.startswith("_")}, name
+        for key, member in own.items():
+            if key in ("__init__", "__enter__", "__exit__", "__len__", "__getitem__"):
+                continue
+            attribute = getattr(there, key)
+            assert attribute.__doc__, f"{name}.{key}"
+            if not any(isinstance(mark, ast.Name) and mark.id == "property" for mark in member.decorator_list):
+                compare(attribute, member)
+
+
+def compare(function, node):
+    names = [argument.arg for argument in [*node.args.args, *node.args.kwonlyargs]]
+    assert list(inspect.signature(function).parameters) == names, node.name

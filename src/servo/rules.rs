@@ -1,0 +1,58 @@
+//! What a board is told to hold to.
+
+use crate::model::catalogue::MAX_JOINTS;
+use crate::safety::limits::Limits;
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
+
+/// How the host is watched, the least watchful first.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Serialize, Deserialize, Schema)]
+pub enum HostAction {
+    /// A silent host is no fault.
+    Ignore,
+    /// The scene goes on; the fault is listed, and arming anew waits until it is cleared.
+    Hold,
+    /// The motors go off.
+    #[default]
+    Disarm,
+}
+
+/// The part of the board's settings that the servo obeys.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Rules {
+    /// Enforced limits.
+    pub limits: Limits,
+    /// What a silent host means.
+    pub host_action: HostAction,
+    /// How long a host may be silent, s.
+    pub host_seconds: f32,
+    /// Whether the passivity controller damps energy that a wall gives out (Hannaford and Ryu 2002).
+    pub passivity: bool,
+    /// Counts between two index pulses of each encoder; 0 where there is none.
+    pub index_period: [i32; MAX_JOINTS],
+}
+
+impl Default for Rules {
+    fn default() -> Self {
+        Self {
+            limits: Limits::default(),
+            host_action: HostAction::default(),
+            host_seconds: 0.5,
+            passivity: false,
+            index_period: [0; MAX_JOINTS],
+        }
+    }
+}
+
+impl Rules {
+    /// Whether nothing that protects is looser than in `other`: such a change is safe at any time.
+    pub fn no_looser_than(&self, other: &Self) -> bool {
+        let watched = self.host_action >= other.host_action
+            && (other.host_action == HostAction::Ignore || self.host_seconds <= other.host_seconds);
+        let mut index = self.index_period.iter().zip(&other.index_period);
+        self.limits.no_higher_than(&other.limits)
+            && watched
+            && (self.passivity || !other.passivity)
+            && index.all(|(period, before)| *before == 0 || period == before)
+    }
+}

@@ -1,0 +1,76 @@
+//! The package for Python: built as the tests are, and tried in an environment of its own.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::{Context as _, Result};
+use serde::Deserialize;
+
+use crate::paths::{root, target_directory};
+use crate::toolchain::{Use, cargo, run};
+use crate::tools;
+
+/// What of python/pyproject.toml is used here.
+#[derive(Deserialize)]
+struct Manifest {
+    project: Project,
+}
+
+#[derive(Deserialize)]
+struct Project {
+    dependencies: Vec<String>,
+    #[serde(rename = "optional-dependencies")]
+    optional: Optional,
+}
+
+/// pytest, and what the package is held against.
+#[derive(Deserialize)]
+struct Optional {
+    test: Vec<String>,
+    peers: Vec<String>,
+}
+
+/// What is built for these tests alone: together, so that the library is built once.
+pub const ALONE: [&str; 4] = ["--package", "haptic", "--package", "haptic-python"];
+/// What is built after the whole workspace has been tested: what has the features of that, which is there already.
+pub const AFTERWARDS: [&str; 4] = ["--workspace", "--lib", "--bins", "--tests"];
+
+/// Runs the tests of python/ on what `selection` builds; further arguments go to pytest.
+pub fn test(arguments: &[String], selection: &[&str], install: bool) -> Result<()> {
+    tools::provide(&[Use::Python], install)?;
+    let package = root().join("python");
+    run(cargo().current_dir(root()).args(["build", "--locked"]).args(selection))?;
+    let built = target_directory().join("debug");
+    let place = target_directory().join("python");
+    let inside = place.join("haptic_bridge");
+    fs::create_dir_all(&inside)?;
+    for entry in fs::read_dir(package.join("package/haptic_bridge"))? {
+        let path = entry?.path();
+        if let (true, Some(name)) = (path.is_file(), path.file_name()) {
+            fs::copy(&path, inside.join(name))?;
+        }
+    }
+    fs::copy(built.join("lib_native.so"), inside.join("_native.abi3.so")).context("no lib_native.so")?;
+    let python = environment(&place.join("environment"), &package)?;
+    let mut tests = Command::new(python);
+    tests.current_dir(&package).env("PYTHONPATH", &place).env("PYTHONDONTWRITEBYTECODE", "1");
+    tests.env("HAPTIC_TOOL", built.join("haptic"));
+    run(tests.args(["-m", "pytest", "-q", "-p", "no:cacheprovider"]).args(arguments))
+}
+
+/// An interpreter that has what the tests need; made anew when that has changed.
+fn environment(place: &Path, package: &Path) -> Result<std::path::PathBuf> {
+    let python = place.join("bin/python");
+    let text = fs::read_to_string(package.join("pyproject.toml"))?;
+    let project = toml::from_str::<Manifest>(&text).context("python/pyproject.toml")?.project;
+    let wanted = [project.dependencies, project.optional.test, project.optional.peers].concat();
+    let note = place.join("wanted");
+    if fs::read_to_string(&note).is_ok_and(|had| had == wanted.join("\n")) {
+        return Ok(python);
+    }
+    run(Command::new("python3").args(["-m", "venv", "--clear"]).arg(place))?;
+    run(Command::new(&python).args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check"]).args(&wanted))?;
+    fs::write(note, wanted.join("\n"))?;
+    Ok(python)
+}
