@@ -7,7 +7,7 @@ use haptic_bridge::checksum::crc32;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::MassModelData;
-use haptic_bridge::render::scene::{Cylinder, FeedForward, Scene, Sphere, Spring, Surface, VelocityTerms};
+use haptic_bridge::render::scene::{Cylinder, FeedForward, Posture, Scene, Sphere, Spring, Surface, VelocityTerms};
 use haptic_bridge::render::velocity::{Chosen, Estimator};
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::servo::{HostAction, Rules};
@@ -37,6 +37,7 @@ fn full_scene() -> Scene<f32> {
         let spring = Spring { point: [0.5 * i as f32; 3], direction: [0.0, 0.0, 1.0], stiffness: 250.0, damping: 2.5 };
         scene.springs.push(spring).unwrap();
     }
+    scene.posture = Some(Posture { orientation: 1.5, stiffness: 0.25, damping: 0.0625 });
     scene
 }
 
@@ -166,13 +167,9 @@ fn the_checksum_is_the_published_crc_32() {
 
 #[test]
 fn a_scene_stored_before_it_had_a_gain_comes_back_with_its_terms_as_they_were() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/scene-1.txt");
-    let hex = std::fs::read_to_string(path).expect("the golden file is there");
-    let hex = hex.trim();
-    let entry: Vec<u8> =
-        (0..hex.len() / 2).map(|i| u8::from_str_radix(&hex[2 * i..2 * i + 2], 16).expect("hexadecimal")).collect();
-    assert_eq!(entry[..2], [2, 1], "a scene of version 1");
-    let expected = Scene { velocity_terms: VelocityTerms::Paper, feed_forward_gain: 1.0, ..full_scene() };
+    let entry = earlier(1);
+    let expected =
+        Scene { velocity_terms: VelocityTerms::Paper, feed_forward_gain: 1.0, posture: None, ..full_scene() };
     assert_eq!(decode::<Scene<f32>>(&entry), Ok(expected.clone()));
     // The flag stood behind rate, cutoff, estimator and weight.
     let off = resealed(&entry, |body| body[13] = 0);
@@ -198,15 +195,22 @@ fn rules_stored_before_a_tip_had_a_limit_come_back_with_a_gentle_one() {
     assert_eq!(serde_json::from_value::<Rules>(words).expect("it reads"), rules);
 }
 
-#[test]
-fn a_scene_stored_before_there_were_estimators_of_joints_comes_back_as_it_was() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/scene-2.txt");
+/// An entry of a scene of an earlier version, from tests/golden.
+fn earlier(version: u8) -> Vec<u8> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/golden/scene-{version}.txt"));
     let hex = std::fs::read_to_string(path).expect("the golden file is there");
     let hex = hex.trim();
     let entry: Vec<u8> =
         (0..hex.len() / 2).map(|i| u8::from_str_radix(&hex[2 * i..2 * i + 2], 16).expect("hexadecimal")).collect();
-    assert_eq!(entry[..2], [2, 2], "a scene of version 2");
-    assert_eq!(decode::<Scene<f32>>(&entry), Ok(full_scene()));
+    assert_eq!(entry[..2], [2, version], "a scene of that version");
+    entry
+}
+
+#[test]
+fn a_scene_stored_before_there_were_estimators_of_joints_or_a_posture_comes_back_as_it_was() {
+    for version in [2, 3] {
+        assert_eq!(decode::<Scene<f32>>(&earlier(version)), Ok(Scene { posture: None, ..full_scene() }), "{version}");
+    }
 }
 
 #[test]
@@ -228,8 +232,9 @@ fn a_backup_in_words_of_that_time_reads_too() {
         fields.insert("velocity_terms".into(), said.into());
         fields.remove("feed_forward_gain").expect("a field");
         fields.remove("admissible").expect("a field");
+        fields.remove("posture").expect("a field");
         let read: Scene<f32> = serde_json::from_value(old).expect("it reads");
-        assert_eq!(read, Scene { velocity_terms: meant, ..full_scene() });
+        assert_eq!(read, Scene { velocity_terms: meant, posture: None, ..full_scene() });
     }
     let mut wrong = words;
     wrong.as_object_mut().expect("fields").insert("velocity_terms".into(), "some".into());

@@ -16,6 +16,7 @@
 //! | wall `damping`, spring `damping` | 0 |
 //! | wall `feed_forward`, `washout_hz` | `"washout"`, 2 |
 //! | wall `damping_compensation`, `bilateral`, `inside` | false |
+//! | `[posture]` `damping` | 0 (with `orientation`, rad, and `stiffness`, N m/rad; redundant devices only) |
 //! | spring `direction` | none: the spring pulls to its point, else to the line through it |
 
 use crate::device_file::DeviceFile;
@@ -25,7 +26,7 @@ use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::scene::shape::{Meaning, SHAPE_VALUES, ShapeSpec};
 use haptic_bridge::render::scene::{
-    Admissible, FeedForward, MAX_FEED_FORWARD_GAIN, MAX_RATE_HZ, MAX_SPRINGS, MAX_WALLS, MIN_RATE_HZ, Scene,
+    Admissible, FeedForward, MAX_FEED_FORWARD_GAIN, MAX_RATE_HZ, MAX_SPRINGS, MAX_WALLS, MIN_RATE_HZ, Posture, Scene,
     SceneError, Spring, Surface, VelocityTerms, Wall,
 };
 use haptic_bridge::render::velocity::{Chosen, CutoffMeans, Estimator};
@@ -111,6 +112,7 @@ fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
         "feed_forward_gain",
         "admissible",
         "hand_speed",
+        "posture",
         "wall",
         "spring",
         "field",
@@ -131,6 +133,7 @@ fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
         velocity_terms: top.word("velocity_terms", &VelocityTerms::ALL)?.unwrap_or_default(),
         feed_forward_gain: feed_forward_gain(top)?,
         admissible: top.word("admissible", &Admissible::ALL)?.unwrap_or_default(),
+        posture: top.table("posture")?.map(|table| posture(&table)).transpose()?,
         ..Scene::default()
     };
     let walls = top.tables("wall")?;
@@ -252,6 +255,17 @@ fn surface(table: &Table<'_>, shape: &ShapeSpec, task: usize) -> Result<Surface<
     values.resize(SHAPE_VALUES, 0.0);
     let read = values.first_chunk().and_then(|values| Surface::from_values(shape.name, values));
     Ok(read.expect("a shape is made by its own name, of at most as many values as there is room for"))
+}
+
+fn posture(table: &Table<'_>) -> Result<Posture<f64>, FileError> {
+    table.refuse_unknown_keys(&["orientation", "stiffness", "damping"])?;
+    let orientation = table.number("orientation", Must::BeFinite)?;
+    let stiffness = table.number("stiffness", Must::NotBeNegative)?;
+    Ok(Posture {
+        orientation: table.required("orientation", orientation, "orientation = 2.0")?,
+        stiffness: table.required("stiffness", stiffness, "stiffness = 1.0")?,
+        damping: table.number("damping", Must::NotBeNegative)?.unwrap_or(0.0),
+    })
 }
 
 fn spring(table: &Table<'_>, task: usize) -> Result<Spring<f64>, FileError> {

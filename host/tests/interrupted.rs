@@ -20,7 +20,7 @@ use postcard_rpc::Endpoint as _;
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use predicates::prelude::*;
 use predicates::str::contains;
-use sim::{Sim, file};
+use sim::{Sim, file, haptic};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command};
@@ -135,9 +135,14 @@ fn where_not_even_the_beginning_fits_no_file_is_left() {
     };
     let csv = folder.path("a.csv");
     limited(0, &["stream", "--csv", csv.to_str().unwrap(), "--port", &sim.port]);
-    // 6 KB: the page of the report fits, and its picture does not.
-    let report = folder.0.path().to_str().unwrap();
-    limited(12, &["bench", &file("hapkit-paddle.toml"), "--report", report]);
+    // The page of a report fits, and its picture, which is larger, does not.
+    let device = file("hapkit-paddle.toml");
+    let roomy = Folder::new();
+    haptic(&["bench", &device, "--report", roomy.0.path().to_str().unwrap()]).assert().success();
+    let blocks = |name: &str| std::fs::metadata(roomy.path(name)).unwrap().len().div_ceil(512) as u32;
+    let (page, picture) = (blocks("speed-against-error.md"), blocks("speed-against-error.svg"));
+    assert!(page < picture, "{page} and {picture} blocks: choose the limit otherwise");
+    limited(page, &["bench", &device, "--report", folder.0.path().to_str().unwrap()]);
 }
 
 #[test]

@@ -23,7 +23,7 @@ use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 /// Version of this table. Raised by any change to it.
-pub const PROTOCOL: u16 = 6;
+pub const PROTOCOL: u16 = 7;
 
 /// Largest COBS frame on the link, bytes.
 pub const MAX_FRAME: usize = 1536;

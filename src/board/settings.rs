@@ -76,10 +76,11 @@ impl Setting for Device<f32> {
 impl Setting for Scene<f32> {
     const KEY: Key = Key::Scene;
     /// 2: a feed-forward gain, and what a redundant device holds; `velocity_terms` is no flag any more. 3: estimators that
-    /// watch joints, with their choices.
-    const VERSION: u8 = 3;
-    /// A gain of 1 and the orientation; the estimators of before are what they were.
-    const SHORTER: &'static [(u8, usize, &'static [u8])] = &[(1, END, &[0x00, 0x00, 0x80, 0x3f, 0x00]), (2, END, &[])];
+    /// watch joints, with their choices. 4: a posture.
+    const VERSION: u8 = 4;
+    /// A gain of 1, the orientation and no posture; the estimators of before are what they were.
+    const SHORTER: &'static [(u8, usize, &'static [u8])] =
+        &[(1, END, &[0x00, 0x00, 0x80, 0x3f, 0x00, 0x00]), (2, END, &[0x00]), (3, END, &[0x00])];
 }
 impl Setting for Rules {
     const KEY: Key = Key::Rules;

@@ -15,7 +15,7 @@ use crate::model::mechanism::{Mechanism, Regularity, Shaping, shared_pose};
 use crate::model::precomputed::MassModel;
 use crate::model::principal::Principal;
 use crate::model::solve::solve_symmetric;
-use crate::render::scene::{Admissible, FeedForward, MAX_WALLS, Scene, SceneError, VelocityTerms};
+use crate::render::scene::{Admissible, FeedForward, MAX_WALLS, Posture, Scene, SceneError, VelocityTerms};
 use crate::render::velocity::{Coefficients, Washout};
 use core::marker::PhantomData;
 use encoders::Encoders;
@@ -34,6 +34,7 @@ mod encoders;
 mod guidance;
 mod observers;
 mod plan;
+mod posture;
 mod push;
 mod walls;
 
@@ -128,6 +129,7 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     /// α of the feed-forward where the inertia's pole could be reached: above 1.
     gain: Option<T>,
     admissible: Admissible,
+    posture: Option<Posture<T>>,
     /// b of the shaped torque is not zero.
     biased: bool,
     plan: Plan,
@@ -159,8 +161,11 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     #[inline(never)]
     pub fn new(mechanism: M, device: &Device<T>, scene: &Scene<T>) -> Result<Self, SceneError> {
         let Prepared { coefficients, walls, guidance } = prepare(scene, M::SPEC.task)?;
+        if scene.posture.is_some() && M::SPEC.task == N {
+            return Err(SceneError::Posture);
+        }
         let biased = scene.velocity_terms != VelocityTerms::Off || walls.damped;
-        let moving = biased || guidance.any;
+        let moving = biased || guidance.any || scene.posture.is_some();
         let mut controller = Self {
             mechanism,
             mass: MassModel::Exact,
@@ -174,6 +179,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             velocity_terms: scene.velocity_terms,
             gain: (scene.feed_forward_gain > T::one()).then_some(scene.feed_forward_gain),
             admissible: scene.admissible,
+            posture: scene.posture,
             biased,
             plan: Plan::General,
             math: PhantomData,
@@ -299,6 +305,9 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             step.force_squared = plain.dot(&plain);
             step.torque = self.mechanism.transpose(&pose, &plain);
             step.rendered = step.torque;
+        }
+        if M::SPEC.task < N && self.posture.is_some() {
+            step.torque += self.posture_torque(&pose, &tip, &qd);
         }
         if self.gravity {
             step.gravity = self.mechanism.gravity(&pose);

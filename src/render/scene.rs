@@ -156,6 +156,18 @@ pub struct Spring<T> {
     pub damping: T,
 }
 
+/// A torsional spring on the orientation φ of a redundant device, which moves the null motion alone: the posture is held and
+/// the tip is pushed nowhere (docs/model.md section 2).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Posture<T> {
+    /// φ to be held, rad.
+    pub orientation: T,
+    /// N m/rad at `orientation`, and the largest moment of the spring, N m: it grows as the sine of the turn.
+    pub stiffness: T,
+    /// N m s/rad
+    pub damping: T,
+}
+
 /// A whole scene.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 #[serde(bound(deserialize = "T: Real + Deserialize<'de>"))]
@@ -184,6 +196,9 @@ pub struct Scene<T> {
     /// What a redundant device holds.
     #[serde(default)]
     pub admissible: Admissible,
+    /// The posture that a redundant device is held in.
+    #[serde(default)]
+    pub posture: Option<Posture<T>>,
 }
 
 /// Slowest control rate, Hz.
@@ -214,6 +229,8 @@ pub enum SceneError {
     FeedForwardGain,
     /// The velocity estimator's own value is outside its range.
     Estimator,
+    /// The posture's numbers are not finite or negative, or the device has but one posture.
+    Posture,
 }
 
 impl core::fmt::Display for SceneError {
@@ -237,6 +254,10 @@ impl core::fmt::Display for SceneError {
                 "feed_forward_gain must be from 0 to 3, and at most 1 where several walls have a feed-forward",
             ),
             Self::Estimator => f.write_str("the velocity estimator's own value is outside its range"),
+            Self::Posture => f.write_str(
+                "posture: it needs a device with more joints than its tip has directions, a finite orientation, and \
+                 stiffness and damping that are finite and not negative",
+            ),
         }
     }
 }
@@ -258,6 +279,7 @@ impl<T: Real> Default for Scene<T> {
             field_damping: T::zero(),
             feed_forward_gain: T::one(),
             admissible: Admissible::default(),
+            posture: None,
         }
     }
 }
@@ -289,6 +311,13 @@ impl<T: Real> Spring<T> {
     }
 }
 
+impl<T: Real> Posture<T> {
+    /// The same in another precision.
+    pub fn cast<U: Real>(&self) -> Posture<U> {
+        Posture { orientation: cast(self.orientation), stiffness: cast(self.stiffness), damping: cast(self.damping) }
+    }
+}
+
 impl<T: Real> Scene<T> {
     /// The same in another precision.
     pub fn cast<U: Real>(&self) -> Scene<U> {
@@ -304,6 +333,7 @@ impl<T: Real> Scene<T> {
             field_damping: cast(self.field_damping),
             feed_forward_gain: cast(self.feed_forward_gain),
             admissible: self.admissible,
+            posture: self.posture.as_ref().map(Posture::cast),
         }
     }
 
@@ -354,6 +384,11 @@ impl<T: Real> Scene<T> {
         });
         if !springs || !gain(self.field_damping) {
             return Err(SceneError::GuidanceGains);
+        }
+        if let Some(posture) = &self.posture
+            && !(posture.orientation.is_finite() && gain(posture.stiffness) && gain(posture.damping))
+        {
+            return Err(SceneError::Posture);
         }
         Ok(())
     }

@@ -283,6 +283,10 @@ fn readable(document: &Document, asked: bool, args: &Args) -> String {
             found.heaviest.w_eff / found.lightest.w_eff,
             found.most_held.w_rr / found.least_held.w_rr
         ));
+        line(format!(
+            "  a scene holds one with a [posture] table: orientation = {:.3} for the largest Weff, {:.3} for the largest Wrr",
+            found.heaviest.orientation, found.most_held.orientation
+        ));
     }
     let gain = (document.here.w_rr / document.here.w_eff).powi(2);
     line(String::new());

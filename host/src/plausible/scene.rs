@@ -2,6 +2,7 @@
 
 use super::device::force_along;
 use super::{Doubt, Key, digits, with_unit};
+use crate::analysis::flexible::Flexible;
 use crate::analysis::map::Reachable;
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
@@ -69,7 +70,51 @@ pub fn doubts(device: &Device<f64>, scene: &Scene<f64>) -> (Vec<Doubt>, Vec<Cont
             Touched::Unknown => {}
         }
     }
+    doubts.extend(held(device, scene));
     (doubts, contacts)
+}
+
+/// A posture that the device cannot be held in, or whose spring sampling makes unstable.
+fn held(device: &Device<f64>, scene: &Scene<f64>) -> Option<Doubt> {
+    let posture = scene.posture?;
+    let key = |name| Key { table: "posture", index: None, part: "", name };
+    let spec = device.mechanism.kind().spec();
+    if spec.joints == spec.task {
+        let text = format!(
+            "a {} has one posture at each place of its tip: a board refuses this scene; leave [posture] out",
+            spec.name
+        );
+        return Some(Doubt::new(key("orientation"), text));
+    }
+    let q = &device.home?[..spec.joints];
+    let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?;
+    let null = pose.inverse.column(spec.joints - 1).into_owned();
+    let row = pose.jacobian.row(spec.joints - 1).transpose();
+    let viscous = DVector::from_fn(spec.joints, |i, _| device.joints[i].viscous);
+    let turning =
+        Linearised { mass: pose.mass, viscous, row, unit_motion: null, gain: 1.0, flexible: Flexible::default() };
+    let around = Loop {
+        rate_hz: scene.rate_hz,
+        delay_samples: usual_delay(scene.rate_hz),
+        estimator: Estimator::of(scene.estimator, scene.cutoff_hz)?,
+        drive: Drive::Ideal,
+        damping_compensation: false,
+    };
+    let (stable_to, damping_to) = stiffness_at(&turning, &around, Mode::Full, posture.damping).ok()?;
+    let (name, has, most, unit) = if posture.damping > damping_to {
+        ("damping", posture.damping, damping_to, "N m s/rad")
+    } else if posture.stiffness > stable_to {
+        ("stiffness", posture.stiffness, stable_to, "N m/rad")
+    } else {
+        return None;
+    };
+    let text = format!(
+        "the {name} of the posture, {}, is beyond what is predicted stable at home: up to {}; the arm will swing about \
+         its tip",
+        with_unit(has, unit),
+        with_unit(most, unit)
+    );
+    Some(Doubt::new(key(name), text))
 }
 
 /// The loop around a wall of a scene, its motors ideal; `None` with an estimator that has no linear analysis.

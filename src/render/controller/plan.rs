@@ -35,6 +35,7 @@ impl Plan {
             && controller.walls.gain() == T::one()
             && !controller.walls.damped
             && matches!(controller.mass, MassModel::Exact)
+            && controller.posture.is_none()
             && (M::SPEC.task == N || controller.admissible == Admissible::Orientation);
         match controller.walls.lone() {
             Some((wall, _)) if plain && matches!(wall.surface(), Surface::Plane(_)) => Self::Plane,

@@ -1,0 +1,139 @@
+//! The posture of a redundant arm: held by a torque that leaves the tip alone.
+//!
+//! Expectations are Newton's law solved here, M q̈ + c + g = τ with the controller's torque, by elimination.
+
+mod common;
+
+use common::inverse;
+use core::f64::consts::TAU;
+use haptic_bridge::math::Libm;
+use haptic_bridge::model::description::{Description, Encoder};
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism, Serial3r};
+use haptic_bridge::render::controller::Controller;
+use haptic_bridge::render::scene::{FeedForward, Plane, Posture, Scene, SceneError, Surface, Wall};
+use nalgebra::Vector3;
+
+const COUNTS_PER_TURN: f64 = 1.0e9;
+const RATE: f64 = 20_000.0;
+
+type Steps = Controller<f64, Serial3r<f64>, Libm, 3>;
+
+fn shipped(name: &str) -> Description {
+    let path = format!("{}/devices/{name}.toml", env!("CARGO_MANIFEST_DIR"));
+    let mut description = haptic::device_file::DeviceFile::load(path).expect("a shipped device").description;
+    description.gravity = [0.0; 3];
+    for joint in &mut description.joints {
+        joint.encoder = Some(Encoder { counts_per_turn: COUNTS_PER_TURN, offset: 0.0, inverted: false });
+    }
+    description
+}
+
+fn arm() -> (Serial3r<f64>, Device<f64>) {
+    let device = Device::<f64>::new("arm", &shipped("serial-3r")).expect("a sound device");
+    let AnyMechanism::Serial3r(arm) = device.mechanism else { panic!("a redundant arm") };
+    (arm, device)
+}
+
+fn scene(posture: Option<Posture<f64>>) -> Scene<f64> {
+    Scene { task: 2, rate_hz: RATE, cutoff_hz: 2_000.0, posture, ..Scene::default() }
+}
+
+fn counts(q: &Vector3<f64>) -> [i32; 3] {
+    core::array::from_fn(|i| (q[i] / TAU * COUNTS_PER_TURN).round() as i32)
+}
+
+/// The torques after a steady motion through `q` at `qd`.
+fn torque(scene: &Scene<f64>, q: &Vector3<f64>, qd: &Vector3<f64>) -> Vector3<f64> {
+    let (arm, device) = arm();
+    let mut steps = Steps::new(arm, &device, scene).expect("a sound scene");
+    (-80..=0).map(|k| steps.step(&counts(&(q + qd * (f64::from(k) / RATE)))).torque).last().expect("steps")
+}
+
+#[test]
+fn it_turns_the_last_link_and_does_not_accelerate_the_tip() {
+    let (arm, _) = arm();
+    let held = Posture { orientation: 2.6, stiffness: 0.4, damping: 0.03 };
+    for (q, qd) in
+        [([0.5, 0.8, 0.7], [0.0; 3]), ([0.5, 0.8, 0.7], [0.9, -0.4, 0.3]), ([-0.8, 1.4, -2.0], [0.2, 0.5, 0.6])]
+    {
+        let (q, qd) = (Vector3::from(q), Vector3::from(qd));
+        let torque = torque(&scene(Some(held)), &q, &qd);
+        let pose = arm.pose::<Libm>(&q);
+        let (jacobian, mass) = (arm.jacobian(&pose), arm.mass(&pose));
+        let acceleration = jacobian * (inverse(&mass) * torque);
+        // Of the orientation alone: the inertia that the null motion has.
+        let null = inverse(&jacobian).column(2).into_owned();
+        let moment = 0.4 * (2.6 - q.sum()).sin() - 0.03 * qd.sum();
+        let expected = moment / null.dot(&(mass * null));
+        assert!((acceleration[2] / expected - 1.0).abs() < 1e-3, "{} for {expected}", acceleration[2]);
+        let tip = acceleration[0].hypot(acceleration[1]);
+        assert!(tip < 1e-9 * expected.abs(), "the tip is accelerated by {tip} m/s²");
+    }
+}
+
+#[test]
+fn an_arm_that_presses_a_wall_takes_its_posture_and_stays_in_it() {
+    let (arm, device) = arm();
+    let start = Vector3::new(0.5, 0.8, 0.7);
+    let pose = arm.pose::<Libm>(&start);
+    let (tip, normal) = (arm.tip(&pose), [0.6, 0.8, 0.0]);
+    let wall = |feed_forward| Wall {
+        surface: Surface::Plane(Plane { point: [tip[0], tip[1], 0.0], normal }),
+        stiffness: 3_000.0,
+        damping: 30.0,
+        feed_forward,
+        washout_hz: 2.0,
+        damping_compensation: false,
+        bilateral: false,
+    };
+    // In full, (4) itself pushes a resting arm along its null motion.
+    for feed_forward in [FeedForward::Off, FeedForward::Washout] {
+        let mut scene = scene(Some(Posture { orientation: 2.2, stiffness: 0.5, damping: 0.15 }));
+        scene.walls.push(wall(feed_forward)).expect("room");
+        let mut steps = Steps::new(arm, &device, &scene).expect("a sound scene");
+        let (mut q, mut qd) = (start, Vector3::<f64>::zeros());
+        // A hand presses with 6 N, holds the tip against sliding along the wall, and damps it.
+        let hand = Vector3::new(-0.6, -0.8, 0.0) * 6.0;
+        for _ in 0..(3.0 * RATE) as usize {
+            let step = steps.step(&counts(&q));
+            let pose = arm.pose::<Libm>(&q);
+            let jacobian = arm.jacobian(&pose);
+            let (away, rate) = (arm.tip(&pose) - tip, jacobian * qd);
+            let across = Vector3::new(-0.8, 0.6, 0.0);
+            let grip = hand - across * (across.dot(&away) * 300.0) - Vector3::new(rate[0], rate[1], 0.0) * 5.0;
+            let moving = step.torque + jacobian.tr_mul(&grip) - arm.coriolis(&pose, &qd);
+            qd += inverse(&arm.mass(&pose)) * moving / RATE;
+            q += qd / RATE;
+        }
+        let pose = arm.pose::<Libm>(&q);
+        let depth = (tip - arm.tip(&pose)).dot(&Vector3::from(normal));
+        assert!((q.sum() - 2.2).abs() < 0.002, "{feed_forward:?}: held at {}", q.sum());
+        // The wall is as deep as the hand presses, whatever holds the posture.
+        assert!((depth - 0.002).abs() < 4e-5, "{feed_forward:?}: {depth} m");
+        assert!(qd.norm() < 1e-2, "{feed_forward:?}: it rests, {qd:?}");
+    }
+}
+
+#[test]
+fn at_a_stretched_arm_nothing_is_held() {
+    let held = Posture { orientation: 2.0, stiffness: 0.5, damping: 0.1 };
+    let torque = torque(&scene(Some(held)), &Vector3::new(0.4, 0.0, 0.3), &Vector3::zeros());
+    assert_eq!(torque, Vector3::zeros());
+}
+
+#[test]
+fn what_cannot_be_held_is_refused() {
+    let held = Posture { orientation: 0.3, stiffness: 0.2, damping: 0.0 };
+    let device = Device::<f64>::new("five-bar", &shipped("coupled-five-bar")).expect("a sound device");
+    let AnyMechanism::FiveBar(five_bar) = device.mechanism else { panic!("a five-bar") };
+    let made = Controller::<f64, _, Libm, 2>::new(five_bar, &device, &scene(Some(held)));
+    assert_eq!(made.err(), Some(SceneError::Posture));
+    for wrong in [
+        Posture { orientation: f64::NAN, ..held },
+        Posture { stiffness: -1.0, ..held },
+        Posture { damping: f64::INFINITY, ..held },
+    ] {
+        assert_eq!(scene(Some(wrong)).check(2), Err(SceneError::Posture));
+    }
+}
