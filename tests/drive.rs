@@ -404,3 +404,14 @@ fn without_supply_there_is_no_duty() {
         assert_eq!(axis.drive(bus, 0.0, false), 0.0);
     }
 }
+
+/// A limit that is lowered while the device is loaded makes the motor's model as strict as a device loaded under it.
+#[test]
+fn a_lower_limit_tightens_the_model_of_a_winding_whose_inductance_nobody_knows() {
+    for inductance in [0.0, 1.0e-3] {
+        let motor = Motor { inductance, max_current: 20.0, ..motor() };
+        let mut lowered = Axis::new(&motor, &bridge(true), 20.0);
+        lowered.limit(0.5);
+        assert_eq!(lowered, Axis::new(&motor, &bridge(true), 0.5), "{inductance} H");
+    }
+}

@@ -161,13 +161,26 @@ fn origin(fault: Fault) -> Origin {
         Fault::PolarityWrong => Step(|| {
             let mut rig = Rig::ready(&quiet());
             rig.execute(Command::CheckPolarity).unwrap();
+            rig.run(0.3);
             rig.turn(0, -0.025, 1.0);
             rig
         }),
         Fault::PolarityNoMotion => Step(|| {
             let mut rig = Rig::ready(&quiet());
             rig.execute(Command::CheckPolarity).unwrap();
-            rig.run(2.0);
+            rig.run(2.2);
+            rig
+        }),
+        Fault::PolarityUnrest => Step(|| {
+            let mut rig = Rig::ready(&quiet());
+            rig.execute(Command::CheckPolarity).unwrap();
+            for step in 0..(5.1 * RATE) as u32 {
+                rig.samples.counts[0] += i32::from(step % 4 == 0);
+                rig.step();
+                if rig.state() == State::Fault {
+                    break;
+                }
+            }
             rig
         }),
         Fault::ControlOverrun
@@ -218,6 +231,7 @@ fn injection(fault: Fault) -> (&'static str, &'static str) {
         Fault::PowerLimit => ("3 W into the hand where 2 are allowed", "by a mean over 0.1 s"),
         Fault::PolarityWrong => ("a joint that turns backward", at_once),
         Fault::PolarityNoMotion => ("a joint that does not turn", "after 2 s of it"),
+        Fault::PolarityUnrest => ("a joint that a hand turns evenly", "never on: a joint is waited for without torque"),
         Fault::SensorStale => ("a converter that stops", at_once),
         Fault::CurrentSensor => ("1 A between two sensors of a motor of 3 A", at_once),
         Fault::MotorModel => ("a current sensor that shows none", "as the loop's integrator grows: some 0.2 ms"),

@@ -25,6 +25,8 @@ struct Sectors {
     operations: usize,
     erases: usize,
     cut: Option<(usize, Cut)>,
+    /// The flash goes on after the cut: it failed, the power did not.
+    goes_on: bool,
     dead: bool,
 }
 
@@ -39,7 +41,7 @@ impl NorFlashError for PowerCut {
 
 impl Sectors {
     fn new() -> Self {
-        Self { bytes: vec![0xFF; 2 * SECTOR], operations: 0, erases: 0, cut: None, dead: false }
+        Self { bytes: vec![0xFF; 2 * SECTOR], operations: 0, erases: 0, cut: None, goes_on: false, dead: false }
     }
 
     /// Counts an operation; how much of it happens.
@@ -51,7 +53,7 @@ impl Sectors {
         }
         match self.cut {
             Some((at, cut)) if at == number => {
-                self.dead = true;
+                self.dead = !self.goes_on;
                 Some(cut)
             }
             _ => None,
@@ -370,6 +372,39 @@ fn what_was_staged_and_never_decided_never_counts() {
     let mut storage = Storage::new(flash, RANGE, &mut buffer);
     assert_eq!(storage.staged(3), Ok(None), "what an earlier run staged is forgotten");
     assert_eq!(storage.commit(&[3]), Err(StorageError::NotKept));
+}
+
+#[test]
+fn a_flash_that_fails_once_says_which_settings_count_and_reading_writes_nothing() {
+    let (old, new) = (values(0), values(9));
+    let (mut kept, mut went_on) = (0, 0);
+    for (operation, cut) in (0..).flat_map(|operation| [(operation, Cut::Before), (operation, Cut::Within)]) {
+        let flash = Sectors { cut: Some((operation, cut)), goes_on: true, ..aged(1).reboot() };
+        let mut buffer = [0; ENTRY_MAX];
+        let mut storage = Storage::new(flash, RANGE, &mut buffer);
+        if new.iter().any(|(key, value)| storage.stage(*key, value).is_err()) {
+            continue;
+        }
+        let answer = storage.commit(&new.keys().copied().collect::<Vec<_>>());
+        let flash = storage.into_flash();
+        if flash.operations <= operation {
+            break;
+        }
+        let operations = flash.operations;
+        let (found, flash) = asked(flash);
+        assert_eq!(flash.operations, operations, "operation {operation}: a reader wrote");
+        let same =
+            |wanted: &Values| wanted.values().zip(&found).all(|(value, found)| found == &Ok(Some(value.clone())));
+        assert!(same(if answer.is_ok() { &new } else { &old }), "operation {operation}, {cut:?}: {answer:?}");
+        match answer {
+            Ok(()) => went_on += 1,
+            Err(error) => {
+                assert_eq!(error, StorageError::Flash);
+                kept += 1;
+            }
+        }
+    }
+    assert!(went_on > 100 && kept > 1, "{went_on} went on, {kept} kept what was there");
 }
 
 #[test]

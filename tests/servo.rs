@@ -2,13 +2,14 @@
 
 mod rig;
 
+use core::f64::consts::TAU;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::render::velocity::Washout;
 use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_bridge::servo::joints::Counts;
+use haptic_bridge::servo::joints::{Counts, Torques};
 use haptic_bridge::servo::{ARM_SECONDS, Command, HostAction, Rules};
 use rig::{RATE, Rig, five_bar, hardware, limits, paddle, rules, scene, wall};
 
@@ -458,17 +459,40 @@ fn a_joint_that_glides_after_the_one_before_is_waited_for() {
     assert!(rig.servo.status().polarity, "{:?}", rig.fault());
 }
 
+/// A motor without effect, or wired backward, whose joint a hand carries along.
+#[test]
+fn a_hand_that_moves_a_joint_passes_no_check_for_its_motor() {
+    for (joint, speed) in [(0, 0.012), (0, 0.15), (1, 0.012), (1, 0.15)] {
+        let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
+        rig.execute(Command::CheckPolarity).unwrap();
+        if joint == 1 {
+            rig.run(0.5);
+            rig.turn(0, 0.021, 0.5);
+        }
+        let counts = rig.samples.counts[joint];
+        let per_step = speed / f64::from(rig.rate) / TAU * rig::COUNTS;
+        for step in 0..(8.0 * rig.rate) as u32 {
+            rig.samples.counts[joint] = counts + (f64::from(step) * per_step) as i32;
+            rig.step();
+            assert_eq!(rig.servo.frame().torque, Torques::default(), "no torque on a joint that a hand moves");
+        }
+        assert_eq!(rig.fault(), Some(Fault::PolarityUnrest), "joint {joint} at {speed} rad/s");
+        assert!(!rig.servo.status().polarity && rig.motors_off());
+    }
+}
+
 #[test]
 fn a_joint_that_turns_the_wrong_way_or_not_at_all_fails_the_polarity_check() {
     let mut rig = Rig::ready(&scene(1, &[]));
     rig.execute(Command::CheckPolarity).unwrap();
     assert!(!rig.servo.status().polarity, "an earlier check no longer counts");
+    rig.run(0.3);
     rig.turn(0, -0.021, 1.0);
     rig.settle();
     assert_eq!(rig.fault(), Some(Fault::PolarityWrong));
     rig.execute(Command::Clear).unwrap();
     rig.execute(Command::CheckPolarity).unwrap();
-    rig.run(2.1);
+    rig.run(2.4);
     assert_eq!(rig.fault(), Some(Fault::PolarityNoMotion));
     rig.execute(Command::Clear).unwrap();
     assert_eq!(rig.execute(Command::Arm), Err(Refusal::PolarityUnchecked));

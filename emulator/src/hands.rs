@@ -26,6 +26,14 @@ pub fn carry(device: &mut Device) {
     device.set_hand(Hand::new(HandSettings::default(), Intent::Push(weight), device.tip(), device.time()));
 }
 
+/// A firm hand that moves the tip to and fro by `reach` (m) for `seconds`.
+pub fn wander(device: &mut Device, reach: f64, seconds: f64) {
+    let tip = device.tip();
+    let place = |k: u32| tip.map(|x| if k % 2 == 1 { x + reach } else { x });
+    let path = (0..=(10.0 * seconds) as u32).map(|k| Waypoint { time: 0.1 * f64::from(k), value: place(k) }).collect();
+    device.set_hand(Hand::new(firm(), Intent::Follow(path), tip, device.time()));
+}
+
 /// A trembling hand that pushes the tip with `force` (N), reached in `seconds`.
 pub fn push(device: &mut Device, force: [f64; 3], seconds: f64) {
     let path = vec![Waypoint::default(), Waypoint { time: seconds, value: force }];

@@ -20,7 +20,7 @@ use rigless::time::VirtualNanos;
 
 use crate::boards::BoardKind;
 use crate::contact::WallAt;
-use crate::hands::{firm, hold, push};
+use crate::hands::{firm, hold, push, wander};
 use crate::image::{CODE, SETTINGS};
 use crate::rig::{Rig, device_file, firmware};
 use crate::run::{Bench, MICROSECOND, MILLISECOND, SECOND};
@@ -387,6 +387,16 @@ pub fn injection(fault: Fault) -> Injection {
                 rig.run(MILLISECOND);
             },
             3_000,
+        ),
+        Fault::PolarityUnrest => chip(
+            "a hand that moves the tip to and fro",
+            disarmed,
+            |rig| {
+                rig.with_simulated(|device| wander(device, 0.004, 6.0));
+                rig.tool.check_polarity().expect("the check starts");
+                rig.run(MILLISECOND);
+            },
+            6_000,
         ),
         Fault::SensorStale => chip(
             "a converter that is no longer triggered",

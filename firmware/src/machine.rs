@@ -90,7 +90,7 @@ impl Panel {
         servo::STALL_EXPECTED.store(false, Ordering::Relaxed);
         result.map_err(|error| {
             defmt::error!("the settings were not written: error {=u8}", error as u8);
-            Refusal::Flash
+            if error == StorageError::Unsettled { Refusal::Unsettled } else { Refusal::Flash }
         })
     }
 

@@ -82,6 +82,8 @@ pub struct Device {
     looked: Instant,
     last: ForceAnswer,
     armed: bool,
+    /// Whether the next force arms: the first of a program. Who turned the motors off meanwhile meant it.
+    may_arm: bool,
     told: Vec<String>,
 }
 
@@ -97,7 +99,17 @@ impl Device {
         let axes = axes.unwrap_or_else(|| Axes::of(device.mechanism.kind(), device.weight));
         let id = session.info().serial.to_string();
         let last = session.look()?;
-        Ok(Self { session, axes, id, simulated, looked: Instant::now(), last, armed: false, told: Vec::new() })
+        Ok(Self {
+            session,
+            axes,
+            id,
+            simulated,
+            looked: Instant::now(),
+            last,
+            armed: false,
+            may_arm: true,
+            told: Vec::new(),
+        })
     }
 
     /// The device's id in messages: the board's serial number.
@@ -127,9 +139,9 @@ impl Device {
             self.last = self.session.look()?;
             return Ok(());
         };
-        if !self.armed {
+        if !self.armed && self.may_arm {
             match self.session.arm() {
-                Ok(()) => self.armed = true,
+                Ok(()) => (self.armed, self.may_arm) = (true, false),
                 Err(BoardError::Refused(refusal)) => self.tell(format!("the motors stay off: {refusal}")),
                 Err(error) => return Err(error),
             }
@@ -139,14 +151,17 @@ impl Device {
         self.last = self.session.force(force.map(|newtons| newtons as f32))?;
         if self.armed && self.last.state != State::Armed {
             self.armed = false;
-            self.tell("the board has turned its motors off; `haptic faults` says why".into());
+            self.tell(
+                "the motors are off, by the board or another tool (`haptic faults`); a program that connects anew arms them"
+                    .into(),
+            );
         }
         Ok(())
     }
 
     /// Motors off.
     fn let_go(&mut self) {
-        self.armed = false;
+        (self.armed, self.may_arm) = (false, true);
         self.told.clear();
         let _ = self.session.disarm();
     }

@@ -119,10 +119,15 @@ impl Service {
             let key = if modelled && self.set_device(machine, device).is_ok() { Key::MassModel } else { Key::Device };
             let _ = self.damage.push((key, Damage::Corrupt));
         }
-        if let (Some(scene), true) = (scene, self.device.is_some())
-            && self.set_scene(machine, scene).is_err()
-        {
-            let _ = self.damage.push((Key::Scene, Damage::Corrupt));
+        if let (Some(scene), true) = (scene, self.device.is_some()) {
+            // What was saved beside the scene was made for its walls.
+            let mass = core::mem::take(&mut self.mass);
+            if self.set_scene(machine, scene).is_err() {
+                self.mass = mass;
+                let _ = self.damage.push((Key::Scene, Damage::Corrupt));
+            } else if mass != MassModelData::Exact && self.set_mass_model(machine, mass).is_err() {
+                let _ = self.damage.push((Key::MassModel, Damage::Corrupt));
+            }
         }
         if !self.damage.is_empty() {
             let value = self.damage.len() as f32;

@@ -94,6 +94,8 @@ pub enum StorageError {
     NotKept = 3,
     /// What was saved last is damaged or gone.
     Damaged = 4,
+    /// The flash failed in the middle of a decision: the next start shows the old settings or the new ones.
+    Unsettled = 5,
 }
 
 impl core::fmt::Display for StorageError {
@@ -103,6 +105,7 @@ impl core::fmt::Display for StorageError {
             Self::Full => "the entry does not fit",
             Self::NotKept => "what was written does not read back: the flash is worn",
             Self::Damaged => "what was saved last is damaged: save again",
+            Self::Unsettled => "the flash failed in the middle of a change: the next start shows what was kept",
         })
     }
 }
@@ -180,11 +183,18 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         Ok(found.and_then(|Stamped(_, known)| known.try_into().ok()).unwrap_or_default())
     }
 
-    /// The entry of a setting, `None` when it was never stored. [`StorageError::Damaged`] when only an older one is
-    /// left, or none.
+    /// The entry of a setting, `None` when it was never stored: the staged one where that is decided on and not yet in
+    /// its place. Writes nothing, so that it may be asked at any time. [`StorageError::Damaged`] when only an older one
+    /// is left, or none.
     pub fn read(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
-        self.recover()?;
-        self.current(key)
+        let decided = if self.recovered { 0 } else { self.generations(DECISION)?[place(key)] };
+        if decided == 0 {
+            return self.current(key);
+        }
+        match self.fetch(STAGED | key)? {
+            Some(Stamped(found, entry)) if found == decided => Ok(Some(entry)),
+            _ => Err(StorageError::Damaged),
+        }
     }
 
     fn current(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
@@ -244,7 +254,8 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     }
 
     /// Puts what was staged for these settings in their places, all of them or, when the power goes, none. Errors:
-    /// [`StorageError::NotKept`] when one was not staged since the start.
+    /// [`StorageError::NotKept`] when one was not staged since the start, [`StorageError::Unsettled`] when the flash goes on
+    /// failing; after any other nothing has changed.
     pub fn commit(&mut self, keys: &[u8]) -> Result<(), StorageError> {
         self.recover()?;
         let mut decision = [0; SETTINGS];
@@ -257,8 +268,12 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         self.staged = [0; SETTINGS];
         // What is decided and not yet done is done before anything else is read or written.
         self.recovered = false;
-        self.store(DECISION, &Stamped(COUNTED, &decision))?;
-        self.recover()
+        if let Err(error) = self.store(DECISION, &Stamped(COUNTED, &decision)) {
+            // It may be there all the same.
+            let taken_back = self.store(DECISION, &Stamped(COUNTED, &[0; SETTINGS]));
+            return Err(if taken_back.is_ok() { error } else { StorageError::Unsettled });
+        }
+        self.recover().or_else(|_| self.recover()).map_err(|_| StorageError::Unsettled)
     }
 
     /// Carries out a decision that has not been, if there is one.

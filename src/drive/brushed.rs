@@ -104,6 +104,9 @@ pub struct Axis {
     recent: f32,
     /// What a sound motor may differ by from its model at rest without current, V.
     doubt: f32,
+    /// That without any current, V, and what each ampere allowed adds where the inductance is not known, Ω.
+    least_doubt: f32,
+    lag_resistance: f32,
     /// What the controller asked for, A.
     target: f32,
     /// Voltage that the present speed needs, V, and what that may be off by.
@@ -147,12 +150,9 @@ impl Stage for Axis {
             dead_time_share: 2.0 * bridge.dead_time * bridge.carrier_hz,
             ..Self::default()
         };
+        axis.least_doubt = if bridge.current_sensed { VOLTAGE_DOUBT } else { f32::INFINITY };
+        axis.lag_resistance = if inductance > 0.0 { 0.0 } else { LAG_DOUBT * motor.resistance };
         axis.limit(max_current);
-        axis.doubt = match (bridge.current_sensed, inductance > 0.0) {
-            (false, _) => f32::INFINITY,
-            (true, true) => VOLTAGE_DOUBT,
-            (true, false) => VOLTAGE_DOUBT + LAG_DOUBT * motor.resistance * axis.max_current,
-        };
         axis.error_weight = if inductance > 0.0 { ERROR_WEIGHT } else { SLOW_ERROR_WEIGHT };
         axis
     }
@@ -160,6 +160,7 @@ impl Stage for Axis {
     fn limit(&mut self, max_current: f32) {
         self.max_current = self.motor_current.min(max_current).max(0.0);
         self.most = 1.3 * self.max_current + 0.6;
+        self.doubt = self.least_doubt + self.lag_resistance * self.max_current;
     }
 
     fn max_current(&self) -> f32 {

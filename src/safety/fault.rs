@@ -149,6 +149,9 @@ faults! {
     /// A word of RAM did not keep what was written; value: its address.
     RamDamaged = 34, "the processor's RAM does not keep what is written",
         "power-cycle the board; if it returns, replace the board";
+    /// A joint kept moving when the polarity check was to begin with it; value: rad from where it stood last.
+    PolarityUnrest = 35, "a joint did not come to rest for the polarity check",
+        "let the device stand still by itself, or hold it still for a moment, hands off while a motor pushes; then check again";
 }
 
 impl Fault {

@@ -63,6 +63,8 @@ pub enum Refusal {
     Flash,
     /// This board cannot do that.
     NotSupported,
+    /// The flash failed in the middle of a change: the next start shows the old settings or the new ones.
+    Unsettled,
 }
 
 impl core::fmt::Display for Refusal {
@@ -105,6 +107,10 @@ impl core::fmt::Display for Refusal {
             Self::HeldByAnother => f.write_str("another tool holds the board: close it first"),
             Self::BadEntry => f.write_str("this setting is damaged or of another version: use the tool's own restore"),
             Self::Flash => f.write_str("writing to flash failed: try again; the old settings are kept"),
+            Self::Unsettled => f.write_str(
+                "the flash failed in the middle of a change: the old settings are in force until the next start, which \
+                 shows whether the old ones or the new ones were kept",
+            ),
             Self::NotSupported => f.write_str("this board cannot do that"),
         }
     }

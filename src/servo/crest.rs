@@ -17,6 +17,8 @@ use core::ops::DerefMut;
 
 /// Cutoff of the first-order filter behind speed and power limits, Hz: twice the speed limit is seen after 0.6 ms.
 pub const SPEED_HZ: f32 = 200.0;
+/// No limit makes that filter slower than this, Hz.
+const SLOWEST_HZ: f32 = 5.0;
 /// Largest share of the speed limit that a single count may look like: a coarse encoder is filtered for longer, until
 /// the joint has moved by a few counts.
 const COUNT_SHARE: f32 = 0.25;
@@ -130,7 +132,8 @@ where
             self.crests.bounds[i] = Bounds {
                 // Five times the speed limit is no motion any more, and more than noise of a count no noise.
                 jump: ((5.0 * speed) as u32).clamp(4, i32::MAX as u32),
-                gain: (core::f32::consts::TAU * SPEED_HZ * period).min(COUNT_SHARE * speed),
+                gain: (core::f32::consts::TAU * SPEED_HZ * period)
+                    .min((COUNT_SHARE * speed).max(core::f32::consts::TAU * SLOWEST_HZ * period)),
                 speed,
                 first,
                 last,

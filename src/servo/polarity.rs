@@ -17,8 +17,8 @@ pub const POLARITY_SHARE: f32 = 0.25;
 pub const POLARITY_MOTION: f32 = 0.02;
 /// Time the polarity check takes to reach its torque, s; it gives up after twice this.
 pub const POLARITY_SECONDS: f32 = 1.0;
-/// How long it waits at most for the device to come to rest before a joint's turn, s: what the joint before has thrown
-/// about says nothing of this one, and a device almost without friction glides for seconds.
+/// How long it waits at most for a joint to come to rest before its turn, s. What the joint before has thrown about, or a
+/// hand moves, says nothing of this one's motor; a device almost without friction glides for seconds.
 pub const POLARITY_PATIENCE: f32 = 5.0;
 
 /// A joint is at rest for it that stays within so much (rad) for so long (s). A speed would not do: between two counts of
@@ -61,7 +61,10 @@ where
     pub(super) fn check_polarity(&mut self) {
         self.now.torque = Torques::default();
         let i = self.polarity.axis.min(MAX_JOINTS - 1);
-        if i > 0 && self.polarity.from.is_none() && !self.at_rest(i) {
+        if self.polarity.from.is_none() && !self.at_rest(i) {
+            if self.polarity.waited >= POLARITY_PATIENCE {
+                self.trip(Fault::PolarityUnrest, Some(i as u8), self.now.q[i] - self.polarity.rests_at);
+            }
             return;
         }
         let Some(program) = self.program.as_ref() else { return };
@@ -92,7 +95,7 @@ where
         self.now.torque[i] = torque[i] * share_within(squared, self.rules.limits.tip_force);
     }
 
-    /// Whether joint `i` has come to rest after the one before, or has been waited for long enough.
+    /// Whether joint `i` has come to rest.
     fn at_rest(&mut self, i: usize) -> bool {
         let (polarity, q) = (&mut self.polarity, self.now.q[i]);
         polarity.waited += self.period;
@@ -100,6 +103,6 @@ where
         if (q - polarity.rests_at).abs() > REST_MOTION {
             (polarity.rests_at, polarity.rested) = (q, 0.0);
         }
-        polarity.rested >= REST_SECONDS || polarity.waited >= POLARITY_PATIENCE
+        polarity.rested >= REST_SECONDS
     }
 }
