@@ -401,6 +401,8 @@ fn what_is_saved_is_in_force_after_a_restart_with_the_motors_off() {
 fn polarity_check(board: &mut Board, way: i32) {
     board.ask::<Home>(&()).unwrap().unwrap();
     board.ask::<CheckPolarity>(&()).unwrap().unwrap();
+    // The joint has to rest first.
+    (0..(0.3 * rig::RATE) as u32).for_each(|_| board.tick());
     for _ in 0..8_000 {
         if !driving(board.state()) {
             break;
@@ -564,4 +566,18 @@ fn a_refused_piece_of_a_table_leaves_the_table_in_force() {
         );
         machine.retimed.truncate(installed);
     }
+}
+
+/// A saved mass model was made for the saved scene: the start puts both in force.
+#[test]
+fn a_frozen_mass_matrix_comes_back_with_its_scene() {
+    let mut board = board(Now::Ready);
+    let frozen = MassModelData::Frozen([1.0e-3; 6]);
+    assert_eq!(board.ask::<SetMassModel>(&frozen).unwrap(), Ok(()));
+    assert_eq!(board.ask::<Save>(&()).unwrap(), Ok(()));
+    let saved = board.ask::<ReadEntry>(&Key::MassModel).unwrap();
+    board.ask::<Restart>(&()).unwrap().unwrap();
+    // What is in force is what a save writes.
+    assert_eq!(board.ask::<Save>(&()).unwrap(), Ok(()));
+    assert_eq!(board.ask::<ReadEntry>(&Key::MassModel).unwrap(), saved);
 }

@@ -184,6 +184,16 @@ fn one_program_at_a_time_of_this_computer_and_the_motors_go_off_with_it() {
     // The server's own end: the next program finds the motors off.
     let mut again = (0..2000).find_map(|_| server.connect().ok()).expect("let in after the one before has left");
     assert_eq!(again.ask(&json!({}))["inverse3"][0]["status"]["started"], false);
+    // Who disarms the board meanwhile is not overruled by the program's next force.
+    let forces = |program: &mut Program| {
+        (0..50).map(|_| program.ask(&force(&id, "vector", [0.0; 3]))["inverse3"][0]["status"]["started"] == true).last()
+    };
+    assert_eq!(forces(&mut again), Some(true));
+    board.run(&["disarm"]).success();
+    assert_eq!(forces(&mut again), Some(false), "armed again behind the back of whoever disarmed");
+    drop(again);
+    let mut anew = (0..2000).find_map(|_| server.connect().ok()).expect("let in after the one before has left");
+    assert_eq!(forces(&mut anew), Some(true));
 }
 
 #[test]
