@@ -3,13 +3,11 @@
 use crate::commands::{Command, HEADINGS, list_of_fields};
 use clap::error::ContextKind;
 use clap::{CommandFactory, FromArgMatches, Parser};
-use haptic::continued::Continued;
 use haptic::error::Failure;
 use haptic::plausible::counted;
 use haptic_bridge::model::admissible::Admissible;
 use std::error::Error;
 use std::ffi::OsString;
-use std::io::IsTerminal;
 use std::num::{IntErrorKind, ParseFloatError, ParseIntError};
 
 /// Configure, watch, simulate and analyse haptic-bridge boards: motor drivers that render hard walls on a device
@@ -241,26 +239,6 @@ impl Numbers {
 pub fn admissible(text: &str) -> Result<Admissible, String> {
     let known = Admissible::ALL.iter().find(|(name, _)| *name == text).map(|(_, choice)| *choice);
     known.ok_or_else(|| format!("write one of {}", Admissible::ALL.map(|(name, _)| name).join(", ")))
-}
-
-/// Runs a long sweep: with a file to keep what is done in, Ctrl-C ends it in order; somebody who watches sees how many
-/// `things` are done.
-pub fn long<R>(
-    path: Option<&std::path::Path>,
-    sweep: &str,
-    things: &str,
-    run: impl FnOnce(Option<&Continued<'_>>, &(dyn Fn(usize, usize) + Sync)) -> Result<R, Failure>,
-) -> Result<R, Failure> {
-    let watched = std::io::stderr().is_terminal();
-    let progress = |done: usize, of: usize| {
-        if watched && of > 1 {
-            haptic::error::say(format_args!("\r{done} of {of} {things}{}", if done == of { "\n" } else { "" }));
-        }
-    };
-    let Some(path) = path else { return run(None, &progress) };
-    let interrupt = haptic::interrupt::watch();
-    let interrupted = || interrupt.is_set();
-    run(Some(&Continued { path, sweep, interrupted: &interrupted }), &progress)
 }
 
 #[cfg(test)]

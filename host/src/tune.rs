@@ -471,7 +471,7 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<Answer, Failure> {
             combinations.retain(|other| well.iter().any(|one| one.is_like(other)));
         }
         let stage = format!("walls, feed-forward {}", feed_forward.name());
-        let curves = sweep.map(&stage, &combinations, |settings| bench.curve(settings))?;
+        let curves = sweep.map(&stage, &combinations, |settings| Ok(bench.curve(settings)))?;
         let mut candidates: Vec<(Settings, Curve)> =
             combinations.into_iter().zip(curves).filter_map(|(settings, curve)| Some((settings, curve?))).collect();
         looked_at.0 += candidates.len();
@@ -534,14 +534,11 @@ fn simulated(
             break;
         }
         let stage = format!("ripple, feed-forward {}, round {}", feed_forward.name(), round + 1);
-        let results = sweep.map(&stage, some, |(settings, curve)| {
-            let found = bench.best_on(settings, curve, best);
-            found.map(|found| found.map(kept)).map_err(|failure| failure.to_string())
-        })?;
+        let results =
+            sweep.map(&stage, some, |(settings, curve)| Ok(bench.best_on(settings, curve, best)?.map(kept)))?;
         *count += some.len();
-        for ((settings, _), result) in some.iter().zip(results) {
-            found.extend(result.map_err(Failure::impossible)?.map(|kept| restored(settings, kept)));
-        }
+        let each = some.iter().zip(results);
+        found.extend(each.filter_map(|((settings, _), result)| Some(restored(settings, result?))));
     }
     Ok(found)
 }
@@ -560,14 +557,10 @@ fn refined(bench: &Bench<'_>, found: Found, sweep: &Sweep) -> Result<Found, Fail
     let better = |candidates: Vec<Settings>, floor: f64, stage: &str| -> Result<Vec<Found>, Failure> {
         let results = sweep.map(stage, &candidates, |settings| {
             let Some(curve) = bench.curve(settings) else { return Ok(None) };
-            bench.best_on(settings, &curve, floor).map(|found| found.map(kept)).map_err(|failure| failure.to_string())
+            Ok(bench.best_on(settings, &curve, floor)?.map(kept))
         })?;
-        let with = candidates.iter().zip(results);
-        let mut found = Vec::new();
-        for (settings, result) in with {
-            found.extend(result.map_err(Failure::impossible)?.map(|kept| restored(settings, kept)));
-        }
-        Ok(found)
+        let each = candidates.iter().zip(results);
+        Ok(each.filter_map(|(settings, result)| Some(restored(settings, result?))).collect())
     };
     let name = found.settings.feed_forward.name();
     let mut best = found;
@@ -583,12 +576,10 @@ fn refined(bench: &Bench<'_>, found: Found, sweep: &Sweep) -> Result<Found, Fail
     let results = sweep.map(&format!("dampings, feed-forward {name}"), &near, |damping| {
         let Some(most) = bench.allowed(&best.settings, &[*damping]) else { return Ok(None) };
         let curve = Curve { points: vec![(*damping, most[0])] };
-        let found = bench.best_on(&best.settings, &curve, best.settings.stiffness);
-        found.map(|found| found.map(kept)).map_err(|failure| failure.to_string())
+        Ok(bench.best_on(&best.settings, &curve, best.settings.stiffness)?.map(kept))
     })?;
-    for result in results {
-        let found = result.map_err(Failure::impossible)?.map(|kept| restored(&best.settings, kept));
-        best = stiffest(&[Some(best), found].into_iter().flatten().collect::<Vec<_>>()).unwrap_or(best);
+    for result in results.into_iter().flatten() {
+        best = stiffest(&[best, restored(&best.settings, result)]).unwrap_or(best);
     }
     if best.settings.feed_forward == FeedForward::Washout {
         let candidates = WASHOUTS_HZ.map(|washout_hz| Settings { washout_hz, ..best.settings }).to_vec();

@@ -7,6 +7,7 @@ use haptic::analysis::range::domain;
 use haptic::analysis::ripple::{LIGHT_HAND, Line, PUSH_N, Pressed};
 use haptic::analysis::sampled::{Estimator, FeedForward, Loop};
 use haptic::device_file::DeviceFile;
+use haptic::sweep::Sweep;
 
 /// What a finger feels of a steady force of some newtons, N rms.
 const BOUND: f64 = 0.1;
@@ -38,7 +39,7 @@ fn clean_damping(pressed: &Pressed<'_>, kp: f64, least: f64) -> f64 {
 fn clean_spring(rate_hz: f64) -> (f64, f64) {
     let hand = Hand { mass: 0.12, damping: 6.0, stiffness: 250.0 };
     pressed("phantom-premium-1.5", &[0.0, 1.0, 0.0], Some(hand), (rate_hz, Estimator::BackwardDifference), |pressed| {
-        let along = pressed.along(FeedForward::Off, Line::Damping(0.0), BOUND).unwrap().unwrap();
+        let along = pressed.along(FeedForward::Off, Line::Damping(0.0), BOUND, &Sweep::quiet()).unwrap().unwrap();
         (along.kp_from.unwrap_or(along.kp_stable), along.kp_stable)
     })
 }

@@ -7,6 +7,7 @@ use haptic::analysis::ripple::{LIGHT_HAND, Line, PUSH_N, Pressed};
 use haptic::analysis::sampled::{Estimator, FeedForward, Loop};
 use haptic::bench::estimators::{Comparison, ripple_of};
 use haptic::device_file::DeviceFile;
+use haptic::sweep::Sweep;
 use haptic_bridge::render::velocity::{Chosen, Estimator as Kind};
 use serde_json::Value;
 
@@ -64,7 +65,7 @@ fn a_fast_loop_buzzes_far_below_its_linear_limit_with_coarse_encoders_only() {
         pressed(&around, counts, |pressed| pressed.ripple(FeedForward::Off, 5_000.0, 150.0).unwrap().rms_n.unwrap())
     };
     let limit = pressed(&around, None, |pressed| {
-        pressed.along(FeedForward::Off, Line::Damping(150.0), 0.1).unwrap().unwrap().kp_stable
+        pressed.along(FeedForward::Off, Line::Damping(150.0), 0.1, &Sweep::quiet()).unwrap().unwrap().kp_stable
     });
     assert!(limit > 50.0 * 5_000.0, "{limit}");
     assert!(rms(None) > 2.0);

@@ -12,13 +12,14 @@ use std::collections::VecDeque;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::Description;
 use nalgebra::{DMatrix, DVector};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::flexible::Hand;
 use super::plant::{Lags, Linearised};
-use super::sampled::{AnalysisError, FeedForward, Loop, OpenLoop};
-use crate::cores;
+use super::sampled::{FeedForward, Loop, OpenLoop};
+use crate::error::Failure;
 use crate::sim::{Load, Plant};
+use crate::sweep::Sweep;
 
 /// A light hand that is there where none is asked for; it presses with [`PUSH_N`].
 pub const LIGHT_HAND: Hand = Hand { mass: 0.05, damping: 3.0, stiffness: 200.0 };
@@ -42,7 +43,7 @@ const PER_DECADE: usize = 5;
 const CLOSE: f64 = 1.05;
 
 /// What a pressed wall does.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Ripple {
     /// N/m
     pub kp: f64,
@@ -140,9 +141,9 @@ impl Pressed<'_> {
         Some(worst)
     }
 
-    /// The walls along `line` and where their ripple exceeds `bound_n`, on all cores; the same whoever is first. `None`
+    /// The walls along `line` and where their ripple exceeds `bound_n`. `None`
     /// where a joint has no encoder.
-    pub fn along(&self, mode: FeedForward, line: Line, bound_n: f64) -> Result<Option<Along>, AnalysisError> {
+    pub fn along(&self, mode: FeedForward, line: Line, bound_n: f64, sweep: &Sweep) -> Result<Option<Along>, Failure> {
         if self.resolutions().is_none() {
             return Ok(None);
         }
@@ -174,7 +175,8 @@ impl Pressed<'_> {
             .filter(|kp| *kp > 0.0)
             .collect();
         let wall = |kp: &f64| self.ripple(mode, *kp, damping(*kp));
-        let mut points: Vec<Ripple> = cores::map(&tried, &|_, _| {}, wall).into_iter().flatten().collect();
+        let stage = format!("ripple of walls, {mode:?}, {line:?}");
+        let mut points: Vec<Ripple> = sweep.map(&stage, &tried, |kp| Ok(wall(kp)))?.into_iter().flatten().collect();
         let over = points.iter().position(|point| !point.within(bound_n));
         let kp_from = over.map(|at| {
             let mut high = points[at].kp;

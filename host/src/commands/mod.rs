@@ -6,6 +6,7 @@ mod bench;
 mod check;
 mod clear;
 mod completions;
+mod continued;
 mod demo;
 mod design;
 mod device;
