@@ -83,6 +83,7 @@ pub mod tip;
 pub mod toml_file;
 #[cfg(feature = "tool")]
 pub mod tune;
+pub mod vectors;
 #[cfg(feature = "serve")]
 pub mod view;
 pub mod words;

@@ -20,13 +20,14 @@ pub use scene::to_toml;
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
 use crate::analysis::range::{WORTHWHILE_RATIO, boundary_of, stiffnesses};
-use crate::analysis::sampled::{AnalysisError, Estimator as Linear, FeedForward as Mode, Loop};
+use crate::analysis::sampled::{AnalysisError, Estimator as Linear, Loop, Mode};
 use crate::bench::estimators::{Comparison, Pressed, Shaping, pressed};
 use crate::device_file::DeviceFile;
 use crate::error::Failure;
 use crate::plausible::device::force_along;
 use crate::plausible::scene::usual_delay;
 use crate::sweep::Sweep;
+use crate::vectors::padded_to;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_bridge::render::velocity::{Chosen, CutoffMeans, Estimator};
@@ -138,11 +139,7 @@ impl Settings {
     }
 
     fn mode(&self) -> Mode {
-        match self.feed_forward {
-            FeedForward::Off => Mode::Off,
-            FeedForward::Full => Mode::Full,
-            FeedForward::Washout => Mode::Washout(self.washout_hz),
-        }
+        Mode::of(self.feed_forward, self.washout_hz)
     }
 
     /// Whether both have the same rate, estimator and cutoff.
@@ -300,8 +297,7 @@ impl<'a> Bench<'a> {
             Failure::wrong(format!("{} has joints without [joint.motor]", file.path.display()))
                 .remedy("a wall is as stiff as motors make it: add them")
         })?;
-        let n = nalgebra::DVector::from_fn(q.len(), |i, _| normal.get(i).copied().unwrap_or(0.0));
-        let steps = pose.jacobian.tr_mul(&n);
+        let steps = pose.jacobian.tr_mul(&padded_to(q.len(), normal));
         let counts = || steps.iter().zip(&device.joints).map(|(lever, joint)| (lever * joint.radians_per_count).abs());
         let count = counts().fold(0.0, f64::max);
         let spread = counts().map(|count| count * count / 12.0).sum::<f64>().sqrt();

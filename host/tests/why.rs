@@ -3,7 +3,7 @@
 use haptic::analysis::flexible::{Flexible, Hand};
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::domain;
-use haptic::analysis::sampled::{Estimator, FeedForward, Loop};
+use haptic::analysis::sampled::{Estimator, Loop, Mode};
 use haptic::analysis::why::{Limits, why};
 use haptic::cores;
 use haptic::plot::why::draw;
@@ -50,7 +50,7 @@ fn every_effect_is_the_loop_without_it() {
     assert_eq!(names, all);
 
     let alone = |device: &Linearised, around: &Loop| {
-        let domain = domain(device, around, FeedForward::Off, None).unwrap();
+        let domain = domain(device, around, Mode::Off, None).unwrap();
         (domain.boundary.iter().map(|point| point.kp).fold(0.0, f64::max), domain.area)
     };
     let same = |limits: Option<Limits>, known: (f64, f64)| {

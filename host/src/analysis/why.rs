@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::flexible::Hand;
 use super::plant::{Drive, Linearised};
 use super::range::{Domain, domain};
-use super::sampled::{AnalysisError, Estimator, FeedForward, LONGEST_DELAY, LONGEST_DIFFERENCE, Loop};
+use super::sampled::{AnalysisError, Estimator, LONGEST_DELAY, LONGEST_DIFFERENCE, Loop, Mode};
 use crate::error::Failure;
 use crate::sweep::Sweep;
 
@@ -136,8 +136,8 @@ fn cases(device: &Linearised, around: &Loop) -> Vec<(&'static str, &'static str,
 pub fn why(device: &Linearised, around: &Loop, sweep: &Sweep) -> Result<Why, Failure> {
     let mut all = vec![("", "", (device.clone(), around.clone()))];
     all.extend(cases(device, around));
-    let jobs: Vec<(&Case, FeedForward)> =
-        all.iter().flat_map(|(_, _, case)| [FeedForward::Off, FeedForward::Full].map(|mode| (case, mode))).collect();
+    let jobs: Vec<(&Case, Mode)> =
+        all.iter().flat_map(|(_, _, case)| [Mode::Off, Mode::Full].map(|mode| (case, mode))).collect();
     let found = sweep.map("loops without one effect", &jobs, |((device, around), mode)| {
         Ok(Limits::of(domain(device, around, *mode, None))?)
     })?;

@@ -3,17 +3,21 @@
 //!
 //! The controller is the board's own, in its precision; the device moves by its full equations with friction, torque
 //! follows half a carrier period late, and nothing limits it: motors and their limits are the same for every estimator.
+//! [`crate::mod@tune`] asks here as well. [`crate::analysis::ripple`] is another simulation because it has the loop of a
+//! prediction, with any drive, delay and linear estimator, where this one has the board's own step; tests/ripple.rs holds both
+//! to each other.
 
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
 use crate::analysis::range::stiffness_at;
-use crate::analysis::sampled::{Estimator as Linear, FeedForward as Mode, Loop};
-use crate::device_file::{DeviceFile, padded};
+use crate::analysis::sampled::{Estimator as Linear, Loop, Mode};
+use crate::device_file::DeviceFile;
 use crate::error::Failure;
 use crate::measure::complement;
 use crate::plausible::scene::usual_delay;
 use crate::sim::{EncoderModel, Load, Plant};
 use crate::sweep::Sweep;
+use crate::vectors::{padded, padded_to};
 use haptic_bridge::math::Minimax;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
@@ -314,8 +318,7 @@ impl<'a> Bench<'a> {
             Device::<f32>::new("compared", &Description { home: None, ..*description }).map_err(Failure::wrong)?;
         let plant = Plant::new(description, padded(comparison.q), true, [(f64::NEG_INFINITY, f64::INFINITY); 3])
             .map_err(Failure::wrong)?;
-        let along = |i: usize| comparison.normal.get(i).copied().unwrap_or(0.0);
-        let row = pose.jacobian.tr_mul(&nalgebra::DVector::from_fn(pose.jacobian.nrows(), |i, _| along(i)));
+        let row = pose.jacobian.tr_mul(&padded_to(pose.jacobian.nrows(), comparison.normal));
         let per_count = row.iter().zip(&encoders).map(|(lever, encoder)| (lever * encoder.resolution()).abs());
         let count = per_count.fold(0.0, f64::max);
         let normal = nalgebra::DVector::from_column_slice(comparison.normal);

@@ -12,7 +12,7 @@ use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::pose::motors;
 use haptic::analysis::range::{Domain, Range, WORTHWHILE_RATIO, predict, predict_several};
 use haptic::analysis::ripple::{Along, LIGHT_HAND, Line, PUSH_N, Pressed, Ripple};
-use haptic::analysis::sampled::{AnalysisError, Estimator, FeedForward, Loop};
+use haptic::analysis::sampled::{AnalysisError, Estimator, Loop, Mode};
 use haptic::analysis::several::{Member, WallSet};
 use haptic::analysis::why::{Both, Limits, Why, why};
 use haptic::device_file::DeviceFile;
@@ -383,7 +383,7 @@ fn stepped(
             .remedy("ripple is what encoder steps make: add them")
     };
     let count_m = pressed.count_m().ok_or_else(unseen)?;
-    let washout = args.washout.map(FeedForward::Washout);
+    let washout = args.washout.map(Mode::Washout);
     let mut lines = Vec::new();
     if let Some(bound) = args.ripple {
         let bound_n = positive(bound, "--ripple")?;
@@ -402,8 +402,8 @@ fn stepped(
                 bound_n,
                 damping_ratio,
                 kd,
-                off: along(FeedForward::Off)?,
-                full: along(FeedForward::Full)?,
+                off: along(Mode::Off)?,
+                full: along(Mode::Full)?,
                 washout: washout.map(along).transpose()?,
             });
         }
@@ -419,8 +419,8 @@ fn stepped(
             let of = |mode| pressed.ripple(mode, wall[0], wall[1]).ok_or_else(unseen);
             Some(StepsOfWall {
                 step_n: pressed.step_n(wall[0], wall[1]).ok_or_else(unseen)?,
-                off: of(FeedForward::Off)?,
-                full: of(FeedForward::Full)?,
+                off: of(Mode::Off)?,
+                full: of(Mode::Full)?,
                 washout: washout.map(of).transpose()?,
             })
         }

@@ -3,7 +3,6 @@
 use super::continued::Continue;
 use super::force::Force;
 use crate::cli::{self, Numbers};
-use clap::ValueEnum;
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::interrupt;
@@ -55,8 +54,8 @@ pub struct Args {
     #[arg(long, value_name = "A,B,..", default_value = "1000,5000,10000,20000")]
     rates: Numbers,
     /// Feed-forwards to look at; full pushes a resting hand along the wall
-    #[arg(long, value_name = "KIND", value_delimiter = ',', default_value = "off,washout")]
-    feed_forward: Vec<Kind>,
+    #[arg(long, value_name = "KIND", value_delimiter = ',', default_value = "off,washout", value_parser = cli::feed_forward())]
+    feed_forward: Vec<FeedForward>,
     /// Factor by which the motors may be stronger or weaker than the file says
     #[arg(long, value_name = "FACTOR", default_value_t = Margins::default().gain)]
     gain_margin: f64,
@@ -94,16 +93,6 @@ pub struct Args {
     json: bool,
     #[command(flatten)]
     force: Force,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Kind {
-    /// None
-    Off,
-    /// The paper's equation (4)
-    Full,
-    /// The same, gone at rest
-    Washout,
 }
 
 /// The document of `--json`.
@@ -165,15 +154,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         counts: args.counts,
         speed: args.speed,
         rates_hz: if args.rates.0.is_empty() { RATES_HZ.to_vec() } else { args.rates.0.clone() },
-        feed_forwards: args
-            .feed_forward
-            .iter()
-            .map(|kind| match kind {
-                Kind::Off => FeedForward::Off,
-                Kind::Full => FeedForward::Full,
-                Kind::Washout => FeedForward::Washout,
-            })
-            .collect(),
+        feed_forwards: args.feed_forward.clone(),
         known: None,
     };
     if let (None, Some(written)) = (args.ripple, &place.written) {
