@@ -9,7 +9,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 
 use rigless::device::Level;
-use rigless::emulator::{self, Driver, Hit, InterruptLine, Settled, Start, Stop, Watch};
+use rigless::emulator::{self, Driver, InterruptLine, Settled, Start, Stop, Watch};
 use rigless::session::{Reset, Session};
 use rigless::soc::Width;
 use rigless::time::VirtualNanos;
