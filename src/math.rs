@@ -38,6 +38,11 @@ pub trait Real:
     }
 }
 
+/// The same number in another precision.
+pub(crate) fn cast<T: Real, U: Real>(value: T) -> U {
+    U::from_f64(value.to_f64())
+}
+
 /// `value` within ±`bound`, which is not negative; 0 for what is not finite.
 #[inline(always)]
 pub(crate) fn limited(value: f32, bound: f32) -> f32 {

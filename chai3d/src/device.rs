@@ -8,7 +8,7 @@ use haptic::haptic_bridge::model::device::Device as BoardDevice;
 use haptic::haptic_bridge::render::scene::Scene;
 use haptic::haptic_bridge::safety::fault::State;
 use haptic::link::{PortSpec, Session};
-use haptic::precision::widened;
+use haptic::vectors::padded;
 use std::time::{Duration, Instant};
 
 /// From one tick of the servo loop to the next: what CHAI3D's devices have.
@@ -44,8 +44,7 @@ impl Device {
         let spec = port.parse::<PortSpec>()?;
         let mut session = Session::open(&spec).map_err(|error| error.to_string())?;
         let device = session.device().map_err(|error| error.to_string())?;
-        let device = device.ok_or("the board has no device; load one with `haptic device`")?;
-        let device = widened(&device).map_err(|error| error.to_string())?;
+        let device = device.ok_or("the board has no device; load one with `haptic device`")?.cast::<f64>();
         let task = device.mechanism.kind().spec().task;
         if session.scene().map_err(|error| error.to_string())?.is_none() {
             let free = Scene { task: task as u8, ..Scene::default() };
@@ -152,7 +151,7 @@ fn workspace(device: &BoardDevice<f64>, here: [f64; 3]) -> ([f64; 3], f64) {
     let task = device.mechanism.kind().spec().task;
     let tip = |q: &[f64]| TaskPose::of(&device.mechanism, q).map(|pose| pose.position);
     let home = device.home.and_then(|home| tip(&home[..device.axes()]).ok());
-    let centre = home.map_or(here, |tip| std::array::from_fn(|i| tip.get(i).copied().unwrap_or(0.0)));
+    let centre = home.map_or(here, |tip| padded(&tip));
     let (mut low, mut high) = (centre, centre);
     if let Ok(reachable) = Reachable::of(device, ANGLES, None) {
         for tip in reachable.indices().filter_map(|index| tip(&reachable.angles(index)).ok()) {

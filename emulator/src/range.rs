@@ -10,12 +10,12 @@ use std::fmt::Write as _;
 use haptic::analysis::map;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::pose::unit_normal;
-use haptic::analysis::range::{Domain, Range, predict};
+use haptic::analysis::range::{Range, predict};
 use haptic::analysis::sampled::{Estimator, Loop};
 use haptic::analysis::several::Member;
 use haptic::device_file::DeviceFile;
 use haptic::measure::campaign::{self, Plan};
-use haptic::measure::progress::{Mode, Progress};
+use haptic::measure::progress::Progress;
 use haptic::measure::{Bench, Law, MeasureError, Setup};
 use haptic::plot::Picture;
 use haptic::plot::range::{Contents, MeasuredPoint, draw};
@@ -164,12 +164,6 @@ pub fn predicted(rate: Rate, delay_samples: f64, kd: Option<&[f64]>) -> Range {
     predict(&linear, &around, kd, None).expect("the loop can be analysed")
 }
 
-/// The domain of `range` for this feed-forward.
-#[must_use]
-pub fn domain(range: &Range, feed_forward: FeedForward) -> &Domain {
-    if feed_forward == FeedForward::Off { &range.off } else { &range.full }
-}
-
 /// Dampings and repeats of the whole measurement.
 pub const POINTS: usize = 12;
 /// See [`POINTS`].
@@ -192,7 +186,7 @@ pub fn delay_samples(rig: &mut Rig, rate: Rate) -> f64 {
 /// # Errors
 ///
 /// What ends a measurement early.
-pub fn whole(rate: Rate, mode: Mode, mut told: impl FnMut(usize)) -> Result<(Progress, f64), MeasureError> {
+pub fn whole(rate: Rate, mode: FeedForward, mut told: impl FnMut(usize)) -> Result<(Progress, f64), MeasureError> {
     let mut rig = bench();
     let delay = delay_samples(&mut rig, rate);
     let plan = Plan { modes: vec![mode], kd: None, points: POINTS, repeats: REPEATS };
@@ -207,7 +201,7 @@ pub fn whole(rate: Rate, mode: Mode, mut told: impl FnMut(usize)) -> Result<(Pro
 }
 
 /// ∫ kp dkd of medians at the middles of even cells, N² s/m².
-fn area(progress: &Progress, mode: Mode) -> f64 {
+fn area(progress: &Progress, mode: FeedForward) -> f64 {
     let cell = progress.end(mode).unwrap_or(0.0) / POINTS as f64;
     progress.of(mode).iter().map(|point| point.median() * cell).sum()
 }
@@ -234,26 +228,26 @@ pub fn section(rate: Rate, progress: &Progress, delay: f64) -> (String, Picture)
     let range = predicted(rate, delay, None);
     let mut rows = String::new();
     let mut furthest: f64 = 0.0;
-    for mode in [Mode::Off, Mode::Full] {
+    for mode in [FeedForward::Off, FeedForward::Full] {
         let points = progress.of(mode);
         let kd: Vec<f64> = points.iter().map(|point| point.kd).collect();
         let at = predicted(rate, delay, Some(&kd));
-        let top = domain(&range, mode.into()).boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
-        for (point, theory) in points.iter().zip(&domain(&at, mode.into()).boundary) {
+        let top = range.of(mode).boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
+        for (point, theory) in points.iter().zip(&at.of(mode).boundary) {
             let (low, high) = point.bounds();
             let apart = 100.0 * (point.median() - theory.kp) / top;
             furthest = furthest.max(apart.abs());
             let _ = writeln!(
                 rows,
                 "| {} | {:.2} | {:.1} | {low:.1} | {high:.1} | {:.1} | {apart:+.1} % |",
-                if mode == Mode::Off { "off" } else { "full" },
+                mode.name(),
                 point.kd,
                 point.median(),
                 theory.kp
             );
         }
     }
-    let measured = area(progress, Mode::Full) / area(progress, Mode::Off);
+    let measured = area(progress, FeedForward::Full) / area(progress, FeedForward::Off);
     let inertias = (range.w_rr / range.w_eff).powi(2);
     let Rate { rate_hz, cutoff_hz } = rate;
     let text = format!(
@@ -279,8 +273,8 @@ pub fn section(rate: Rate, progress: &Progress, delay: f64) -> (String, Picture)
         range: &range,
         passivity: None,
         washout_hz: None,
-        measured_off: &dots(Mode::Off),
-        measured_full: &dots(Mode::Full),
+        measured_off: &dots(FeedForward::Off),
+        measured_full: &dots(FeedForward::Full),
     });
     (text, picture)
 }

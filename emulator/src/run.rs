@@ -9,7 +9,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 
 use rigless::device::Level;
-use rigless::emulator::{self, Driver, Hit, InterruptLine, Settled, Start, Stop, Watch};
+use rigless::emulator::{self, Driver, InterruptLine, Settled, Start, Stop, Watch};
 use rigless::session::{Reset, Session};
 use rigless::soc::Width;
 use rigless::time::VirtualNanos;
@@ -64,7 +64,6 @@ pub struct Bench<'a> {
     pub at: u64,
     /// Instructions executed since power-on.
     pub instructions: u64,
-    hits: &'a mut Vec<Hit>,
     tracer: &'a mut Option<Tracer>,
     rtt: &'a mut Rtt,
 }
@@ -139,30 +138,15 @@ impl Bench<'_> {
         self.memory.hold(held);
     }
 
-    /// Starts noting every time the instruction at `address` is about to execute.
-    pub fn watch(&mut self, address: u64) {
-        self.session.watch(Watch::Instruction(address));
-    }
-
-    /// Stops noting the instruction at `address`.
-    pub fn unwatch(&mut self, address: u64) {
-        self.session.unwatch(Watch::Instruction(address));
-    }
-
-    /// Takes what the watches noted since the last call, in order.
-    pub fn take_hits(&mut self) -> Vec<Hit> {
-        std::mem::take(self.hits)
-    }
-
     /// Starts noting every instruction of the handler that starts at `entry`. Slow: a virtual second takes minutes.
     pub fn trace(&mut self, code: &Code, entry: u64) {
-        code.addresses().for_each(|address| self.watch(address));
+        code.addresses().for_each(|address| self.session.watch(Watch::Instruction(address)));
         *self.tracer = Some(Tracer::new(code.clone(), entry as u32));
     }
 
     /// Ends what [`Bench::trace`] began and takes the handler's whole runs.
     pub fn take_trace(&mut self, code: &Code) -> Vec<Run> {
-        code.addresses().for_each(|address| self.unwatch(address));
+        code.addresses().for_each(|address| self.session.unwatch(Watch::Instruction(address)));
         self.tracer.take().map(Tracer::finish).unwrap_or_default()
     }
 
@@ -235,7 +219,7 @@ impl VirtualBoard {
         let rtt = Rtt::new(firmware.find("_SEGGER_RTT").map(|symbol| symbol.address));
         let (commands, orders) = channel();
         let (answers, replies) = channel();
-        let runner = Runner { orders, answers, until: 0, waiting: false, hits: Vec::new(), tracer: None, rtt };
+        let runner = Runner { orders, answers, until: 0, waiting: false, tracer: None, rtt };
         let thread = std::thread::spawn(move || {
             emulator::run(session, &Start::new(&[image]), runner).map(|_| ()).map_err(|error| error.to_string())
         });
@@ -336,7 +320,6 @@ struct Runner {
     answers: Sender<Reply>,
     until: u64,
     waiting: bool,
-    hits: Vec<Hit>,
     tracer: Option<Tracer>,
     rtt: Rtt,
 }
@@ -351,9 +334,9 @@ impl Runner {
         loop {
             match self.orders.recv().ok()? {
                 Command::With(job) => {
-                    let Self { hits, tracer, rtt, .. } = self;
+                    let Self { tracer, rtt, .. } = self;
                     let (at, instructions) = (stop.at.0, stop.instruction_count);
-                    job(&mut Bench { session, memory, at, instructions, hits, tracer, rtt });
+                    job(&mut Bench { session, memory, at, instructions, tracer, rtt });
                     self.answers.send(Reply::Done).ok()?;
                 }
                 Command::RunUntil(until) => {
@@ -373,11 +356,8 @@ impl Runner {
 
 impl Driver<Hardware> for Runner {
     fn on_settled(&mut self, _: &mut Session<Hardware>, _: &mut dyn emulator::Host, settled: Settled) {
-        if let Settled::Hit(hit) = settled {
-            match &mut self.tracer {
-                Some(tracer) => tracer.feed(&hit),
-                None => self.hits.push(hit),
-            }
+        if let (Settled::Hit(hit), Some(tracer)) = (settled, &mut self.tracer) {
+            tracer.feed(&hit);
         }
     }
 

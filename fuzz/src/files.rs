@@ -4,10 +4,11 @@
 use crate::cli;
 use haptic::backup::Backup;
 use haptic::device_file::DeviceFile;
-use haptic::measure::progress::{Mode, Progress};
+use haptic::measure::progress::Progress;
 use haptic::recorder::Recording;
 use haptic::scene_file::SceneFile;
 use haptic_bridge::model::device::Device;
+use haptic_bridge::render::scene::FeedForward;
 
 /// A device file; what is accepted makes a device.
 pub fn device_file(data: &[u8]) {
@@ -47,7 +48,7 @@ pub fn kept_file(data: &[u8]) {
         assert!(recording.rows.iter().all(|row| row.len() == recording.columns.len()));
     }
     if let Ok(progress) = serde_json::from_str::<Progress>(text) {
-        for mode in [Mode::Off, Mode::Full, Mode::Washout] {
+        for mode in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
             let _ = progress.end(mode);
             for point in progress.of(mode) {
                 let _ = (point.median(), point.bounds());

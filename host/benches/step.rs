@@ -8,7 +8,6 @@ use haptic::bench::precompute::{Precomputed, frozen, most_points, range, table};
 use haptic::bench::probe::workspace;
 use haptic::bench::report::devices;
 use haptic::plan::HAND_SPEED;
-use haptic::precision::rounded;
 use haptic_bridge::math::Minimax;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::model::precomputed::{Interpolation, MassModel};
@@ -43,7 +42,7 @@ fn every_variant(criterion: &mut Criterion) {
         let mut models = vec![Precomputed::default(), frozen(&device, &probes)];
         models.extend(table(&device, Interpolation::Bilinear, [points; 2], range));
         models.extend(table(&device, Interpolation::Bicubic, [points; 2], range));
-        let board = rounded(&device.mechanism).expect("finite coefficients");
+        let board = device.mechanism.cast::<f32>();
         for model in &models {
             with_mechanism!(&board, mechanism => torques(criterion, mechanism, model, &probes));
         }

@@ -1,15 +1,16 @@
 //! The command line as a whole: the help page with its commands under headings, and how angles and vectors are read.
 
 use crate::commands::{Command, HEADINGS, list_of_fields};
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::error::ContextKind;
 use clap::{CommandFactory, FromArgMatches, Parser};
-use haptic::continued::Continued;
 use haptic::error::Failure;
 use haptic::plausible::counted;
+use haptic::vectors::unit;
 use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::render::scene::FeedForward;
 use std::error::Error;
 use std::ffi::OsString;
-use std::io::IsTerminal;
 use std::num::{IntErrorKind, ParseFloatError, ParseIntError};
 
 /// Configure, watch, simulate and analyse haptic-bridge boards: motor drivers that render hard walls on a device
@@ -227,13 +228,35 @@ impl Numbers {
     /// A direction of `task` entries, made a unit vector.
     pub fn unit(self, task: usize, option: &str) -> Result<Vec<f64>, Failure> {
         let values = self.exactly(task, option, "task directions")?;
-        let largest = values.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
-        if largest == 0.0 {
-            return Err(Failure::wrong(format!("{option} is zero, which points nowhere")).remedy("write a direction"));
-        }
-        // Scaled first, so that neither tiny nor huge entries spoil the squares.
-        let length = largest * values.iter().map(|value| (value / largest).powi(2)).sum::<f64>().sqrt();
-        Ok(values.into_iter().map(|value| value / length).collect())
+        unit(&values).ok_or_else(|| {
+            Failure::wrong(format!("{option} is zero, which points nowhere")).remedy("write a direction")
+        })
+    }
+}
+
+/// Reads one of these words as what it stands for; each comes with what it is, for the help page.
+pub fn one_of<T: Copy + Send + Sync + 'static>(
+    words: impl IntoIterator<Item = (&'static str, &'static str, T)>,
+) -> impl TypedValueParser<Value = T> {
+    let words: Vec<_> = words.into_iter().collect();
+    let listed = words.iter().map(|(word, about, _)| PossibleValue::new(word).help(*about));
+    PossibleValuesParser::new(listed).try_map(move |word| {
+        let known = words.iter().find(|(other, ..)| *other == word);
+        known.map(|(.., meaning)| *meaning).ok_or("this word stands for nothing")
+    })
+}
+
+/// A feed-forward, by its name.
+pub fn feed_forward() -> impl TypedValueParser<Value = FeedForward> {
+    one_of(FeedForward::ALL.map(|(name, kind)| (name, what(kind), kind)))
+}
+
+/// What a feed-forward is.
+pub fn what(kind: FeedForward) -> &'static str {
+    match kind {
+        FeedForward::Off => "None",
+        FeedForward::Full => "The paper's equation (4)",
+        FeedForward::Washout => "The same, gone at rest, so that a resting hand is not pushed sideways",
     }
 }
 
@@ -241,26 +264,6 @@ impl Numbers {
 pub fn admissible(text: &str) -> Result<Admissible, String> {
     let known = Admissible::ALL.iter().find(|(name, _)| *name == text).map(|(_, choice)| *choice);
     known.ok_or_else(|| format!("write one of {}", Admissible::ALL.map(|(name, _)| name).join(", ")))
-}
-
-/// Runs a long sweep: with a file to keep what is done in, Ctrl-C ends it in order; somebody who watches sees how many
-/// `things` are done.
-pub fn long<R>(
-    path: Option<&std::path::Path>,
-    sweep: &str,
-    things: &str,
-    run: impl FnOnce(Option<&Continued<'_>>, &(dyn Fn(usize, usize) + Sync)) -> Result<R, Failure>,
-) -> Result<R, Failure> {
-    let watched = std::io::stderr().is_terminal();
-    let progress = |done: usize, of: usize| {
-        if watched && of > 1 {
-            haptic::error::say(format_args!("\r{done} of {of} {things}{}", if done == of { "\n" } else { "" }));
-        }
-    };
-    let Some(path) = path else { return run(None, &progress) };
-    let interrupt = haptic::interrupt::watch();
-    let interrupted = || interrupt.is_set();
-    run(Some(&Continued { path, sweep, interrupted: &interrupted }), &progress)
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ pub mod sensitivity;
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
 use crate::analysis::range::domain;
-use crate::analysis::sampled::{Estimator, FeedForward, Loop};
+use crate::analysis::sampled::{Estimator, Loop, Mode};
 use crate::error::Failure;
 use crate::plausible::scene::usual_delay;
 use haptic_bridge::model::description::Description;
@@ -40,7 +40,7 @@ pub fn stiffness_per_kilogram(rate_hz: f64, cutoff_hz: f64) -> Result<f64, Failu
         drive: Drive::Ideal,
         damping_compensation: false,
     };
-    let found = domain(&kilogram, &around, FeedForward::Off, None)?;
+    let found = domain(&kilogram, &around, Mode::Off, None)?;
     Ok(found.boundary.iter().map(|point| point.kp).fold(0.0, f64::max))
 }
 

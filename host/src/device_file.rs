@@ -4,6 +4,7 @@
 //! comes out of this module is one that [`AnyMechanism::new`] accepts: the geometry closes, every joint has inertia.
 
 use crate::toml_file::{Document, FileError, Must, Problem, Table};
+use crate::vectors::padded;
 use haptic_bridge::math::{Libm, Minimax, Real};
 use haptic_bridge::model::catalogue::{Kind, Spec};
 use haptic_bridge::model::catalogue::{MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
@@ -149,11 +150,6 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>), F
 
 fn impossible(reason: impl Into<String>, remedy: impl Into<String>) -> Problem {
     Problem::Impossible { reason: reason.into(), remedy: remedy.into() }
-}
-
-/// The values, with zeros after them.
-pub(crate) fn padded<const N: usize>(values: &[f64]) -> [f64; N] {
-    core::array::from_fn(|index| values.get(index).copied().unwrap_or(0.0))
 }
 
 /// The geometry's numbers, flattened in the order of the mechanism.

@@ -9,16 +9,26 @@ pub const LARGEST: u64 = 1 << 20;
 /// Reads a regular file (following links) of at most [`LARGEST`] bytes. A pipe or a device is refused before it is
 /// opened: it might never end, or never begin.
 pub fn read(path: &Path) -> Result<Vec<u8>, Error> {
+    let bytes = read_most(path, LARGEST + 1)?;
+    if bytes.len() as u64 > LARGEST {
+        return Err(Error::other("it has more than 1 MiB, which no file of this kind has"));
+    }
+    Ok(bytes)
+}
+
+/// Reads a regular file of any size: for those that this tool wrote.
+pub fn read_own(path: &Path) -> Result<Vec<u8>, Error> {
+    read_most(path, u64::MAX)
+}
+
+fn read_most(path: &Path, most: u64) -> Result<Vec<u8>, Error> {
     let found = std::fs::metadata(path)?;
     if !found.is_file() && !found.is_dir() {
         return Err(Error::other("it is a pipe or a device, not a file"));
     }
     let mut bytes = Vec::new();
     // A file may grow, or hide its size as those in /proc do.
-    std::fs::File::open(path)?.take(LARGEST + 1).read_to_end(&mut bytes)?;
-    if bytes.len() as u64 > LARGEST {
-        return Err(Error::other("it has more than 1 MiB, which no file of this kind has"));
-    }
+    std::fs::File::open(path)?.take(most).read_to_end(&mut bytes)?;
     Ok(bytes)
 }
 

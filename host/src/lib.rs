@@ -47,7 +47,6 @@ pub use haptic_bridge;
 pub mod analysis;
 pub mod backup;
 pub mod bench;
-pub mod continued;
 pub mod cores;
 pub mod demo;
 #[cfg(feature = "tool")]
@@ -78,13 +77,13 @@ pub mod scene_file;
 pub mod sim;
 pub mod skeleton;
 pub mod summary;
-#[cfg(feature = "tool")]
 pub mod sweep;
 pub mod template;
 pub mod tip;
 pub mod toml_file;
 #[cfg(feature = "tool")]
 pub mod tune;
+pub mod vectors;
 #[cfg(feature = "serve")]
 pub mod view;
 pub mod words;

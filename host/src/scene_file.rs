@@ -21,6 +21,7 @@
 
 use crate::device_file::DeviceFile;
 use crate::toml_file::{Document, FileError, Must, Problem, Table};
+use crate::vectors::{padded, unit};
 use haptic_bridge::math::{Libm, Real};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::mechanism::Mechanism;
@@ -252,9 +253,18 @@ fn surface(table: &Table<'_>, shape: &ShapeSpec, task: usize) -> Result<Surface<
             Meaning::Flag => values.push(f64::from(u8::from(table.flag(key)?.unwrap_or(false)))),
         }
     }
-    values.resize(SHAPE_VALUES, 0.0);
-    let read = values.first_chunk().and_then(|values| Surface::from_values(shape.name, values));
-    Ok(read.expect("a shape is made by its own name, of at most as many values as there is room for"))
+    Ok(Surface::from_values(shape.name, &padded(&values))
+        .expect("a shape is made by its own name, of at most as many values as there is room for"))
+}
+
+/// The first key of a shape that means this, and where its numbers begin among the shape's values.
+pub fn place_of(shape: &ShapeSpec, meaning: Meaning) -> Option<(&'static str, usize)> {
+    let mut next = 0;
+    shape.keys.iter().find_map(|(key, of)| {
+        let begin = next;
+        next += of.width();
+        (*of == meaning).then_some((*key, begin))
+    })
 }
 
 fn posture(table: &Table<'_>) -> Result<Posture<f64>, FileError> {
@@ -284,22 +294,15 @@ fn vector(table: &Table<'_>, key: &str, task: usize, meaning: &str) -> Result<[f
     let axes = ["x", "x, y", "x, y, z"][task.clamp(1, 3) - 1];
     let values = table.numbers(key, task, Must::BeFinite, &format!("{axes}, {meaning} of this device"))?;
     let values = table.required(key, values, format!("{key} = {:?}", vec![0.0; task]))?;
-    Ok(core::array::from_fn(|index| values.get(index).copied().unwrap_or(0.0)))
+    Ok(padded(&values))
 }
 
 /// A unit vector along the one in the file; zero is refused.
 fn direction(table: &Table<'_>, key: &str, task: usize) -> Result<[f64; 3], FileError> {
     let values = vector(table, key, task, "a direction")?;
-    let largest = values.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
-    if largest == 0.0 {
-        let problem = Problem::Impossible {
-            reason: format!("`{key}` in {} is zero, which points nowhere", table.place()),
-            remedy: "write a direction of any length".into(),
-        };
-        return Err(table.error_at(key, problem));
-    }
-    // Scaled first, so that neither tiny nor huge entries spoil the squares.
-    let scaled = values.map(|value| value / largest);
-    let length = scaled.iter().map(|value| value * value).sum::<f64>().sqrt();
-    Ok(scaled.map(|value| value / length))
+    let unit = unit(&values).ok_or_else(|| {
+        let reason = format!("`{key}` in {} is zero, which points nowhere", table.place());
+        table.error_at(key, Problem::Impossible { reason, remedy: "write a direction of any length".into() })
+    })?;
+    Ok(padded(&unit))
 }

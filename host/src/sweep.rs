@@ -4,175 +4,359 @@
 //! bit. So an answer is the same on any number of cores, in any order, with any number of interruptions.
 
 use crate::error::Failure;
-use crate::interrupt::Interrupt;
 use crate::output::{self, Overwrite};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::io::IsTerminal;
+use std::io::{ErrorKind, IsTerminal};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-/// How often what is done is written down.
-const OFTEN: Duration = Duration::from_secs(5);
+/// How often what is done is written down: what a crash may cost.
+const OFTEN: Duration = Duration::from_secs(2);
+/// Share of the time that may go into writing.
+const WRITING: u32 = 20;
 
-/// What is kept between runs: the question, and of each stage the results that are there, in postcard's bytes as hex.
+/// What is kept between runs.
 #[derive(Debug, Default, Deserialize, Serialize)]
 struct Kept {
+    /// The tool's version: another one may come to other numbers.
+    version: String,
+    /// The command.
+    command: String,
+    /// Everything that decides the results.
     question: String,
-    stages: BTreeMap<String, BTreeMap<usize, String>>,
+    stages: BTreeMap<String, Stage>,
 }
 
-/// A long piece of work with its name for the question that it answers.
-#[derive(Debug)]
+/// One round of work.
+#[derive(Debug, Default, Deserialize, Serialize)]
+struct Stage {
+    /// How many things there are.
+    of: usize,
+    /// Results by their thing's place, in postcard's bytes as hex: decimals would lose what is not finite.
+    done: BTreeMap<usize, String>,
+}
+
+impl Kept {
+    /// Whether both belong to the same question.
+    fn is_of(&self, other: &Self) -> bool {
+        (&self.version, &self.command, &self.question) == (&other.version, &other.command, &other.question)
+    }
+}
+
+/// A long piece of work with the question that it answers.
 pub struct Sweep {
-    interrupt: Option<Interrupt>,
+    interrupted: Box<dyn Fn() -> bool + Send + Sync>,
     file: Option<PathBuf>,
     shown: bool,
-    kept: Mutex<(Kept, Instant)>,
+    state: Mutex<State>,
+}
+
+struct State {
+    kept: Kept,
+    /// When it is to be written again.
+    due: Instant,
 }
 
 impl Sweep {
-    /// Keeps results in `file`, where one is given, and begins with those of an earlier run that asked the same
-    /// `question`; one that holds those of another question is refused.
-    pub fn new(question: &str, file: Option<&Path>, interrupt: Option<Interrupt>) -> Result<Self, Failure> {
-        let mut kept = Kept { question: question.into(), ..Kept::default() };
-        if let Some(path) = file.filter(|path| path.exists()) {
-            let broken = |error: &dyn std::fmt::Display| {
-                Failure::wrong(format!("{} is no progress of this command: {error}", path.display()))
-                    .remedy("name another file with --progress")
-            };
-            let text = crate::input::read_to_string(path).map_err(|error| broken(&error))?;
-            let found: Kept = serde_json::from_str(&text).map_err(|error| broken(&error))?;
-            if found.question != question {
-                return Err(broken(&format!("it belongs to `{}`", found.question)));
+    /// Keeps results in `file`, where one is given, and begins with those of an earlier run of the same `command` with the
+    /// same `question`, which is everything that decides the results; a file with those of another one is refused.
+    /// Once `interrupted` says so, the work ends in order.
+    pub fn new(
+        command: &str,
+        question: &str,
+        file: Option<&Path>,
+        interrupted: impl Fn() -> bool + Send + Sync + 'static,
+    ) -> Result<Self, Failure> {
+        let mut kept = Kept {
+            version: env!("CARGO_PKG_VERSION").into(),
+            command: command.into(),
+            question: question.into(),
+            stages: BTreeMap::new(),
+        };
+        if let Some(path) = file {
+            if let Some(found) = earlier(path)? {
+                if found.is_of(&kept) {
+                    kept = found;
+                } else if !found.stages.is_empty() {
+                    let reason = format!(
+                        "{} holds results of `haptic {}` {} with another device file or other options",
+                        path.display(),
+                        found.command,
+                        found.version
+                    );
+                    return Err(Failure::wrong(reason).remedy("name another file with --continue, or delete this one"));
+                }
             }
-            kept = found;
+            // A place that cannot be written is told before the work, not after it.
+            write(path, &kept)?;
         }
         let shown = std::io::stderr().is_terminal();
-        Ok(Self { interrupt, file: file.map(Path::to_path_buf), shown, kept: Mutex::new((kept, Instant::now())) })
+        let state = Mutex::new(State { kept, due: Instant::now() + OFTEN });
+        Ok(Self { interrupted: Box::new(interrupted), file: file.map(Path::to_path_buf), shown, state })
     }
 
-    /// One that nobody interrupts and that keeps nothing.
+    /// One that nobody interrupts, and that neither shows nor keeps anything.
     #[must_use]
     pub fn quiet() -> Self {
-        Self { interrupt: None, file: None, shown: false, kept: Mutex::new((Kept::default(), Instant::now())) }
+        let state = Mutex::new(State { kept: Kept::default(), due: Instant::now() });
+        Self { interrupted: Box::new(|| false), file: None, shown: false, state }
     }
 
-    /// `work` on each of `things`; what an earlier run has of this stage is not done again.
+    /// `work` on each of `things`; what an earlier run has of this `stage`, a name of its own, is not done again. Of
+    /// several that fail the first in the order of the things is told.
     pub fn map<T: Sync, R: Serialize + DeserializeOwned + Send>(
         &self,
         stage: &str,
         things: &[T],
-        work: impl Fn(&T) -> R + Sync,
+        work: impl Fn(&T) -> Result<R, Failure> + Sync,
     ) -> Result<Vec<R>, Failure> {
-        let earlier = self.lock().0.stages.get(stage).cloned().unwrap_or_default();
-        let mut found: BTreeMap<usize, R> =
-            earlier.iter().filter_map(|(index, text)| Some((*index, read(text)?))).collect();
+        let mut found = self.begin::<R>(stage, things.len())?;
         let missing: Vec<usize> = (0..things.len()).filter(|index| !found.contains_key(index)).collect();
-        let progress = |done: usize, of: usize| {
-            if self.shown && of > 1 {
-                let end = if done == of { "\x1b[2K\r" } else { "" };
-                crate::error::say(format_args!("\r{stage}: {done} of {of}{end}"));
+        let before = found.len();
+        let progress = |done: usize, _: usize| {
+            if self.shown && things.len() > 1 {
+                let done = before + done;
+                let end = if done == things.len() { "\x1b[2K\r" } else { "" };
+                crate::error::say(format_args!("\r{stage}: {done} of {}{end}", things.len()));
             }
         };
-        let done = crate::cores::map(&missing, &progress, |index| {
-            if self.interrupt.is_some_and(Interrupt::is_set) {
+        let failing = AtomicUsize::new(usize::MAX);
+        let done = crate::cores::map(&missing, &progress, |&index| {
+            if (self.interrupted)() || failing.load(Ordering::Relaxed) < index {
                 return None;
             }
-            let result = work(&things[*index]);
+            let result = work(&things[index]);
             // What was cut short is no result.
-            if self.interrupt.is_some_and(Interrupt::is_set) {
+            if (self.interrupted)() {
                 return None;
             }
-            self.keep(stage, *index, &result);
+            let result = result.and_then(|result| self.keep(stage, index, &result).map(|()| result));
+            if result.is_err() {
+                failing.fetch_min(index, Ordering::Relaxed);
+            }
             Some(result)
         });
-        found.extend(missing.iter().zip(done).filter_map(|(index, result)| Some((*index, result?))));
+        for (index, result) in missing.into_iter().zip(done) {
+            match result {
+                Some(Ok(result)) => drop(found.insert(index, result)),
+                Some(Err(failure)) => {
+                    self.save()?;
+                    return Err(failure);
+                }
+                None => {}
+            }
+        }
         if found.len() == things.len() {
             return Ok(found.into_values().collect());
         }
-        let (there, of) = (found.len(), things.len());
-        let failure = Failure::impossible(format!("interrupted after {there} of {of} ({stage})"));
-        let Some(file) = &self.file else {
-            return Err(failure.remedy("with --progress FILE it could go on from there"));
-        };
-        self.write(&self.lock().0)?;
-        Err(failure.remedy(format!("the same command goes on from {}", file.display())))
+        self.save()?;
+        let failure =
+            Failure::impossible(format!("interrupted with {} of {} done ({stage})", found.len(), things.len()));
+        Err(match &self.file {
+            Some(file) => {
+                failure.remedy(format!("the same command goes on from there, with --continue {}", file.display()))
+            }
+            None => failure.remedy("with --continue FILE the same command would go on from there"),
+        })
     }
 
-    /// The work is done: nothing is kept any more.
+    /// The answer is there, and told: nothing is kept any more.
     pub fn finish(self) {
         if let Some(file) = self.file {
-            // One that was never written is not there.
+            // One that somebody has taken away is gone as well.
             let _ = std::fs::remove_file(file);
         }
     }
 
-    fn lock(&self) -> std::sync::MutexGuard<'_, (Kept, Instant)> {
-        self.kept.lock().unwrap_or_else(|held| held.into_inner())
+    /// The results that there are of a stage.
+    fn begin<R: DeserializeOwned>(&self, stage: &str, of: usize) -> Result<BTreeMap<usize, R>, Failure> {
+        let Some(file) = &self.file else { return Ok(BTreeMap::new()) };
+        let mut state = self.lock();
+        let kept = state.kept.stages.entry(stage.into()).or_insert_with(|| Stage { of, done: BTreeMap::new() });
+        let read = |(index, text): (&usize, &String)| Some((*index, read(text).filter(|_| *index < of)?));
+        let found: Option<BTreeMap<usize, R>> = kept.done.iter().map(read).collect();
+        found
+            .filter(|_| kept.of == of)
+            .ok_or_else(|| damaged(file, &format!("its part \"{stage}\" is of another kind")))
     }
 
-    fn keep<R: Serialize>(&self, stage: &str, index: usize, result: &R) {
-        if self.file.is_none() {
-            return;
-        }
-        let Ok(bytes) = postcard::to_allocvec(result) else { return };
-        let text = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
-        let mut kept = self.lock();
-        kept.0.stages.entry(stage.into()).or_default().insert(index, text);
-        if kept.1.elapsed() > OFTEN {
-            // What cannot be written now is said when the work is interrupted.
-            let _ = self.write(&kept.0);
-            kept.1 = Instant::now();
-        }
+    fn lock(&self) -> std::sync::MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(|held| held.into_inner())
     }
 
-    fn write(&self, kept: &Kept) -> Result<(), Failure> {
+    fn keep<R: Serialize + DeserializeOwned>(&self, stage: &str, index: usize, result: &R) -> Result<(), Failure> {
         let Some(file) = &self.file else { return Ok(()) };
-        let text = serde_json::to_string(kept).map_err(Failure::impossible)?;
-        output::write(file, text.as_bytes(), Overwrite::Replace)
+        let bytes = postcard::to_allocvec(result).map_err(Failure::impossible)?;
+        // A type that leaves fields out, or reads other things than it writes, would come back as something else.
+        let back = postcard::take_from_bytes::<R>(&bytes).ok().filter(|(_, rest)| rest.is_empty());
+        if back.and_then(|(back, _)| postcard::to_allocvec(&back).ok()).as_ref() != Some(&bytes) {
+            return Err(Failure::impossible(format!("a result of \"{stage}\" cannot be kept as it is"))
+                .remedy("leave --continue out, and report this"));
+        }
+        let text = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+        let mut state = self.lock();
+        state.kept.stages.entry(stage.into()).or_default().done.insert(index, text);
+        if Instant::now() > state.due {
+            let begun = Instant::now();
+            // What cannot be written now is told when the work is interrupted.
+            let _ = write(file, &state.kept);
+            state.due = Instant::now() + OFTEN.max(begun.elapsed() * WRITING);
+        }
+        Ok(())
     }
+
+    fn save(&self) -> Result<(), Failure> {
+        self.file.as_ref().map_or(Ok(()), |file| write(file, &self.lock().kept))
+    }
+}
+
+fn write(file: &Path, kept: &Kept) -> Result<(), Failure> {
+    output::write(file, &serde_json::to_vec(kept).map_err(Failure::impossible)?, Overwrite::Replace)
+}
+
+/// What an earlier run has left.
+fn earlier(file: &Path) -> Result<Option<Kept>, Failure> {
+    match crate::input::read_own(file) {
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(Failure::impossible(format!("{} cannot be read: {error}", file.display()))),
+        Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|error| damaged(file, &error)),
+    }
+}
+
+fn damaged(file: &Path, why: &dyn std::fmt::Display) -> Failure {
+    Failure::wrong(format!("{} is not what --continue keeps: {why}", file.display()))
+        .remedy("name another file with --continue")
 }
 
 /// A result from its hex; none from text that is not one.
 fn read<R: DeserializeOwned>(text: &str) -> Option<R> {
     let digits = |at: usize| u8::from_str_radix(text.get(at..at + 2)?, 16).ok();
     let bytes: Option<Vec<u8>> = (0..text.len()).step_by(2).map(digits).collect();
-    postcard::from_bytes(&bytes?).ok()
+    postcard::take_from_bytes(&bytes?).ok().filter(|(_, rest)| rest.is_empty()).map(|(result, _)| result)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::sync::atomic::{AtomicUsize, Ordering};
+    use std::sync::Arc;
+
+    /// A sweep that is interrupted after so many results.
+    struct Case {
+        folder: tempfile::TempDir,
+        worked: Arc<AtomicUsize>,
+    }
+
+    impl Case {
+        fn new() -> Self {
+            Self { folder: tempfile::tempdir().unwrap(), worked: Arc::default() }
+        }
+
+        fn file(&self) -> PathBuf {
+            self.folder.path().join("kept.json")
+        }
+
+        fn sweep(&self, question: &str, most: usize) -> Result<Sweep, Failure> {
+            let worked = self.worked.clone();
+            Sweep::new("tune", question, Some(&self.file()), move || worked.load(Ordering::SeqCst) >= most)
+        }
+    }
+
+    fn things() -> Vec<f64> {
+        (0..200).map(|i| 0.1 + f64::from(i) / 7.0).collect()
+    }
+
+    /// Numbers that take all digits, and some that have none.
+    fn work(x: &f64) -> (Vec<f64>, Option<f64>) {
+        let odd = f64::from_bits(f64::NAN.to_bits() ^ 0x8000_0000_0000_0001);
+        (vec![x.sin(), 1.0 / x, x * 1e-300, f64::NEG_INFINITY, -0.0, odd], (*x > 9.0).then(|| x.sqrt()))
+    }
+
+    fn bits(all: &[(Vec<f64>, Option<f64>)]) -> Vec<u64> {
+        all.iter().flat_map(|(some, one)| some.iter().chain(one)).map(|x| x.to_bits()).collect()
+    }
 
     #[test]
     fn work_goes_on_where_it_stopped_with_the_same_numbers_to_the_bit() {
-        let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("progress.json");
-        let things: Vec<f64> = (0..50).map(|i| 0.1 + f64::from(i) / 7.0).collect();
-        let work = |x: &f64| vec![x.sin(), 1.0 / x, x * 1e-300];
-        let whole = Sweep::quiet().map("stage", &things, work).unwrap();
-
-        // Cut short after twenty: what is there is written, as Ctrl-C does.
-        let cut = Sweep::new("question", Some(&file), None).unwrap();
-        cut.map("stage", &things[..20], work).unwrap();
-        cut.write(&cut.lock().0).unwrap();
-        let done = AtomicUsize::new(0);
-        let again = Sweep::new("question", Some(&file), None).unwrap();
-        let rest = again
-            .map("stage", &things, |x| {
-                done.fetch_add(1, Ordering::Relaxed);
-                work(x)
+        let case = Case::new();
+        let whole = Sweep::quiet().map("stage", &things(), |x| Ok(work(x))).unwrap();
+        let run = |sweep: &Sweep| {
+            sweep.map("stage", &things(), |x| {
+                case.worked.fetch_add(1, Ordering::SeqCst);
+                Ok(work(x))
             })
-            .unwrap();
-        assert_eq!(done.into_inner(), 30, "what was there was done again");
-        let bits = |all: &[Vec<f64>]| all.iter().flatten().map(|x| x.to_bits()).collect::<Vec<_>>();
-        assert_eq!(bits(&rest), bits(&whole));
-        assert!(Sweep::new("another", Some(&file), None).unwrap_err().to_string().contains("it belongs to `question`"));
+        };
+        let failure = run(&case.sweep("question", 50).unwrap()).unwrap_err().to_string();
+        assert!(failure.contains("of 200 done (stage)") && failure.contains("with --continue "), "{failure}");
+        let before = case.worked.load(Ordering::SeqCst);
+        assert!(before < 60, "{before} were begun after the interruption");
+        let again = case.sweep("question", usize::MAX).unwrap();
+        let kept = again.lock().kept.stages["stage"].done.len();
+        assert!(kept > 40, "{kept} were kept");
+        assert_eq!(bits(&run(&again).unwrap()), bits(&whole));
+        assert_eq!(case.worked.load(Ordering::SeqCst), before + 200 - kept, "what was there was done again");
+        assert!(case.file().exists());
         again.finish();
-        assert!(!file.exists());
+        assert!(!case.file().exists());
+    }
+
+    #[test]
+    fn what_belongs_to_another_question_or_is_damaged_is_refused() {
+        let case = Case::new();
+        // What holds nothing yet stands in nobody's way.
+        drop(case.sweep("one", usize::MAX).unwrap());
+        let sweep = case.sweep("two", usize::MAX).unwrap();
+        sweep.map("stage", &things(), |x| Ok(work(x))).unwrap();
+        sweep.save().unwrap();
+        let refused = case.sweep("one", usize::MAX).err().unwrap().to_string();
+        assert!(
+            refused.contains("kept.json holds results of `haptic tune`") && refused.contains("delete"),
+            "{refused}"
+        );
+
+        let text = std::fs::read_to_string(case.file()).unwrap();
+        let others = |of: usize| case.sweep("two", usize::MAX).unwrap().map("stage", &things()[..of], |x| Ok(work(x)));
+        assert_eq!(others(200).unwrap().len(), 200);
+        assert!(others(100).unwrap_err().to_string().contains("is of another kind"));
+        let hex = text.find("\":\"06").unwrap();
+        std::fs::write(case.file(), format!("{}07{}", &text[..hex + 3], &text[hex + 5..])).unwrap();
+        assert!(others(200).unwrap_err().to_string().contains("is of another kind"));
+        std::fs::write(case.file(), &text[..text.len() / 2]).unwrap();
+        assert!(case.sweep("two", usize::MAX).err().unwrap().to_string().contains("is not what --continue keeps"));
+        let nowhere = case.folder.path().join("no/kept.json");
+        let refused = Sweep::new("tune", "", Some(&nowhere), || false).err().unwrap().to_string();
+        assert!(refused.contains("make the folder first"), "{refused}");
+    }
+
+    #[test]
+    fn the_first_failure_in_the_order_of_the_things_is_told_and_what_is_done_stays() {
+        let case = Case::new();
+        let things: Vec<usize> = (0..64).collect();
+        for _ in 0..20 {
+            let failure = Sweep::quiet().map("stage", &things, |thing| match thing % 8 {
+                5 => Err::<u8, _>(Failure::wrong(thing)),
+                _ => Ok(0),
+            });
+            assert_eq!(failure.unwrap_err().to_string(), "5");
+        }
+        let sweep = case.sweep("question", usize::MAX).unwrap();
+        sweep.map("stage", &things, |thing| if *thing < 9 { Ok(0) } else { Err(Failure::wrong("no")) }).unwrap_err();
+        assert_eq!(case.sweep("question", usize::MAX).unwrap().lock().kept.stages["stage"].done.len(), 9);
+    }
+
+    #[test]
+    fn a_result_that_would_not_come_back_is_not_kept() {
+        #[derive(Debug, Serialize, Deserialize)]
+        struct Leaves {
+            #[serde(skip_serializing_if = "Option::is_none", default)]
+            out: Option<u8>,
+        }
+        let case = Case::new();
+        let sweep = case.sweep("question", usize::MAX).unwrap();
+        let failure = sweep.map("stage", &[None, Some(1_u8)], |out| Ok(Leaves { out: *out })).unwrap_err();
+        assert!(failure.to_string().contains("cannot be kept as it is"), "{failure}");
     }
 }

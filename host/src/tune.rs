@@ -20,13 +20,14 @@ pub use scene::to_toml;
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
 use crate::analysis::range::{WORTHWHILE_RATIO, boundary_of, stiffnesses};
-use crate::analysis::sampled::{AnalysisError, Estimator as Linear, FeedForward as Mode, Loop};
+use crate::analysis::sampled::{AnalysisError, Estimator as Linear, Loop, Mode};
 use crate::bench::estimators::{Comparison, Pressed, Shaping, pressed};
 use crate::device_file::DeviceFile;
 use crate::error::Failure;
 use crate::plausible::device::force_along;
 use crate::plausible::scene::usual_delay;
 use crate::sweep::Sweep;
+use crate::vectors::padded_to;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_bridge::render::velocity::{Chosen, CutoffMeans, Estimator};
@@ -138,11 +139,7 @@ impl Settings {
     }
 
     fn mode(&self) -> Mode {
-        match self.feed_forward {
-            FeedForward::Off => Mode::Off,
-            FeedForward::Full => Mode::Full,
-            FeedForward::Washout => Mode::Washout(self.washout_hz),
-        }
+        Mode::of(self.feed_forward, self.washout_hz)
     }
 
     /// Whether both have the same rate, estimator and cutoff.
@@ -300,8 +297,7 @@ impl<'a> Bench<'a> {
             Failure::wrong(format!("{} has joints without [joint.motor]", file.path.display()))
                 .remedy("a wall is as stiff as motors make it: add them")
         })?;
-        let n = nalgebra::DVector::from_fn(q.len(), |i, _| normal.get(i).copied().unwrap_or(0.0));
-        let steps = pose.jacobian.tr_mul(&n);
+        let steps = pose.jacobian.tr_mul(&padded_to(q.len(), normal));
         let counts = || steps.iter().zip(&device.joints).map(|(lever, joint)| (lever * joint.radians_per_count).abs());
         let count = counts().fold(0.0, f64::max);
         let spread = counts().map(|count| count * count / 12.0).sum::<f64>().sqrt();
@@ -471,7 +467,7 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<Answer, Failure> {
             combinations.retain(|other| well.iter().any(|one| one.is_like(other)));
         }
         let stage = format!("walls, feed-forward {}", feed_forward.name());
-        let curves = sweep.map(&stage, &combinations, |settings| bench.curve(settings))?;
+        let curves = sweep.map(&stage, &combinations, |settings| Ok(bench.curve(settings)))?;
         let mut candidates: Vec<(Settings, Curve)> =
             combinations.into_iter().zip(curves).filter_map(|(settings, curve)| Some((settings, curve?))).collect();
         looked_at.0 += candidates.len();
@@ -534,14 +530,11 @@ fn simulated(
             break;
         }
         let stage = format!("ripple, feed-forward {}, round {}", feed_forward.name(), round + 1);
-        let results = sweep.map(&stage, some, |(settings, curve)| {
-            let found = bench.best_on(settings, curve, best);
-            found.map(|found| found.map(kept)).map_err(|failure| failure.to_string())
-        })?;
+        let results =
+            sweep.map(&stage, some, |(settings, curve)| Ok(bench.best_on(settings, curve, best)?.map(kept)))?;
         *count += some.len();
-        for ((settings, _), result) in some.iter().zip(results) {
-            found.extend(result.map_err(Failure::impossible)?.map(|kept| restored(settings, kept)));
-        }
+        let each = some.iter().zip(results);
+        found.extend(each.filter_map(|((settings, _), result)| Some(restored(settings, result?))));
     }
     Ok(found)
 }
@@ -560,14 +553,10 @@ fn refined(bench: &Bench<'_>, found: Found, sweep: &Sweep) -> Result<Found, Fail
     let better = |candidates: Vec<Settings>, floor: f64, stage: &str| -> Result<Vec<Found>, Failure> {
         let results = sweep.map(stage, &candidates, |settings| {
             let Some(curve) = bench.curve(settings) else { return Ok(None) };
-            bench.best_on(settings, &curve, floor).map(|found| found.map(kept)).map_err(|failure| failure.to_string())
+            Ok(bench.best_on(settings, &curve, floor)?.map(kept))
         })?;
-        let with = candidates.iter().zip(results);
-        let mut found = Vec::new();
-        for (settings, result) in with {
-            found.extend(result.map_err(Failure::impossible)?.map(|kept| restored(settings, kept)));
-        }
-        Ok(found)
+        let each = candidates.iter().zip(results);
+        Ok(each.filter_map(|(settings, result)| Some(restored(settings, result?))).collect())
     };
     let name = found.settings.feed_forward.name();
     let mut best = found;
@@ -583,12 +572,10 @@ fn refined(bench: &Bench<'_>, found: Found, sweep: &Sweep) -> Result<Found, Fail
     let results = sweep.map(&format!("dampings, feed-forward {name}"), &near, |damping| {
         let Some(most) = bench.allowed(&best.settings, &[*damping]) else { return Ok(None) };
         let curve = Curve { points: vec![(*damping, most[0])] };
-        let found = bench.best_on(&best.settings, &curve, best.settings.stiffness);
-        found.map(|found| found.map(kept)).map_err(|failure| failure.to_string())
+        Ok(bench.best_on(&best.settings, &curve, best.settings.stiffness)?.map(kept))
     })?;
-    for result in results {
-        let found = result.map_err(Failure::impossible)?.map(|kept| restored(&best.settings, kept));
-        best = stiffest(&[Some(best), found].into_iter().flatten().collect::<Vec<_>>()).unwrap_or(best);
+    for result in results.into_iter().flatten() {
+        best = stiffest(&[best, restored(&best.settings, result)]).unwrap_or(best);
     }
     if best.settings.feed_forward == FeedForward::Washout {
         let candidates = WASHOUTS_HZ.map(|washout_hz| Settings { washout_hz, ..best.settings }).to_vec();

@@ -4,7 +4,7 @@ use haptic::analysis::map::along;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::pose::{TaskPose, unit_normal};
 use haptic::analysis::range::domain;
-use haptic::analysis::sampled::{Estimator, FeedForward, Loop};
+use haptic::analysis::sampled::{Estimator, Loop, Mode};
 use haptic::design::place::places;
 use haptic::design::posture::postures;
 use haptic::design::sensitivity::{CHANGE, buys_most, sensitivities};
@@ -35,7 +35,7 @@ fn the_stiffest_wall_is_in_proportion_to_the_inertia_that_it_meets() {
             drive: Drive::Ideal,
             damping_compensation: false,
         };
-        for (mode, met) in [(FeedForward::Off, device.w_eff().unwrap()), (FeedForward::Full, device.w_rr())] {
+        for (mode, met) in [(Mode::Off, device.w_eff().unwrap()), (Mode::Full, device.w_rr())] {
             let range = domain(&device, &around, mode, None).unwrap();
             let top = range.boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
             assert!((top / (per_kilogram * met) - 1.0).abs() < 1e-6, "{name}, {mode:?}: {top}");

@@ -5,7 +5,7 @@
 
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::domain;
-use haptic::analysis::sampled::{self, Estimator, Loop};
+use haptic::analysis::sampled::{Estimator, Loop, Mode};
 use haptic::analysis::several::Member;
 use haptic::device_file::DeviceFile;
 use haptic::link::Board;
@@ -60,9 +60,7 @@ fn the_measured_boundary_is_the_predicted_one() {
     let shared = board(&file);
     let mut board = Board::over(shared.wire(), "sim").unwrap();
     let mut bench = Bench::new(&mut board, &file, setup(rate_hz, cutoff), &|| false).unwrap();
-    for (mode, theory) in
-        [(FeedForward::Off, sampled::FeedForward::Off), (FeedForward::Full, sampled::FeedForward::Full)]
-    {
+    for (mode, theory) in [(FeedForward::Off, Mode::Off), (FeedForward::Full, Mode::Full)] {
         let kd_max = domain(&device, &around, theory, Some(&[])).unwrap().kd_max;
         for share in [0.3, 0.8] {
             let kd = share * kd_max;

@@ -3,7 +3,7 @@
 use haptic::analysis::flexible::{Flexible, Hand};
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::domain;
-use haptic::analysis::sampled::{Estimator, FeedForward, Loop};
+use haptic::analysis::sampled::{Estimator, Loop, Mode};
 use nalgebra::{DMatrix, DVector};
 
 const RATE: f64 = 1000.0;
@@ -26,7 +26,7 @@ fn around(estimator: Estimator, delay_samples: f64) -> Loop {
 /// kp_max T²/m at dampings kd T/m.
 fn boundary(around: &Loop, dampings: &[f64]) -> Vec<f64> {
     let kd: Vec<f64> = dampings.iter().map(|damping| damping * RATE).collect();
-    let found = domain(&mass(), around, FeedForward::Off, Some(&kd)).unwrap();
+    let found = domain(&mass(), around, Mode::Off, Some(&kd)).unwrap();
     found.boundary.iter().map(|point| point.kp / (RATE * RATE)).collect()
 }
 
@@ -48,7 +48,7 @@ fn a_mass_behind_whole_samples_of_delay_has_the_known_domain() {
         let top = (0..kp.len()).max_by(|a, b| kp[*a].total_cmp(&kp[*b])).unwrap();
         assert!((kp[top] - peak).abs() < 2e-5, "{delay}: {} is not {peak}", kp[top]);
         assert!((dampings[top] - place).abs() < 2e-3 * limit, "{delay}: {} is not {place}", dampings[top]);
-        let found = domain(&mass(), &around, FeedForward::Off, Some(&[])).unwrap();
+        let found = domain(&mass(), &around, Mode::Off, Some(&[])).unwrap();
         assert!((found.kd_max / RATE - limit).abs() < 2e-5, "{delay}: {} is not {limit}", found.kd_max / RATE);
         let exact: f64 = kp.windows(2).map(|pair| (pair[0] + pair[1]) / 2.0 * limit / 1000.0).sum();
         assert!((exact - area).abs() < 1e-4, "{delay}: {exact} is not {area}");
@@ -89,7 +89,7 @@ fn a_physical_damper_widens_the_range_at_both_rates() {
             let mut device = mass();
             device.viscous[0] = damping;
             let around = Loop { rate_hz, ..around(Estimator::BackwardDifference, 0.0) };
-            domain(&device, &around, FeedForward::Off, Some(&[])).unwrap().area
+            domain(&device, &around, Mode::Off, Some(&[])).unwrap().area
         });
         found[0] *= 1.0 + 1e-3;
         assert!(found[1] > found[0], "{rate_hz}: {found:?}");
@@ -103,6 +103,6 @@ fn a_hand_that_only_weighs_scales_the_range_by_the_square_of_the_mass() {
     held.flexible.normal = DVector::from_element(1, 1.0);
     held.flexible.hand = Hand { mass: 0.5, ..Hand::default() };
     let around = around(Estimator::Butterworth(100.0), 0.5);
-    let area = |device: &Linearised| domain(device, &around, FeedForward::Off, Some(&[])).unwrap().area;
+    let area = |device: &Linearised| domain(device, &around, Mode::Off, Some(&[])).unwrap().area;
     assert!((area(&held) / area(&mass()) / 1.5_f64.powi(2) - 1.0).abs() < 1e-6);
 }

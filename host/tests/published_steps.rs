@@ -5,8 +5,9 @@ use haptic::analysis::flexible::Hand;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::domain;
 use haptic::analysis::ripple::{LIGHT_HAND, Line, PUSH_N, Pressed};
-use haptic::analysis::sampled::{Estimator, FeedForward, Loop};
+use haptic::analysis::sampled::{Estimator, Loop, Mode};
 use haptic::device_file::DeviceFile;
+use haptic::sweep::Sweep;
 
 /// What a finger feels of a steady force of some newtons, N rms.
 const BOUND: f64 = 0.1;
@@ -30,7 +31,7 @@ fn pressed<T>(
 /// The largest of dampings 10 % apart from `least` up to which a wall's ripple stays within the bound, N s/m.
 fn clean_damping(pressed: &Pressed<'_>, kp: f64, least: f64) -> f64 {
     let dampings = (0..100).map(|i| least * 1.1_f64.powi(i));
-    let clean = |kd: &f64| pressed.ripple(FeedForward::Off, kp, *kd).unwrap().within(BOUND);
+    let clean = |kd: &f64| pressed.ripple(Mode::Off, kp, *kd).unwrap().within(BOUND);
     dampings.take_while(clean).last().unwrap_or(0.0)
 }
 
@@ -38,7 +39,7 @@ fn clean_damping(pressed: &Pressed<'_>, kp: f64, least: f64) -> f64 {
 fn clean_spring(rate_hz: f64) -> (f64, f64) {
     let hand = Hand { mass: 0.12, damping: 6.0, stiffness: 250.0 };
     pressed("phantom-premium-1.5", &[0.0, 1.0, 0.0], Some(hand), (rate_hz, Estimator::BackwardDifference), |pressed| {
-        let along = pressed.along(FeedForward::Off, Line::Damping(0.0), BOUND).unwrap().unwrap();
+        let along = pressed.along(Mode::Off, Line::Damping(0.0), BOUND, &Sweep::quiet()).unwrap().unwrap();
         (along.kp_from.unwrap_or(along.kp_stable), along.kp_stable)
     })
 }
@@ -62,7 +63,7 @@ fn a_higher_rate_is_stiffer_and_leaves_less_virtual_damping() {
     let of = |rate| {
         let estimator = Estimator::BackwardDifference;
         pressed("coupled-five-bar", &[0.0, 1.0], None, (rate, estimator), |pressed| {
-            let theory = domain(pressed.device, pressed.around, FeedForward::Off, Some(&[])).unwrap().kd_max;
+            let theory = domain(pressed.device, pressed.around, Mode::Off, Some(&[])).unwrap().kd_max;
             (clean_damping(pressed, 1_000.0, 0.5), theory)
         })
     };
@@ -75,7 +76,7 @@ fn a_higher_rate_is_stiffer_and_leaves_less_virtual_damping() {
 fn a_slower_velocity_keeps_what_a_fast_position_loop_loses() {
     let of = |rate, estimator| {
         pressed("pantograph-mk2", &[0.0, 1.0], None, (rate, estimator), |pressed| {
-            let area = domain(pressed.device, pressed.around, FeedForward::Off, Some(&[])).unwrap().area;
+            let area = domain(pressed.device, pressed.around, Mode::Off, Some(&[])).unwrap().area;
             (clean_damping(pressed, 1_000.0, 0.05), area)
         })
     };

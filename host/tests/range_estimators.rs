@@ -3,7 +3,7 @@
 use haptic::analysis::flexible::Flexible;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::domain;
-use haptic::analysis::sampled::{AnalysisError, Estimator, FeedForward, Loop};
+use haptic::analysis::sampled::{AnalysisError, Estimator, Loop, Mode};
 use nalgebra::{Complex, DMatrix, DVector};
 
 const RATE: f64 = 1000.0;
@@ -26,7 +26,7 @@ fn boundary(estimator: Estimator, damping: &[f64]) -> Result<Vec<f64>, AnalysisE
     let around =
         Loop { rate_hz: RATE, delay_samples: 0.0, estimator, drive: Drive::Ideal, damping_compensation: false };
     let kd: Vec<f64> = damping.iter().map(|b| b * MASS * RATE).collect();
-    let found = domain(&mass(), &around, FeedForward::Off, Some(&kd))?;
+    let found = domain(&mass(), &around, Mode::Off, Some(&kd))?;
     Ok(found.boundary.iter().map(|point| point.kp / (MASS * RATE * RATE)).collect())
 }
 

@@ -4,7 +4,7 @@
 use haptic::analysis::flexible::{Flexible, Hand};
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::domain;
-use haptic::analysis::sampled::{AnalysisError, Estimator, FeedForward, Loop};
+use haptic::analysis::sampled::{AnalysisError, Estimator, Loop, Mode};
 use haptic::device_file::DeviceFile;
 use haptic_bridge::model::description::{EncoderAt, StructuralMode, Transmission};
 use nalgebra::{DMatrix, DVector};
@@ -35,7 +35,7 @@ fn every_boundary_agrees_with_the_independent_one() {
             drive: Drive::Ideal,
             damping_compensation: false,
         };
-        for (mode, key) in [(FeedForward::Off, "off"), (FeedForward::Full, "full")] {
+        for (mode, key) in [(Mode::Off, "off"), (Mode::Full, "full")] {
             let expected = case["expect"][key].as_array().unwrap();
             let kd: Vec<f64> = expected.iter().map(|point| point["kd"].as_f64().unwrap()).collect();
             let found = domain(&device, &around, mode, Some(&kd)).unwrap();
@@ -84,7 +84,7 @@ fn around(rate_hz: f64, cutoff_hz: f64) -> Loop {
 #[test]
 fn an_infinite_stiffness_is_rigid() {
     let stiff = rigid();
-    for mode in [FeedForward::Off, FeedForward::Full, FeedForward::Washout(2.0)] {
+    for mode in [Mode::Off, Mode::Full, Mode::Washout(2.0)] {
         for (drive, stiffness) in
             [(Drive::Ideal, 1e11), (Drive::Current { bandwidth_hz: 900.0 }, 1e11), (Drive::Ideal, 1e18)]
         {
@@ -111,7 +111,7 @@ fn what_the_loop_neither_sees_nor_moves_does_not_count() {
     device.row = DVector::from_vec(vec![0.1, 0.0]);
     device.unit_motion = DVector::from_vec(vec![10.0, 0.0]);
     let around = around(1000.0, 50.0);
-    for mode in [FeedForward::Off, FeedForward::Full] {
+    for mode in [Mode::Off, Mode::Full] {
         let known = domain(&device, &around, mode, None).unwrap();
         let mut soft = device.clone();
         soft.flexible.transmissions = vec![None, behind(3.0, 0.0, EncoderAt::Motor)];
@@ -124,7 +124,7 @@ fn what_the_loop_neither_sees_nor_moves_does_not_count() {
 fn a_mode_near_the_sampling_lowers_the_boundary_and_a_heavy_hand_raises_it() {
     let stiff = rigid();
     let around = around(1000.0, 50.0);
-    let area = |device: &Linearised| domain(device, &around, FeedForward::Off, Some(&[])).unwrap().area;
+    let area = |device: &Linearised| domain(device, &around, Mode::Off, Some(&[])).unwrap().area;
     let mut soft = stiff.clone();
     soft.flexible.transmissions = vec![behind(3.0, 5e-4, EncoderAt::Joint); 2];
     assert!(area(&soft) < 0.5 * area(&stiff), "{} {}", area(&soft), area(&stiff));
@@ -143,10 +143,10 @@ fn a_difference_over_several_samples_is_their_mean_and_more_than_64_are_refused(
     let device = rigid();
     let mean = |samples| {
         let around = Loop { estimator: Estimator::BackwardDifference.over(samples), ..around(1000.0, 50.0) };
-        domain(&device, &around, FeedForward::Off, Some(&[])).map(|found| found.area)
+        domain(&device, &around, Mode::Off, Some(&[])).map(|found| found.area)
     };
     let plain = Loop { estimator: Estimator::BackwardDifference, ..around(1000.0, 50.0) };
-    let plain = domain(&device, &plain, FeedForward::Off, Some(&[])).unwrap().area;
+    let plain = domain(&device, &plain, Mode::Off, Some(&[])).unwrap().area;
     assert!((mean(1).unwrap() / plain - 1.0).abs() < 1e-12);
     assert!(mean(4).unwrap() < 0.6 * plain);
     assert_eq!(mean(0), Err(AnalysisError::Difference(0)));
@@ -173,7 +173,7 @@ fn a_mode_of_the_only_joint_is_its_link_behind_a_transmission() {
     };
     let soft = one(Flexible { transmissions: vec![Some(give)], ..Flexible::default() });
     for (rate, cutoff) in [(1000.0, 50.0), (5000.0, 200.0)] {
-        let of = |device: &Linearised| domain(device, &around(rate, cutoff), FeedForward::Off, None).unwrap();
+        let of = |device: &Linearised| domain(device, &around(rate, cutoff), Mode::Off, None).unwrap();
         let (left, right) = (of(&swings), of(&soft));
         assert!(right.area > 0.0 && (left.area / right.area - 1.0).abs() < 1e-9, "{} {}", left.area, right.area);
         let rigid = of(&one(Flexible::default()));
@@ -191,10 +191,10 @@ fn a_mode_of_any_frequency_or_no_inertia_to_speak_of_is_rigid_in_the_limit() {
         (StructuralMode { frequency: 1e9, damping: 0.01, inertia: 4e-5 }, 1e-9),
         (StructuralMode { frequency: 300.0, damping: 0.5, inertia: 1e-14 }, 1e-6),
     ] {
-        let known = domain(&stiff, &around, FeedForward::Full, None).unwrap();
+        let known = domain(&stiff, &around, Mode::Full, None).unwrap();
         let mut soft = stiff.clone();
         soft.flexible.modes = vec![(1, mode)];
-        let found = domain(&soft, &around, FeedForward::Full, None).unwrap();
+        let found = domain(&soft, &around, Mode::Full, None).unwrap();
         assert!((found.area / known.area - 1.0).abs() < close, "{mode:?}: {} {}", found.area, known.area);
     }
 }

@@ -3,7 +3,7 @@
 use haptic::analysis::flexible::Flexible;
 use haptic::analysis::plant::{Drive, Linearised, MotorElectrics};
 use haptic::analysis::range::domain;
-use haptic::analysis::sampled::{AnalysisError, Estimator, FeedForward, Loop};
+use haptic::analysis::sampled::{AnalysisError, Estimator, Loop, Mode};
 use nalgebra::{DMatrix, DVector};
 
 /// Two undamped joints whose coupling makes Wrr/Weff this ratio.
@@ -46,7 +46,7 @@ fn around(rate_hz: f64, cutoff_hz: f64) -> Loop {
     }
 }
 
-fn area(device: &Linearised, around: &Loop, mode: FeedForward) -> f64 {
+fn area(device: &Linearised, around: &Loop, mode: Mode) -> f64 {
     domain(device, around, mode, Some(&[])).unwrap().area
 }
 
@@ -56,8 +56,7 @@ fn without_damping_the_area_grows_by_the_square_of_the_inertia_ratio() {
         [(200.0, 20.0, 1.205), (1000.0, 20.0, 3.0), (50_000.0, 20.0, 1.449), (20_000.0, 500.0, 10.0)]
     {
         let device = coupled(ratio);
-        let found = area(&device, &around(rate, cutoff), FeedForward::Full)
-            / area(&device, &around(rate, cutoff), FeedForward::Off);
+        let found = area(&device, &around(rate, cutoff), Mode::Full) / area(&device, &around(rate, cutoff), Mode::Off);
         assert!((found / (ratio * ratio) - 1.0).abs() < 1e-5, "{rate}/{cutoff}: {found}");
     }
 }
@@ -67,7 +66,7 @@ fn a_fast_board_keeps_the_gained_area_behind_a_washout() {
     let fast = around(20_000.0, 500.0);
     for (ratio, washed) in [(1.205, 1.447), (1.449, 2.08)] {
         let device = coupled(ratio);
-        let found = area(&device, &fast, FeedForward::Washout(2.0)) / area(&device, &fast, FeedForward::Off);
+        let found = area(&device, &fast, Mode::Washout(2.0)) / area(&device, &fast, Mode::Off);
         assert!((found / washed - 1.0).abs() < 1e-2, "{found} is not {washed}");
     }
 }
@@ -76,8 +75,8 @@ fn a_fast_board_keeps_the_gained_area_behind_a_washout() {
 fn on_a_slow_board_a_fast_washout_is_worse_than_none() {
     let slow = around(200.0, 20.0);
     let device = coupled(1.205);
-    let [off, full] = [FeedForward::Off, FeedForward::Full].map(|mode| area(&device, &slow, mode));
-    let washed = |hz| area(&device, &slow, FeedForward::Washout(hz));
+    let [off, full] = [Mode::Off, Mode::Full].map(|mode| area(&device, &slow, mode));
+    let washed = |hz| area(&device, &slow, Mode::Washout(hz));
     let (gentle, middle) = (washed(0.2) / full, washed(1.0) / full);
     assert!((0.97..0.99).contains(&gentle), "{gentle}");
     assert!((0.84..0.94).contains(&middle), "{middle}");
@@ -89,7 +88,7 @@ fn on_a_slow_board_a_fast_washout_is_worse_than_none() {
 #[test]
 fn the_boundary_is_where_a_simulation_starts_to_grow() {
     let device = three_joints();
-    for mode in [FeedForward::Off, FeedForward::Full, FeedForward::Washout(4.0)] {
+    for mode in [Mode::Off, Mode::Full, Mode::Washout(4.0)] {
         let around = Loop { delay_samples: 0.5, ..around(1000.0, 100.0) };
         let whole = domain(&device, &around, mode, None).unwrap();
         let kd = whole.kd_max * 0.4;
@@ -101,7 +100,7 @@ fn the_boundary_is_where_a_simulation_starts_to_grow() {
 
 /// Runs the loop at 1 kHz, 100 Hz cutoff and half a sample of delay with 200 exact-midpoint steps per half sample, and
 /// returns the ratio of the largest |x| in the last fifth to that in the fifth before.
-fn simulated_growth(device: &Linearised, mode: FeedForward, kp: f64, kd: f64) -> f64 {
+fn simulated_growth(device: &Linearised, mode: Mode, kp: f64, kd: f64) -> f64 {
     let rate = 1000.0;
     let step = 0.5 / rate / 200.0;
     let inverse = device.mass.clone().try_inverse().unwrap();
@@ -117,7 +116,7 @@ fn simulated_growth(device: &Linearised, mode: FeedForward, kp: f64, kd: f64) ->
     let norm = 1.0 / (1.0 + std::f64::consts::SQRT_2 * k + k * k);
     let (b0, a1, a2) = (k * k * norm, 2.0 * (k * k - 1.0) * norm, (1.0 - std::f64::consts::SQRT_2 * k + k * k) * norm);
     let h = match mode {
-        FeedForward::Washout(hz) => (std::f64::consts::PI * hz / rate).tan(),
+        Mode::Washout(hz) => (std::f64::consts::PI * hz / rate).tan(),
         _ => 0.0,
     };
     let (mut v, mut x, mut last_x) = (DVector::<f64>::zeros(3), 1e-3, 1e-3);
@@ -135,9 +134,9 @@ fn simulated_growth(device: &Linearised, mode: FeedForward, kp: f64, kd: f64) ->
         let high = ((force - f1) + (1.0 - h) * h1) / (1.0 + h);
         (f1, h1) = (force, high);
         let next = match mode {
-            FeedForward::Off => &device.row * force,
-            FeedForward::Full => &shaped * force,
-            FeedForward::Washout(_) => &device.row * force + (&shaped - &device.row) * high,
+            Mode::Off => &device.row * force,
+            Mode::Full => &shaped * force,
+            Mode::Washout(_) => &device.row * force + (&shaped - &device.row) * high,
         };
         for part in 0..400 {
             if part == 200 {
@@ -161,9 +160,9 @@ fn simulated_growth(device: &Linearised, mode: FeedForward, kp: f64, kd: f64) ->
 fn an_undamped_joint_beside_damped_ones_changes_nothing_abruptly() {
     let mut device = three_joints();
     device.viscous[1] = 1e-9;
-    let nearly = area(&device, &around(20_000.0, 100.0), FeedForward::Off);
+    let nearly = area(&device, &around(20_000.0, 100.0), Mode::Off);
     device.viscous[1] = 0.0;
-    let exactly = area(&device, &around(20_000.0, 100.0), FeedForward::Off);
+    let exactly = area(&device, &around(20_000.0, 100.0), Mode::Off);
     assert!((nearly / exactly - 1.0).abs() < 1e-5, "{nearly} {exactly}");
 }
 
@@ -173,7 +172,7 @@ fn a_voltage_drive_without_inductance_is_an_ideal_one_with_the_back_emf_as_dampi
     let motor = MotorElectrics { torque_constant: 0.3, back_emf: 0.28, resistance: 2.0, inductance: 0.0 };
     let mut damped = device.clone();
     damped.viscous.add_scalar_mut(0.3 * 0.28 / 2.0);
-    for mode in [FeedForward::Off, FeedForward::Full] {
+    for mode in [Mode::Off, Mode::Full] {
         let driven = Loop { drive: Drive::Voltage(vec![motor; 3]), ..around(1000.0, 50.0) };
         let (by_motor, by_hand) = (area(&device, &driven, mode), area(&damped, &around(1000.0, 50.0), mode));
         assert!((by_motor / by_hand - 1.0).abs() < 1e-9);
@@ -188,9 +187,9 @@ fn a_voltage_drive_without_inductance_is_an_ideal_one_with_the_back_emf_as_dampi
 #[test]
 fn a_fast_current_loop_is_nearly_ideal_and_a_slow_one_costs() {
     let device = three_joints();
-    let ideal = area(&device, &around(1000.0, 50.0), FeedForward::Off);
+    let ideal = area(&device, &around(1000.0, 50.0), Mode::Off);
     let with = |bandwidth_hz| {
-        area(&device, &Loop { drive: Drive::Current { bandwidth_hz }, ..around(1000.0, 50.0) }, FeedForward::Off)
+        area(&device, &Loop { drive: Drive::Current { bandwidth_hz }, ..around(1000.0, 50.0) }, Mode::Off)
     };
     assert!((with(1e6) / ideal - 1.0).abs() < 1e-2);
     assert!(with(50.0) < 0.7 * ideal);
@@ -211,11 +210,11 @@ fn a_creeping_feed_forward_has_no_stable_domain_until_its_damping_is_compensated
     let creep: f64 = (0..2).map(|j| device.row[j] * device.shaped_torque()[j] / device.viscous[j]).sum();
     assert!(creep < 0.0);
     let loop_ = around(2000.0, 100.0);
-    assert_eq!(area(&device, &loop_, FeedForward::Full), 0.0);
-    assert!(area(&device, &loop_, FeedForward::Off) > 0.0);
+    assert_eq!(area(&device, &loop_, Mode::Full), 0.0);
+    assert!(area(&device, &loop_, Mode::Off) > 0.0);
     let compensated = Loop { damping_compensation: true, ..loop_ };
-    let undamped = area(&device.clone().undamped(), &compensated, FeedForward::Full);
-    let found = area(&device, &compensated, FeedForward::Full);
+    let undamped = area(&device.clone().undamped(), &compensated, Mode::Full);
+    let found = area(&device, &compensated, Mode::Full);
     assert!(found > 0.5 * undamped, "{found} of {undamped}");
 }
 
@@ -230,7 +229,7 @@ fn fifty_kilohertz_behind_twenty_hertz_scales_like_the_mass() {
         unit_motion: DVector::from_element(1, 1.0),
     };
     let loop_ = around(50_000.0, 20.0);
-    let ratio = area(&one(7.0), &loop_, FeedForward::Off) / area(&one(0.007), &loop_, FeedForward::Off);
+    let ratio = area(&one(7.0), &loop_, Mode::Off) / area(&one(0.007), &loop_, Mode::Off);
     assert!((ratio / 1e6 - 1.0).abs() < 1e-6, "{ratio}");
 }
 
@@ -238,14 +237,11 @@ fn fifty_kilohertz_behind_twenty_hertz_scales_like_the_mass() {
 fn what_cannot_be_sampled_is_refused() {
     let device = three_joints();
     let refused = |loop_: Loop, mode| domain(&device, &loop_, mode, None).unwrap_err();
-    assert_eq!(refused(around(200.0, 100.0), FeedForward::Off), AnalysisError::Cutoff { cutoff: 100.0, rate: 200.0 });
+    assert_eq!(refused(around(200.0, 100.0), Mode::Off), AnalysisError::Cutoff { cutoff: 100.0, rate: 200.0 });
     assert_eq!(
-        refused(around(200.0, 20.0), FeedForward::Washout(150.0)),
+        refused(around(200.0, 20.0), Mode::Washout(150.0)),
         AnalysisError::Cutoff { cutoff: 150.0, rate: 200.0 }
     );
-    assert_eq!(refused(around(0.0, 20.0), FeedForward::Off), AnalysisError::Rate(0.0));
-    assert_eq!(
-        refused(Loop { delay_samples: -1.0, ..around(200.0, 20.0) }, FeedForward::Off),
-        AnalysisError::Delay(-1.0)
-    );
+    assert_eq!(refused(around(0.0, 20.0), Mode::Off), AnalysisError::Rate(0.0));
+    assert_eq!(refused(Loop { delay_samples: -1.0, ..around(200.0, 20.0) }, Mode::Off), AnalysisError::Delay(-1.0));
 }

@@ -4,9 +4,10 @@
 use assert_cmd::Command;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::ripple::{LIGHT_HAND, Line, PUSH_N, Pressed};
-use haptic::analysis::sampled::{Estimator, FeedForward, Loop};
+use haptic::analysis::sampled::{Estimator, Loop, Mode};
 use haptic::bench::estimators::{Comparison, ripple_of};
 use haptic::device_file::DeviceFile;
+use haptic::sweep::Sweep;
 use haptic_bridge::render::velocity::{Chosen, Estimator as Kind};
 use serde_json::Value;
 
@@ -49,7 +50,7 @@ const APART: [(f64, f64, f64, f64, f64, f64); 4] = [
 fn the_ripple_is_that_of_a_program_of_its_own() {
     for (rate, cutoff, kp, kd, off, full) in APART {
         let around = around(rate, Estimator::Butterworth(cutoff), 0.0);
-        for (mode, known) in [(FeedForward::Off, off), (FeedForward::Full, full)] {
+        for (mode, known) in [(Mode::Off, off), (Mode::Full, full)] {
             let found = pressed(&around, None, |pressed| pressed.ripple(mode, kp, kd).unwrap().rms_n.unwrap());
             // The motion is chaotic: how it begins decides which of its ways it goes in a third of a second.
             assert!((0.7..1.4).contains(&(found / known)), "{rate} Hz, {kp} N/m, {mode:?}: {found} is not {known}");
@@ -60,11 +61,10 @@ fn the_ripple_is_that_of_a_program_of_its_own() {
 #[test]
 fn a_fast_loop_buzzes_far_below_its_linear_limit_with_coarse_encoders_only() {
     let around = around(20_000.0, Estimator::Butterworth(500.0), 0.0);
-    let rms = |counts| {
-        pressed(&around, counts, |pressed| pressed.ripple(FeedForward::Off, 5_000.0, 150.0).unwrap().rms_n.unwrap())
-    };
+    let rms =
+        |counts| pressed(&around, counts, |pressed| pressed.ripple(Mode::Off, 5_000.0, 150.0).unwrap().rms_n.unwrap());
     let limit = pressed(&around, None, |pressed| {
-        pressed.along(FeedForward::Off, Line::Damping(150.0), 0.1).unwrap().unwrap().kp_stable
+        pressed.along(Mode::Off, Line::Damping(150.0), 0.1, &Sweep::quiet()).unwrap().unwrap().kp_stable
     });
     assert!(limit > 50.0 * 5_000.0, "{limit}");
     assert!(rms(None) > 2.0);
@@ -90,7 +90,7 @@ fn the_boards_own_step_ripples_alike() {
             let around = around(rate_hz, linear, delay);
             let found = pressed(&around, None, |pressed| {
                 let free = Pressed { description: file.description, ..pressed.clone() };
-                free.ripple(FeedForward::Off, wall.0, wall.1).unwrap().rms_n.unwrap()
+                free.ripple(Mode::Off, wall.0, wall.1).unwrap().rms_n.unwrap()
             });
             assert!((0.6..1.7).contains(&(found / board)), "{rate_hz} Hz, {kind:?}: {found} is not {board}");
         }

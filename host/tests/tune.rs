@@ -4,7 +4,7 @@ use assert_cmd::Command;
 use haptic::analysis::flexible::Flexible;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::{domain, stiffnesses};
-use haptic::analysis::sampled::{Estimator as Linear, FeedForward as Mode, Loop};
+use haptic::analysis::sampled::{Estimator as Linear, Loop, Mode};
 use haptic::device_file::DeviceFile;
 use haptic::scene_file::SceneFile;
 use haptic::sweep::Sweep;

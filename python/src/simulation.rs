@@ -7,6 +7,7 @@ use crate::errors::{self, RequestError};
 use haptic::haptic_bridge::render::scene::Scene as BoardScene;
 use haptic::link::{Board as Linked, Session};
 use haptic::sim::{BoardOptions, DriveModel, Hand, HandSettings, Intent, Options, SharedBoard, Waypoint, ready_board};
+use haptic::vectors::padded;
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 
@@ -82,8 +83,7 @@ impl Simulation {
     fn hand(&self, waypoints: Vec<Vec<f64>>, push: bool) -> PyResult<()> {
         let point = |numbers: Vec<f64>| match numbers.split_first() {
             Some((time, value)) if value.len() == self.task => {
-                let value = std::array::from_fn(|i| value.get(i).copied().unwrap_or(0.0));
-                Ok(Waypoint { time: *time, value })
+                Ok(Waypoint { time: *time, value: padded(value) })
             }
             _ => Err(RequestError::new_err(format!("a waypoint is a time and {} numbers", self.task))),
         };
@@ -126,6 +126,6 @@ impl Simulation {
         if q.len() != self.joints || q.iter().any(|angle| !angle.is_finite()) {
             return Err(RequestError::new_err(format!("q must be {} finite angles", self.joints)));
         }
-        Ok(std::array::from_fn(|i| q.get(i).copied().unwrap_or(0.0)))
+        Ok(padded(q))
     }
 }

@@ -1,6 +1,6 @@
 //! A device as the board knows it: lumped mechanism, encoders, motors, limits. Plain data, ready to use.
 
-use crate::math::{Math, Real};
+use crate::math::{Math, Real, cast};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::description::{Description, DescriptionError};
 use crate::model::mechanism::{AnyMechanism, Mechanism, shared_pose};
@@ -110,9 +110,49 @@ impl<T: Real> Device<T> {
         })
     }
 
+    /// The same in another precision.
+    pub fn cast<U: Real>(&self) -> Device<U> {
+        Device {
+            name: self.name.clone(),
+            mechanism: self.mechanism.cast(),
+            weight: self.weight,
+            joints: self.joints.map(|joint| joint.cast()),
+            home: self.home.map(|home| home.map(cast)),
+        }
+    }
+
     /// N.
     pub fn axes(&self) -> usize {
         self.mechanism.kind().spec().joints
+    }
+}
+
+impl<T: Real> Joint<T> {
+    /// The same in another precision.
+    pub fn cast<U: Real>(&self) -> Joint<U> {
+        Joint {
+            radians_per_count: cast(self.radians_per_count),
+            counts_per_turn: self.counts_per_turn,
+            offset: cast(self.offset),
+            viscous: cast(self.viscous),
+            coulomb: cast(self.coulomb),
+            limits: self.limits.map(|(low, high)| (cast(low), cast(high))),
+            motor: self.motor.map(|motor| motor.cast()),
+        }
+    }
+}
+
+impl<T: Real> Motor<T> {
+    /// The same in another precision.
+    pub fn cast<U: Real>(&self) -> Motor<U> {
+        Motor {
+            torque_constant: cast(self.torque_constant),
+            resistance: cast(self.resistance),
+            inductance: cast(self.inductance),
+            back_emf: cast(self.back_emf),
+            max_current: cast(self.max_current),
+            verified: self.verified,
+        }
     }
 }
 

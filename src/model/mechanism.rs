@@ -151,6 +151,13 @@ macro_rules! define {
                 }
             }
 
+            /// The same in another precision.
+            pub fn cast<U: Real>(&self) -> AnyMechanism<U> {
+                match self {
+                    $(Self::$Variant(mechanism) => AnyMechanism::$Variant(mechanism.cast()),)*
+                }
+            }
+
             /// Which mechanism this is.
             pub fn kind(&self) -> Kind {
                 match self {

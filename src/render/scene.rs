@@ -9,7 +9,7 @@ pub mod shape;
 mod sphere;
 pub mod surface;
 
-use crate::math::Real;
+use crate::math::{Real, cast};
 pub use crate::model::admissible::Admissible;
 use crate::render::velocity::Estimator;
 pub use cylinder::Cylinder;
@@ -392,10 +392,6 @@ impl<T: Real> Scene<T> {
         }
         Ok(())
     }
-}
-
-fn cast<T: Real, U: Real>(value: T) -> U {
-    U::from_f64(value.to_f64())
 }
 
 fn finite<T: Real>(v: &[T; 3]) -> bool {

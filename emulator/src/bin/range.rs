@@ -6,7 +6,8 @@
 use std::path::Path;
 use std::process::ExitCode;
 
-use haptic::measure::progress::{Mode, Progress};
+use haptic::measure::progress::Progress;
+use haptic_bridge::render::scene::FeedForward;
 use virtual_board::range::{POINTS, RATES, REPEATS, Rate, introduction, section, whole};
 
 /// Where the section begins and ends.
@@ -46,7 +47,7 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
 /// Both feed-forwards at `rate`, each on a board of its own, and the delay that the board reports.
 fn measured(rate: Rate) -> Result<(Progress, f64), String> {
     let parts = std::thread::scope(|scope| {
-        let running = [Mode::Off, Mode::Full].map(|mode| {
+        let running = [FeedForward::Off, FeedForward::Full].map(|mode| {
             scope.spawn(move || {
                 let told = |done| eprintln!("{} Hz, {mode:?}: {done} of {}", rate.rate_hz, POINTS * REPEATS);
                 whole(rate, mode, told).map_err(|error| error.to_string())

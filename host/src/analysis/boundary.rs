@@ -300,7 +300,7 @@ mod tests {
     use super::*;
     use crate::analysis::flexible::Flexible;
     use crate::analysis::plant::{Drive, Linearised, MotorElectrics};
-    use crate::analysis::sampled::{Estimator, FeedForward, Loop};
+    use crate::analysis::sampled::{Estimator, Loop, Mode};
     use crate::sim::Random;
     use nalgebra::{DMatrix, DVector};
 
@@ -356,7 +356,7 @@ mod tests {
             let joints = 1 + case % 3;
             let device = random_device(&mut random, joints);
             let around = random_loop(&mut random, joints);
-            let mode = [FeedForward::Off, FeedForward::Full, FeedForward::Washout(2.0)][(case / 3) % 3];
+            let mode = [Mode::Off, Mode::Full, Mode::Washout(2.0)][(case / 3) % 3];
             let open = OpenLoop::new(&device, &around, mode).unwrap();
             let mut circle = Circle::new(&open, around.delay_samples);
             let support = circle.damping_intervals().unwrap();

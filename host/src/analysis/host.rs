@@ -8,7 +8,7 @@
 use super::boundary::Circle;
 use super::plant::Linearised;
 use super::range::{Domain, bounded};
-use super::sampled::{AnalysisError, FeedForward, LONGEST_DELAY, Loop, OpenLoop};
+use super::sampled::{AnalysisError, LONGEST_DELAY, Loop, Mode, OpenLoop};
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
@@ -51,7 +51,7 @@ impl Host {
         }
         // A hair above whole periods is rounding.
         let late = (self.delay_s * around.rate_hz - 1e-6).ceil().max(0.0) as usize;
-        let board = OpenLoop::new(device, around, FeedForward::Off)?;
+        let board = OpenLoop::new(device, around, Mode::Off)?;
         let open = held(&board, steps, late);
         let delay = (late as f64 + around.delay_samples) / steps as f64;
         let domain = bounded(&mut Circle::new(&open, delay), open.mass, open.sample_s, kd)?;
@@ -161,7 +161,7 @@ mod tests {
             let around = around(2000.0, delay, Drive::Current { bandwidth_hz: 900.0 });
             let host = Host { rate_hz: 2000.0, delay_s: late / 2000.0 }.domain(&device, &around, None).unwrap();
             let board = Loop { delay_samples: delay + late, ..around };
-            let board = domain(&device, &board, FeedForward::Off, None).unwrap();
+            let board = domain(&device, &board, Mode::Off, None).unwrap();
             assert!(close(host.domain.area, board.area, 1e-9) && close(host.domain.kd_max, board.kd_max, 1e-9));
         }
     }
@@ -185,7 +185,7 @@ mod tests {
                     estimator: Estimator::BackwardDifference,
                     ..around
                 };
-                let expected = domain(&device, &slow, FeedForward::Off, Some(&[0.0])).unwrap().boundary[0].kp;
+                let expected = domain(&device, &slow, Mode::Off, Some(&[0.0])).unwrap().boundary[0].kp;
                 assert!(close(found, expected, 1e-7), "{steps} {late} {delay}: {found} is not {expected}");
             }
         }

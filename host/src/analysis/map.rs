@@ -15,11 +15,10 @@ use haptic_bridge::model::mechanism::AnyMechanism;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use serde::{Deserialize, Serialize};
 
-use crate::continued::Continued;
-use crate::error::Failure;
-
 use super::pose::{PoseError, TaskPose, unit_normal};
+use crate::error::Failure;
 use crate::model::Condition;
+use crate::sweep::Sweep;
 
 /// Regular enough to walk through when flooding: the sine of the nearest singular angle.
 const WALKABLE_SINE: f64 = 0.08;
@@ -386,17 +385,16 @@ pub fn map_holding(
 /// Poses that a sweep does at a time.
 const PIECE: usize = 256;
 
-/// As [`map_holding`], with `progress`, that can be interrupted and `continued`.
-pub fn map_continued(
+/// As [`map_holding`], as a sweep that can be interrupted and continued.
+pub fn map_swept(
     description: &Description,
     normal: &[f64],
     points: usize,
     admissible: Admissible,
-    continued: Option<&Continued<'_>>,
-    progress: &(dyn Fn(usize, usize) + Sync),
+    sweep: &Sweep,
 ) -> Result<Vec<MapPoint>, Failure> {
     swept(description, normal, points, admissible, |pieces, work| {
-        Ok(crate::continued::map(pieces, continued, progress, work)?.into_iter().flatten().collect())
+        Ok(sweep.map("poses, in pieces", pieces, |piece| Ok(work(piece)))?.into_iter().flatten().collect())
     })
 }
 

@@ -12,6 +12,7 @@ use thiserror::Error;
 
 use super::flexible::{Flexible, Hand};
 use super::plant::{Linearised, MotorElectrics};
+use crate::vectors::{padded_to, unit};
 
 /// Poses closer to a singularity than this sine are refused.
 pub const SINGULAR_SINE: f64 = 1e-6;
@@ -157,15 +158,7 @@ pub fn unit_normal(normal: &[f64], task: usize, joints: usize) -> Result<DVector
     if normal.len() != task {
         return Err(PoseError::Normal { task, found: normal.len() });
     }
-    // Scaled first, so that no finite normal overflows or vanishes when squared.
-    let largest = normal.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
-    let finite = normal.iter().all(|v| v.is_finite());
-    if !finite || largest == 0.0 {
-        return Err(PoseError::NoDirection);
-    }
-    let n = DVector::from_fn(joints, |i, _| normal.get(i).map_or(0.0, |v| v / largest));
-    let length = n.norm();
-    Ok(n / length)
+    Ok(padded_to(joints, &unit(normal).ok_or(PoseError::NoDirection)?))
 }
 
 impl Linearised {

@@ -11,8 +11,9 @@ use serde::Serialize;
 use super::boundary::{Circle, Interval};
 use super::host::HostWall;
 use super::plant::Linearised;
-use super::sampled::{AnalysisError, FeedForward, Loop, OpenLoop};
+use super::sampled::{AnalysisError, Loop, Mode, OpenLoop};
 use super::several::{Loops, WallSet};
+use haptic_bridge::render::scene::FeedForward;
 
 /// Damping values on a boundary when none are asked for.
 pub const BOUNDARY_POINTS: usize = 200;
@@ -81,6 +82,18 @@ pub struct Range {
     pub host: Option<HostWall>,
 }
 
+impl Range {
+    /// The domain with this feed-forward; that of equation (4) for a washout that was not asked for.
+    #[must_use]
+    pub fn of(&self, feed_forward: FeedForward) -> &Domain {
+        match feed_forward {
+            FeedForward::Off => &self.off,
+            FeedForward::Full => &self.full,
+            FeedForward::Washout => self.washout.as_ref().unwrap_or(&self.full),
+        }
+    }
+}
+
 /// Predicts the stable domain of `device` in `around`: without, with, and (at `washout_hz`) with washed-out
 /// feed-forward.
 ///
@@ -91,9 +104,9 @@ pub fn predict(
     kd: Option<&[f64]>,
     washout_hz: Option<f64>,
 ) -> Result<Range, AnalysisError> {
-    let off = domain(device, around, FeedForward::Off, kd)?;
-    let full = domain(device, around, FeedForward::Full, kd)?;
-    let washout = washout_hz.map(|hz| domain(device, around, FeedForward::Washout(hz), kd)).transpose()?;
+    let off = domain(device, around, Mode::Off, kd)?;
+    let full = domain(device, around, Mode::Full, kd)?;
+    let washout = washout_hz.map(|hz| domain(device, around, Mode::Washout(hz), kd)).transpose()?;
     let area_ratio = if off.area > 0.0 { full.area / off.area } else { 0.0 };
     let w_eff = device.w_eff().ok_or(AnalysisError::Singular)?;
     let feed_forward_gain = (device.gain != 1.0).then_some(device.gain);
@@ -102,12 +115,7 @@ pub fn predict(
 }
 
 /// Predicts the stable domain for one kind of feed-forward.
-pub fn domain(
-    device: &Linearised,
-    around: &Loop,
-    mode: FeedForward,
-    kd: Option<&[f64]>,
-) -> Result<Domain, AnalysisError> {
+pub fn domain(device: &Linearised, around: &Loop, mode: Mode, kd: Option<&[f64]>) -> Result<Domain, AnalysisError> {
     if let Some(&refused) = kd.unwrap_or_default().iter().find(|kd| !(kd.is_finite() && **kd >= 0.0)) {
         return Err(AnalysisError::Damping(refused));
     }
@@ -123,8 +131,8 @@ pub fn predict_several(
     washout_hz: Option<f64>,
 ) -> Result<Range, AnalysisError> {
     let of = |mode| domain_of_several(set, around, mode, kd);
-    let (off, full) = (of(FeedForward::Off)?, of(FeedForward::Full)?);
-    let washout = washout_hz.map(|hz| of(FeedForward::Washout(hz))).transpose()?;
+    let (off, full) = (of(Mode::Off)?, of(Mode::Full)?);
+    let washout = washout_hz.map(|hz| of(Mode::Washout(hz))).transpose()?;
     let area_ratio = if off.area > 0.0 { full.area / off.area } else { 0.0 };
     let met = |feed_forward| set.met(feed_forward).ok_or(AnalysisError::Singular);
     let (w_eff, w_rr) = (met(false)?, met(true)?);
@@ -135,7 +143,7 @@ pub fn predict_several(
 pub fn domain_of_several(
     set: &WallSet,
     around: &Loop,
-    mode: FeedForward,
+    mode: Mode,
     kd: Option<&[f64]>,
 ) -> Result<Domain, AnalysisError> {
     if let Some(&refused) = kd.unwrap_or_default().iter().find(|kd| !(kd.is_finite() && **kd >= 0.0)) {
@@ -215,12 +223,7 @@ pub(super) fn bounded(
 
 /// The largest stiffness (N/m) that is stable with damping `kd` (N s/m), zero where none is, and the damping at which
 /// that ends.
-pub fn stiffness_at(
-    device: &Linearised,
-    around: &Loop,
-    mode: FeedForward,
-    kd: f64,
-) -> Result<(f64, f64), AnalysisError> {
+pub fn stiffness_at(device: &Linearised, around: &Loop, mode: Mode, kd: f64) -> Result<(f64, f64), AnalysisError> {
     let open = OpenLoop::new(device, around, mode)?;
     let damping_unit = open.mass / open.sample_s;
     let mut circle = Circle::new(&open, around.delay_samples);
@@ -236,7 +239,7 @@ pub fn stiffnesses(
     device: &Linearised,
     believed: &Linearised,
     around: &Loop,
-    mode: FeedForward,
+    mode: Mode,
     kd: &[f64],
 ) -> Result<Vec<f64>, AnalysisError> {
     let points = boundary_of(device, believed, around, mode, |_| kd.to_vec())?;
@@ -249,7 +252,7 @@ pub fn boundary_of(
     device: &Linearised,
     believed: &Linearised,
     around: &Loop,
-    mode: FeedForward,
+    mode: Mode,
     kd: impl FnOnce(f64) -> Vec<f64>,
 ) -> Result<Vec<BoundaryPoint>, AnalysisError> {
     let open = OpenLoop::believing(device, believed, around, mode)?;
@@ -335,7 +338,7 @@ mod tests {
 
     fn hat(rate: f64, cutoff: f64, delay: f64) -> (f64, f64, f64) {
         let m = 0.2;
-        let d = domain(&mass(m, 0.0), &around(rate, cutoff, delay), FeedForward::Off, None).unwrap();
+        let d = domain(&mass(m, 0.0), &around(rate, cutoff, delay), Mode::Off, None).unwrap();
         let t = 1.0 / rate;
         let top = d.boundary.iter().map(|p| p.kp).fold(0.0, f64::max);
         (top * t * t / m, d.kd_max * t / m, d.area * t.powi(3) / (m * m))
@@ -368,7 +371,7 @@ mod tests {
         // Backward difference, double integrator: 1 + K (z+1)/(2(z-1)²) + D (z+1)/(2z(z-1)) ... by Jury: see below.
         // z(z-1)² + (k/2) z (z+1) + (d/2)(z+1)(z-1) = z³ + (k/2 + d/2 - 2) z² + (1 + k/2) z - d/2.
         let around = Loop { estimator: Estimator::BackwardDifference, ..around(1000.0, 1.0, 0.0) };
-        let found = domain(&mass(1.0, 0.0), &around, FeedForward::Off, Some(&[200.0])).unwrap();
+        let found = domain(&mass(1.0, 0.0), &around, Mode::Off, Some(&[200.0])).unwrap();
         // Jury for a cubic with a0 = -d/2: |a0² - 1| > |a0 a2 - a1| gives the limit at d = 0.2.
         let d = 0.2;
         let stable = |k: f64| {

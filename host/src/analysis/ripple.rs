@@ -5,20 +5,23 @@
 //! feed-forward, linearised at the pose, with one thing more: each joint's angle comes in steps of its encoder. A static
 //! wall is unilateral. Without friction there is no equilibrium between two counts, so there always is a limit cycle;
 //! where friction holds more than a count's force there is none (Abbott and Okamura 2005). How an encoder stands to the pose decides how
-//! large it is, so each wall is tried with several offsets of the counts, and the largest counts.
+//! large it is, so each wall is tried with several offsets of the counts, and the largest counts. The board's own step, with
+//! estimators that are not linear, is simulated in [`crate::bench::estimators`].
 
 use std::collections::VecDeque;
 
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::Description;
 use nalgebra::{DMatrix, DVector};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::flexible::Hand;
 use super::plant::{Lags, Linearised};
-use super::sampled::{AnalysisError, FeedForward, Loop, OpenLoop};
-use crate::cores;
+use super::sampled::{Loop, Mode, OpenLoop};
+use crate::error::Failure;
 use crate::sim::{Load, Plant};
+use crate::sweep::Sweep;
+use crate::vectors::padded;
 
 /// A light hand that is there where none is asked for; it presses with [`PUSH_N`].
 pub const LIGHT_HAND: Hand = Hand { mass: 0.05, damping: 3.0, stiffness: 200.0 };
@@ -42,7 +45,7 @@ const PER_DECADE: usize = 5;
 const CLOSE: f64 = 1.05;
 
 /// What a pressed wall does.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Ripple {
     /// N/m
     pub kp: f64,
@@ -123,7 +126,7 @@ impl Pressed<'_> {
     }
 
     /// What a wall does under the hand; `None` where a joint has no encoder.
-    pub fn ripple(&self, mode: FeedForward, kp: f64, kd: f64) -> Option<Ripple> {
+    pub fn ripple(&self, mode: Mode, kp: f64, kd: f64) -> Option<Ripple> {
         let steps = self.resolutions()?;
         let lost = Ripple { kp, kd, rms_n: None, peak_n: None, motion_m: None };
         let mut worst = Ripple { rms_n: Some(0.0), peak_n: Some(0.0), motion_m: Some(0.0), ..lost };
@@ -140,9 +143,9 @@ impl Pressed<'_> {
         Some(worst)
     }
 
-    /// The walls along `line` and where their ripple exceeds `bound_n`, on all cores; the same whoever is first. `None`
+    /// The walls along `line` and where their ripple exceeds `bound_n`. `None`
     /// where a joint has no encoder.
-    pub fn along(&self, mode: FeedForward, line: Line, bound_n: f64) -> Result<Option<Along>, AnalysisError> {
+    pub fn along(&self, mode: Mode, line: Line, bound_n: f64, sweep: &Sweep) -> Result<Option<Along>, Failure> {
         if self.resolutions().is_none() {
             return Ok(None);
         }
@@ -174,7 +177,8 @@ impl Pressed<'_> {
             .filter(|kp| *kp > 0.0)
             .collect();
         let wall = |kp: &f64| self.ripple(mode, *kp, damping(*kp));
-        let mut points: Vec<Ripple> = cores::map(&tried, &|_, _| {}, wall).into_iter().flatten().collect();
+        let stage = format!("ripple of walls, {mode:?}, {line:?}");
+        let mut points: Vec<Ripple> = sweep.map(&stage, &tried, |kp| Ok(wall(kp)))?.into_iter().flatten().collect();
         let over = points.iter().position(|point| !point.within(bound_n));
         let kp_from = over.map(|at| {
             let mut high = points[at].kp;
@@ -197,11 +201,11 @@ impl Pressed<'_> {
     }
 
     /// Simulates a wall: root mean square and peak of its force, N, and how far the tip moves, m. `None` where it flies off.
-    fn run(&self, steps: &[f64], mode: FeedForward, kp: f64, kd: f64, offset: f64) -> Option<[f64; 3]> {
+    fn run(&self, steps: &[f64], mode: Mode, kp: f64, kd: f64, offset: f64) -> Option<[f64; 3]> {
         let joints = steps.len();
         let mut held = self.description;
         held.handle_mass += self.hand.mass;
-        let q0: [f64; MAX_JOINTS] = core::array::from_fn(|i| self.q.get(i).copied().unwrap_or(0.0));
+        let q0: [f64; MAX_JOINTS] = padded(&self.q);
         let mut plant = Plant::new(&held, q0, true, [(f64::NEG_INFINITY, f64::INFINITY); 3]).ok()?;
         let (tip0, weight) = (plant.tip(), plant.gravity());
         let period = 1.0 / self.around.rate_hz;
@@ -221,7 +225,7 @@ impl Pressed<'_> {
         let surface = if kp > 0.0 { -self.push_n / kp } else { 0.0 };
         let (mut before, mut low, mut asked) =
             ((0..joints).map(|j| row[j] * angle(j, q0[j])).sum::<f64>(), 0.0, [0.0; 2]);
-        if let FeedForward::Washout(_) = mode {
+        if let Mode::Washout(_) = mode {
             low = self.push_n;
         }
         let whole = self.around.delay_samples.floor();
@@ -246,9 +250,9 @@ impl Pressed<'_> {
             }
             let force = (-kp * (surface + x) - kd * change[states] / period).max(0.0);
             asked = match mode {
-                FeedForward::Off => [force, 0.0],
-                FeedForward::Full => [0.0, force],
-                FeedForward::Washout(hz) => {
+                Mode::Off => [force, 0.0],
+                Mode::Full => [0.0, force],
+                Mode::Washout(hz) => {
                     let g = (std::f64::consts::PI * hz * period).tan();
                     let step = (force - low) * g / (1.0 + g);
                     let washed = force - (low + step);

@@ -7,6 +7,7 @@
 //! Every state is chosen so that its change over a sample is computed directly and not as a difference of near-equal
 //! numbers: the change of position is a state of its own, and filters are trapezoidal integrators.
 
+use haptic_bridge::render::scene::FeedForward;
 use nalgebra::{DMatrix, DVector};
 use thiserror::Error;
 
@@ -18,15 +19,27 @@ use super::spectrum::{exp_minus_identity, growth};
 /// Longest delay that can be analysed, in samples.
 pub const LONGEST_DELAY: f64 = 64.0;
 
-/// Which torque the wall force becomes.
+/// Which torque the wall force becomes: a wall's feed-forward with the numbers that it needs.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum FeedForward {
+pub enum Mode {
     /// τ = Jrᵀ fr.
     Off,
     /// Equation (4).
     Full,
     /// Equation (4) with the force behind fa high-passed at this frequency, Hz.
     Washout(f64),
+}
+
+impl Mode {
+    /// What a wall with this feed-forward and this corner of its washout (Hz) does.
+    #[must_use]
+    pub fn of(feed_forward: FeedForward, washout_hz: f64) -> Self {
+        match feed_forward {
+            FeedForward::Off => Self::Off,
+            FeedForward::Full => Self::Full,
+            FeedForward::Washout => Self::Washout(washout_hz),
+        }
+    }
 }
 
 /// Everything about the loop that is not the device.
@@ -236,7 +249,7 @@ impl Loop {
 
 impl OpenLoop {
     /// Puts the loop around the device.
-    pub fn new(device: &Linearised, around: &Loop, mode: FeedForward) -> Result<Self, AnalysisError> {
+    pub fn new(device: &Linearised, around: &Loop, mode: Mode) -> Result<Self, AnalysisError> {
         Self::believing(device, device, around, mode)
     }
 
@@ -246,10 +259,10 @@ impl OpenLoop {
         device: &Linearised,
         believed: &Linearised,
         around: &Loop,
-        mode: FeedForward,
+        mode: Mode,
     ) -> Result<Self, AnalysisError> {
         around.check()?;
-        if let FeedForward::Washout(hz) = mode {
+        if let Mode::Washout(hz) = mode {
             around.check_cutoff(hz)?;
         }
         let joints = device.row.len();
@@ -260,14 +273,14 @@ impl OpenLoop {
         }
         let w_eff = device.w_eff().ok_or(AnalysisError::Singular)?;
         let mass = match mode {
-            FeedForward::Off => w_eff,
+            Mode::Off => w_eff,
             _ => device.inertia_met().ok_or(AnalysisError::Singular)?,
         };
         if !(mass.is_finite() && mass > 0.0) {
             return Err(AnalysisError::Singular);
         }
         let sample_s = 1.0 / around.rate_hz;
-        let compensated = around.damping_compensation && mode != FeedForward::Off;
+        let compensated = around.damping_compensation && mode != Mode::Off;
         if compensated && !device.flexible.is_rigid() {
             return Err(AnalysisError::CompensatedFlexible);
         }
@@ -275,9 +288,9 @@ impl OpenLoop {
         // Torque directions, in metres: what one force unit of each input becomes.
         let shaped = believed.shaped_torque();
         let mut directions = match mode {
-            FeedForward::Off => vec![device.row.clone()],
-            FeedForward::Full => vec![shaped.clone()],
-            FeedForward::Washout(_) => vec![device.row.clone(), &shaped - &device.row],
+            Mode::Off => vec![device.row.clone()],
+            Mode::Full => vec![shaped.clone()],
+            Mode::Washout(_) => vec![device.row.clone(), &shaped - &device.row],
         };
         let walls = directions.len();
         let projected = &believed.mass * &believed.unit_motion / believed.w_rr();
@@ -336,7 +349,7 @@ fn damps(device: &Linearised, joint: usize, sample_s: f64) -> bool {
 fn assemble(
     device: &Linearised,
     around: &Loop,
-    mode: FeedForward,
+    mode: Mode,
     plant: &ContinuousPlant,
     walls: usize,
     mass: f64,
@@ -355,7 +368,7 @@ fn assemble(
     let joint_moved = filter + per_estimate;
     let joint_filter = joint_moved + plant.sensed.len();
     let washout = joint_filter + per_estimate * plant.sensed.len();
-    let queue = washout + usize::from(matches!(mode, FeedForward::Washout(_)));
+    let queue = washout + usize::from(matches!(mode, Mode::Washout(_)));
     let held = queue + whole * inputs;
     let acted = held + if fraction > 0.0 { inputs } else { 0 };
     let size = acted + if around.estimator.predicts() { inputs } else { 0 };
@@ -372,7 +385,7 @@ fn assemble(
     let velocity = loop_.estimate(&estimator, filter, &Signal::of_state(size, moved), &pushed(0));
     let force = Signal { state: DVector::zeros(size), force: 1.0 };
     let mut asked = vec![force.clone()];
-    if let FeedForward::Washout(hz) = mode {
+    if let Mode::Washout(hz) = mode {
         let (low, step) = one_pole(hz, around.rate_hz, &force, &Signal::of_state(size, washout));
         loop_.change(washout, &step);
         asked.push(force.plus(-1.0, &low));
@@ -534,7 +547,7 @@ type Constant = (Vec<f64>, f64, Vec<f64>, f64);
 fn drifting(
     device: &Linearised,
     around: &Loop,
-    mode: FeedForward,
+    mode: Mode,
     plant: &ContinuousPlant,
     mass: f64,
     states: impl Fn(&[Constant]) -> DMatrix<f64>,
@@ -552,7 +565,7 @@ fn drifting(
     if !plant.has_share {
         conditions.push(DVector::from_fn(d, |i, _| device.row[plant.damped[i]]));
     }
-    if matches!(mode, FeedForward::Washout(_)) {
+    if matches!(mode, Mode::Washout(_)) {
         conditions.push(pull.clone());
     }
     let (basis, pivot) = null_space(d, &conditions);
@@ -571,7 +584,7 @@ fn drifting(
                     at.map_or(0.0, |i| v[i] * device.viscous[*j] * t / mass)
                 })
                 .collect();
-            let force = if mode == FeedForward::Full { pull.dot(v) } else { 0.0 };
+            let force = if mode == Mode::Full { pull.dot(v) } else { 0.0 };
             (v.iter().copied().collect(), share, torque, force)
         })
         .collect();

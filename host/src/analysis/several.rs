@@ -21,7 +21,7 @@ use haptic_bridge::with_mechanism;
 use super::boundary::{Interval, SMALLEST_STIFFNESS};
 use super::plant::{Drive, Lags};
 use super::pose::{PoseError, TaskPose, unit_normal};
-use super::sampled::{AnalysisError, FeedForward, Loop};
+use super::sampled::{AnalysisError, Loop, Mode};
 use super::spectrum::{exp_minus_identity, growth};
 
 /// One wall of a set that acts together.
@@ -209,13 +209,13 @@ const FARTHEST: f64 = 40.0;
 
 impl Loops {
     /// Puts the loops around the device.
-    pub fn new(set: &WallSet, around: &Loop, mode: FeedForward) -> Result<Self, AnalysisError> {
+    pub fn new(set: &WallSet, around: &Loop, mode: Mode) -> Result<Self, AnalysisError> {
         around.check()?;
-        if let FeedForward::Washout(hz) = mode {
+        if let Mode::Washout(hz) = mode {
             around.check_cutoff(hz)?;
         }
         let (directions, joints) = set.rows.shape();
-        let mass = set.met(mode != FeedForward::Off).ok_or(AnalysisError::Singular)?;
+        let mass = set.met(mode != Mode::Off).ok_or(AnalysisError::Singular)?;
         let inverse = set.mass.clone().cholesky().ok_or(AnalysisError::Singular)?.inverse();
         let t = 1.0 / around.rate_hz;
         if matches!(&around.drive, Drive::Voltage(motors) if motors.len() != joints) {
@@ -226,7 +226,7 @@ impl Loops {
 
         // Continuous plant per sample: joint velocities (rad per sample), lagging torques, positions (m); then, where
         // their damping is compensated, how far the joints turn, which nothing else depends on.
-        let compensated = around.damping_compensation && mode != FeedForward::Off;
+        let compensated = around.damping_compensation && mode != Mode::Off;
         let sensed = if compensated { joints } else { 0 };
         let (torques, positions) = (joints, joints + lagging.len());
         let plant = positions + directions;
@@ -280,7 +280,7 @@ impl Loops {
         let moved = plant;
         let filters = moved + directions + sensed;
         let washout = filters + per * (directions + sensed);
-        let queue = washout + if matches!(mode, FeedForward::Washout(_)) { directions } else { 0 };
+        let queue = washout + if matches!(mode, Mode::Washout(_)) { directions } else { 0 };
         let held = queue + whole * joints;
         let acted = held + if fraction > 0.0 { joints } else { 0 };
         let size = acted + if around.estimator.predicts() { joints } else { 0 };
@@ -289,9 +289,9 @@ impl Loops {
         let change = |s: &DVector<f64>, force: &DVector<f64>| {
             let mut change = DVector::zeros(size);
             let mut command = match mode {
-                FeedForward::Off => set.rows.tr_mul(force),
-                FeedForward::Full => &set.shaped * force,
-                FeedForward::Washout(hz) => {
+                Mode::Off => set.rows.tr_mul(force),
+                Mode::Full => &set.shaped * force,
+                Mode::Washout(hz) => {
                     let g = (std::f64::consts::PI * hz * t).tan();
                     let mut high = force.clone();
                     for k in 0..directions {

@@ -3,18 +3,20 @@
 //! What an effect takes is 1 - (limit with everything)/(limit without it): negative where it helps, as a hand does.
 //! Effects do not add up: two lags that each take half leave a quarter or nothing.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::flexible::Hand;
 use super::plant::{Drive, Linearised};
 use super::range::{Domain, domain};
-use super::sampled::{AnalysisError, Estimator, FeedForward, LONGEST_DELAY, LONGEST_DIFFERENCE, Loop};
+use super::sampled::{AnalysisError, Estimator, LONGEST_DELAY, LONGEST_DIFFERENCE, Loop, Mode};
+use crate::error::Failure;
+use crate::sweep::Sweep;
 
 /// How much faster a loop is that stands for one without sampling.
 pub const FASTER: usize = 10;
 
 /// What a boundary comes to.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Limits {
     /// Largest stiffness of all dampings, N/m.
     pub kp_max: f64,
@@ -130,16 +132,15 @@ fn cases(device: &Linearised, around: &Loop) -> Vec<(&'static str, &'static str,
     cases
 }
 
-/// What each effect takes from the boundary of `device` in `around`, on all cores; the order is always the same.
-/// `progress` hears of every loop that is done, of how many.
-pub fn why(device: &Linearised, around: &Loop, progress: &(dyn Fn(usize, usize) + Sync)) -> Result<Why, AnalysisError> {
+/// What each effect takes from the boundary of `device` in `around`; the order is always the same.
+pub fn why(device: &Linearised, around: &Loop, sweep: &Sweep) -> Result<Why, Failure> {
     let mut all = vec![("", "", (device.clone(), around.clone()))];
     all.extend(cases(device, around));
-    let jobs: Vec<(&Case, FeedForward)> =
-        all.iter().flat_map(|(_, _, case)| [FeedForward::Off, FeedForward::Full].map(|mode| (case, mode))).collect();
-    let found =
-        crate::cores::map(&jobs, progress, |((device, around), mode)| Limits::of(domain(device, around, *mode, None)));
-    let found = found.into_iter().collect::<Result<Vec<Option<Limits>>, AnalysisError>>()?;
+    let jobs: Vec<(&Case, Mode)> =
+        all.iter().flat_map(|(_, _, case)| [Mode::Off, Mode::Full].map(|mode| (case, mode))).collect();
+    let found = sweep.map("loops without one effect", &jobs, |((device, around), mode)| {
+        Ok(Limits::of(domain(device, around, *mode, None))?)
+    })?;
     let both = |at: usize| Both { off: found[2 * at], full: found[2 * at + 1] };
     let limits = both(0);
     let share = |with: Option<Limits>, without: Option<Limits>, of: fn(&Limits) -> f64| {

@@ -7,7 +7,6 @@
 use crate::bench::precompute::Precomputed;
 use crate::bench::probe::Probe;
 use crate::error::Failure;
-use crate::precision::rounded;
 use haptic_bridge::math::{Libm, Math, Micromath, Minimax, Real};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::device::{Device, Motor};
@@ -192,7 +191,7 @@ macro_rules! define {
             trigonometry: Trigonometry,
             law: Law,
         ) -> Result<Found, Failure> {
-            let board = rounded(&device.mechanism)?;
+            let board = device.mechanism.cast::<f32>();
             Ok(match (&device.mechanism, &board) {
                 $((AnyMechanism::$Variant(exact), AnyMechanism::$Variant(board)) => match trigonometry {
                     Trigonometry::Minimax => compare::<Minimax, _, _, $n>(device, exact, board, probes, model, terms, law),
@@ -212,7 +211,7 @@ macro_rules! define {
             trigonometry: Trigonometry,
             law: Law,
         ) -> Result<Parts, Failure> {
-            let board = rounded(&device.mechanism)?;
+            let board = device.mechanism.cast::<f32>();
             Ok(match (&device.mechanism, &board) {
                 $((AnyMechanism::$Variant(exact), AnyMechanism::$Variant(board)) => match trigonometry {
                     Trigonometry::Minimax => parts_of::<Minimax, _, _, $n>(exact, board, probes, model, terms, law),

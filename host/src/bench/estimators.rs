@@ -3,17 +3,21 @@
 //!
 //! The controller is the board's own, in its precision; the device moves by its full equations with friction, torque
 //! follows half a carrier period late, and nothing limits it: motors and their limits are the same for every estimator.
+//! [`mod@crate::tune`] asks here as well. [`crate::analysis::ripple`] is another simulation because it has the loop of a
+//! prediction, with any drive, delay and linear estimator, where this one has the board's own step; tests/ripple.rs holds both
+//! to each other.
 
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
 use crate::analysis::range::stiffness_at;
-use crate::analysis::sampled::{Estimator as Linear, FeedForward as Mode, Loop};
-use crate::continued::{self, Continued};
-use crate::device_file::{DeviceFile, padded};
+use crate::analysis::sampled::{Estimator as Linear, Loop, Mode};
+use crate::device_file::DeviceFile;
 use crate::error::Failure;
 use crate::measure::complement;
 use crate::plausible::scene::usual_delay;
 use crate::sim::{EncoderModel, Load, Plant};
+use crate::sweep::Sweep;
+use crate::vectors::{padded, padded_to};
 use haptic_bridge::math::Minimax;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
@@ -69,10 +73,8 @@ pub struct Row {
     /// Its word in scene files.
     pub estimator: String,
     /// Its own value, where it takes one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub value: Option<u32>,
     /// Its cutoff, Hz, where it has one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cutoff_hz: Option<f64>,
     /// ∫ largest quiet stiffness over damping, N²s/m²: simulated, with encoder steps and friction. Sought up to 1e7 N/m and
     /// to five times the damping that is predicted stable with the Butterworth; beyond, the area is at least this.
@@ -239,34 +241,15 @@ fn around(rate_hz: f64, cutoff_hz: f64) -> Loop {
 }
 
 /// Compares every estimator. Those with at least the Butterworth's area come first, by their ripple; the others follow
-/// by area. The same in any order of work: nothing is random. `progress` hears how many are done; it can be `continued`.
-pub fn compare(
-    comparison: &Comparison<'_>,
-    continued: Option<&Continued<'_>>,
-    progress: &(dyn Fn(usize, usize) + Sync),
-) -> Result<Vec<Row>, Failure> {
+/// by area. The same in any order of work: nothing is random.
+pub fn compare(comparison: &Comparison<'_>, sweep: &Sweep) -> Result<Vec<Row>, Failure> {
     let device = comparison.file.device().map_err(Failure::wrong)?;
     let linearised = Linearised::of(&device, comparison.q, comparison.normal, Admissible::default())?;
     let around = around(comparison.rate_hz, comparison.cutoff_hz);
     let (_, damping) = stiffness_at(&linearised, &around, Mode::Off, 0.0)?;
     let bench = Bench::new(comparison, device)?;
-    let candidates = candidates(comparison.cutoff_hz);
-    // A row that cannot be is none that a file keeps: the sweep ends there.
-    let failed = std::sync::OnceLock::new();
-    let rows = continued::map(&candidates, continued, progress, |candidate| match bench.row(candidate, damping) {
-        Ok(row) => Some(row),
-        Err(failure) => {
-            let _ = failed.set(failure);
-            None
-        }
-    })?;
-    if let Some(failure) = failed.into_inner() {
-        return Err(failure);
-    }
-    let rows: Option<Vec<Row>> = rows.into_iter().collect();
-    let mut rows = rows.ok_or_else(|| {
-        Failure::impossible("a sweep that ended in an error was continued").remedy("delete its file and begin anew")
-    })?;
+    let mut rows =
+        sweep.map("estimators", &candidates(comparison.cutoff_hz), |candidate| bench.row(candidate, damping))?;
     let enough = rows.iter().find(|row| row.estimator == "butterworth").map_or(0.0, |row| row.area);
     rows.sort_by(|a, b| {
         let first = |row: &Row| row.area >= enough && row.holds;
@@ -335,8 +318,7 @@ impl<'a> Bench<'a> {
             Device::<f32>::new("compared", &Description { home: None, ..*description }).map_err(Failure::wrong)?;
         let plant = Plant::new(description, padded(comparison.q), true, [(f64::NEG_INFINITY, f64::INFINITY); 3])
             .map_err(Failure::wrong)?;
-        let along = |i: usize| comparison.normal.get(i).copied().unwrap_or(0.0);
-        let row = pose.jacobian.tr_mul(&nalgebra::DVector::from_fn(pose.jacobian.nrows(), |i, _| along(i)));
+        let row = pose.jacobian.tr_mul(&padded_to(pose.jacobian.nrows(), comparison.normal));
         let per_count = row.iter().zip(&encoders).map(|(lever, encoder)| (lever * encoder.resolution()).abs());
         let count = per_count.fold(0.0, f64::max);
         let normal = nalgebra::DVector::from_column_slice(comparison.normal);

@@ -4,7 +4,7 @@
 use crate::analysis::map::Reachable;
 use crate::analysis::pose::PoseError;
 use crate::bench::error::strongest;
-use crate::device_file::padded;
+use crate::vectors::padded;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::device::Device;

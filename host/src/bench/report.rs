@@ -10,7 +10,6 @@ use crate::plan::HAND_SPEED;
 use crate::plot::Picture;
 use crate::plot::axes::{Axis, Frame, Mark};
 use crate::plot::canvas::{Anchor, Canvas, Stroke};
-use crate::precision::rounded;
 use haptic_bridge::math::{Libm, Math, Micromath, Minimax};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::device::Device;
@@ -161,7 +160,7 @@ macro_rules! define {
             trigonometry: Trigonometry,
             law: Law,
         ) -> Result<f64, Failure> {
-            Ok(match rounded(&device.mechanism)? {
+            Ok(match device.mechanism.cast::<f32>() {
                 $(AnyMechanism::$Variant(m) => match trigonometry {
                     Trigonometry::Minimax => time::<Minimax, _, $n>(&m, probes, model, terms, law),
                     Trigonometry::Micromath => time::<Micromath, _, $n>(&m, probes, model, terms, law),

@@ -1,5 +1,6 @@
 //! `haptic design`: where, in which direction and with which links and posture a device renders walls best.
 
+use super::continued::Continue;
 use super::force::Force;
 use crate::cli::{self, Numbers};
 use haptic::analysis::pose::TaskPose;
@@ -10,9 +11,7 @@ use haptic::design::sensitivity::{Buys, CHANGE, Effect, Sensitivity, buys_most, 
 use haptic::design::stiffness_per_kilogram;
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
-use haptic::interrupt;
 use haptic::plot::coupling::draw;
-use haptic::sweep::Sweep;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::{MAX_RATE_HZ, MIN_RATE_HZ};
 use serde::Serialize;
@@ -54,9 +53,8 @@ pub struct Args {
     /// What a redundant device holds: orientation, joint-0, joint-1, joint-2 or consistent
     #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = cli::admissible)]
     admissible: Admissible,
-    /// Keep what was looked at in this file until the answer is there, and go on from it
-    #[arg(long, value_name = "FILE")]
-    progress: Option<PathBuf>,
+    #[command(flatten)]
+    continued: Continue,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -114,13 +112,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let directions = directions(description, &q, args.admissible)?;
     let normal = asked.clone().unwrap_or_else(|| directions.feed_forward_buys_most.normal.clone());
     let question = format!(
-        "design {} {description:?} {asked:?} {} {} {} {:?}",
+        "{} {description:?} {asked:?} {} {} {} {:?}",
         file.name, args.patch, args.clear, args.points, args.admissible
     );
-    let sweep = Sweep::new(&question, args.progress.as_deref(), Some(interrupt::watch()))?;
+    let sweep = args.continued.sweep("design", &question)?;
     let places =
         places(description, asked.as_deref(), args.patch, args.clear, args.points as usize, args.admissible, &sweep)?;
-    sweep.finish();
     let sensitivities = sensitivities(description, &q, &normal, args.admissible)?;
     let pose = TaskPose::at(description, &q)?.regular()?.holding(args.admissible);
     let unit = haptic::analysis::pose::unit_normal(&normal, spec.task, spec.joints)?;
@@ -157,9 +154,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
         args.png.as_deref().map(|path| picture.save_png(path)).transpose()?;
     }
     if args.json {
-        return print(&(serde_json::to_string(&document).map_err(Failure::impossible)? + "\n"));
+        print(&(serde_json::to_string(&document).map_err(Failure::impossible)? + "\n"))?;
+    } else {
+        print(&readable(&document, asked.is_some(), &args))?;
     }
-    print(&readable(&document, asked.is_some(), &args))
+    sweep.finish();
+    Ok(())
 }
 
 fn list(values: &[f64]) -> String {

@@ -1,6 +1,7 @@
 //! `haptic estimators`: which velocity estimator suits a device, by simulation with its encoder steps.
 
-use crate::cli::{self, Numbers};
+use super::continued::Continue;
+use crate::cli::Numbers;
 use haptic::bench::estimators::{Comparison, Row, compare, telling_wall};
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
@@ -34,9 +35,8 @@ pub struct Args {
     /// predicted stable with the Butterworth]
     #[arg(long, value_name = "KP,KD")]
     wall: Option<Numbers>,
-    /// Keep what is done in this file, and go on from it; Ctrl-C then ends in order
-    #[arg(long = "continue", value_name = "FILE")]
-    continued: Option<PathBuf>,
+    #[command(flatten)]
+    continued: Continue,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -73,18 +73,20 @@ pub fn run(args: Args) -> Result<(), Failure> {
         None => telling_wall(&file.device().map_err(Failure::wrong)?, &q, &normal, args.rate, cutoff)?,
     };
     let comparison = Comparison { file: &file, q: &q, normal: &normal, rate_hz: args.rate, cutoff_hz: cutoff, wall };
-    let sweep = format!("estimators {:?} {q:?} {normal:?} {} {cutoff} {wall:?}", file.description, args.rate);
-    let rows = cli::long(args.continued.as_deref(), &sweep, "estimators", |continued, progress| {
-        compare(&comparison, continued, progress)
-    })?;
+    let question = format!("{:?} {q:?} {normal:?} {} {cutoff} {wall:?}", file.description, args.rate);
+    let sweep = args.continued.sweep("estimators", &question)?;
+    let rows = compare(&comparison, &sweep)?;
     if args.json {
         let document = json!({
             "device": file.name, "q": q, "normal": normal, "rate_hz": args.rate, "cutoff_hz": cutoff,
             "wall": { "stiffness": wall.0, "damping": wall.1 }, "estimators": rows,
         });
-        return print(&format!("{document}\n"));
+        print(&format!("{document}\n"))?;
+    } else {
+        print(&readable(&comparison, &rows))?;
     }
-    print(&readable(&comparison, &rows))
+    sweep.finish();
+    Ok(())
 }
 
 fn readable(comparison: &Comparison<'_>, rows: &[Row]) -> String {

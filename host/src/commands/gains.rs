@@ -1,12 +1,11 @@
 //! `haptic gains`: shows or changes stiffness, damping, feed-forward and cutoff, also while a wall is touched.
 
 use super::port::{Port, answer, counted, feed_forward_in_words, short};
-use clap::ValueEnum;
+use crate::cli;
 use haptic::error::Failure;
 use haptic::link::{Board, BoardError};
 use haptic::plausible::scene::{at, beyond};
 use haptic::plausible::{Doubt, Warning, warn};
-use haptic::precision::{widened, widened_scene};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::{FeedForward, Scene, VelocityTerms};
 use haptic_bridge::render::velocity::Estimator;
@@ -33,24 +32,14 @@ pub struct Args {
     #[arg(long, value_name = "N S/M", value_parser = gain, allow_hyphen_values = true)]
     damping: Option<f32>,
     /// Feed-forward of the wall's force
-    #[arg(long, value_name = "KIND")]
-    feed_forward: Option<FeedForwardKind>,
+    #[arg(long, value_name = "KIND", value_parser = cli::feed_forward())]
+    feed_forward: Option<FeedForward>,
     /// Corner of the washout in Hz
     #[arg(long, value_name = "HZ", value_parser = gain, allow_hyphen_values = true)]
     washout: Option<f32>,
     /// Cutoff of the velocity filters of all walls in Hz
     #[arg(long, value_name = "HZ", value_parser = gain, allow_hyphen_values = true)]
     cutoff: Option<f32>,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum FeedForwardKind {
-    /// None
-    Off,
-    /// The paper's equation (4)
-    Full,
-    /// The same, gone at rest, so that a resting hand is not pushed sideways
-    Washout,
 }
 
 fn gain(text: &str) -> Result<f32, String> {
@@ -66,7 +55,7 @@ fn doubts(board: &mut Board, scene: &Scene<f32>, index: usize) -> Result<Vec<War
     let (Some(device), status, details) = (board.device()?, board.status()?, board.details()?) else {
         return Ok(Vec::new());
     };
-    let (device, scene) = (widened(&device)?, widened_scene(scene)?);
+    let (device, scene) = (device.cast::<f64>(), scene.cast::<f64>());
     let q = match device.home {
         Some(home) if !status.homed => home,
         _ => status.q.map(f64::from),
@@ -89,12 +78,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         wall: args.wall,
         stiffness: args.stiffness.unwrap_or(wall.stiffness),
         damping: args.damping.unwrap_or(wall.damping),
-        feed_forward: match args.feed_forward {
-            None => wall.feed_forward,
-            Some(FeedForwardKind::Off) => FeedForward::Off,
-            Some(FeedForwardKind::Full) => FeedForward::Full,
-            Some(FeedForwardKind::Washout) => FeedForward::Washout,
-        },
+        feed_forward: args.feed_forward.unwrap_or(wall.feed_forward),
         washout_hz: args.washout.unwrap_or(wall.washout_hz),
     };
     let named =

@@ -1,8 +1,9 @@
 //! `haptic map`: how the inertia that a wall meets varies over the workspace, and where the feed-forward pays.
 
+use super::continued::Continue;
 use super::force::Force;
 use crate::cli::{self, Numbers};
-use haptic::analysis::map::{MapPoint, map_continued};
+use haptic::analysis::map::{MapPoint, map_swept};
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::plot::map::draw;
@@ -30,9 +31,8 @@ pub struct Args {
     /// What a redundant device holds: orientation, joint-0, joint-1, joint-2 or consistent
     #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = cli::admissible)]
     admissible: Admissible,
-    /// Keep what is done in this file, and go on from it; Ctrl-C then ends in order
-    #[arg(long = "continue", value_name = "FILE")]
-    continued: Option<PathBuf>,
+    #[command(flatten)]
+    continued: Continue,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -58,10 +58,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let file = DeviceFile::load(&args.device)?;
     let normal = args.normal.unit(file.spec().task, "--normal")?;
     let pictured = args.svg.is_some() || args.png.is_some();
-    let sweep = format!("map {:?} {normal:?} {} {:?}", file.description, args.points, args.admissible);
-    let points = cli::long(args.continued.as_deref(), &sweep, "pieces", |continued, progress| {
-        map_continued(&file.description, &normal, args.points as usize, args.admissible, continued, progress)
-    })?;
+    let question = format!("{:?} {normal:?} {} {:?}", file.description, args.points, args.admissible);
+    let sweep = args.continued.sweep("map", &question)?;
+    let points = map_swept(&file.description, &normal, args.points as usize, args.admissible, &sweep)?;
     if points.is_empty() {
         return Err(Failure::impossible("no pose of this grid is regular").remedy("ask for more --points"));
     }
@@ -72,9 +71,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     if args.json {
         let json = serde_json::to_string(&Document { points }).map_err(Failure::impossible)?;
-        return print(&(json + "\n"));
+        print(&(json + "\n"))?;
+    } else {
+        print(&readable(&file.name, &points))?;
     }
-    print(&readable(&file.name, &points))
+    sweep.finish();
+    Ok(())
 }
 
 fn readable(name: &str, points: &[MapPoint]) -> String {

@@ -5,8 +5,9 @@ mod report;
 
 use super::force::Force;
 use super::port::Port;
-use crate::cli::Numbers;
+use crate::cli::{self, Numbers};
 use clap::ValueEnum;
+use clap::builder::TypedValueParser;
 use haptic::analysis::several::{Member, WallSet};
 use haptic::device_file::DeviceFile;
 use haptic::error::Failure;
@@ -14,11 +15,13 @@ use haptic::interrupt;
 use haptic::link::{Board, PortSpec};
 use haptic::measure::before::Before;
 use haptic::measure::campaign::{self, Plan};
-use haptic::measure::progress::{Mode, Progress, ProgressError};
+use haptic::measure::progress::{Progress, ProgressError};
 use haptic::measure::simulated::{Friction, World};
 use haptic::measure::{Bench, Law, MeasureError, Setup, most_tested, rules_for};
+use haptic::vectors::padded;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::device::Device;
+use haptic_bridge::render::scene::FeedForward;
 use meter::Meter;
 use report::{Report, Theory};
 use std::io::{IsTerminal, Write as _};
@@ -66,8 +69,8 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=100))]
     repeats: u16,
     /// Feed-forward to measure with
-    #[arg(long, value_name = "KIND", default_value = "both")]
-    feed_forward: Kinds,
+    #[arg(long, value_name = "KIND", default_value = "both", value_parser = kinds())]
+    feed_forward: &'static [FeedForward],
     /// Corner of the washout in Hz, for --feed-forward washout
     #[arg(long, value_name = "HZ", default_value_t = 2.0)]
     washout: f64,
@@ -120,21 +123,6 @@ pub struct Args {
     force: Force,
 }
 
-/// Which feed-forward.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Kinds {
-    /// Without, then with equation (4)
-    Both,
-    /// Without, with equation (4), and with it behind a washout
-    All,
-    /// Without
-    Off,
-    /// With equation (4)
-    Full,
-    /// With equation (4) behind a washout
-    Washout,
-}
-
 /// Which friction is simulated.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum FrictionKind {
@@ -144,16 +132,17 @@ enum FrictionKind {
     None,
 }
 
-impl Kinds {
-    fn modes(self) -> Vec<Mode> {
-        match self {
-            Kinds::Both => vec![Mode::Off, Mode::Full],
-            Kinds::All => vec![Mode::Off, Mode::Full, Mode::Washout],
-            Kinds::Off => vec![Mode::Off],
-            Kinds::Full => vec![Mode::Full],
-            Kinds::Washout => vec![Mode::Washout],
-        }
-    }
+/// Which feed-forwards are measured, one after the other.
+fn kinds() -> impl TypedValueParser<Value = &'static [FeedForward]> {
+    let one = |alone: &'static [FeedForward; 1]| (alone[0].name(), cli::what(alone[0]), &alone[..]);
+    let all = &[FeedForward::Off, FeedForward::Full, FeedForward::Washout];
+    cli::one_of([
+        ("both", "Without, then with equation (4)", &all[..2]),
+        ("all", "Without, with equation (4), and with it behind a washout", &all[..]),
+        one(&[FeedForward::Off]),
+        one(&[FeedForward::Full]),
+        one(&[FeedForward::Washout]),
+    ])
 }
 
 /// Measures, prints and draws.
@@ -341,7 +330,7 @@ fn plan(args: &Args) -> Result<Plan, Failure> {
         }
         kd => kd.map(|kd| kd.0),
     };
-    Ok(Plan { modes: args.feed_forward.modes(), kd, points: args.points.into(), repeats: args.repeats.into() })
+    Ok(Plan { modes: args.feed_forward.to_vec(), kd, points: args.points.into(), repeats: args.repeats.into() })
 }
 
 /// The walls that are measured together, each with its part.
@@ -372,7 +361,7 @@ fn world(args: &Args, file: &DeviceFile, walls: &[Member]) -> Result<World, Fail
         Some(q) => {
             let q = q.clone().exactly(file.spec().joints, "--q", "joint angles")?;
             WallSet::at(&file.description, &q, walls, Admissible::default())?;
-            Some(core::array::from_fn(|i| q.get(i).copied().unwrap_or(0.0)))
+            Some(padded(&q))
         }
         None => None,
     };

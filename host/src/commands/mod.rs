@@ -6,6 +6,7 @@ mod bench;
 mod check;
 mod clear;
 mod completions;
+mod continued;
 mod demo;
 mod design;
 mod device;
@@ -117,5 +118,51 @@ commands! {
     }
     "Shell" {
         (Completions, completions)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    /// What stands in a command's file.
+    mod greet {
+        use haptic::error::Failure;
+
+        /// Greet somebody
+        #[derive(clap::Args)]
+        pub struct Args {
+            /// Whom
+            name: String,
+        }
+
+        pub fn run(args: Args) -> Result<(), Failure> {
+            Err(Failure::wrong(format!("hello {}", args.name)))
+        }
+    }
+
+    mod list {
+        use super::greet;
+        use haptic::error::Failure;
+
+        commands! {
+            "For people" {
+                (Greet, greet)
+            }
+        }
+    }
+
+    #[derive(clap::Parser)]
+    struct Toy {
+        #[command(subcommand)]
+        command: list::Command,
+    }
+
+    #[test]
+    fn a_toy_command_is_a_file_and_a_line() {
+        use clap::{CommandFactory, Parser};
+        assert_eq!(list::HEADINGS, [("For people", &["greet"][..])]);
+        let help = Toy::command().render_help().to_string();
+        assert!(help.contains("greet") && help.contains("Greet somebody"), "{help}");
+        let toy = Toy::parse_from(["haptic", "greet", "Colgate"]);
+        assert_eq!(list::run(toy.command).unwrap_err().to_string(), "hello Colgate");
     }
 }

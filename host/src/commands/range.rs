@@ -1,5 +1,6 @@
 //! `haptic range`: which walls stay stable on a device, predicted, without and with the feed-forward.
 
+use super::continued::Continue;
 use super::force::Force;
 use super::port::counted;
 use crate::cli::{self, Numbers};
@@ -11,7 +12,7 @@ use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::pose::motors;
 use haptic::analysis::range::{Domain, Range, WORTHWHILE_RATIO, predict, predict_several};
 use haptic::analysis::ripple::{Along, LIGHT_HAND, Line, PUSH_N, Pressed, Ripple};
-use haptic::analysis::sampled::{AnalysisError, Estimator, FeedForward, Loop};
+use haptic::analysis::sampled::{AnalysisError, Estimator, Loop, Mode};
 use haptic::analysis::several::{Member, WallSet};
 use haptic::analysis::why::{Both, Limits, Why, why};
 use haptic::device_file::DeviceFile;
@@ -19,11 +20,11 @@ use haptic::error::{Failure, print};
 use haptic::plausible::scene::usual_delay;
 use haptic::plausible::{Doubt, Warned, angles, warn};
 use haptic::plot::range::{Contents, draw};
+use haptic::sweep::Sweep;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::render::scene::{MAX_RATE_HZ, MIN_RATE_HZ};
 use std::fmt::Write;
-use std::io::IsTerminal;
 use std::path::PathBuf;
 
 /// Predict which stiffness and damping a wall can have before it oscillates
@@ -116,6 +117,8 @@ pub struct Args {
     /// Damping of the walls of --ripple, as a share of the critical damping of the inertia they meet
     #[arg(long, value_name = "RATIO", default_value_t = 0.7)]
     damping_ratio: f64,
+    #[command(flatten)]
+    continued: Continue,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -264,8 +267,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let range = analyse(args.kd.as_ref().map(|kd| kd.0.as_slice()))?;
     warnings.extend(costly(&range).map(|text| Doubt { key: None, text }.typed()));
     warn(&warnings);
-    let why = if args.why { Some(explained(&args, &file, &q, &normals, &around)?) } else { None };
-    let steps = stepped(&args, &file, &q, &normals, &around)?;
+    let asked = (&args.ripple, &args.kd, args.washout, args.damping_ratio, &args.hand);
+    let device = (file.description, args.undamped, args.feed_forward_gain, args.admissible);
+    let question = format!("{device:?} {q:?} {normals:?} {around:?} {asked:?}");
+    let sweep = args.continued.sweep("range", &question)?;
+    let why = if args.why { Some(explained(&args, &file, &q, &normals, &around, &sweep)?) } else { None };
+    let steps = stepped(&args, &file, &q, &normals, &around, &sweep)?;
     let pictures = args.svg.is_some() || args.png.is_some();
     if let Some(why) = why.as_ref().filter(|_| pictures) {
         let title = format!("{}: what each effect takes from the stiffest wall", file.name);
@@ -291,11 +298,14 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let result = Explained { range: &range, why: why.as_ref(), ripple: steps.as_ref() };
         let json =
             serde_json::to_string(&Warned { result: &result, warnings: &warnings }).map_err(Failure::impossible)?;
-        return print(&(json + "\n"));
+        print(&(json + "\n"))?;
+    } else {
+        print(&readable(&file.name, &args, &q, &normals, &range, passivity.as_ref(), &file.description))?;
+        why.map_or(Ok(()), |why| print(&in_words(&why)))?;
+        steps.map_or(Ok(()), |steps| print(&steps.in_words()))?;
     }
-    print(&readable(&file.name, &args, &q, &normals, &range, passivity.as_ref(), &file.description))?;
-    why.map_or(Ok(()), |why| print(&in_words(&why)))?;
-    steps.map_or(Ok(()), |steps| print(&steps.in_words()))
+    sweep.finish();
+    Ok(())
 }
 
 /// What encoder steps make of pressed walls.
@@ -343,6 +353,7 @@ fn stepped(
     q: &[f64],
     normals: &[Vec<f64>],
     around: &Loop,
+    sweep: &Sweep,
 ) -> Result<Option<Steps>, Failure> {
     if args.ripple.is_none() && args.wall.is_none() {
         return Ok(None);
@@ -372,7 +383,7 @@ fn stepped(
             .remedy("ripple is what encoder steps make: add them")
     };
     let count_m = pressed.count_m().ok_or_else(unseen)?;
-    let washout = args.washout.map(FeedForward::Washout);
+    let washout = args.washout.map(Mode::Washout);
     let mut lines = Vec::new();
     if let Some(bound) = args.ripple {
         let bound_n = positive(bound, "--ripple")?;
@@ -382,7 +393,7 @@ fn stepped(
             None => vec![Line::Ratio(ratio)],
         };
         for line in dampings {
-            let along = |mode| pressed.along(mode, line, bound_n)?.ok_or_else(unseen);
+            let along = |mode| pressed.along(mode, line, bound_n, sweep)?.ok_or_else(unseen);
             let (damping_ratio, kd) = match line {
                 Line::Ratio(ratio) => (Some(ratio), None),
                 Line::Damping(kd) => (None, Some(kd)),
@@ -391,8 +402,8 @@ fn stepped(
                 bound_n,
                 damping_ratio,
                 kd,
-                off: along(FeedForward::Off)?,
-                full: along(FeedForward::Full)?,
+                off: along(Mode::Off)?,
+                full: along(Mode::Full)?,
                 washout: washout.map(along).transpose()?,
             });
         }
@@ -408,8 +419,8 @@ fn stepped(
             let of = |mode| pressed.ripple(mode, wall[0], wall[1]).ok_or_else(unseen);
             Some(StepsOfWall {
                 step_n: pressed.step_n(wall[0], wall[1]).ok_or_else(unseen)?,
-                off: of(FeedForward::Off)?,
-                full: of(FeedForward::Full)?,
+                off: of(Mode::Off)?,
+                full: of(Mode::Full)?,
                 washout: washout.map(of).transpose()?,
             })
         }
@@ -486,19 +497,19 @@ struct Explained<'a> {
 }
 
 /// What each effect takes, of the one wall that there is.
-fn explained(args: &Args, file: &DeviceFile, q: &[f64], normals: &[Vec<f64>], around: &Loop) -> Result<Why, Failure> {
+fn explained(
+    args: &Args,
+    file: &DeviceFile,
+    q: &[f64],
+    normals: &[Vec<f64>],
+    around: &Loop,
+    sweep: &Sweep,
+) -> Result<Why, Failure> {
     let [normal] = normals else {
         let reason = "--why with several --normal";
         return Err(Failure::wrong(reason).remedy("ask why of one wall at a time"));
     };
-    let device = seen(args, file, q, normal)?;
-    let watched = std::io::stderr().is_terminal();
-    let progress = |done: usize, of: usize| {
-        if watched {
-            haptic::error::say(format_args!("\r{done} of {of} loops{}", if done == of { "\n" } else { "" }));
-        }
-    };
-    Ok(why(&device, around, &progress)?)
+    why(&seen(args, file, q, normal)?, around, sweep)
 }
 
 /// The device as one wall sees it.

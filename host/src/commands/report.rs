@@ -1,15 +1,14 @@
 //! `haptic report`: everything about a device on one page, each number with the command that prints it.
 
+use super::continued::Continue;
 use super::force::Force;
 use crate::cli::Numbers;
 use haptic::design::place::directions;
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
-use haptic::interrupt;
 use haptic::output;
 use haptic::plausible::scene::doubts;
 use haptic::scene_file::SceneFile;
-use haptic::sweep::Sweep;
 use haptic_bridge::render::scene::FeedForward;
 use serde::{Deserialize, Serialize};
 use std::fmt::Write;
@@ -21,7 +20,7 @@ use std::process::{Command, Stdio};
 /// What the file describes, the largest force, the model, the map, the range of stable walls and why it ends where it does,
 /// velocity estimators, the best place, direction and links, the best settings. The page is one HTML file that needs nothing
 /// else: to read offline, to print. Its numbers are what this tool's own commands print, and above each stands the line to
-/// type. With SCENE the wall is the scene's first. Takes a minute or two; Ctrl-C ends it, and with --progress the same command
+/// type. With SCENE the wall is the scene's first. Takes a minute or two; Ctrl-C ends it, and with --continue the same command
 /// goes on from there.
 #[derive(clap::Args)]
 pub struct Args {
@@ -41,9 +40,8 @@ pub struct Args {
     /// Leave these parts out: those that take longest are estimators and tune
     #[arg(long, value_name = "PART", value_delimiter = ',')]
     without: Vec<Part>,
-    /// Keep what was computed in this file until the page is there, and go on from it
-    #[arg(long, value_name = "FILE")]
-    progress: Option<PathBuf>,
+    #[command(flatten)]
+    continued: Continue,
     #[command(flatten)]
     force: Force,
 }
@@ -97,17 +95,20 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let file = DeviceFile::load(&args.device)?;
     let subject = subject(&args, &file)?;
     let sections = sections(&args, &file, &subject);
-    let question = format!("report {:?}", sections.iter().map(Section::line).collect::<Vec<_>>());
-    let interrupt = interrupt::watch();
-    let sweep = Sweep::new(&question, args.progress.as_deref(), Some(interrupt))?;
+    let scene = args.scene.as_ref().map(|path| SceneFile::load(path, file.spec().task)).transpose()?;
+    let scene = scene.map(|file| file.scene);
+    let lines: Vec<_> = sections.iter().map(Section::line).collect();
+    let question = format!("{lines:?} {:?} {scene:?}", file.description);
+    let sweep = args.continued.sweep("report", &question)?;
     let tool = std::env::current_exe().map_err(Failure::impossible)?;
-    let said = sweep.map("parts", &sections, |section| section.run(&tool))?;
-    sweep.finish();
+    let said = sweep.map("parts", &sections, |section| Ok(section.run(&tool)))?;
     let page = page(&file.name, &args, &sections, &said);
     output::write(&args.out, page.as_bytes(), args.force.overwrite())?;
     let missing = said.iter().filter(|said| !said.done).count();
     let without = if missing > 0 { format!(", {missing} of them without an answer") } else { String::new() };
-    print(&format!("{}: {} parts{without}\n", args.out.display(), sections.len()))
+    print(&format!("{}: {} parts{without}\n", args.out.display(), sections.len()))?;
+    sweep.finish();
+    Ok(())
 }
 
 /// Six digits, without zeros that say nothing.

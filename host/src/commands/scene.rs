@@ -8,7 +8,6 @@ use haptic::error::Failure;
 use haptic::link::{Board, BoardError};
 use haptic::plan::plan;
 use haptic::plausible::{scene::doubts, warn};
-use haptic::precision::widened;
 use haptic::scene_file::SceneFile;
 use haptic::toml_file::Document;
 use haptic_bridge::model::precomputed::{MassModelData, TableChunk};
@@ -57,7 +56,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let file = SceneFile::parse(text, &args.file, device.mechanism.kind().spec().task)?;
     let written = file.scene::<f32>().map_err(|error| Failure::wrong(format!("{}: {error}", args.file.display())))?;
     let name = args.file.display();
-    let device = widened(&device)?;
+    let device = device.cast::<f64>();
     let (doubts, _) = doubts(&device, &file.scene);
     let warnings: Vec<_> = doubts.into_iter().map(|doubt| doubt.about(&document)).collect();
     warn(&warnings);

@@ -1,8 +1,8 @@
 //! `haptic tune`: the settings of the stiffest wall on a device, and what limits it.
 
+use super::continued::Continue;
 use super::force::Force;
 use crate::cli::{self, Numbers};
-use clap::ValueEnum;
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::interrupt;
@@ -11,7 +11,6 @@ use haptic::output;
 use haptic::plausible::digits;
 use haptic::plausible::scene::doubts;
 use haptic::scene_file::SceneFile;
-use haptic::sweep::Sweep;
 use haptic::tune::measured::{self, Measured};
 use haptic::tune::{
     Answer, Baseline, Found, Margins, Question, RATES_HZ, Settings, USUAL_RIPPLE_N, baseline, ripple_like, to_toml,
@@ -28,7 +27,7 @@ use std::path::{Path, PathBuf};
 /// Searches control rate, velocity estimator, cutoff, damping, stiffness, washout and feed-forward for the stiffest wall
 /// that stays stable within margins (a device that is not quite the one in the file), ripples little under a hand that
 /// slides along it, and asks no more of the motors than they have; says what limits it. Stability is predicted, ripple is simulated
-/// with the steps of the encoders. Takes a minute; Ctrl-C ends it, and with --progress the same command goes on from there.
+/// with the steps of the encoders. Takes a minute; Ctrl-C ends it, and with --continue the same command goes on from there.
 /// With --scene the pose, the normal and the ripple are those of a wall that is there, and both are compared.
 #[derive(clap::Args)]
 pub struct Args {
@@ -55,8 +54,8 @@ pub struct Args {
     #[arg(long, value_name = "A,B,..", default_value = "1000,5000,10000,20000")]
     rates: Numbers,
     /// Feed-forwards to look at; full pushes a resting hand along the wall
-    #[arg(long, value_name = "KIND", value_delimiter = ',', default_value = "off,washout")]
-    feed_forward: Vec<Kind>,
+    #[arg(long, value_name = "KIND", value_delimiter = ',', default_value = "off,washout", value_parser = cli::feed_forward())]
+    feed_forward: Vec<FeedForward>,
     /// Factor by which the motors may be stronger or weaker than the file says
     #[arg(long, value_name = "FACTOR", default_value_t = Margins::default().gain)]
     gain_margin: f64,
@@ -81,9 +80,8 @@ pub struct Args {
     /// Measure both on the simulated board as well, with everything switched on: some minutes
     #[arg(long)]
     measure: bool,
-    /// Keep what was looked at in this file until the answer is there, and go on from it
-    #[arg(long, value_name = "FILE")]
-    progress: Option<PathBuf>,
+    #[command(flatten)]
+    continued: Continue,
     /// Write a scene file with the wall
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -95,16 +93,6 @@ pub struct Args {
     json: bool,
     #[command(flatten)]
     force: Force,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Kind {
-    /// None
-    Off,
-    /// The paper's equation (4)
-    Full,
-    /// The same, gone at rest
-    Washout,
 }
 
 /// The document of `--json`.
@@ -166,15 +154,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         counts: args.counts,
         speed: args.speed,
         rates_hz: if args.rates.0.is_empty() { RATES_HZ.to_vec() } else { args.rates.0.clone() },
-        feed_forwards: args
-            .feed_forward
-            .iter()
-            .map(|kind| match kind {
-                Kind::Off => FeedForward::Off,
-                Kind::Full => FeedForward::Full,
-                Kind::Washout => FeedForward::Washout,
-            })
-            .collect(),
+        feed_forwards: args.feed_forward.clone(),
         known: None,
     };
     if let (None, Some(written)) = (args.ripple, &place.written) {
@@ -183,7 +163,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let before = place.written.map(|written| baseline(&question, &written)).transpose()?;
     question.known = before.map(|before| before.settings);
     let asked = format!(
-        "tune {} {:?} {:?} {:?} {:?} {:?} {} {} {} {:?} {:?} {:?}",
+        "{} {:?} {:?} {:?} {:?} {:?} {} {} {} {:?} {:?} {:?}",
         file.name,
         file.description,
         question.q,
@@ -198,7 +178,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         question.known
     );
     let interrupt = interrupt::watch();
-    let sweep = Sweep::new(&asked, args.progress.as_deref(), Some(interrupt))?;
+    let sweep = args.continued.sweep("tune", &asked)?;
     let answer = tune(&question, &sweep)?;
     let stop = || interrupt.is_set();
     let (mut here, mut there) = (None, None);
@@ -210,7 +190,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
         here = found.pop().flatten().transpose()?;
         there = found.pop().flatten().transpose()?;
     }
-    sweep.finish();
     let times = before
         .filter(|before| before.settings.stiffness > 0.0)
         .map(|before| answer.best.settings.stiffness / before.settings.stiffness);
@@ -243,7 +222,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
         scene_measured: there.as_ref(),
     };
     if args.json {
-        return print(&(serde_json::to_string(&document).map_err(Failure::impossible)? + "\n"));
+        print(&(serde_json::to_string(&document).map_err(Failure::impossible)? + "\n"))?;
+        sweep.finish();
+        return Ok(());
     }
     let mut said = readable(&document);
     if let Some(out) = &args.out {
@@ -252,7 +233,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if let Some(board) = &board {
         let _ = writeln!(said, "loaded on {}", board.port());
     }
-    print(&said)
+    print(&said)?;
+    sweep.finish();
+    Ok(())
 }
 
 /// The board, if it holds the device.

@@ -6,7 +6,7 @@
 use super::{Demo, DemoError};
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::range::domain;
-use crate::analysis::sampled::{self, Estimator, Loop};
+use crate::analysis::sampled::{Estimator, Loop, Mode};
 use crate::analysis::several::Member;
 use crate::link::Board;
 use crate::measure::{Bench, Law, Setup};
@@ -63,11 +63,7 @@ fn predict(demo: &Demo, feed_forward: FeedForward, delay_samples: f64) -> Result
         drive: Drive::Ideal,
         damping_compensation: false,
     };
-    let mode = match feed_forward {
-        FeedForward::Off => sampled::FeedForward::Off,
-        FeedForward::Full => sampled::FeedForward::Full,
-        FeedForward::Washout => sampled::FeedForward::Washout(demo.washout_hz),
-    };
+    let mode = Mode::of(feed_forward, demo.washout_hz);
     let boundary = domain(&device, &around, mode, Some(&[demo.damping]))?.boundary;
     Ok(boundary.first().map_or(0.0, |point| point.kp))
 }

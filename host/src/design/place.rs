@@ -266,15 +266,15 @@ pub fn places(
     let indices: Vec<usize> = (0..jobs.len()).collect();
     // What is kept is the pose; the numbers come from it.
     let first = sweep.map("places", &indices, |job| {
-        best(&starts(&poses, jobs[*job]), &allowed, jobs[*job]).map(|(_, placed)| placed.q)
+        Ok(best(&starts(&poses, jobs[*job]), &allowed, jobs[*job]).map(|(_, placed)| placed.q))
     })?;
     // Where one is best another may be better than where its own search ended.
     let ends: Vec<Vec<f64>> = first.into_iter().flatten().collect();
     let found = sweep.map("between them", &indices, |job| {
         let sought = jobs[*job];
         let better = ends.iter().filter_map(|q| Some((sought(q)?.0, q)));
-        let start = better.reduce(|best, other| if other.0 > best.0 { other } else { best })?.1;
-        climbed(start, &allowed, sought).map(|(_, placed)| placed.q)
+        let start = better.reduce(|best, other| if other.0 > best.0 { other } else { best });
+        Ok(start.and_then(|(_, start)| climbed(start, &allowed, sought)).map(|(_, placed)| placed.q))
     })?;
     let again = |index: usize| -> Result<Placed, Failure> {
         let nowhere = || Failure::impossible("the wall fits nowhere").remedy("make it smaller with --patch");

@@ -3,7 +3,7 @@
 use super::error::LinkError;
 use super::framing::{Deframer, Frame, encode};
 use super::wire::Wire;
-use postcard_rpc::header::{VarHeader, VarKey, VarKeyKind, VarSeq};
+use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use postcard_rpc::standard_icd::{ERROR_KEY, WireError};
 use postcard_rpc::{Endpoint, Key, Topic};
 use serde::Serialize;
@@ -38,7 +38,6 @@ pub struct Client {
     answers: VecDeque<Frame>,
     topics: VecDeque<TopicFrame>,
     sequence: u16,
-    key_kind: VarKeyKind,
     buffer: Vec<u8>,
 }
 
@@ -67,7 +66,6 @@ impl Client {
             topics: VecDeque::new(),
             // What answers a tool before this one must not pass for an answer to this one.
             sequence: unlike_any_before() as u16,
-            key_kind: VarKeyKind::Key8,
             buffer: vec![0; 16 * 1024],
         }
     }
@@ -100,8 +98,7 @@ impl Client {
     {
         self.sequence = self.sequence.wrapping_add(1);
         let sequence = VarSeq::Seq2(self.sequence);
-        let mut key = VarKey::Key8(E::REQ_KEY);
-        key.shrink_to(self.key_kind);
+        let key = VarKey::Key8(E::REQ_KEY);
         let body = postcard::to_stdvec(request).map_err(|_| LinkError::Unreadable { what: E::PATH })?;
         self.wire.send(&encode(&VarHeader { key, seq_no: sequence }, &body)).map_err(LinkError::Lost)?;
 
@@ -112,7 +109,6 @@ impl Client {
                 if frame.header.seq_no != sequence {
                     continue;
                 }
-                self.key_kind = frame.header.key.kind();
                 if frame.header.key == VarKey::Key8(E::RESP_KEY) {
                     return postcard::from_bytes(&frame.body).map_err(|_| LinkError::Unreadable { what: E::PATH });
                 }
@@ -128,19 +124,6 @@ impl Client {
             }
             self.pump(left, &[E::RESP_KEY, ERROR_KEY])?;
         }
-    }
-
-    /// Sends a message of topic `T`, which is not answered.
-    pub fn publish<T: Topic>(&mut self, message: &T::Message) -> Result<(), LinkError>
-    where
-        T::Message: Serialize + Sized,
-    {
-        self.sequence = self.sequence.wrapping_add(1);
-        let mut key = VarKey::Key8(T::TOPIC_KEY);
-        key.shrink_to(self.key_kind);
-        let body = postcard::to_stdvec(message).map_err(|_| LinkError::Unreadable { what: T::PATH })?;
-        let header = VarHeader { key, seq_no: VarSeq::Seq2(self.sequence) };
-        self.wire.send(&encode(&header, &body)).map_err(LinkError::Lost)
     }
 
     /// The next topic message, waiting at most `timeout` for it.

@@ -2,7 +2,7 @@
 
 use haptic_bridge::render::scene::FeedForward;
 
-use super::progress::{Mode, Open, Progress, same_damping};
+use super::progress::{Open, Progress, same_damping};
 use super::swing::Verdict;
 use super::{Bench, MeasureError};
 
@@ -10,7 +10,7 @@ use super::{Bench, MeasureError};
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
     /// With which feed-forward.
-    pub modes: Vec<Mode>,
+    pub modes: Vec<FeedForward>,
     /// At these dampings, N s/m; measured from where the range ends when `None`.
     pub kd: Option<Vec<f64>>,
     /// How many dampings when they are not given.
@@ -35,16 +35,6 @@ impl Progress {
         points
             .map(|point| if point.open.is_some() { plan.repeats } else { point.repeats.len().min(plan.repeats) })
             .sum()
-    }
-}
-
-impl From<Mode> for FeedForward {
-    fn from(mode: Mode) -> Self {
-        match mode {
-            Mode::Off => Self::Off,
-            Mode::Full => Self::Full,
-            Mode::Washout => Self::Washout,
-        }
     }
 }
 
@@ -78,7 +68,7 @@ pub fn run(
                 let earlier = progress.point(mode, kd);
                 if earlier.repeats.len() <= repeat && earlier.open.is_none() {
                     let guess = earlier.repeats.last().copied();
-                    let found = bench.boundary(mode.into(), kd, repeat, guess);
+                    let found = bench.boundary(mode, kd, repeat, guess);
                     progress.now();
                     let point = progress.point(mode, kd);
                     match found {
@@ -103,8 +93,8 @@ pub fn run(
 }
 
 /// Where the range of a mode ends; where that cannot be told, as far as it is known to reach.
-fn damping_end(bench: &mut Bench<'_>, mode: Mode, progress: &mut Progress) -> Result<f64, MeasureError> {
-    let end = match bench.damping_end(mode.into()) {
+fn damping_end(bench: &mut Bench<'_>, mode: FeedForward, progress: &mut Progress) -> Result<f64, MeasureError> {
+    let end = match bench.damping_end(mode) {
         Ok(found) => found.gain,
         Err(MeasureError::Open { stable, why }) if stable > 0.0 => {
             progress.open_ends.push((mode, why.to_string()));

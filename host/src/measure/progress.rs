@@ -4,28 +4,17 @@
 use super::before::Kept;
 use crate::error::Failure;
 use crate::output::{self, Overwrite};
+use haptic_bridge::render::scene::FeedForward;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// One feed-forward mode.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Mode {
-    /// Without.
-    Off,
-    /// Equation (4).
-    Full,
-    /// Equation (4) behind a washout.
-    Washout,
-}
-
 /// All repeats at one damping.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Point {
     /// With which feed-forward.
-    pub mode: Mode,
+    pub mode: FeedForward,
     /// Damping, N s/m.
     pub kd: f64,
     /// Largest stable stiffness of each repeat, N/m.
@@ -74,10 +63,10 @@ pub struct Progress {
     pub what: String,
     /// Dampings at which the range ends, N s/m, where they were measured.
     #[serde(default)]
-    pub ends: Vec<(Mode, f64)>,
+    pub ends: Vec<(FeedForward, f64)>,
     /// Modes whose range ends somewhere beyond, and why that was not found.
     #[serde(default)]
-    pub open_ends: Vec<(Mode, String)>,
+    pub open_ends: Vec<(FeedForward, String)>,
     /// Joint angles where it is measured, rad.
     #[serde(default)]
     pub q: Vec<f64>,
@@ -175,17 +164,17 @@ impl Progress {
     }
 
     /// Where the range of a mode ends, if that was measured.
-    pub fn end(&self, mode: Mode) -> Option<f64> {
+    pub fn end(&self, mode: FeedForward) -> Option<f64> {
         self.ends.iter().find(|(measured, _)| *measured == mode).map(|(_, end)| *end)
     }
 
     /// The measured points of a mode, by damping.
-    pub fn of(&self, mode: Mode) -> Vec<&Point> {
+    pub fn of(&self, mode: FeedForward) -> Vec<&Point> {
         self.all(mode).into_iter().filter(|point| !point.repeats.is_empty()).collect()
     }
 
     /// The points of a mode, also those where no boundary was found, by damping.
-    pub fn all(&self, mode: Mode) -> Vec<&Point> {
+    pub fn all(&self, mode: FeedForward) -> Vec<&Point> {
         let mut found: Vec<&Point> =
             self.points.iter().filter(|p| p.mode == mode && !(p.repeats.is_empty() && p.open.is_none())).collect();
         found.sort_by(|a, b| a.kd.total_cmp(&b.kd));
@@ -193,7 +182,7 @@ impl Progress {
     }
 
     /// The point of a mode at a damping, added when it is new.
-    pub fn point(&mut self, mode: Mode, kd: f64) -> &mut Point {
+    pub fn point(&mut self, mode: FeedForward, kd: f64) -> &mut Point {
         let found = self.points.iter().position(|p| p.mode == mode && same_damping(p.kd, kd));
         let index = found.unwrap_or_else(|| {
             self.points.push(Point { mode, kd, repeats: Vec::new(), vibration_m: None, open: None });
@@ -217,12 +206,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("progress.json");
         let mut progress = Progress::open(&path, "one").unwrap();
-        progress.point(Mode::Off, 0.1 + 0.2).repeats.extend([3.0, 1.0, 2.0]);
+        progress.point(FeedForward::Off, 0.1 + 0.2).repeats.extend([3.0, 1.0, 2.0]);
         progress.save(&path).unwrap();
         let mut again = Progress::open(&path, "one").unwrap();
         assert_eq!(again, progress);
-        assert_eq!(again.point(Mode::Off, 0.3).median(), 2.0);
-        assert_eq!(again.point(Mode::Off, 0.3).bounds(), (1.0, 3.0));
+        assert_eq!(again.point(FeedForward::Off, 0.3).median(), 2.0);
+        assert_eq!(again.point(FeedForward::Off, 0.3).bounds(), (1.0, 3.0));
         assert!(matches!(Progress::open(&path, "other"), Err(ProgressError::Another { .. })));
         // What has measured nothing is in nobody's way.
         Progress::new("one").save(&path).unwrap();

@@ -6,6 +6,7 @@ use nalgebra::DVector;
 
 use super::{MeasureError, Setup};
 use crate::analysis::pose::unit_normal;
+use crate::vectors::padded;
 
 /// Distance between the wall that holds the tip and the one that pulls it aside, m: more than any pull.
 pub const APART: f64 = 0.01;
@@ -99,10 +100,10 @@ pub fn scene(
     }
     places.extend([APART, -APART].map(|apart| (tip + direction * apart, direction.clone())));
     places.extend(across.iter().map(|other| (tip.clone(), other.clone())));
-    let padded = |v: &DVector<f64>| -> [f32; 3] { core::array::from_fn(|i| v.get(i).map_or(0.0, |v| *v as f32)) };
+    let single = |v: &DVector<f64>| padded::<3>(v.as_slice()).map(|v| v as f32);
     for (point, normal) in &places {
         let wall = Wall {
-            surface: Surface::Plane(Plane { point: padded(point), normal: padded(normal) }),
+            surface: Surface::Plane(Plane { point: single(point), normal: single(normal) }),
             stiffness: 0.0,
             damping: 0.0,
             feed_forward: FeedForward::Off,

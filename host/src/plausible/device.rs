@@ -2,6 +2,7 @@
 
 use super::{Doubt, Key, digits, turns, with_unit};
 use crate::analysis::pose::TaskPose;
+use crate::vectors::padded_to;
 use core::f64::consts::{PI, TAU};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::{Description, Joint, Link};
@@ -282,7 +283,7 @@ pub(crate) fn weight(device: &Device<f64>, q: &[f64]) -> Vec<f64> {
 
 /// The most that the motors give along a direction of d entries, N; infinite when no motor is felt there.
 pub fn force_along(device: &Device<f64>, pose: &TaskPose, direction: &[f64]) -> Option<f64> {
-    let task = DVector::from_fn(pose.jacobian.nrows(), |i, _| direction.get(i).copied().unwrap_or(0.0));
+    let task = padded_to(pose.jacobian.nrows(), direction);
     let per_newton = pose.jacobian.tr_mul(&task);
     let mut least = f64::INFINITY;
     for (joint, torque) in per_newton.iter().enumerate() {

@@ -7,13 +7,16 @@ use crate::analysis::map::Reachable;
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
 use crate::analysis::range::stiffness_at;
-use crate::analysis::sampled::{Estimator, FeedForward as Mode, Loop};
+use crate::analysis::sampled::{Estimator, Loop, Mode};
 use crate::bench::probe::on_surface;
+use crate::scene_file::place_of;
+use crate::vectors::{padded, padded_to};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::device::Device;
-use haptic_bridge::render::scene::{FeedForward, Scene, Surface, Wall};
+use haptic_bridge::render::scene::shape::Meaning;
+use haptic_bridge::render::scene::{Scene, Surface, Wall};
 use haptic_bridge::safety::limits::GENTLE_FORCE;
-use nalgebra::{DVector, SVector};
+use nalgebra::SVector;
 use serde::Serialize;
 
 /// Hand speed (m/s) at which a wall's damping alone should not take all of the motors.
@@ -141,15 +144,11 @@ pub fn meets(
     let wall = scene.walls.get(index)?;
     let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?;
     let around = around(scene, wall, delay_samples)?;
-    let mode = match wall.feed_forward {
-        FeedForward::Off => Mode::Off,
-        FeedForward::Full => Mode::Full,
-        FeedForward::Washout => Mode::Washout(wall.washout_hz),
-    };
+    let mode = Mode::of(wall.feed_forward, wall.washout_hz);
     let mut linearised = Linearised::of(device, q, normal, scene.admissible).ok()?;
     linearised.gain = scene.feed_forward_gain;
     let (stable_to, damping_to) = stiffness_at(&linearised, &around, mode, wall.damping).ok()?;
-    let along = DVector::from_fn(pose.jacobian.nrows(), |i, _| normal.get(i).copied().unwrap_or(0.0));
+    let along = padded_to(pose.jacobian.nrows(), normal);
     let per_radian = pose.jacobian.tr_mul(&along);
     let count = per_radian.iter().zip(&device.joints).map(|(move_, joint)| (move_ * joint.radians_per_count).abs());
     let count = count.fold(0.0, f64::max);
@@ -168,7 +167,7 @@ pub fn meets(
 /// What wall `index` of a scene meets if it is touched at a pose, wherever the wall is.
 pub fn at(device: &Device<f64>, scene: &Scene<f64>, index: usize, q: &[f64], delay_samples: f64) -> Option<Contact> {
     let pose = TaskPose::of(&device.mechanism, q).ok()?;
-    let tip = SVector::<f64, 3>::from_fn(|i, _| pose.position.get(i).copied().unwrap_or(0.0));
+    let tip = SVector::from(padded::<3>(&pose.position));
     let normal = scene.walls.get(index)?.surface.contact::<Libm, 3>(&tip).normal;
     meets(device, scene, index, q, &normal.as_slice()[..pose.task], delay_samples)
 }
@@ -279,7 +278,7 @@ fn distances(device: &Device<f64>, surface: &Surface<f64>) -> Option<(f64, f64)>
     let grid = Reachable::of(device, PER_JOINT[device.mechanism.kind().spec().joints - 1], None).ok()?;
     let distances = grid.indices().filter_map(|index| {
         let pose = TaskPose::of(&device.mechanism, &grid.angles(index)).ok()?;
-        let tip = SVector::<f64, 3>::from_fn(|i, _| pose.position.get(i).copied().unwrap_or(0.0));
+        let tip = SVector::from(padded::<3>(&pose.position));
         Some(surface.contact::<Libm, 3>(&tip).distance)
     });
     Some(distances.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), d| (l.min(d), h.max(d))))
@@ -310,12 +309,9 @@ fn too_soft(device: &Device<f64>, wall: &Wall<f64>, contact: &Contact) -> Option
 }
 
 fn out_of_reach(index: usize, surface: &Surface<f64>, nearest: Option<f64>) -> Doubt {
-    let (name, point) = match surface {
-        Surface::Plane(plane) => ("point", plane.point),
-        Surface::Sphere(sphere) => ("point", sphere.center),
-        Surface::Cylinder(cylinder) => ("point", cylinder.point),
-    };
-    let metres = if point.iter().any(|p| p.abs() > 3.0) { ": points are in metres" } else { "" };
+    let (name, at) = place_of(&surface.spec(), Meaning::Point).unwrap_or(("shape", 0));
+    let far = surface.values().iter().skip(at).take(Meaning::Point.width()).any(|p| p.abs() > 3.0);
+    let metres = if far { ": points are in metres" } else { "" };
     let text = match nearest {
         Some(nearest) => {
             format!("wall {index} is out of reach: the tip comes no nearer than {}{metres}", with_unit(nearest, "m"))

@@ -12,6 +12,7 @@ use crate::analysis::map::{MapPoint, along, at_holding};
 use crate::analysis::plant::Linearised;
 use crate::analysis::pose::{PoseError, TaskPose, unit_normal};
 use crate::skeleton::{Point, Skeleton, skeleton};
+use crate::vectors::padded_to;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use nalgebra::{DVector, Vector3};
@@ -186,7 +187,7 @@ fn surface(canvas: &mut Canvas, at: Point, pose: &TaskPose, point: &MapPoint, n:
         let down = std::f64::consts::PI * i as f64 / halves as f64;
         let turn = std::f64::consts::TAU * j as f64 / wholes as f64;
         let direction = Vector3::new(down.sin() * turn.cos(), down.cos(), down.sin() * turn.sin());
-        let padded = DVector::from_fn(joints, |k, _| if k < 3 { direction[k] } else { 0.0 });
+        let padded = padded_to(joints, direction.as_slice());
         let coupling = along(pose, &padded).map_or(0.0, |(w_eff, w_rr)| (w_rr - w_eff).max(0.0));
         (direction * coupling, coupling)
     };

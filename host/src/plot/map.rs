@@ -17,6 +17,7 @@ use crate::analysis::cut::{Cut, Fineness, Tile};
 use crate::analysis::map::MapPoint;
 use crate::analysis::pose::PoseError;
 use crate::skeleton::{Point, Skeleton, Turret, skeleton};
+use crate::vectors::unit;
 
 /// Share of the area that the colour scale covers at least.
 const COVERED: f64 = 0.95;
@@ -96,8 +97,7 @@ pub fn chart(
 
     let title = format!("{name}: coupling of a wall's normal with free motion");
     canvas.text((frame.at.0, 28.0), 15.0, Anchor::Start, false, &title);
-    let length = normal.iter().map(|v| v * v).sum::<f64>().sqrt();
-    let n = normal.iter().map(|v| format!("{:.3}", v / length)).collect::<Vec<_>>().join(", ");
+    let n = unit(normal).unwrap_or_default().iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");
     canvas.text((frame.at.0, 48.0), 12.0, Anchor::Start, false, &format!("normal n = ({n})"));
     let limits =
         if description.joints[..spec.joints].iter().all(|j| j.limits.is_none()) { "no joint limits" } else { "" };

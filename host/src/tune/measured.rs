@@ -4,12 +4,12 @@
 use super::{Question, Settings};
 use crate::analysis::several::Member;
 use crate::bench::estimators::fast;
-use crate::device_file::padded;
 use crate::error::Failure;
 use crate::link::{Board, fields};
 use crate::measure::simulated::World;
 use crate::measure::{Bench, Law, MeasureError, Setup, complement};
 use crate::sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, Waypoint, ready_board};
+use crate::vectors::padded;
 use haptic_bridge::board::telemetry::Field;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::render::scene::{Plane, Scene, Surface, Wall};

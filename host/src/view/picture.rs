@@ -8,6 +8,7 @@ use crate::analysis::plant::Linearised;
 use crate::analysis::pose::TaskPose;
 use crate::link::Column;
 use crate::skeleton::skeleton;
+use crate::vectors::padded;
 use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Description;
@@ -86,7 +87,7 @@ pub struct Numbers {
 
 /// The wall that the tip is deepest in or nearest to, and its normal.
 pub fn nearest_wall(scene: &Scene<f64>, tip: &[f64]) -> Option<(usize, Vector3<f64>)> {
-    let tip = Vector3::from_fn(|i, _| tip.get(i).copied().unwrap_or(0.0));
+    let tip = Vector3::from(padded(tip));
     let contacts = scene.walls.iter().enumerate().map(|(index, wall)| (index, wall.surface.contact::<Libm, 3>(&tip)));
     contacts.min_by(|a, b| a.1.distance.total_cmp(&b.1.distance)).map(|(index, contact)| (index, contact.normal))
 }
@@ -135,16 +136,15 @@ impl<'a> Newest<'a> {
         let joints = device.axes();
         let q = self.q(joints);
         let tip = self.vector(Field::Tip, joints);
-        let flat = |vector: &[f64]| core::array::from_fn(|i| vector.get(i).copied().unwrap_or(0.0));
         let pose = TaskPose::of(&device.mechanism, &q).and_then(TaskPose::regular).ok();
         let task = device.mechanism.kind().spec().task;
-        let place = if task == 1 { paddle_tip(links, &q, &tip) } else { flat(&tip) };
+        let place = if task == 1 { paddle_tip(links, &q, &tip) } else { padded(&tip) };
         let mut geometry = Geometry { tip: place, ..Geometry::default() };
         if let Some(drawn) = links.and_then(|links| skeleton(links, &q)) {
             geometry.bars = drawn.bars.iter().map(|bar| [bar.from.into(), bar.to.into()]).collect();
             geometry.base = drawn.base.iter().map(|base| (*base).into()).collect();
         }
-        geometry.springs = scene.springs.iter().map(|spring| flat(&held_from(spring, &tip[..task]))).collect();
+        geometry.springs = scene.springs.iter().map(|spring| padded(&held_from(spring, &tip[..task]))).collect();
         let recent = (RECENT * rows_hz).ceil() as u64;
         let wall = nearest_wall(scene, &tip[..task]);
         let mut numbers = Numbers {
@@ -162,7 +162,7 @@ impl<'a> Newest<'a> {
         let torque = DVector::from_vec(self.vector(Field::Torque, joints));
         let force = pose.inverse.tr_mul(&torque).rows(0, task).into_owned();
         if task > 1 {
-            geometry.force = flat(force.as_slice());
+            geometry.force = padded(force.as_slice());
             let l = &pose.operational;
             geometry.ellipse = Some(ellipse(l[(0, 0)], l[(0, 1)], l[(1, 1)]));
         }
@@ -220,7 +220,6 @@ mod tests {
     use super::*;
     use crate::demo::Demo;
     use crate::link::columns;
-    use crate::precision::widened_scene;
     use haptic_bridge::render::scene::FeedForward;
 
     #[test]
@@ -265,7 +264,7 @@ mod tests {
             Field::Torque => torque[column.axis] as f32,
             _ => 0.0,
         }));
-        let scene = widened_scene(&demo.scene([pose.position[0], pose.position[1]], FeedForward::Off)).unwrap();
+        let scene = demo.scene([pose.position[0], pose.position[1]], FeedForward::Off).cast::<f64>();
         let newest = Newest::of(&ring, &columns);
         let (geometry, numbers) = newest.moment(&device, Some(&demo.file.description), &scene, 1000.0);
         for axis in 0..2 {

@@ -131,12 +131,11 @@ impl Oracle {
 mod tests {
     use super::*;
     use crate::demo::Demo;
-    use crate::precision::widened_scene;
 
     #[test]
     fn the_wall_of_the_demo_is_stable_with_the_feed_forward_alone() {
         let demo = Demo::shipped(1).unwrap();
-        let scene = widened_scene(&demo.scene([0.0, 0.0], FeedForward::Washout)).unwrap();
+        let scene = demo.scene([0.0, 0.0], FeedForward::Washout).cast::<f64>();
         let question = Question {
             device: demo.file.device().unwrap(),
             scene,

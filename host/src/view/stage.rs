@@ -13,13 +13,15 @@ use super::world::{World, hand_settings, lead};
 use crate::error::Failure;
 use crate::link::{Board, BoardError, Column, LinkError, Losses, Row, columns, rows_that_fit};
 use crate::output::{self, Overwrite};
-use crate::precision::{widened, widened_scene};
 use crate::recorder::about::About;
 use crate::recorder::{RecordError, RowWriter};
+use crate::scene_file::place_of;
+use crate::vectors::{padded, unit};
 use crate::words::wall_in_words;
 use haptic_bridge::board::telemetry::Field;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::controller::Gains;
+use haptic_bridge::render::scene::shape::Meaning;
 use haptic_bridge::render::scene::{FeedForward, Scene, Surface};
 use haptic_bridge::safety::fault::{FaultRecord, State};
 use serde::Serialize;
@@ -181,7 +183,7 @@ impl<'a> Stage<'a> {
         let details = board.details()?;
         let device = board.device()?.ok_or(BoardError::Refused(haptic_bridge::safety::refusal::Refusal::NoDevice))?;
         let scene = board.scene()?.ok_or(BoardError::Refused(haptic_bridge::safety::refusal::Refusal::NoScene))?;
-        let (device, scene) = (widened(&device)?, widened_scene(&scene)?);
+        let (device, scene) = (device.cast::<f64>(), scene.cast::<f64>());
         let rate_hz = f64::from(details.rate_hz);
         let name = if world.simulated.is_some() { "simulated" } else { "" };
         let most = rows_that_fit(name, FIELDS, device.axes(), rate_hz);
@@ -556,21 +558,17 @@ impl<'a> Stage<'a> {
             self.refuse(id, &format!("there is no wall {index}"));
             return Ok(());
         };
-        let place = |to: &mut [f32; 3]| (0..task.min(2)).for_each(|i| to[i] = point[i]);
-        match &mut wall.surface {
-            Surface::Plane(plane) => {
-                place(&mut plane.point);
-                if let Some(normal) = normal.filter(|_| task > 1) {
-                    let length = normal[0].hypot(normal[1]);
-                    if !(length > 0.0 && length.is_finite()) {
-                        self.refuse(id, "a normal points somewhere");
-                        return Ok(());
-                    }
-                    plane.normal = [normal[0] / length, normal[1] / length, 0.0];
-                }
-            }
-            Surface::Sphere(sphere) => place(&mut sphere.center),
-            Surface::Cylinder(cylinder) => place(&mut cylinder.point),
+        let (shape, mut values) = (wall.surface.spec(), wall.surface.values());
+        if let Some((_, at)) = place_of(&shape, Meaning::Point) {
+            values.iter_mut().skip(at).zip(point).take(task).for_each(|(to, from)| *to = from);
+        }
+        wall.surface = Surface::from_values(shape.name, &values).unwrap_or(wall.surface);
+        if let (Surface::Plane(plane), Some(normal)) = (&mut wall.surface, normal.filter(|_| task > 1)) {
+            let Some(unit) = unit(&normal.map(f64::from)) else {
+                self.refuse(id, "a normal points somewhere");
+                return Ok(());
+            };
+            plane.normal = padded(&unit).map(|entry| entry as f32);
         }
         self.board().set_scene(&scene)?;
         self.asked = None;
@@ -580,10 +578,7 @@ impl<'a> Stage<'a> {
     /// Reads what the board has now, and tells.
     fn reread(&mut self) -> Result<(), BoardError> {
         if let Some(scene) = self.board().scene()? {
-            // The board holds finite numbers only.
-            if let Ok(scene) = widened_scene(&scene) {
-                self.scene = scene;
-            }
+            self.scene = scene.cast();
         }
         self.say_to_all(&self.walls());
         let walls = self.scene.walls.iter().enumerate();

@@ -2,7 +2,7 @@
 
 use crate::analysis::plant::Linearised;
 use crate::analysis::range::stiffness_at;
-use crate::analysis::sampled::FeedForward as Mode;
+use crate::analysis::sampled::Mode;
 use crate::demo::Demo;
 use crate::device_file::DeviceFile;
 use crate::error::Failure;

@@ -1,7 +1,7 @@
 //! The stable domains of single walls that were computed independently (tests/golden/range.json).
 
 use haptic::analysis::plant::Drive;
-use haptic::analysis::sampled::{Estimator, FeedForward, Loop};
+use haptic::analysis::sampled::{Estimator, Loop, Mode};
 use haptic::device_file::DeviceFile;
 use serde_json::Value;
 
@@ -14,7 +14,7 @@ pub struct Case {
     pub normal: Vec<f64>,
     pub around: Loop,
     /// Without and with the feed-forward.
-    pub expected: [(FeedForward, Known); 2],
+    pub expected: [(Mode, Known); 2],
 }
 
 /// What is known of a domain: kp (N/m) at each kd (N s/m), the area under it, where it ends.
@@ -57,6 +57,6 @@ fn case(case: &Value) -> Case {
             drive: Drive::Ideal,
             damping_compensation: false,
         },
-        expected: [(FeedForward::Off, known("off")), (FeedForward::Full, known("full"))],
+        expected: [(Mode::Off, known("off")), (Mode::Full, known("full"))],
     }
 }

@@ -12,7 +12,7 @@
 //! ever computed, and inertial forces need only the accelerations of elbow and tip.
 
 use super::{Mechanism, Regularity, Shaping, reciprocal};
-use crate::math::{Math, Real};
+use crate::math::{Math, Real, cast};
 use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
 use nalgebra::{Matrix2, Vector2};
@@ -82,6 +82,27 @@ fn left<T: Real>(v: &Vector2<T>) -> Vector2<T> {
 pub(super) const SINE_FLOOR: f64 = 1.0e-6;
 
 impl<T: Real> FiveBar<T> {
+    /// The same in another precision.
+    pub fn cast<U: Real>(&self) -> FiveBar<U> {
+        FiveBar {
+            base: cast(self.base),
+            proximal: self.proximal.map(cast),
+            reach: self.reach.map(cast),
+            distal_difference: cast(self.distal_difference),
+            elbow_scale: self.elbow_scale.map(cast),
+            assembly: cast(self.assembly),
+            elbow_floor: cast(self.elbow_floor),
+            rods_scale: cast(self.rods_scale),
+            rods_floor: cast(self.rods_floor),
+            arm_inertia: self.arm_inertia.map(cast),
+            rod_coupling: self.rod_coupling.map(cast),
+            tip_mass: cast(self.tip_mass),
+            elbow_load: self.elbow_load.map(cast),
+            tip_load: cast(self.tip_load),
+            gravity: self.gravity.map(cast),
+        }
+    }
+
     /// The coefficients of a description whose links are a five-bar's and whose joints 0 and 1 carry its arms.
     pub(super) fn lump(description: &Description) -> Result<Self, DescriptionError> {
         let [base, l1, l2, r1, r2, assembly] = description.geometry;

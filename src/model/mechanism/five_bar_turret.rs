@@ -12,7 +12,7 @@
 
 use super::five_bar::{self, FiveBar, SINE_FLOOR};
 use super::{Mechanism, Regularity, Shaping, reciprocal};
-use crate::math::{Math, Real};
+use crate::math::{Math, Real, cast};
 use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
 use nalgebra::{Matrix3, Vector2, Vector3};
@@ -81,6 +81,20 @@ fn linkage<T: Real>(joints: &Vector3<T>) -> Vector2<T> {
 }
 
 impl<T: Real> FiveBarTurret<T> {
+    /// The same in another precision.
+    pub fn cast<U: Real>(&self) -> FiveBarTurret<U> {
+        FiveBarTurret {
+            plane: self.plane.cast(),
+            gravity_z: cast(self.gravity_z),
+            turret_inertia: cast(self.turret_inertia),
+            elbow_spin: self.elbow_spin.map(cast),
+            coupled_spin: self.coupled_spin.map(cast),
+            tip_spin: cast(self.tip_spin),
+            reach_scale: cast(self.reach_scale),
+            axis_floor: cast(self.axis_floor),
+        }
+    }
+
     #[inline(always)]
     fn spin(&self, pose: &Pose<T>) -> Spin<T> {
         let [y1, y2] = pose.plane.arm.map(|arm| arm[1]);

@@ -2,7 +2,7 @@
 //! q.
 
 use super::{Mechanism, Regularity};
-use crate::math::{Math, Real};
+use crate::math::{Math, Real, cast};
 use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
 use nalgebra::{SMatrix, SVector};
@@ -16,6 +16,13 @@ pub struct Paddle<T> {
     inverse_length: T,
     /// Body, rotor and handle about the pivot, kg m².
     inertia: T,
+}
+
+impl<T: Real> Paddle<T> {
+    /// The same in another precision.
+    pub fn cast<U: Real>(&self) -> Paddle<U> {
+        Paddle { length: cast(self.length), inverse_length: cast(self.inverse_length), inertia: cast(self.inertia) }
+    }
 }
 
 impl<T: Real> Mechanism<T, 1> for Paddle<T> {

@@ -13,7 +13,7 @@
 
 use super::five_bar::SINE_FLOOR;
 use super::{Mechanism, Regularity, Shaping, reciprocal};
-use crate::math::{Math, Real};
+use crate::math::{Math, Real, cast};
 use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
@@ -90,6 +90,22 @@ impl<T: Real> Pose<T> {
 }
 
 impl<T: Real> Parallelogram<T> {
+    /// The same in another precision.
+    pub fn cast<U: Real>(&self) -> Parallelogram<U> {
+        Parallelogram {
+            lengths: self.lengths.map(cast),
+            inverse_lengths: self.inverse_lengths.map(cast),
+            arm_inertia: self.arm_inertia.map(cast),
+            coupling: cast(self.coupling),
+            turret_inertia: cast(self.turret_inertia),
+            spin: self.spin.map(cast),
+            loads: self.loads.map(cast),
+            gravity: self.gravity.map(cast),
+            reach_scale: cast(self.reach_scale),
+            axis_floor: cast(self.axis_floor),
+        }
+    }
+
     /// J₀ and half its gradient by (cos q₁, cos q₂), kg m².
     #[inline(always)]
     fn spin(&self, pose: &Pose<T>) -> (T, [T; 2]) {

@@ -10,7 +10,7 @@
 
 use super::five_bar::SINE_FLOOR;
 use super::{Mechanism, Regularity, Shaping, reciprocal};
-use crate::math::{Math, Real};
+use crate::math::{Math, Real, cast};
 use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
 use nalgebra::{Matrix3, Vector2, Vector3};
@@ -74,6 +74,18 @@ fn accumulate<T: Real>(moments: &Vector3<T>) -> Vector3<T> {
 }
 
 impl<T: Real> Serial3r<T> {
+    /// The same in another precision.
+    pub fn cast<U: Real>(&self) -> Serial3r<U> {
+        Serial3r {
+            lengths: self.lengths.map(cast),
+            inverse_lengths: self.inverse_lengths.map(cast),
+            inertia: self.inertia.map(cast),
+            coupling: self.coupling.map(cast),
+            rotor: self.rotor.map(cast),
+            weight: self.weight.map(|row| row.map(cast)),
+        }
+    }
+
     /// The absolute rates of a task velocity.
     #[inline(always)]
     fn rates(&self, pose: &Pose<T>, point: &Vector2<T>, turning: T) -> Vector3<T> {

@@ -11,10 +11,11 @@ use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::measure::campaign::Plan;
 use haptic::measure::excitation::{Excitation, millimetres};
-use haptic::measure::progress::{Mode, Point, Progress};
+use haptic::measure::progress::{Point, Progress};
 use haptic::plot::range::{Contents, MeasuredPoint, draw};
 use haptic_bridge::board::protocol::{Details, Info};
 use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::render::scene::FeedForward;
 use serde_json::json;
 use std::fmt::Write;
 
@@ -96,7 +97,7 @@ impl Theory {
         if file.description.joints.iter().all(|joint| joint.viscous == 0.0) {
             line.push_str(" --undamped");
         }
-        if args.feed_forward.modes().contains(&Mode::Washout) {
+        if args.feed_forward.contains(&FeedForward::Washout) {
             let _ = write!(line, " --washout {}", args.washout);
         }
         let around = Loop {
@@ -117,7 +118,7 @@ impl Theory {
 /// A whole range of one mode.
 #[derive(serde::Serialize)]
 struct Area {
-    mode: Mode,
+    mode: FeedForward,
     /// ∫ kp dkd of the medians, and of the theory, N² s/m².
     measured: f64,
     theory: f64,
@@ -169,20 +170,15 @@ impl Report<'_> {
     }
 
     fn washout(&self) -> Option<f64> {
-        self.plan.modes.contains(&Mode::Washout).then_some(self.args.washout)
+        self.plan.modes.contains(&FeedForward::Washout).then_some(self.args.washout)
     }
 
     /// The points of a mode with the theory's at the same dampings.
-    fn beside(&self, mode: Mode) -> Result<Vec<(&Point, BoundaryPoint)>, Failure> {
+    fn beside(&self, mode: FeedForward) -> Result<Vec<(&Point, BoundaryPoint)>, Failure> {
         let points = self.progress.all(mode);
         let kd: Vec<f64> = points.iter().map(|point| printed(point.kd)).collect();
         let range = self.theory.predict(Some(&kd), self.washout())?;
-        let domain = match mode {
-            Mode::Off => range.off,
-            Mode::Full => range.full,
-            Mode::Washout => range.washout.unwrap_or(range.full),
-        };
-        Ok(points.into_iter().zip(domain.boundary).collect())
+        Ok(points.into_iter().zip(range.of(mode).boundary.iter().copied()).collect())
     }
 
     /// The command that predicts the theory's figures.
@@ -327,11 +323,7 @@ impl Report<'_> {
             if points.iter().any(|(point, _)| point.repeats.is_empty()) {
                 continue;
             }
-            let domain = match mode {
-                Mode::Off => &range.off,
-                Mode::Full => &range.full,
-                Mode::Washout => range.washout.as_ref().unwrap_or(&range.full),
-            };
+            let domain = range.of(mode);
             let top = domain.boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
             let apart = points.iter().map(|(point, theory)| (point.median() - theory.kp).abs() / top);
             // The dampings lie at the middles of even cells.
@@ -396,7 +388,7 @@ impl Report<'_> {
             };
             self.progress.of(mode).into_iter().map(dot).collect()
         };
-        let (off, full, washed) = (dots(Mode::Off), dots(Mode::Full), dots(Mode::Washout));
+        let (off, full, washed) = (dots(FeedForward::Off), dots(FeedForward::Full), dots(FeedForward::Washout));
         Ok(draw(&Contents {
             title: format!("{}: stable walls, measured and predicted", self.name),
             subtitle: self.setting(),

@@ -1,5 +1,5 @@
 //! What the tip feels of a wall that is pressed beyond its motors: the board's servo, and for comparison the same torques
-//! limited joint by joint. Draws docs/results/saturation.svg: `cargo run -p haptic --example saturation`.
+//! limited joint by joint. Draws docs/results/saturation.svg: `cargo run --package figures --bin saturation`.
 
 use haptic::device_file::DeviceFile;
 use haptic::plot::axes::{Axis, Frame, Mark};
@@ -22,7 +22,7 @@ const LIMIT: f64 = 2.0;
 type Forces = Vec<(f64, [f64; 2])>;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
     let file = DeviceFile::load(format!("{root}/devices/coupled-five-bar.toml"))?;
     let cut: Forces =
         pressed(&file, LIMIT as f32)?.1.iter().map(|felt| (felt.depth, [felt.along, felt.across])).collect();

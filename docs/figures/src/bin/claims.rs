@@ -1,0 +1,9 @@
+//! Prints the tables of docs/claims.md: `cargo run --package figures --bin claims`.
+
+#[allow(dead_code, reason = "the test asserts more than the page shows")]
+#[path = "../../../../host/tests/claims/page.rs"]
+mod page;
+
+fn main() {
+    print!("{}", page::tables());
+}

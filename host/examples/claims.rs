@@ -1,9 +1,0 @@
-//! Prints the tables of docs/claims.md: `cargo run --package haptic --example claims`.
-
-#[allow(dead_code, reason = "the test asserts more than the page shows")]
-#[path = "../tests/claims/page.rs"]
-mod page;
-
-fn main() {
-    print!("{}", page::tables());
-}

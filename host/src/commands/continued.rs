@@ -1,0 +1,22 @@
+//! `--continue`, which every command that works for long takes.
+
+use haptic::error::Failure;
+use haptic::interrupt;
+use haptic::sweep::Sweep;
+use std::path::PathBuf;
+
+/// Where work is kept that is not done yet.
+#[derive(clap::Args)]
+pub struct Continue {
+    /// Keep what is done in this file until the answer is there: after Ctrl-C the same command goes on from it
+    #[arg(long = "continue", value_name = "FILE")]
+    file: Option<PathBuf>,
+}
+
+impl Continue {
+    /// The work of a command that Ctrl-C ends in order; `question` is everything that decides its results.
+    pub fn sweep(&self, command: &str, question: &str) -> Result<Sweep, Failure> {
+        let interrupt = interrupt::watch();
+        Sweep::new(command, question, self.file.as_deref(), move || interrupt.is_set())
+    }
+}

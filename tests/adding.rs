@@ -1,0 +1,138 @@
+//! What it takes to add something is what docs/architecture.md says: the places where one that is there is named are the
+//! files of its row. That a toy one works is tested in tests/mechanism.rs, tests/shape.rs, tests/estimators.rs,
+//! tests/stages.rs, tests/floors.rs (a file alone) and src/board/telemetry.rs.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+/// What the product is made of.
+const PRODUCT: [&str; 11] = [
+    "src",
+    "host/src",
+    "firmware/src",
+    "firmware/Cargo.toml",
+    "emulator/src",
+    "xtask/src",
+    "capi/src",
+    "chai3d/src",
+    "python/src",
+    "benches/chip",
+    ".cargo/config.toml",
+];
+
+/// A row of the table, with one of its kind that is there.
+struct Row {
+    name: &'static str,
+    /// What names it.
+    words: &'static [&'static str],
+    /// The stem of its own file, where it has one.
+    stem: &'static str,
+    /// Files that use it, and would do without.
+    users: &'static [&'static str],
+}
+
+const ROWS: [Row; 9] = [
+    Row { name: "mechanism", words: &["Serial3r", "serial_3r"], stem: "serial_3r", users: &[] },
+    Row { name: "wall shape", words: &["Cylinder", "cylinder"], stem: "cylinder", users: &[] },
+    Row {
+        name: "telemetry signal",
+        words: &["RenderedForce", "rendered_force"],
+        stem: "",
+        users: &["host/src/sim/held.rs", "host/src/view/picture.rs"],
+    },
+    Row { name: "fault", words: &["IndexMismatch"], stem: "", users: &[] },
+    Row { name: "velocity estimator", words: &["Levant", "levant"], stem: "levant", users: &[] },
+    Row {
+        name: "request",
+        words: &["SetName", "set_name"],
+        stem: "",
+        users: &["host/src/commands/name.rs", "emulator/src/inject.rs"],
+    },
+    Row { name: "command", words: &["Completions", "completions"], stem: "completions", users: &[] },
+    Row {
+        name: "board",
+        words: &["HBridgeF405", "h_bridge_f405", "h-bridge-f405", "flash-h-bridge-f405"],
+        stem: "h_bridge_f405",
+        users: &[
+            // What runs on either.
+            "emulator/src/bin/board.rs",
+            "emulator/src/cases.rs",
+            "emulator/src/inject.rs",
+            "emulator/src/range.rs",
+            "host/src/commands/report.rs",
+        ],
+    },
+    Row { name: "motor stage", words: &["brushed"], stem: "brushed", users: &["host/src/sim/board.rs"] },
+];
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn read(path: &Path) -> String {
+    std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+fn files(path: &Path, found: &mut Vec<PathBuf>) {
+    if path.is_dir() {
+        for entry in std::fs::read_dir(path).expect("a readable folder") {
+            files(&entry.expect("a readable entry").path(), found);
+        }
+    } else if path.extension().is_some_and(|end| end == "rs" || end == "toml") {
+        found.push(path.into());
+    }
+}
+
+/// A source without comments and tests.
+fn code(text: &str) -> String {
+    let product = text.split("#[cfg(test)]").next().unwrap_or_default();
+    product.lines().map(|line| line.split("//").next().unwrap_or_default()).collect::<Vec<_>>().join("\n")
+}
+
+/// Whether a word stands in a text by itself.
+fn names(text: &str, word: &str) -> bool {
+    let part = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+    text.match_indices(word).any(|(at, _)| !text[..at].ends_with(part) && !text[at + word.len()..].starts_with(part))
+}
+
+/// The files of the product in which one of these words stands.
+fn named_in(words: &[&str]) -> BTreeSet<String> {
+    let mut found = Vec::new();
+    PRODUCT.iter().for_each(|folder| files(&root().join(folder), &mut found));
+    assert!(found.len() > 200, "only {} files", found.len());
+    let named = found.iter().filter(|path| words.iter().any(|word| names(&code(&read(path)), word)));
+    let inside = |path: &PathBuf| path.strip_prefix(root()).expect("below the root").to_str().expect("a name").into();
+    named.map(inside).collect()
+}
+
+/// The files of a row of the table, with `stem` where it says NAME.
+fn told(row: &str, stem: &str) -> BTreeSet<String> {
+    let text = read(&root().join("docs/architecture.md"));
+    let table = text.split("## Adding things").nth(1).expect("the section").to_string();
+    let line = table.lines().find(|line| line.starts_with(&format!("| {row} |"))).unwrap_or_else(|| panic!("no {row}"));
+    let part = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);
+    let words = line.split(|c: char| !part(c)).filter(|word| word.contains('/'));
+    let files = words.filter(|word| word.ends_with(".rs") || word.ends_with(".toml"));
+    files.map(|word| word.replace("NAME", stem)).filter(|file| !file.contains("tests/")).collect()
+}
+
+#[test]
+fn the_places_where_one_that_is_there_is_named_are_the_files_of_its_row() {
+    for Row { name, words, stem, users } in ROWS {
+        let told = told(name, stem);
+        assert!(told.iter().all(|file| root().join(file).exists()), "{name}: {told:?}");
+        let mut named = named_in(words);
+        for user in users {
+            assert!(named.remove(*user), "{name}: {user} does not use it");
+        }
+        // A file need not say its own name.
+        named.extend(told.iter().filter(|file| file.ends_with(&format!("/{stem}.rs"))).cloned());
+        assert_eq!(named, told, "{name}: where {words:?} stands is not what the row says");
+    }
+}
+
+#[test]
+fn a_word_is_found_by_itself_and_not_in_comments() {
+    assert!(names("a Sphere(b)", "Sphere") && !names("Spheres", "Sphere") && !names("half-Sphere", "Sphere"));
+    assert_eq!(code("one // two\nthree\n#[cfg(test)]\nmod tests {}"), "one \nthree");
+}
