@@ -19,6 +19,7 @@ pub mod before;
 pub mod bench;
 pub mod campaign;
 pub mod excitation;
+pub mod occasion;
 pub mod progress;
 pub mod search;
 pub mod simulated;

@@ -129,6 +129,18 @@ impl Board {
         })
     }
 
+    /// Works with the whole board, whose stream is over afterwards.
+    pub fn whole<T: Send>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&mut link::Board) -> PyResult<T> + Send,
+    ) -> PyResult<T> {
+        self.with(py, |held| {
+            held.stream = None;
+            Ok(work(&mut held.session))
+        })?
+    }
+
     fn exchanged(&self, py: Python<'_>, request: ForceRequest) -> PyResult<State> {
         self.with(py, |held| Ok(State(held.session.exchange(request)?)))
     }

@@ -158,7 +158,7 @@ impl Device {
             Some(qd) => rows("qd", qd, n)?.along("qd", &poses)?,
             None => vec![vec![0.0; n]; poses.rows.len()],
         };
-        let normals = normal.map(|normal| self.units(normal, &poses)).transpose()?;
+        let normals = normal.map(|normal| self.units_along(normal, &poses)).transpose()?;
         let precision = word("precision", precision, &[("f64", Precision::F64), ("f32", Precision::F32)])?;
         let admissible = word("admissible", admissible, &Admissible::ALL)?;
         let keep = keeps(singular)?;
@@ -246,7 +246,7 @@ impl Device {
         singular: &str,
     ) -> PyResult<Bound<'py, PyDict>> {
         let poses = rows("q", q, self.joints())?;
-        let normals = self.units(normal, &poses)?;
+        let normals = self.units_along(normal, &poses)?;
         let estimators = [
             ("butterworth", Estimator::Butterworth(cutoff_hz)),
             ("first-order", Estimator::FirstOrder(cutoff_hz)),
@@ -373,9 +373,13 @@ impl Device {
 
 impl Device {
     /// Unit normals, one for each pose.
-    fn units(&self, given: &Bound<'_, PyAny>, poses: &Rows) -> PyResult<Vec<Vec<f64>>> {
+    fn units_along(&self, given: &Bound<'_, PyAny>, poses: &Rows) -> PyResult<Vec<Vec<f64>>> {
+        self.units(rows("normal", given, self.task())?.along("normal", poses)?)
+    }
+
+    /// The same directions, each of length 1.
+    pub fn units(&self, normals: Vec<Vec<f64>>) -> PyResult<Vec<Vec<f64>>> {
         let (n, d) = (self.joints(), self.task());
-        let normals = rows("normal", given, d)?.along("normal", poses)?;
         let unit = |normal: Vec<f64>| {
             let unit = unit_normal(&normal, d, n).map_err(failure)?;
             Ok(unit.iter().copied().take(d).collect())

@@ -6,6 +6,7 @@ mod arrays;
 mod board;
 mod device;
 mod errors;
+mod measure;
 mod recording;
 mod simulation;
 
@@ -27,6 +28,7 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<board::Board>()?;
     module.add_class::<board::State>()?;
     module.add_class::<recording::Recording>()?;
+    module.add_function(wrap_pyfunction!(measure::measure_range, module)?)?;
     module.add_function(wrap_pyfunction!(board::boards, module)?)?;
     module.add_function(wrap_pyfunction!(recording::read_recording, module)?)
 }

@@ -9,6 +9,7 @@ mod firmware;
 mod format;
 mod fuzz;
 mod image;
+mod library;
 mod no_panic;
 mod paths;
 mod python;
@@ -78,6 +79,8 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         rest: Vec<String>,
     },
+    /// Of these, the library without the command line: its tests, and that it brings nothing that only the tool needs
+    Library,
     /// Of these, the tests of the package for Python
     Python {
         /// Further arguments of pytest
@@ -148,6 +151,7 @@ fn run(command: Command, install: bool) -> Result<()> {
         Command::Tools => tools::check(install),
         Command::Test => tests::all(install),
         Command::TestBoard { rest } => tests::board(&rest, install),
+        Command::Library => library::alone(),
         Command::Python { rest } => python::test(&rest, &python::ALONE, install),
         Command::Timing => tests::measure("timing", &[], install),
         Command::Fuzz(options) => fuzz::run(&options, install),

@@ -7,7 +7,7 @@ use std::time::Instant;
 use anyhow::Result;
 
 use crate::toolchain::{cargo, run};
-use crate::{bench, deny, firmware, fuzz, no_panic, paths, python, report, tools};
+use crate::{bench, deny, firmware, fuzz, library, no_panic, paths, python, report, tools};
 
 /// Seconds of fuzzing that each target gets in the whole run.
 const FUZZ_SECONDS: u32 = 4;
@@ -25,6 +25,7 @@ pub fn all(install: bool) -> Result<()> {
     stage("library, simulated board and tool", &|| {
         run(cargo().current_dir(paths::root()).args(["test", "--locked", "--workspace"]))
     })?;
+    stage("library without the command line", &library::alone)?;
     stage("package for Python", &|| python::test(&[], &python::AFTERWARDS, install))?;
     stage("licences, sources and advisories of dependencies", &deny::check)?;
     stage("fuzzing", &|| fuzz::run(&fuzz::Options::short(FUZZ_SECONDS), install))?;

@@ -13,11 +13,11 @@ use haptic::device_file::DeviceFile;
 use haptic::error::Failure;
 use haptic::interrupt;
 use haptic::link::{Board, PortSpec};
-use haptic::measure::before::Before;
-use haptic::measure::campaign::{self, Plan};
+use haptic::measure::campaign::Plan;
+use haptic::measure::occasion::{self, Occasion};
 use haptic::measure::progress::{Progress, ProgressError};
 use haptic::measure::simulated::{Friction, World};
-use haptic::measure::{Bench, Law, MeasureError, Setup, most_tested, rules_for};
+use haptic::measure::{Bench, Law, MeasureError, Setup, most_tested};
 use haptic::vectors::padded;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::device::Device;
@@ -25,7 +25,7 @@ use haptic_bridge::render::scene::FeedForward;
 use meter::Meter;
 use report::{Report, Theory};
 use std::io::{IsTerminal, Write as _};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Measure on a board which walls stay stable; moves the motors
 ///
@@ -162,17 +162,16 @@ pub fn run(args: Args) -> Result<(), Failure> {
         )
         .remedy("use them with --port sim; a board is measured where and as it is"));
     }
-    let along: Vec<(&Vec<f64>, f64)> = walls.iter().map(|wall| (&wall.normal, wall.share)).collect();
-    let mut what = format!(
-        "{} along {along:?} at {} Hz, cutoff {} Hz, washout {} Hz, pull {} mm, {} N m",
-        file.name, args.rate, args.cutoff, args.washout, args.pull, args.torque_limit
-    );
-    if let Some(Numbers(without)) = &args.no_feed_forward {
-        what.push_str(&format!(", without the feed-forward of {without:?}"));
-    }
-    if world != World::default() {
-        what.push_str(&format!(", {world:?}"));
-    }
+    let setup = Setup {
+        walls,
+        rate_hz: args.rate,
+        cutoff_hz: args.cutoff,
+        washout_hz: args.washout,
+        law: Law::default(),
+        torque_limit: args.torque_limit,
+        largest_pull: args.pull * 1e-3,
+    };
+    let what = occasion::what(&file.name, &setup, &world);
     let mut progress = match args.anew {
         true => {
             Progress::read(&args.progress).map(|found| found.map_or(Progress::new(&what), |found| found.anew(&what)))
@@ -194,22 +193,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         }
         _ => args.port.open()?,
     };
-    let before = before(&mut board, &progress)?;
+    let before = occasion::before(&mut board, &progress)?;
     ready(&mut board, &file, &args)?;
-    if !simulated {
-        // Should this be killed, the next run still knows.
-        progress.before = before.keep(&board.info().serial, &rules_for(before.rules(), args.torque_limit));
-        progress.save(&args.progress).map_err(progress_failure)?;
-    }
-    let setup = Setup {
-        walls: walls.clone(),
-        rate_hz: args.rate,
-        cutoff_hz: args.cutoff,
-        washout_hz: args.washout,
-        law: Law::default(),
-        torque_limit: args.torque_limit,
-        largest_pull: args.pull * 1e-3,
-    };
     let earlier = progress.measured(&plan);
     if earlier > 0 {
         let (total, place) = (plan.total(), args.progress.display());
@@ -223,31 +208,25 @@ pub fn run(args: Args) -> Result<(), Failure> {
         interrupt.is_set()
     };
     let mut theory = None;
-    let measured = Bench::new(&mut board, &file, setup, &stop).and_then(|mut bench| {
-        let q = rounded(bench.pose());
-        if !progress.q.is_empty() && progress.q.iter().zip(&q).any(|(then, now)| (then - now).abs() > SAME_POSE) {
-            return Err(MeasureError::Moved);
-        }
-        if progress.q.is_empty() {
-            progress.q.clone_from(&q);
-        }
+    let path = args.progress.as_path();
+    let mut occasion = Occasion {
+        board: &mut board,
+        file: &file,
+        before,
+        progress: &mut progress,
+        path: Some(path),
+        remembers: !simulated,
+    };
+    let begun = |bench: &mut Bench<'_>, q: &[f64]| {
         let (info, details) = (bench.board().info().clone(), bench.board().details()?);
-        theory = Some(Theory::new(&args, &file, walls, &q, (&info, &details), *bench.excitation())?);
-        campaign::run(&mut bench, &plan, &mut progress, |progress, done| {
-            meter.done(done);
-            Ok(progress.save(&args.progress)?)
-        })?;
-        bench.finish()
-    });
+        let around = occasion::around(&setup, &info, &details);
+        theory = Some(Theory::new(&args, &file, setup.walls.clone(), q, around, *bench.excitation())?);
+        Ok(())
+    };
+    let measured = occasion.measure(setup.clone(), &plan, &stop, begun, |done| meter.done(done));
     meter.finish();
     // A device that was loaded for this goes, too.
-    let back = before.put_back(&mut board);
-    let missing = before.missing(&mut board).unwrap_or_else(|_| vec!["device", "scene", "rules"]);
-    if back.is_err() || !missing.is_empty() {
-        haptic::tell!("not put back on the board: {}; load it again", missing.join(", "));
-    } else if progress.before.take().is_some() {
-        forget(&progress, &args.progress).map_err(progress_failure)?;
-    }
+    occasion.put_back().map_err(progress_failure)?;
     let report =
         theory.map(|theory| Report { name: &file.name, args: &args, plan: &plan, progress: &progress, theory });
     match (measured, report) {
@@ -268,57 +247,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
 }
 
-/// What the board is to hold afterwards: what it holds now, or what it held before a measurement that was killed.
-fn before(board: &mut Board, progress: &Progress) -> Result<Before, Failure> {
-    let now = Before::of(board)?;
-    let serial = board.info().serial.clone();
-    let kept = progress.before.as_ref().filter(|kept| kept.serial == serial.as_str());
-    if !now.is_left_over() {
-        // Cut short before it had set its scene, it has left its rules.
-        let Some(Ok(Some(before))) = kept.map(|kept| now.without_its_rules(kept)) else { return Ok(now) };
-        haptic::tell!(
-            "the rules on the board were left by a measurement that was cut short: those before it are put back"
-        );
-        board.disarm()?;
-        board.set_rules(before.rules())?;
-        return Ok(before);
-    }
-    let Some(Ok((before, as_before))) = kept.map(|kept| now.from_kept(kept)) else {
-        haptic::tell!(
-            "the scene on the board was left by a measurement that was cut short: load yours again with `haptic scene`, \
-             and look at `haptic rules`"
-        );
-        return Ok(now);
-    };
-    haptic::tell!("the scene on the board was left by a measurement that was cut short: the one before it is put back");
-    if !as_before {
-        haptic::tell!("the rules are neither that measurement's nor those before it, and stay: look at `haptic rules`");
-    } else if before.rules() != now.rules() {
-        board.disarm()?;
-        board.set_rules(before.rules())?;
-    }
-    Ok(before)
-}
-
-/// Writes the file without what is on the board again, or takes it away where nothing was measured.
-fn forget(progress: &Progress, path: &Path) -> Result<(), ProgressError> {
-    if !progress.is_empty() {
-        return progress.save(path);
-    }
-    std::fs::remove_file(path).map_err(|error| ProgressError::Unwritten(haptic::output::refused(path, &error)))
-}
-
 /// What to do where the encoders are too coarse or friction hides everything.
 const REMEDY: &str = "use finer encoders (--counts on --port sim), a lower --rate and --cutoff, a larger --pull or \
                       --torque-limit, another pose or normal";
-
-/// Poses closer than this are the same, rad.
-const SAME_POSE: f64 = 0.02;
-
-/// To a millionth of a radian, as they are printed: theory and printed line then agree in every digit.
-fn rounded(q: &[f64]) -> Vec<f64> {
-    q.iter().map(|angle| (angle * 1e6).round() / 1e6).collect()
-}
 
 fn plan(args: &Args) -> Result<Plan, Failure> {
     if !(args.torque_limit > 0.0 && args.torque_limit.is_finite() && args.pull > 0.0 && args.pull <= 5.0) {
@@ -388,12 +319,7 @@ fn holds(found: &str, file: &DeviceFile) -> Result<(), Failure> {
 fn ready(board: &mut Board, file: &DeviceFile, args: &Args) -> Result<(), Failure> {
     let details = board.details()?;
     let device = Device::new(&file.name, &file.description).map_err(Failure::wrong)?;
-    let held = board.device()?;
-    if held.as_ref() != Some(&device) {
-        let found = held.map_or("no device".into(), |held| match held.name == device.name {
-            true => format!("another version of {}", held.name),
-            false => held.name.to_string(),
-        });
+    if let Some(found) = occasion::another(board, &device)? {
         if args.load && !details.real {
             board.set_device(&device)?;
         } else {

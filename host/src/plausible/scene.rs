@@ -16,7 +16,7 @@ use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::shape::Meaning;
 use haptic_bridge::render::scene::{Scene, Surface, Wall};
 use haptic_bridge::safety::limits::GENTLE_FORCE;
-use nalgebra::SVector;
+use nalgebra::{DVector, SVector};
 use serde::Serialize;
 
 /// Hand speed (m/s) at which a wall's damping alone should not take all of the motors.

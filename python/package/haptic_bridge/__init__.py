@@ -27,6 +27,7 @@ from ._native import (
     State,
     __version__,
     boards,
+    measure_range,
     read_recording,
 )
 
@@ -44,6 +45,7 @@ __all__ = [
     "State",
     "__version__",
     "boards",
+    "measure_range",
     "mjcf",
     "read_recording",
 ]

@@ -1,4 +1,4 @@
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from os import PathLike
 from types import TracebackType
 from typing import Any, Literal, Self, TypedDict
@@ -201,5 +201,30 @@ class Recording:
     def __len__(self) -> int: ...
     def __getitem__(self, name: str) -> Array: ...
 
+def measure_range(
+    device: Device,
+    normal: ArrayLike,
+    *,
+    board: Board | None = None,
+    rate_hz: float = 1000.0,
+    cutoff_hz: float = 20.0,
+    kd: Sequence[float] | None = None,
+    points: int = 12,
+    repeats: int = 5,
+    feed_forward: Literal["both", "all", "off", "full", "washout"] = "both",
+    washout_hz: float = 2.0,
+    share: Sequence[float] | None = None,
+    no_feed_forward: Sequence[int] | None = None,
+    torque_limit_nm: float = 1.0,
+    pull_m: float = 5e-4,
+    progress: str | PathLike[str] | None = None,
+    told: Callable[[int, int], object] | None = None,
+    yes: bool = False,
+    q: Sequence[float] | None = None,
+    friction: Literal["all", "viscous", "coulomb", "none"] = "all",
+    ideal_drive: bool = False,
+    counts: float | None = None,
+    grip: bool = False,
+) -> dict[str, Any]: ...
 def boards() -> list[_Found]: ...
 def read_recording(path: str | PathLike[str]) -> Recording: ...

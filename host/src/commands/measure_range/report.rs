@@ -5,15 +5,15 @@ use crate::commands::port::counted;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::pose::PoseError;
 use haptic::analysis::range::{BoundaryPoint, Range, predict, predict_several};
-use haptic::analysis::sampled::{AnalysisError, Estimator, Loop};
+use haptic::analysis::sampled::{AnalysisError, Loop};
 use haptic::analysis::several::{Member, WallSet};
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::measure::campaign::Plan;
 use haptic::measure::excitation::{Excitation, millimetres};
+use haptic::measure::occasion::CURRENT_HZ;
 use haptic::measure::progress::{Point, Progress};
 use haptic::plot::range::{Contents, MeasuredPoint, draw};
-use haptic_bridge::board::protocol::{Details, Info};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::FeedForward;
 use serde_json::json;
@@ -55,28 +55,20 @@ fn printed(kd: f64) -> f64 {
     format!("{kd:.5e}").parse().unwrap_or(kd)
 }
 
-/// Lag of the boards' current loops at a carrier of 20 kHz, Hz: half a carrier period, as `haptic range` has it.
-const CURRENT_HZ: f64 = 6400.0;
-const CARRIER_HZ: f64 = 20_000.0;
-
 impl Theory {
-    /// Of `walls` at `q` behind this board: its own delay, and its own drive.
+    /// Of `walls` at `q` behind this loop.
     pub fn new(
         args: &Args,
         file: &DeviceFile,
         walls: Vec<Member>,
         q: &[f64],
-        (info, details): (&Info, &Details),
+        around: Loop,
         excitation: Excitation,
     ) -> Result<Self, PoseError> {
         let device = match walls.as_slice() {
             [only] => Walls::One(Linearised::at(&file.description, q, &only.normal)?),
             _ => Walls::Several(WallSet::at(&file.description, q, &walls, Admissible::default())?),
         };
-        let delay_samples = (f64::from(details.delay_samples) * 1e6).round() / 1e6;
-        let bandwidth_hz = (CURRENT_HZ * f64::from(details.carrier_hz) / CARRIER_HZ).round();
-        let ideal = info.board.as_str() == haptic::sim::IDEAL_BOARD;
-        let drive = if ideal { Drive::Ideal } else { Drive::Current { bandwidth_hz } };
         let mut line = format!("haptic range {} --q={}", args.device.display(), list(q));
         for normal in &args.normal {
             let _ = write!(line, " --normal={}", list(&normal.0));
@@ -87,8 +79,8 @@ impl Theory {
         if let Some(without) = &args.no_feed_forward {
             let _ = write!(line, " --no-feed-forward {}", list(&without.0));
         }
-        let _ = write!(line, " --rate {} --cutoff {} --delay {delay_samples}", args.rate, args.cutoff);
-        if !ideal {
+        let _ = write!(line, " --rate {} --cutoff {} --delay {}", args.rate, args.cutoff, around.delay_samples);
+        if let Drive::Current { bandwidth_hz } = around.drive {
             line.push_str(" --drive current");
             if bandwidth_hz != CURRENT_HZ {
                 let _ = write!(line, " --current-bandwidth {bandwidth_hz}");
@@ -100,13 +92,6 @@ impl Theory {
         if args.feed_forward.contains(&FeedForward::Washout) {
             let _ = write!(line, " --washout {}", args.washout);
         }
-        let around = Loop {
-            rate_hz: args.rate,
-            delay_samples,
-            estimator: Estimator::Butterworth(args.cutoff),
-            drive,
-            damping_compensation: false,
-        };
         Ok(Self { device, walls, around, excitation, line, q: q.to_vec() })
     }
 

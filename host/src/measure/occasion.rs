@@ -1,0 +1,171 @@
+//! A measurement from what a board held before it to what it holds afterwards, kept in a file on the way: what
+//! `haptic measure-range` and the package for Python do with a board.
+
+use std::path::Path;
+
+use super::before::Before;
+use super::campaign::{self, Plan};
+use super::progress::{Progress, ProgressError};
+use super::simulated::World;
+use super::{Bench, MeasureError, Setup, rules_for};
+use crate::analysis::plant::Drive;
+use crate::analysis::sampled::{Estimator, Loop};
+use crate::device_file::DeviceFile;
+use crate::link::{Board, BoardError, LinkError};
+use haptic_bridge::board::protocol::{Details, Info};
+use haptic_bridge::model::device::Device;
+
+/// Poses closer than this are the same, rad.
+const SAME_POSE: f64 = 0.02;
+
+/// Lag of the boards' current loops at a carrier of 20 kHz, Hz: half a carrier period, as `haptic range` has it.
+pub const CURRENT_HZ: f64 = 6400.0;
+const CARRIER_HZ: f64 = 20_000.0;
+
+/// A board that is measured.
+pub struct Occasion<'a> {
+    /// The board, with the device loaded.
+    pub board: &'a mut Board,
+    /// Its device.
+    pub file: &'a DeviceFile,
+    /// What the board is to hold afterwards.
+    pub before: Before,
+    /// What is there already, and what comes to it.
+    pub progress: &'a mut Progress,
+    /// Where that is kept.
+    pub path: Option<&'a Path>,
+    /// Whether what the board held before is kept there as well: should this be killed, the next measurement still knows.
+    pub remembers: bool,
+}
+
+impl Occasion<'_> {
+    /// Measures what `progress` lacks of `plan`. `stop` is asked often whether to end; `begun` hears of the bench before
+    /// anything is measured, `done` how many repeats are.
+    pub fn measure(
+        &mut self,
+        setup: Setup,
+        plan: &Plan,
+        stop: &dyn Fn() -> bool,
+        begun: impl FnOnce(&mut Bench<'_>, &[f64]) -> Result<(), MeasureError>,
+        mut done: impl FnMut(usize),
+    ) -> Result<(), MeasureError> {
+        if self.remembers {
+            let rules = rules_for(self.before.rules(), setup.torque_limit);
+            self.progress.before = self.before.keep(&self.board.info().serial, &rules);
+            save(self.progress, self.path)?;
+        }
+        let mut bench = Bench::new(self.board, self.file, setup, stop)?;
+        // To a millionth of a radian, as it is printed: theory and printed pose then agree in every digit.
+        let q: Vec<f64> = bench.pose().iter().map(|angle| (angle * 1e6).round() / 1e6).collect();
+        if self.progress.q.is_empty() {
+            self.progress.q.clone_from(&q);
+        } else if self.progress.q.iter().zip(&q).any(|(then, now)| (then - now).abs() > SAME_POSE) {
+            return Err(MeasureError::Moved);
+        }
+        begun(&mut bench, &q)?;
+        let path = self.path;
+        campaign::run(&mut bench, plan, self.progress, |progress, repeats| {
+            done(repeats);
+            Ok(save(progress, path)?)
+        })?;
+        bench.finish()
+    }
+
+    /// Puts back what the board held, and says on standard error what could not be.
+    pub fn put_back(self) -> Result<(), ProgressError> {
+        let back = self.before.put_back(self.board);
+        let missing = self.before.missing(self.board).unwrap_or_else(|_| vec!["device", "scene", "rules"]);
+        if back.is_err() || !missing.is_empty() {
+            crate::tell!("not put back on the board: {}; load it again", missing.join(", "));
+            return Ok(());
+        }
+        match (self.progress.before.take(), self.path) {
+            (None, _) | (_, None) => Ok(()),
+            (Some(_), Some(path)) if !self.progress.is_empty() => self.progress.save(path),
+            // Nothing was measured: the file goes.
+            (Some(_), Some(path)) => std::fs::remove_file(path)
+                .map_err(|error| ProgressError::Unwritten(crate::output::refused(path, &error))),
+        }
+    }
+}
+
+fn save(progress: &Progress, path: Option<&Path>) -> Result<(), ProgressError> {
+    path.map_or(Ok(()), |path| progress.save(path))
+}
+
+/// What the board is to hold afterwards: what it holds now, or what it held before a measurement that was killed. Which
+/// of the two, where there is a question, is said on standard error.
+pub fn before(board: &mut Board, progress: &Progress) -> Result<Before, BoardError> {
+    let now = Before::of(board)?;
+    let serial = board.info().serial.clone();
+    let kept = progress.before.as_ref().filter(|kept| kept.serial == serial.as_str());
+    if !now.is_left_over() {
+        // Cut short before it had set its scene, it has left its rules.
+        let Some(Ok(Some(before))) = kept.map(|kept| now.without_its_rules(kept)) else { return Ok(now) };
+        crate::tell!(
+            "the rules on the board were left by a measurement that was cut short: those before it are put back"
+        );
+        board.disarm()?;
+        board.set_rules(before.rules())?;
+        return Ok(before);
+    }
+    let Some(Ok((before, as_before))) = kept.map(|kept| now.from_kept(kept)) else {
+        crate::tell!(
+            "the scene on the board was left by a measurement that was cut short: load yours again with `haptic scene`, \
+             and look at `haptic rules`"
+        );
+        return Ok(now);
+    };
+    crate::tell!("the scene on the board was left by a measurement that was cut short: the one before it is put back");
+    if !as_before {
+        crate::tell!("the rules are neither that measurement's nor those before it, and stay: look at `haptic rules`");
+    } else if before.rules() != now.rules() {
+        board.disarm()?;
+        board.set_rules(before.rules())?;
+    }
+    Ok(before)
+}
+
+/// Which device the board holds where it is not `device`.
+pub fn another(board: &mut Board, device: &Device<f32>) -> Result<Option<String>, LinkError> {
+    let held = board.device()?;
+    Ok((held.as_ref() != Some(device)).then(|| match held {
+        None => "no device".into(),
+        Some(held) if held.name == device.name => format!("another version of {}", held.name),
+        Some(held) => held.name.to_string(),
+    }))
+}
+
+/// The loop of a board that is measured with `setup`, as the theory knows it: its own delay, and its own drive.
+#[must_use]
+pub fn around(setup: &Setup, info: &Info, details: &Details) -> Loop {
+    let bandwidth_hz = (CURRENT_HZ * f64::from(details.carrier_hz) / CARRIER_HZ).round();
+    let ideal = info.board.as_str() == crate::sim::IDEAL_BOARD;
+    Loop {
+        rate_hz: setup.rate_hz,
+        delay_samples: (f64::from(details.delay_samples) * 1e6).round() / 1e6,
+        estimator: Estimator::Butterworth(setup.cutoff_hz),
+        drive: if ideal { Drive::Ideal } else { Drive::Current { bandwidth_hz } },
+        damping_compensation: false,
+    }
+}
+
+/// What is measured, in words: a file of progress goes on only with the same.
+#[must_use]
+pub fn what(name: &str, setup: &Setup, world: &World) -> String {
+    let along: Vec<(&Vec<f64>, f64)> = setup.walls.iter().map(|wall| (&wall.normal, wall.share)).collect();
+    // Without the noise of a multiplication.
+    let pull_mm = (setup.largest_pull * 1e9).round() / 1e6;
+    let mut what = format!(
+        "{name} along {along:?} at {} Hz, cutoff {} Hz, washout {} Hz, pull {pull_mm} mm, {} N m",
+        setup.rate_hz, setup.cutoff_hz, setup.washout_hz, setup.torque_limit
+    );
+    let without: Vec<usize> = (0..setup.walls.len()).filter(|wall| !setup.walls[*wall].feed_forward).collect();
+    if !without.is_empty() {
+        what.push_str(&format!(", without the feed-forward of {without:?}"));
+    }
+    if *world != World::default() {
+        what.push_str(&format!(", {world:?}"));
+    }
+    what
+}

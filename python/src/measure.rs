@@ -1,0 +1,341 @@
+//! The stable range as a board has it, measured.
+
+use crate::arrays::{array, list, rows};
+use crate::board::Board;
+use crate::device::{Device, word};
+use crate::errors::{self, ImpossibleError, RequestError, failure};
+use haptic::analysis::plant::Drive;
+use haptic::analysis::sampled::Loop;
+use haptic::analysis::several::{Member, WallSet};
+use haptic::device_file::DeviceFile;
+use haptic::haptic_bridge::model::admissible::Admissible;
+use haptic::haptic_bridge::model::device::Device as DeviceData;
+use haptic::link::Board as Linked;
+use haptic::measure::campaign::Plan;
+use haptic::measure::occasion::{self, Occasion};
+use haptic::measure::progress::{Mode, Point, Progress};
+use haptic::measure::simulated::{Friction, World};
+use haptic::measure::{Law, MeasureError, Setup, most_tested};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::cell::{Cell, OnceCell};
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+/// How often Ctrl-C is looked for.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// Everything that is asked for.
+struct Order {
+    file: DeviceFile,
+    setup: Setup,
+    plan: Plan,
+    world: World,
+    progress: Option<PathBuf>,
+    yes: bool,
+}
+
+/// What came of it.
+struct Measured {
+    progress: Progress,
+    around: Loop,
+    /// Smallest step of the tip that the encoders show, m.
+    encoder_step: f64,
+}
+
+/// Measures on a board which walls stay stable, as `haptic measure-range` does it; moves the motors.
+///
+/// For every damping the stiffness is raised until the telemetry shows a motion that builds up or goes on as a vibration; it is
+/// taken back at once, and the boundary bisected. The theory is not consulted. What the board held before (scene, rules) is put
+/// back. Take the hand off the device. Ctrl-C turns the motors off, and so does any exception.
+///
+/// Without a board the device is simulated in this process, as fast as the computer can, with: q, shape (N,) rad, where
+/// it stands (default: its home); friction "all", "viscous", "coulomb" or "none"; ideal_drive, whose torques act at once; counts per
+/// turn of every encoder (default: the device file's); grip, a relaxed hand at the tip. A board is measured where and as it is: it must
+/// hold this device, and a real one needs yes=True, which says that you know that it will move.
+///
+/// normal: (d,), a wall where the tip is; or (W, d), walls that act together in the parts share, shape (W,) (default: equal ones),
+/// those listed in no_feed_forward (counted from 0) without it; stiffness and damping are then the totals. feed_forward: "both"
+/// (off and full), "all" (washout as well), "off", "full" or "washout". kd: the dampings, N s/m (default: `points` even ones up to
+/// where the range ends). torque_limit_nm: largest joint torque, N m; pull_m: farthest the tip is pulled aside, m.
+///
+/// progress: a file that is written after every repeat; the same call with it goes on where the last one was interrupted. told:
+/// called with (repeats done, repeats in all); it must leave the board alone.
+///
+/// Returns a dict: q (N,) rad; encoder_step_m; loop, the keywords with which Device.range predicts the same, as in
+/// device.range(found["q"], normal, kd=found["off"]["kd"], **found["loop"]); and for each of "off", "full", "washout" that was measured
+/// a dict over its k dampings, ascending: kd (k,) N s/m; kp (k,) N/m, the median of the repeats (k, R), R the most that any damping
+/// has; low, high (k,) their bounds; vibration_m (k,), from peak to peak just beyond, NaN where the motion grew; stable_up_to (k,) N/m and
+/// why (k texts, None without) where nothing more could be told, and kp may be NaN; kd_max, where the range ends, NaN unless
+/// that was measured, and kd_max_open, why it was not found, or None.
+///
+/// Raises ImpossibleError where nothing could be told at all, LinkError, RefusedError.
+#[pyfunction]
+#[pyo3(signature = (
+    device, normal, *, board = None, rate_hz = 1000.0, cutoff_hz = 20.0, kd = None, points = 12, repeats = 5, feed_forward = "both",
+    washout_hz = 2.0, share = None, no_feed_forward = None, torque_limit_nm = 1.0, pull_m = 5e-4, progress = None, told = None,
+    yes = false, q = None, friction = "all", ideal_drive = false, counts = None, grip = false
+))]
+#[allow(clippy::too_many_arguments, reason = "keywords of Python")]
+pub fn measure_range<'py>(
+    py: Python<'py>,
+    device: &Device,
+    normal: &Bound<'py, PyAny>,
+    board: Option<&Board>,
+    rate_hz: f64,
+    cutoff_hz: f64,
+    kd: Option<Vec<f64>>,
+    points: usize,
+    repeats: usize,
+    feed_forward: &str,
+    washout_hz: f64,
+    share: Option<Vec<f64>>,
+    no_feed_forward: Option<Vec<usize>>,
+    torque_limit_nm: f64,
+    pull_m: f64,
+    progress: Option<PathBuf>,
+    told: Option<Py<PyAny>>,
+    yes: bool,
+    q: Option<Vec<f64>>,
+    friction: &str,
+    ideal_drive: bool,
+    counts: Option<f64>,
+    grip: bool,
+) -> PyResult<Bound<'py, PyDict>> {
+    let modes = [
+        ("both", &[Mode::Off, Mode::Full][..]),
+        ("all", &[Mode::Off, Mode::Full, Mode::Washout]),
+        ("off", &[Mode::Off]),
+        ("full", &[Mode::Full]),
+        ("washout", &[Mode::Washout]),
+    ];
+    let modes = word("feed_forward", feed_forward, &modes)?.to_vec();
+    let frictions = [
+        ("all", Friction::All),
+        ("viscous", Friction::Viscous),
+        ("coulomb", Friction::Coulomb),
+        ("none", Friction::None),
+    ];
+    let friction = word("friction", friction, &frictions)?;
+    let wrong = |reason: &str| Err(RequestError::new_err(reason.to_owned()));
+    let positive = |number: f64| number > 0.0 && number.is_finite();
+    if ![rate_hz, cutoff_hz, washout_hz, torque_limit_nm, pull_m].into_iter().all(positive) || pull_m > 5e-3 {
+        return wrong(
+            "rate_hz, cutoff_hz, washout_hz, torque_limit_nm and pull_m must be positive, and pull_m at most 0.005",
+        );
+    }
+    if kd.as_ref().is_some_and(|kd| kd.is_empty() || kd.iter().any(|kd| !(*kd >= 0.0 && kd.is_finite()))) {
+        return wrong("kd takes dampings that are not negative, one at least");
+    }
+    if !(1..=200).contains(&points) || !(1..=100).contains(&repeats) {
+        return wrong("points must be 1 to 200, and repeats 1 to 100");
+    }
+    if counts.is_some_and(|counts| !(counts >= 1.0 && counts.is_finite())) {
+        return wrong("counts must be at least 1");
+    }
+    let walls = walls(device, normal, share, no_feed_forward)?;
+    let mut file = device.file.clone();
+    let pose = q.map(|q| pose(&file, &q, &walls)).transpose()?;
+    let world = World { q: pose, friction, ideal_drive, counts, grip };
+    if board.is_none() {
+        world.apply(&mut file);
+    } else if world != World::default() {
+        return wrong(
+            "q, friction, ideal_drive, counts and grip change a simulation; a board is measured where and as it is",
+        );
+    }
+    let law = Law::default();
+    let setup =
+        Setup { walls, rate_hz, cutoff_hz, washout_hz, law, torque_limit: torque_limit_nm, largest_pull: pull_m };
+    let order = Order { file, setup, plan: Plan { modes, kd, points, repeats }, world, progress, yes };
+
+    let measured = match board {
+        Some(board) => board.whole(py, |board| order.measure(board, told.as_ref(), true))?,
+        None => py.detach(|| {
+            let shared = order.world.board(&order.file, rate_hz);
+            let shared = shared.map_err(|error| RequestError::new_err(error.to_string()))?;
+            let mut board = Linked::over(shared.wire(), "sim").map_err(errors::link)?;
+            order.measure(&mut board, told.as_ref(), false)
+        })?,
+    };
+    as_arrays(py, &order, &measured)
+}
+
+/// The walls that are measured together.
+fn walls(
+    device: &Device,
+    normal: &Bound<'_, PyAny>,
+    share: Option<Vec<f64>>,
+    no_feed_forward: Option<Vec<usize>>,
+) -> PyResult<Vec<Member>> {
+    let task = device.file.spec().task;
+    let normals = rows("normal", normal, task)?;
+    let (count, most) = (normals.rows.len(), most_tested(task));
+    let wrong = |reason: String| Err(RequestError::new_err(reason));
+    if normals.shape.len() > 1 || count == 0 || count > most {
+        return wrong(format!("normal must be one wall or up to {most}: a board holds the tip with walls, too"));
+    }
+    let share = share.unwrap_or_else(|| vec![1.0; count]);
+    if share.len() != count || share.iter().any(|part| !(*part > 0.0 && part.is_finite())) {
+        return wrong(format!("share must be {count} positive numbers, one for each wall"));
+    }
+    let without = no_feed_forward.unwrap_or_default();
+    if without.iter().any(|wall| *wall >= count) || (0..count).all(|wall| without.contains(&wall)) {
+        return wrong("no_feed_forward counts walls from 0, and leaves one with the feed-forward".into());
+    }
+    let normals = device.units(normals.rows)?;
+    let member = |(wall, (normal, share))| Member { normal, share, feed_forward: !without.contains(&wall) };
+    Ok(normals.into_iter().zip(share).enumerate().map(member).collect())
+}
+
+/// Where a simulated device stands.
+fn pose(file: &DeviceFile, q: &[f64], walls: &[Member]) -> PyResult<[f64; 3]> {
+    let joints = file.spec().joints;
+    if q.len() != joints || q.iter().any(|angle| !angle.is_finite()) {
+        return Err(RequestError::new_err(format!("q must be {joints} finite angles")));
+    }
+    WallSet::at(&file.description, q, walls, Admissible::default()).map_err(failure)?;
+    Ok(std::array::from_fn(|i| q.get(i).copied().unwrap_or(0.0)))
+}
+
+impl Order {
+    fn measure(&self, board: &mut Linked, told: Option<&Py<PyAny>>, outside: bool) -> PyResult<Measured> {
+        let what = occasion::what(&self.file.name, &self.setup, &self.world);
+        let path = self.progress.as_deref();
+        let wrong = |error| measurement(MeasureError::Progress(error));
+        let mut progress = path.map_or(Ok(Progress::new(&what)), |path| Progress::open(path, &what)).map_err(wrong)?;
+        if outside {
+            self.agreed(board)?;
+        }
+        let before = occasion::before(board, &progress).map_err(errors::board)?;
+        let remembers = outside && path.is_some();
+        // What Python raised meanwhile: Ctrl-C, or what is told of the repeats.
+        let raised = OnceCell::new();
+        let looked = Cell::new(Instant::now());
+        let call = |work: &dyn Fn(Python<'_>) -> PyResult<()>| {
+            if let Err(error) = Python::attach(work) {
+                let _ = raised.set(error);
+            }
+        };
+        let stop = || {
+            if looked.get().elapsed() >= LOOK {
+                looked.set(Instant::now());
+                call(&|py| py.check_signals());
+            }
+            raised.get().is_some()
+        };
+        let total = self.plan.total();
+        let done = |done: usize| {
+            if let Some(told) = told {
+                call(&|py| told.call1(py, (done, total)).map(drop));
+            }
+        };
+        let mut seen = None;
+        let setup = &self.setup;
+        let mut occasion = Occasion { board, file: &self.file, before, progress: &mut progress, path, remembers };
+        let begun = |bench: &mut haptic::measure::Bench<'_>, _: &[f64]| {
+            let (info, details) = (bench.board().info().clone(), bench.board().details()?);
+            seen = Some((occasion::around(setup, &info, &details), bench.excitation().quantum));
+            Ok(())
+        };
+        let ended = occasion.measure(setup.clone(), &self.plan, &stop, begun, done);
+        let back = occasion.put_back();
+        if let Some(error) = raised.into_inner() {
+            return Err(error);
+        }
+        ended.map_err(measurement)?;
+        back.map_err(wrong)?;
+        match seen {
+            Some((around, encoder_step)) if progress.points.iter().any(|point| !point.repeats.is_empty()) => {
+                Ok(Measured { progress, around, encoder_step })
+            }
+            _ => {
+                let open = progress.points.iter().find_map(|point| point.open.as_ref());
+                let reason = open.map_or("", |open| &open.reason);
+                Err(ImpossibleError::new_err(format!("no boundary was found: {reason}")))
+            }
+        }
+    }
+
+    /// The board holds the device, and whoever asks knows what a real one will do.
+    fn agreed(&self, board: &mut Linked) -> PyResult<()> {
+        let device = DeviceData::new(&self.file.name, &self.file.description)
+            .map_err(|error| RequestError::new_err(error.to_string()))?;
+        if let Some(found) = occasion::another(board, &device).map_err(errors::link)? {
+            let text = format!("the board holds {found}, the file is {}; load it first", self.file.name);
+            return Err(ImpossibleError::new_err(text));
+        }
+        if board.details().map_err(errors::link)?.real && !self.yes {
+            return Err(RequestError::new_err(
+                "this moves the motors by themselves: keep the hand off the device and clear of it, and agree with yes=True",
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// Why a measurement ended.
+fn measurement(error: MeasureError) -> PyErr {
+    match error {
+        MeasureError::Board(error) => errors::board(error),
+        MeasureError::Link(error) => errors::link(error),
+        MeasureError::Pose(error) => failure(error),
+        MeasureError::Progress(error) => RequestError::new_err(error.to_string()),
+        MeasureError::Scene(_) => RequestError::new_err(error.to_string()),
+        other => ImpossibleError::new_err(other.to_string()),
+    }
+}
+
+/// What was measured, as arrays.
+fn as_arrays<'py>(py: Python<'py>, order: &Order, measured: &Measured) -> PyResult<Bound<'py, PyDict>> {
+    let Measured { progress, around, encoder_step } = measured;
+    let found = PyDict::new(py);
+    found.set_item("q", list(py, &progress.q)?)?;
+    found.set_item("encoder_step_m", encoder_step)?;
+    let keywords = PyDict::new(py);
+    keywords.set_item("rate_hz", around.rate_hz)?;
+    keywords.set_item("cutoff_hz", order.setup.cutoff_hz)?;
+    keywords.set_item("delay", around.delay_samples)?;
+    match around.drive {
+        Drive::Current { bandwidth_hz } => {
+            keywords.set_item("drive", "current")?;
+            keywords.set_item("current_bandwidth_hz", bandwidth_hz)?;
+        }
+        _ => keywords.set_item("drive", "ideal")?,
+    }
+    keywords.set_item("undamped", order.file.description.joints.iter().all(|joint| joint.viscous == 0.0))?;
+    if order.plan.modes.contains(&Mode::Washout) {
+        keywords.set_item("washout_hz", order.setup.washout_hz)?;
+    }
+    found.set_item("loop", keywords)?;
+    for (name, mode) in [("off", Mode::Off), ("full", Mode::Full), ("washout", Mode::Washout)] {
+        if !order.plan.modes.contains(&mode) {
+            continue;
+        }
+        let points = progress.all(mode);
+        let most = points.iter().map(|point| point.repeats.len()).max().unwrap_or(0);
+        let into = PyDict::new(py);
+        let column = |name: &str, pick: &dyn Fn(&Point) -> Option<f64>| {
+            let values: Vec<f64> = points.iter().map(|point| pick(point).unwrap_or(f64::NAN)).collect();
+            into.set_item(name, list(py, &values)?)
+        };
+        let some = |point: &Point| !point.repeats.is_empty();
+        column("kd", &|point| Some(point.kd))?;
+        column("kp", &|point| some(point).then(|| point.median()))?;
+        column("low", &|point| some(point).then(|| point.bounds().0))?;
+        column("high", &|point| some(point).then(|| point.bounds().1))?;
+        column("vibration_m", &|point| point.vibration_m)?;
+        column("stable_up_to", &|point| point.open.as_ref().map(|open| open.stable_up_to))?;
+        let repeat = |point: &Point, nth: usize| point.repeats.get(nth).copied().unwrap_or(f64::NAN);
+        let repeats = points.iter().flat_map(|point| (0..most).map(move |nth| repeat(point, nth))).collect();
+        into.set_item("repeats", array(py, repeats, &[points.len(), most])?)?;
+        let why: Vec<Option<&str>> =
+            points.iter().map(|point| point.open.as_ref().map(|open| open.reason.as_str())).collect();
+        into.set_item("why", why)?;
+        into.set_item("kd_max", progress.end(mode).unwrap_or(f64::NAN))?;
+        let open_end = progress.open_ends.iter().find(|(other, _)| *other == mode).map(|(_, why)| why.as_str());
+        into.set_item("kd_max_open", open_end)?;
+        found.set_item(name, into)?;
+    }
+    Ok(found)
+}
