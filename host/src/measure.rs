@@ -7,7 +7,8 @@
 //! held. Holding is done by walls too, because gains change at once and a new scene fades in over half a second: one wall
 //! along the direction of the pull and one across it for every other direction (`measure/walls.rs`). A trial pulls the tip
 //! aside by a small distance, lets it swing back, and hands it over to the tested gains. The holding walls are soft springs
-//! chosen from the inertia at the pose and the filter's cutoff, nothing else.
+//! chosen from the inertia at the pose and the filter's cutoff, and made softer until the tip rests: a cable that gives may
+//! leave less damping than a rigid device stands, whatever its file says of it.
 //!
 //! One wall is pulled along its normal. A set is pulled, and watched, half way between the stiffest motion that it allows
 //! without the feed-forward and the one with it: a direction that shows either.

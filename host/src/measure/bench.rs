@@ -28,6 +28,11 @@ const HOST_SECONDS: f32 = 1.0;
 const PULLED: f64 = 0.5;
 const HARDER: usize = 5;
 
+/// How much more softly the tip is held where it does not come to rest, and how often it is tried: down to a 32nd of the
+/// hold's frequency.
+const SOFTER: f64 = 0.5;
+const SOFTEST: usize = 5;
+
 /// A board made ready to measure. While it measures, a tool that is killed or unplugged takes the motors with it; when
 /// dropped it disarms the board and puts back what was loaded before.
 pub struct Bench<'a> {
@@ -43,8 +48,10 @@ pub struct Bench<'a> {
     shares: Vec<(f64, bool)>,
     /// Force along the pull for each newton of the whole stiffness times the pull: 1 for one wall.
     along: f64,
-    /// Holding gains (N/m, N s/m), along the pull first, then across.
-    holding: Vec<(f64, f64)>,
+    /// Inertia that the hold meets along each of them, kg.
+    inertia: Vec<f64>,
+    /// The largest inertia that the tested walls meet, kg.
+    heaviest: f64,
     /// Natural frequency of the hold, rad/s.
     hold_frequency: f64,
     excitation: Excitation,
@@ -73,14 +80,14 @@ impl<'a> Bench<'a> {
         let total: f64 = setup.walls.iter().map(|wall| wall.share).sum();
         let shares = setup.walls.iter().map(|wall| (wall.share / total, wall.feed_forward)).collect();
 
-        // The hold: natural frequency well below filter and rate, damping 0.7.
+        // The hold: natural frequency well below filter and rate.
         let hold_frequency = (0.05 * setup.rate_hz).min(0.3 * TAU * setup.tempo_hz());
-        let mut holding = Vec::new();
+        let mut inertia = Vec::new();
         for direction in std::iter::once(&direction).chain(&across) {
             let seen = Linearised::at(&file.description, &q, direction.as_slice())?;
-            let inertia = seen.w_eff().unwrap_or_else(|| seen.w_rr());
-            holding.push((inertia * hold_frequency.powi(2), 1.4 * inertia * hold_frequency));
+            inertia.push(seen.w_eff().unwrap_or_else(|| seen.w_rr()));
         }
+        let heaviest = [false, true].into_iter().filter_map(|feed_forward| set.met(feed_forward)).fold(0.0, f64::max);
 
         let before = Before::of(board)?;
         let rules = rules_for(before.rules(), setup.torque_limit);
@@ -88,7 +95,7 @@ impl<'a> Bench<'a> {
         let torques = [false, true].map(|feed_forward| set.torque(&direction, feed_forward));
         let excitation = Excitation::new(file, &device, &torques, &rules, setup.largest_pull);
         // Not even the soft hold could be told from a loose tip: nothing is touched then.
-        excitation.pull(holding[0].0)?;
+        excitation.pull(gains_of(inertia[0], hold_frequency).0)?;
 
         let request = fields("tip,state").map_err(MeasureError::Scene)?;
         let columns = columns(request, spec.joints);
@@ -107,7 +114,8 @@ impl<'a> Bench<'a> {
             direction,
             layout,
             shares,
-            holding,
+            inertia,
+            heaviest,
             hold_frequency,
             excitation,
             divider: (setup.rate_hz / 10_000.0).ceil().max(1.0) as u32,
@@ -122,10 +130,34 @@ impl<'a> Bench<'a> {
         bench.hold(0.0)?;
         bench.board.arm()?;
         bench.board.start_stream(request, bench.divider)?;
-        // Torque ramps up over half a second after arming.
-        bench.wait(0.6)?;
-        bench.rest(0.0)?;
+        bench.settle()?;
         Ok(bench)
+    }
+
+    /// Waits until the tip rests, held as softly as it takes: what a device's transmissions leave of its range of stable
+    /// walls, nobody need know beforehand.
+    fn settle(&mut self) -> Result<(), MeasureError> {
+        for _ in 0..SOFTEST {
+            // Torque ramps up over half a second after arming.
+            match self.wait(0.6).and_then(|()| self.rest(0.0)) {
+                Err(MeasureError::Restless) => {
+                    self.hold_frequency *= SOFTER;
+                    self.hold(0.0)?;
+                }
+                Err(MeasureError::Fault(fault)) if violent(fault) => {
+                    self.hold_frequency *= SOFTER;
+                    self.hold(0.0)?;
+                    self.arm_again()?;
+                }
+                other => return other.map(|_| ()),
+            }
+        }
+        self.rest(0.0).map(|_| ())
+    }
+
+    /// Stiffness and damping that hold the tip along the pull, N/m and N s/m.
+    fn holding(&self) -> (f64, f64) {
+        gains_of(self.inertia[0], self.hold_frequency)
     }
 
     /// The board, for what does not disturb the measurement.
@@ -145,12 +177,12 @@ impl<'a> Bench<'a> {
 
     /// The stiffness at which a search begins: the soft hold's own, N/m.
     pub fn gentle_stiffness(&self) -> f64 {
-        self.holding[0].0
+        self.holding().0
     }
 
     /// The damping at which a search begins, N s/m.
     pub fn gentle_damping(&self) -> f64 {
-        self.holding[0].1
+        self.holding().1
     }
 
     /// Whether walls of this stiffness and damping in all oscillate. `strength` scales and signs the excitation (1 or a
@@ -204,7 +236,7 @@ impl<'a> Bench<'a> {
     /// Pulls the tip aside by `pull` and lets it swing back. Where friction keeps it from coming along, it is pulled
     /// harder.
     fn swing_from_rest(&mut self, feed_forward: FeedForward, pull: f64) -> Result<(), MeasureError> {
-        let friction = self.excitation.friction / self.holding[0].0;
+        let friction = self.excitation.friction / self.holding().0;
         let mut aim = pull + friction * pull.signum();
         for _ in 0..HARDER {
             let rested = self.rest(aim.clamp(-0.5 * APART, 0.5 * APART))?;
@@ -261,7 +293,7 @@ impl<'a> Bench<'a> {
     /// Holds the tip `pull` metres along the pull's direction from where it was: the wall there and the one beside it share
     /// the stiffness.
     fn hold(&mut self, pull: f64) -> Result<(), MeasureError> {
-        let (kp, kd) = self.holding[0];
+        let (kp, kd) = self.holding();
         let share = (pull / APART).clamp(-0.9, 0.9);
         let Layout { hold, aside, across } = self.layout;
         self.gains(hold, kp * (1.0 - share.abs()), kd, FeedForward::Off)?;
@@ -272,7 +304,8 @@ impl<'a> Bench<'a> {
         let [used, unused] = if pull >= 0.0 { aside } else { [aside[1], aside[0]] };
         self.gains(unused, 0.0, 0.0, FeedForward::Off)?;
         self.gains(used, kp * share.abs(), 0.0, FeedForward::Off)?;
-        for (index, (kp, kd)) in self.holding.clone().into_iter().skip(1).enumerate() {
+        for (index, inertia) in self.inertia.clone().into_iter().skip(1).enumerate() {
+            let (kp, kd) = gains_of(inertia, self.hold_frequency);
             self.gains(across + index as u8, kp, kd, FeedForward::Off)?;
         }
         Ok(())
@@ -284,7 +317,7 @@ impl<'a> Bench<'a> {
         for wall in aside {
             self.gains(wall, 0.0, 0.0, FeedForward::Off)?;
         }
-        for index in 0..self.holding.len() - 1 {
+        for index in 0..self.inertia.len() - 1 {
             self.gains(across + index as u8, 0.0, 0.0, FeedForward::Off)?;
         }
         if hold > 0 {
@@ -326,7 +359,7 @@ impl<'a> Bench<'a> {
     /// With the feed-forward that is tested: without it the pull would set the admissible directions moving, and with
     /// it nothing would stop them again.
     fn swing_back(&mut self, feed_forward: FeedForward, pull: f64, rested: f64) -> Result<(), MeasureError> {
-        let (kp, _) = self.holding[0];
+        let (kp, _) = self.holding();
         self.release()?;
         self.test(kp / self.along, 0.0, feed_forward)?;
         let started = self.board.now();
@@ -345,7 +378,8 @@ impl<'a> Bench<'a> {
     fn watch(&mut self, feed_forward: FeedForward, kp: f64, kd: f64, pull: f64) -> Result<Verdict, MeasureError> {
         self.test(kp, kd, feed_forward)?;
         let row_seconds = f64::from(self.divider) / self.setup.rate_hz;
-        let mut swing = Swing::new(row_seconds, self.setup.tempo_hz(), self.excitation.quantum, pull.abs());
+        let period = TAU * (self.heaviest / kp).sqrt();
+        let mut swing = Swing::new(row_seconds, self.setup.tempo_hz(), period, self.excitation.quantum, pull.abs());
         let first = self.board.status()?.step;
         loop {
             for at in self.places(0.02)? {
@@ -424,6 +458,11 @@ struct Place {
     step: u32,
     place: f64,
     aside: f64,
+}
+
+/// Stiffness and damping that hold an inertia (kg) at a natural frequency (rad/s) with 0.7 of critical damping.
+fn gains_of(inertia: f64, frequency: f64) -> (f64, f64) {
+    (inertia * frequency.powi(2), 1.4 * inertia * frequency)
 }
 
 /// Smallest and largest.

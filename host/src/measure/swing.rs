@@ -2,9 +2,15 @@
 //! positions alone.
 //!
 //! The position is high-passed below the velocity filter's cutoff, because a slow return to the wall would hide a small fast
-//! oscillation; every oscillation of the loop lies below that cutoff and seldom far below it. The swing between two turning
-//! points then grows or shrinks by a constant factor for every half cycle of the dominant mode, and the slope of a straight
-//! line through its logarithm, against that slope's own uncertainty, tells which.
+//! oscillation; an oscillation of a rigid device's loop lies below that cutoff and seldom far below it. The swing between two
+//! turning points then grows or shrinks by a constant factor for every half cycle of the dominant mode, and the slope of a
+//! straight line through its logarithm, against that slope's own uncertainty, tells which.
+//!
+//! **Several modes.** A device with a transmission that gives has modes on both sides of the cutoff, and a washout one far
+//! below it. Two modes of like size make a tiny swing now and then, where the slow one turns and the fast one holds against
+//! it: so a motion has died out when half a look of swings is small, not one. Their beat hides the trend of single swings; the
+//! largest of every few then shows it. And a small fast mode that builds up hides behind a large slow one that dies out: so
+//! the motion's acceleration, in which it is larger by the square of their frequencies' ratio, is judged beside it.
 //!
 //! **What encoder steps explain.** A quantiser in a stable loop can sustain a vibration. Its describing function, the share of
 //! a sine's first harmonic that it passes on, is at most 1.0365 for a sine that spans six steps and falls from there
@@ -25,18 +31,23 @@ const SETTLING: usize = 8;
 const LOOK: usize = 22;
 /// Looks after which what neither grows nor shrinks is a vibration.
 const LOOKS: usize = 4;
+/// Swings of which the largest counts where two modes beat: more than the shares of a beat between two modes that lie this
+/// far apart, which is farther than a wall's own mode and a cable's.
+const BEAT: usize = 6;
 /// Standard errors by which a slope must differ from zero to be one. Many, as encoder steps disturb neighbouring swings
 /// alike, which the standard error does not know.
 const SIGNIFICANT: f64 = 4.0;
 /// Slope, in parts per swing, below which a motion goes on: 0.4 % over one look.
 const FLAT: f64 = 2e-4;
-/// Growth over the first swings at which nobody waits for the trend.
+/// Growth over the first swings, and over the pull, at which nobody waits for the trend.
 const RUNAWAY: f64 = 4.0;
+/// Farthest distance from the wall that is still a trial, in pulls.
+const FARTHEST: f64 = 12.0;
 /// Share of the largest swing below which a motion has died out.
 const GONE: f64 = 0.02;
-/// Periods of the cutoff without a turning point after which a motion is over, and after which it is judged as it is.
-const SILENT: f64 = 10.0;
-const LONGEST: f64 = 200.0;
+/// Periods of the cutoff without a turning point after which a motion is over: at least, and at most where a slower mode is
+/// expected.
+const SILENT: (f64, f64) = (10.0, 200.0);
 
 /// What a motion does.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,17 +63,62 @@ pub enum Verdict {
 /// A motion being followed.
 #[derive(Clone, Debug)]
 pub struct Swing {
+    place: Trace,
+    /// The change of the change of place from row to row, m.
+    bend: Trace,
+    /// The last two places.
+    before: [Option<f64>; 2],
+    /// What is told already of the place and of the bend.
+    told: [Option<Verdict>; 2],
+}
+
+impl Swing {
+    /// Follows positions every `row_seconds`, in steps of `quantum` (m), of a loop whose velocity filter cuts off at
+    /// `cutoff_hz` and whose slowest mode is expected to take about `period` (s), pulled aside by `pull` (m) at first.
+    pub fn new(row_seconds: f64, cutoff_hz: f64, period: f64, quantum: f64, pull: f64) -> Self {
+        let rows_a_period = 1.0 / (row_seconds * cutoff_hz);
+        let silent = (period / row_seconds).clamp(SILENT.0 * rows_a_period, SILENT.1 * rows_a_period);
+        Self {
+            place: Trace::new(rows_a_period, silent, quantum, pull),
+            // Errors of up to half a step in three places, one of them twice; of no size to be expected.
+            bend: Trace::new(rows_a_period, silent, 4.0 * quantum, f64::INFINITY),
+            before: [None; 2],
+            told: [None; 2],
+        }
+    }
+
+    /// Takes the next position (m); says the verdict once there is one.
+    pub fn take(&mut self, place: f64) -> Option<Verdict> {
+        if self.told[0].is_none() {
+            self.told[0] = self.place.take(place);
+        }
+        // What dies out in the bend may have hidden what builds up: it is followed for as long as the place.
+        if let [Some(first), Some(second)] = self.before {
+            self.told[1] = self.bend.take(place - 2.0 * second + first).or(self.told[1]);
+        }
+        self.before = [self.before[1], Some(place)];
+        match self.told {
+            [Some(Verdict::Grows), _] | [_, Some(Verdict::Grows)] => Some(Verdict::Grows),
+            // A vibration is judged by its size, which the place has.
+            [Some(verdict), Some(_)] => Some(verdict),
+            _ => None,
+        }
+    }
+}
+
+/// A signal whose swings are followed.
+#[derive(Clone, Debug)]
+struct Trace {
     /// Share of the way that the slow part takes in a row.
     share: f64,
     slow: Option<[f64; 2]>,
     /// Swings smaller than this are encoder steps, and so is what is smaller than this from peak to peak for good, m.
     noise: f64,
     explained: f64,
-    /// Farthest distance from the wall that is still a trial, m.
-    farthest: f64,
-    /// Rows without a turning point, and rows in all, after which a motion is judged.
+    /// How large the motion was at first, m.
+    pull: f64,
+    /// Rows without a turning point after which a motion is judged.
     silent: f64,
-    longest: f64,
     /// The extreme since the last turning point, and whether the motion rises.
     extreme: Option<(f64, bool)>,
     turned: Option<f64>,
@@ -74,19 +130,15 @@ pub struct Swing {
     since_turn: usize,
 }
 
-impl Swing {
-    /// Follows positions every `row_seconds`, in steps of `quantum` (m), of a loop whose velocity filter cuts off at
-    /// `cutoff_hz`, pulled aside by `pull` (m) at first.
-    pub fn new(row_seconds: f64, cutoff_hz: f64, quantum: f64, pull: f64) -> Self {
-        let rows_a_period = 1.0 / (row_seconds * cutoff_hz);
+impl Trace {
+    fn new(rows_a_period: f64, silent: f64, quantum: f64, pull: f64) -> Self {
         Self {
             share: 1.0 - (-TAU * SLOW / rows_a_period).exp(),
             slow: None,
             noise: 1.5 * quantum,
             explained: ENCODER_STEPS * quantum,
-            farthest: 12.0 * pull,
-            silent: SILENT * rows_a_period,
-            longest: LONGEST * rows_a_period,
+            pull,
+            silent,
             extreme: None,
             turned: None,
             swings: Vec::new(),
@@ -97,11 +149,10 @@ impl Swing {
         }
     }
 
-    /// Takes the next position (m); says the verdict once there is one.
-    pub fn take(&mut self, place: f64) -> Option<Verdict> {
+    fn take(&mut self, place: f64) -> Option<Verdict> {
         self.rows += 1;
         self.since_turn += 1;
-        if place.abs() > self.farthest {
+        if place.abs() > FARTHEST * self.pull {
             return Some(Verdict::Grows);
         }
         let [first, second] = self.slow.get_or_insert([place, 0.0]);
@@ -117,11 +168,7 @@ impl Swing {
         }
         // Much longer than the turning points so far were apart.
         let apart = (self.rows - self.since_turn) as f64 / (self.swings.len() + 1) as f64;
-        let rest = self.since_turn as f64 > self.silent.max(6.0 * apart);
-        match rest {
-            true => Some(Verdict::Decays),
-            false => (self.rows as f64 >= self.longest).then(|| self.lasting()),
-        }
+        (self.since_turn as f64 > self.silent.max(6.0 * apart)).then_some(Verdict::Decays)
     }
 
     /// Notes a turning point when the motion has come back from its extreme by more than noise.
@@ -134,7 +181,7 @@ impl Swing {
             self.extreme = Some((fast, rising));
             return false;
         }
-        if (fast - extreme).abs() <= self.noise.max(0.2 * GONE * self.largest()) {
+        if (fast - extreme).abs() <= self.noise.max(0.2 * GONE * largest(&self.swings)) {
             return false;
         }
         if let Some(before) = self.turned.replace(extreme) {
@@ -146,18 +193,15 @@ impl Swing {
         self.swings.len() > 3
     }
 
-    fn largest(&self) -> f64 {
-        self.swings.iter().copied().fold(0.0, f64::max)
-    }
-
     fn at_turn(&self) -> Option<Verdict> {
         let count = self.swings.len();
         let latest = self.swings[count - 1];
-        let early = self.swings[1..4].iter().copied().fold(0.0, f64::max);
-        if latest > RUNAWAY * early.max(self.explained) {
+        // The first swings may be a fast mode's ripple alone, on a slow one that has yet to turn.
+        if latest > RUNAWAY * largest(&self.swings[1..4]).max(self.explained).max(self.pull) {
             return Some(Verdict::Grows);
         }
-        if latest < GONE * self.largest() {
+        let small = |swings: &[f64]| largest(swings) < GONE * largest(&self.swings) && trend(swings).0 <= 0.0;
+        if count > LOOK / 2 && small(&self.swings[count - LOOK / 2..]) {
             return Some(Verdict::Decays);
         }
         // A look at the trend, and another whenever half of what it saw is new.
@@ -165,18 +209,24 @@ impl Swing {
         if !seen.is_multiple_of(LOOK / 2) {
             return None;
         }
-        let recent = &self.swings[count - LOOK..];
-        let (slope, error) = trend(recent);
+        self.told_by(&self.swings[count - LOOK..]).or_else(|| {
+            let beats: Vec<f64> = self.swings[SETTLING..].chunks_exact(BEAT).map(largest).collect();
+            (seen / (LOOK / 2) >= LOOKS).then(|| self.told_by(&beats).unwrap_or_else(|| self.lasting()))
+        })
+    }
+
+    /// What the trend of swings tells, where it tells anything.
+    fn told_by(&self, swings: &[f64]) -> Option<Verdict> {
+        let (slope, error) = trend(swings);
         let sure = slope.abs() > FLAT.max(SIGNIFICANT * error);
-        if sure && slope > 0.0 && self.size() > self.explained {
+        let (earlier, later) = swings.split_at(swings.len() / 2);
+        // What grows without being larger than ever is the beat of two modes that lie close together.
+        let beats = largest(later) < largest(&self.swings[SETTLING..]);
+        if sure && slope > 0.0 && !beats && self.size() > self.explained {
             return Some(Verdict::Grows);
         }
         // What shrinks ever more slowly is about to stay.
-        let (earlier, later) = (trend(&recent[..LOOK / 2]).0, trend(&recent[LOOK / 2..]).0);
-        if sure && slope < 0.0 && later < 0.5 * earlier {
-            return Some(Verdict::Decays);
-        }
-        (seen / (LOOK / 2) >= LOOKS).then(|| self.lasting())
+        (sure && slope < 0.0 && trend(later).0 < 0.5 * trend(earlier).0).then_some(Verdict::Decays)
     }
 
     /// The verdict on a motion that is as it is.
@@ -196,6 +246,10 @@ impl Swing {
 }
 
 const NOWHERE: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
+
+fn largest(swings: &[f64]) -> f64 {
+    swings.iter().copied().fold(0.0, f64::max)
+}
 
 /// Slope of ln(swing) over the swings, and its standard error.
 fn trend(swings: &[f64]) -> (f64, f64) {
@@ -217,7 +271,11 @@ mod tests {
     const CUTOFF: f64 = 20.0;
 
     fn judged(quantum: f64, motion: impl Fn(f64) -> f64) -> Verdict {
-        let mut swing = Swing::new(DT, CUTOFF, quantum, 1e-3);
+        judged_below(CUTOFF, quantum, motion)
+    }
+
+    fn judged_below(cutoff: f64, quantum: f64, motion: impl Fn(f64) -> f64) -> Verdict {
+        let mut swing = Swing::new(DT, cutoff, 0.0, quantum, 1e-3);
         for k in 0..60_000 {
             let x = motion(f64::from(k) * DT);
             let x = if quantum > 0.0 { (x / quantum).round() * quantum } else { x };
@@ -226,6 +284,65 @@ mod tests {
             }
         }
         panic!("no verdict");
+    }
+
+    /// Modes of given share, growth (1/s) and frequency (Hz), as a tip that was pulled aside by 1 mm shows them.
+    fn modes(all: &[(f64, f64, f64)]) -> impl Fn(f64) -> f64 {
+        let all = all.to_vec();
+        move |t| all.iter().map(|(share, grows, hz)| 1e-3 * share * (grows * t).exp() * (TAU * hz * t).cos()).sum()
+    }
+
+    #[test]
+    fn two_modes_that_meet_in_one_small_swing_have_not_died_out() {
+        // A wall on a cable of 120 Hz at 1 kHz has modes like these a seventh, a third and twice beyond its boundary.
+        for [(slow, slow_hz), (fast, fast_hz)] in
+            [[(2.0, 46.0), (3.8, 164.2)], [(5.3, 48.5), (8.2, 165.0)], [(18.0, 58.0), (32.0, 170.0)]]
+        {
+            for share in [0.2, 0.35, 0.5, 0.65] {
+                let found = judged_below(100.0, 1e-7, modes(&[(1.0 - share, slow, slow_hz), (share, fast, fast_hz)]));
+                assert_eq!(found, Verdict::Grows, "{slow_hz} and {fast_hz} Hz, {share} of it fast");
+                let found = judged_below(100.0, 1e-7, modes(&[(1.0 - share, -slow, slow_hz), (share, -fast, fast_hz)]));
+                assert_eq!(found, Verdict::Decays, "{slow_hz} and {fast_hz} Hz, {share} of it fast");
+            }
+        }
+    }
+
+    #[test]
+    fn a_fast_mode_that_builds_up_shows_beside_a_slow_one_that_dies_out() {
+        for (slow, fast) in [(-0.5, 1.0), (-4.0, 1.0), (-2.0, 5.0)] {
+            let found = judged_below(100.0, 1e-7, modes(&[(0.95, slow, 44.0), (0.05, fast, 163.0)]));
+            assert_ne!(found, Verdict::Decays, "{slow} {fast}");
+        }
+        let found = judged_below(100.0, 1e-7, modes(&[(0.95, -0.5, 44.0), (0.05, -1.0, 163.0)]));
+        assert_eq!(found, Verdict::Decays);
+    }
+
+    #[test]
+    fn a_fast_ripple_at_first_is_not_a_slow_mode_s_growth() {
+        // A wall of 2 kN/m on the shipped Phantom with cables of 400 Hz, sampled at 5 kHz: stable up to 8.4 kN/m.
+        let mut swing = Swing::new(2e-4, 200.0, 0.03, 3e-7, 1.4e-4);
+        let place = |t: f64| {
+            let slow = 7e-5 * (-25.0 * t).exp() * (TAU * 32.5 * t).cos();
+            slow + 5e-6 * (-70.0 * t).exp() * (TAU * 433.0 * t).cos()
+        };
+        let verdict = (0..10_000).find_map(|k| swing.take(place(2e-4 * f64::from(k))));
+        assert_eq!(verdict, Some(Verdict::Decays));
+    }
+
+    #[test]
+    fn the_beat_of_two_fast_modes_is_not_growth() {
+        for (a, b) in [(-3.0, -4.0), (-10.0, -20.0), (-20.0, -70.0)] {
+            let found = judged_below(100.0, 1e-7, modes(&[(0.5, -5.0, 40.0), (0.25, a, 170.0), (0.22, b, 164.0)]));
+            assert_eq!(found, Verdict::Decays, "{a} {b}");
+        }
+    }
+
+    #[test]
+    fn a_mode_far_below_the_cutoff_is_followed_for_as_long_as_it_takes() {
+        // What a washout of 2 Hz does below a cutoff of 100 Hz.
+        for (grows, verdict) in [(-2.0, Verdict::Decays), (-0.5, Verdict::Decays), (0.3, Verdict::Grows)] {
+            assert_eq!(judged_below(100.0, 1e-7, modes(&[(1.0, grows, 6.0)])), verdict, "{grows}");
+        }
     }
 
     /// A swing that grows, with a slow return to the wall besides.
