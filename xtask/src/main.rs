@@ -11,6 +11,7 @@ mod fuzz;
 mod image;
 mod no_panic;
 mod paths;
+mod playground;
 mod python;
 mod report;
 mod soak;
@@ -96,6 +97,8 @@ enum Command {
     },
     /// Some of them under Miri, which needs a nightly toolchain
     Miri,
+    /// Build the page of `haptic view` as a file that needs no tool
+    Playground,
     /// Licences, sources and known advisories of everything that is linked; with cargo-deny, today's too
     Deny,
     /// Check the formatting of every source here, whatever declares it
@@ -153,6 +156,7 @@ fn run(command: Command, install: bool) -> Result<()> {
         Command::Fuzz(options) => fuzz::run(&options, install),
         Command::Sanitize { rest } => undefined::sanitize(&rest),
         Command::Miri => undefined::miri(),
+        Command::Playground => playground::build(install).map(drop),
         Command::Deny => deny::run(),
         Command::Fmt => format::check(),
         Command::Soak(options) => soak::run(&options, install),
