@@ -3,8 +3,10 @@
 //!
 //! One thread owns the board ([`stage`]); each page has a thread that carries messages ([`door`]) and a place where the
 //! newest picture waits for it ([`hub`]), so that a slow page sees fewer pictures and holds nobody up. Everything that a
-//! page shows is inside the tool: it loads nothing from elsewhere.
+//! page shows is inside the tool: it loads nothing from elsewhere. Of this only [`door`] needs a network, and only
+//! [`Stage::run`] a clock: playground/ puts the rest into the page itself.
 
+#[cfg(feature = "serve")]
 pub mod door;
 pub mod hub;
 pub mod message;
@@ -14,6 +16,7 @@ pub mod stability;
 pub mod stage;
 pub mod world;
 
+#[cfg(feature = "serve")]
 pub use door::Door;
-pub use stage::Stage;
+pub use stage::{Stage, Turn};
 pub use world::World;

@@ -12,6 +12,7 @@ mod image;
 mod library;
 mod no_panic;
 mod paths;
+mod playground;
 mod python;
 mod report;
 mod soak;
@@ -99,6 +100,8 @@ enum Command {
     },
     /// Some of them under Miri, which needs a nightly toolchain
     Miri,
+    /// Build the page of `haptic view` as a file that needs no tool
+    Playground,
     /// Licences, sources and known advisories of everything that is linked; with cargo-deny, today's too
     Deny,
     /// Check the formatting of every source here, whatever declares it
@@ -157,6 +160,7 @@ fn run(command: Command, install: bool) -> Result<()> {
         Command::Fuzz(options) => fuzz::run(&options, install),
         Command::Sanitize { rest } => undefined::sanitize(&rest),
         Command::Miri => undefined::miri(),
+        Command::Playground => playground::build(install).map(drop),
         Command::Deny => deny::run(),
         Command::Fmt => format::check(),
         Command::Soak(options) => soak::run(&options, install),

@@ -1,8 +1,9 @@
-//! The one place that decides how code for the chip is compiled.
+//! The one place that decides how code for the chip and for browsers is compiled.
 //!
-//! 1. The rustup target `thumbv7em-none-eabihf`, when the running toolchain has it.
+//! 1. The rustup target `thumbv7em-none-eabihf` or `wasm32-unknown-unknown`, when the running toolchain has it.
 //! 2. Else Debian's own packages: a compiler in /usr/bin with the source of the core library, which is then built along
-//!    (`-Zbuild-std`), and the linker that /usr/bin/rust-lld points to.
+//!    (`-Zbuild-std`), and the linker that /usr/bin/rust-lld points to. For browsers that is the whole standard library,
+//!    whose own dependencies cargo fetches from crates.io.
 //!
 //! `tools` looks whether they are there.
 
@@ -17,6 +18,8 @@ use crate::paths::{root, target_directory};
 
 /// The target triple of the chip.
 pub const TARGET: &str = "thumbv7em-none-eabihf";
+/// The target triple of browsers.
+pub const BROWSERS: &str = "wasm32-unknown-unknown";
 
 /// Debian's compiler.
 pub const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
@@ -40,16 +43,18 @@ pub enum Use {
     Fuzz,
     /// Opens the page of `haptic view` in a browser.
     Page,
+    /// Builds the page as a file, for browsers.
+    Playground,
     /// Tries the package for Python.
     Python,
 }
 
-/// How to compile for the chip on this computer.
+/// How to compile for the chip, or for browsers, on this computer.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Toolchain {
     /// The toolchain that runs this program, which has the target.
     Rustup,
-    /// Debian's compiler, building the core library along.
+    /// Debian's compiler, building the target's libraries along.
     Debian,
 }
 
@@ -57,6 +62,15 @@ impl Toolchain {
     /// A cargo call for the chip: `cargo SUBCOMMAND …` with the target and, where needed, the core library's source.
     pub fn cargo(self, purpose: Use) -> Command {
         let subcommand = if purpose == Use::Clippy { "clippy" } else { "rustc" };
+        self.cargo_with(subcommand, "-Zbuild-std=core,alloc", TARGET)
+    }
+
+    /// A cargo call for browsers.
+    pub fn cargo_for_browsers(self, subcommand: &str) -> Command {
+        self.cargo_with(subcommand, "-Zbuild-std=std,panic_abort", BROWSERS)
+    }
+
+    fn cargo_with(self, subcommand: &str, libraries: &str, target: &str) -> Command {
         let mut command = match self {
             Self::Rustup => {
                 let mut command = cargo();
@@ -64,8 +78,8 @@ impl Toolchain {
                 command
             }
             Self::Debian => {
-                let mut command = Command::new(if purpose == Use::Clippy { DEBIAN_CLIPPY } else { DEBIAN_CARGO });
-                command.arg(subcommand).arg("-Zbuild-std=core,alloc");
+                let mut command = Command::new(if subcommand == "clippy" { DEBIAN_CLIPPY } else { DEBIAN_CARGO });
+                command.arg(subcommand).arg(libraries);
                 command.env("CARGO", DEBIAN_CARGO).env("RUSTC", DEBIAN_RUSTC).env("RUSTC_BOOTSTRAP", "1");
                 command.env("PATH", format!("/usr/bin:{}", env::var("PATH").unwrap_or_default()));
                 for name in ["RUSTUP_TOOLCHAIN", "RUSTC_WRAPPER", "RUSTC_WORKSPACE_WRAPPER", "RUSTDOC"] {
@@ -74,7 +88,7 @@ impl Toolchain {
                 command
             }
         };
-        command.args(["--target", TARGET]);
+        command.args(["--target", target]);
         command.env("CARGO_ENCODED_RUSTFLAGS", rust_flags().join("\x1f"));
         command
     }

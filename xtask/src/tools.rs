@@ -11,7 +11,7 @@ use anyhow::{Result, bail};
 use semver::Version;
 
 use crate::toolchain::{
-    DEBIAN_CARGO, DEBIAN_CLIPPY, DEBIAN_CORE, DEBIAN_LINKER, DEBIAN_RUSTC, TARGET, Toolchain, Use, run,
+    BROWSERS, DEBIAN_CARGO, DEBIAN_CLIPPY, DEBIAN_CORE, DEBIAN_LINKER, DEBIAN_RUSTC, TARGET, Toolchain, Use, run,
 };
 
 /// Something that a stage cannot do without.
@@ -33,7 +33,9 @@ impl Tool {
 
     fn name(self) -> &'static str {
         match self {
-            Self::Compiler => concat!("a Rust compiler for the chip, ", env!("CARGO_PKG_RUST_VERSION"), " or newer"),
+            Self::Compiler => {
+                concat!("a Rust compiler for the chip and for browsers, ", env!("CARGO_PKG_RUST_VERSION"), " or newer")
+            }
             Self::Cargo => "its cargo",
             Self::Core => "the source of its core library",
             Self::Linker => "a linker for the chip (rust-lld)",
@@ -80,7 +82,9 @@ impl Tool {
 #[derive(Clone, PartialEq, Eq, Debug)]
 struct Found {
     /// Rustup's toolchain compiles and links for the chip.
-    rustup: bool,
+    chip: bool,
+    /// It does so for browsers.
+    browsers: bool,
     /// What runs besides.
     runs: Vec<Tool>,
     /// What /usr/bin/rust-lld is a link to, whether that is there or not: the name of its package.
@@ -91,7 +95,8 @@ impl Found {
     fn now() -> Self {
         let target = fs::read_link(DEBIAN_LINKER).ok();
         Self {
-            rustup: rustup_has_target(),
+            chip: rustup_has(TARGET),
+            browsers: rustup_has(BROWSERS),
             runs: Tool::ALL.into_iter().filter(|tool| tool.runs()).collect(),
             linker: target.and_then(|to| Some(to.file_name()?.to_string_lossy().into_owned())),
         }
@@ -99,15 +104,36 @@ impl Found {
 
     /// What these uses need and what does not run.
     fn missing(&self, uses: &[Use]) -> Vec<Tool> {
-        let chip = [Tool::Compiler, Tool::Cargo, Tool::Core, Tool::Linker];
+        let compiles = [Tool::Compiler, Tool::Cargo, Tool::Core, Tool::Linker];
         let needed = Tool::ALL.into_iter().filter(|tool| match tool {
             Tool::Cpp => uses.contains(&Use::Fuzz),
             Tool::Browser => uses.contains(&Use::Page),
             Tool::Python => uses.contains(&Use::Python),
-            Tool::Clippy => uses.contains(&Use::Clippy) && !self.rustup,
-            tool => chip.contains(tool) && !self.rustup && (uses.contains(&Use::Build) || uses.contains(&Use::Clippy)),
+            Tool::Clippy => uses.contains(&Use::Clippy) && !self.chip,
+            tool => compiles.contains(tool) && !self.targets(uses).is_empty(),
         });
         needed.filter(|tool| !self.runs.contains(tool)).collect()
+    }
+
+    /// The targets that these uses compile for and that rustup's toolchain does not have.
+    fn targets(&self, uses: &[Use]) -> Vec<&'static str> {
+        let mut targets = Vec::new();
+        if !self.chip && (uses.contains(&Use::Build) || uses.contains(&Use::Clippy)) {
+            targets.push(TARGET);
+        }
+        if !self.browsers && uses.contains(&Use::Playground) {
+            targets.push(BROWSERS);
+        }
+        targets
+    }
+
+    /// How to compile for these uses, or what is missing.
+    fn toolchain(&self, uses: &[Use]) -> Result<Toolchain> {
+        let missing = self.missing(uses);
+        if !missing.is_empty() {
+            bail!("{}", self.complaint(uses, &missing));
+        }
+        Ok(if self.targets(uses).is_empty() { Toolchain::Rustup } else { Toolchain::Debian })
     }
 
     /// The packages that bring these. What the linker is a link to is known only once the link is there.
@@ -130,7 +156,7 @@ impl Found {
     }
 
     /// What is missing, by name, and how to get it.
-    fn complaint(&self, missing: &[Tool]) -> String {
+    fn complaint(&self, uses: &[Use], missing: &[Tool]) -> String {
         let mut text = String::from("missing on this computer:\n");
         for tool in missing {
             text += &format!("    {}\n", tool.name());
@@ -142,7 +168,7 @@ impl Found {
         let by_hand = |tool: &&Tool| matches!(tool, Tool::Cpp | Tool::Browser | Tool::Python);
         let rest: Vec<&str> = missing.iter().filter(by_hand).map(|tool| tool.name()).collect();
         if rest.len() < missing.len() {
-            text += &format!("Elsewhere:\n    rustup target add {TARGET}");
+            text += &format!("Elsewhere:\n    rustup target add {}", self.targets(uses).join(" "));
             rest.iter().for_each(|name| text += &format!("\nand {name}"));
         }
         text.trim_end().into()
@@ -170,11 +196,12 @@ pub fn provide(uses: &[Use], install: bool) -> Result<Toolchain> {
         run(Command::new("apt-get").env("DEBIAN_FRONTEND", "noninteractive").args(flags).args(&packages))?;
         found = Found::now();
     }
-    let missing = found.missing(uses);
-    if !missing.is_empty() {
-        bail!("{}", found.complaint(&missing));
-    }
-    Ok(if found.rustup { Toolchain::Rustup } else { Toolchain::Debian })
+    found.toolchain(uses)
+}
+
+/// How to compile for these uses with what is there, or what is missing.
+pub fn found(uses: &[Use]) -> Result<Toolchain> {
+    Found::now().toolchain(uses)
 }
 
 /// What `cargo xtask test` does.
@@ -186,8 +213,13 @@ pub fn check(install: bool) -> Result<()> {
         Toolchain::Rustup => "rustup's compiler, which has the target",
         Toolchain::Debian => "Debian's compiler, with the source of the core library and rust-lld",
     };
+    let browsers = match found(&[Use::Playground]) {
+        Ok(Toolchain::Rustup) => "rustup's compiler, which has the target",
+        Ok(Toolchain::Debian) => "Debian's compiler, with the source of the standard library",
+        Err(_) => "no compiler, so that the tests leave it out: `cargo xtask playground` says what it takes",
+    };
     println!(
-        "for the chip: {chip}\nfor libFuzzer: a C++ compiler\nfor `haptic view`: a browser\nfor the package: Python\nnothing is missing"
+        "for the chip: {chip}\nfor the page as a file: {browsers}\nfor libFuzzer: a C++ compiler\nfor `haptic view`: a browser\nfor the package: Python\nnothing is missing"
     );
     Ok(())
 }
@@ -212,14 +244,14 @@ fn new_enough(said: &str) -> bool {
     found.zip(least.ok()).is_some_and(|(found, least)| found >= least)
 }
 
-/// Whether the toolchain that runs this program has the chip's core library and a linker beside it.
-fn rustup_has_target() -> bool {
+/// Whether the toolchain that runs this program has a target's core library and a linker beside it.
+fn rustup_has(target: &str) -> bool {
     let rustc = env::var("RUSTC").unwrap_or_else(|_| "rustc".into());
     let directory = |arguments: &[&str]| -> Result<String> {
         let output = Command::new(&rustc).args(["--print", "target-libdir"]).args(arguments).output()?;
         Ok(String::from_utf8_lossy(&output.stdout).trim().to_string())
     };
-    let core = directory(&["--target", TARGET]).ok().and_then(|path| fs::read_dir(path).ok()).is_some_and(|entries| {
+    let core = directory(&["--target", target]).ok().and_then(|path| fs::read_dir(path).ok()).is_some_and(|entries| {
         entries.flatten().any(|entry| entry.file_name().to_string_lossy().starts_with("libcore-"))
     });
     let own = || directory(&[]).is_ok_and(|libraries| linker_runs(&format!("{libraries}/../bin/rust-lld")));
@@ -235,7 +267,7 @@ mod tests {
     use super::*;
 
     fn found(runs: &[Tool], linker: Option<&str>) -> Found {
-        Found { rustup: false, runs: runs.to_vec(), linker: linker.map(Into::into) }
+        Found { chip: false, browsers: false, runs: runs.to_vec(), linker: linker.map(Into::into) }
     }
 
     /// What a fresh Debian had after `--install`: everything but the linker, whose package nothing depends on.
@@ -258,7 +290,7 @@ mod tests {
     fn everything_that_is_missing_is_named_at_once_with_one_line_that_brings_it() {
         let bare = found(&[], None);
         let missing = bare.missing(&TEST);
-        let text = bare.complaint(&missing);
+        let text = bare.complaint(&TEST, &missing);
         for tool in &missing {
             assert!(text.contains(tool.name()), "{tool:?} in\n{text}");
         }
@@ -269,10 +301,15 @@ mod tests {
 
     #[test]
     fn what_rustup_has_is_not_asked_of_debian_and_nobody_needs_what_no_stage_uses() {
-        let rustup = Found { rustup: true, ..found(&[], None) };
+        let rustup = Found { chip: true, ..found(&[], None) };
         assert!(rustup.missing(&[Use::Build, Use::Clippy]).is_empty());
         assert_eq!(rustup.missing(&TEST), [Tool::Cpp, Tool::Browser, Tool::Python]);
-        assert!(!rustup.complaint(&[Tool::Cpp, Tool::Browser]).contains("rustup"));
+        assert!(!rustup.complaint(&TEST, &[Tool::Cpp, Tool::Browser]).contains("rustup"));
+        // The page as a file takes another target.
+        let complaint = rustup.toolchain(&[Use::Playground]).unwrap_err().to_string();
+        assert!(complaint.contains("rust-web-src") && complaint.ends_with("rustup target add wasm32-unknown-unknown"));
+        let browsers = Found { browsers: true, ..found(&[], None) };
+        assert!(matches!(browsers.toolchain(&[Use::Playground]), Ok(Toolchain::Rustup)));
         assert_eq!(found(&[], None).missing(&[Use::Fuzz]), [Tool::Cpp]);
     }
 

@@ -118,16 +118,16 @@ impl Shown {
         let mut world = self.open()?;
         let mut opened = Some(opened);
         loop {
-            let mut stage = Stage::open(&mut world, hub, events, self.rate, &self.folder)?;
+            let mut stage = Stage::open(world, hub.clone(), self.rate, Some(self.folder.clone()))?;
             if let Some(opened) = opened.take() {
                 opened()?;
             }
-            let Err(error) = stage.run(stop) else { return Ok(()) };
+            let Err(error) = stage.run(events, stop) else { return Ok(()) };
             if matches!(self.port.spec(), PortSpec::Sim(_)) {
                 return Err(error.into());
             }
             // The pages stay, and say so. The board's port is closed first.
-            drop(world);
+            drop(stage);
             lost(&error);
             let why = serde_json::json!({"is": "lost", "why": error.to_string()}).to_string();
             world = loop {

@@ -4,13 +4,12 @@
 //! and then only who knows the token. A page of another site that runs in the same browser is kept out as well: the
 //! request must name this server by its address (or `localhost`), and come from a page of this server.
 
-use super::hub::{Hub, PageId};
+use super::hub::{self, Hub, PageId};
 use super::message::FromPage;
-use crate::plot::colour;
 use std::io::{self, Read, Write};
 use std::net::{IpAddr, SocketAddr, TcpListener, TcpStream};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, LazyLock};
 use std::thread;
 use std::time::{Duration, Instant};
 use tungstenite::handshake::machine::TryParse;
@@ -18,18 +17,8 @@ use tungstenite::handshake::server::{Request, create_response, write_response};
 use tungstenite::protocol::{Role, WebSocketConfig};
 use tungstenite::{Message, WebSocket};
 
-/// The page; the colours of the feed-forward are those of every picture.
-static PAGE: LazyLock<String> = LazyLock::new(|| {
-    let colours = [
-        ("{{OFF}}", colour::OFF),
-        ("{{FULL}}", colour::FULL),
-        ("{{WASHOUT}}", colour::WASHOUT),
-        ("{{OFF_ON_DARK}}", colour::OFF_ON_DARK),
-        ("{{FULL_ON_DARK}}", colour::FULL_ON_DARK),
-        ("{{WASHOUT_ON_DARK}}", colour::WASHOUT_ON_DARK),
-    ];
-    colours.iter().fold(include_str!("page.html").into(), |page: String, (name, value)| page.replace(name, value))
-});
+/// The page.
+const PAGE: &str = include_str!("page.html");
 /// What the page may do: run what is in it, and talk to where it came from. Nothing else of the network is for it.
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; \
                       connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
@@ -163,7 +152,7 @@ fn page(stream: &mut TcpStream) -> tungstenite::Result<()> {
          Content-Security-Policy: {POLICY}\r\nX-Content-Type-Options: nosniff\r\nReferrer-Policy: no-referrer\r\n\
          Cache-Control: no-store\r\nConnection: close\r\n\r\n{}",
         PAGE.len(),
-        PAGE.as_str()
+        PAGE
     )?;
     Ok(())
 }
@@ -209,17 +198,11 @@ fn converse(
             Err(tungstenite::Error::Io(error)) if nothing_yet(&error) => {}
             Err(error) => return Err(error),
         }
-        let mut waiting = hub.take(id);
-        for text in waiting.messages.into_iter().chain(waiting.picture) {
-            socket.write(Message::text(text))?;
-        }
-        if let Some(bytes) = waiting.scope {
-            socket.write(Message::binary(bytes))?;
-        }
-        if !waiting.sound.1.is_empty() {
-            let samples = std::mem::take(&mut waiting.sound.1);
-            let numbers = [2.0, waiting.sound.0].into_iter().chain(samples);
-            socket.write(Message::binary(numbers.flat_map(f32::to_le_bytes).collect::<Vec<u8>>()))?;
+        for message in hub.take(id).messages() {
+            socket.write(match message {
+                hub::Message::Text(text) => Message::text(text),
+                hub::Message::Bytes(bytes) => Message::binary(bytes),
+            })?;
         }
         socket.flush()?;
     }
@@ -265,5 +248,13 @@ mod tests {
     #[test]
     fn the_page_names_no_other_place() {
         assert!(!PAGE.contains("https://") && !PAGE.contains("http://www") && !PAGE.contains("src="));
+    }
+
+    #[test]
+    fn feed_forward_has_the_colours_that_it_has_in_every_picture() {
+        use crate::plot::colour::{FULL, FULL_ON_DARK, OFF, OFF_ON_DARK, WASHOUT, WASHOUT_ON_DARK};
+        for [off, full, washout] in [[OFF, FULL, WASHOUT], [OFF_ON_DARK, FULL_ON_DARK, WASHOUT_ON_DARK]] {
+            assert!(PAGE.contains(&format!("--off: {off}; --full: {full}; --washout: {washout};")), "{off}");
+        }
     }
 }

@@ -24,6 +24,15 @@ pub enum Event {
     Gone(PageId),
 }
 
+/// What a page gets.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Message {
+    /// A JSON document.
+    Text(String),
+    /// Numbers, each four bytes: what they are, then a sweep ([`super::scope::Scope::bytes`]) or rate and sound.
+    Bytes(Vec<u8>),
+}
+
 /// What waits for a page. Messages keep their order and none is lost; of pictures and scopes the newest counts.
 #[derive(Debug, Default)]
 pub struct Outbox {
@@ -38,6 +47,17 @@ pub struct Outbox {
 }
 
 impl Outbox {
+    /// What is sent, in this order: JSON as text, numbers as bytes.
+    pub fn messages(self) -> impl Iterator<Item = Message> {
+        let texts = self.messages.into_iter().chain(self.picture).map(Message::Text);
+        let (rate_hz, samples) = self.sound;
+        let sound = (!samples.is_empty()).then(|| {
+            let numbers = [2.0, rate_hz].into_iter().chain(samples);
+            numbers.flat_map(f32::to_le_bytes).collect()
+        });
+        texts.chain(self.scope.into_iter().chain(sound).map(Message::Bytes))
+    }
+
     /// Adds samples to listen to.
     pub fn hear(&mut self, rate_hz: f32, samples: &[f32]) {
         self.sound.0 = rate_hz;

@@ -1,4 +1,5 @@
-//! The predicted boundary of a wall's gains where the device is now, worked out beside the stage on a thread of its own.
+//! The predicted boundary of a wall's gains where the device is now, worked out beside the stage on a thread of its own; in
+//! a browser, which has none, when it is asked for (some milliseconds).
 
 use crate::analysis::plant::Linearised;
 use crate::analysis::range::{BoundaryPoint, predict};
@@ -84,10 +85,12 @@ pub fn answer(question: &Question) -> Option<Plane> {
     })
 }
 
-/// A thread that answers the newest question and leaves out those that it is too late for.
+/// Answers the newest question and leaves out those that it is too late for.
 #[derive(Debug)]
 pub struct Oracle {
-    questions: Sender<Question>,
+    /// Where a thread takes questions; none: there are no threads, and each is answered when it is asked.
+    questions: Option<Sender<Question>>,
+    answer_to: Sender<Option<Plane>>,
     answers: Receiver<Option<Plane>>,
     busy: bool,
 }
@@ -96,15 +99,16 @@ impl Default for Oracle {
     fn default() -> Self {
         let (questions, asked) = channel::<Question>();
         let (answer_to, answers) = channel();
-        thread::spawn(move || {
+        let to = answer_to.clone();
+        let thread = thread::Builder::new().spawn(move || {
             while let Ok(first) = asked.recv() {
                 let newest = asked.try_iter().last().unwrap_or(first);
-                if answer_to.send(answer(&newest)).is_err() {
+                if to.send(answer(&newest)).is_err() {
                     return;
                 }
             }
         });
-        Self { questions, answers, busy: false }
+        Self { questions: thread.is_ok().then_some(questions), answer_to, answers, busy: false }
     }
 }
 
@@ -116,7 +120,10 @@ impl Oracle {
 
     /// Asks.
     pub fn ask(&mut self, question: Question) {
-        self.busy = self.questions.send(question).is_ok();
+        self.busy = match &self.questions {
+            Some(questions) => questions.send(question).is_ok(),
+            None => self.answer_to.send(answer(&question)).is_ok(),
+        };
     }
 
     /// The answer, once it is there.

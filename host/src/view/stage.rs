@@ -3,6 +3,9 @@
 //! One page commands, the others watch. The motors are on only while the page in command holds its key down and says so:
 //! a page that lets go, closes, or is not heard for [`SILENCE`] turns them off. Any page may turn them off. Should this
 //! process die, the board hears no heartbeat and turns them off by itself.
+//!
+//! It reads no clock: whoever calls [`Stage::turn`] says what time it is. The tool does so in a loop ([`Stage::run`]), the
+//! page as a file whenever the browser lets it (playground/).
 
 use super::hub::{Event, Hub, PageId};
 use super::message::FromPage;
@@ -27,7 +30,7 @@ use haptic_bridge::safety::fault::{FaultRecord, State};
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
 use std::thread;
@@ -53,11 +56,25 @@ const TURNED: f64 = 0.02;
 /// Cycles a second of the boards' core.
 const CORE_HZ: f64 = 168e6;
 
+/// How a turn went.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Turn {
+    /// Time has passed; there may be more to catch up.
+    Played,
+    /// Simulated time was where it should be.
+    Ahead,
+}
+
 /// The stage.
-pub struct Stage<'a> {
-    world: &'a mut World,
-    hub: &'a Hub,
-    events: &'a Receiver<Event>,
+pub struct Stage {
+    world: World,
+    hub: Hub,
+    /// Time since it was opened.
+    now: Duration,
+    /// When pages last got a picture, a sweep, and what changes slowly.
+    shown: Duration,
+    swept: Duration,
+    looked: Duration,
     device: Device<f64>,
     scene: Scene<f64>,
     columns: Vec<Column>,
@@ -70,9 +87,9 @@ pub struct Stage<'a> {
     sound: Vec<f32>,
     scopes: BTreeMap<PageId, Scope>,
     listeners: Vec<PageId>,
-    command: Option<(PageId, Instant)>,
+    command: Option<(PageId, Duration)>,
     /// When the key was last said to be down.
-    held: Option<Instant>,
+    held: Option<Duration>,
     goal: Option<[f64; 2]>,
     state: State,
     fault: Option<String>,
@@ -81,8 +98,8 @@ pub struct Stage<'a> {
     plane: Option<Plane>,
     asked: Option<(usize, Vec<f64>)>,
     pace: Pace,
-    /// Where recordings go, and the one under way.
-    folder: PathBuf,
+    /// Where recordings go, if anywhere, and the one under way.
+    folder: Option<PathBuf>,
     recording: Option<Recording>,
 }
 
@@ -127,9 +144,9 @@ impl Recording {
 
 /// Simulated time against the wall clock.
 struct Pace {
-    began: Instant,
+    began: Duration,
     board_began: Duration,
-    measured: (Instant, Duration),
+    measured: (Duration, Duration),
     speed: f64,
 }
 
@@ -169,16 +186,10 @@ struct HandSeen {
     force: [f64; 2],
 }
 
-impl<'a> Stage<'a> {
+impl Stage {
     /// Sets the board up to be looked at: heartbeats, and a stream of every step, or of `rows_hz` rows a second.
-    /// Recordings go to `folder`.
-    pub fn open(
-        world: &'a mut World,
-        hub: &'a Hub,
-        events: &'a Receiver<Event>,
-        rows_hz: Option<f64>,
-        folder: &Path,
-    ) -> Result<Self, Failure> {
+    /// Recordings go to `folder`; without one there are none.
+    pub fn open(mut world: World, hub: Hub, rows_hz: Option<f64>, folder: Option<PathBuf>) -> Result<Self, Failure> {
         let board = &mut world.board;
         let details = board.details()?;
         let device = board.device()?.ok_or(BoardError::Refused(haptic_bridge::safety::refusal::Refusal::NoDevice))?;
@@ -194,12 +205,15 @@ impl<'a> Stage<'a> {
         board.disarm()?;
         board.keep_alive();
         board.start_stream(FIELDS, divider)?;
-        let (now, board_now) = (Instant::now(), board.now());
+        let (now, board_now) = (Duration::ZERO, board.now());
         let stage = Self {
             ring: Ring::new(columns.len(), (1.5 * LONGEST * rows_hz).ceil() as usize),
             world,
             hub,
-            events,
+            now,
+            shown: now,
+            swept: now,
+            looked: now,
             device,
             scene,
             columns,
@@ -221,7 +235,7 @@ impl<'a> Stage<'a> {
             plane: None,
             asked: None,
             pace: Pace { began: now, board_began: board_now, measured: (now, board_now), speed: 1.0 },
-            folder: folder.into(),
+            folder,
             recording: None,
         };
         stage.say_to_all(&stage.about());
@@ -234,8 +248,8 @@ impl<'a> Stage<'a> {
     }
 
     /// Plays until `stop` is set or the board is lost. The motors are off afterwards.
-    pub fn run(&mut self, stop: &AtomicBool) -> Result<(), LinkError> {
-        let played = self.play(stop);
+    pub fn run(&mut self, events: &Receiver<Event>, stop: &AtomicBool) -> Result<(), LinkError> {
+        let played = self.play(events, stop);
         self.stop_recording(played.is_err());
         // A board that is lost turns them off itself.
         let disarmed = self.board().disarm();
@@ -248,46 +262,59 @@ impl<'a> Stage<'a> {
         played
     }
 
-    fn play(&mut self, stop: &AtomicBool) -> Result<(), LinkError> {
-        let (mut shown, mut swept, mut looked) = (Instant::now(), Instant::now(), Instant::now());
+    fn play(&mut self, events: &Receiver<Event>, stop: &AtomicBool) -> Result<(), LinkError> {
+        let (began, opened) = (Instant::now(), self.now);
         while !stop.load(Ordering::SeqCst) {
-            while let Ok(event) = self.events.try_recv() {
-                self.hear(event)?;
-            }
-            self.watch_the_key()?;
-            self.let_time_pass()?;
-            if shown.elapsed() >= PICTURE {
-                shown = Instant::now();
-                self.show();
-            }
-            if swept.elapsed() >= SWEEP {
-                swept = Instant::now();
-                self.sweep();
-            }
-            if looked.elapsed() >= LOOK {
-                looked = Instant::now();
-                self.look()?;
+            if self.turn(opened + began.elapsed(), events)? == Turn::Ahead {
+                thread::sleep(Duration::from_millis(1));
             }
         }
         Ok(())
     }
 
-    fn let_time_pass(&mut self) -> Result<(), LinkError> {
-        let wait = if self.world.simulated.is_some() {
-            let pace = &mut self.pace;
-            let due = pace.began.elapsed();
-            let passed = self.world.board.now().saturating_sub(pace.board_began);
-            let behind = due.saturating_sub(passed);
-            if behind.is_zero() {
-                thread::sleep(Duration::from_millis(1));
-                return Ok(());
+    /// Does what is due at `now`, the time since the stage was opened: hears the pages, lets a few milliseconds pass, shows
+    /// what there is to see.
+    pub fn turn(&mut self, now: Duration, events: &Receiver<Event>) -> Result<Turn, LinkError> {
+        self.now = now;
+        while let Ok(event) = events.try_recv() {
+            self.hear(event)?;
+        }
+        self.watch_the_key()?;
+        let turn = match self.due() {
+            Some(wait) => {
+                self.let_time_pass(wait)?;
+                Turn::Played
             }
-            // What the computer was too slow for is not made up for: the picture would race.
-            pace.began += behind.saturating_sub(CATCH_UP);
-            behind.min(SLICE)
-        } else {
-            Duration::from_millis(5)
+            None => Turn::Ahead,
         };
+        if now.saturating_sub(self.shown) >= PICTURE {
+            self.shown = now;
+            self.show();
+        }
+        if now.saturating_sub(self.swept) >= SWEEP {
+            self.swept = now;
+            self.sweep();
+        }
+        if now.saturating_sub(self.looked) >= LOOK {
+            self.looked = now;
+            self.look()?;
+        }
+        Ok(turn)
+    }
+
+    /// For how long the board's rows are waited for; none: simulated time is where it should be.
+    fn due(&mut self) -> Option<Duration> {
+        if self.world.simulated.is_none() {
+            return Some(Duration::from_millis(5));
+        }
+        let passed = self.world.board.now().saturating_sub(self.pace.board_began);
+        let behind = self.now.saturating_sub(self.pace.began).saturating_sub(passed);
+        // What the computer was too slow for is not made up for: the picture would race.
+        self.pace.began += behind.saturating_sub(CATCH_UP);
+        Some(behind.min(SLICE)).filter(|behind| !behind.is_zero())
+    }
+
+    fn let_time_pass(&mut self, wait: Duration) -> Result<(), LinkError> {
         for row in self.world.board.rows(wait)? {
             if let Some(last) = self.last_step {
                 let ahead = row.step.wrapping_sub(last) / self.divider;
@@ -332,11 +359,11 @@ impl<'a> Stage<'a> {
 
     /// The dead man's key: silence counts as letting go.
     fn watch_the_key(&mut self) -> Result<(), LinkError> {
-        if self.held.is_some_and(|said| said.elapsed() > SILENCE) {
+        if self.held.is_some_and(|said| self.now.saturating_sub(said) > SILENCE) {
             self.disarm()?;
             self.refuse_all("the page in command was not heard: motors off");
         }
-        if self.command.is_some_and(|(_, heard)| heard.elapsed() > ABSENCE) {
+        if self.command.is_some_and(|(_, heard)| self.now.saturating_sub(heard) > ABSENCE) {
             self.leave()?;
         }
         Ok(())
@@ -381,7 +408,7 @@ impl<'a> Stage<'a> {
                 if let Some((holder, heard)) = &mut self.command
                     && *holder == id
                 {
-                    *heard = Instant::now();
+                    *heard = self.now;
                 }
                 match self.act(id, message) {
                     Err(BoardError::Link(error)) => return Err(error),
@@ -398,8 +425,12 @@ impl<'a> Stage<'a> {
             self.refuse(id, "a recording is under way");
             return Ok(());
         }
+        let Some(folder) = &self.folder else {
+            self.refuse(id, "nothing can be recorded here");
+            return Ok(());
+        };
         let name = format!("haptic-{}.mcap", output::date().replace(':', ""));
-        let path = output::unused(&self.folder.join(name));
+        let path = output::unused(&folder.join(name));
         let divider = self.divider;
         let writer = About::read(self.board(), divider).and_then(|about| {
             let writer = RowWriter::create(&path, &about, &self.columns, Overwrite::Never)?;
@@ -451,7 +482,7 @@ impl<'a> Stage<'a> {
             FromPage::Here {} => return Ok(()),
             FromPage::Disarm {} => return Ok(self.disarm()?),
             FromPage::Take {} if self.command.is_none() => {
-                self.command = Some((id, Instant::now()));
+                self.command = Some((id, self.now));
                 return Ok(());
             }
             FromPage::Scope(request) => {
@@ -484,10 +515,10 @@ impl<'a> Stage<'a> {
             FromPage::Release {} => self.disarm()?,
             FromPage::Arm {} => {
                 self.board().arm()?;
-                self.held = Some(Instant::now());
+                self.held = Some(self.now);
             }
             // Only a press arms: not a key that was down when something else turned the motors off.
-            FromPage::Hold {} => self.held = self.held.map(|_| Instant::now()),
+            FromPage::Hold {} => self.held = self.held.map(|_| self.now),
             FromPage::Clear {} => self.board().clear()?,
             FromPage::Record { on: true } => self.start_recording(id)?,
             FromPage::Record { on: false } => self.stop_recording(false),
@@ -680,9 +711,9 @@ impl<'a> Stage<'a> {
             self.recording_failed(error);
         }
         self.load = (cycles > 0.0).then(|| cycles * f64::from(details.carrier_hz) / CORE_HZ);
-        let (now, board_now) = (Instant::now(), self.world.board.now());
+        let (now, board_now) = (self.now, self.world.board.now());
         let (then, board_then) = std::mem::replace(&mut self.pace.measured, (now, board_now));
-        self.pace.speed = board_now.saturating_sub(board_then).as_secs_f64() / now.duration_since(then).as_secs_f64();
+        self.pace.speed = board_now.saturating_sub(board_then).as_secs_f64() / now.saturating_sub(then).as_secs_f64();
         Ok(())
     }
 
@@ -698,6 +729,7 @@ impl<'a> Stage<'a> {
             "serial": info.serial.as_str(),
             "port": self.world.board.port(),
             "simulated": self.world.simulated.is_some(),
+            "records": self.folder.is_some(),
             "weightless": self.world.weightless,
             "flat": self.device.mechanism.kind().spec().task == 2,
             "task": self.device.mechanism.kind().spec().task,

@@ -307,7 +307,6 @@ fn the_feed_forward_has_the_colours_of_the_pictures_of_haptic_range() {
         let shown = page.split_once(&format!("--{name}: ")).and_then(|(_, rest)| rest.split_once(';')).unwrap().0;
         assert_eq!(shown, drawn(words), "{name}");
     }
-    assert!(!page.contains("{{"), "every colour is filled in");
 }
 
 #[test]

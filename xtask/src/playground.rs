@@ -1,0 +1,115 @@
+//! The page of `haptic view` as a file: playground/ compiled to WebAssembly, inside the page that the tool serves.
+
+use std::fs;
+use std::path::PathBuf;
+
+use anyhow::{Context as _, Result, ensure};
+
+use crate::paths::{root, target_directory};
+use crate::toolchain::{BROWSERS, Use, cargo, run};
+use crate::tools;
+
+/// What the file may do: run what is in it, worker and library included. Nothing of the network is for it.
+const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval'; worker-src blob:; \
+                      style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'";
+
+/// Builds the file, and says where it is.
+pub fn build(install: bool) -> Result<PathBuf> {
+    let toolchain = tools::provide(&[Use::Playground], install)?;
+    let mut command = toolchain.cargo_for_browsers("rustc");
+    command.current_dir(root()).arg("--target-dir").arg(target_directory());
+    run(command.args(["--locked", "--package", "haptic-playground", "--profile", "playground"]))?;
+    let library = target_directory().join(BROWSERS).join("playground/haptic_playground.wasm");
+    let library = fs::read(&library).with_context(|| format!("cannot read {}", library.display()))?;
+    let read = |path: &str| fs::read_to_string(root().join(path)).with_context(|| format!("cannot read {path}"));
+    let page = assemble(
+        &read("host/src/view/page.html")?,
+        &read("playground/src/page.js")?,
+        &read("playground/src/worker.js")?,
+        &library,
+    )?;
+    let directory = target_directory().join("playground");
+    fs::create_dir_all(&directory).with_context(|| format!("cannot make {}", directory.display()))?;
+    let path = directory.join("haptic-playground.html");
+    fs::write(&path, &page).with_context(|| format!("cannot write {}", path.display()))?;
+    println!("{}: {:.1} MB; open it in a browser", path.display(), 1e-6 * page.len() as f64);
+    Ok(path)
+}
+
+/// Builds it and opens it in a browser, where it can be built at all; else says that it did not, and why.
+pub fn test(install: bool) -> Result<()> {
+    if let Some(reason) = obstacle() {
+        println!("-- the page as a file: NOT built and NOT tested\n{reason}");
+        return Ok(());
+    }
+    let path = build(install)?;
+    let test = ["test", "--locked", "--package", "haptic", "--test", "browser", "--", "--ignored", "as_a_file"];
+    run(cargo().current_dir(root()).args(test).env("HAPTIC_PLAYGROUND", path))
+}
+
+/// Why it cannot be built here.
+fn obstacle() -> Option<String> {
+    let toolchain = match tools::found(&[Use::Playground]) {
+        Ok(toolchain) => toolchain,
+        Err(complaint) => return Some(complaint.to_string()),
+    };
+    // Debian's source of the standard library names crates that it does not have beside it.
+    let mut fetch = toolchain.cargo_for_browsers("fetch");
+    let fetched = fetch.current_dir(root()).arg("--locked").output().is_ok_and(|output| output.status.success());
+    (!fetched).then(|| "what the standard library needs cannot be fetched from crates.io".into())
+}
+
+/// The page with everything in it.
+fn assemble(page: &str, script: &str, worker: &str, library: &[u8]) -> Result<String> {
+    let inside = format!(
+        "<script type=\"text/plain\" id=\"worker\">{worker}</script>\n<script type=\"text/plain\" id=\"library\">{}</script>\n\
+         <script>{script}</script>",
+        base64(library)
+    );
+    let charset = "<meta charset=\"utf-8\">";
+    let policy = format!("{charset}\n<meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">");
+    put(&put(page, charset, &policy)?, "<!-- playground -->", &inside)
+}
+
+fn put(page: &str, mark: &str, text: &str) -> Result<String> {
+    ensure!(page.matches(mark).count() == 1, "host/src/view/page.html has to have {mark} once");
+    Ok(page.replacen(mark, text, 1))
+}
+
+fn base64(bytes: &[u8]) -> String {
+    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
+    for three in bytes.chunks(3) {
+        let number = three.iter().enumerate().fold(0, |number, (i, byte)| number | u32::from(*byte) << (16 - 8 * i));
+        for digit in 0..4 {
+            let six = (number >> (18 - 6 * digit)) as usize % 64;
+            text.push(if digit > three.len() { '=' } else { char::from(DIGITS[six]) });
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// RFC 4648, section 10.
+    #[test]
+    fn base64_is_that_of_its_standard() {
+        for (bytes, text) in [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foobar", "Zm9vYmFy")] {
+            assert_eq!(base64(bytes.as_bytes()), text);
+        }
+        assert_eq!(base64(&[0xfb, 0xff, 0xfe]), "+//+");
+    }
+
+    #[test]
+    fn the_page_has_a_place_for_what_is_put_in_and_ends_no_script_early() {
+        let read = |path: &str| fs::read_to_string(root().join(path)).unwrap();
+        let [page, script, worker] =
+            ["host/src/view/page.html", "playground/src/page.js", "playground/src/worker.js"].map(read);
+        assert!(!script.contains("</script") && !worker.contains("</script"));
+        let whole = assemble(&page, &script, &worker, b"foobar").unwrap();
+        assert!(whole.contains("id=\"library\">Zm9vYmFy</script>") && whole.contains("wasm-unsafe-eval"));
+        assert!(assemble("", "", "", b"").is_err());
+    }
+}
