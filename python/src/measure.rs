@@ -10,10 +10,11 @@ use haptic::analysis::several::{Member, WallSet};
 use haptic::device_file::DeviceFile;
 use haptic::haptic_bridge::model::admissible::Admissible;
 use haptic::haptic_bridge::model::device::Device as DeviceData;
+use haptic::haptic_bridge::render::scene::FeedForward;
 use haptic::link::Board as Linked;
 use haptic::measure::campaign::Plan;
 use haptic::measure::occasion::{self, Occasion};
-use haptic::measure::progress::{Mode, Point, Progress};
+use haptic::measure::progress::{Point, Progress};
 use haptic::measure::simulated::{Friction, World};
 use haptic::measure::{Law, MeasureError, Setup, most_tested};
 use pyo3::prelude::*;
@@ -103,11 +104,11 @@ pub fn measure_range<'py>(
     grip: bool,
 ) -> PyResult<Bound<'py, PyDict>> {
     let modes = [
-        ("both", &[Mode::Off, Mode::Full][..]),
-        ("all", &[Mode::Off, Mode::Full, Mode::Washout]),
-        ("off", &[Mode::Off]),
-        ("full", &[Mode::Full]),
-        ("washout", &[Mode::Washout]),
+        ("both", &[FeedForward::Off, FeedForward::Full][..]),
+        ("all", &[FeedForward::Off, FeedForward::Full, FeedForward::Washout]),
+        ("off", &[FeedForward::Off]),
+        ("full", &[FeedForward::Full]),
+        ("washout", &[FeedForward::Washout]),
     ];
     let modes = word("feed_forward", feed_forward, &modes)?.to_vec();
     let frictions = [
@@ -304,11 +305,11 @@ fn as_arrays<'py>(py: Python<'py>, order: &Order, measured: &Measured) -> PyResu
         _ => keywords.set_item("drive", "ideal")?,
     }
     keywords.set_item("undamped", order.file.description.joints.iter().all(|joint| joint.viscous == 0.0))?;
-    if order.plan.modes.contains(&Mode::Washout) {
+    if order.plan.modes.contains(&FeedForward::Washout) {
         keywords.set_item("washout_hz", order.setup.washout_hz)?;
     }
     found.set_item("loop", keywords)?;
-    for (name, mode) in [("off", Mode::Off), ("full", Mode::Full), ("washout", Mode::Washout)] {
+    for (name, mode) in FeedForward::ALL {
         if !order.plan.modes.contains(&mode) {
             continue;
         }
