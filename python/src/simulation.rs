@@ -82,9 +82,7 @@ impl Simulation {
     #[pyo3(signature = (waypoints, *, push = false))]
     fn hand(&self, waypoints: Vec<Vec<f64>>, push: bool) -> PyResult<()> {
         let point = |numbers: Vec<f64>| match numbers.split_first() {
-            Some((time, value)) if value.len() == self.task => {
-                Ok(Waypoint { time: *time, value: padded(value) })
-            }
+            Some((time, value)) if value.len() == self.task => Ok(Waypoint { time: *time, value: padded(value) }),
             _ => Err(RequestError::new_err(format!("a waypoint is a time and {} numbers", self.task))),
         };
         let waypoints: Vec<Waypoint> = waypoints.into_iter().map(point).collect::<PyResult<_>>()?;
