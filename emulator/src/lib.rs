@@ -12,6 +12,7 @@ pub mod chip;
 pub mod contact;
 pub mod count;
 pub mod drv8301;
+pub mod exchange;
 pub mod hands;
 pub mod hardware;
 pub mod image;

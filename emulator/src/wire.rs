@@ -9,7 +9,7 @@ use haptic::link::Wire;
 
 use crate::run::{MICROSECOND, VirtualBoard};
 
-/// How far the board runs between two looks at its port.
+/// How far the board runs between two looks at its port, where nobody says: ten a millisecond.
 const LOOK: u64 = 100 * MICROSECOND;
 
 /// A board that a test and a wire hold together.
@@ -35,7 +35,14 @@ impl Shared {
     /// A wire to its USB port.
     #[must_use]
     pub fn wire(&self) -> Box<dyn Wire> {
-        Box::new(UsbWire { shared: self.clone(), waiting: Vec::new() })
+        self.wire_looking_every(LOOK)
+    }
+
+    /// A wire to its USB port for a computer that looks so often, in ns, whether something came: its answer to what came
+    /// is up to that late.
+    #[must_use]
+    pub fn wire_looking_every(&self, look: u64) -> Box<dyn Wire> {
+        Box::new(UsbWire { shared: self.clone(), waiting: Vec::new(), look })
     }
 }
 
@@ -43,6 +50,7 @@ impl Shared {
 struct UsbWire {
     shared: Shared,
     waiting: Vec<u8>,
+    look: u64,
 }
 
 impl Wire for UsbWire {
@@ -76,7 +84,7 @@ impl Wire for UsbWire {
             if board.now() >= until {
                 return Ok(0);
             }
-            let step = LOOK.min(until - board.now());
+            let step = self.look.min(until - board.now());
             board.run(step);
         }
     }

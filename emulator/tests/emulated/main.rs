@@ -5,6 +5,7 @@
 mod boot;
 mod equality;
 mod faults;
+mod force;
 mod injection;
 mod load;
 mod lying;

@@ -1,0 +1,104 @@
+//! A host that pushes through a board as fast as the board answers: how many exchanges a second of the chip's time.
+//!
+//! The bus is the one of usb.rs: full speed, each packet 13 bytes longer than what it carries, no frame boundaries and no
+//! other device, a packet begun as soon as the chip offers or takes it. A computer that answers at once is looked at
+//! every [`LOOK`]; a real one adds what its own USB and scheduler take.
+
+use std::time::Duration;
+
+use haptic::link::{Board, Losses};
+use haptic_bridge::board::protocol::{ForceDone, ForceRequest, HostContact};
+use haptic_bridge::board::telemetry::Fields;
+use haptic_bridge::safety::fault::State;
+
+use crate::rig::Rig;
+use crate::run::{MICROSECOND, MILLISECOND};
+
+/// How long after an answer's last byte the next request begins, at most, ns.
+pub const LOOK: u64 = 5 * MICROSECOND;
+
+/// What came of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Exchanges {
+    /// Requests answered in a second.
+    pub per_second: f64,
+    /// From a request to its answer: the median and the longest, s.
+    pub median: f64,
+    /// s
+    pub longest: f64,
+    /// Requests that the board did not take.
+    pub not_taken: usize,
+    /// Control steps that ran, and periods that passed.
+    pub steps: u32,
+    /// Periods.
+    pub periods: u32,
+    /// Steps that reached past the next crest.
+    pub overruns: u32,
+    /// Telemetry.
+    pub losses: Losses,
+    /// Whether the motors were on at the end, without a fault.
+    pub armed: bool,
+}
+
+/// Pushes for `milliseconds` with a small force that changes at every exchange, and `contact`, while every `divider`th
+/// step's `fields` stream; no stream with 0.
+///
+/// # Panics
+///
+/// When the link breaks.
+pub fn run(
+    rig: &mut Rig,
+    (fields, divider): (Fields, u32),
+    rate_hz: u32,
+    milliseconds: u64,
+    contact: Option<HostContact>,
+) -> Exchanges {
+    rig.tool = Board::over(rig.shared.wire_looking_every(LOOK), "virtual").expect("the board answers");
+    if divider > 0 {
+        rig.tool.start_stream(fields, divider).expect("a stream starts");
+    }
+    rig.run(5 * MILLISECOND);
+    rig.tool.rows(Duration::ZERO).expect("the link holds");
+    let (before, began) = (rig.steps(), rig.now());
+    let end = began + milliseconds * MILLISECOND;
+    let (mut times, mut seen, mut not_taken) = (Vec::new(), None, 0);
+    // Newer than those of a run before this one.
+    let first = (began / MICROSECOND) as u32;
+    while rig.now() < end {
+        let asked = rig.now();
+        let sequence = first.wrapping_add(times.len() as u32);
+        let push = if sequence.is_multiple_of(2) { 0.05 } else { -0.05 };
+        let request = ForceRequest {
+            sequence,
+            seen,
+            hold: 0.02,
+            fade: 0.05,
+            force: [push, 0.0, 0.0],
+            contact,
+            ..ForceRequest::default()
+        };
+        let answer = rig.tool.force(&request).expect("the board answers");
+        not_taken += usize::from(answer.done != ForceDone::Taken || answer.sequence != sequence);
+        seen = Some(answer.step);
+        times.push(rig.now() - asked);
+        rig.tool.rows(Duration::ZERO).expect("the link holds");
+    }
+    let (after, ended) = (rig.steps(), rig.now());
+    let losses = rig.tool.losses();
+    rig.tool.stop_stream().expect("the stream stops");
+    let (details, status) = (rig.tool.details().expect("it answers"), rig.tool.status().expect("it answers"));
+    let seconds = |nanoseconds: u64| nanoseconds as f64 * 1e-9;
+    let count = times.len();
+    times.sort_unstable();
+    Exchanges {
+        per_second: count as f64 / seconds(ended - began),
+        median: seconds(times[count / 2]),
+        longest: seconds(times[count - 1]),
+        not_taken,
+        steps: after.wrapping_sub(before),
+        periods: ((ended - began) * u64::from(rate_hz) / 1_000_000_000) as u32,
+        overruns: details.overruns,
+        losses,
+        armed: status.state == State::Armed && status.fault.is_none(),
+    }
+}
