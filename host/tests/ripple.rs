@@ -2,7 +2,6 @@
 //! own control step, and by its limits.
 
 use assert_cmd::Command;
-use haptic::analysis::flexible::Hand;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::ripple::{LIGHT_HAND, Line, PUSH_N, Pressed};
 use haptic::analysis::sampled::{Estimator, FeedForward, Loop};
@@ -142,40 +141,4 @@ fn what_cannot_be_simulated_is_refused() {
         let told = String::from_utf8(done.get_output().stderr.clone()).unwrap();
         assert!(told.contains(said), "{told}");
     }
-}
-
-/// Push, N, and the hand that pushes.
-const PRESSES: [(f64, Hand); 5] = [
-    (PUSH_N, LIGHT_HAND),
-    (1.0, LIGHT_HAND),
-    (10.0, LIGHT_HAND),
-    (PUSH_N, Hand { mass: 0.02, damping: 1.0, stiffness: 50.0 }),
-    (PUSH_N, Hand { mass: 0.12, damping: 10.0, stiffness: 1200.0 }),
-];
-
-#[test]
-#[ignore = "a minute: it prints the table of presses of docs/encoder-steps.md"]
-fn other_presses() {
-    for (rate, cutoff, kp, kd, ..) in APART {
-        let around = around(rate, Estimator::Butterworth(cutoff), 0.0);
-        for mode in [FeedForward::Off, FeedForward::Full] {
-            let found = PRESSES.map(|(push_n, hand)| {
-                pressed(&around, None, |pressed| {
-                    let pressed = Pressed { push_n, hand, ..pressed.clone() };
-                    let rms = pressed.ripple(mode, kp, kd).unwrap().rms_n;
-                    rms.map_or("lost".to_string(), |rms| format!("{rms:.3}"))
-                })
-            });
-            println!("| {} kHz, {cutoff} Hz, {kp},{kd} | {mode:?} | {} |", rate / 1e3, found.join(" | "));
-        }
-    }
-    let around = around(20_000.0, Estimator::Butterworth(500.0), 0.0);
-    let from = PRESSES.map(|(push_n, hand)| {
-        pressed(&around, None, |pressed| {
-            let pressed = Pressed { push_n, hand, ..pressed.clone() };
-            let along = pressed.along(FeedForward::Off, Line::Ratio(0.7), 0.1).unwrap().unwrap();
-            along.kp_from.map_or("none".to_string(), |from| format!("{from:.0}"))
-        })
-    });
-    println!("| 20 kHz: over 0.1 N from, N/m | Off | {} |", from.join(" | "));
 }
