@@ -8,12 +8,15 @@ use serde_json::Value;
 use std::path::Path;
 
 /// Frequency of each joint's cable against its motor, Hz, and its share of critical damping.
-const CABLE: (f64, f64) = (400.0, 0.05);
+type Cable = (f64, f64);
+const CABLE: Cable = (400.0, 0.05);
+/// So soft that two modes of like size leave the stable range at the same stiffness.
+const SOFT: Cable = (120.0, 0.03);
 /// A turret's own body is on the link's side: the motor has this share of its inertia.
 const TURRET_MOTOR: f64 = 0.3;
 
 /// The shipped device with a cable at every joint.
-fn with_cables(device: &str, turret: bool) -> String {
+fn with_cables(device: &str, turret: bool, (hz, damped): Cable) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../devices/{device}.toml"));
     let text = std::fs::read_to_string(path).unwrap();
     let mut joint = 0;
@@ -24,8 +27,8 @@ fn with_cables(device: &str, turret: bool) -> String {
         if let Some(inertia) = line.strip_prefix("inertia = ").filter(|_| soft.contains("[[joint]]")) {
             let whole: f64 = inertia.split_whitespace().next().unwrap().parse().unwrap();
             let motor = if turret && joint == 0 { TURRET_MOTOR * whole } else { whole };
-            let stiffness = motor * (std::f64::consts::TAU * CABLE.0).powi(2);
-            let damping = 2.0 * CABLE.1 * (stiffness * motor).sqrt();
+            let stiffness = motor * (std::f64::consts::TAU * hz).powi(2);
+            let damping = 2.0 * damped * (stiffness * motor).sqrt();
             soft += &format!(
                 "transmission = {{ stiffness = {stiffness}, damping = {damping}, motor_inertia = {motor} }}\n"
             );
@@ -39,10 +42,10 @@ fn with_cables(device: &str, turret: bool) -> String {
 /// Mode, measured and predicted stiffness (N/m; none where it could not be measured).
 type Row = (String, Option<f64>, f64);
 
-fn measured(device: &str, normal: &str, (rate, cutoff): (u32, u32), kinds: &str) -> Result<(f64, Vec<Row>), String> {
+fn measured(device: &str, normal: &str, (rate, cutoff): (u32, u32), cable: Cable) -> Result<(f64, Vec<Row>), String> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("soft.toml");
-    std::fs::write(&path, with_cables(device, normal.matches(',').count() == 2)).unwrap();
+    std::fs::write(&path, with_cables(device, normal.matches(',').count() == 2, cable)).unwrap();
     let path = path.to_str().unwrap();
     let run = |arguments: &[&str]| {
         let (rate, cutoff) = (rate.to_string(), cutoff.to_string());
@@ -68,7 +71,7 @@ fn measured(device: &str, normal: &str, (rate, cutoff): (u32, u32), kinds: &str)
         "--repeats",
         "1",
         "--feed-forward",
-        kinds,
+        "all",
         "--friction",
         "viscous",
         "--counts",
@@ -85,7 +88,7 @@ fn measured(device: &str, normal: &str, (rate, cutoff): (u32, u32), kinds: &str)
 
 #[test]
 fn a_pantograph_with_cables_is_as_stiff_as_predicted() {
-    let (_, rows) = measured("capstan-pantograph", "0.6,0.8", (1_000, 100), "all").unwrap();
+    let (_, rows) = measured("capstan-pantograph", "0.6,0.8", (1_000, 100), CABLE).unwrap();
     assert_eq!(rows.len(), 3);
     for (mode, found, predicted) in rows {
         let found = found.unwrap();
@@ -93,27 +96,51 @@ fn a_pantograph_with_cables_is_as_stiff_as_predicted() {
     }
 }
 
+/// Largest stable stiffness of the pantograph with soft cables at kd 5.41 N s/m, N/m: eigenvalues of a loop that was written
+/// apart from this code, from the five-bar's geometry on, at 400 stiffnesses up to 20 kN/m. Nothing above is stable again.
+const APART: [(&str, f64); 3] = [("off", 5715.25), ("full", 10022.44), ("washout", 271.97)];
+
+#[test]
+fn a_pantograph_with_soft_cables_is_as_stiff_as_predicted_here_and_apart() {
+    let (kd, rows) = measured("capstan-pantograph", "0.6,0.8", (1_000, 100), SOFT).unwrap();
+    assert_eq!((kd, rows.len()), (5.41, 3));
+    for ((mode, found, predicted), (known, apart)) in rows.into_iter().zip(APART) {
+        assert_eq!(mode, known);
+        assert!((predicted / apart - 1.0).abs() < 1e-4, "{mode}: {predicted} is not {apart}");
+        let found = found.unwrap();
+        assert!((found / apart - 1.0).abs() < 0.1, "{mode}: {found} is not {apart}");
+    }
+}
+
 #[test]
 #[ignore = "minutes: it prints docs/results/complete.md"]
 fn three_devices_at_three_rates() {
-    println!("| device | rate, cutoff | kd, N s/m | feed-forward | measured, N/m | predicted, N/m | off by |");
-    println!("|---|---|---|---|---|---|---|");
+    println!("| device | cable | rate, cutoff | kd, N s/m | feed-forward | measured, N/m | predicted, N/m | off by |");
+    println!("|---|---|---|---|---|---|---|---|");
+    let devices =
+        [("capstan-pantograph", "0.6,0.8"), ("phantom-premium-1.5", "0.6,0.8,0"), ("woodenhaptics", "0.6,0.8,0")];
+    let mut cases = vec![(devices[0], (1_000, 100), SOFT)];
     for loop_ in [(1_000, 100), (5_000, 200), (20_000, 500)] {
-        for (device, normal) in
-            [("capstan-pantograph", "0.6,0.8"), ("phantom-premium-1.5", "0.6,0.8,0"), ("woodenhaptics", "0.6,0.8,0")]
-        {
-            let place = format!("| {device} | {}, {} Hz |", loop_.0, loop_.1);
-            match measured(device, normal, loop_, "all") {
-                Err(told) => println!("{place} | | not measured: {told} | | |"),
-                Ok((kd, rows)) => {
-                    for (mode, found, predicted) in rows {
-                        let off = found
-                            .map_or("not found".into(), |found| format!("{:+.1} %", 100.0 * (found / predicted - 1.0)));
-                        let found = found.map_or("-".into(), |found| format!("{found:.0}"));
-                        println!("{place} {kd} | {mode} | {found} | {predicted:.0} | {off} |");
-                    }
-                }
+        cases.extend(devices.map(|device| (device, loop_, CABLE)));
+    }
+    let mut far = Vec::new();
+    for ((device, normal), loop_, cable) in cases {
+        let (kd, rows) = measured(device, normal, loop_, cable).unwrap();
+        for (mode, found, predicted) in rows {
+            let off = found.map(|found| 100.0 * (found / predicted - 1.0));
+            let row = format!(
+                "| {device} | {} Hz | {}, {} Hz | {kd} | {mode} | {} | {predicted:.0} | {} |",
+                cable.0,
+                loop_.0,
+                loop_.1,
+                found.map_or("-".into(), |found| format!("{found:.0}")),
+                off.map_or("not found".into(), |off| format!("{off:+.1} %")),
+            );
+            println!("{row}");
+            if off.is_none_or(|off| off.abs() >= 10.0) {
+                far.push(row);
             }
         }
     }
+    assert!(far.is_empty(), "{far:#?}");
 }

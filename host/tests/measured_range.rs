@@ -12,6 +12,7 @@ use haptic::link::Board;
 use haptic::measure::simulated::{Friction, World};
 use haptic::measure::{Bench, Boundary, Law, MeasureError, Setup};
 use haptic::sim::{BoardOptions, DriveModel, Options, SHIPPED_DEVICE, SharedBoard, ready_board};
+use haptic_bridge::model::description::{EncoderAt, Transmission};
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::State;
 use std::cell::Cell;
@@ -136,4 +137,26 @@ fn with_fine_encoders_the_boundary_is_the_one_that_two_others_found() {
         let found = phantom(feed_forward, 64.0).unwrap();
         assert!((found.gain / theory - 1.0).abs() < 0.02, "{feed_forward:?}: {found:?}, theory {theory}");
     }
+}
+
+/// The Phantom that ships with a cable of 400 Hz at every joint, at home, at 5 kHz, 200 Hz and kd 3.26: walls are stable up to
+/// 8406 N/m, by eigenvalues that were computed apart from this code. A hold as quick as a rigid device stands is not.
+#[test]
+fn a_device_is_held_as_softly_as_its_cables_ask() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/phantom-premium-1.5.toml");
+    let mut file = DeviceFile::load(path).unwrap();
+    let world = World { friction: Friction::Viscous, counts: Some(4_194_304.0), ..World::default() };
+    world.apply(&mut file);
+    for (joint, motor_inertia) in file.description.joints.iter_mut().zip([4.233e-4, 1.3548e-4, 1.3548e-4]) {
+        let stiffness = motor_inertia * (std::f64::consts::TAU * 400.0).powi(2);
+        let damping = 2.0 * 0.05 * (stiffness * motor_inertia).sqrt();
+        joint.transmission = Some(Transmission { stiffness, damping, motor_inertia, encoder_at: EncoderAt::Motor });
+    }
+    let mut board = Board::over(world.board(&file, 5_000.0).unwrap().wire(), "sim").unwrap();
+    let walls = vec![Member::new(vec![0.6, 0.8, 0.0], 1.0)];
+    let setup = Setup { walls, torque_limit: 1.0, largest_pull: 5e-4, ..setup(5_000.0, 200.0) };
+    let mut bench = Bench::new(&mut board, &file, setup, &|| false).unwrap();
+    let mut stands = |kp| !bench.oscillates(FeedForward::Off, kp, 3.26, 1.0).unwrap();
+    assert!(stands(0.9 * 8406.0));
+    assert!(!stands(1.1 * 8406.0));
 }

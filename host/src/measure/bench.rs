@@ -52,8 +52,9 @@ pub struct Bench<'a> {
     inertia: Vec<f64>,
     /// The largest inertia that the tested walls meet, kg.
     heaviest: f64,
-    /// Natural frequency of the hold, rad/s.
+    /// Natural frequency of the hold, rad/s, and how often it was lowered.
     hold_frequency: f64,
+    softened: usize,
     excitation: Excitation,
     divider: u32,
     /// Columns of a row that hold the tip, and the one that holds the state.
@@ -117,6 +118,7 @@ impl<'a> Bench<'a> {
             inertia,
             heaviest,
             hold_frequency,
+            softened: 0,
             excitation,
             divider: (setup.rate_hz / 10_000.0).ceil().max(1.0) as u32,
             setup,
@@ -134,25 +136,28 @@ impl<'a> Bench<'a> {
         Ok(bench)
     }
 
-    /// Waits until the tip rests, held as softly as it takes: what a device's transmissions leave of its range of stable
-    /// walls, nobody need know beforehand.
+    /// Waits until the armed tip rests where it stands.
     fn settle(&mut self) -> Result<(), MeasureError> {
-        for _ in 0..SOFTEST {
+        loop {
             // Torque ramps up over half a second after arming.
             match self.wait(0.6).and_then(|()| self.rest(0.0)) {
-                Err(MeasureError::Restless) => {
-                    self.hold_frequency *= SOFTER;
-                    self.hold(0.0)?;
-                }
-                Err(MeasureError::Fault(fault)) if violent(fault) => {
-                    self.hold_frequency *= SOFTER;
+                Err(MeasureError::Fault(fault)) if violent(fault) && self.soften() => {
                     self.hold(0.0)?;
                     self.arm_again()?;
                 }
                 other => return other.map(|_| ()),
             }
         }
-        self.rest(0.0).map(|_| ())
+    }
+
+    /// Holds more softly from here on; false where that was tried often enough.
+    fn soften(&mut self) -> bool {
+        if self.softened == SOFTEST {
+            return false;
+        }
+        self.softened += 1;
+        self.hold_frequency *= SOFTER;
+        true
     }
 
     /// Stiffness and damping that hold the tip along the pull, N/m and N s/m.
@@ -326,8 +331,19 @@ impl<'a> Bench<'a> {
         Ok(())
     }
 
-    /// Waits until the tip rests near `pull`, along its direction and across it; returns where it rests.
+    /// Waits until the tip rests near `pull`, held as softly as that takes; returns where it rests. How much damping a
+    /// device's transmissions let a hold have, nobody need know beforehand.
     fn rest(&mut self, pull: f64) -> Result<f64, MeasureError> {
+        loop {
+            match self.held_still(pull) {
+                Err(MeasureError::Restless) if self.soften() => {}
+                other => return other,
+            }
+        }
+    }
+
+    /// Holds the tip near `pull` until it rests, along its direction and across it; returns where it rests.
+    fn held_still(&mut self, pull: f64) -> Result<f64, MeasureError> {
         self.hold(pull)?;
         let period = TAU / self.hold_frequency;
         // What encoder steps keep moving is as much at rest as it will ever be.

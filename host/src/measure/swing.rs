@@ -29,11 +29,13 @@ const SLOW: f64 = 0.125;
 const SETTLING: usize = 8;
 /// Turning points of one look at the trend.
 const LOOK: usize = 22;
-/// Looks after which what neither grows nor shrinks is a vibration.
-const LOOKS: usize = 4;
+/// Looks after which what neither grows nor shrinks is a vibration: of the place, and of the bend, whose swings are quicker.
+const LOOKS: (usize, usize) = (4, 16);
 /// Swings of which the largest counts where two modes beat: more than the shares of a beat between two modes that lie this
 /// far apart, which is farther than a wall's own mode and a cable's.
 const BEAT: usize = 6;
+/// Share of the swings before it that a swing has, not to be a faster mode's ripple on them.
+const RIPPLE: f64 = 0.4;
 /// Standard errors by which a slope must differ from zero to be one. Many, as encoder steps disturb neighbouring swings
 /// alike, which the standard error does not know.
 const SIGNIFICANT: f64 = 4.0;
@@ -79,9 +81,9 @@ impl Swing {
         let rows_a_period = 1.0 / (row_seconds * cutoff_hz);
         let silent = (period / row_seconds).clamp(SILENT.0 * rows_a_period, SILENT.1 * rows_a_period);
         Self {
-            place: Trace::new(rows_a_period, silent, quantum, pull),
+            place: Trace::new(rows_a_period, silent, quantum, pull, LOOKS.0),
             // Errors of up to half a step in three places, one of them twice; of no size to be expected.
-            bend: Trace::new(rows_a_period, silent, 4.0 * quantum, f64::INFINITY),
+            bend: Trace::new(rows_a_period, silent, 4.0 * quantum, f64::INFINITY, LOOKS.1),
             before: [None; 2],
             told: [None; 2],
         }
@@ -117,6 +119,8 @@ struct Trace {
     explained: f64,
     /// How large the motion was at first, m.
     pull: f64,
+    /// Looks after which a motion that goes on is a vibration.
+    looks: usize,
     /// Rows without a turning point after which a motion is judged.
     silent: f64,
     /// The extreme since the last turning point, and whether the motion rises.
@@ -131,8 +135,9 @@ struct Trace {
 }
 
 impl Trace {
-    fn new(rows_a_period: f64, silent: f64, quantum: f64, pull: f64) -> Self {
+    fn new(rows_a_period: f64, silent: f64, quantum: f64, pull: f64, looks: usize) -> Self {
         Self {
+            looks,
             share: 1.0 - (-TAU * SLOW / rows_a_period).exp(),
             slow: None,
             noise: 1.5 * quantum,
@@ -167,8 +172,7 @@ impl Trace {
             return Some(verdict);
         }
         // Much longer than the turning points so far were apart.
-        let apart = (self.rows - self.since_turn) as f64 / (self.swings.len() + 1) as f64;
-        (self.since_turn as f64 > self.silent.max(6.0 * apart)).then_some(Verdict::Decays)
+        (self.since_turn as f64 > self.silent.max(6.0 * self.apart())).then_some(Verdict::Decays)
     }
 
     /// Notes a turning point when the motion has come back from its extreme by more than noise.
@@ -181,7 +185,7 @@ impl Trace {
             self.extreme = Some((fast, rising));
             return false;
         }
-        if (fast - extreme).abs() <= self.noise.max(0.2 * GONE * largest(&self.swings)) {
+        if (fast - extreme).abs() <= self.noise.max(0.2 * GONE * largest(&self.swings)).max(self.ripple()) {
             return false;
         }
         if let Some(before) = self.turned.replace(extreme) {
@@ -191,6 +195,18 @@ impl Trace {
         self.extreme = Some((fast, !rising));
         self.since_turn = 0;
         self.swings.len() > 3
+    }
+
+    /// What comes back by less than this is a faster mode's ripple on the swing, m. It falls while nothing turns: after a
+    /// large mode has died out a small one is seen.
+    fn ripple(&self) -> f64 {
+        let recent = largest(&self.swings[self.swings.len().saturating_sub(4)..]);
+        RIPPLE * recent * (-(self.since_turn as f64) / (2.0 * self.apart())).exp2()
+    }
+
+    /// How many rows the turning points so far were apart.
+    fn apart(&self) -> f64 {
+        (self.rows - self.since_turn) as f64 / (self.swings.len() + 1) as f64
     }
 
     fn at_turn(&self) -> Option<Verdict> {
@@ -211,7 +227,7 @@ impl Trace {
         }
         self.told_by(&self.swings[count - LOOK..]).or_else(|| {
             let beats: Vec<f64> = self.swings[SETTLING..].chunks_exact(BEAT).map(largest).collect();
-            (seen / (LOOK / 2) >= LOOKS).then(|| self.told_by(&beats).unwrap_or_else(|| self.lasting()))
+            (seen / (LOOK / 2) >= self.looks).then(|| self.told_by(&beats).unwrap_or_else(|| self.lasting()))
         })
     }
 
