@@ -1,4 +1,4 @@
-//! The posture of a redundant arm: held by a torque that leaves the tip alone.
+//! The posture of a redundant arm: held by a spring that leaves no force at the tip.
 //!
 //! Expectations are Newton's law solved here, M q̈ + c + g = τ with the controller's torque, by elimination.
 
@@ -50,25 +50,37 @@ fn torque(scene: &Scene<f64>, q: &Vector3<f64>, qd: &Vector3<f64>) -> Vector3<f6
     (-80..=0).map(|k| steps.step(&counts(&(q + qd * (f64::from(k) / RATE)))).torque).last().expect("steps")
 }
 
+/// What it does by virtual work: φ = q₀ + q₁ + q₂, so a moment f on the last link is f at every joint, stretched or not.
 #[test]
-fn it_turns_the_last_link_and_does_not_accelerate_the_tip() {
-    let (arm, _) = arm();
+fn it_is_a_moment_on_the_last_link() {
     let held = Posture { orientation: 2.6, stiffness: 0.4, damping: 0.03 };
     for (q, qd) in
-        [([0.5, 0.8, 0.7], [0.0; 3]), ([0.5, 0.8, 0.7], [0.9, -0.4, 0.3]), ([-0.8, 1.4, -2.0], [0.2, 0.5, 0.6])]
+        [([0.5, 0.8, 0.7], [0.0; 3]), ([-0.8, 1.4, -2.0], [0.2, 0.5, 0.6]), ([0.4, 0.0, 0.3], [0.1, 0.0, 0.2])]
     {
         let (q, qd) = (Vector3::from(q), Vector3::from(qd));
-        let torque = torque(&scene(Some(held)), &q, &qd);
-        let pose = arm.pose::<Libm>(&q);
-        let (jacobian, mass) = (arm.jacobian(&pose), arm.mass(&pose));
-        let acceleration = jacobian * (inverse(&mass) * torque);
-        // Of the orientation alone: the inertia that the null motion has.
-        let null = inverse(&jacobian).column(2).into_owned();
-        let moment = 0.4 * (2.6 - q.sum()).sin() - 0.03 * qd.sum();
-        let expected = moment / null.dot(&(mass * null));
-        assert!((acceleration[2] / expected - 1.0).abs() < 1e-3, "{} for {expected}", acceleration[2]);
-        let tip = acceleration[0].hypot(acceleration[1]);
-        assert!(tip < 1e-9 * expected.abs(), "the tip is accelerated by {tip} m/s²");
+        let moment = 0.4 * (2.6_f64 - q.sum()).sin() - 0.03 * qd.sum();
+        let error = torque(&scene(Some(held)), &q, &qd) - Vector3::repeat(moment);
+        assert!(error.norm() < 1e-4 * moment.abs(), "{error} of {moment}");
+    }
+}
+
+/// Torques along the null motion alone would drive it: the shipped joints are damped unevenly.
+#[test]
+fn an_arm_that_nobody_holds_comes_to_rest() {
+    let (arm, device) = arm();
+    for damping in [0.0, 0.03] {
+        let scene = scene(Some(Posture { orientation: 2.3, stiffness: 0.5, damping }));
+        let mut steps = Steps::new(arm, &device, &scene).expect("a sound scene");
+        let (mut q, mut qd) = (Vector3::new(0.3, 1.2, 0.6), Vector3::new(0.3, -0.2, 0.0));
+        let viscous = Vector3::from(device.joints.map(|joint| joint.viscous));
+        for _ in 0..(20.0 * RATE) as usize {
+            let step = steps.step(&counts(&q));
+            let pose = arm.pose::<Libm>(&q);
+            let moving = step.torque - viscous.component_mul(&qd) - arm.coriolis(&pose, &qd);
+            qd += inverse(&arm.mass(&pose)) * moving / RATE;
+            q += qd / RATE;
+        }
+        assert!(qd.norm() < 0.03, "damping {damping}: {qd:?}");
     }
 }
 
@@ -113,13 +125,6 @@ fn an_arm_that_presses_a_wall_takes_its_posture_and_stays_in_it() {
         assert!((depth - 0.002).abs() < 4e-5, "{feed_forward:?}: {depth} m");
         assert!(qd.norm() < 1e-2, "{feed_forward:?}: it rests, {qd:?}");
     }
-}
-
-#[test]
-fn at_a_stretched_arm_nothing_is_held() {
-    let held = Posture { orientation: 2.0, stiffness: 0.5, damping: 0.1 };
-    let torque = torque(&scene(Some(held)), &Vector3::new(0.4, 0.0, 0.3), &Vector3::zeros());
-    assert_eq!(torque, Vector3::zeros());
 }
 
 #[test]

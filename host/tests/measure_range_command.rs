@@ -126,7 +126,7 @@ fn the_line_printed_beside_the_numbers_gives_the_theory_that_is_printed() {
         let boundary = predicted[point["mode"].as_str().unwrap()]["boundary"].as_array().unwrap();
         assert_eq!(boundary.len(), 2);
         assert!(boundary.iter().any(|other| other["kp"] == point["theory_kp"]), "{point}: {boundary:?}");
-        assert!((point["kp"].as_f64().unwrap() / point["theory_kp"].as_f64().unwrap() - 1.0).abs() < 0.02, "{point}");
+        assert!((point["kp"].as_f64().unwrap() / point["theory_kp"].as_f64().unwrap() - 1.0).abs() < 0.025, "{point}");
     }
     assert!(measured["drive"].as_str().unwrap().contains("current"), "{measured}");
     // What a person reads has all of them, too.

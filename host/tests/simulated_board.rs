@@ -174,13 +174,22 @@ fn what_cannot_be_armed_is_refused_with_the_reason() {
     board.home().unwrap();
     assert_eq!(refusal(board.arm()), Refusal::PolarityUnchecked);
     board.check_polarity().unwrap();
-    shared.lock().run(5.0);
+    listening(&shared, &mut board, 5.0);
     assert!(board.status().unwrap().polarity, "{:?}", board.status());
 
     // The polarity check moved the device; a wall is now put around its tip.
     let scene = wall_below(&shared, -0.01, FeedForward::Full);
     board.set_scene(&scene).unwrap();
     assert_eq!(refusal(board.arm()), Refusal::InsideWall);
+}
+
+/// Lets so many seconds pass, and says now and then that the host is there.
+fn listening(shared: &SharedBoard, board: &mut Board, seconds: f64) {
+    board.keep_alive();
+    for _ in 0..(10.0 * seconds) as u32 {
+        shared.lock().run(0.1);
+        board.rows(Duration::ZERO).unwrap();
+    }
 }
 
 #[test]
@@ -200,7 +209,7 @@ fn a_swapped_motor_is_found_before_it_is_armed() {
     let mut board = Board::over(shared.wire(), "sim").unwrap();
     board.home().unwrap();
     board.check_polarity().unwrap();
-    shared.lock().run(5.0);
+    listening(&shared, &mut board, 5.0);
     let fault = board.status().unwrap().fault.unwrap();
     assert_eq!((fault.fault, fault.axis), (Fault::PolarityWrong, Some(1)));
     assert_eq!(board.faults().unwrap().len(), 1);

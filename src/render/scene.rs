@@ -156,8 +156,8 @@ pub struct Spring<T> {
     pub damping: T,
 }
 
-/// A torsional spring on the orientation φ of a redundant device, which moves the null motion alone: the posture is held and
-/// the tip is pushed nowhere (docs/model.md section 2).
+/// A torsional spring between the ground and the last link of a redundant device: it holds the orientation φ, and in rest
+/// leaves no force at the tip (docs/model.md section 2).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Posture<T> {
     /// φ to be held, rad.

@@ -91,11 +91,10 @@ fn held(device: &Device<f64>, scene: &Scene<f64>) -> Option<Doubt> {
     }
     let q = &device.home?[..spec.joints];
     let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?;
-    let null = pose.inverse.column(spec.joints - 1).into_owned();
+    let unit_motion = pose.inverse.column(spec.joints - 1).into_owned();
     let row = pose.jacobian.row(spec.joints - 1).transpose();
     let viscous = DVector::from_fn(spec.joints, |i, _| device.joints[i].viscous);
-    let turning =
-        Linearised { mass: pose.mass, viscous, row, unit_motion: null, gain: 1.0, flexible: Flexible::default() };
+    let turning = Linearised { mass: pose.mass, viscous, row, unit_motion, gain: 1.0, flexible: Flexible::default() };
     let around = Loop {
         rate_hz: scene.rate_hz,
         delay_samples: usual_delay(scene.rate_hz),
@@ -103,7 +102,7 @@ fn held(device: &Device<f64>, scene: &Scene<f64>) -> Option<Doubt> {
         drive: Drive::Ideal,
         damping_compensation: false,
     };
-    let (stable_to, damping_to) = stiffness_at(&turning, &around, Mode::Full, posture.damping).ok()?;
+    let (stable_to, damping_to) = stiffness_at(&turning, &around, Mode::Off, posture.damping).ok()?;
     let (name, has, most, unit) = if posture.damping > damping_to {
         ("damping", posture.damping, damping_to, "N m s/rad")
     } else if posture.stiffness > stable_to {
