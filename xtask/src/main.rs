@@ -80,7 +80,7 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         rest: Vec<String>,
     },
-    /// Of these, the library without the command line: its tests, and that it brings nothing that only the tool needs
+    /// Of these, the library without the command line: that it compiles, and brings nothing that only the tool needs
     Library,
     /// Of these, the tests of the package for Python
     Python {
@@ -101,7 +101,11 @@ enum Command {
     /// Some of them under Miri, which needs a nightly toolchain
     Miri,
     /// Build the page of `haptic view` as a file that needs no tool
-    Playground,
+    Playground {
+        /// Then try it in a browser
+        #[arg(long)]
+        test: bool,
+    },
     /// Licences, sources and known advisories of everything that is linked; with cargo-deny, today's too
     Deny,
     /// Check the formatting of every source here, whatever declares it
@@ -160,7 +164,8 @@ fn run(command: Command, install: bool) -> Result<()> {
         Command::Fuzz(options) => fuzz::run(&options, install),
         Command::Sanitize { rest } => undefined::sanitize(&rest),
         Command::Miri => undefined::miri(),
-        Command::Playground => playground::build(install).map(drop),
+        Command::Playground { test: false } => playground::build(install).map(drop),
+        Command::Playground { test: true } => playground::test(install),
         Command::Deny => deny::run(),
         Command::Fmt => format::check(),
         Command::Soak(options) => soak::run(&options, install),

@@ -1,5 +1,6 @@
-//! The whole test run: what plain `cargo test` covers, the page as a file, a short round of fuzzing, then the images, the
-//! step's instructions, and the emulated board.
+//! The whole test run: what plain `cargo test` covers, a short round of fuzzing, then the images, the step's
+//! instructions, and the emulated board. The page as a file (`cargo xtask playground --test`), the soak and what measures on
+//! the emulated chip take longer and are runs of their own.
 
 use std::process::Command;
 use std::time::Instant;
@@ -7,7 +8,7 @@ use std::time::Instant;
 use anyhow::Result;
 
 use crate::toolchain::{cargo, run};
-use crate::{bench, deny, firmware, fuzz, library, no_panic, paths, playground, python, report, tools};
+use crate::{bench, deny, firmware, fuzz, library, no_panic, paths, python, report, tools};
 
 /// Seconds of fuzzing that each target gets in the whole run.
 const FUZZ_SECONDS: u32 = 4;
@@ -27,7 +28,6 @@ pub fn all(install: bool) -> Result<()> {
     })?;
     stage("library without the command line", &library::alone)?;
     stage("package for Python", &|| python::test(&[], &python::AFTERWARDS, install))?;
-    stage("the page as a file", &|| playground::test(install))?;
     stage("licences, sources and advisories of dependencies", &deny::check)?;
     stage("fuzzing", &|| fuzz::run(&fuzz::Options::short(FUZZ_SECONDS), install))?;
     stage("images and their sizes", &|| firmware::size(install))?;

@@ -216,7 +216,7 @@ pub fn check(install: bool) -> Result<()> {
     let browsers = match found(&[Use::Playground]) {
         Ok(Toolchain::Rustup) => "rustup's compiler, which has the target",
         Ok(Toolchain::Debian) => "Debian's compiler, with the source of the standard library",
-        Err(_) => "no compiler, so that the tests leave it out: `cargo xtask playground` says what it takes",
+        Err(_) => "no compiler: `cargo xtask playground` says what it takes",
     };
     println!(
         "for the chip: {chip}\nfor the page as a file: {browsers}\nfor libFuzzer: a C++ compiler\nfor `haptic view`: a browser\nfor the package: Python\nnothing is missing"
