@@ -1,6 +1,7 @@
 """The range measured on simulated boards: against the prediction, interrupted, taken up again, refused."""
 
 import _thread
+import signal
 import threading
 
 import numpy as np
@@ -31,6 +32,8 @@ def test_what_is_measured_on_an_ideal_device_is_what_range_predicts(five_bar):
 
 
 def test_ctrl_c_ends_it_with_the_motors_off_and_other_threads_have_run(five_bar):
+    # A shell's background jobs ignore Ctrl-C.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     simulation = hb.Simulation(five_bar)
     ticks, over = [0], threading.Event()
 
@@ -50,6 +53,7 @@ def test_ctrl_c_ends_it_with_the_motors_off_and_other_threads_have_run(five_bar)
         over.set()
         timer.cancel()
         counter.join()
+        signal.signal(signal.SIGINT, before)
     assert ticks[0] > 20
 
 
