@@ -67,32 +67,6 @@ impl<T: Real, const N: usize> Split<T, N> {
     }
 }
 
-/// Weff = (Jr M⁻¹ Jrᵀ)⁻¹ in the leading block, kg, of as many directions as there are `rows` of Jr (m); zeros beyond it.
-#[inline]
-fn effective<T: Real, const N: usize>(mass: &SMatrix<T, N, N>, rows: &[SVector<T, N>]) -> SMatrix<T, N, N> {
-    let mut w_eff = SMatrix::<T, N, N>::zeros();
-    if let [row] = rows {
-        w_eff[(0, 0)] = T::one() / row.dot(&solve_symmetric(mass, row)).greater(T::EPSILON * T::EPSILON * T::EPSILON);
-        return w_eff;
-    }
-    let mut mobility = SMatrix::<T, N, N>::identity();
-    for (j, row) in rows.iter().enumerate() {
-        let accelerations = solve_symmetric(mass, row);
-        for (i, row) in rows.iter().enumerate() {
-            mobility[(i, j)] = row.dot(&accelerations);
-        }
-    }
-    for j in 0..rows.len() {
-        let mut unit = SVector::<T, N>::zeros();
-        unit[j] = T::one();
-        let column = solve_symmetric(&mobility, &unit);
-        for i in 0..rows.len() {
-            w_eff[(i, j)] = column[i];
-        }
-    }
-    w_eff
-}
-
 /// Cross product in the first three coordinates (zero where there are fewer).
 fn cross<T: Real, const N: usize>(a: &SVector<T, N>, b: &SVector<T, N>) -> SVector<T, N> {
     let mut product = SVector::<T, N>::zeros();
@@ -200,8 +174,24 @@ impl<T: Real, const N: usize> Inertia<T, N> {
         let w = split.basis.tr_mul(&(operational * split.basis));
         let z = SVector::from_fn(|i, _| shapings[i].e.dot(&b));
 
+        let mass = mechanism.mass(pose);
         let rows: [SVector<T, N>; N] = core::array::from_fn(|i| mechanism.transpose(pose, &tip.column(i).into_owned()));
-        let w_eff = effective(&mechanism.mass(pose), &rows[..rank.min(N)]);
+        let mut mobility = SMatrix::<T, N, N>::identity();
+        for j in 0..rank {
+            let accelerations = solve_symmetric(&mass, &rows[j]);
+            for i in 0..rank {
+                mobility[(i, j)] = rows[i].dot(&accelerations);
+            }
+        }
+        let mut w_eff = SMatrix::<T, N, N>::zeros();
+        for j in 0..rank {
+            let mut unit = SVector::<T, N>::zeros();
+            unit[j] = T::one();
+            let column = solve_symmetric(&mobility, &unit);
+            for i in 0..rank {
+                w_eff[(i, j)] = column[i];
+            }
+        }
 
         let in_span = tip.tr_mul(force);
         let torque = match walls {

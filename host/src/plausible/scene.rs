@@ -95,13 +95,7 @@ fn held(device: &Device<f64>, scene: &Scene<f64>) -> Option<Doubt> {
     let row = pose.jacobian.row(spec.joints - 1).transpose();
     let viscous = DVector::from_fn(spec.joints, |i, _| device.joints[i].viscous);
     let turning = Linearised { mass: pose.mass, viscous, row, unit_motion, gain: 1.0, flexible: Flexible::default() };
-    let around = Loop {
-        rate_hz: scene.rate_hz,
-        delay_samples: usual_delay(scene.rate_hz),
-        estimator: Estimator::of(scene.estimator, scene.cutoff_hz)?,
-        drive: Drive::Ideal,
-        damping_compensation: false,
-    };
+    let around = ideal_loop(scene, false, usual_delay(scene.rate_hz))?;
     let (stable_to, damping_to) = stiffness_at(&turning, &around, Mode::Off, posture.damping).ok()?;
     let (name, has, most, unit) = if posture.damping > damping_to {
         ("damping", posture.damping, damping_to, "N m s/rad")
@@ -121,13 +115,12 @@ fn held(device: &Device<f64>, scene: &Scene<f64>) -> Option<Doubt> {
 
 /// The loop around a wall of a scene, its motors ideal; `None` with an estimator that has no linear analysis.
 pub fn around(scene: &Scene<f64>, wall: &Wall<f64>, delay_samples: f64) -> Option<Loop> {
-    Some(Loop {
-        rate_hz: scene.rate_hz,
-        delay_samples,
-        estimator: Estimator::of(scene.estimator, scene.cutoff_hz)?,
-        drive: Drive::Ideal,
-        damping_compensation: wall.damping_compensation,
-    })
+    ideal_loop(scene, wall.damping_compensation, delay_samples)
+}
+
+fn ideal_loop(scene: &Scene<f64>, damping_compensation: bool, delay_samples: f64) -> Option<Loop> {
+    let estimator = Estimator::of(scene.estimator, scene.cutoff_hz)?;
+    Some(Loop { rate_hz: scene.rate_hz, delay_samples, estimator, drive: Drive::Ideal, damping_compensation })
 }
 
 /// What wall `index` of a scene meets at a pose, in a loop with this delay (control samples); `None` at a
