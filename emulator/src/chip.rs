@@ -18,6 +18,7 @@ use std::ops::{Deref, DerefMut};
 use rigless::device::{ErasedDevice, ResetCause};
 use rigless::mcu::{Mcu, Operate};
 use rigless::soc::stm32f427::Stm32f427;
+use rigless::soc::stm32f427::generated::dbg::Register as DebugRegister;
 use rigless::soc::stm32f427::generated::exti::Register as ExtiRegister;
 use rigless::soc::stm32f427::peripherals::{ADVANCED_TIMERS, CONVERTERS};
 use rigless::soc::{Bus, Error, Width};
@@ -99,7 +100,15 @@ impl Chip {
         };
         chip.exchange();
         chip.check()?;
+        chip.name_itself(VirtualNanos(0));
         Ok(chip)
+    }
+
+    /// Tells programs that this is an STM32F405, of revision Y (RM0090 section 38.6.1).
+    fn name_itself(&mut self, at: VirtualNanos) {
+        let slot = self.bus().slot_of("DBG").expect("the part has a debug component");
+        let (registers, _) = self.part.bus_mut().drive(at, slot);
+        registers.set(DebugRegister::DbgmcuIdcode, 0x100F_6413);
     }
 
     /// Swaps the bus in use with the parked one. The slots of the part's own models move along, so what they hold,
@@ -223,6 +232,7 @@ impl Mcu for Chip {
         self.part.reset(at, cause);
         self.parked.keep_added(&before).expect("the same description");
         self.exchange();
+        self.name_itself(at);
         self.restarts += 1;
         self.otg.chip_reset();
         self.flash = flash::unit();

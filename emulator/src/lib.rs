@@ -11,6 +11,7 @@ pub mod cases;
 pub mod chip;
 pub mod contact;
 pub mod count;
+pub mod cycles;
 pub mod drv8301;
 pub mod exchange;
 pub mod hands;

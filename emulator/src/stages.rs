@@ -112,14 +112,14 @@ impl<'a> Stages<'a> {
         stage
     }
 
-    /// Instructions of `run` in each of [`STAGES`].
+    /// The stage of each instruction of `run`, by its place in [`STAGES`].
     #[must_use]
-    pub fn count(&mut self, run: &Run) -> Vec<u64> {
-        let mut counts = vec![0; STAGES.len()];
-        let Some(&entry) = run.path.first() else { return counts };
+    pub fn of_each(&mut self, run: &Run) -> Vec<usize> {
+        let Some(&entry) = run.path.first() else { return Vec::new() };
         let mut walker = Walker::new(self.code.clone(), entry);
         let mut callers = Vec::new();
         let (mut inherited, mut stage) = (0, 0);
+        let mut stages = Vec::with_capacity(run.path.len());
         for (nth, &at) in run.path.iter().enumerate() {
             if nth > 0 {
                 match walker.step(at) {
@@ -132,9 +132,9 @@ impl<'a> Stages<'a> {
                 }
             }
             stage = self.own(at).unwrap_or(inherited);
-            counts[stage] += 1;
+            stages.push(stage);
         }
-        counts
+        stages
     }
 }
 

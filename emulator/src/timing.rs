@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use haptic_bridge::board::telemetry::Fields;
 
 use crate::cases::{CASES, Case};
+use crate::cycles::{Flash, estimate};
 use crate::load::{highest_rate, rows_without_loss};
 use crate::rig::{Rig, firmware};
 use crate::run::MILLISECOND;
@@ -38,6 +39,8 @@ pub struct Timing {
     pub valley: u64,
     /// Mean of each of [`STAGES`] over [`Timing::periods`].
     pub stages: Vec<f64>,
+    /// Cycles that the longest of them is estimated to take, for each [`Flash::ALL`].
+    pub cycles: [u64; Flash::ALL.len()],
 }
 
 impl Case {
@@ -57,37 +60,42 @@ impl Case {
         let in_contact = |row: &haptic::link::Row| row.values.ends_with(&[ARMED, self.walls as f64]);
         let status = rig.tool.status();
         assert!(!rows.is_empty() && rows.iter().all(in_contact), "{} is not in contact: {status:?}", self.name());
-        Timing::of(&runs, &mut Stages::of(firmware(self.board)).expect("debug information"))
+        let image = firmware(self.board);
+        let code = Code::of(image).expect("an image with code");
+        Timing::of(&runs, &code, &mut Stages::of(image).expect("debug information"))
     }
 }
 
 impl Timing {
-    fn of(runs: &[Run], stages: &mut Stages<'_>) -> Self {
-        let sampled = STAGES.iter().position(|(name, _)| *name == SAMPLING).unwrap_or(0);
+    fn of(runs: &[Run], code: &Code, stages: &mut Stages<'_>) -> Self {
+        let sampling = STAGES.iter().position(|(name, _)| *name == SAMPLING).unwrap_or(0);
         let mut sums = vec![0; STAGES.len()];
-        let mut plain = Vec::new();
+        let mut works: Vec<Vec<u32>> = Vec::new();
         let mut valley = 0;
         for run in runs {
-            let length = run.path.len() as u64;
-            let counts = stages.count(run);
-            if counts[sampled] == 0 {
-                valley = valley.max(length);
+            let each = stages.of_each(run);
+            if !each.contains(&sampling) {
+                valley = valley.max(run.path.len() as u64);
                 continue;
             }
-            plain.push(length - counts[sampled]);
-            for (sum, count) in sums.iter_mut().zip(counts) {
-                *sum += count;
+            let work = run.path.iter().zip(&each).filter(|(_, stage)| **stage != sampling);
+            works.push(work.map(|(&at, _)| at).collect());
+            for stage in each {
+                sums[stage] += 1;
             }
         }
-        let periods = plain.len();
+        let periods = works.len();
         let mean = |sum: u64| sum as f64 / periods.max(1) as f64;
+        let lengths = || works.iter().map(|work| work.len() as u64);
+        let longest = works.iter().max_by_key(|work| work.len()).map_or(&[][..], Vec::as_slice);
         Self {
             periods,
-            mean: mean(plain.iter().sum()),
-            longest: plain.iter().copied().max().unwrap_or(0),
-            shortest: plain.iter().copied().min().unwrap_or(0),
+            mean: mean(lengths().sum()),
+            longest: longest.len() as u64,
+            shortest: lengths().min().unwrap_or(0),
             valley,
             stages: sums.into_iter().map(mean).collect(),
+            cycles: Flash::ALL.map(|flash| estimate(code, longest, flash)),
         }
     }
 }
@@ -128,7 +136,9 @@ pub fn table(timings: &[Timing]) -> String {
         its first to the one that returns, given to the function of the source that it came from (emulator/src/stages.rs).\n\
         Stages are means over the steps, which run at the carrier's crests. Requests of the tasks (at least 50 a second, for\n\
         the status) are carried out at its valleys. Jitter is the longest less the shortest. Waiting for the converters is time, not work: its count depends on the\n\
-        emulator's speed, and the sums are without it. Instructions are no cycles: on silicon expect 1.9 to 2.3 cycles each.\n\n"
+        emulator's speed, and the sums are without it. Instructions are no cycles: those of the longest step are an estimate by\n\
+        ARM's timings and a model of the flash and its accelerator (emulator/src/cycles.rs), with the exception's own. At 20 kHz\n\
+        a period has 8,400 of them.\n\n"
         .to_owned();
     let mut row = |name: &str, cells: Vec<String>| {
         let _ = writeln!(text, "| {name} | {} |", cells.join(" | "));
@@ -144,6 +154,13 @@ pub fn table(timings: &[Timing]) -> String {
     row(LONGEST, each(|timing| timing.longest));
     row("jitter", each(|timing| timing.longest - timing.shortest));
     row(VALLEY, each(|timing| timing.valley));
+    let names = ["the core alone", "with the flash as the firmware sets it", "with a flash that nothing accelerates"];
+    for (nth, name) in names.into_iter().enumerate() {
+        row(
+            &format!("cycles of the longest, estimated, {name}"),
+            timings.iter().map(|timing| timing.cycles[nth].to_string()).collect(),
+        );
+    }
     let target = |(case, timing): (&Case, &Timing)| match case.target {
         Some(target) if timing.longest <= target => format!("{target}: met"),
         Some(target) => format!("{target}: missed by {}", timing.longest - target),

@@ -46,13 +46,20 @@ impl Code {
         Some(Self { base: from as u32, bytes: firmware.code(symbol)?.into() })
     }
 
+    /// Code of these half-words from `base` on.
+    #[cfg(test)]
+    pub(crate) fn at(base: u32, halves: &[u16]) -> Self {
+        Self { base, bytes: halves.iter().flat_map(|half| half.to_le_bytes()).collect() }
+    }
+
     /// Every address at which an instruction could start.
     pub fn addresses(&self) -> impl Iterator<Item = u64> + use<> {
         let (base, len) = (u64::from(self.base), self.bytes.len() as u64);
         (base..base + len).step_by(2)
     }
 
-    fn half(&self, at: u32) -> u16 {
+    /// The half-word at `at`, or 0 where there is no code.
+    pub(crate) fn half(&self, at: u32) -> u16 {
         let offset = at.wrapping_sub(self.base) as usize;
         self.bytes.get(offset..offset + 2).map_or(0, |pair| u16::from_le_bytes([pair[0], pair[1]]))
     }
@@ -177,7 +184,7 @@ mod tests {
     use super::*;
 
     fn code(halves: &[u16]) -> Code {
-        Code { base: 0x1000, bytes: halves.iter().flat_map(|half| half.to_le_bytes()).collect() }
+        Code::at(0x1000, halves)
     }
 
     #[test]

@@ -141,7 +141,7 @@ const fn words<const N: usize>() -> [RegisterSpec; N] {
 
 /// The external interrupt controller, whose flags are cleared by writing 1: the vendor's file does not say so.
 pub mod exti {
-    use super::{Access, ReadAction, RegisterSpec, Width, WriteModify};
+    use super::{RegisterSpec, WriteModify};
 
     /// IMR: lines whose request is let through.
     pub const MASK: u32 = 0x00;
@@ -158,8 +158,7 @@ pub mod exti {
     ];
 
     const fn register(name: &'static str, offset: u32, write: WriteModify) -> RegisterSpec {
-        let (width, access, read) = (Width::W32, Access::ReadWrite, ReadAction::None);
-        RegisterSpec { name, offset, width, reset: 0, access, read, write, fields: &[] }
+        RegisterSpec { name, write, ..super::word(offset) }
     }
 }
 
