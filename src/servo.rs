@@ -22,10 +22,9 @@ use crate::drive::heat::Heat;
 use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
-use crate::model::mechanism::Regularity;
 use crate::model::precomputed::TABLE_VALUES;
 use crate::safety::fault::{Fault, FaultRecord, State};
-use crate::servo::frame::{Frame, Now, Outputs, Samples};
+use crate::servo::frame::{Frame, Now, Outputs, Rendered, Samples};
 use crate::servo::joints::{Counts, Currents, Duties, Torques};
 use crate::servo::program::Hardware;
 use crate::servo::program::Program;
@@ -159,9 +158,27 @@ where
         self.program.as_ref().map(|program| program.rate_hz)
     }
 
-    /// One control period: reads the samples, steps the controller, guards, and sets what each motor shall do.
+    /// One control period: [`Servo::render`], then [`Servo::act`].
     #[inline(always)]
     pub fn control(&mut self, samples: &Samples) -> Outputs {
+        let rendered = self.render(&samples.counts);
+        self.act(samples, &rendered)
+    }
+
+    /// The part of a control period that needs no more than encoder counts: what the scene asks of the joints. The motors
+    /// go on as they are, and so does what they are held to.
+    #[inline(always)]
+    pub fn render(&mut self, counts: &Counts) -> Rendered {
+        self.push();
+        let Some(program) = self.program.as_mut() else { return Rendered::default() };
+        let mut rendered = program.controller.step(counts, &self.table, &mut self.now, &mut self.motion);
+        self.pull(&mut rendered.asked);
+        rendered
+    }
+
+    /// The rest of it: watches, and sets what each motor shall do of what was `rendered` for the same counts.
+    #[inline(always)]
+    pub fn act(&mut self, samples: &Samples, rendered: &Rendered) -> Outputs {
         self.now.step = self.now.step.wrapping_add(1);
         self.now.counts = samples.counts;
         self.now.bus_voltage = if self.hardware.bus_sensed { samples.bus_voltage } else { 0.0 };
@@ -173,14 +190,12 @@ where
             self.last_counts = samples.counts;
             self.primed = true;
         }
-        self.push();
-        if let Some(program) = self.program.as_mut() {
-            let acted = self.now.torque;
-            let (regularity, mut asked) =
-                program.controller.step(&samples.counts, &self.table, &mut self.now, &mut self.motion);
-            self.parallel = regularity.parallel;
-            self.pull(&mut asked);
-            for_joints!(self.joints(), J => self.hold_and_drive::<J>(samples, &acted, &regularity, asked));
+        if self.program.is_some() {
+            self.parallel = rendered.regularity.parallel;
+            for_joints!(self.joints(), J => {
+                self.watch::<J>(samples, rendered);
+                self.drive::<J>(&rendered.asked);
+            });
         }
         self.last_counts = samples.counts;
         Outputs { bridges: matches!(self.state, State::Armed | State::CheckingPolarity) }
@@ -190,19 +205,6 @@ where
     #[inline(always)]
     fn joints(&self) -> usize {
         self.program.as_ref().map_or(0, |program| program.joints.min(MAX_JOINTS))
-    }
-
-    /// What follows the controller in a period of J joints. `acted` are the torques of the period that ended.
-    #[inline(always)]
-    fn hold_and_drive<const J: usize>(
-        &mut self,
-        samples: &Samples,
-        acted: &Torques,
-        regularity: &Regularity<f32>,
-        asked: Asked,
-    ) {
-        self.watch::<J>(samples, acted, regularity);
-        self.drive::<J>(asked);
     }
 
     /// What each motor's legs do over the next carrier period, from the bus voltage (V) and what was sampled of each motor:
@@ -239,6 +241,8 @@ where
     }
 
     /// Latches the first fault and turns the motors off.
+    #[cold]
+    #[inline(never)]
     pub fn trip(&mut self, fault: Fault, axis: Option<u8>, value: f32) {
         // A silent host may be listed while the motors stay on; the fault that turns them off replaces it.
         if self.fault.is_none() || self.state != State::Fault {
@@ -264,17 +268,17 @@ where
 
     /// Sets each motor's current from the step's torques.
     #[inline(always)]
-    fn drive<const J: usize>(&mut self, asked: Asked) {
+    fn drive<const J: usize>(&mut self, asked: &Asked) {
         self.now.rendered_force = 0.0;
         self.now.limited = 0;
         match self.state {
             State::Armed => {
                 if self.fade.ramp < 1.0 {
-                    let (faded, wanted) = self.fade_in(&asked);
+                    let (faded, wanted) = self.fade_in(asked);
                     self.command::<J>(&faded, &wanted);
                 } else {
                     self.fade.share = 1.0;
-                    self.command::<J>(&asked, &asked.total);
+                    self.command::<J>(asked, &asked.total);
                 }
                 self.now.rendered_force = self.rendered::<J>(&asked.total);
             }

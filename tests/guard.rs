@@ -9,7 +9,7 @@ mod rig;
 use haptic_bridge::drive::heat::Heat;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{Fault, State};
-use haptic_bridge::servo::frame::Crest;
+use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::{Counts, Currents};
 use haptic_bridge::servo::{Command, HostAction, Rules};
 use rig::{RATE, Rig, five_bar, hardware, limits, paddle, rules, scene, wall};
@@ -652,7 +652,9 @@ fn crests_until_off(rig: &mut Rig, speed: f64, most: u32, shown: [f32; 3]) -> Op
     (1..=most).find(|nth| {
         let moved = f64::from(*nth) * speed / 20_000.0 / core::f64::consts::TAU * rig::COUNTS;
         let counts = Counts([start + moved as i32, 0, 0]);
-        !rig.servo.guard(&Crest { counts, bus_voltage: 24.0, currents: Currents(shown), ..Crest::default() }).bridges
+        !rig.servo
+            .guard(&Samples { counts, bus_voltage: 24.0, currents: Currents(shown), ..Samples::default() })
+            .bridges
     })
 }
 
@@ -709,7 +711,7 @@ fn a_coarse_encoder_is_given_a_few_counts_before_it_is_called_fast() {
         let counts =
             |nth: u32| Counts([(f64::from(nth) * speed / 20_000.0 / core::f64::consts::TAU * 400.0) as i32, 0, 0]);
         let off = (1..=1_200).find(|nth| {
-            !rig.servo.guard(&Crest { counts: counts(*nth), bus_voltage: 24.0, ..Crest::default() }).bridges
+            !rig.servo.guard(&Samples { counts: counts(*nth), bus_voltage: 24.0, ..Samples::default() }).bridges
         });
         (off.map(|nth| counts(nth)[0]), rig.fault())
     };

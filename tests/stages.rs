@@ -8,7 +8,7 @@ use haptic_bridge::math::{Math, Minimax};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::device::Motor;
 use haptic_bridge::safety::fault::{Fault, State};
-use haptic_bridge::servo::frame::{Crest, Samples};
+use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::Currents;
 use haptic_bridge::servo::program::Program;
 use haptic_bridge::servo::{Command, Servo};
@@ -163,7 +163,7 @@ impl<S: Stage> Pressed<S> {
             self.samples.currents = Currents(self.servo.frame().torque.map(|torque| torque / 0.1));
             // 20 kHz and 2 kHz.
             for _ in 0..10 {
-                self.servo.guard(&Crest::from(&self.samples));
+                self.servo.guard(&self.samples);
             }
             self.servo.control(&self.samples);
         }

@@ -30,7 +30,7 @@ pub const STAGES: &[(&str, &[&str])] = &[
     (REQUEST, &["Step::take"]),
     ("encoders", &["Pins::counts", "Encoder::read", "Pins::index"]),
     ("samples, fault lines", &["Step::hardware_fault"]),
-    ("servo", &["Servo::control", "compiled::control"]),
+    ("servo", &["Servo::render", "compiled::render", "Servo::act", "compiled::act"]),
     ("step: angles, speeds", &["Encoders::angles", "Encoders::velocities"]),
     ("step: pose, tip", &["mechanism::shared_pose", "::pose", "::tip", "::regularity"]),
     (
@@ -58,7 +58,7 @@ pub const STAGES: &[(&str, &[&str])] = &[
         ],
     ),
     ("limits, at every crest", &["compiled::guard", "Servo::guard", "Servo::guard_joints", "::follow"]),
-    ("guard", &["Servo::watch", "Servo::watch_budgets", "Servo::hold_and_drive", "Servo::find", "Servo::index_agrees"]),
+    ("guard", &["Servo::watch", "Servo::watch_budgets", "Servo::find", "Servo::index_agrees"]),
     ("drive: torque to current", &["Servo::drive"]),
     ("bridges", &["Step::connect"]),
     ("current loops", &["compiled::legs", "compiled::legs_of", "Servo::duties", "Servo::duties_of"]),

@@ -22,7 +22,8 @@ use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::safety::limits::Limits;
-use haptic_bridge::servo::joints::{Counts, Currents};
+use haptic_bridge::servo::frame::Samples;
+use haptic_bridge::servo::joints::Counts;
 
 use crate::gate::Gate;
 
@@ -62,11 +63,12 @@ pub trait Io {
     /// that one's: a flag left over once would make every reading after it a crest old, or torn between two.
     fn forget(&mut self);
 
-    /// The readings that the crest started.
-    fn analog(&mut self) -> Analog;
+    /// Puts the readings that the crest started into `seen`: bus voltage, currents, and what two sensors of one differ by.
+    /// False when the conversions did not come.
+    fn analog(&mut self, seen: &mut Samples) -> bool;
 
     /// Compare values of each axis's two legs, applied at the next valley.
-    fn write(&mut self, legs: [[u16; 2]; MAX_JOINTS]);
+    fn write(&mut self, legs: &[[u16; 2]; MAX_JOINTS]);
 
     /// Connects the bridges to the carrier, or lets them float. Off also drops the gate drivers or the enable line.
     fn drive(&mut self, on: bool);
@@ -82,19 +84,6 @@ pub trait Io {
 
     /// Starts the carrier.
     fn start(&mut self);
-}
-
-/// Readings of one crest.
-#[derive(Clone, Copy)]
-pub struct Analog {
-    /// Bus voltage, V.
-    pub bus_v: f32,
-    /// Current of each axis, positive for positive duty.
-    pub currents: Currents,
-    /// What the two sensors of each axis differ by; 0 where there is one.
-    pub imbalance: Currents,
-    /// Whether the conversions came.
-    pub fresh: bool,
 }
 
 /// What every board hands to its tasks.

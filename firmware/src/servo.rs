@@ -23,7 +23,7 @@ use haptic_bridge::drive::heat::Heat;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::compiled::{self, BoardProgram, BoardServo};
-use haptic_bridge::servo::frame::{Crest, Frame, Samples};
+use haptic_bridge::servo::frame::{Frame, Rendered, Samples};
 use haptic_bridge::servo::host_force::{ForceAnswer, ForceRequest};
 use haptic_bridge::servo::program::Hardware;
 use haptic_bridge::servo::{Command, Reply, Rules, Status};
@@ -97,9 +97,13 @@ struct Step {
     frames: Producer<'static, Frame>,
     /// Crests until the next control step.
     countdown: u16,
-    /// Crests for which duties are late yet, and those that wait for the valley.
+    /// What was sampled at the last crest, and what the step under way asks for.
+    seen: Samples,
+    rendered: Rendered,
+    /// Crests for which duties are late yet, and whether those worked out last wait for the valley.
     late: u8,
-    pending: Option<[[u16; 2]; MAX_JOINTS]>,
+    pending: bool,
+    legs: [[u16; 2]; MAX_JOINTS],
     /// The bridges are connected to the carrier.
     driving: bool,
     /// The last step overran.
@@ -135,8 +139,11 @@ pub fn start(mut io: <This as Board>::Io, hardware: Hardware, rules: Rules, heat
         answers,
         frames,
         countdown: 1,
+        seen: Samples::default(),
+        rendered: Rendered::default(),
         late: 0,
-        pending: None,
+        pending: false,
+        legs: [[0; 2]; MAX_JOINTS],
         driving: false,
         overrun: false,
     };
@@ -163,8 +170,8 @@ fn TIM1_UP_TIM10() {
     if valley {
         step.io.forget();
         // The duties of the last step have just been taken over, or are late and come next.
-        if let Some(legs) = step.pending.take() {
-            step.io.write(legs);
+        if core::mem::take(&mut step.pending) {
+            step.io.write(&step.legs);
         }
         if let Some(request) = step.requests.dequeue() {
             step.take(request);
@@ -179,21 +186,22 @@ impl Step {
     /// Everything there is to do at a crest.
     #[inline(always)]
     fn crest(&mut self) {
-        // While the converters work.
-        let counts = self.io.counts();
-        let analog = self.io.analog();
-        if let Some((fault, axis, value)) = self.hardware_fault(analog.fresh) {
+        self.seen.counts = self.io.counts();
+        self.countdown -= 1;
+        let steps = self.countdown == 0;
+        if steps {
+            compiled::render(&mut self.servo, &self.seen.counts, &mut self.rendered);
+        }
+        // The converters have worked meanwhile.
+        let fresh = self.io.analog(&mut self.seen);
+        if let Some((fault, axis, value)) = self.hardware_fault(fresh) {
             self.servo.trip(fault, axis, value);
         }
-        let seen = Crest { counts, bus_voltage: analog.bus_v, currents: analog.currents, imbalance: analog.imbalance };
-        let mut outputs = compiled::guard(&mut self.servo, &seen);
-        self.countdown -= 1;
-        let stepped = self.countdown == 0;
-        if stepped {
+        let mut outputs = compiled::guard(&mut self.servo, &self.seen);
+        if steps {
             self.countdown = self.io.carrier().divider;
-            let Crest { counts, bus_voltage, currents, .. } = seen;
-            let samples = Samples { counts, bus_voltage, currents, index: self.io.index(), fault: None };
-            outputs = compiled::control(&mut self.servo, &samples);
+            self.seen.index = self.io.index();
+            outputs = compiled::act(&mut self.servo, &self.seen, &self.rendered);
             self.connect(outputs.bridges);
         } else if !outputs.bridges {
             self.connect(false);
@@ -201,14 +209,13 @@ impl Step {
         let came_late = too_late();
         self.late = if came_late { LATE_CRESTS } else { self.late.saturating_sub(1) };
         let late = self.late > 0;
-        let legs = compiled::legs(&mut self.servo, analog.bus_v, &analog.currents, late, self.io.carrier());
-        if late && !past_valley() {
-            self.pending = Some(legs);
-        } else {
-            self.io.write(legs);
+        compiled::legs(&mut self.servo, &self.seen, late, self.io.carrier(), &mut self.legs);
+        self.pending = late && !past_valley();
+        if !self.pending {
+            self.io.write(&self.legs);
         }
         // What the motors do not wait for.
-        if stepped {
+        if steps {
             LATE.store(LATE.load(Ordering::Relaxed).wrapping_add(u32::from(came_late)), Ordering::Relaxed);
             self.record();
             STEPS.store(self.servo.steps(), Ordering::Relaxed);
@@ -308,9 +315,9 @@ impl Step {
 /// acts for half a carrier period too long, and where some steps are late, most will be.
 const LATE_CRESTS: u8 = 64;
 
-/// Core cycles from here until duties are written: the current loops of three motors take some 310 instructions
-/// (docs/results/timing.md).
-const LEGS_CYCLES: u16 = 768;
+/// Core cycles from here until duties are written: the current loops of two motors take some 230 instructions, those of
+/// three 310 (docs/results/timing.md), at up to 2.4 cycles each.
+const LEGS_CYCLES: u16 = 192 * (This::AXES as u16 + 1);
 
 /// Whether the carrier has passed its valley since the crest.
 fn past_valley() -> bool {

@@ -6,8 +6,8 @@
 use crate::drive::carrier::Carrier;
 use crate::math::Minimax;
 use crate::model::catalogue::MAX_JOINTS;
-use crate::servo::frame::{Crest, Frame, Outputs, Samples};
-use crate::servo::joints::Currents;
+use crate::servo::frame::{Frame, Outputs, Rendered, Samples};
+use crate::servo::joints::Counts;
 use crate::servo::program::Program;
 use crate::servo::{Servo, for_joints};
 use heapless::spsc::Producer;
@@ -23,39 +23,38 @@ pub type BoardServo = Servo<BoardProgram>;
 
 /// What every crest is held to, see [`Servo::guard`].
 #[inline(never)]
-pub fn guard(servo: &mut BoardServo, seen: &Crest) -> Outputs {
+pub fn guard(servo: &mut BoardServo, seen: &Samples) -> Outputs {
     servo.guard(seen)
 }
 
-/// One control period, see [`Servo::control`].
+/// The part of a control period that needs only counts, see [`Servo::render`].
 #[inline(never)]
-pub fn control(servo: &mut BoardServo, samples: &Samples) -> Outputs {
-    servo.control(samples)
+pub fn render(servo: &mut BoardServo, counts: &Counts, rendered: &mut Rendered) {
+    *rendered = servo.render(counts);
+}
+
+/// The rest of it, see [`Servo::act`].
+#[inline(never)]
+pub fn act(servo: &mut BoardServo, samples: &Samples, rendered: &Rendered) -> Outputs {
+    servo.act(samples, rendered)
 }
 
 /// Compare values for the legs of every bridge over the next carrier period, see [`Servo::duties`] and
 /// [`Carrier::legs`].
 #[inline(never)]
-pub fn legs(
-    servo: &mut BoardServo,
-    bus_voltage: f32,
-    currents: &Currents,
-    late: bool,
-    carrier: &Carrier,
-) -> [[u16; 2]; MAX_JOINTS] {
-    for_joints!(servo.joints(), J => legs_of::<J>(servo, bus_voltage, currents, late, carrier))
+pub fn legs(servo: &mut BoardServo, seen: &Samples, late: bool, carrier: &Carrier, legs: &mut [[u16; 2]; MAX_JOINTS]) {
+    for_joints!(servo.joints(), J => *legs = legs_of::<J>(servo, seen, late, carrier));
 }
 
 /// [`legs`] of J joints: what has none stays at the middle.
 #[inline(always)]
 fn legs_of<const J: usize>(
     servo: &mut BoardServo,
-    bus_voltage: f32,
-    currents: &Currents,
+    seen: &Samples,
     late: bool,
     carrier: &Carrier,
 ) -> [[u16; 2]; MAX_JOINTS] {
-    let duties = servo.duties_of::<J>(bus_voltage, currents, late);
+    let duties = servo.duties_of::<J>(seen.bus_voltage, &seen.currents, late);
     core::array::from_fn(|axis| carrier.legs(if axis < J { duties[axis] } else { 0.0 }))
 }
 

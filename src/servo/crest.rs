@@ -10,7 +10,7 @@ use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::fault::{Fault, State};
 use crate::safety::limits::{Limits, POWER_SECONDS};
-use crate::servo::frame::{Crest, Outputs};
+use crate::servo::frame::{Outputs, Samples};
 use crate::servo::joints::Counts;
 use crate::servo::program::Program;
 use core::ops::DerefMut;
@@ -146,16 +146,16 @@ where
         }
     }
 
-    /// Whether bridges may go on after what this crest shows. Call at every crest, before [`Servo::control`] where
-    /// one is due and before [`Servo::duties`].
+    /// Whether bridges may go on after what this crest shows; nobody asks for its index pulses and faults yet. Call at every crest, before [`Servo::act`] where one
+    /// is due and before [`Servo::duties`].
     #[inline(always)]
-    pub fn guard(&mut self, seen: &Crest) -> Outputs {
+    pub fn guard(&mut self, seen: &Samples) -> Outputs {
         for_joints!(self.joints(), J => self.guard_joints::<J>(seen))
     }
 
     /// [`Servo::guard`] for J joints.
     #[inline(always)]
-    fn guard_joints<const J: usize>(&mut self, seen: &Crest) -> Outputs {
+    fn guard_joints<const J: usize>(&mut self, seen: &Samples) -> Outputs {
         let Some(program) = self.program.as_mut() else { return Outputs { bridges: false } };
         let active = matches!(self.state, State::Armed | State::CheckingPolarity);
         let crests = &mut self.crests;
@@ -209,7 +209,7 @@ where
     /// Something is not well: finds out what comes first, and turns the motors off.
     #[cold]
     #[inline(never)]
-    fn find_at_crest(&mut self, seen: &Crest, moves: &Counts, active: bool) {
+    fn find_at_crest(&mut self, seen: &Samples, moves: &Counts, active: bool) {
         let Some(program) = self.program.as_ref() else { return };
         let joints = program.joints.min(MAX_JOINTS);
         let mut found = None;

@@ -2,13 +2,15 @@
 
 use crate::drive::stage::MAX_DUTY;
 use crate::model::catalogue::MAX_JOINTS;
+use crate::model::mechanism::Regularity;
 use crate::safety::fault::{Fault, State};
 use crate::servo::joints::{Counts, Currents, Duties, Torques};
+use crate::servo::saturation::Asked;
 
 /// A duty as large as this is as large as it can be: the drive's own end, less what rounding may take off it.
 const DUTY_END: f32 = MAX_DUTY * (1.0 - 8.0 * f32::EPSILON);
 
-/// What the hardware saw at one sampling instant.
+/// What the hardware saw at one sampling instant, a crest of the carrier.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Samples {
     /// Encoder counts.
@@ -17,30 +19,19 @@ pub struct Samples {
     pub bus_voltage: f32,
     /// Motor currents; ignored where they are not sensed.
     pub currents: Currents,
+    /// What two sensors of a motor's current differ by; 0 where it has one.
+    pub imbalance: Currents,
     /// Count at the index pulse seen since the last step, late by at most what the joint moved in it.
     pub index: [Option<i32>; MAX_JOINTS],
     /// A fault that hardware or another part of the firmware reports.
     pub fault: Option<(Fault, Option<u8>, f32)>,
 }
 
-/// What is sampled at every crest.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Crest {
-    /// Encoder counts.
-    pub counts: Counts,
-    /// V; ignored where the board does not sense it.
-    pub bus_voltage: f32,
-    /// Motor currents; ignored where they are not sensed.
-    pub currents: Currents,
-    /// What two sensors of a motor's current differ by; 0 where it has one.
-    pub imbalance: Currents,
-}
-
-impl From<&Samples> for Crest {
-    fn from(samples: &Samples) -> Self {
-        let Samples { counts, bus_voltage, currents, .. } = *samples;
-        Self { counts, bus_voltage, currents, imbalance: Currents::default() }
-    }
+/// What the scene asks for in a control period, see [`Servo::render`](super::Servo::render).
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Rendered {
+    pub(crate) regularity: Regularity<f32>,
+    pub(crate) asked: Asked,
 }
 
 /// What one control step decided.

@@ -399,7 +399,6 @@ where
     pub(super) fn pull(&mut self, asked: &mut Asked) {
         if self.host.acts {
             self.add(asked);
-            self.now.torque = asked.total;
         }
     }
 

@@ -8,14 +8,13 @@ use crate::model::catalogue::Kind;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::device::Device;
 use crate::model::mechanism::AnyMechanism;
-use crate::model::mechanism::Regularity;
 use crate::model::precomputed::{MassModel, MassModelData};
 use crate::render::controller::{Controller, Gains, Push, Step};
 use crate::render::scene::Scene;
 use crate::render::velocity::{Coefficients, Washout};
 use crate::safety::limits::Limits;
 use crate::safety::refusal::Refusal;
-use crate::servo::frame::{AtWalls, Now};
+use crate::servo::frame::{AtWalls, Now, Rendered};
 use crate::servo::joints::{Counts, Torques};
 use crate::servo::saturation::Asked;
 
@@ -80,7 +79,7 @@ macro_rules! define {
                 table: &[f32],
                 now: &mut Now,
                 motion: &mut [f32; MAX_JOINTS],
-            ) -> (Regularity<f32>, Asked) {
+            ) -> Rendered {
                 match self {
                     $(Self::$Variant(controller) => {
                         // What is still there is what the motors gave since the last step.
@@ -160,16 +159,11 @@ fn pad<V: Copy + Default, const N: usize>(values: &[V; N]) -> [V; MAX_JOINTS] {
 }
 
 #[inline(always)]
-fn record<const N: usize>(
-    step: Step<f32, N>,
-    now: &mut Now,
-    motion: &mut [f32; MAX_JOINTS],
-) -> (Regularity<f32>, Asked) {
+fn record<const N: usize>(step: Step<f32, N>, now: &mut Now, motion: &mut [f32; MAX_JOINTS]) -> Rendered {
     *motion = pad(&step.motion.data.0[0]);
     now.q = pad(&step.q.data.0[0]);
     now.qd = pad(&step.qd.data.0[0]);
     now.tip = pad(&step.tip.data.0[0]);
-    now.torque = Torques(pad(&step.torque.data.0[0]));
     now.walls = AtWalls {
         contacts: step.contacts,
         distance: step.distance,
@@ -179,14 +173,13 @@ fn record<const N: usize>(
         energy: step.energy,
         passivity_damping: step.passivity_damping,
     };
-    let (gravity, rendered) = (pad(&step.gravity.data.0[0]), pad(&step.rendered.data.0[0]));
     let asked = Asked {
-        total: now.torque,
-        gravity: Torques(gravity),
-        rendered: Torques(rendered),
+        total: Torques(pad(&step.torque.data.0[0])),
+        gravity: Torques(pad(&step.gravity.data.0[0])),
+        rendered: Torques(pad(&step.rendered.data.0[0])),
         force_squared: step.force_squared,
     };
-    (step.regularity, asked)
+    Rendered { regularity: step.regularity, asked }
 }
 
 /// A device in a scene on a board, ready to run: what is handed to the servo whole. `S` is what stands between a joint's

@@ -10,8 +10,8 @@ use crate::math::limited;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::mechanism::Regularity;
 use crate::safety::fault::{Fault, FaultRecord, State};
-use crate::servo::frame::Samples;
-use crate::servo::joints::{Counts, Torques};
+use crate::servo::frame::{Rendered, Samples};
+use crate::servo::joints::Counts;
 use crate::servo::program::Program;
 use core::ops::DerefMut;
 
@@ -70,9 +70,10 @@ where
         self.set_crest_bounds();
     }
 
-    /// Looks for everything that must turn the motors off. `acted` are the torques (N m) of the period that ended.
+    /// Looks for everything that must turn the motors off.
     #[inline(always)]
-    pub(super) fn watch<const J: usize>(&mut self, samples: &Samples, acted: &Torques, regularity: &Regularity<f32>) {
+    pub(super) fn watch<const J: usize>(&mut self, samples: &Samples, rendered: &Rendered) {
+        let Rendered { regularity, asked } = rendered;
         let active = matches!(self.state, State::Armed | State::CheckingPolarity);
         let sensed = self.hardware.bridge.current_sensed;
         let mut sum = self.now.walls.force + self.now.walls.normal_velocity + self.now.bus_voltage;
@@ -82,7 +83,7 @@ where
             if sensed {
                 self.now.current[i] = samples.currents[i];
             }
-            sum += self.now.q[i] + self.now.qd[i] + self.now.torque[i] + self.now.current[i];
+            sum += self.now.q[i] + self.now.qd[i] + asked.total[i] + self.now.current[i];
             if self.rules.index_period[i] > 0 {
                 let moved = samples.counts[i].wrapping_sub(self.last_counts[i]).unsigned_abs();
                 well &= self.index_agrees(i, samples.index[i], moved);
@@ -90,7 +91,7 @@ where
         }
         // One check for all: a sum of finite numbers this small can only be infinite or NaN if one of them is.
         well &= left(sum, f32::MAX) >= 0;
-        let built_up = self.watch_budgets::<J>(samples, acted, active);
+        let built_up = self.watch_budgets::<J>(samples, active);
         if active {
             well &= regularity.parallel >= SINGULAR_SINE;
             well &= match self.rules.host_action {
@@ -107,7 +108,7 @@ where
 
     /// What builds up, of the joint whose turn it is.
     #[inline(always)]
-    fn watch_budgets<const J: usize>(&mut self, samples: &Samples, acted: &Torques, active: bool) -> Option<Found> {
+    fn watch_budgets<const J: usize>(&mut self, samples: &Samples, active: bool) -> Option<Found> {
         let program = &mut **self.program.as_mut()?;
         let budgets = &mut self.budgets;
         let i = if budgets.joint < J { budgets.joint } else { 0 };
@@ -126,7 +127,8 @@ where
             budgets.still[i] = 0.0;
             budgets.lost[i] = 0.0;
         } else if active {
-            if acted[i].abs() > budgets.stall[i] {
+            // Of the period that ended: this step has commanded nothing yet.
+            if self.now.torque[i].abs() > budgets.stall[i] {
                 budgets.still[i] += elapsed;
                 if budgets.still[i] > STALL_SECONDS {
                     found = Some((Fault::EncoderStall, Some(i as u8), budgets.still[i]));

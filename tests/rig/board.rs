@@ -16,7 +16,7 @@ use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_bridge::servo::frame::{Crest, Samples};
+use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::program::Hardware;
 use haptic_bridge::servo::program::Program;
 use haptic_bridge::servo::{Command, HostAction, Reply, Rules, Servo, Status};
@@ -199,7 +199,7 @@ impl Board {
     /// One control period.
     pub fn tick(&mut self) {
         let samples = self.seen();
-        self.machine.servo.guard(&Crest::from(&samples));
+        self.machine.servo.guard(&samples);
         self.bridges = self.machine.servo.control(&samples).bridges;
         assert!(!self.bridges || driving(self.state()), "bridges drive while {:?}", self.state());
         self.samples.fault = None;

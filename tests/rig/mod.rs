@@ -12,7 +12,7 @@ use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_bridge::servo::frame::{Crest, Outputs, Samples};
+use haptic_bridge::servo::frame::{Outputs, Samples};
 use haptic_bridge::servo::joints::{Counts, Currents, Torques};
 use haptic_bridge::servo::program::Hardware;
 use haptic_bridge::servo::program::Program;
@@ -230,7 +230,7 @@ impl Rig {
             });
             let (bus_voltage, imbalance) = (self.samples.bus_voltage, Currents(self.imbalance));
             let measured = Currents(measured);
-            let seen = Crest { counts, bus_voltage, currents: measured, imbalance };
+            let seen = Samples { counts, bus_voltage, currents: measured, imbalance, ..Samples::default() };
             self.outputs = self.servo.guard(&seen);
             if nth == carriers {
                 self.samples.currents = measured;

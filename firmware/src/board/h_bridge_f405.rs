@@ -13,9 +13,10 @@ use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::safety::limits::{Limits, MOST_FORCE};
+use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::{Counts, Currents};
 
-use super::{Analog, Board, Common, Io};
+use super::{Board, Common, Io};
 use crate::adc;
 use crate::encoder::Encoder;
 use crate::gate::{Gate, GateError};
@@ -150,22 +151,22 @@ impl Io for Pins {
     }
 
     #[inline(always)]
-    fn analog(&mut self) -> Analog {
+    fn analog(&mut self, seen: &mut Samples) -> bool {
         let fresh = adc::wait(pac::ADC1) & adc::wait(pac::ADC2);
         let raw = [adc::result(pac::ADC1, 0), adc::result(pac::ADC2, 0), adc::result(pac::ADC1, 1)];
         if Zeros::<3>::wanted() && fresh {
             self.zeros.take(raw);
         }
         let current = |axis| self.zeros.less(axis, raw[axis]) * AMPERES_PER_COUNT;
-        let currents = Currents([current(0), current(1), current(2)]);
-        let bus_v = f32::from(adc::result(pac::ADC2, 1)) * (adc::REFERENCE_V / adc::FULL_SCALE * BUS_DIVIDER);
-        Analog { bus_v, currents, imbalance: Currents::default(), fresh }
+        seen.currents = Currents([current(0), current(1), current(2)]);
+        seen.bus_voltage = f32::from(adc::result(pac::ADC2, 1)) * (adc::REFERENCE_V / adc::FULL_SCALE * BUS_DIVIDER);
+        fresh
     }
 
     /// Compare values of each axis's two legs, applied at the next valley: the second leg is the first one's complement
     /// here.
     #[inline(always)]
-    fn write(&mut self, legs: [[u16; 2]; MAX_JOINTS]) {
+    fn write(&mut self, legs: &[[u16; 2]; MAX_JOINTS]) {
         pac::TIM1.ccr(0).write(|w| w.set_ccr(legs[0][0]));
         pac::TIM1.ccr(1).write(|w| w.set_ccr(legs[1][0]));
         pac::TIM1.ccr(2).write(|w| w.set_ccr(legs[2][0]));

@@ -15,9 +15,10 @@ use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::safety::limits::{Limits, MOST_FORCE};
+use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::{Counts, Currents};
 
-use super::{Analog, Board, Common, Io};
+use super::{Board, Common, Io};
 use crate::adc;
 use crate::clock::TIMER_HZ;
 use crate::drv8301::{self, Drv8301, Inputs};
@@ -180,7 +181,7 @@ impl Io for Pins {
     }
 
     #[inline(always)]
-    fn analog(&mut self) -> Analog {
+    fn analog(&mut self, seen: &mut Samples) -> bool {
         let fresh = adc::wait(pac::ADC1) & adc::wait(pac::ADC2);
         let raw = [
             adc::result(pac::ADC1, 0),
@@ -194,14 +195,14 @@ impl Io for Pins {
         // What leaves phase B comes back through C.
         let amperes = |sensor: usize| self.zeros.less(sensor, raw[sensor]) * AMPERES_PER_COUNT;
         let (b0, c0, b1, c1) = (amperes(0), amperes(1), amperes(2), amperes(3));
-        let currents = Currents([0.5 * (b0 - c0), 0.5 * (b1 - c1), 0.0]);
-        let imbalance = Currents([b0 + c0, b1 + c1, 0.0]);
-        let bus_v = f32::from(adc::result(pac::ADC1, 2)) * (adc::REFERENCE_V / adc::FULL_SCALE * BUS_DIVIDER);
-        Analog { bus_v, currents, imbalance, fresh }
+        seen.currents = Currents([0.5 * (b0 - c0), 0.5 * (b1 - c1), 0.0]);
+        seen.imbalance = Currents([b0 + c0, b1 + c1, 0.0]);
+        seen.bus_voltage = f32::from(adc::result(pac::ADC1, 2)) * (adc::REFERENCE_V / adc::FULL_SCALE * BUS_DIVIDER);
+        fresh
     }
 
     #[inline(always)]
-    fn write(&mut self, legs: [[u16; 2]; MAX_JOINTS]) {
+    fn write(&mut self, legs: &[[u16; 2]; MAX_JOINTS]) {
         pac::TIM1.ccr(1).write(|w| w.set_ccr(legs[0][0]));
         pac::TIM1.ccr(2).write(|w| w.set_ccr(legs[0][1]));
         pac::TIM8.ccr(1).write(|w| w.set_ccr(legs[1][0]));

@@ -25,7 +25,7 @@ use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
 use haptic_bridge::safety::limits::{Limits, MOST_FORCE};
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_bridge::servo::frame::{Crest, Samples};
+use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::{Counts, Currents};
 use haptic_bridge::servo::program::{Hardware, Program};
 use haptic_bridge::servo::{ARM_SECONDS, Command, HostAction, Reply, Rules, Servo, Status};
@@ -300,12 +300,12 @@ impl SimulatedBoard {
         let bus_voltage = self.device.bus_voltage() as f32;
         let due = self.countdown == 0;
         let counts = Counts(self.device.counts());
-        self.guard(&Crest { counts, bus_voltage, currents, imbalance: Currents::default() }, carriers);
+        let mut samples = Samples { counts, bus_voltage, currents, ..Samples::default() };
+        self.guard(&samples, carriers);
         if due {
             self.countdown = self.innards.carrier.divider.into();
-            let index = core::array::from_fn(|axis| self.device.index()[axis].then_some(counts[axis]));
-            let fault = self.injected.take();
-            let samples = Samples { counts, bus_voltage, currents, index, fault };
+            samples.index = core::array::from_fn(|axis| self.device.index()[axis].then_some(counts[axis]));
+            samples.fault = self.injected.take();
             self.bridges = self.innards.servo.control(&samples).bridges;
             self.send_around();
             self.support();
@@ -404,13 +404,13 @@ impl SimulatedBoard {
     }
 
     /// Shows the servo the crests of `carriers` periods, between which the joints have turned evenly.
-    fn guard(&mut self, seen: &Crest, carriers: u32) {
+    fn guard(&mut self, seen: &Samples, carriers: u32) {
         let moved: [i64; 3] = core::array::from_fn(|axis| i64::from(seen.counts[axis].wrapping_sub(self.seen[axis])));
         for nth in 1..=carriers {
             let counts = Counts::from_fn(|axis| {
                 self.seen[axis].wrapping_add((moved[axis] * i64::from(nth) / i64::from(carriers)) as i32)
             });
-            self.bridges = self.innards.servo.guard(&Crest { counts, ..*seen }).bridges;
+            self.bridges = self.innards.servo.guard(&Samples { counts, ..*seen }).bridges;
         }
         self.seen = seen.counts;
     }

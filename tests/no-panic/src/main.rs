@@ -8,7 +8,7 @@
 
 use haptic_bridge::math::Minimax;
 use haptic_bridge::servo::Servo;
-use haptic_bridge::servo::frame::{Crest, Outputs, Samples};
+use haptic_bridge::servo::frame::{Outputs, Samples};
 use haptic_bridge::servo::joints::Currents;
 use haptic_bridge::servo::program::Program;
 
@@ -34,7 +34,7 @@ pub extern "C" fn control_step(servo: &mut OnBoard, samples: &Samples, outputs: 
 /// The watch of a carrier period, as the interrupt calls it.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
-pub extern "C" fn carrier_guard(servo: &mut OnBoard, seen: &Crest, outputs: &mut Outputs) {
+pub extern "C" fn carrier_guard(servo: &mut OnBoard, seen: &Samples, outputs: &mut Outputs) {
     *outputs = servo.guard(seen);
 }
 
