@@ -2,7 +2,7 @@
 //!
 //! Nothing but the core runs: no board, no clock set-up, no interrupt. `cargo xtask bench` builds it, has it counted on
 //! the emulated chip and keeps the figures in benches/counts.json. A variant's name is
-//! `mechanism/trigonometry/mass model/terms`; each is called at several poses with the tip inside the walls, after a
+//! `mechanism/trigonometry/mass model/terms`, and that of another velocity estimator ends with its name; each is called at several poses with the tip inside the walls, after a
 //! few steps of motion.
 #![no_std]
 #![no_main]
@@ -20,6 +20,7 @@ use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModel, TABLE_VALUES, tabulate};
 use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Sphere, Surface, VelocityTerms, Wall};
+use haptic_bridge::render::velocity::{Chosen, Estimator, LONGEST_WINDOW};
 use haptic_bridge::with_mechanism;
 use heapless::String;
 use nalgebra::SVector;
@@ -86,8 +87,10 @@ const TERMS: &[(&str, Walls, FeedForward, VelocityTerms)] = &[
 const POINTS: u8 = 10;
 const RANGE: f32 = 0.6;
 static mut TABLE: [f32; TABLE_VALUES] = [0.0; TABLE_VALUES];
-/// Steps before the one that is counted: the joints come from a few counts away, so velocities are not zero.
+/// Steps before the one that is counted: the joints come from a few counts away, so velocities are not zero. An
+/// estimator's window is full by then.
 const RUN_UP: i32 = 3;
+const LONG_RUN_UP: i32 = LONGEST_WINDOW as i32 + RUN_UP;
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
@@ -155,17 +158,46 @@ fn variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
                 continue;
             }
             let scene = scene::<M, N>(&tip, *walls, *feed_forward, *velocity_terms);
-            let Ok(mut controller) = Controller::<f32, M, K, N>::new(*mechanism, device, &scene) else { panic!() };
-            controller.set_mass(mass.clone());
-            let mut text = String::<96>::new();
-            for part in [M::SPEC.name, "/", K::NAME, "/", kind, "/", term] {
-                let _ = text.push_str(part);
-            }
-            name(&text);
-            for offset in POSES {
-                step_at::<M, K, N>(&mut controller, table, device, &home, &offset);
-            }
+            count::<M, K, N>(mechanism, device, &scene, &mass, table, &home, &[kind, "/", term], RUN_UP);
         }
+    }
+    // Estimators of the wall's velocity, with the board's own functions: their windows as long as they can be.
+    if K::NAME == Minimax::NAME {
+        for (estimator, usual) in Estimator::ALL {
+            let longest = |chosen| match usual.spec().and_then(|spec| spec.key).filter(|key| key.unit == "samples") {
+                Some(key) => Chosen { value: key.range.1, ..chosen },
+                None => chosen,
+            };
+            let mut scene = scene::<M, N>(&tip, Walls::One, FeedForward::Full, VelocityTerms::Off);
+            scene.estimator = usual.chosen().map_or(*usual, |chosen| usual.choosing(longest(chosen)));
+            let name = ["exact/feed-forward, ", estimator];
+            count::<M, K, N>(mechanism, device, &scene, &MassModel::Exact, &[], &home, &name, LONG_RUN_UP);
+        }
+    }
+}
+
+/// Counts the step of a scene, under its mechanism's and trigonometry's name and `rest`, at every pose.
+#[allow(clippy::too_many_arguments)]
+#[inline(never)]
+fn count<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
+    mechanism: &M,
+    device: &Device<f32>,
+    scene: &Scene<f32>,
+    mass: &MassModel<f32, N>,
+    table: &[f32],
+    home: &[f64; MAX_JOINTS],
+    rest: &[&str],
+    run_up: i32,
+) {
+    let Ok(mut controller) = Controller::<f32, M, K, N>::new(*mechanism, device, scene) else { panic!() };
+    controller.set_mass(mass.clone());
+    let mut text = String::<96>::new();
+    for part in [M::SPEC.name, "/", K::NAME, "/"].iter().chain(rest) {
+        let _ = text.push_str(part);
+    }
+    name(&text);
+    for offset in POSES {
+        step_at::<M, K, N>(&mut controller, table, device, home, &offset, run_up);
     }
 }
 
@@ -176,16 +208,17 @@ fn step_at<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     device: &Device<f32>,
     home: &[f64; MAX_JOINTS],
     offset: &[f32; MAX_JOINTS],
+    run_up: i32,
 ) {
     let mut counts: [i32; N] =
         core::array::from_fn(|i| ((home[i] as f32 + offset[i]) / device.joints[i].radians_per_count) as i32);
     let controller = black_box(controller);
-    for step in 0..=RUN_UP {
+    for step in 0..=run_up {
         for (i, count) in counts.iter_mut().enumerate() {
             *count += 1 + i as i32;
         }
         let counts = black_box(&counts);
-        let counted = step == RUN_UP;
+        let counted = step == run_up;
         if counted {
             bench_begin();
         }

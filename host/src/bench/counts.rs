@@ -48,6 +48,11 @@ mod tests {
                     }
                 }
             }
+            for (estimator, _) in haptic_bridge::render::velocity::Estimator::ALL {
+                let terms = format!("feed-forward, {estimator}");
+                let found = instructions(mechanism.spec().name, "minimax", "exact", &terms);
+                assert!(found.is_some(), "{}, {estimator}", mechanism.spec().name);
+            }
         }
     }
 }

@@ -16,6 +16,7 @@ use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::model::precomputed::{Interpolation, MassModel};
 use haptic_bridge::render::scene::Scene;
+use haptic_bridge::render::velocity::Estimator;
 use serde::Serialize;
 use std::fmt::Write;
 use std::hint::black_box;
@@ -254,7 +255,29 @@ pub fn page(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, Failure> {
             );
         }
     }
+    text += &estimators(every);
     Ok(text)
+}
+
+/// What the estimators of a wall's velocity cost.
+fn estimators(every: &[(Device<f64>, Vec<Variant>)]) -> String {
+    let mut text = String::from(
+        "\n## Velocity estimators\n\n\
+         Instructions of the whole step with one wall and its feed-forward (`minimax`, closed form), by the estimator of the wall's\n\
+         velocity (docs/model.md section 3). Those from `difference` on watch each joint and go by the general step; windows are as\n\
+         long as they can be, and full.\n\n| estimator |",
+    );
+    let mechanisms: Vec<&str> = every.iter().map(|(device, _)| device.mechanism.kind().spec().name).collect();
+    let _ = writeln!(text, " {} |\n|---|{}", mechanisms.join(" | "), "---:|".repeat(mechanisms.len()));
+    for (estimator, _) in Estimator::ALL {
+        let count = |mechanism: &&str| {
+            counts::instructions(mechanism, Minimax::NAME, "exact", &format!("feed-forward, {estimator}"))
+                .map_or("-".into(), |count| count.to_string())
+        };
+        let cells: Vec<String> = mechanisms.iter().map(count).collect();
+        let _ = writeln!(text, "| {estimator} | {} |", cells.join(" | "));
+    }
+    text
 }
 
 fn steps(value: f64) -> String {
