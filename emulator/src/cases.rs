@@ -21,22 +21,22 @@ pub struct Case {
 
 /// What is measured and kept.
 pub const CASES: [Case; 5] = [
-    Case { board: BoardKind::OdriveV3, device: "pantograph-mk2", walls: 1, rate_hz: 20_000, target: Some(650) },
+    Case { board: BoardKind::OdriveV3, device: "pantograph-mk2", walls: 1, rate_hz: 20_000, target: Some(800) },
     Case { board: BoardKind::OdriveV3, device: "pantograph-mk2", walls: 2, rate_hz: 20_000, target: None },
     Case {
         board: BoardKind::HBridgeF405,
         device: "phantom-premium-1.5",
         walls: 1,
         rate_hz: 20_000,
-        target: Some(1100),
+        target: Some(1150),
     },
-    Case { board: BoardKind::HBridgeF405, device: "woodenhaptics", walls: 1, rate_hz: 20_000, target: Some(1100) },
+    Case { board: BoardKind::HBridgeF405, device: "woodenhaptics", walls: 1, rate_hz: 20_000, target: Some(1150) },
     Case {
         board: BoardKind::HBridgeF405,
         device: "fictive-five-bar-turret",
         walls: 1,
         rate_hz: 20_000,
-        target: Some(1100),
+        target: Some(1150),
     },
 ];
 

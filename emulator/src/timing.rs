@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use haptic_bridge::board::telemetry::Fields;
 
 use crate::cases::{CASES, Case};
-use crate::cycles::{Flash, estimate};
+use crate::cycles::{Flash, Kind, estimate, kinds};
 use crate::load::{highest_rate, rows_without_loss};
 use crate::rig::{Rig, firmware};
 use crate::run::MILLISECOND;
@@ -41,6 +41,8 @@ pub struct Timing {
     pub stages: Vec<f64>,
     /// Cycles that the longest of them is estimated to take, for each [`Flash::ALL`].
     pub cycles: [u64; Flash::ALL.len()],
+    /// Its instructions of each of [`Kind::ALL`].
+    pub kinds: [u64; Kind::ALL.len()],
 }
 
 impl Case {
@@ -96,6 +98,7 @@ impl Timing {
             valley,
             stages: sums.into_iter().map(mean).collect(),
             cycles: Flash::ALL.map(|flash| estimate(code, longest, flash)),
+            kinds: kinds(code, longest),
         }
     }
 }
@@ -154,6 +157,9 @@ pub fn table(timings: &[Timing]) -> String {
     row(LONGEST, each(|timing| timing.longest));
     row("jitter", each(|timing| timing.longest - timing.shortest));
     row(VALLEY, each(|timing| timing.valley));
+    for (nth, (_, name)) in Kind::ALL.iter().enumerate() {
+        row(&format!("of the longest: {name}"), timings.iter().map(|timing| timing.kinds[nth].to_string()).collect());
+    }
     let names = ["the core alone", "with the flash as the firmware sets it", "with a flash that nothing accelerates"];
     for (nth, name) in names.into_iter().enumerate() {
         row(
