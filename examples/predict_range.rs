@@ -2,7 +2,7 @@
 
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::predict;
-use haptic::analysis::sampled::{Estimator, Loop};
+use haptic::analysis::sampled::{LinearEstimator, Loop};
 use haptic::device_file::DeviceFile;
 
 /// Runs it.
@@ -13,7 +13,7 @@ pub fn main() -> Result<(), Box<dyn std::error::Error>> {
     let around = Loop {
         rate_hz: 20_000.0,
         delay_samples: 0.5,
-        estimator: Estimator::Butterworth(500.0),
+        estimator: LinearEstimator::Butterworth(500.0),
         drive: Drive::Ideal,
         damping_compensation: false,
     };

@@ -6,7 +6,7 @@
 //! did), or half of it happens (half a sector erased, half a word written).
 
 use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash};
-use haptic_bridge::board::storage::{ENTRY_MAX, Storage, StorageError};
+use haptic_bridge::board::storage::{LONGEST_STORED, Storage, StorageError};
 use std::collections::BTreeMap;
 
 const SECTOR: usize = 16 * 1024;
@@ -145,7 +145,7 @@ fn values(generation: u8) -> Values {
 }
 
 fn save(flash: Sectors, values: &Values) -> Sectors {
-    let mut buffer = [0; ENTRY_MAX];
+    let mut buffer = [0; LONGEST_STORED];
     let mut storage = Storage::new(flash, RANGE, &mut buffer);
     for (key, value) in values {
         if storage.write(*key, value).is_err() {
@@ -156,7 +156,7 @@ fn save(flash: Sectors, values: &Values) -> Sectors {
 }
 
 fn read(flash: Sectors) -> (Values, Sectors) {
-    let mut buffer = [0; ENTRY_MAX];
+    let mut buffer = [0; LONGEST_STORED];
     let mut storage = Storage::new(flash, RANGE, &mut buffer);
     let mut found = Values::new();
     for key in 1..=6 {
@@ -247,7 +247,7 @@ type Asked = Result<Option<Vec<u8>>, StorageError>;
 
 /// What a flash with one bit flipped says of each setting, and the flash after it was asked.
 fn asked(flash: Sectors) -> (Vec<Asked>, Sectors) {
-    let mut buffer = [0; ENTRY_MAX];
+    let mut buffer = [0; LONGEST_STORED];
     let mut storage = Storage::new(flash, RANGE, &mut buffer);
     let found = (1..=6).map(|key| storage.read(key).map(|value| value.map(<[u8]>::to_vec))).collect();
     (found, storage.into_flash())
@@ -290,7 +290,7 @@ fn a_setting_from_before_there_were_generations_is_read_and_replaced() {
     use sequential_storage::map::{MapConfig, MapStorage};
     let mut map = MapStorage::<u8, _, _>::new(Sectors::new(), MapConfig::new(RANGE), Cache::new_uncached());
     let old: &[u8] = &[1, 2, 40, 41, 42, 43];
-    block_on(map.store_item(&mut [0; ENTRY_MAX], &1, &old)).expect("the flash works");
+    block_on(map.store_item(&mut [0; LONGEST_STORED], &1, &old)).expect("the flash works");
     let (found, flash) = asked(map.destroy().0);
     assert_eq!(found[0], Ok(Some(old.to_vec())));
     let (found, _) = asked(save(flash, &values(5)));
@@ -299,7 +299,7 @@ fn a_setting_from_before_there_were_generations_is_read_and_replaced() {
 
 /// Stages all of these and decides that they count.
 fn save_together(flash: Sectors, values: &Values) -> Sectors {
-    let mut buffer = [0; ENTRY_MAX];
+    let mut buffer = [0; LONGEST_STORED];
     let mut storage = Storage::new(flash, RANGE, &mut buffer);
     let keys: Vec<u8> = values.keys().copied().collect();
     if values.iter().all(|(key, value)| storage.stage(*key, value).is_ok()) {
@@ -325,7 +325,7 @@ fn all_or_none(flash: &Sectors, old: &Values, new: &Values) -> (usize, usize) {
             if operation % 7 == 0 && cut == Cut::Within {
                 let mut again = save_together(Sectors { cut: Some((operation, cut)), ..flash.clone() }, new).reboot();
                 again.cut = Some((operation % 50, Cut::Within));
-                let mut buffer = [0; ENTRY_MAX];
+                let mut buffer = [0; LONGEST_STORED];
                 let mut storage = Storage::new(again, RANGE, &mut buffer);
                 let _ = storage.read(1);
                 assert_eq!(read(storage.into_flash().reboot()).0, found, "operation {operation}: a second cut");
@@ -362,7 +362,7 @@ fn what_changes_together_while_a_sector_is_erased_is_still_all_or_none() {
 
 #[test]
 fn what_was_staged_and_never_decided_never_counts() {
-    let mut buffer = [0; ENTRY_MAX];
+    let mut buffer = [0; LONGEST_STORED];
     let mut storage = Storage::new(aged(1), RANGE, &mut buffer);
     storage.stage(3, &[7; 40]).expect("the flash works");
     assert_eq!(storage.staged(3), Ok(Some(&[7; 40][..])));
@@ -380,7 +380,7 @@ fn a_flash_that_fails_once_says_which_settings_count_and_reading_writes_nothing(
     let (mut kept, mut went_on) = (0, 0);
     for (operation, cut) in (0..).flat_map(|operation| [(operation, Cut::Before), (operation, Cut::Within)]) {
         let flash = Sectors { cut: Some((operation, cut)), goes_on: true, ..aged(1).reboot() };
-        let mut buffer = [0; ENTRY_MAX];
+        let mut buffer = [0; LONGEST_STORED];
         let mut storage = Storage::new(flash, RANGE, &mut buffer);
         if new.iter().any(|(key, value)| storage.stage(*key, value).is_err()) {
             continue;

@@ -2,7 +2,7 @@
 
 mod rig;
 
-use haptic_bridge::board::settings::{BoardName, Damage, Key, MAX_ENTRY, Polarity, Setting, decode, encode};
+use haptic_bridge::board::settings::{BoardName, Damage, Key, LONGEST_SETTING, Polarity, Setting, decode, encode};
 use haptic_bridge::checksum::crc32;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
@@ -157,7 +157,7 @@ fn an_entry_of_another_key_and_trailing_bytes_are_refused_although_the_checksum_
 #[test]
 fn the_largest_scene_fits_an_entry_with_room_to_spare() {
     let length = encode(&full_scene()).unwrap().len();
-    assert!(length < MAX_ENTRY, "{length}");
+    assert!(length < LONGEST_SETTING, "{length}");
 }
 
 #[test]

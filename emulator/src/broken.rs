@@ -1,7 +1,7 @@
 //! What can be broken on a board and at its connectors, and what a person there would feel of it.
 
 use crate::plant::Plant;
-use haptic::sim::Drive;
+use haptic::sim::MotorInput;
 
 /// What is broken. Nothing, to begin with.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,13 +45,13 @@ impl Default for Broken {
 impl Broken {
     /// What reaches the motors of what the bridges do.
     #[must_use]
-    pub fn drives(&self, mut drives: [Drive; 3]) -> [Drive; 3] {
+    pub fn drives(&self, mut drives: [MotorInput; 3]) -> [MotorInput; 3] {
         for (axis, drive) in drives.iter_mut().enumerate() {
             if let Some(duty) = self.stuck_on[axis] {
-                *drive = Drive::Duty(duty);
+                *drive = MotorInput::Duty(duty);
             }
             if self.open[axis] {
-                *drive = Drive::Floating;
+                *drive = MotorInput::Floating;
             }
         }
         drives

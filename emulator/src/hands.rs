@@ -1,6 +1,6 @@
 //! What hands do with a simulated device.
 
-use haptic::sim::{Device, Hand, HandSettings, Intent, Waypoint};
+use haptic::sim::{Hand, HandSettings, Intent, SimulatedDevice, Waypoint};
 
 /// A hand that gives way to nothing.
 #[must_use]
@@ -15,19 +15,19 @@ pub fn firm() -> HandSettings {
 }
 
 /// A firm hand that keeps the tip where it is, as a person does while homing a device that would fall.
-pub fn hold(device: &mut Device) {
+pub fn hold(device: &mut SimulatedDevice) {
     let here = vec![Waypoint { time: 0.0, value: device.tip() }];
     device.set_hand(Hand::new(firm(), Intent::Follow(here), device.tip(), device.time()));
 }
 
 /// A hand that carries what the firm one carried and gives way to anything else: the polarity check can move the tip.
-pub fn carry(device: &mut Device) {
+pub fn carry(device: &mut SimulatedDevice) {
     let weight = vec![Waypoint { time: 0.0, value: device.hand_force() }];
     device.set_hand(Hand::new(HandSettings::default(), Intent::Push(weight), device.tip(), device.time()));
 }
 
 /// A firm hand that moves the tip to and fro by `reach` (m) for `seconds`.
-pub fn wander(device: &mut Device, reach: f64, seconds: f64) {
+pub fn wander(device: &mut SimulatedDevice, reach: f64, seconds: f64) {
     let tip = device.tip();
     let place = |k: u32| tip.map(|x| if k % 2 == 1 { x + reach } else { x });
     let path = (0..=(10.0 * seconds) as u32).map(|k| Waypoint { time: 0.1 * f64::from(k), value: place(k) }).collect();
@@ -35,7 +35,7 @@ pub fn wander(device: &mut Device, reach: f64, seconds: f64) {
 }
 
 /// A trembling hand that pushes the tip with `force` (N), reached in `seconds`.
-pub fn push(device: &mut Device, force: [f64; 3], seconds: f64) {
+pub fn push(device: &mut SimulatedDevice, force: [f64; 3], seconds: f64) {
     let path = vec![Waypoint::default(), Waypoint { time: seconds, value: force }];
     let settings = HandSettings { tremor: 2e-4, ..HandSettings::default() };
     device.set_hand(Hand::new(settings, Intent::Push(path), device.tip(), device.time()));

@@ -8,7 +8,7 @@
 
 use std::num::{NonZeroU32, NonZeroU64};
 
-use haptic::sim::Drive;
+use haptic::sim::MotorInput;
 use rigless::device::Level;
 use rigless::machine::{Board, Target, armv7m};
 use rigless::mcu::{Mcu, Operate};
@@ -77,7 +77,7 @@ pub struct Hardware {
     /// Times that the encoders were looked at.
     looks: u64,
     next_step: u64,
-    drives: [Drive; 3],
+    drives: [MotorInput; 3],
     faults_wired: Option<Level>,
     restarts_seen: Option<u64>,
 }
@@ -113,7 +113,7 @@ impl Hardware {
             encoders: [EncoderDrive::default(); 3],
             looks: 0,
             next_step: 0,
-            drives: [Drive::Floating; 3],
+            drives: [MotorInput::Floating; 3],
             faults_wired: None,
             restarts_seen: None,
         })
@@ -145,7 +145,7 @@ impl Hardware {
 
     /// How the motors were driven over the last step.
     #[must_use]
-    pub fn drives(&self) -> [Drive; 3] {
+    pub fn drives(&self) -> [MotorInput; 3] {
         self.drives
     }
 
@@ -215,20 +215,20 @@ impl Hardware {
         self.show_levels(wiring, at);
     }
 
-    fn drive(&mut self, wiring: &Wiring, motor: &MotorWires, span: &Span, enabled: bool) -> Drive {
+    fn drive(&mut self, wiring: &Wiring, motor: &MotorWires, span: &Span, enabled: bool) -> MotorInput {
         let joined = motor.gates.iter().all(|&gate| self.function(gate) == Some(motor.function));
         if !enabled || !joined || span.whole == 0 {
-            return Drive::Floating;
+            return MotorInput::Floating;
         }
         if span.driven * 2 < span.whole {
-            return if wiring.idle_brakes { Drive::Duty(0.0) } else { Drive::Floating };
+            return if wiring.idle_brakes { MotorInput::Duty(0.0) } else { MotorInput::Floating };
         }
         let share = |end| match end {
             HalfBridge::Channel(n) => span.active[usize::from(n) - 1] as f64,
             HalfBridge::Complement(n) => (span.driven - span.active[usize::from(n) - 1]) as f64,
         };
         let [first, second] = motor.ends;
-        Drive::Duty((share(first) - share(second)) / span.whole as f64)
+        MotorInput::Duty((share(first) - share(second)) / span.whole as f64)
     }
 
     /// The alternate function a pin is set to.

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use haptic::backup::Backup;
 use haptic::link::{Board, BoardError};
-use haptic::sim::{Device, Hand, Intent, Waypoint};
+use haptic::sim::{Hand, Intent, SimulatedDevice, Waypoint};
 use haptic_bridge::board::settings::{Damage, Key};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
@@ -514,7 +514,7 @@ fn free_within(angle: f64) -> Rig {
 const SWEEP: f64 = 0.015;
 
 /// A firm hand that takes the tip sideways, from `from` to `to` (m) of where it stands between the two.
-fn sweep(device: &mut Device, from: f64, to: f64) {
+fn sweep(device: &mut SimulatedDevice, from: f64, to: f64) {
     let [x, y, z] = device.tip();
     let path = [(0.0, x), (0.5, x + to - from)].map(|(time, x)| Waypoint { time, value: [x, y, z] });
     device.set_hand(Hand::new(firm(), Intent::Follow(path.to_vec()), device.tip(), device.time()));

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use haptic::link::{Board, Wire};
-use haptic::sim::Drive;
+use haptic::sim::MotorInput;
 use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
@@ -172,7 +172,7 @@ pub fn run(seed: u32, seconds: u64, mut told: impl FnMut(u64)) -> (Rig, Noise) {
         rig.run(BURST);
         let (answered, drives) = rig.with(|bench| (bench.usb().take().len(), bench.hardware().drives()));
         noise.answered += answered as u64;
-        noise.driven += u64::from(drives != [Drive::Floating; 3]);
+        noise.driven += u64::from(drives != [MotorInput::Floating; 3]);
         // At the lowest rate there is, which a changed scene may have, two steps fall into a burst.
         let now = rig.steps();
         noise.stalled += u64::from(now == std::mem::replace(&mut steps, now));

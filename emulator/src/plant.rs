@@ -2,12 +2,12 @@
 
 use std::fmt::Debug;
 
-use haptic::sim::{Device, Drive};
+use haptic::sim::{MotorInput, SimulatedDevice};
 
 /// A device at the board's connectors, with up to three axes.
 pub trait Plant: Debug + Send {
     /// Lets `dt` seconds pass with each motor driven as said.
-    fn step(&mut self, drives: &[Drive; 3], dt: f64);
+    fn step(&mut self, drives: &[MotorInput; 3], dt: f64);
     /// Encoder counts since power-on (quadrature edges).
     fn counts(&self) -> [i32; 3];
     /// Whether each encoder's index mark is under its sensor.
@@ -17,28 +17,28 @@ pub trait Plant: Debug + Send {
     /// Bus voltage, V.
     fn bus_voltage(&self) -> f64;
     /// The simulated device, if that is what it is.
-    fn device(&mut self) -> Option<&mut Device> {
+    fn device(&mut self) -> Option<&mut SimulatedDevice> {
         None
     }
 }
 
-impl Plant for Device {
-    fn step(&mut self, drives: &[Drive; 3], dt: f64) {
-        Device::step(self, drives, dt);
+impl Plant for SimulatedDevice {
+    fn step(&mut self, drives: &[MotorInput; 3], dt: f64) {
+        SimulatedDevice::step(self, drives, dt);
     }
     fn counts(&self) -> [i32; 3] {
-        Device::counts(self)
+        SimulatedDevice::counts(self)
     }
     fn index(&self) -> [bool; 3] {
-        Device::index(self)
+        SimulatedDevice::index(self)
     }
     fn currents(&self) -> [f64; 3] {
-        Device::currents(self)
+        SimulatedDevice::currents(self)
     }
     fn bus_voltage(&self) -> f64 {
-        Device::bus_voltage(self)
+        SimulatedDevice::bus_voltage(self)
     }
-    fn device(&mut self) -> Option<&mut Device> {
+    fn device(&mut self) -> Option<&mut SimulatedDevice> {
         Some(self)
     }
 }
@@ -55,17 +55,23 @@ pub struct Dummy {
     /// The bus voltage, V.
     pub bus_voltage: f64,
     /// How the motors were driven in the last step.
-    pub drives: [Drive; 3],
+    pub drives: [MotorInput; 3],
 }
 
 impl Default for Dummy {
     fn default() -> Self {
-        Self { counts: [0; 3], index: [false; 3], currents: [0.0; 3], bus_voltage: 24.0, drives: [Drive::Floating; 3] }
+        Self {
+            counts: [0; 3],
+            index: [false; 3],
+            currents: [0.0; 3],
+            bus_voltage: 24.0,
+            drives: [MotorInput::Floating; 3],
+        }
     }
 }
 
 impl Plant for Dummy {
-    fn step(&mut self, drives: &[Drive; 3], _: f64) {
+    fn step(&mut self, drives: &[MotorInput; 3], _: f64) {
         self.drives = *drives;
     }
     fn counts(&self) -> [i32; 3] {

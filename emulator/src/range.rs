@@ -11,7 +11,7 @@ use haptic::analysis::map;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::pose::unit_normal;
 use haptic::analysis::range::{Range, predict};
-use haptic::analysis::sampled::{Estimator, Loop};
+use haptic::analysis::sampled::{LinearEstimator, Loop};
 use haptic::analysis::several::Member;
 use haptic::device_file::DeviceFile;
 use haptic::measure::campaign::{self, Plan};
@@ -156,7 +156,7 @@ pub fn predicted(rate: Rate, delay_samples: f64, kd: Option<&[f64]>) -> Range {
     let around = Loop {
         rate_hz: rate.rate_hz,
         delay_samples,
-        estimator: Estimator::Butterworth(rate.cutoff_hz),
+        estimator: LinearEstimator::Butterworth(rate.cutoff_hz),
         drive: Drive::Current { bandwidth_hz: CURRENT_BANDWIDTH },
         damping_compensation: false,
     };

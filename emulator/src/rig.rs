@@ -3,7 +3,7 @@
 use haptic::device_file::DeviceFile;
 use haptic::link::Board;
 use haptic::scene_file::SceneFile;
-use haptic::sim::{Bridge, Device, Options};
+use haptic::sim::{Options, PowerStage, SimulatedDevice};
 use haptic_bridge::model::device::Device as DeviceData;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::{Limits, MOST_FORCE};
@@ -97,10 +97,10 @@ impl Rig {
     #[must_use]
     pub fn with_file(kind: BoardKind, file: DeviceFile, change: impl FnOnce(&mut Options)) -> Self {
         let wiring = kind.wiring();
-        let bridge = Bridge { bus_voltage: wiring.bus_voltage, dead_time: wiring.dead_time, carrier_hz: 20_000.0 };
+        let bridge = PowerStage { bus_voltage: wiring.bus_voltage, dead_time: wiring.dead_time, carrier_hz: 20_000.0 };
         let mut options = Options { bridge, ..Options::default() };
         change(&mut options);
-        let mut device = Device::new(&file.description, &options).unwrap_or_else(|error| panic!("{error}"));
+        let mut device = SimulatedDevice::new(&file.description, &options).unwrap_or_else(|error| panic!("{error}"));
         if file.description.gravity != [0.0; 3] {
             hold(&mut device);
         }
@@ -230,7 +230,7 @@ impl Rig {
     /// # Panics
     ///
     /// On a rig without one.
-    pub fn with_simulated<T: Send + 'static>(&self, job: impl FnOnce(&mut Device) -> T + Send + 'static) -> T {
+    pub fn with_simulated<T: Send + 'static>(&self, job: impl FnOnce(&mut SimulatedDevice) -> T + Send + 'static) -> T {
         self.with(|bench| job(bench.hardware().plant.device().expect("a simulated device")))
     }
 

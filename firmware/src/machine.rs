@@ -49,7 +49,7 @@ pub struct Panel {
 impl Panel {
     /// Call once.
     pub fn new(
-        link: servo::Link,
+        link: servo::ServoQueues,
         gate: <This as Board>::Gate,
         storage: Storage,
         serial: &'static str,

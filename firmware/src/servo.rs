@@ -63,7 +63,7 @@ const REQUESTS: usize = 2;
 const FRAMES: usize = 100;
 
 /// The tasks' ends of the queues.
-pub struct Link {
+pub struct ServoQueues {
     /// Requests to the control interrupt.
     pub requests: Producer<'static, Request>,
     /// Its answers, one each.
@@ -121,7 +121,7 @@ static STEP: Owned<Step> = Owned(UnsafeCell::new(None));
 
 /// Gives the board to the control interrupt and starts the carrier; `heat` is what the run before left of it in the
 /// motors. Call once.
-pub fn start(mut io: <This as Board>::Io, hardware: Hardware, rules: Rules, heat: [Heat; MAX_JOINTS]) -> Link {
+pub fn start(mut io: <This as Board>::Io, hardware: Hardware, rules: Rules, heat: [Heat; MAX_JOINTS]) -> ServoQueues {
     static REQUEST_QUEUE: StaticCell<Queue<Request, REQUESTS>> = StaticCell::new();
     static ANSWER_QUEUE: StaticCell<Queue<Answer, REQUESTS>> = StaticCell::new();
     static FRAME_QUEUE: StaticCell<Queue<Frame, FRAMES>> = StaticCell::new();
@@ -154,7 +154,7 @@ pub fn start(mut io: <This as Board>::Io, hardware: Hardware, rules: Rules, heat
     pac::TIM1.dier().modify(|w| w.set_uie(true));
     // SAFETY: the state it needs is in place.
     unsafe { interrupt::TIM1_UP_TIM10.enable() };
-    Link { requests: to_servo, answers: from_servo, frames: from_steps }
+    ServoQueues { requests: to_servo, answers: from_servo, frames: from_steps }
 }
 
 #[interrupt]

@@ -6,7 +6,7 @@
 use embassy_stm32::flash::{Bank1Region1, Blocking, Error as FlashError, Flash};
 use embassy_stm32::{Peri, peripherals::FLASH};
 use embedded_storage_async::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
-use haptic_bridge::board::storage::{self, ENTRY_MAX};
+use haptic_bridge::board::storage::{self, LONGEST_STORED};
 use static_cell::ConstStaticCell;
 
 /// Sectors 1 and 2, as offsets into the region of 16 KB sectors (memory.x reserves them).
@@ -49,7 +49,7 @@ impl NorFlash for Sectors {
 
 /// Takes the flash; reads nothing yet. Call once.
 pub fn open(flash: Peri<'static, FLASH>) -> Storage {
-    static BUFFER: ConstStaticCell<[u8; ENTRY_MAX]> = ConstStaticCell::new([0; ENTRY_MAX]);
+    static BUFFER: ConstStaticCell<[u8; LONGEST_STORED]> = ConstStaticCell::new([0; LONGEST_STORED]);
     let sectors = Sectors(Flash::new_blocking(flash).into_blocking_regions().bank1_region1);
     Storage::new(sectors, RANGE, BUFFER.take())
 }

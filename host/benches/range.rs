@@ -4,7 +4,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use haptic::analysis::map::map;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::predict;
-use haptic::analysis::sampled::{Estimator, Loop};
+use haptic::analysis::sampled::{LinearEstimator, Loop};
 use haptic::device_file::DeviceFile;
 use std::hint::black_box;
 
@@ -16,7 +16,7 @@ fn boundaries(criterion: &mut Criterion) {
         let around = Loop {
             rate_hz,
             delay_samples: 0.5,
-            estimator: Estimator::Butterworth(cutoff),
+            estimator: LinearEstimator::Butterworth(cutoff),
             drive: Drive::Ideal,
             damping_compensation: false,
         };

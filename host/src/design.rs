@@ -16,7 +16,7 @@ pub mod sensitivity;
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
 use crate::analysis::range::domain;
-use crate::analysis::sampled::{Estimator, Loop, Mode};
+use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
 use crate::error::Failure;
 use crate::plausible::scene::usual_delay;
 use haptic_bridge::model::description::Description;
@@ -36,7 +36,7 @@ pub fn stiffness_per_kilogram(rate_hz: f64, cutoff_hz: f64) -> Result<f64, Failu
     let around = Loop {
         rate_hz,
         delay_samples: usual_delay(rate_hz),
-        estimator: Estimator::Butterworth(cutoff_hz),
+        estimator: LinearEstimator::Butterworth(cutoff_hz),
         drive: Drive::Ideal,
         damping_compensation: false,
     };

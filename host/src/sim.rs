@@ -19,11 +19,11 @@ mod wire;
 
 pub use around::Around;
 pub use board::{BoardOptions, DriveModel, IDEAL_BOARD, SimulatedBoard, TIMER_HZ};
-pub use device::{Device, DeviceError, Options, Support};
+pub use device::{DeviceError, Options, SimulatedDevice, Support};
 pub use encoder::EncoderModel;
 pub use hand::{Hand, HandSettings, Intent, Waypoint};
 pub use held::{Felt, Held, Press, WIDE};
-pub use motor::{Bridge, Drive, MotorModel};
+pub use motor::{MotorInput, MotorModel, PowerStage};
 pub use plant::{Load, Plant};
 pub use random::Random;
 pub(crate) use wire::open_simulated;

@@ -20,7 +20,7 @@ pub use scene::to_toml;
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
 use crate::analysis::range::{WORTHWHILE_RATIO, boundary_of, stiffnesses};
-use crate::analysis::sampled::{AnalysisError, Estimator as Linear, Loop, Mode};
+use crate::analysis::sampled::{AnalysisError, LinearEstimator, Loop, Mode};
 use crate::bench::estimators::{Comparison, Pressed, Shaping, pressed};
 use crate::device_file::DeviceFile;
 use crate::error::Failure;
@@ -161,7 +161,7 @@ impl Settings {
         Some(Loop {
             rate_hz: self.rate_hz,
             delay_samples: usual_delay(self.rate_hz),
-            estimator: Linear::of(self.kind, self.cutoff_hz)?,
+            estimator: LinearEstimator::of(self.kind, self.cutoff_hz)?,
             drive: Drive::Current { bandwidth_hz: CURRENT_HZ },
             damping_compensation: self.damping_compensation,
         })
@@ -423,7 +423,7 @@ fn combinations(question: &Question<'_>, feed_forward: FeedForward) -> Vec<Setti
             match kind.spec() {
                 None if kind == Estimator::BackwardDifference => add(kind, usual_cutoff),
                 None => CUTOFFS_HZ.iter().filter(below).for_each(|hz| add(kind, *hz)),
-                Some(_) if Linear::of(kind, usual_cutoff).is_none() => {}
+                Some(_) if LinearEstimator::of(kind, usual_cutoff).is_none() => {}
                 Some(spec) if spec.cutoff == CutoffMeans::Bandwidth => {
                     BANDWIDTHS_HZ.iter().filter(below).for_each(|hz| add(kind, *hz));
                 }

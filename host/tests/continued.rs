@@ -6,7 +6,7 @@ use haptic::analysis::flexible::Hand;
 use haptic::analysis::map::map_swept;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::ripple::{LIGHT_HAND, Line, PUSH_N, Pressed};
-use haptic::analysis::sampled::{Estimator, Loop, Mode};
+use haptic::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic::analysis::why::why;
 use haptic::bench::estimators::{Comparison, compare};
 use haptic::design::place::places;
@@ -95,7 +95,7 @@ fn a_range_with_its_ripple_and_its_reasons() {
     let around = Loop {
         rate_hz: 1_000.0,
         delay_samples: 0.5,
-        estimator: Estimator::Butterworth(100.0),
+        estimator: LinearEstimator::Butterworth(100.0),
         drive: Drive::Current { bandwidth_hz: 500.0 },
         damping_compensation: false,
     };

@@ -4,7 +4,7 @@ use haptic::analysis::map::along;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::pose::{TaskPose, unit_normal};
 use haptic::analysis::range::domain;
-use haptic::analysis::sampled::{Estimator, Loop, Mode};
+use haptic::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic::design::place::places;
 use haptic::design::posture::postures;
 use haptic::design::sensitivity::{CHANGE, buys_most, sensitivities};
@@ -31,7 +31,7 @@ fn the_stiffest_wall_is_in_proportion_to_the_inertia_that_it_meets() {
         let around = Loop {
             rate_hz: 20_000.0,
             delay_samples: 0.5,
-            estimator: Estimator::Butterworth(500.0),
+            estimator: LinearEstimator::Butterworth(500.0),
             drive: Drive::Ideal,
             damping_compensation: false,
         };

@@ -5,7 +5,7 @@
 
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::domain;
-use haptic::analysis::sampled::{Estimator, Loop, Mode};
+use haptic::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic::analysis::several::Member;
 use haptic::device_file::DeviceFile;
 use haptic::link::Board;
@@ -54,7 +54,7 @@ fn the_measured_boundary_is_the_predicted_one() {
     let around = Loop {
         rate_hz,
         delay_samples: 0.5,
-        estimator: Estimator::Butterworth(cutoff),
+        estimator: LinearEstimator::Butterworth(cutoff),
         drive: Drive::Ideal,
         damping_compensation: false,
     };

@@ -3,7 +3,7 @@
 use haptic::analysis::flexible::{Flexible, Hand};
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::domain;
-use haptic::analysis::sampled::{Estimator, Loop, Mode};
+use haptic::analysis::sampled::{LinearEstimator, Loop, Mode};
 use nalgebra::{DMatrix, DVector};
 
 const RATE: f64 = 1000.0;
@@ -19,7 +19,7 @@ fn mass() -> Linearised {
     }
 }
 
-fn around(estimator: Estimator, delay_samples: f64) -> Loop {
+fn around(estimator: LinearEstimator, delay_samples: f64) -> Loop {
     Loop { rate_hz: RATE, delay_samples, estimator, drive: Drive::Ideal, damping_compensation: false }
 }
 
@@ -42,7 +42,7 @@ const TABLE: [(f64, f64, f64, f64); 4] = [
 fn a_mass_behind_whole_samples_of_delay_has_the_known_domain() {
     let page = include_str!("../../docs/published.md");
     for (delay, (peak, place, limit, area)) in TABLE.into_iter().enumerate() {
-        let around = around(Estimator::BackwardDifference, delay as f64);
+        let around = around(LinearEstimator::BackwardDifference, delay as f64);
         let dampings: Vec<f64> = (0..=1000).map(|i| limit * f64::from(i) / 1000.0).collect();
         let kp = boundary(&around, &dampings);
         let top = (0..kp.len()).max_by(|a, b| kp[*a].total_cmp(&kp[*b])).unwrap();
@@ -57,7 +57,7 @@ fn a_mass_behind_whole_samples_of_delay_has_the_known_domain() {
     }
     // Without delay the boundary is known in closed form, 2β(2 - β)/(2 + β), and so is its area, 12 - 16 ln 2.
     let dampings = [0.01, 0.3, 2.0 * (2.0_f64.sqrt() - 1.0), 1.2, 1.9];
-    for (found, b) in boundary(&around(Estimator::BackwardDifference, 0.0), &dampings).into_iter().zip(dampings) {
+    for (found, b) in boundary(&around(LinearEstimator::BackwardDifference, 0.0), &dampings).into_iter().zip(dampings) {
         assert!((found / (2.0 * b * (2.0 - b) / (2.0 + b)) - 1.0).abs() < 1e-9);
     }
 }
@@ -66,12 +66,12 @@ fn a_mass_behind_whole_samples_of_delay_has_the_known_domain() {
 fn at_the_origin_every_boundary_has_the_same_slope() {
     for delay in [0.0, 0.25, 0.5, 1.0, 1.6, 2.0, 3.0] {
         for estimator in [
-            Estimator::BackwardDifference,
-            Estimator::BackwardDifference.over(4),
-            Estimator::FirstOrder(40.0),
-            Estimator::Butterworth(20.0),
-            Estimator::Butterworth(200.0),
-            Estimator::Butterworth(100.0).over(3),
+            LinearEstimator::BackwardDifference,
+            LinearEstimator::BackwardDifference.over(4),
+            LinearEstimator::FirstOrder(40.0),
+            LinearEstimator::Butterworth(20.0),
+            LinearEstimator::Butterworth(200.0),
+            LinearEstimator::Butterworth(100.0).over(3),
         ] {
             let damping = 1e-5;
             let slope = boundary(&around(estimator, delay), &[damping])[0] / damping;
@@ -88,7 +88,7 @@ fn a_physical_damper_widens_the_range_at_both_rates() {
         let mut found = [0.0, 5.0].map(|damping| {
             let mut device = mass();
             device.viscous[0] = damping;
-            let around = Loop { rate_hz, ..around(Estimator::BackwardDifference, 0.0) };
+            let around = Loop { rate_hz, ..around(LinearEstimator::BackwardDifference, 0.0) };
             domain(&device, &around, Mode::Off, Some(&[])).unwrap().area
         });
         found[0] *= 1.0 + 1e-3;
@@ -102,7 +102,7 @@ fn a_hand_that_only_weighs_scales_the_range_by_the_square_of_the_mass() {
     held.flexible.tip = DMatrix::from_element(1, 1, 1.0);
     held.flexible.normal = DVector::from_element(1, 1.0);
     held.flexible.hand = Hand { mass: 0.5, ..Hand::default() };
-    let around = around(Estimator::Butterworth(100.0), 0.5);
+    let around = around(LinearEstimator::Butterworth(100.0), 0.5);
     let area = |device: &Linearised| domain(device, &around, Mode::Off, Some(&[])).unwrap().area;
     assert!((area(&held) / area(&mass()) / 1.5_f64.powi(2) - 1.0).abs() < 1e-6);
 }

@@ -5,7 +5,7 @@ use haptic::analysis::flexible::Hand;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::domain;
 use haptic::analysis::ripple::{LIGHT_HAND, Line, PUSH_N, Pressed};
-use haptic::analysis::sampled::{Estimator, Loop, Mode};
+use haptic::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic::device_file::DeviceFile;
 use haptic::sweep::Sweep;
 
@@ -16,7 +16,7 @@ fn pressed<T>(
     device: &str,
     normal: &[f64],
     hand: Option<Hand>,
-    (rate_hz, estimator): (f64, Estimator),
+    (rate_hz, estimator): (f64, LinearEstimator),
     work: impl FnOnce(&Pressed<'_>) -> T,
 ) -> T {
     let path = format!("{}/../devices/{device}.toml", env!("CARGO_MANIFEST_DIR"));
@@ -38,10 +38,16 @@ fn clean_damping(pressed: &Pressed<'_>, kp: f64, least: f64) -> f64 {
 /// The stiffest spring without damping that a relaxed hand finds quiet, N/m, and the stiffest that is stable.
 fn clean_spring(rate_hz: f64) -> (f64, f64) {
     let hand = Hand { mass: 0.12, damping: 6.0, stiffness: 250.0 };
-    pressed("phantom-premium-1.5", &[0.0, 1.0, 0.0], Some(hand), (rate_hz, Estimator::BackwardDifference), |pressed| {
-        let along = pressed.along(Mode::Off, Line::Damping(0.0), BOUND, &Sweep::quiet()).unwrap().unwrap();
-        (along.kp_from.unwrap_or(along.kp_stable), along.kp_stable)
-    })
+    pressed(
+        "phantom-premium-1.5",
+        &[0.0, 1.0, 0.0],
+        Some(hand),
+        (rate_hz, LinearEstimator::BackwardDifference),
+        |pressed| {
+            let along = pressed.along(Mode::Off, Line::Damping(0.0), BOUND, &Sweep::quiet()).unwrap().unwrap();
+            (along.kp_from.unwrap_or(along.kp_stable), along.kp_stable)
+        },
+    )
 }
 
 #[test]
@@ -61,7 +67,7 @@ fn twenty_times_the_rate_gives_far_less_than_twenty_times_the_stiffness() {
 #[test]
 fn a_higher_rate_is_stiffer_and_leaves_less_virtual_damping() {
     let of = |rate| {
-        let estimator = Estimator::BackwardDifference;
+        let estimator = LinearEstimator::BackwardDifference;
         pressed("coupled-five-bar", &[0.0, 1.0], None, (rate, estimator), |pressed| {
             let theory = domain(pressed.device, pressed.around, Mode::Off, Some(&[])).unwrap().kd_max;
             (clean_damping(pressed, 1_000.0, 0.5), theory)
@@ -80,7 +86,7 @@ fn a_slower_velocity_keeps_what_a_fast_position_loop_loses() {
             (clean_damping(pressed, 1_000.0, 0.05), area)
         })
     };
-    let bare = Estimator::BackwardDifference;
+    let bare = LinearEstimator::BackwardDifference;
     let (slow, uniform, dual) = (of(2_000.0, bare), of(20_000.0, bare), of(20_000.0, bare.over(10)));
     assert!(uniform.0 < 0.5 * slow.0, "{slow:?} {uniform:?}");
     assert!(dual.0 > 0.8 * slow.0, "{slow:?} {dual:?}");

@@ -3,7 +3,7 @@
 use haptic::analysis::flexible::Flexible;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::domain;
-use haptic::analysis::sampled::{AnalysisError, Estimator, Loop, Mode};
+use haptic::analysis::sampled::{AnalysisError, LinearEstimator, Loop, Mode};
 use nalgebra::{Complex, DMatrix, DVector};
 
 const RATE: f64 = 1000.0;
@@ -22,7 +22,7 @@ fn mass() -> Linearised {
 }
 
 /// kp_max T²/m at kd T/m, without delay.
-fn boundary(estimator: Estimator, damping: &[f64]) -> Result<Vec<f64>, AnalysisError> {
+fn boundary(estimator: LinearEstimator, damping: &[f64]) -> Result<Vec<f64>, AnalysisError> {
     let around =
         Loop { rate_hz: RATE, delay_samples: 0.0, estimator, drive: Drive::Ideal, damping_compensation: false };
     let kd: Vec<f64> = damping.iter().map(|b| b * MASS * RATE).collect();
@@ -36,7 +36,7 @@ fn with_a_predicted_velocity_the_loop_is_that_of_an_exact_one_at_every_cutoff() 
     // separation principle the observer's poles come on top.
     let damping = [0.05, 0.4, 1.0, 1.9];
     for cutoff in [1.0, 20.0, 200.0] {
-        let found = boundary(Estimator::Predicted(cutoff), &damping).unwrap();
+        let found = boundary(LinearEstimator::Predicted(cutoff), &damping).unwrap();
         for (b, a) in damping.iter().zip(&found) {
             assert!((a / (2.0 * b) - 1.0).abs() < 1e-6, "cutoff {cutoff}, damping {b}: {a}");
         }
@@ -65,7 +65,7 @@ fn a_difference_over_k_samples_crosses_where_its_transfer_function_says() {
     };
     for k in [2, 5, 10, 32] {
         for b in [0.01, 0.02, 0.04] {
-            let found = boundary(Estimator::BackwardDifference.over(k as usize), &[b]).unwrap()[0];
+            let found = boundary(LinearEstimator::BackwardDifference.over(k as usize), &[b]).unwrap()[0];
             assert!((found / crossing(k, b) - 1.0).abs() < 1e-4, "over {k}, damping {b}: {found}, {}", crossing(k, b));
         }
     }
@@ -76,16 +76,18 @@ fn what_is_another_estimator_by_its_numbers_has_that_ones_boundary() {
     let damping = [0.1, 0.5, 1.5];
     // Both poles of the α-β filter are at 0 for a cutoff of a quarter of the rate: α = β = 1.
     let plain: Vec<f64> = damping.iter().map(|b| 2.0 * b * (2.0 - b) / (2.0 + b)).collect();
-    for estimator in
-        [Estimator::BackwardDifference, Estimator::BackwardDifference.over(1), Estimator::AlphaBeta(RATE / 4.0)]
-    {
+    for estimator in [
+        LinearEstimator::BackwardDifference,
+        LinearEstimator::BackwardDifference.over(1),
+        LinearEstimator::AlphaBeta(RATE / 4.0),
+    ] {
         for (a, expected) in boundary(estimator, &damping).unwrap().iter().zip(&plain) {
             assert!((a / expected - 1.0).abs() < 1e-6, "{estimator:?}: {a} is not {expected}");
         }
     }
     let slow = [0.02, 0.05];
-    let two = boundary(Estimator::Butterworth(50.0).over(1), &slow).unwrap();
-    for (a, expected) in two.iter().zip(boundary(Estimator::Butterworth(50.0), &slow).unwrap()) {
+    let two = boundary(LinearEstimator::Butterworth(50.0).over(1), &slow).unwrap();
+    for (a, expected) in two.iter().zip(boundary(LinearEstimator::Butterworth(50.0), &slow).unwrap()) {
         assert!((a / expected - 1.0).abs() < 1e-9);
     }
 }
@@ -94,10 +96,10 @@ fn what_is_another_estimator_by_its_numbers_has_that_ones_boundary() {
 fn with_little_damping_every_estimator_is_as_good_as_another() {
     // The boundary leaves the origin with kp/kd = 1/(T/2), whatever the filter.
     for estimator in [
-        Estimator::Butterworth(100.0),
-        Estimator::Butterworth(100.0).over(10),
-        Estimator::FirstOrder(100.0).over(4),
-        Estimator::AlphaBeta(100.0),
+        LinearEstimator::Butterworth(100.0),
+        LinearEstimator::Butterworth(100.0).over(10),
+        LinearEstimator::FirstOrder(100.0).over(4),
+        LinearEstimator::AlphaBeta(100.0),
     ] {
         let a = boundary(estimator, &[1e-5]).unwrap()[0];
         assert!((a / 2e-5 - 1.0).abs() < 1e-2, "{estimator:?}: {}", a / 1e-5);
@@ -106,9 +108,13 @@ fn with_little_damping_every_estimator_is_as_good_as_another() {
 
 #[test]
 fn windows_and_cutoffs_that_no_board_has_are_refused() {
-    assert_eq!(boundary(Estimator::BackwardDifference.over(0), &[]), Err(AnalysisError::Difference(0)));
-    assert_eq!(boundary(Estimator::BackwardDifference.over(65), &[]), Err(AnalysisError::Difference(65)));
-    for estimator in [Estimator::AlphaBeta(500.0), Estimator::Predicted(0.0), Estimator::Butterworth(500.0).over(2)] {
+    assert_eq!(boundary(LinearEstimator::BackwardDifference.over(0), &[]), Err(AnalysisError::Difference(0)));
+    assert_eq!(boundary(LinearEstimator::BackwardDifference.over(65), &[]), Err(AnalysisError::Difference(65)));
+    for estimator in [
+        LinearEstimator::AlphaBeta(500.0),
+        LinearEstimator::Predicted(0.0),
+        LinearEstimator::Butterworth(500.0).over(2),
+    ] {
         assert!(matches!(boundary(estimator, &[]), Err(AnalysisError::Cutoff { .. })), "{estimator:?}");
     }
 }

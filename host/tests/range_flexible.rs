@@ -4,7 +4,7 @@
 use haptic::analysis::flexible::{Flexible, Hand};
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::domain;
-use haptic::analysis::sampled::{AnalysisError, Estimator, Loop, Mode};
+use haptic::analysis::sampled::{AnalysisError, LinearEstimator, Loop, Mode};
 use haptic::device_file::DeviceFile;
 use haptic_bridge::model::description::{EncoderAt, StructuralMode, Transmission};
 use nalgebra::{DMatrix, DVector};
@@ -31,7 +31,7 @@ fn every_boundary_agrees_with_the_independent_one() {
         let around = Loop {
             rate_hz: case["rate"].as_f64().unwrap(),
             delay_samples: case["delay"].as_f64().unwrap(),
-            estimator: Estimator::Butterworth(case["cutoff"].as_f64().unwrap()).over(samples),
+            estimator: LinearEstimator::Butterworth(case["cutoff"].as_f64().unwrap()).over(samples),
             drive: Drive::Ideal,
             damping_compensation: false,
         };
@@ -75,7 +75,7 @@ fn around(rate_hz: f64, cutoff_hz: f64) -> Loop {
     Loop {
         rate_hz,
         delay_samples: 0.5,
-        estimator: Estimator::Butterworth(cutoff_hz),
+        estimator: LinearEstimator::Butterworth(cutoff_hz),
         drive: Drive::Ideal,
         damping_compensation: false,
     }
@@ -142,10 +142,10 @@ fn a_mode_near_the_sampling_lowers_the_boundary_and_a_heavy_hand_raises_it() {
 fn a_difference_over_several_samples_is_their_mean_and_more_than_64_are_refused() {
     let device = rigid();
     let mean = |samples| {
-        let around = Loop { estimator: Estimator::BackwardDifference.over(samples), ..around(1000.0, 50.0) };
+        let around = Loop { estimator: LinearEstimator::BackwardDifference.over(samples), ..around(1000.0, 50.0) };
         domain(&device, &around, Mode::Off, Some(&[])).map(|found| found.area)
     };
-    let plain = Loop { estimator: Estimator::BackwardDifference, ..around(1000.0, 50.0) };
+    let plain = Loop { estimator: LinearEstimator::BackwardDifference, ..around(1000.0, 50.0) };
     let plain = domain(&device, &plain, Mode::Off, Some(&[])).unwrap().area;
     assert!((mean(1).unwrap() / plain - 1.0).abs() < 1e-12);
     assert!(mean(4).unwrap() < 0.6 * plain);

@@ -3,7 +3,7 @@
 use haptic::analysis::flexible::Flexible;
 use haptic::analysis::plant::{Drive, Linearised, MotorElectrics};
 use haptic::analysis::range::domain;
-use haptic::analysis::sampled::{AnalysisError, Estimator, Loop, Mode};
+use haptic::analysis::sampled::{AnalysisError, LinearEstimator, Loop, Mode};
 use nalgebra::{DMatrix, DVector};
 
 /// Two undamped joints whose coupling makes Wrr/Weff this ratio.
@@ -40,7 +40,7 @@ fn around(rate_hz: f64, cutoff_hz: f64) -> Loop {
     Loop {
         rate_hz,
         delay_samples: 0.0,
-        estimator: Estimator::Butterworth(cutoff_hz),
+        estimator: LinearEstimator::Butterworth(cutoff_hz),
         drive: Drive::Ideal,
         damping_compensation: false,
     }

@@ -4,7 +4,7 @@
 use assert_cmd::Command;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::ripple::{LIGHT_HAND, Line, PUSH_N, Pressed};
-use haptic::analysis::sampled::{Estimator, Loop, Mode};
+use haptic::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic::bench::estimators::{Comparison, ripple_of};
 use haptic::device_file::DeviceFile;
 use haptic::sweep::Sweep;
@@ -15,7 +15,7 @@ const DEVICE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/coupled-fi
 const Q: [f64; 2] = [2.6, 1.75];
 const NORMAL: [f64; 2] = [0.25881904510252074, 0.9659258262890683];
 
-fn around(rate_hz: f64, estimator: Estimator, delay_samples: f64) -> Loop {
+fn around(rate_hz: f64, estimator: LinearEstimator, delay_samples: f64) -> Loop {
     Loop { rate_hz, delay_samples, estimator, drive: Drive::Ideal, damping_compensation: false }
 }
 
@@ -49,7 +49,7 @@ const APART: [(f64, f64, f64, f64, f64, f64); 4] = [
 #[test]
 fn the_ripple_is_that_of_a_program_of_its_own() {
     for (rate, cutoff, kp, kd, off, full) in APART {
-        let around = around(rate, Estimator::Butterworth(cutoff), 0.0);
+        let around = around(rate, LinearEstimator::Butterworth(cutoff), 0.0);
         for (mode, known) in [(Mode::Off, off), (Mode::Full, full)] {
             let found = pressed(&around, None, |pressed| pressed.ripple(mode, kp, kd).unwrap().rms_n.unwrap());
             // The motion is chaotic: how it begins decides which of its ways it goes in a third of a second.
@@ -60,7 +60,7 @@ fn the_ripple_is_that_of_a_program_of_its_own() {
 
 #[test]
 fn a_fast_loop_buzzes_far_below_its_linear_limit_with_coarse_encoders_only() {
-    let around = around(20_000.0, Estimator::Butterworth(500.0), 0.0);
+    let around = around(20_000.0, LinearEstimator::Butterworth(500.0), 0.0);
     let rms =
         |counts| pressed(&around, counts, |pressed| pressed.ripple(Mode::Off, 5_000.0, 150.0).unwrap().rms_n.unwrap());
     let limit = pressed(&around, None, |pressed| {
@@ -83,8 +83,8 @@ fn the_boards_own_step_ripples_alike() {
         // Half a carrier period late, as there.
         let delay = 0.5 * rate_hz / 20_000.0;
         for (kind, linear) in [
-            (Kind::Butterworth, Estimator::Butterworth(cutoff_hz)),
-            (Kind::Difference(Chosen { value: 8, filtered: false }), Estimator::BackwardDifference.over(8)),
+            (Kind::Butterworth, LinearEstimator::Butterworth(cutoff_hz)),
+            (Kind::Difference(Chosen { value: 8, filtered: false }), LinearEstimator::BackwardDifference.over(8)),
         ] {
             let board = ripple_of(&comparison, kind).unwrap().unwrap();
             let around = around(rate_hz, linear, delay);

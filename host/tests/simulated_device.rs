@@ -1,6 +1,6 @@
 //! The simulated device against closed forms: what a simulation gets wrong shows as energy that comes from nowhere.
 
-use haptic::sim::{Bridge, Device, Drive, Options};
+use haptic::sim::{MotorInput, Options, PowerStage, SimulatedDevice};
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::{
     Cogging, Description, Encoder, EncoderAt, Joint, Link, Motor, Stribeck, StructuralMode, Transmission,
@@ -46,12 +46,12 @@ fn five_bar() -> Description {
     }
 }
 
-fn device(description: &Description) -> Device {
-    Device::new(description, &Options::default()).unwrap()
+fn device(description: &Description) -> SimulatedDevice {
+    SimulatedDevice::new(description, &Options::default()).unwrap()
 }
 
-fn coast(device: &mut Device, seconds: f64) {
-    device.step(&[Drive::Floating; 3], seconds);
+fn coast(device: &mut SimulatedDevice, seconds: f64) {
+    device.step(&[MotorInput::Floating; 3], seconds);
 }
 
 fn assert_same_pose(left: [f64; 3], right: [f64; 3]) {
@@ -86,7 +86,7 @@ fn a_soft_transmission_swings_at_its_own_frequency_and_keeps_its_energy() {
     // Blocked by nobody: ω = √(k (1/Jm + 1/Jl)), 1095 rad/s; the common motion stays a parabola.
     let mut device = device(&soft_paddle(252.0, 0.0, EncoderAt::Motor));
     let omega = (252.0 * (1.0 / 3e-4 + 1.0 / 7e-4_f64)).sqrt();
-    device.step(&[Drive::Torque(2e-3), Drive::Floating, Drive::Floating], 0.05);
+    device.step(&[MotorInput::Torque(2e-3), MotorInput::Floating, MotorInput::Floating], 0.05);
     // θ = τ/J t²/2 + (τ/Jm) (Jl/J) (1 - cos ωt)/ω², the link's angle less of it by Jm/J.
     let common = 0.5 * 2.0 * 0.05_f64.powi(2);
     let twist = 2e-3 / 3e-4 * (1.0 - (omega * 0.05).cos()) / (omega * omega);
@@ -104,7 +104,7 @@ fn a_very_stiff_transmission_is_rigid_and_an_encoder_sees_the_side_that_it_is_on
     for (stiffness, apart) in [(1e12, 1e-9), (10.0, 1.0)] {
         let angles = [EncoderAt::Motor, EncoderAt::Joint].map(|side| {
             let mut device = device(&soft_paddle(stiffness, 0.0, side));
-            device.step(&[Drive::Torque(0.02), Drive::Floating, Drive::Floating], 0.1);
+            device.step(&[MotorInput::Torque(0.02), MotorInput::Floating, MotorInput::Floating], 0.1);
             (device.plant().measured()[0], device.q()[0])
         });
         let [(motor, _), (joint, link)] = angles;
@@ -133,7 +133,7 @@ fn dry_friction_behind_a_transmission_holds_the_motor_and_lets_the_link_swing() 
 #[test]
 fn a_constant_torque_gives_a_parabola() {
     let mut device = device(&paddle(0.0, 0.0));
-    device.step(&[Drive::Torque(2e-3), Drive::Floating, Drive::Floating], 0.5);
+    device.step(&[MotorInput::Torque(2e-3), MotorInput::Floating, MotorInput::Floating], 0.5);
     // Half of 2 rad/s² times (0.5 s)².
     assert!((device.q()[0] - 0.25).abs() < 1e-12, "{}", device.q()[0]);
 }
@@ -149,10 +149,10 @@ fn viscous_friction_decays_exponentially() {
 #[test]
 fn a_motor_without_inductance_brakes_like_its_closed_form() {
     // Shorted: damping of torque constant x back-EMF / resistance = 0.125 N m s/rad.
-    let options = Options { bridge: Bridge { dead_time: 0.0, ..Bridge::default() }, ..Options::default() };
-    let mut device = Device::new(&paddle(0.0, 0.0), &options).unwrap();
+    let options = Options { bridge: PowerStage { dead_time: 0.0, ..PowerStage::default() }, ..Options::default() };
+    let mut device = SimulatedDevice::new(&paddle(0.0, 0.0), &options).unwrap();
     device.push([0.1, 0.0, 0.0]);
-    device.step(&[Drive::Duty(0.0); 3], 0.008);
+    device.step(&[MotorInput::Duty(0.0); 3], 0.008);
     assert!((device.qd()[0] - (-1.0_f64).exp()).abs() < 1e-7, "{}", device.qd()[0]);
 }
 
@@ -165,9 +165,9 @@ fn coulomb_friction_stops_a_joint_in_finite_time_and_then_holds_it() {
     assert_eq!(device.qd()[0], 0.0);
     assert!((device.q()[0] - 0.05).abs() < 1e-6, "{}", device.q()[0]);
     let stuck = device.q()[0];
-    device.step(&[Drive::Torque(0.009); 3], 1.0);
+    device.step(&[MotorInput::Torque(0.009); 3], 1.0);
     assert_eq!(device.q()[0], stuck, "friction must hold without creep");
-    device.step(&[Drive::Torque(0.011); 3], 0.1);
+    device.step(&[MotorInput::Torque(0.011); 3], 0.1);
     assert!((device.qd()[0] - 0.1).abs() < 1e-9, "and let go beyond its limit");
 }
 
@@ -179,7 +179,7 @@ fn friction_holds_every_joint_of_a_coupled_linkage() {
     }
     let mut device = device(&description);
     let before = device.q();
-    device.step(&[Drive::Torque(0.0049), Drive::Torque(-0.0049), Drive::Floating], 1.0);
+    device.step(&[MotorInput::Torque(0.0049), MotorInput::Torque(-0.0049), MotorInput::Floating], 1.0);
     assert_same_pose(device.q(), before);
 }
 
@@ -188,7 +188,7 @@ fn a_joint_stops_just_beyond_its_limits() {
     let mut description = paddle(0.0, 0.0);
     description.joints[0].limits = Some((-0.5, 0.5));
     let mut device = device(&description);
-    device.step(&[Drive::Torque(0.05); 3], 1.0);
+    device.step(&[MotorInput::Torque(0.05); 3], 1.0);
     assert!((device.q()[0] - 0.6).abs() < 1e-3, "{}", device.q()[0]);
     assert!(device.qd()[0].abs() < 1e-9);
 }
@@ -201,7 +201,7 @@ fn gravity_and_a_holding_torque_balance() {
     let before = device.q();
     let g = device.plant().gravity();
     assert!(g[0].abs() > 1e-3, "gravity must load the joints: {g:?}");
-    device.step(&[Drive::Torque(g[0]), Drive::Torque(g[1]), Drive::Floating], 0.01);
+    device.step(&[MotorInput::Torque(g[0]), MotorInput::Torque(g[1]), MotorInput::Floating], 0.01);
     assert_same_pose(device.q(), before);
     coast(&mut device, 0.01);
     assert!(device.tip_velocity()[1] < -0.01, "let go, it falls");
@@ -211,7 +211,7 @@ fn gravity_and_a_holding_torque_balance() {
 fn the_same_inputs_give_the_same_numbers_bit_for_bit() {
     let run = || {
         let mut device = device(&five_bar());
-        device.step(&[Drive::Duty(0.1), Drive::Duty(-0.05), Drive::Floating], 0.05);
+        device.step(&[MotorInput::Duty(0.1), MotorInput::Duty(-0.05), MotorInput::Floating], 0.05);
         (device.q(), device.qd(), device.counts(), device.currents())
     };
     assert_eq!(run(), run());
@@ -222,7 +222,10 @@ fn a_step_of_any_length_is_the_same_motion() {
     let run = |pieces: u32| {
         let mut device = device(&five_bar());
         for _ in 0..pieces {
-            device.step(&[Drive::Torque(0.01), Drive::Torque(-0.02), Drive::Floating], 0.02 / f64::from(pieces));
+            device.step(
+                &[MotorInput::Torque(0.01), MotorInput::Torque(-0.02), MotorInput::Floating],
+                0.02 / f64::from(pieces),
+            );
         }
         device.q()
     };
@@ -250,7 +253,7 @@ fn a_mode_is_a_link_behind_a_transmission_seen_from_the_other_side() {
     let (mut left, mut right) = (device(&swinging_paddle(80.0, 0.02)), device(&soft));
     for _ in 0..50 {
         for device in [&mut left, &mut right] {
-            device.step(&[Drive::Torque(0.01); 3], 1e-3);
+            device.step(&[MotorInput::Torque(0.01); 3], 1e-3);
         }
         let (a, b) = (left.q()[0], right.plant().measured()[0]);
         assert!((a - b).abs() < 1e-12 * (1.0 + b.abs()), "{a} {b}");
@@ -264,7 +267,7 @@ fn a_mode_keeps_its_energy_beside_a_transmission_and_a_stiff_one_is_rigid() {
     both.joints[0].modes[0] = Some(StructuralMode { frequency: 150.0, damping: 0.0, inertia: 1e-4 });
     both.joints[0].modes[1] = Some(StructuralMode { frequency: 400.0, damping: 0.0, inertia: 1e-4 });
     let mut soft = device(&both);
-    soft.step(&[Drive::Torque(0.05); 3], 3e-3);
+    soft.step(&[MotorInput::Torque(0.05); 3], 3e-3);
     // What current is left falls in a step.
     coast(&mut soft, 1e-3);
     let before = soft.plant().energy();
@@ -272,7 +275,7 @@ fn a_mode_keeps_its_energy_beside_a_transmission_and_a_stiff_one_is_rigid() {
     assert!((soft.plant().energy() / before - 1.0).abs() < 1e-9, "{} {before}", soft.plant().energy());
     let (mut stiff, mut rigid) = (device(&swinging_paddle(1e7, 0.0)), device(&paddle(0.0, 0.0)));
     for device in [&mut stiff, &mut rigid] {
-        device.step(&[Drive::Torque(0.01); 3], 0.05);
+        device.step(&[MotorInput::Torque(0.01); 3], 0.05);
     }
     assert!((stiff.q()[0] / rigid.q()[0] - 1.0).abs() < 1e-9, "{} {}", stiff.q()[0], rigid.q()[0]);
 }
@@ -282,17 +285,17 @@ fn stribeck_friction_holds_more_than_it_brakes() {
     let mut description = paddle(0.0, 0.01);
     description.joints[0].friction = Some(Stribeck { rest: 0.02, stribeck_speed: 0.5 });
     let mut held = device(&description);
-    held.step(&[Drive::Torque(0.0199); 3], 0.1);
+    held.step(&[MotorInput::Torque(0.0199); 3], 0.1);
     assert_eq!(held.q()[0], 0.0);
     // Once moving fast, only Coulomb friction is left: 0.01 N m of the torque accelerate 1e-3 kg m².
-    held.step(&[Drive::Torque(0.0201); 3], 1.0);
+    held.step(&[MotorInput::Torque(0.0201); 3], 1.0);
     let before = held.qd()[0];
     assert!(before > 2.0, "{before}");
-    held.step(&[Drive::Torque(0.0201); 3], 0.1);
+    held.step(&[MotorInput::Torque(0.0201); 3], 0.1);
     assert!((held.qd()[0] - before - 0.1 * 10.1).abs() < 1e-6, "{}", held.qd()[0] - before);
     // Without friction there is none of it.
-    let mut free = Device::new(&description, &Options::frictionless()).unwrap();
-    free.step(&[Drive::Torque(0.001); 3], 0.1);
+    let mut free = SimulatedDevice::new(&description, &Options::frictionless()).unwrap();
+    free.step(&[MotorInput::Torque(0.001); 3], 0.1);
     assert!(free.q()[0] > 0.0);
 }
 
@@ -319,7 +322,7 @@ fn cogging_holds_a_motor_in_its_wells_without_a_loss() {
         damped.joints[0].viscous = 0.02;
         let mut pushed = device(&damped);
         pushed.place([0.5 * well, 0.0, 0.0]);
-        pushed.step(&[Drive::Torque(torque); 3], 3.0);
+        pushed.step(&[MotorInput::Torque(torque); 3], 3.0);
         assert_eq!(pushed.q()[0] > 1.5 * well, leaves, "{torque}: {}", pushed.q()[0] / well);
     }
 }

@@ -4,7 +4,7 @@ use assert_cmd::Command;
 use haptic::analysis::flexible::Flexible;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::{domain, stiffnesses};
-use haptic::analysis::sampled::{Estimator as Linear, Loop, Mode};
+use haptic::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic::device_file::DeviceFile;
 use haptic::scene_file::SceneFile;
 use haptic::sweep::Sweep;
@@ -23,7 +23,7 @@ fn around(rate_hz: f64) -> Loop {
     Loop {
         rate_hz,
         delay_samples: 0.5,
-        estimator: Linear::Butterworth(0.025 * rate_hz),
+        estimator: LinearEstimator::Butterworth(0.025 * rate_hz),
         drive: Drive::Ideal,
         damping_compensation: false,
     }
@@ -133,7 +133,7 @@ fn no_wall_of_a_plain_scan_is_much_stiffer() {
             let settings =
                 Settings { kind, estimator: kind.name(), cutoff_hz, stiffness: 1.12 * best.stiffness, damping, ..best };
             let around = Loop {
-                estimator: Linear::of(kind, cutoff_hz).unwrap(),
+                estimator: LinearEstimator::of(kind, cutoff_hz).unwrap(),
                 drive: Drive::Current { bandwidth_hz: 6400.0 },
                 ..around(5_000.0)
             };

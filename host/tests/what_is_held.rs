@@ -6,7 +6,7 @@ mod sim;
 use haptic::analysis::map::map_holding;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::predict;
-use haptic::analysis::sampled::{Estimator, Loop};
+use haptic::analysis::sampled::{LinearEstimator, Loop};
 use haptic::device_file::DeviceFile;
 use haptic::model::{Precision, WallForce, evaluate_holding};
 use haptic_bridge::model::admissible::Admissible;
@@ -22,7 +22,7 @@ fn around(rate_hz: f64, cutoff_hz: f64) -> Loop {
     Loop {
         rate_hz,
         delay_samples: 0.025,
-        estimator: Estimator::Butterworth(cutoff_hz),
+        estimator: LinearEstimator::Butterworth(cutoff_hz),
         drive: Drive::Ideal,
         damping_compensation: false,
     }

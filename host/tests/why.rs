@@ -3,7 +3,7 @@
 use haptic::analysis::flexible::{Flexible, Hand};
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::domain;
-use haptic::analysis::sampled::{Estimator, Loop, Mode};
+use haptic::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic::analysis::why::{Limits, why};
 use haptic::cores;
 use haptic::plot::why::draw;
@@ -34,7 +34,7 @@ fn around(bandwidth_hz: f64) -> Loop {
     Loop {
         rate_hz: 1000.0,
         delay_samples: 0.5,
-        estimator: Estimator::Butterworth(50.0).over(2),
+        estimator: LinearEstimator::Butterworth(50.0).over(2),
         drive: Drive::Current { bandwidth_hz },
         damping_compensation: false,
     }
@@ -68,7 +68,7 @@ fn every_effect_is_the_loop_without_it() {
     let faster = Loop {
         rate_hz: 10_000.0,
         delay_samples: 5.0,
-        estimator: Estimator::Butterworth(50.0).over(20),
+        estimator: LinearEstimator::Butterworth(50.0).over(20),
         ..around.clone()
     };
     same(found.effects[0].limits.off, alone(&device, &faster));
@@ -82,7 +82,7 @@ fn a_rigid_ideal_loop_has_only_sampling_and_a_filter() {
     let around = Loop {
         rate_hz: 1000.0,
         delay_samples: 0.0,
-        estimator: Estimator::Butterworth(50.0),
+        estimator: LinearEstimator::Butterworth(50.0),
         drive: Drive::Ideal,
         damping_compensation: false,
     };

@@ -8,7 +8,7 @@ use haptic::analysis::map::{MapPoint, map_holding};
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::pose::{motors, unit_normal};
 use haptic::analysis::range::{BOUNDARY_POINTS, Domain, Range, predict};
-use haptic::analysis::sampled::{Estimator, Loop};
+use haptic::analysis::sampled::{LinearEstimator, Loop};
 use haptic::cores;
 use haptic::device_file::DeviceFile;
 use haptic::error::Failure;
@@ -248,15 +248,17 @@ impl Device {
         let poses = rows("q", q, self.joints())?;
         let normals = self.units_along(normal, &poses)?;
         let estimators = [
-            ("butterworth", Estimator::Butterworth(cutoff_hz)),
-            ("first-order", Estimator::FirstOrder(cutoff_hz)),
-            ("backward-difference", Estimator::BackwardDifference),
-            ("alpha-beta", Estimator::AlphaBeta(cutoff_hz)),
-            ("predicted", Estimator::Predicted(cutoff_hz)),
+            ("butterworth", LinearEstimator::Butterworth(cutoff_hz)),
+            ("first-order", LinearEstimator::FirstOrder(cutoff_hz)),
+            ("backward-difference", LinearEstimator::BackwardDifference),
+            ("alpha-beta", LinearEstimator::AlphaBeta(cutoff_hz)),
+            ("predicted", LinearEstimator::Predicted(cutoff_hz)),
         ];
         let estimator = word("estimator", estimator, &estimators)?;
-        let filters =
-            matches!(estimator, Estimator::Butterworth(_) | Estimator::FirstOrder(_) | Estimator::BackwardDifference);
+        let filters = matches!(
+            estimator,
+            LinearEstimator::Butterworth(_) | LinearEstimator::FirstOrder(_) | LinearEstimator::BackwardDifference
+        );
         if difference_over != 1 && !filters {
             return Err(RequestError::new_err("difference_over needs an estimator that takes a difference"));
         }

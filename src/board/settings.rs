@@ -14,9 +14,9 @@ use postcard_schema::Schema;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 /// Largest entry, bytes.
-pub const MAX_ENTRY: usize = 1024;
+pub const LONGEST_SETTING: usize = 1024;
 /// An entry's bytes.
-pub type Entry = Vec<u8, MAX_ENTRY>;
+pub type Entry = Vec<u8, LONGEST_SETTING>;
 
 /// A setting's key; the numbers never change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
@@ -125,14 +125,14 @@ pub enum Damage {
 
 /// An entry: key, version, the value's postcard bytes, CRC-32 of all before.
 ///
-/// Errors: [`Damage::TooLong`] when the value takes more than [`MAX_ENTRY`] bytes.
+/// Errors: [`Damage::TooLong`] when the value takes more than [`LONGEST_SETTING`] bytes.
 #[inline(never)]
 pub fn encode<S: Setting>(value: &S) -> Result<Entry, Damage> {
     let mut entry = Entry::new();
-    entry.resize(MAX_ENTRY, 0).map_err(|_| Damage::TooLong)?;
+    entry.resize(LONGEST_SETTING, 0).map_err(|_| Damage::TooLong)?;
     entry[0] = S::KEY as u8;
     entry[1] = S::VERSION;
-    let used = postcard::to_slice(value, &mut entry[2..MAX_ENTRY - 4]).map_err(|_| Damage::TooLong)?.len();
+    let used = postcard::to_slice(value, &mut entry[2..LONGEST_SETTING - 4]).map_err(|_| Damage::TooLong)?.len();
     let end = 2 + used;
     let sum = crc32(&entry[..end]).to_le_bytes();
     entry[end..end + 4].copy_from_slice(&sum);

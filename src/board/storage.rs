@@ -23,7 +23,7 @@ use sequential_storage::cache::{Cache, Uncached};
 use sequential_storage::map::{MapConfig, MapStorage, SerializationError, Value};
 
 /// Longest entry, bytes, its key included.
-pub const ENTRY_MAX: usize = 2048;
+pub const LONGEST_STORED: usize = 2048;
 
 /// Key of the catalogue.
 const CATALOGUE: u8 = 0;
@@ -144,13 +144,13 @@ pub struct Storage<'b, F: NorFlash> {
     staged: [Generation; SETTINGS],
     /// A decision that the power cut short has been looked for, and carried out.
     recovered: bool,
-    buffer: &'b mut [u8; ENTRY_MAX],
+    buffer: &'b mut [u8; LONGEST_STORED],
 }
 
 impl<'b, F: NorFlash> Storage<'b, F> {
     /// The settings in `range` of `flash`, at least two pages; reads nothing yet. Panics when the range is not made of
     /// whole pages.
-    pub fn new(flash: F, range: Range<u32>, buffer: &'b mut [u8; ENTRY_MAX]) -> Self {
+    pub fn new(flash: F, range: Range<u32>, buffer: &'b mut [u8; LONGEST_STORED]) -> Self {
         let known = Cache::new(Uncached, Uncached, ArrayKeyPointers::new());
         Self {
             map: MapStorage::new(flash, MapConfig::new(range), known),
@@ -296,7 +296,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     /// what was there before is not what was decided.
     #[inline(never)]
     fn settle(&mut self, key: u8, generation: Generation) -> Result<(), StorageError> {
-        let mut copy = [0; ENTRY_MAX / 2];
+        let mut copy = [0; LONGEST_STORED / 2];
         let length = match self.fetch(STAGED | key)? {
             Some(Stamped(found, entry)) if found == generation => {
                 copy.get_mut(..entry.len()).ok_or(StorageError::Full)?.copy_from_slice(entry);

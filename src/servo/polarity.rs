@@ -28,7 +28,7 @@ const REST_SECONDS: f32 = 0.2;
 
 /// Progress of the polarity check.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Polarity {
+pub(super) struct PolarityCheck {
     pub(super) axis: usize,
     seconds: f32,
     /// For how long the joint was waited for to come to rest, s.
@@ -48,7 +48,7 @@ where
 {
     pub(super) fn start_polarity_check(&mut self) -> Result<(), Refusal> {
         self.ready()?;
-        self.polarity = Polarity::default();
+        self.polarity = PolarityCheck::default();
         self.polarity_known = false;
         self.watch_anew();
         self.state = State::CheckingPolarity;
@@ -77,7 +77,7 @@ where
                 self.polarity_known = true;
             } else {
                 let next = (i + 1).min(MAX_JOINTS - 1);
-                self.polarity = Polarity { axis: next, ..Polarity::default() };
+                self.polarity = PolarityCheck { axis: next, ..PolarityCheck::default() };
             }
             return;
         }

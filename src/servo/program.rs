@@ -198,7 +198,7 @@ pub struct Program<K, S = Axis> {
     /// Same device as the program before: homing and the polarity check stay valid.
     pub(crate) same_device: bool,
     /// Why this program may not be armed, found once.
-    pub(crate) unarmable: Option<Refusal>,
+    pub(crate) arming_refused: Option<Refusal>,
     pub(crate) rate_hz: f32,
     pub(crate) carrier_hz: f32,
 }
@@ -223,7 +223,7 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
         let bridge =
             Bridge { carrier_hz: Carrier::for_rate(hardware.timer_hz, scene.rate_hz).carrier_hz(), ..hardware.bridge };
         let mut axes = [S::default(); MAX_JOINTS];
-        let mut unarmable = if device.home.is_none() && hardware.real { Some(Refusal::NoHome) } else { None };
+        let mut arming_refused = if device.home.is_none() && hardware.real { Some(Refusal::NoHome) } else { None };
         for (i, joint) in device.joints.iter().enumerate().take(joints) {
             let scale = joint.radians_per_count;
             if !scale.is_finite() || scale == 0.0 {
@@ -231,16 +231,16 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
             }
             let index = i as u8;
             match &joint.motor {
-                None => unarmable = unarmable.or(Some(Refusal::NoMotor(index))),
+                None => arming_refused = arming_refused.or(Some(Refusal::NoMotor(index))),
                 Some(motor) => {
                     if hardware.real && !motor.verified {
-                        unarmable = unarmable.or(Some(Refusal::MotorNotVerified(index)));
+                        arming_refused = arming_refused.or(Some(Refusal::MotorNotVerified(index)));
                     }
                     axes[i] = S::new(motor, &bridge, limits.current[i]);
                 }
             }
             if hardware.real && joint.limits.is_none() {
-                unarmable = unarmable.or(Some(Refusal::NoJointLimits(index)));
+                arming_refused = arming_refused.or(Some(Refusal::NoJointLimits(index)));
             }
         }
         Ok(Self {
@@ -253,7 +253,7 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
             radians_per_count: core::array::from_fn(|i| device.joints[i].radians_per_count),
             offsets: core::array::from_fn(|i| device.joints[i].offset),
             same_device,
-            unarmable,
+            arming_refused,
             rate_hz: scene.rate_hz,
             carrier_hz: bridge.carrier_hz,
         })

@@ -178,7 +178,7 @@ where
         if program.controller.inside_a_wall(&self.now.counts) {
             return Err(Refusal::InsideWall);
         }
-        if let Some(refusal) = program.unarmable {
+        if let Some(refusal) = program.arming_refused {
             return Err(refusal);
         }
         Ok(())
@@ -264,7 +264,7 @@ where
     pub(super) fn ready(&self) -> Result<&P, Refusal> {
         self.must_be_off()?;
         let program = self.program.as_ref().ok_or(Refusal::NoDevice)?;
-        if let Some(refusal) = program.unarmable {
+        if let Some(refusal) = program.arming_refused {
             return Err(refusal);
         }
         if self.hardware.real && !self.homed {

@@ -3,7 +3,7 @@
 
 use super::device;
 use haptic::device_file::DeviceFile;
-use haptic::sim::{Device as Simulated, Drive, Hand, HandSettings, Intent, Options, Waypoint};
+use haptic::sim::{Hand, HandSettings, Intent, MotorInput, Options, SimulatedDevice, Waypoint};
 use haptic_bridge::math::Minimax;
 use haptic_bridge::model::description::Encoder;
 use haptic_bridge::model::device::Device;
@@ -58,7 +58,7 @@ impl Run<'_> {
         }
         let options =
             Options { start: Some(self.q), absolute_encoders: true, substep: 1.0e-4, ..Options::frictionless() };
-        let mut plant = Simulated::new(&description, &options).expect("a sound device");
+        let mut plant = SimulatedDevice::new(&description, &options).expect("a sound device");
         let tip = plant.tip();
         let total: f64 = walls.iter().map(|wall| wall.1).sum();
         let walls = walls.iter().map(|(normal, share)| {
@@ -109,7 +109,7 @@ impl Run<'_> {
                 step.torque += m.velocity_torque(&m.pose::<Minimax>(&step.q), &step.qd);
             }
             let drive = core::array::from_fn(|i| {
-                Drive::Torque(if i < N { f64::from(step.torque[i].clamp(-2.0, 2.0)) } else { 0.0 })
+                MotorInput::Torque(if i < N { f64::from(step.torque[i].clamp(-2.0, 2.0)) } else { 0.0 })
             });
             plant.step(&drive, 1.0 / RATE);
             if k >= steps - (0.1 * RATE) as u32 {

@@ -10,7 +10,7 @@ use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use haptic::device_file::DeviceFile;
-use haptic::sim::{Bridge, Device, Options};
+use haptic::sim::{Options, PowerStage, SimulatedDevice};
 use virtual_board::boards::BoardKind;
 use virtual_board::bridge::{Outlet, TcpOutlet};
 use virtual_board::hardware::Hardware;
@@ -82,8 +82,8 @@ fn ready_to_arm(path: &Path, file: &DeviceFile) -> std::io::Result<PathBuf> {
 fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let wiring = arguments.board.wiring();
     let file = DeviceFile::load(&arguments.device)?;
-    let bridge = Bridge { bus_voltage: wiring.bus_voltage, dead_time: wiring.dead_time, ..Bridge::default() };
-    let device = Device::new(&file.description, &Options { bridge, ..Options::default() })?;
+    let bridge = PowerStage { bus_voltage: wiring.bus_voltage, dead_time: wiring.dead_time, ..PowerStage::default() };
+    let device = SimulatedDevice::new(&file.description, &Options { bridge, ..Options::default() })?;
     let firmware = Firmware::of(arguments.board)?;
     let decoder = Decoder::new(&firmware);
     let mut log = decoder.as_ref().map(Decoder::reader);

@@ -1,7 +1,7 @@
 //! Faults forced on a running board: each turns the motors off and says what it was.
 
 use haptic::link::BoardError;
-use haptic::sim::Drive;
+use haptic::sim::MotorInput;
 use haptic_bridge::safety::fault::{Fault, State};
 use virtual_board::boards::BoardKind;
 use virtual_board::rig::Rig;
@@ -19,7 +19,7 @@ fn after(kind: BoardKind, breaks: impl FnOnce(&mut Bench<'_>) + Send + 'static) 
     let status = rig.tool.status().expect("the board answers");
     assert_eq!(status.state, State::Fault, "{status:?}");
     let drives = rig.with(|bench| bench.hardware().drives());
-    assert!(drives.iter().all(|drive| !matches!(drive, Drive::Duty(duty) if *duty != 0.0)), "{drives:?}");
+    assert!(drives.iter().all(|drive| !matches!(drive, MotorInput::Duty(duty) if *duty != 0.0)), "{drives:?}");
     (rig, status.fault.map(|record| record.fault))
 }
 
@@ -28,7 +28,7 @@ fn a_gate_driver_that_pulls_its_fault_line_takes_both_axes_down() {
     let (mut rig, fault) = after(BoardKind::OdriveV3, |bench| bench.hardware().driver(1).fail(1 << 2));
     assert_eq!(fault, Some(Fault::GateDriver));
     let drives = rig.with(|bench| bench.hardware().drives());
-    assert_eq!(drives, [Drive::Floating; 3]);
+    assert_eq!(drives, [MotorInput::Floating; 3]);
     // The fault went with EN_GATE, and the board can be armed anew.
     rig.tool.clear().expect("the fault clears");
     rig.tool.arm().expect("the board arms");
@@ -67,5 +67,5 @@ fn a_gate_driver_that_forgets_its_settings_is_never_armed() {
     assert!(refused || status.state == State::Fault, "{outcome:?} {status:?}");
     assert!(!status.polarity);
     let drives = rig.with(|bench| bench.hardware().drives());
-    assert_eq!(drives, [Drive::Floating; 3]);
+    assert_eq!(drives, [MotorInput::Floating; 3]);
 }

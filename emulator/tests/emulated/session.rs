@@ -50,7 +50,7 @@ fn a_session_from_info_to_disarm() {
     rig.run(10 * MILLISECOND);
     assert_eq!(rig.tool.status().expect("the board answers").state, State::Disarmed);
     let drives = rig.with(|bench| bench.hardware().drives());
-    assert!(drives.iter().all(|drive| *drive == haptic::sim::Drive::Floating), "{drives:?}");
+    assert!(drives.iter().all(|drive| *drive == haptic::sim::MotorInput::Floating), "{drives:?}");
 }
 
 #[test]

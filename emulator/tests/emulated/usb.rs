@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use haptic::link::Board;
-use haptic::sim::Drive;
+use haptic::sim::MotorInput;
 use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::safety::fault::State;
 use virtual_board::boards::BoardKind;
@@ -209,5 +209,5 @@ fn arming_disarming_and_replugging_over_and_over_leaves_a_board_that_works() {
     rig.tool.disarm().expect("the board disarms");
     rig.run(MILLISECOND);
     let (drives, resets) = rig.with(|bench| (bench.hardware().drives(), bench.resets().len()));
-    assert_eq!((drives, resets), ([Drive::Floating; 3], 0));
+    assert_eq!((drives, resets), ([MotorInput::Floating; 3], 0));
 }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use haptic::sim::Drive;
+use haptic::sim::MotorInput;
 use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::safety::fault::Fault;
 use virtual_board::boards::BoardKind;
@@ -103,6 +103,6 @@ fn motors_float_until_the_board_is_armed() {
         rig.load(if kind == BoardKind::OdriveV3 { WALL } else { "" });
         rig.run(20 * MILLISECOND);
         let drives = rig.with(|bench| bench.hardware().drives());
-        assert_eq!(drives, [Drive::Floating; 3], "{}", kind.wiring().name);
+        assert_eq!(drives, [MotorInput::Floating; 3], "{}", kind.wiring().name);
     }
 }

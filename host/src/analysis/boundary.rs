@@ -300,7 +300,7 @@ mod tests {
     use super::*;
     use crate::analysis::flexible::Flexible;
     use crate::analysis::plant::{Drive, Linearised, MotorElectrics};
-    use crate::analysis::sampled::{Estimator, Loop, Mode};
+    use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
     use crate::sim::Random;
     use nalgebra::{DMatrix, DVector};
 
@@ -330,9 +330,9 @@ mod tests {
         let rate_hz = 10f64.powf(random.between(200f64.log10(), 50_000f64.log10()));
         let cutoff = 10f64.powf(random.between(1.0, (0.4 * rate_hz).log10()));
         let estimator = match random.between(0.0, 4.0) as u32 {
-            0 => Estimator::FirstOrder(cutoff),
-            1 => Estimator::BackwardDifference,
-            _ => Estimator::Butterworth(cutoff),
+            0 => LinearEstimator::FirstOrder(cutoff),
+            1 => LinearEstimator::BackwardDifference,
+            _ => LinearEstimator::Butterworth(cutoff),
         };
         let drive = match random.between(0.0, 4.0) as u32 {
             0 => Drive::Current { bandwidth_hz: random.between(200.0, 3000.0) },

@@ -12,7 +12,7 @@ pub const LONGEST_DIFFERENCE: usize = 64;
 
 /// How velocity is taken from sampled positions.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Estimator {
+pub enum LinearEstimator {
     /// The backward difference as it is.
     BackwardDifference,
     /// Backward difference, then one pole, bilinear, prewarped at the cutoff (Hz).
@@ -37,9 +37,9 @@ pub enum Estimator {
 pub enum LowPass {
     /// Nothing.
     None,
-    /// See [`Estimator::FirstOrder`].
+    /// See [`LinearEstimator::FirstOrder`].
     FirstOrder(f64),
-    /// See [`Estimator::Butterworth`].
+    /// See [`LinearEstimator::Butterworth`].
     Butterworth(f64),
 }
 
@@ -49,7 +49,7 @@ struct Answer {
     change: Vec<f64>,
 }
 
-impl Estimator {
+impl LinearEstimator {
     /// The same with the difference taken over `samples` samples; those that take none stay as they are.
     pub fn over(self, samples: usize) -> Self {
         let then = match self {
@@ -199,7 +199,7 @@ impl Estimator {
     }
 }
 
-impl Estimator {
+impl LinearEstimator {
     /// Its states where it has seen this velocity per sample, given by commands to this part per sample, for long.
     pub(super) fn rest(self, rate_hz: f64, moved: f64, pushed: f64) -> DVector<f64> {
         let (matrix, states) = (self.matrix(rate_hz), self.states());
@@ -215,11 +215,11 @@ impl Estimator {
 
 impl LowPass {
     /// Behind a backward difference.
-    fn alone(self) -> Estimator {
+    fn alone(self) -> LinearEstimator {
         match self {
-            Self::None => Estimator::BackwardDifference,
-            Self::FirstOrder(hz) => Estimator::FirstOrder(hz),
-            Self::Butterworth(hz) => Estimator::Butterworth(hz),
+            Self::None => LinearEstimator::BackwardDifference,
+            Self::FirstOrder(hz) => LinearEstimator::FirstOrder(hz),
+            Self::Butterworth(hz) => LinearEstimator::Butterworth(hz),
         }
     }
 }

@@ -122,7 +122,7 @@ mod tests {
     use crate::analysis::flexible::{Flexible, Hand};
     use crate::analysis::plant::Drive;
     use crate::analysis::range::domain;
-    use crate::analysis::sampled::Estimator;
+    use crate::analysis::sampled::LinearEstimator;
     use nalgebra::Matrix3;
 
     fn mass(m: f64, b: f64) -> Linearised {
@@ -144,7 +144,7 @@ mod tests {
         Loop {
             rate_hz: rate,
             delay_samples: delay,
-            estimator: Estimator::Butterworth(0.1 * rate),
+            estimator: LinearEstimator::Butterworth(0.1 * rate),
             drive,
             damping_compensation: false,
         }
@@ -182,7 +182,7 @@ mod tests {
                 let slow = Loop {
                     rate_hz: 20_000.0 / steps,
                     delay_samples: (late + delay) / steps,
-                    estimator: Estimator::BackwardDifference,
+                    estimator: LinearEstimator::BackwardDifference,
                     ..around
                 };
                 let expected = domain(&device, &slow, Mode::Off, Some(&[0.0])).unwrap().boundary[0].kp;
@@ -195,7 +195,7 @@ mod tests {
     fn a_wall_with_damping_has_the_closed_form_of_a_velocity_that_is_known() {
         // x⁺ = x + v + f/2, v⁺ = v + f, f = -α x - β v: by Jury α < 2β and β < 2. What a difference over one board period
         // knows late is a five-hundredth of the host's.
-        let around = Loop { estimator: Estimator::BackwardDifference, ..around(50_000.0, 0.0, Drive::Ideal) };
+        let around = Loop { estimator: LinearEstimator::BackwardDifference, ..around(50_000.0, 0.0, Drive::Ideal) };
         let (m, t) = (0.2, 0.01);
         let host = Host { rate_hz: 1.0 / t, delay_s: 0.0 };
         for beta in [0.2, 0.8, 1.5] {
@@ -237,7 +237,7 @@ mod tests {
     #[test]
     fn a_mass_that_is_let_go_of_agrees_with_the_boundary() {
         let (m, rate) = (0.2, 4000.0);
-        let around = Loop { estimator: Estimator::BackwardDifference, ..around(rate, 0.0, Drive::Ideal) };
+        let around = Loop { estimator: LinearEstimator::BackwardDifference, ..around(rate, 0.0, Drive::Ideal) };
         for (steps, late, beta) in [(4, 0, 0.4), (4, 3, 0.4), (4, 4, 0.3), (4, 7, 0.2), (10, 25, 0.1)] {
             let host_s = steps as f64 / rate;
             let host = Host { rate_hz: 1.0 / host_s, delay_s: late as f64 / rate };

@@ -312,7 +312,7 @@ mod tests {
     use super::*;
     use crate::analysis::flexible::Flexible;
     use crate::analysis::plant::Drive;
-    use crate::analysis::sampled::Estimator;
+    use crate::analysis::sampled::LinearEstimator;
     use nalgebra::{DMatrix, DVector};
 
     fn mass(m: f64, b: f64) -> Linearised {
@@ -330,7 +330,7 @@ mod tests {
         Loop {
             rate_hz: rate,
             delay_samples: delay,
-            estimator: Estimator::Butterworth(cutoff),
+            estimator: LinearEstimator::Butterworth(cutoff),
             drive: Drive::Ideal,
             damping_compensation: false,
         }
@@ -370,7 +370,7 @@ mod tests {
     fn without_filter_or_delay_the_domain_is_the_textbook_one() {
         // Backward difference, double integrator: 1 + K (z+1)/(2(z-1)²) + D (z+1)/(2z(z-1)) ... by Jury: see below.
         // z(z-1)² + (k/2) z (z+1) + (d/2)(z+1)(z-1) = z³ + (k/2 + d/2 - 2) z² + (1 + k/2) z - d/2.
-        let around = Loop { estimator: Estimator::BackwardDifference, ..around(1000.0, 1.0, 0.0) };
+        let around = Loop { estimator: LinearEstimator::BackwardDifference, ..around(1000.0, 1.0, 0.0) };
         let found = domain(&mass(1.0, 0.0), &around, Mode::Off, Some(&[200.0])).unwrap();
         // Jury for a cubic with a0 = -d/2: |a0² - 1| > |a0 a2 - a1| gives the limit at d = 0.2.
         let d = 0.2;

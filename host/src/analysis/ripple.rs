@@ -343,7 +343,7 @@ fn about_its_line(values: &[f64]) -> (f64, f64) {
     ((square / count).sqrt(), high - low)
 }
 
-impl super::sampled::Estimator {
+impl super::sampled::LinearEstimator {
     /// The largest velocity that it says of a step of the position, for each metre of the step, 1/s.
     pub fn quickest(self, rate_hz: f64) -> f64 {
         let matrix: DMatrix<f64> = self.matrix(rate_hz);

@@ -12,7 +12,7 @@ use nalgebra::{DMatrix, DVector};
 use thiserror::Error;
 
 use super::eigenvalues::eigenvalues;
-pub use super::estimator::{Estimator, LONGEST_DIFFERENCE, LowPass};
+pub use super::estimator::{LONGEST_DIFFERENCE, LinearEstimator, LowPass};
 use super::plant::{ContinuousPlant, Drive, Linearised, reduce};
 use super::spectrum::{exp_minus_identity, growth};
 
@@ -50,7 +50,7 @@ pub struct Loop {
     /// Samples between reading the position and the torque that answers it; fractions allowed.
     pub delay_samples: f64,
     /// Velocity estimator of every wall.
-    pub estimator: Estimator,
+    pub estimator: LinearEstimator,
     /// Motor drives.
     pub drive: Drive,
     /// Whether the feed-forward also compensates the joints' own damping (B q̇ in b).

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::flexible::Hand;
 use super::plant::{Drive, Linearised};
 use super::range::{Domain, domain};
-use super::sampled::{AnalysisError, Estimator, LONGEST_DELAY, LONGEST_DIFFERENCE, Loop, Mode};
+use super::sampled::{AnalysisError, LONGEST_DELAY, LONGEST_DIFFERENCE, LinearEstimator, Loop, Mode};
 use crate::error::Failure;
 use crate::sweep::Sweep;
 
@@ -105,7 +105,7 @@ fn cases(device: &Linearised, around: &Loop) -> Vec<(&'static str, &'static str,
         add("drive", "torque at once", device.clone(), Loop { drive: Drive::Ideal, ..around.clone() });
     }
     if around.estimator.cutoff_hz().is_some() {
-        let bare = Estimator::BackwardDifference;
+        let bare = LinearEstimator::BackwardDifference;
         let estimator = if samples > 1 { bare.over(samples) } else { bare };
         add("filter", "no filter", device.clone(), Loop { estimator, ..around.clone() });
     }

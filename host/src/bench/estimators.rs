@@ -10,7 +10,7 @@
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
 use crate::analysis::range::stiffness_at;
-use crate::analysis::sampled::{Estimator as Linear, Loop, Mode};
+use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
 use crate::device_file::DeviceFile;
 use crate::error::Failure;
 use crate::measure::complement;
@@ -234,7 +234,7 @@ fn around(rate_hz: f64, cutoff_hz: f64) -> Loop {
     Loop {
         rate_hz,
         delay_samples: usual_delay(rate_hz),
-        estimator: Linear::Butterworth(cutoff_hz),
+        estimator: LinearEstimator::Butterworth(cutoff_hz),
         drive: Drive::Ideal,
         damping_compensation: false,
     }

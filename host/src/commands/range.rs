@@ -12,7 +12,7 @@ use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::pose::motors;
 use haptic::analysis::range::{Domain, Range, WORTHWHILE_RATIO, predict, predict_several};
 use haptic::analysis::ripple::{Along, LIGHT_HAND, Line, PUSH_N, Pressed, Ripple};
-use haptic::analysis::sampled::{AnalysisError, Estimator, Loop, Mode};
+use haptic::analysis::sampled::{AnalysisError, LinearEstimator, Loop, Mode};
 use haptic::analysis::several::{Member, WallSet};
 use haptic::analysis::why::{Both, Limits, Why, why};
 use haptic::device_file::DeviceFile;
@@ -553,18 +553,18 @@ fn costly(range: &Range) -> Option<String> {
 }
 
 /// The estimator that was asked for.
-fn estimator(args: &Args) -> Result<Estimator, Failure> {
+fn estimator(args: &Args) -> Result<LinearEstimator, Failure> {
     let over = args.difference_over;
     let cutoff = args.cutoff;
     match (args.estimator, over) {
-        (EstimatorKind::Butterworth, 1) => Ok(Estimator::Butterworth(cutoff)),
-        (EstimatorKind::FirstOrder, 1) => Ok(Estimator::FirstOrder(cutoff)),
-        (EstimatorKind::BackwardDifference, 1) => Ok(Estimator::BackwardDifference),
-        (EstimatorKind::Butterworth, _) => Ok(Estimator::Butterworth(cutoff).over(over)),
-        (EstimatorKind::FirstOrder, _) => Ok(Estimator::FirstOrder(cutoff).over(over)),
-        (EstimatorKind::BackwardDifference, _) => Ok(Estimator::BackwardDifference.over(over)),
-        (EstimatorKind::AlphaBeta, 1) => Ok(Estimator::AlphaBeta(cutoff)),
-        (EstimatorKind::Predicted, 1) => Ok(Estimator::Predicted(cutoff)),
+        (EstimatorKind::Butterworth, 1) => Ok(LinearEstimator::Butterworth(cutoff)),
+        (EstimatorKind::FirstOrder, 1) => Ok(LinearEstimator::FirstOrder(cutoff)),
+        (EstimatorKind::BackwardDifference, 1) => Ok(LinearEstimator::BackwardDifference),
+        (EstimatorKind::Butterworth, _) => Ok(LinearEstimator::Butterworth(cutoff).over(over)),
+        (EstimatorKind::FirstOrder, _) => Ok(LinearEstimator::FirstOrder(cutoff).over(over)),
+        (EstimatorKind::BackwardDifference, _) => Ok(LinearEstimator::BackwardDifference.over(over)),
+        (EstimatorKind::AlphaBeta, 1) => Ok(LinearEstimator::AlphaBeta(cutoff)),
+        (EstimatorKind::Predicted, 1) => Ok(LinearEstimator::Predicted(cutoff)),
         (EstimatorKind::AlphaBeta | EstimatorKind::Predicted, _) => {
             let reason = format!("--difference-over {over} with an estimator that takes no difference");
             Err(Failure::wrong(reason).remedy("leave it out, or choose a low-pass with --estimator"))

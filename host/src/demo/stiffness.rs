@@ -6,7 +6,7 @@
 use super::{Demo, DemoError};
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::range::domain;
-use crate::analysis::sampled::{Estimator, Loop, Mode};
+use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
 use crate::analysis::several::Member;
 use crate::link::Board;
 use crate::measure::{Bench, Law, Setup};
@@ -59,7 +59,7 @@ fn predict(demo: &Demo, feed_forward: FeedForward, delay_samples: f64) -> Result
     let around = Loop {
         rate_hz: demo.rate_hz,
         delay_samples,
-        estimator: Estimator::Butterworth(demo.cutoff_hz),
+        estimator: LinearEstimator::Butterworth(demo.cutoff_hz),
         drive: Drive::Ideal,
         damping_compensation: false,
     };

@@ -9,7 +9,7 @@ use super::progress::{Progress, ProgressError};
 use super::simulated::World;
 use super::{Bench, MeasureError, Setup, rules_for};
 use crate::analysis::plant::Drive;
-use crate::analysis::sampled::{Estimator, Loop};
+use crate::analysis::sampled::{LinearEstimator, Loop};
 use crate::device_file::DeviceFile;
 use crate::link::{Board, BoardError, LinkError};
 use haptic_bridge::board::protocol::{Details, Info};
@@ -144,7 +144,7 @@ pub fn around(setup: &Setup, info: &Info, details: &Details) -> Loop {
     Loop {
         rate_hz: setup.rate_hz,
         delay_samples: (f64::from(details.delay_samples) * 1e6).round() / 1e6,
-        estimator: Estimator::Butterworth(setup.cutoff_hz),
+        estimator: LinearEstimator::Butterworth(setup.cutoff_hz),
         drive: if ideal { Drive::Ideal } else { Drive::Current { bandwidth_hz } },
         damping_compensation: false,
     }

@@ -7,7 +7,7 @@ use crate::analysis::map::Reachable;
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
 use crate::analysis::range::stiffness_at;
-use crate::analysis::sampled::{Estimator, Loop, Mode};
+use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
 use crate::bench::probe::on_surface;
 use crate::scene_file::place_of;
 use crate::vectors::{padded, padded_to};
@@ -119,7 +119,7 @@ pub fn around(scene: &Scene<f64>, wall: &Wall<f64>, delay_samples: f64) -> Optio
 }
 
 fn ideal_loop(scene: &Scene<f64>, damping_compensation: bool, delay_samples: f64) -> Option<Loop> {
-    let estimator = Estimator::of(scene.estimator, scene.cutoff_hz)?;
+    let estimator = LinearEstimator::of(scene.estimator, scene.cutoff_hz)?;
     Some(Loop { rate_hz: scene.rate_hz, delay_samples, estimator, drive: Drive::Ideal, damping_compensation })
 }
 

@@ -4,9 +4,9 @@
 //! the carrier's crest, control at every `divider`-th crest, duties in force half a carrier period later.
 
 use super::around::Around;
-use super::device::{Device, DeviceError, Options, Support};
+use super::device::{DeviceError, Options, SimulatedDevice, Support};
 use super::hand::{Hand, HandSettings};
-use super::motor::Drive;
+use super::motor::MotorInput;
 use super::port::Port;
 use haptic_bridge::board::dispatch::{self, After, Described};
 use haptic_bridge::board::protocol::{
@@ -20,7 +20,7 @@ use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::math::Minimax;
 use haptic_bridge::model::description::Description;
-use haptic_bridge::model::device::Device as BoardDevice;
+use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
 use haptic_bridge::safety::limits::{Limits, MOST_FORCE};
@@ -195,12 +195,12 @@ fn most(hardware: Hardware) -> Limits {
 pub struct SimulatedBoard {
     service: Service,
     innards: Innards,
-    device: Device,
+    device: SimulatedDevice,
     hardware: Hardware,
     countdown: u32,
     /// Counts at the last crest.
     seen: Counts,
-    drive: [Drive; 3],
+    drive: [MotorInput; 3],
     bridges: bool,
     injected: Option<(Fault, Option<u8>, f32)>,
     since_poll: f64,
@@ -219,7 +219,7 @@ pub struct SimulatedBoard {
 impl SimulatedBoard {
     /// A board fresh from the factory, with the device of `description` wired to it.
     pub fn new(description: &Description, options: BoardOptions) -> Result<Self, DeviceError> {
-        let device = Device::new(
+        let device = SimulatedDevice::new(
             description,
             &Options { absolute_encoders: options.device.absolute_encoders || !options.strict, ..options.device },
         )?;
@@ -254,7 +254,7 @@ impl SimulatedBoard {
             hardware,
             countdown: 0,
             seen,
-            drive: [Drive::Floating; 3],
+            drive: [MotorInput::Floating; 3],
             bridges: false,
             injected: None,
             since_poll: 0.0,
@@ -272,7 +272,7 @@ impl SimulatedBoard {
 
     /// Loads a device and a scene as the tool would, so that the board is ready to arm.
     pub fn load(&mut self, name: &str, description: &Description, scene: Option<Scene<f32>>) -> Result<(), Refusal> {
-        let device = BoardDevice::new(name, description).map_err(|_| Refusal::BadDevice)?;
+        let device = Device::new(name, description).map_err(|_| Refusal::BadDevice)?;
         self.service.set_device(&mut self.innards, device)?;
         match scene {
             Some(scene) => self.service.set_scene(&mut self.innards, scene),
@@ -317,9 +317,9 @@ impl SimulatedBoard {
         }
         let torques = self.innards.servo.frame().torque;
         let next = core::array::from_fn(|axis| match (self.bridges, self.innards.options.drive) {
-            (false, _) => Drive::Floating,
-            (true, DriveModel::Electric) => Drive::Duty(f64::from(duties[axis])),
-            (true, DriveModel::Ideal) => Drive::Torque(f64::from(torques[axis])),
+            (false, _) => MotorInput::Floating,
+            (true, DriveModel::Electric) => MotorInput::Duty(f64::from(duties[axis])),
+            (true, DriveModel::Ideal) => MotorInput::Torque(f64::from(torques[axis])),
         });
         let delay = (carrier * self.innards.options.delay).min(period);
         if delay > 0.0 {
@@ -490,11 +490,11 @@ impl SimulatedBoard {
     }
 
     /// The device behind the board.
-    pub fn device(&self) -> &Device {
+    pub fn device(&self) -> &SimulatedDevice {
         &self.device
     }
     /// The device behind the board, to put a hand on it or move it.
-    pub fn device_mut(&mut self) -> &mut Device {
+    pub fn device_mut(&mut self) -> &mut SimulatedDevice {
         &mut self.device
     }
     /// Seconds since power-on.
@@ -537,7 +537,7 @@ impl SimulatedBoard {
         self.innards.servo = Servo::new(self.hardware, Rules::default());
         self.innards.servo.start_heat(heat);
         self.service = Service::new(self.hardware, most(self.hardware));
-        self.drive = [Drive::Floating; 3];
+        self.drive = [MotorInput::Floating; 3];
         self.bridges = false;
         self.packer = Packer::default();
         self.support_anew();

@@ -1,8 +1,8 @@
-//! A simulated device: linkage, motors, encoders and a hand. Drive goes in; counts, currents and index marks come out.
+//! A simulated device: linkage, motors, encoders and a hand. MotorInput goes in; counts, currents and index marks come out.
 
 use super::encoder::EncoderModel;
 use super::hand::Hand;
-use super::motor::{Bridge, Drive, MotorModel};
+use super::motor::{MotorInput, MotorModel, PowerStage};
 use super::plant::{Load, Plant};
 use haptic_bridge::model::description::{Description, DescriptionError};
 
@@ -12,7 +12,7 @@ pub struct Options {
     /// Viscous and Coulomb friction of the joints act.
     pub friction: bool,
     /// The supply and the bridges.
-    pub bridge: Bridge,
+    pub bridge: PowerStage,
     /// Where the device stands at power-on, rad; the description's home when `None`.
     pub start: Option<[f64; 3]>,
     /// The encoders know their angle at power-on, as if homed; otherwise they start at zero wherever the device stands.
@@ -27,7 +27,7 @@ impl Default for Options {
     fn default() -> Self {
         Self {
             friction: true,
-            bridge: Bridge::default(),
+            bridge: PowerStage::default(),
             start: None,
             absolute_encoders: false,
             substep: 5e-6,
@@ -79,21 +79,21 @@ pub enum DeviceError {
 
 /// A simulated device.
 #[derive(Clone, Debug)]
-pub struct Device {
+pub struct SimulatedDevice {
     plant: Plant,
     motors: Vec<MotorModel>,
     encoders: Vec<EncoderModel>,
     hand: Hand,
     support: Support,
     start: [f64; 3],
-    bridge: Bridge,
+    bridge: PowerStage,
     substep: f64,
     time: f64,
     hand_force: [f64; 3],
     torque: [f64; 3],
 }
 
-impl Device {
+impl SimulatedDevice {
     /// A device at rest, its bridges floating, no hand on it.
     pub fn new(description: &Description, options: &Options) -> Result<Self, DeviceError> {
         if !(options.substep > 0.0 && options.substep.is_finite()) {
@@ -131,7 +131,7 @@ impl Device {
     }
 
     /// Lets `dt` seconds pass with each axis driven as `drive` says.
-    pub fn step(&mut self, drive: &[Drive; 3], dt: f64) {
+    pub fn step(&mut self, drive: &[MotorInput; 3], dt: f64) {
         let pieces = (dt / self.substep).ceil().max(1.0);
         let h = dt / pieces;
         for _ in 0..pieces as u64 {

@@ -9,7 +9,7 @@ use haptic_bridge::model::description::Motor;
 
 /// How one axis is driven.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub enum Drive {
+pub enum MotorInput {
     /// The bridge is off: no current, no torque, the joint turns freely.
     #[default]
     Floating,
@@ -21,7 +21,7 @@ pub enum Drive {
 
 /// The supply and the bridge of all axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Bridge {
+pub struct PowerStage {
     /// Bus voltage, V.
     pub bus_voltage: f64,
     /// Time between one switch opening and the other closing, s.
@@ -30,7 +30,7 @@ pub struct Bridge {
     pub carrier_hz: f64,
 }
 
-impl Default for Bridge {
+impl Default for PowerStage {
     /// 24 V; 20 kHz and 120 ns, as the ODrive's gate driver inserts.
     fn default() -> Self {
         Self { bus_voltage: 24.0, dead_time: 120e-9, carrier_hz: 20_000.0 }
@@ -58,21 +58,21 @@ impl MotorModel {
     /// Advances by `h` at the speed `omega` (rad/s). Returns the torque that acts (N m) and the damping (N m s/rad)
     /// that acts *beside* it: where there is no inductance, the back-EMF is handed to the integrator as damping, so that
     /// any step is stable.
-    pub fn step(&mut self, drive: Drive, omega: f64, bridge: &Bridge, h: f64) -> (f64, f64) {
+    pub fn step(&mut self, drive: MotorInput, omega: f64, bridge: &PowerStage, h: f64) -> (f64, f64) {
         let Motor { torque_constant, inductance, back_emf, .. } = self.motor;
         match drive {
-            Drive::Floating => {
+            MotorInput::Floating => {
                 // The diodes put the whole bus against what current is left.
                 let fall = if inductance > 0.0 { bridge.bus_voltage / inductance * h } else { f64::INFINITY };
                 let before = self.current;
                 self.current = before.signum() * (before.abs() - fall).max(0.0);
                 (torque_constant * 0.5 * (before + self.current), 0.0)
             }
-            Drive::Torque(torque) => {
+            MotorInput::Torque(torque) => {
                 self.current = torque / torque_constant;
                 (torque, 0.0)
             }
-            Drive::Duty(duty) => {
+            MotorInput::Duty(duty) => {
                 let duty = if duty.is_finite() { duty.clamp(-1.0, 1.0) } else { 0.0 };
                 let (voltage, resistance) = self.behind_dead_time(duty * bridge.bus_voltage, bridge);
                 if inductance > 0.0 {
@@ -92,7 +92,7 @@ impl MotorModel {
 
     /// The voltage and resistance that the winding sees: beyond its ripple the dead time is a voltage against the
     /// current, within it a resistance.
-    fn behind_dead_time(&self, voltage: f64, bridge: &Bridge) -> (f64, f64) {
+    fn behind_dead_time(&self, voltage: f64, bridge: &PowerStage) -> (f64, f64) {
         let Motor { resistance, inductance, .. } = self.motor;
         let lost = 2.0 * bridge.dead_time * bridge.carrier_hz * bridge.bus_voltage;
         // Half the peak-to-peak ripple of two-level modulation at zero duty; a winding without inductance follows the
@@ -118,13 +118,13 @@ mod tests {
         max_current: 3.0,
         verified: false,
     };
-    const IDEAL: Bridge = Bridge { bus_voltage: 24.0, dead_time: 0.0, carrier_hz: 20_000.0 };
+    const IDEAL: PowerStage = PowerStage { bus_voltage: 24.0, dead_time: 0.0, carrier_hz: 20_000.0 };
 
     #[test]
     fn a_blocked_motor_rises_to_its_stall_current_with_its_time_constant() {
         let mut motor = MotorModel::new(MOTOR);
         for _ in 0..100 {
-            motor.step(Drive::Duty(0.25), 0.0, &IDEAL, 5e-6);
+            motor.step(MotorInput::Duty(0.25), 0.0, &IDEAL, 5e-6);
         }
         // After one L/R = 0.5 ms: 1 - 1/e of 6 V / 2 ohm.
         assert!((motor.current() - 3.0 * (1.0 - (-1.0_f64).exp())).abs() < 1e-12);
@@ -133,7 +133,7 @@ mod tests {
     #[test]
     fn without_inductance_the_back_emf_is_damping() {
         let mut motor = MotorModel::new(Motor { inductance: 0.0, ..MOTOR });
-        let (torque, damping) = motor.step(Drive::Duty(0.25), 10.0, &IDEAL, 5e-6);
+        let (torque, damping) = motor.step(MotorInput::Duty(0.25), 10.0, &IDEAL, 5e-6);
         assert!((torque - 0.15).abs() < 1e-15 && (damping - 0.00125).abs() < 1e-15);
         assert!((motor.current() - (6.0 - 0.5) / 2.0).abs() < 1e-12);
     }
@@ -141,44 +141,44 @@ mod tests {
     #[test]
     fn a_floating_bridge_carries_no_current() {
         let mut motor = MotorModel::new(MOTOR);
-        motor.step(Drive::Duty(1.0), 0.0, &IDEAL, 1e-4);
+        motor.step(MotorInput::Duty(1.0), 0.0, &IDEAL, 1e-4);
         assert!(motor.current() > 1.0);
-        motor.step(Drive::Floating, 0.0, &IDEAL, 1e-4);
+        motor.step(MotorInput::Floating, 0.0, &IDEAL, 1e-4);
         assert_eq!(motor.current(), 0.0);
-        assert_eq!(motor.step(Drive::Floating, 50.0, &IDEAL, 1e-4), (0.0, 0.0));
+        assert_eq!(motor.step(MotorInput::Floating, 50.0, &IDEAL, 1e-4), (0.0, 0.0));
     }
 
     /// The current of a motor at rest, long after its duty was set, A.
-    fn settled(duty: f64, bridge: &Bridge) -> f64 {
+    fn settled(duty: f64, bridge: &PowerStage) -> f64 {
         let mut motor = MotorModel::new(MOTOR);
         for _ in 0..1000 {
-            motor.step(Drive::Duty(duty), 0.0, bridge, 5e-5);
+            motor.step(MotorInput::Duty(duty), 0.0, bridge, 5e-5);
         }
         motor.current()
     }
 
     #[test]
     fn dead_time_takes_voltage_against_the_current() {
-        let bridge = Bridge { dead_time: 1e-6, ..IDEAL };
+        let bridge = PowerStage { dead_time: 1e-6, ..IDEAL };
         // 2 x 1 us x 20 kHz x 24 V = 0.96 V of 6 V.
         assert!((settled(0.25, &bridge) - (6.0 - 0.96) / 2.0).abs() < 1e-9);
     }
 
     #[test]
     fn dead_time_is_a_resistance_to_a_current_that_changes_its_sign_in_every_period() {
-        let bridge = Bridge { dead_time: 1e-6, ..IDEAL };
+        let bridge = PowerStage { dead_time: 1e-6, ..IDEAL };
         // A ripple of 24 V / (4 x 1 mH x 20 kHz) = 0.3 A, to which 0.96 V are 3.2 ohm.
         assert!((settled(0.01, &bridge) - 0.24 / (2.0 + 3.2)).abs() < 1e-9);
         // Without inductance the current is 12 A one way and 12 A the other: 0.96 V of 24 V are missing from each.
         let mut motor = MotorModel::new(Motor { inductance: 0.0, ..MOTOR });
-        motor.step(Drive::Duty(0.25), 0.0, &bridge, 5e-6);
+        motor.step(MotorInput::Duty(0.25), 0.0, &bridge, 5e-6);
         assert!((motor.current() - 6.0 / 2.08).abs() < 1e-9);
     }
 
     #[test]
     fn a_duty_that_is_not_a_number_is_no_voltage() {
         let mut motor = MotorModel::new(MOTOR);
-        motor.step(Drive::Duty(f64::NAN), 0.0, &IDEAL, 1e-4);
+        motor.step(MotorInput::Duty(f64::NAN), 0.0, &IDEAL, 1e-4);
         assert_eq!(motor.current(), 0.0);
     }
 }

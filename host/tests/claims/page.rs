@@ -6,7 +6,7 @@
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::pose::TaskPose;
 use haptic::analysis::range::predict;
-use haptic::analysis::sampled::{Estimator, Loop};
+use haptic::analysis::sampled::{LinearEstimator, Loop};
 use haptic::device_file::DeviceFile;
 use haptic::sim::{Load, Plant, Random};
 use haptic_bridge::math::{Libm, Minimax};
@@ -228,7 +228,7 @@ pub fn stiffest(device: &Linearised) -> (f64, f64) {
     let around = Loop {
         rate_hz: RATE_HZ,
         delay_samples: 0.025,
-        estimator: Estimator::Butterworth(CUTOFF_HZ),
+        estimator: LinearEstimator::Butterworth(CUTOFF_HZ),
         drive: Drive::Ideal,
         damping_compensation: false,
     };

@@ -119,9 +119,11 @@ impl Session {
 
     fn shell(&self, command: &str) -> Command {
         let mut shell = Command::new("sh");
+        // A shell's background jobs ignore Ctrl-C and hand that down to these tests; a reader's terminal does not.
+        let heard = if cfg!(target_os = "linux") { "env --default-signal=INT" } else { "" };
         // In place of the shell, so that what ends is the command itself.
         shell
-            .args(["-c", &format!("exec {command}")])
+            .args(["-c", &format!("exec {heard} {command}")])
             .envs(self.environment.iter().cloned())
             .stdin(Stdio::null())
             .process_group(0);

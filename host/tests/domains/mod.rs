@@ -1,7 +1,7 @@
 //! The stable domains of single walls that were computed independently (tests/golden/range.json).
 
 use haptic::analysis::plant::Drive;
-use haptic::analysis::sampled::{Estimator, Loop, Mode};
+use haptic::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic::device_file::DeviceFile;
 use serde_json::Value;
 
@@ -53,7 +53,7 @@ fn case(case: &Value) -> Case {
         around: Loop {
             rate_hz: number(&case["rate"]),
             delay_samples: number(&case["delay"]),
-            estimator: Estimator::Butterworth(number(&case["cutoff"])),
+            estimator: LinearEstimator::Butterworth(number(&case["cutoff"])),
             drive: Drive::Ideal,
             damping_compensation: false,
         },
