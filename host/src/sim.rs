@@ -1,6 +1,6 @@
 //! The simulated board: the library's own servo on a nonlinear simulation of the device, its motors and a hand.
 //!
-//! [`Device`] is the physics alone (drive in; encoder counts and currents out); it also stands behind the emulated
+//! [`SimulatedDevice`] is the physics alone (drive in; encoder counts and currents out); it also stands behind the emulated
 //! chip. Nothing here reads a clock or an unseeded random number: the same inputs give the same numbers, bit for bit.
 
 mod around;

@@ -77,7 +77,7 @@ fn measured(
     let progress = folder.path().join("progress.json");
     let measure = ["measure-range", path, "--port", "sim", "--kd", &kd, "--repeats", "1", "--feed-forward", "all"];
     let still = ["--friction", "viscous", "--yes", "--progress", progress.to_str().unwrap()];
-    let document = run(&[&measure, &still, world].concat())?;
+    let document = run(&[&measure[..], &still[..], world].concat())?;
     let rows = document["points"].as_array().unwrap().iter().map(|point| {
         (point["mode"].as_str().unwrap().into(), point["kp"].as_f64(), point["theory_kp"].as_f64().unwrap())
     });

@@ -1,6 +1,7 @@
 //! Entry points that need more than one cargo call. `cargo xtask help` lists them.
 
 mod bench;
+mod build_times;
 #[path = "../../src/checksum.rs"]
 mod checksum;
 mod deny;
@@ -110,6 +111,8 @@ enum Command {
     Deny,
     /// Check the formatting of every source here, whatever declares it
     Fmt,
+    /// Build the tool anew and say what each format, view and interface adds to the time (some minutes)
+    BuildTimes,
     /// Simulated hours of contact with telemetry: nothing lost, no drift, no growth
     Soak(soak::Options),
     /// Measure ranges of stable walls on simulated boards and draw them, into docs/results.md (some minutes)
@@ -166,6 +169,7 @@ fn run(command: Command, install: bool) -> Result<()> {
         Command::Miri => undefined::miri(),
         Command::Playground { test: false } => playground::build(install).map(drop),
         Command::Playground { test: true } => playground::test(install),
+        Command::BuildTimes => build_times::print(),
         Command::Deny => deny::run(),
         Command::Fmt => format::check(),
         Command::Soak(options) => soak::run(&options, install),

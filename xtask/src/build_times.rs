@@ -1,0 +1,141 @@
+//! What each format, view and interface adds to the time that building the tool takes: cargo's own record of a clean build,
+//! summed over the crates that only this one brings.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+
+use anyhow::{Context as _, Result, ensure};
+use serde_json::Value;
+
+use crate::paths::{root, target_directory};
+use crate::toolchain::{cargo, run};
+
+/// What the tool depends on, and for what.
+const PARTS: &[(&str, &[&str])] = &[
+    ("PNG pictures", &["resvg", "dejavu"]),
+    ("command line, help, manual", &["clap", "clap_complete", "clap_mangen", "indicatif", "ctrlc"]),
+    ("`haptic monitor`", &["ratatui"]),
+    ("recordings (MCAP)", &["mcap"]),
+    ("`haptic view`, `serve --haply`", &["tungstenite", "getrandom"]),
+    ("the board's link", &["postcard-rpc", "postcard", "cobs", "serialport"]),
+    ("device and scene files", &["toml", "serde_json"]),
+];
+
+/// Builds the tool anew, in a directory of its own, and prints a table in Markdown.
+pub fn print() -> Result<()> {
+    let fresh = target_directory().join("build-times");
+    if fresh.exists() {
+        fs::remove_dir_all(&fresh).with_context(|| format!("cannot empty {}", fresh.display()))?;
+    }
+    run(cargo()
+        .current_dir(root())
+        .args(["build", "--release", "--locked", "--package", "haptic", "--timings", "--target-dir"])
+        .arg(&fresh))?;
+    let report = fresh.join("cargo-timings/cargo-timing.html");
+    let page = fs::read_to_string(&report).with_context(|| format!("cannot read {}", report.display()))?;
+    let seconds = durations(&page)?;
+    let graph = Graph::read()?;
+    let total: f64 = seconds.values().sum();
+    println!("| part | crates that only it brings | seconds of one core |\n|---|--:|--:|");
+    for (part, crates) in PARTS {
+        let own = graph.only(crates);
+        let spent: f64 = own.iter().filter_map(|name| seconds.get(name)).sum();
+        println!("| {part} | {} | {spent:.0} |", own.len());
+    }
+    let ours: f64 = ["haptic", "haptic-bridge"].iter().filter_map(|name| seconds.get(*name)).sum();
+    println!("| this repository's own code | | {ours:.0} |\n| all of it | {} | {total:.0} |", seconds.len());
+    Ok(())
+}
+
+/// Seconds by crate, from the list of units in cargo's report.
+fn durations(page: &str) -> Result<BTreeMap<String, f64>> {
+    let list = page.split_once("UNIT_DATA = ").and_then(|(_, rest)| rest.split_once("];")).map(|(list, _)| list);
+    let list = list.context("cargo's report has no list of units")?;
+    let units: Vec<Value> = serde_json::from_str(&format!("{list}]")).context("cargo's list of units is no JSON")?;
+    let mut seconds = BTreeMap::new();
+    for unit in &units {
+        let (name, spent) = (unit["name"].as_str(), unit["duration"].as_f64());
+        *seconds.entry(name.context("a unit without a name")?.to_owned()).or_default() +=
+            spent.context("a unit without a duration")?;
+    }
+    Ok(seconds)
+}
+
+/// Which crate needs which, by name; two versions of a crate are one.
+struct Graph(BTreeMap<String, BTreeSet<String>>);
+
+impl Graph {
+    fn read() -> Result<Self> {
+        let output = cargo()
+            .current_dir(root())
+            .args([
+                "tree",
+                "--locked",
+                "--package",
+                "haptic",
+                "--edges",
+                "normal,build",
+                "--prefix",
+                "depth",
+                "--no-dedupe",
+            ])
+            .output()
+            .context("cannot run cargo tree")?;
+        ensure!(output.status.success(), "cargo tree failed ({})", output.status);
+        let mut graph: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+        let mut above: Vec<String> = Vec::new();
+        for line in String::from_utf8_lossy(&output.stdout).lines() {
+            let digits = line.bytes().take_while(u8::is_ascii_digit).count();
+            let Ok(depth) = line[..digits].parse::<usize>() else { continue };
+            let name = line[digits..].split_whitespace().next().unwrap_or_default().to_owned();
+            above.truncate(depth);
+            if let Some(parent) = above.last() {
+                graph.entry(parent.clone()).or_default().insert(name.clone());
+            }
+            above.push(name);
+        }
+        Ok(Self(graph))
+    }
+
+    /// What the tool needs, without its own dependencies `except`.
+    fn reached(&self, except: &[&str]) -> BTreeSet<&str> {
+        let mut found = BTreeSet::new();
+        let mut open = vec!["haptic"];
+        while let Some(name) = open.pop() {
+            if !found.insert(name) {
+                continue;
+            }
+            let needs = self.0.get(name).into_iter().flatten().map(String::as_str);
+            open.extend(needs.filter(|need| name != "haptic" || !except.contains(need)));
+        }
+        found
+    }
+
+    /// The crates that the tool would do without if it did without these.
+    fn only(&self, crates: &[&str]) -> BTreeSet<String> {
+        let without = self.reached(crates);
+        self.reached(&[]).difference(&without).map(|name| (*name).to_owned()).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_another_needs_too_is_not_counted() {
+        let needs = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
+        let graph = Graph(BTreeMap::from([
+            ("haptic".into(), needs(&["a", "b"])),
+            ("a".into(), needs(&["shared", "own"])),
+            ("b".into(), needs(&["shared"])),
+        ]));
+        assert_eq!(graph.only(&["a"]), needs(&["a", "own"]));
+    }
+
+    #[test]
+    fn units_of_one_crate_are_added() {
+        let page = r#"x const UNIT_DATA = [{"name":"a","duration":1.5},{"name":"a","duration":0.25}]; y"#;
+        assert_eq!(durations(page).unwrap(), BTreeMap::from([("a".into(), 1.75)]));
+    }
+}
