@@ -21,7 +21,7 @@ use haptic::plot::Picture;
 use haptic::plot::range::{Contents, MeasuredPoint, draw};
 use haptic::sim::Hand;
 use haptic_bridge::model::admissible::Admissible;
-use haptic_bridge::model::description::Motor;
+use haptic_bridge::model::description::{EncoderAt, Motor, Transmission};
 use haptic_bridge::render::scene::FeedForward;
 
 use crate::boards::BoardKind;
@@ -47,6 +47,22 @@ const TORQUE_LIMIT: f64 = 0.4;
 /// Its half bridges cost no dead time, which acts on a small swing as friction does.
 const BOARD: BoardKind = BoardKind::HBridgeF405;
 
+/// A cable at each joint, against whose motor it is this stiff (Hz) and so much damped (share of the critical).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cable {
+    /// Frequency of the motor on the cable, Hz.
+    pub hz: f64,
+    /// Share of critical damping.
+    pub damped: f64,
+}
+
+/// The cables of docs/results/complete.md.
+pub const CABLE: Cable = Cable { hz: 400.0, damped: 0.05 };
+/// Where the walls with cables are measured: this share of the way to where the range ends.
+const CABLE_SHARE: f64 = 0.35;
+/// Of the washout, Hz.
+const WASHOUT_HZ: f64 = 2.0;
+
 /// Control rate and the cutoff of the velocity filter, Hz.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rate {
@@ -58,17 +74,23 @@ pub struct Rate {
 
 /// What is measured at: the tests' rate first, then one at which the drive's lag is an eighth of a sample.
 pub const RATES: [Rate; 2] = [Rate { rate_hz: 1000.0, cutoff_hz: 20.0 }, Rate { rate_hz: 5000.0, cutoff_hz: 100.0 }];
+/// At what walls are measured with cables.
+pub const CABLE_RATES: [Rate; 3] = [
+    Rate { rate_hz: 1000.0, cutoff_hz: 100.0 },
+    Rate { rate_hz: 5000.0, cutoff_hz: 200.0 },
+    Rate { rate_hz: 20_000.0, cutoff_hz: 500.0 },
+];
 /// A current loop that lags as the board's, which makes a current within a carrier period: the default of `haptic range
 /// --drive current`, Hz.
 const CURRENT_BANDWIDTH: f64 = 6400.0;
 
-/// The device on the bench.
+/// The device on the bench, rigid or with cables.
 ///
 /// # Panics
 ///
 /// When the shipped file is gone.
 #[must_use]
-pub fn device() -> DeviceFile {
+pub fn device(cable: Option<Cable>) -> DeviceFile {
     let mut file = device_file("coupled-five-bar");
     file.description.home = Some(POSE);
     for joint in &mut file.description.joints[..2] {
@@ -78,6 +100,11 @@ pub fn device() -> DeviceFile {
             encoder.counts_per_turn = COUNTS_PER_TURN;
         }
         joint.motor = Some(MOTOR);
+        joint.transmission = cable.map(|Cable { hz, damped }| {
+            let stiffness = joint.inertia * (core::f64::consts::TAU * hz).powi(2);
+            let damping = 2.0 * damped * (stiffness * joint.inertia).sqrt();
+            Transmission { stiffness, damping, motor_inertia: joint.inertia, encoder_at: EncoderAt::Motor }
+        });
     }
     file
 }
@@ -90,7 +117,7 @@ pub fn device() -> DeviceFile {
 #[must_use]
 pub fn normal() -> Vec<f64> {
     let any = unit_normal(&[1.0, 0.0], 2, 2).expect("a unit vector");
-    let point = map::at_holding(&device().description, &POSE[..2], &any, Admissible::default());
+    let point = map::at_holding(&device(None).description, &POSE[..2], &any, Admissible::default());
     point.expect("a sound device").expect("a regular pose").worst_ratio.normal
 }
 
@@ -101,8 +128,8 @@ pub fn normal() -> Vec<f64> {
 ///
 /// When the board refuses anything.
 #[must_use]
-pub fn bench() -> Rig {
-    let mut rig = Rig::with_file(BOARD, device(), |options| {
+pub fn bench(cable: Option<Cable>) -> Rig {
+    let mut rig = Rig::with_file(BOARD, device(cable), |options| {
         options.friction = false;
         options.substep = 25e-6;
         options.start = Some(POSE);
@@ -116,13 +143,15 @@ pub fn bench() -> Rig {
     rig
 }
 
-/// Measures on `rig`: `job` is handed a bench whose device is free, the wall's motors alone holding it.
+/// Measures on `rig`, whose device has these cables: `job` is handed a bench whose device is free, the wall's motors alone
+/// holding it.
 ///
 /// # Errors
 ///
 /// What ends a measurement early.
 pub fn on<T>(
     rig: &mut Rig,
+    cable: Option<Cable>,
     rate: Rate,
     job: impl FnOnce(&mut Bench<'_>) -> Result<T, MeasureError>,
 ) -> Result<T, MeasureError> {
@@ -130,12 +159,12 @@ pub fn on<T>(
         walls: vec![Member::new(normal(), 1.0)],
         rate_hz: rate.rate_hz,
         cutoff_hz: rate.cutoff_hz,
-        washout_hz: 2.0,
+        washout_hz: WASHOUT_HZ,
         torque_limit: TORQUE_LIMIT,
         largest_pull: 1e-3,
         law: Law::default(),
     };
-    let (file, shared) = (device(), rig.shared.clone());
+    let (file, shared) = (device(cable), rig.shared.clone());
     let mut bench = Bench::new(&mut rig.tool, &file, setup, &|| false)?;
     shared.board().with(|bench| {
         bench.hardware().plant.device().expect("a simulated device").set_hand(Hand::none());
@@ -152,7 +181,7 @@ pub fn on<T>(
 ///
 /// When the theory refuses the loop.
 #[must_use]
-pub fn predicted(rate: Rate, delay_samples: f64, kd: Option<&[f64]>) -> Range {
+pub fn predicted(cable: Option<Cable>, rate: Rate, delay_samples: f64, kd: Option<&[f64]>) -> Range {
     let around = Loop {
         rate_hz: rate.rate_hz,
         delay_samples,
@@ -160,8 +189,9 @@ pub fn predicted(rate: Rate, delay_samples: f64, kd: Option<&[f64]>) -> Range {
         drive: Drive::Current { bandwidth_hz: CURRENT_BANDWIDTH },
         damping_compensation: false,
     };
-    let linear = Linearised::at(&device().description, &POSE[..2], &normal()).expect("a regular pose");
-    predict(&linear, &around, kd, None).expect("the loop can be analysed")
+    let linear = Linearised::at(&device(cable).description, &POSE[..2], &normal()).expect("a regular pose");
+    let washout = cable.map(|_| WASHOUT_HZ);
+    predict(&linear, &around, kd, washout).expect("the loop can be analysed")
 }
 
 /// Dampings and repeats of the whole measurement.
@@ -187,17 +217,49 @@ pub fn delay_samples(rig: &mut Rig, rate: Rate) -> f64 {
 ///
 /// What ends a measurement early.
 pub fn whole(rate: Rate, mode: FeedForward, mut told: impl FnMut(usize)) -> Result<(Progress, f64), MeasureError> {
-    let mut rig = bench();
+    let mut rig = bench(None);
     let delay = delay_samples(&mut rig, rate);
     let plan = Plan { modes: vec![mode], kd: None, points: POINTS, repeats: REPEATS };
     let mut progress = Progress::new("the emulated chip");
-    on(&mut rig, rate, |bench| {
+    on(&mut rig, None, rate, |bench| {
         campaign::run(bench, &plan, &mut progress, |_, done| {
             told(done);
             Ok(())
         })
     })?;
     Ok((progress, delay))
+}
+
+/// A wall's largest stable stiffness with cables at `rate`, for one damping and each feed-forward: rows of the table in
+/// docs/results/complete.md.
+///
+/// # Errors
+///
+/// What ends a measurement early.
+pub fn with_cables(rate: Rate) -> Result<String, MeasureError> {
+    let cable = Some(CABLE);
+    let mut rig = bench(cable);
+    let delay = delay_samples(&mut rig, rate);
+    let range = predicted(cable, rate, delay, None);
+    let kd = CABLE_SHARE * range.off.kd_max.min(range.full.kd_max);
+    let theory = predicted(cable, rate, delay, Some(&[kd]));
+    let modes = vec![FeedForward::Off, FeedForward::Full, FeedForward::Washout];
+    let plan = Plan { modes: modes.clone(), kd: Some(vec![kd]), points: 1, repeats: 1 };
+    let mut progress = Progress::new("the emulated chip, with cables");
+    on(&mut rig, cable, rate, |bench| campaign::run(bench, &plan, &mut progress, |_, _| Ok(())))?;
+    let mut rows = String::new();
+    for mode in modes {
+        let predicted = theory.of(mode).boundary.first().map_or(f64::NAN, |point| point.kp);
+        let found = progress.of(mode).first().map_or(f64::NAN, |point| point.median());
+        let Rate { rate_hz, cutoff_hz } = rate;
+        let apart = 100.0 * (found / predicted - 1.0);
+        let _ = writeln!(
+            rows,
+            "| {rate_hz}, {cutoff_hz} Hz | {kd:.3} | {} | {found:.0} | {predicted:.0} | {apart:+.1} % |",
+            mode.name()
+        );
+    }
+    Ok(rows)
 }
 
 /// ∫ kp dkd of medians at the middles of even cells, N² s/m².
@@ -225,13 +287,13 @@ pub fn introduction(occasion: &str) -> String {
 /// The part of docs/results.md for a whole measurement at `rate`, and its picture.
 #[must_use]
 pub fn section(rate: Rate, progress: &Progress, delay: f64) -> (String, Picture) {
-    let range = predicted(rate, delay, None);
+    let range = predicted(None, rate, delay, None);
     let mut rows = String::new();
     let mut furthest: f64 = 0.0;
     for mode in [FeedForward::Off, FeedForward::Full] {
         let points = progress.of(mode);
         let kd: Vec<f64> = points.iter().map(|point| point.kd).collect();
-        let at = predicted(rate, delay, Some(&kd));
+        let at = predicted(None, rate, delay, Some(&kd));
         let top = range.of(mode).boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
         for (point, theory) in points.iter().zip(&at.of(mode).boundary) {
             let (low, high) = point.bounds();

@@ -121,7 +121,11 @@ enum Command {
         cases: Vec<String>,
     },
     /// Measure the range of stable walls on the emulated board, into docs/results.md (half an hour)
-    Range,
+    Range {
+        /// Instead print what it is with cables at the joints (docs/results/complete.md)
+        #[arg(value_parser = PossibleValuesParser::new(["cables"]))]
+        part: Option<String>,
+    },
     /// Bring every fault about on the emulated board, into docs/results/faults.md (an hour)
     Faults {
         /// Only these, by code or name, and only print what came of them; `list`: how each is brought about, or why it
@@ -174,7 +178,7 @@ fn run(command: Command, install: bool) -> Result<()> {
         Command::Fmt => format::check(),
         Command::Soak(options) => soak::run(&options, install),
         Command::Figures { cases } => report::figures(&cases),
-        Command::Range => tests::measure("range", &[], install),
+        Command::Range { part } => tests::measure("range", part.as_slice(), install),
         Command::Faults { faults } => tests::measure("faults", &faults, install),
         Command::Board { rest } => tests::play(&rest, install),
     }

@@ -1,5 +1,6 @@
 //! `range`: measures the whole range of stable walls on the emulated chip, without and with the feed-forward, and
 //! writes its section of docs/results.md and its pictures. `cargo xtask range` calls it; it takes some ten minutes.
+//! `range cables` prints the rows of docs/results/complete.md instead.
 //!
 //! Exit code 1: it could not be measured or written.
 
@@ -8,14 +9,15 @@ use std::process::ExitCode;
 
 use haptic::measure::progress::Progress;
 use haptic_bridge::render::scene::FeedForward;
-use virtual_board::range::{POINTS, RATES, REPEATS, Rate, introduction, section, whole};
+use virtual_board::range::{self, CABLE_RATES, POINTS, RATES, REPEATS, Rate, introduction, section, whole};
 
 /// Where the section begins and ends.
 const BEGIN: &str = "<!-- range on the chip: begin, written by cargo xtask range -->\n";
 const END: &str = "<!-- range on the chip: end -->";
 
 fn main() -> ExitCode {
-    match run() {
+    let cables = std::env::args().nth(1).is_some_and(|part| part == "cables");
+    match if cables { with_cables() } else { run() } {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("range: {error}");
@@ -41,6 +43,16 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
     let (_, after) = rest.split_once(END).ok_or("docs/results.md lacks the mark where the section ends")?;
     std::fs::write(&results, format!("{before}{BEGIN}{text}{END}{after}"))?;
     println!("{text}");
+    Ok(())
+}
+
+/// Prints what is measured with cables at the joints, rate by rate.
+fn with_cables() -> Result<(), Box<dyn std::error::Error>> {
+    println!("| rate, cutoff | kd, N s/m | feed-forward | measured, N/m | predicted, N/m | off by |");
+    println!("|---|---|---|---|---|---|");
+    for rate in CABLE_RATES {
+        print!("{}", range::with_cables(rate)?);
+    }
     Ok(())
 }
 

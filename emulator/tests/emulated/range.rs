@@ -11,12 +11,12 @@ const AGREEMENT: f64 = 0.07;
 const SHARES: [f64; 3] = [0.2, 0.4, 0.6];
 
 fn lies_where_theory_says(feed_forward: FeedForward) {
-    let mut rig = bench();
+    let mut rig = bench(None);
     let delay = delay_samples(&mut rig, RATES[0]);
-    let end = predicted(RATES[0], delay, None).of(feed_forward).kd_max;
+    let end = predicted(None, RATES[0], delay, None).of(feed_forward).kd_max;
     let kd = SHARES.map(|share| share * end);
-    let theory = predicted(RATES[0], delay, Some(&kd));
-    on(&mut rig, RATES[0], |bench| {
+    let theory = predicted(None, RATES[0], delay, Some(&kd));
+    on(&mut rig, None, RATES[0], |bench| {
         for point in &theory.of(feed_forward).boundary {
             for strength in [1.0, 0.7] {
                 let below = bench.oscillates(feed_forward, point.kp * (1.0 - AGREEMENT), point.kd, strength)?;
