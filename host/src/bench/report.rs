@@ -263,9 +263,7 @@ pub fn page(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, Failure> {
 fn estimators(every: &[(Device<f64>, Vec<Variant>)]) -> String {
     let mut text = String::from(
         "\n## Velocity estimators\n\n\
-         Instructions of the whole step with one wall and its feed-forward (`minimax`, closed form), by the estimator of the wall's\n\
-         velocity (docs/model.md section 3). Those from `difference` on watch each joint and go by the general step; windows are as\n\
-         long as they can be, and full.\n\n| estimator |",
+         Instructions of the step with a wall and its feed-forward (docs/model.md section 3); windows at their longest.\n\n| estimator |",
     );
     let mechanisms: Vec<&str> = every.iter().map(|(device, _)| device.mechanism.kind().spec().name).collect();
     let _ = writeln!(text, " {} |\n|---|{}", mechanisms.join(" | "), "---:|".repeat(mechanisms.len()));
