@@ -82,11 +82,31 @@ pub fn start() -> Peripherals {
 /// the time. Fetching ahead does not work in revision A.
 fn accelerate() {
     let prefetch = pac::DBGMCU.idcode().read().dev_id() == NOT_REVISION_A;
-    pac::FLASH.acr().modify(|w| {
+    let control = pac::FLASH.acr();
+    // Both caches empty, which they can be made only while they are off.
+    control.modify(|w| {
+        w.set_icrst(true);
+        w.set_dcrst(true);
+    });
+    control.modify(|w| {
+        w.set_icrst(false);
+        w.set_dcrst(false);
+    });
+    control.modify(|w| {
         w.set_icen(true);
         w.set_dcen(true);
         w.set_prften(prefetch);
     });
+}
+
+/// Empties the cache of constants: after a sector was erased, which it knows nothing of (RM0090 section 3.5.2). embassy's
+/// driver does so on chips with two banks alone.
+pub fn forget_constants() {
+    let control = pac::FLASH.acr();
+    control.modify(|w| w.set_dcen(false));
+    control.modify(|w| w.set_dcrst(true));
+    control.modify(|w| w.set_dcrst(false));
+    control.modify(|w| w.set_dcen(true));
 }
 
 /// The clock tree, and all DMA interrupts below the control interrupt.

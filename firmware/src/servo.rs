@@ -189,7 +189,16 @@ impl Step {
         self.seen.counts = self.io.counts();
         self.countdown -= 1;
         let steps = self.countdown == 0;
+        // Of no interest while the motors are off.
+        let overran = core::mem::take(&mut self.overrun) && self.driving;
+        if overran {
+            self.servo.trip(Fault::ControlOverrun, None, OVERRUNS.load(Ordering::Relaxed) as f32);
+        }
         if steps {
+            // Right behind the counts that they belong to.
+            self.seen.index = self.io.index();
+        }
+        if steps && !overran {
             compiled::render(&mut self.servo, &self.seen.counts, &mut self.rendered);
         }
         // The converters have worked meanwhile.
@@ -200,19 +209,23 @@ impl Step {
         let mut outputs = compiled::guard(&mut self.servo, &self.seen);
         if steps {
             self.countdown = self.io.carrier().divider;
-            self.seen.index = self.io.index();
             outputs = compiled::act(&mut self.servo, &self.seen, &self.rendered);
             self.connect(outputs.bridges);
         } else if !outputs.bridges {
             self.connect(false);
         }
-        let came_late = too_late();
+        let mut came_late = too_late();
         self.late = if came_late { LATE_CRESTS } else { self.late.saturating_sub(1) };
         let late = self.late > 0;
         compiled::legs(&mut self.servo, &self.seen, late, self.io.carrier(), &mut self.legs);
         self.pending = late && !past_valley();
         if !self.pending {
             self.io.write(&self.legs);
+        }
+        if !late && past_valley() {
+            // The duties took longer than they were given, and come too late after all.
+            came_late = true;
+            self.late = LATE_CRESTS;
         }
         // What the motors do not wait for.
         if steps {
@@ -271,12 +284,8 @@ impl Step {
     /// What hardware or time say is wrong; only of interest while the motors are on.
     #[inline(always)]
     fn hardware_fault(&mut self, fresh: bool) -> Option<(Fault, Option<u8>, f32)> {
-        let overrun = core::mem::take(&mut self.overrun);
         if !self.driving {
             return None;
-        }
-        if overrun {
-            return Some((Fault::ControlOverrun, None, OVERRUNS.load(Ordering::Relaxed) as f32));
         }
         if !fresh {
             return Some((Fault::SensorStale, None, 0.0));

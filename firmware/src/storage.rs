@@ -9,6 +9,8 @@ use embedded_storage_async::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
 use haptic_bridge::board::storage::{self, LONGEST_STORED};
 use static_cell::ConstStaticCell;
 
+use crate::clock;
+
 /// Sectors 1 and 2, as offsets into the region of 16 KB sectors (memory.x reserves them).
 const RANGE: core::ops::Range<u32> = 0x4000..0xC000;
 
@@ -39,7 +41,9 @@ impl NorFlash for Sectors {
     const ERASE_SIZE: usize = 16 * 1024;
 
     async fn erase(&mut self, from: u32, to: u32) -> Result<(), FlashError> {
-        self.0.blocking_erase(from, to)
+        let erased = self.0.blocking_erase(from, to);
+        clock::forget_constants();
+        erased
     }
 
     async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), FlashError> {
