@@ -1,4 +1,4 @@
-//! A simulated device: linkage, motors, encoders and a hand. MotorInput goes in; counts, currents and index marks come out.
+//! A simulated device: linkage, motors, encoders and a hand. Drive goes in; counts, currents and index marks come out.
 
 use super::encoder::EncoderModel;
 use super::hand::Hand;
