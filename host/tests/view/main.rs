@@ -144,8 +144,11 @@ fn the_wall_buzzes_without_the_feed_forward_and_is_quiet_with_it() {
         page.say(gains);
         page.say(json!({"do": "hand", "at": [below(0), below(1)]}));
         page.play(1.5);
-        assert!(page.picture["numbers"]["depth"].as_f64().unwrap() > 0.0, "{}", page.picture);
-        assert!(page.picture["numbers"]["force"].as_f64().unwrap() > 2.0, "{}", page.picture);
+        // At one moment or another: a wall that buzzes lets go of the tip many times a second.
+        page.until("a wall that is pressed", |page| {
+            let number = |name: &str| page.picture["numbers"][name].as_f64().unwrap();
+            number("depth") > 0.0 && number("force") > 2.0
+        });
         page.picture["numbers"]["ripple"].as_f64().unwrap()
     };
     let (washout, off, full) = (ripple("washout"), ripple("off"), ripple("full"));
