@@ -19,10 +19,10 @@ fn torques<M: Mechanism<f32, N>, const N: usize>(
     criterion: &mut Criterion,
     mechanism: &M,
     model: &Precomputed,
+    law: Law,
     probes: &[haptic::bench::probe::Probe],
 ) {
     let mass = MassModel::<f32, N>::new::<M>(&model.data).expect("a model of this mechanism");
-    let law = Law::of(&Scene::default()).expect("the default cutoff");
     for terms in Terms::ALL {
         let name = format!("{}, {}, {}", M::SPEC.name, model.name(), terms.name());
         let mut next = probes.iter().cycle();
@@ -42,9 +42,10 @@ fn every_variant(criterion: &mut Criterion) {
         let mut models = vec![Precomputed::default(), frozen(&device, &probes)];
         models.extend(table(&device, Interpolation::Bilinear, [points; 2], range));
         models.extend(table(&device, Interpolation::Bicubic, [points; 2], range));
+        let law = Law::of(&Scene::default(), &device).expect("the default cutoff");
         let board = device.mechanism.cast::<f32>();
         for model in &models {
-            with_mechanism!(&board, mechanism => torques(criterion, mechanism, model, &probes));
+            with_mechanism!(&board, mechanism => torques(criterion, mechanism, model, law, &probes));
         }
     }
 }

@@ -129,7 +129,7 @@ fn plan_on(
         return Ok(Plan { scene, mass, terms: Terms::None, instructions, errors, candidates: Vec::new(), reasons });
     }
 
-    let (wanted, law) = (scene.velocity_terms, Law::of(&scene)?);
+    let (wanted, law) = (scene.velocity_terms, Law::of(&scene, device)?);
     let used_of = |terms| if terms == Terms::FeedForwardZ { wanted } else { VelocityTerms::Off };
     let mut ways = Vec::new();
     for mass in models(device, &probes) {

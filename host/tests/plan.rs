@@ -117,7 +117,7 @@ fn the_error_holds_at_poses_the_planner_did_not_look_at() {
         let plan = plan(&device, &file.scene, Budget::Percent(budget), speed).unwrap();
         let elsewhere = touched(&device, &file.scene, other, speed).unwrap();
         assert!(elsewhere.len() > 50, "{name}: {} situations", elsewhere.len());
-        let law = Law::of(&file.scene).unwrap();
+        let law = Law::of(&file.scene, &device).unwrap();
         let errors = errors(&device, &elsewhere, &plan.mass, plan.terms, Trigonometry::Minimax, law).unwrap().given;
         assert!(100.0 * errors.share.max <= budget, "{name}: {errors:?}");
     }

@@ -279,7 +279,7 @@ impl Service {
     }
 
     /// Changes gains while the scene runs. Refused as a whole when any part of it cannot be.
-    pub fn set_gains(&mut self, machine: &mut impl Machine, request: &GainsRequest) -> Result<(), Refusal> {
+    pub fn set_gains<Mc: Machine>(&mut self, machine: &mut Mc, request: &GainsRequest) -> Result<(), Refusal> {
         let device = self.device.as_ref().ok_or(Refusal::NoDevice)?;
         let scene = self.scene.as_mut().ok_or(Refusal::NoScene)?;
         let mut changed = scene.clone();
@@ -300,7 +300,7 @@ impl Service {
         changed.check(device.mechanism.kind().spec().task).map_err(Refusal::Scene)?;
         let rate = changed.rate_hz;
         // Everything that can be refused comes before anything that acts.
-        let coefficients = Coefficients::new(changed.estimator, rate, changed.cutoff_hz)
+        let coefficients = Coefficients::of_device::<Mc::Math>((changed.estimator, rate, changed.cutoff_hz), device)
             .map_err(|_| Refusal::Scene(SceneError::Cutoff))?;
         if let Some(gains) = request.wall {
             let washout = match gains.feed_forward {

@@ -19,6 +19,7 @@ use crate::render::scene::{Admissible, FeedForward, MAX_WALLS, Posture, Scene, S
 use crate::render::velocity::{Coefficients, Washout};
 use core::marker::PhantomData;
 use encoders::Encoders;
+pub use encoders::beyond;
 use guidance::{Beside, Guidance};
 use heapless::Vec;
 use nalgebra::SVector;
@@ -145,10 +146,10 @@ struct Prepared<T: Real> {
 
 /// Checks a scene and designs its filters. Not inlined: the mechanisms share it.
 #[inline(never)]
-fn prepare<T: Real>(scene: &Scene<T>, task: usize) -> Result<Prepared<T>, SceneError> {
+fn prepare<T: Real, K: Math<T>>(device: &Device<T>, scene: &Scene<T>, task: usize) -> Result<Prepared<T>, SceneError> {
     scene.check(task)?;
-    let coefficients =
-        Coefficients::new(scene.estimator, scene.rate_hz, scene.cutoff_hz).map_err(|_| SceneError::Cutoff)?;
+    let coefficients = Coefficients::of_device::<K>((scene.estimator, scene.rate_hz, scene.cutoff_hz), device)
+        .map_err(|_| SceneError::Cutoff)?;
     let (walls, mut guidance) = (Walls::new(scene)?, Guidance::new(scene));
     guidance.agree(walls.others());
     Ok(Prepared { coefficients, walls, guidance })
@@ -160,7 +161,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// Errors: whatever [`Scene::check`] finds.
     #[inline(never)]
     pub fn new(mechanism: M, device: &Device<T>, scene: &Scene<T>) -> Result<Self, SceneError> {
-        let Prepared { coefficients, walls, guidance } = prepare(scene, M::SPEC.task)?;
+        let Prepared { coefficients, walls, guidance } = prepare::<T, K>(device, scene, M::SPEC.task)?;
         if scene.posture.is_some() && M::SPEC.task == N {
             return Err(SceneError::Posture);
         }
@@ -437,7 +438,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
     /// b without gravity: c - M J⁻¹(J̇ q̇ + κ), and B q̇ where a wall asks for it; and what of it the walls shall meet:
     /// all of it by the paper's (4), B q̇ alone where the force is rendered whatever moves. Zero when the scene has no
-    /// velocity terms, and where the estimate lags too far behind for them, see [`KNOWN_TURN`].
+    /// velocity terms, where nothing moves by more than single counts, and where the estimate lags too far behind, see
+    /// [`KNOWN_TURN`].
     #[inline(never)]
     fn bias(
         &self,
@@ -448,6 +450,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     ) -> (SVector<T, N>, SVector<T, N>) {
         let mut b = SVector::zeros();
         if self.velocity_terms != VelocityTerms::Off {
+            let qd = &self.encoders.certain(qd);
             b = self.mechanism.velocity_torque(pose, qd);
             if M::SPEC.task > 1 && self.walls.curved {
                 let velocity = task_part::<T, M, N>(&self.mechanism.velocity(pose, qd));

@@ -15,6 +15,8 @@ mod predicted;
 mod washout;
 
 use crate::math::{Math, Real};
+use crate::model::catalogue::MAX_JOINTS;
+use crate::model::device::Device;
 pub use adaptive_window::AdaptiveWindow;
 pub use alpha_beta::AlphaBeta;
 pub use cutoff::BadCutoff;
@@ -27,6 +29,10 @@ pub use washout::Washout;
 
 /// Most samples that an estimator looks back.
 pub const LONGEST_WINDOW: usize = 32;
+
+/// Most periods after which an estimate of one count is looked for: the peak of the slowest low-pass that a scene may
+/// ask for, 1 Hz at 20 kHz, lies at 3536.
+const LONGEST_RISE: usize = 4096;
 
 /// What `cutoff_hz` is to an estimator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -257,6 +263,8 @@ pub struct Coefficients<T: Real> {
     first: T,
     /// s, see [`Coefficients::lag`].
     lag: T,
+    /// rad/s, see [`Coefficients::one_count`].
+    one_count: [T; MAX_JOINTS],
     /// Of one that watches joints.
     joints: Option<Design<T>>,
     /// Whether a low-pass stands behind that.
@@ -296,9 +304,52 @@ impl<T: Real> Coefficients<T> {
             a3: g * g * a1,
             first,
             lag: slope / rate_hz,
+            one_count: [T::zero(); MAX_JOINTS],
             joints: design.map(|(design, _)| design),
             filtered,
         })
+    }
+
+    /// As [`Coefficients::new`], with what single counts of the device's encoders make of joint velocities. Tries that
+    /// count by count, so not for use inside the step.
+    #[inline(never)]
+    pub fn of_device<K: Math<T>>(
+        (kind, rate_hz, cutoff_hz): (Estimator, T, T),
+        device: &Device<T>,
+    ) -> Result<Self, BadCutoff> {
+        let mut coefficients = Self::new(kind, rate_hz, cutoff_hz)?;
+        for (i, joint) in device.joints.iter().enumerate().take(MAX_JOINTS) {
+            let speed = joint.radians_per_count.abs() * rate_hz;
+            coefficients.one_count[i] = speed * coefficients.seen_of_one_count::<K>(speed * rate_hz);
+        }
+        Ok(coefficients)
+    }
+
+    /// The largest velocity (counts per period) after one count and then none, for a joint of which a count per period²
+    /// is `acceleration` (rad/s²).
+    fn seen_of_one_count<K: Math<T>>(&self, acceleration: T) -> T {
+        let unit = if acceleration > T::zero() { T::one() / acceleration } else { T::zero() };
+        let (mut behind, mut joint) = (LowPass::default(), JointVelocity::default());
+        let mut most = T::zero();
+        for period in 0..LONGEST_RISE {
+            let moved = if period == 1 { T::one() } else { T::zero() };
+            let velocity = if self.at_joints() {
+                joint.step::<K>(self, &Seen { moved, pushed: T::zero(), unit }, T::zero())
+            } else {
+                behind.step(self, moved)
+            };
+            if velocity.abs() * T::from_f64(2.0) < most {
+                break;
+            }
+            most = most.greater(velocity.abs());
+        }
+        most
+    }
+
+    /// The largest velocity (rad/s) that the estimate of each joint shows of one single count, after rest: what cannot
+    /// be told from standing still. Zero where no device is known.
+    pub fn one_count(&self) -> &[T; MAX_JOINTS] {
+        &self.one_count
     }
 
     /// How far an estimated velocity lags behind, s.

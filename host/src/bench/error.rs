@@ -14,7 +14,7 @@ use haptic_bridge::model::inertia::{frame_rate, shaped_torque_beside};
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::model::precomputed::MassModel;
 use haptic_bridge::model::solve::solve_symmetric;
-use haptic_bridge::render::controller::known_share;
+use haptic_bridge::render::controller::{beyond, known_share};
 use haptic_bridge::render::scene::{Scene, VelocityTerms};
 use haptic_bridge::render::velocity::Coefficients;
 use haptic_bridge::with_mechanism;
@@ -51,26 +51,33 @@ impl Terms {
     }
 }
 
-/// The law of the velocity terms, and how far behind the estimated velocities are from which they are computed.
+/// The law of the velocity terms, and what the estimated velocities are like from which they are computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Law {
     /// Which; `Off` is judged as `Rendered`, by what it leaves out.
     pub terms: VelocityTerms,
-    /// s
+    /// How far behind they are, s.
     pub lag: f64,
+    /// What one encoder count makes of each at most, rad/s.
+    pub one_count: [f64; MAX_JOINTS],
 }
 
 impl Law {
-    /// Of a scene. Fails where its cutoff does not go with its rate.
-    pub fn of(scene: &Scene<f64>) -> Result<Self, Failure> {
-        let estimator = Coefficients::new(scene.estimator, scene.rate_hz, scene.cutoff_hz)
+    /// Of a scene on a device. Fails where its cutoff does not go with its rate.
+    pub fn of(scene: &Scene<f64>, device: &Device<f64>) -> Result<Self, Failure> {
+        let estimator = Coefficients::of_device::<Libm>((scene.estimator, scene.rate_hz, scene.cutoff_hz), device)
             .map_err(|_| Failure::wrong("the cutoff must lie between 0 and half the control rate"))?;
-        Ok(Self { terms: scene.velocity_terms, lag: estimator.lag() })
+        Ok(Self { terms: scene.velocity_terms, lag: estimator.lag(), one_count: *estimator.one_count() })
     }
 
-    /// The same from velocities that are known at once, where nothing fades.
+    /// The same from velocities that are known at once and exactly, where nothing fades.
     fn whole(self) -> Self {
-        Self { lag: 0.0, ..self }
+        Self { lag: 0.0, one_count: [0.0; MAX_JOINTS], ..self }
+    }
+
+    /// The joint velocities of `probe` from which the velocity terms are computed, rad/s.
+    fn velocities<T: Real, const N: usize>(self, probe: &Probe) -> SVector<T, N> {
+        SVector::from_fn(|i, _| beyond(T::from_f64(probe.qd[i]), T::from_f64(self.one_count[i])))
     }
 
     /// The shares of `probes` in which the velocity terms act with less than their whole, and not at all.
@@ -86,7 +93,7 @@ impl Law {
     /// The share of the velocity terms that acts in a situation.
     fn share<M: Mechanism<f64, N>, const N: usize>(self, mechanism: &M, probe: &Probe) -> f64 {
         let pose = mechanism.pose::<Libm>(&SVector::from_fn(|i, _| probe.q[i]));
-        known_share(&mechanism.regularity(&pose), &SVector::<f64, N>::from_fn(|i, _| probe.qd[i]), self.lag)
+        known_share(&mechanism.regularity(&pose), &self.velocities::<f64, N>(probe), self.lag)
     }
 }
 
@@ -166,10 +173,10 @@ pub fn torque<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
         let shaping = mass.shaping(mechanism, values, &q, &pose, &n);
         let mut b = SVector::zeros();
         if terms == Terms::FeedForwardZ {
-            let tip =
-                SVector::from_fn(|i, _| if i < M::SPEC.task { T::from_f64(probe.velocity[i]) } else { T::zero() });
+            let qd = law.velocities(probe);
+            let mut tip = mechanism.velocity(&pose, &qd);
+            (M::SPEC.task..N).for_each(|i| tip[i] = T::zero());
             let turning = -frame_rate(&n, &vector(&probe.normal_rate), &tip);
-            let qd = vector(&probe.qd);
             b = mechanism.velocity_torque(&pose, &qd) + mechanism.shaping(&pose, &turning).me;
             b *= known_share(&mechanism.regularity(&pose), &qd, T::from_f64(law.lag));
         }

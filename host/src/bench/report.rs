@@ -81,14 +81,14 @@ fn probes(device: &Device<f64>) -> Vec<Probe> {
 }
 
 /// As a scene has it that says nothing.
-fn law() -> Result<Law, Failure> {
-    Law::of(&Scene::default())
+fn law(device: &Device<f64>) -> Result<Law, Failure> {
+    Law::of(&Scene::default(), device)
 }
 
 /// Every variant of `device`; `timed` adds what this computer takes.
 pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failure> {
     let spec = device.mechanism.kind().spec();
-    let (probes, law) = (probes(device), law()?);
+    let (probes, law) = (probes(device), law(device)?);
     let (points, range) = (most_points(device), range(device, &probes));
     let mut models = vec![Precomputed::default(), frozen(device, &probes)];
     models.extend(table(device, Interpolation::Bilinear, [points; 2], range));
@@ -196,7 +196,6 @@ fn time<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
 
 /// The page: one table per mechanism, of the variants on the chip.
 pub fn page(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, Failure> {
-    let law = law()?;
     let mut text = String::from(
         "# Speed against error\n\n\
          Made by `cargo xtask bench`; do not edit. What each way of computing the control step costs on the chip, and what error\n\
@@ -212,7 +211,8 @@ pub fn page(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, Failure> {
          \x20 the trigonometry's error, and what these do to the *tip*'s position times a wall of 20 kN/m.\n\
          - **Fade**: what the velocity terms lack near singular poses counts as left out, as estimates of velocities lag (docs/model.md\n\
          \x20 section 2): here as a scene has them that says nothing, 20 kHz and a cutoff of 500 Hz. A slower rate or cutoff leaves\n\
-         \x20 more. Where they are off, a variant with them is one without.\n\
+         \x20 more. Where they are off, a variant with them is one without. What they lack because single encoder counts are no motion\n\
+         \x20 counts as left out, too.\n\
          - **Area**: the stable area of stiffness and damping that is left of that with the exact feed-forward, at the worst situation.\n\
          - **Duty**: all of the torque's error in steps of the duty (4200 at 20 kHz, 24 V bus, the device's own motors): below one is free.\n\
          - **F** marks the Pareto front of each mechanism: nothing there is both cheaper and nearer to the force that\n\
@@ -222,7 +222,7 @@ pub fn page(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, Failure> {
     for (device, variants) in every {
         let _ = writeln!(text, "\n## {} ({})\n", device.mechanism.kind().spec().name, device.name);
         let probes = probes(device);
-        let (step, [faded, off]) = (encoder_step(device, &probes), law.fading(device, &probes));
+        let (step, [faded, off]) = (encoder_step(device, &probes), law(device)?.fading(device, &probes));
         let _ = writeln!(
             text,
             "One encoder step moves the tip by up to {:.1} µm: {:.1e} N at 20 kN/m. The velocity terms fade in {:.1} % of the \

@@ -92,7 +92,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         }
     };
     // At rest no law of motion matters.
-    let law = Law::of(&Scene::default())?;
+    let law = Law::of(&Scene::default(), &device)?;
     let errors = errors(&device, &probes, &made, Terms::FeedForward, Trigonometry::Minimax, law)?.whole;
     let document = serde_json::json!({
         "device": device.name, "kind": made.name(), "model": made.data, "values": made.values, "errors": errors,

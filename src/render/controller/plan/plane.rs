@@ -62,6 +62,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
                 if near >= T::from_f64(FULL_REGULARITY) {
                     let shaping = self.mechanism.shaping(&pose, &contact.normal);
                     step.torque = if self.biased {
+                        let qd = self.encoders.certain(&qd);
                         let mut b = self.mechanism.velocity_torque(&pose, &qd);
                         b *= self.known(&pose, &qd);
                         let met = if self.velocity_terms == VelocityTerms::Paper { b } else { SVector::zeros() };

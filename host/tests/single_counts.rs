@@ -1,0 +1,121 @@
+//! Single encoder counts are no motion: the velocity terms, which grow with the square of it, do not act on them.
+
+use haptic::device_file::DeviceFile;
+use haptic_bridge::math::Libm;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::Mechanism;
+use haptic_bridge::render::controller::Controller;
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
+use haptic_bridge::render::velocity::Estimator;
+use haptic_bridge::with_mechanism;
+use nalgebra::SVector;
+use std::f64::consts::TAU;
+use std::path::{Path, PathBuf};
+
+fn devices() -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices");
+    let mut files: Vec<_> = folder.read_dir().unwrap().map(|entry| entry.unwrap().path()).collect();
+    files.retain(|file| file.extension().is_some_and(|extension| extension == "toml"));
+    files.sort();
+    files
+}
+
+/// A plane through the tip that pushes both ways, with the feed-forward in full.
+fn scene(tip: &[f64], task: usize, estimator: Estimator, velocity_terms: VelocityTerms) -> Scene<f64> {
+    let mut scene =
+        Scene { task: task as u8, rate_hz: 20_000.0, cutoff_hz: 500.0, estimator, velocity_terms, ..Scene::default() };
+    let length = (task as f64).sqrt();
+    let at = |i: usize, value: f64| if i < task { value } else { 0.0 };
+    let normal = std::array::from_fn(|i| at(i, 1.0 / length));
+    let point = std::array::from_fn(|i| if i < task { tip[i] + 0.002 * normal[i] } else { 0.0 });
+    let wall = Wall {
+        surface: Surface::Plane(Plane { point, normal }),
+        stiffness: 100.0,
+        damping: 0.0,
+        feed_forward: FeedForward::Full,
+        washout_hz: 2.0,
+        damping_compensation: false,
+        bilateral: true,
+    };
+    scene.walls.push(wall).unwrap();
+    scene
+}
+
+/// The largest torque (N m) that the velocity terms add while a joint after the other moves by one count and rests.
+fn added<M: Mechanism<f64, N>, const N: usize>(mechanism: &M, device: &Device<f64>, estimator: Estimator) -> f64 {
+    let home = device.home.unwrap_or_default();
+    let scale = |i: usize| device.joints[i].radians_per_count;
+    let mut counts: [i32; N] = std::array::from_fn(|i| ((home[i] - device.joints[i].offset) / scale(i)).round() as i32);
+    let tip = mechanism.tip(&mechanism.pose::<Libm>(&SVector::from_fn(|i, _| home[i])));
+    let of = |terms| {
+        let scene = scene(tip.as_slice(), M::SPEC.task, estimator, terms);
+        Controller::<f64, _, Libm, N>::new(mechanism.clone(), device, &scene).unwrap()
+    };
+    let (mut with, mut without) = (of(VelocityTerms::Rendered), of(VelocityTerms::Off));
+    let mut most = 0.0_f64;
+    for period in 0..400 * (N + 1) {
+        if period % 400 == 399 && period / 400 < N {
+            counts[period / 400] += 1;
+        }
+        let [with, without] = [with.step(&counts), without.step(&counts)];
+        assert_eq!(with.contacts, 1);
+        most = most.max((with.torque - without.torque).amax());
+    }
+    most
+}
+
+#[test]
+fn velocity_terms_do_not_act_on_single_counts() {
+    let mut seen = 0;
+    for path in devices() {
+        let device = DeviceFile::load(path.clone()).unwrap().device().unwrap();
+        for (name, estimator) in Estimator::ALL {
+            let most = with_mechanism!(&device.mechanism, m => added(m, &device, *estimator));
+            assert!(most < 1e-9, "{}, {name}: {most} N m of one count", path.display());
+            seen += 1;
+        }
+    }
+    assert!(seen >= 9 * 8, "{seen}");
+}
+
+/// The mean torques (N m) of the velocity terms over the periods of the last count while a five-bar's joints turn evenly.
+fn of_turning(counts_per_turn: f64, speed: f64) -> SVector<f64, 2> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices/coupled-five-bar.toml");
+    let mut known = DeviceFile::load(folder).unwrap().description;
+    for joint in &mut known.joints[..2] {
+        joint.encoder.as_mut().unwrap().counts_per_turn = counts_per_turn;
+    }
+    let device = Device::<f64>::new("turning", &known).unwrap();
+    let haptic_bridge::model::mechanism::AnyMechanism::FiveBar(mechanism) = device.mechanism else { panic!() };
+    let start = [2.6, 1.75];
+    let tip = mechanism.tip(&mechanism.pose::<Libm>(&SVector::from(start)));
+    let of = |terms| {
+        let scene = scene(tip.as_slice(), 2, Estimator::Butterworth, terms);
+        Controller::<f64, _, Libm, 2>::new(mechanism, &device, &scene).unwrap()
+    };
+    let (mut with, mut without) = (of(VelocityTerms::Rendered), of(VelocityTerms::Off));
+    let (periods, window) = (600, 200);
+    let mut sum = SVector::zeros();
+    for period in 0..periods {
+        let turned = speed * f64::from(period) / 20_000.0;
+        let counts = [start[0] + turned, start[1] - turned].map(|q| (q / TAU * counts_per_turn).floor() as i32);
+        let added = with.step(&counts).torque - without.step(&counts).torque;
+        if period >= periods - window {
+            sum += added / f64::from(window);
+        }
+    }
+    sum
+}
+
+/// Of a motion of twelve counts' worth 1/12² is missing of each velocity, twice that of a product of two.
+#[test]
+fn velocity_terms_act_on_a_motion() {
+    // A 2nd-order Butterworth's answer to a step of its input's integral: ω e^(-π/4) sin(π/4) √2 at its largest.
+    let doubt = TAU / 20_000.0 * TAU * 500.0 * (-std::f64::consts::FRAC_PI_4).exp();
+    let [coarse, fine] = [20_000.0, 16_777_216.0].map(|counts| of_turning(counts, 12.0 * doubt));
+    assert!(fine.amax() > 0.01, "{fine}");
+    assert!((coarse - fine).amax() < 0.03 * fine.amax(), "{coarse} for {fine}");
+    // At rest but for a count now and then next to nothing is left.
+    let slow = of_turning(20_000.0, 0.1 * doubt);
+    assert!(slow.amax() < 1e-4 * fine.amax(), "{slow}");
+}
