@@ -231,7 +231,7 @@ impl Described for Panel {
 
     fn details(&mut self) -> Details {
         // A few late steps (a new program, a change of gains) are no delay; many are.
-        let late = servo::LATE.load(Ordering::Relaxed) > servo::STEPS.load(Ordering::Relaxed) / 100;
+        let late = servo::LATE_SHARE.load(Ordering::Relaxed) > servo::WHOLE / 4;
         let delay = self.carrier.delay_samples();
         Details {
             name: String::new(),

@@ -11,7 +11,7 @@
 //! which the current loops are told.
 
 use core::cell::UnsafeCell;
-use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicI32, AtomicU32, Ordering};
 
 use cortex_m::peripheral::DWT;
 use embassy_stm32::interrupt;
@@ -80,8 +80,13 @@ pub static STREAM_DIVIDER: AtomicU32 = AtomicU32::new(0);
 pub static FRAMES_DROPPED: AtomicU32 = AtomicU32::new(0);
 /// Steps that reached past the next crest.
 pub static OVERRUNS: AtomicU32 = AtomicU32::new(0);
-/// Steps whose duties came after the valley where they should have applied.
-pub static LATE: AtomicU32 = AtomicU32::new(0);
+/// The share of steps whose duties apply half a carrier period later than usual, over some [`LATE_WINDOW`] steps, in
+/// parts of [`WHOLE`].
+pub static LATE_SHARE: AtomicI32 = AtomicI32::new(0);
+/// All of it.
+pub const WHOLE: i32 = 1 << 24;
+/// Steps over which that share is taken: a fifth of a second at 20 kHz.
+const LATE_WINDOW: i32 = 4096;
 /// Longest run of the interrupt at a crest, core cycles.
 pub static LONGEST_CYCLES: AtomicU32 = AtomicU32::new(0);
 /// The gate drivers are up and set: the bridges may be connected, and while they are not, no current flows.
@@ -177,29 +182,31 @@ fn TIM1_UP_TIM10() {
             step.take(request);
         }
     } else {
-        step.crest();
+        step.crest(began);
         step.keep_time(DWT::cycle_count().wrapping_sub(began));
     }
 }
 
 impl Step {
-    /// Everything there is to do at a crest.
+    /// Everything there is to do at a crest, whose interrupt `began` at that cycle.
     #[inline(always)]
-    fn crest(&mut self) {
+    fn crest(&mut self, began: u32) {
         self.seen.counts = self.io.counts();
         self.countdown -= 1;
         let steps = self.countdown == 0;
         // Of no interest while the motors are off.
-        let overran = core::mem::take(&mut self.overrun) && self.driving;
-        if overran {
-            self.servo.trip(Fault::ControlOverrun, None, OVERRUNS.load(Ordering::Relaxed) as f32);
-        }
+        let mut overran = core::mem::take(&mut self.overrun) && self.driving;
         if steps {
             // Right behind the counts that they belong to.
             self.seen.index = self.io.index();
         }
         if steps && !overran {
             compiled::render(&mut self.servo, &self.seen.counts, &mut self.rendered);
+            // What the converters have by now may belong to the next crest.
+            overran = self.driving && self.outlasted(DWT::cycle_count().wrapping_sub(began));
+        }
+        if overran {
+            self.servo.trip(Fault::ControlOverrun, None, OVERRUNS.load(Ordering::Relaxed).wrapping_add(1) as f32);
         }
         // The converters have worked meanwhile.
         let fresh = self.io.analog(&mut self.seen);
@@ -210,12 +217,10 @@ impl Step {
         if steps {
             self.countdown = self.io.carrier().divider;
             outputs = compiled::act(&mut self.servo, &self.seen, &self.rendered);
-            self.connect(outputs.bridges);
-        } else if !outputs.bridges {
-            self.connect(false);
         }
-        let mut came_late = too_late();
-        self.late = if came_late { LATE_CRESTS } else { self.late.saturating_sub(1) };
+        // At every crest: current loops that ran while their bridges float would wind up.
+        self.connect(outputs.bridges);
+        self.late = if too_late() { LATE_CRESTS } else { self.late.saturating_sub(1) };
         let late = self.late > 0;
         compiled::legs(&mut self.servo, &self.seen, late, self.io.carrier(), &mut self.legs);
         self.pending = late && !past_valley();
@@ -224,12 +229,13 @@ impl Step {
         }
         if !late && past_valley() {
             // The duties took longer than they were given, and come too late after all.
-            came_late = true;
             self.late = LATE_CRESTS;
         }
         // What the motors do not wait for.
         if steps {
-            LATE.store(LATE.load(Ordering::Relaxed).wrapping_add(u32::from(came_late)), Ordering::Relaxed);
+            let share = LATE_SHARE.load(Ordering::Relaxed);
+            let now = if self.late > 0 { WHOLE } else { 0 };
+            LATE_SHARE.store(share + (now - share) / LATE_WINDOW, Ordering::Relaxed);
             self.record();
             STEPS.store(self.servo.steps(), Ordering::Relaxed);
         }
@@ -311,12 +317,18 @@ impl Step {
         if cycles > LONGEST_CYCLES.load(Ordering::Relaxed) {
             LONGEST_CYCLES.store(cycles, Ordering::Relaxed);
         }
-        let crest_passed = pac::TIM1.sr().read().uif() && !past_valley();
-        // Core and timer count at the same frequency.
-        if crest_passed || cycles > 2 * u32::from(self.io.carrier().top) {
+        if self.outlasted(cycles) {
             self.overrun = true;
             OVERRUNS.store(OVERRUNS.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
         }
+    }
+
+    /// Whether a run of so many core cycles reaches past the crest after the one where it began.
+    #[inline(always)]
+    fn outlasted(&self, cycles: u32) -> bool {
+        let crest_passed = pac::TIM1.sr().read().uif() && !past_valley();
+        // Core and timer count at the same frequency.
+        crest_passed || cycles > 2 * u32::from(self.io.carrier().top)
     }
 }
 

@@ -52,6 +52,25 @@ fn a_reset_of_an_armed_board_turns_the_bridges_off_and_leaves_them_off() {
     }
 }
 
+/// A current loop that runs while its bridge floats winds up: at 200 Hz for up to a hundred carrier periods, if the bridges
+/// waited for the next control step.
+#[test]
+fn an_armed_board_drives_from_the_next_crest_on_at_every_rate() {
+    for rate in [200, 1_000] {
+        let mut rig = Rig::with_device(BoardKind::HBridgeF405, "pantograph-mk2", |_| ());
+        rig.load(&format!("rate_hz = {rate}\ncutoff_hz = 50\n{WALL}"));
+        rig.ready();
+        for _ in 0..5 {
+            rig.tool.disarm().expect("the board disarms");
+            rig.run(7 * MILLISECOND + 300 * MICROSECOND);
+            assert!(rig.with(off), "disarmed");
+            rig.tool.arm().expect("the board arms");
+            rig.run(60 * MICROSECOND);
+            assert!(!rig.with(off), "{rate} Hz: armed, and the bridges float");
+        }
+    }
+}
+
 /// DBGMCU's freeze registers for the two peripheral buses, and their bits (RM0090 section 38.16.4 and 38.16.5).
 const APB1_FREEZE: u32 = 0x08;
 const APB2_FREEZE: u32 = 0x0C;
