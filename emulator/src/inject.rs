@@ -23,7 +23,7 @@ use crate::contact::WallAt;
 use crate::hands::{firm, hold, push, wander};
 use crate::image::{CODE, SETTINGS};
 use crate::rig::{Rig, device_file, firmware};
-use crate::run::{Bench, MICROSECOND, MILLISECOND, SECOND};
+use crate::run::{MICROSECOND, MILLISECOND, SECOND, StoppedBoard};
 
 /// How a fault is brought about.
 pub enum Injection {
@@ -109,18 +109,18 @@ pub fn run_instead(rig: &Rig, pool: &str, code: impl FnOnce(u32) -> Vec<u32>) {
     let image = firmware(rig.kind);
     let pool = image.find_ending(pool).expect("the task");
     let (from, to) = image.text();
-    let place = rig.with(move |bench| {
+    let place = rig.with(move |stopped| {
         let is_code = |word: u32| word & 1 == 1 && (from..to).contains(&u64::from(word));
         let mut words = (0..pool.size / 4).map(|nth| pool.address + 4 * nth);
-        words.find_map(|at| bench.word(at).filter(|word| is_code(*word)).map(|word| (at, word)))
+        words.find_map(|at| stopped.word(at).filter(|word| is_code(*word)).map(|word| (at, word)))
     });
     let (at, task) = place.expect("the task's poll function");
     let code = code(task);
-    rig.with(move |bench| {
+    rig.with(move |stopped| {
         for (to, word) in (FREE_RAM..).step_by(4).zip(code) {
-            assert!(bench.poke(to, word), "there is RAM");
+            assert!(stopped.poke(to, word), "there is RAM");
         }
-        bench.poke(at, FREE_RAM as u32 | 1);
+        stopped.poke(at, FREE_RAM as u32 | 1);
     });
 }
 
@@ -132,21 +132,22 @@ const NMI_WAITS: u64 = NMI_FLAG + 4;
 /// waits for the flag's word and writes that into ICSR, whose top bit pends the non-maskable interrupt.
 fn wired_to_nmi() -> Rig {
     let rig = in_contact();
-    rig.with(|bench| [NMI_FLAG, NMI_WAITS].map(|at| assert!(bench.poke(at, 0), "there is RAM")));
+    rig.with(|stopped| [NMI_FLAG, NMI_WAITS].map(|at| assert!(stopped.poke(at, 0), "there is RAM")));
     // ldr r2, =flag; movs r3, #1; str r3, [r2, #4]; again: ldr r3, [r2]; cmp r3, #0; beq again; ldr r2, =ICSR;
     // str r3, [r2]; b .; nop; and the two addresses.
     let stub = vec![0x2301_4A04, 0x6813_6053, 0xD0FC_2B00, 0x6013_4A02, 0xBF00_E7FE, NMI_FLAG as u32, 0xE000_ED04];
     run_instead(&rig, SUPERVISOR, |_| stub);
-    let waits = rig.shared.board().run_until(50 * MILLISECOND, MILLISECOND, |bench| bench.word(NMI_WAITS) == Some(1));
+    let waits =
+        rig.shared.board().run_until(50 * MILLISECOND, MILLISECOND, |stopped| stopped.word(NMI_WAITS) == Some(1));
     assert!(waits, "the supervisor runs every 20 ms");
     rig
 }
 
 /// Does something to a board and presses its reset button.
-fn restarting(rig: &mut Rig, cause: impl FnOnce(&mut Bench<'_>) + Send + 'static) {
+fn restarting(rig: &mut Rig, cause: impl FnOnce(&mut StoppedBoard<'_>) + Send + 'static) {
     rig.with(cause);
     rig.run(MICROSECOND);
-    rig.with(|bench| bench.reset());
+    rig.with(|stopped| stopped.reset());
 }
 
 /// The supervisor, which feeds the watchdog.
@@ -163,9 +164,9 @@ pub fn injection(fault: Fault) -> Injection {
             in_contact,
             |rig| {
                 after_crest(rig, 5);
-                rig.with(|bench| bench.hold(true));
+                rig.with(|stopped| stopped.hold(true));
                 rig.run(55 * MICROSECOND);
-                rig.with(|bench| bench.hold(false));
+                rig.with(|stopped| stopped.hold(false));
             },
             5,
         ),
@@ -189,7 +190,7 @@ pub fn injection(fault: Fault) -> Injection {
             "encoders unplugged while a motor pushes at its limit",
             in_contact,
             |rig| {
-                rig.with(|bench| bench.hardware().encoders_unplugged = [true; 3]);
+                rig.with(|stopped| stopped.hardware().encoders_unplugged = [true; 3]);
                 rules(rig, |rules| rules.limits.current = [0.15; 3]);
             },
             6_000,
@@ -199,7 +200,7 @@ pub fn injection(fault: Fault) -> Injection {
             free,
             |rig| {
                 rules(rig, |rules| rules.limits.speed = [4.0; 3]);
-                rig.with(|bench| bench.hardware().encoders_unplugged = [true; 3]);
+                rig.with(|stopped| stopped.hardware().encoders_unplugged = [true; 3]);
                 pushed_by(rig, [3.0, 3.0, 0.0]);
             },
             2_000,
@@ -209,7 +210,7 @@ pub fn injection(fault: Fault) -> Injection {
             "20 encoder edges lost between two passes of the index mark",
             marked,
             |rig| {
-                rig.with(|bench| bench.hardware().edges_lost[0] = 20);
+                rig.with(|stopped| stopped.hardware().edges_lost[0] = 20);
                 rig.with_simulated(|device| sweep(device, -SWEEP, SWEEP));
             },
             2_000,
@@ -230,7 +231,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a current sensor shows 8 A more",
             in_contact,
             |rig| {
-                rig.with(|bench| bench.hardware().broken.sensor_extra[..2].fill(8.0));
+                rig.with(|stopped| stopped.hardware().broken.sensor_extra[..2].fill(8.0));
             },
             5,
         ),
@@ -268,7 +269,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a gate driver pulls its fault line",
             in_contact,
             |rig| {
-                rig.with(|bench| bench.hardware().driver(1).fail(1 << 2));
+                rig.with(|stopped| stopped.hardware().driver(1).fail(1 << 2));
             },
             5,
         ),
@@ -282,10 +283,10 @@ pub fn injection(fault: Fault) -> Injection {
                 rig
             },
             |rig| {
-                rig.with(|bench| {
+                rig.with(|stopped| {
                     for at in (0x2000_0000..0x2002_0000).step_by(4) {
-                        if bench.word(at) == Some(MARK.to_bits()) {
-                            bench.poke(at, f32::NAN.to_bits());
+                        if stopped.word(at) == Some(MARK.to_bits()) {
+                            stopped.poke(at, f32::NAN.to_bits());
                         }
                     }
                 });
@@ -348,7 +349,7 @@ pub fn injection(fault: Fault) -> Injection {
                 rig
             },
             |rig| {
-                restarting(rig, |bench| bench.flip_in_flash(SETTINGS, b"second name"));
+                restarting(rig, |stopped| stopped.flip_in_flash(SETTINGS, b"second name"));
             },
             500,
         ),
@@ -356,7 +357,7 @@ pub fn injection(fault: Fault) -> Injection {
             "the break line pulled down",
             || free_on(BoardKind::HBridgeF405),
             |rig| {
-                rig.with(|bench| bench.hardware().fault_line_shorted = true);
+                rig.with(|stopped| stopped.hardware().fault_line_shorted = true);
             },
             5,
         ),
@@ -402,7 +403,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a converter that is no longer triggered",
             in_contact,
             |rig| {
-                rig.with(|bench| bench.hardware().chip.converters[0].hook.stopped = true);
+                rig.with(|stopped| stopped.hardware().chip.converters[0].hook.stopped = true);
             },
             5,
         ),
@@ -410,7 +411,7 @@ pub fn injection(fault: Fault) -> Injection {
             "one of a motor's two shunts shows nothing while a hand pushes with 2.5 N",
             || pressed(2.5),
             |rig| {
-                rig.with(|bench| bench.hardware().broken.sensor_gain[0] = 0.0);
+                rig.with(|stopped| stopped.hardware().broken.sensor_gain[0] = 0.0);
             },
             5,
         ),
@@ -418,9 +419,9 @@ pub fn injection(fault: Fault) -> Injection {
             "both current sensors of a motor show nothing",
             in_contact,
             |rig| {
-                rig.with(|bench| {
-                    bench.hardware().broken.sensor_gain[0] = 0.0;
-                    bench.hardware().broken.sensor_gain[1] = 0.0;
+                rig.with(|stopped| {
+                    stopped.hardware().broken.sensor_gain[0] = 0.0;
+                    stopped.hardware().broken.sensor_gain[1] = 0.0;
                 });
             },
             50,
@@ -429,7 +430,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a gate driver forgets its registers where nothing pushes",
             free,
             |rig| {
-                rig.with(|bench| bench.hardware().driver(0).forget());
+                rig.with(|stopped| stopped.hardware().driver(0).forget());
             },
             50,
         ),
@@ -437,7 +438,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a bridge that stands at 20 % before arming",
             disarmed,
             |rig| {
-                rig.with(|bench| bench.hardware().broken.stuck_on[0] = Some(0.2));
+                rig.with(|stopped| stopped.hardware().broken.stuck_on[0] = Some(0.2));
                 let _ = rig.tool.check_polarity();
             },
             500,
@@ -446,10 +447,10 @@ pub fn injection(fault: Fault) -> Injection {
             "the crystal stops",
             wired_to_nmi,
             |rig| {
-                rig.with(|bench| {
-                    let at = VirtualNanos(bench.at);
-                    if bench.hardware().chip.stop_crystal(at) {
-                        bench.poke(NMI_FLAG, 1 << 31);
+                rig.with(|stopped| {
+                    let at = VirtualNanos(stopped.at);
+                    if stopped.hardware().chip.stop_crystal(at) {
+                        stopped.poke(NMI_FLAG, 1 << 31);
                     }
                 });
             },
@@ -459,16 +460,16 @@ pub fn injection(fault: Fault) -> Injection {
             "the chip's 3.3 V fall to 2.7 V for 100 µs",
             in_contact,
             |rig| {
-                rig.with(|bench| bench.supply(2700));
+                rig.with(|stopped| stopped.supply(2700));
                 rig.run(100 * MICROSECOND);
-                rig.with(|bench| bench.supply(3300));
+                rig.with(|stopped| stopped.supply(3300));
             },
             5,
         ),
         Fault::ImageDamaged => chip(
             "one bit of the image in flash flipped, then a reset",
             disarmed,
-            |rig| restarting(rig, |bench| bench.flip_in_flash(CODE, b"odrive-v3")),
+            |rig| restarting(rig, |stopped| stopped.flip_in_flash(CODE, b"odrive-v3")),
             500,
         ),
         Fault::RamDamaged => chip(
@@ -477,9 +478,9 @@ pub fn injection(fault: Fault) -> Injection {
             |rig| {
                 restarting(rig, |_| ());
                 rig.run(MILLISECOND);
-                rig.with(|bench| {
-                    let word = bench.word(SPOILT).expect("there is RAM");
-                    bench.poke(SPOILT, word ^ 1 << 7);
+                rig.with(|stopped| {
+                    let word = stopped.word(SPOILT).expect("there is RAM");
+                    stopped.poke(SPOILT, word ^ 1 << 7);
                 });
             },
             500,
@@ -559,15 +560,15 @@ fn swapped() -> Rig {
 /// Runs to `microseconds` after a crest.
 fn after_crest(rig: &Rig, microseconds: u64) {
     let now = rig.now();
-    let crest = rig.with(|bench| bench.hardware().chip.advanced[0].hook.crest()).expect("the carrier runs");
+    let crest = rig.with(|stopped| stopped.hardware().chip.advanced[0].hook.crest()).expect("the carrier runs");
     let period = 50 * MICROSECOND;
     let next = crest + ((now - crest) / period + 1) * period + microseconds * MICROSECOND;
     rig.run(next - now);
 }
 
 /// Whether every bridge floats and the power stages are disabled.
-pub fn off(bench: &mut Bench<'_>) -> bool {
-    bench.hardware().bridges_float()
+pub fn off(stopped: &mut StoppedBoard<'_>) -> bool {
+    stopped.hardware().bridges_float()
 }
 
 /// Brings `fault` about and watches what comes of it: latched, bridges off, arming refused, cleared only when asked
@@ -581,7 +582,7 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     let Injection::Chip { ready, cause, within, .. } = injection(fault) else { return None };
     let name = fault.name();
     let mut rig = ready();
-    let resets = rig.with(|bench| bench.resets().len());
+    let resets = rig.with(|stopped| stopped.resets().len());
     let before = rig.steps();
     let began = rig.now();
     cause(&mut rig);
@@ -597,9 +598,9 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
         seen.unwrap_or_else(|| panic!("{name}: bridges are still on after {within} ms: {:?}", rig.tool.status()));
     rig.run(20 * MILLISECOND);
     // A chip that restarted enumerates anew.
-    let ready_again = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |bench| bench.usb().ready());
+    let ready_again = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready());
     assert!(ready_again, "{name}: the port is gone");
-    let restarted = rig.with(|bench| bench.resets().len()) > resets;
+    let restarted = rig.with(|stopped| stopped.resets().len()) > resets;
     if restarted {
         rig.tool = Board::over(rig.shared.wire(), "again").unwrap_or_else(|error| panic!("{name}: {error}"));
     }
