@@ -24,7 +24,7 @@ use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::precomputed::TABLE_VALUES;
 use crate::safety::fault::{Fault, FaultRecord, State};
-use crate::servo::frame::{Frame, Now, Outputs, Rendered, Samples};
+use crate::servo::frame::{Now, Outputs, Rendered, Samples, StepRecord};
 use crate::servo::joints::{Counts, Currents, Duties, Torques};
 use crate::servo::program::Hardware;
 use crate::servo::program::Program;
@@ -138,8 +138,8 @@ where
 
     /// What telemetry records of the last step, with the present state.
     #[inline(always)]
-    pub fn frame(&self) -> Frame {
-        Frame::of(&self.now, self.state)
+    pub fn frame(&self) -> StepRecord {
+        StepRecord::of(&self.now, self.state)
     }
 
     /// Control steps since boot, wrapping.
