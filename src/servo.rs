@@ -68,8 +68,9 @@ pub struct Servo<P> {
     fault: Option<FaultRecord>,
     now: Now,
     period: f32,
-    /// What acted before the scene, on its way out, and what the last step commanded.
+    /// What acted before the present scene, while it fades out.
     fade: fade::Fade,
+    /// What the last step commanded.
     acted: fade::Acted,
     /// What each joint may be asked for.
     most_torque: Torques,
