@@ -24,7 +24,7 @@ use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::precomputed::TABLE_VALUES;
 use crate::safety::fault::{Fault, FaultRecord, State};
-use crate::servo::frame::{Frame, Now, Outputs, Rendered, Samples};
+use crate::servo::frame::{Now, Outputs, Rendered, Samples, StepRecord};
 use crate::servo::joints::{Counts, Currents, Duties, Torques};
 use crate::servo::program::Hardware;
 use crate::servo::program::Program;
@@ -68,8 +68,9 @@ pub struct Servo<P> {
     fault: Option<FaultRecord>,
     now: Now,
     period: f32,
-    /// What acted before the scene, on its way out, and what the last step commanded.
+    /// What acted before the present scene, while it fades out.
     fade: fade::Fade,
+    /// What the last step commanded.
     acted: fade::Acted,
     /// What each joint may be asked for.
     most_torque: Torques,
@@ -138,8 +139,8 @@ where
 
     /// What telemetry records of the last step, with the present state.
     #[inline(always)]
-    pub fn frame(&self) -> Frame {
-        Frame::of(&self.now, self.state)
+    pub fn frame(&self) -> StepRecord {
+        StepRecord::of(&self.now, self.state)
     }
 
     /// Control steps since boot, wrapping.

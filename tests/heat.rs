@@ -364,3 +364,60 @@ fn heat_that_nobody_knows_stays_unknown_over_a_restart() {
         assert!((held - half).abs() < 0.01 * half, "{first} A, then {then} A: {held} A² s, not {half}");
     }
 }
+
+#[test]
+fn a_hot_motor_cools_while_it_is_off_and_stays_hot_when_a_device_is_loaded_anew() {
+    let mut rig = heated();
+    rig.execute(Command::Clear).unwrap();
+    rig.turn(0, 0.0, 1.0);
+    rig.load(&paddle(), &scene(1, &[wall(-0.005, 290.0)]), false).unwrap();
+    rig.settle();
+    rig.execute(Command::Home).unwrap();
+    rig.settle();
+    rig.execute(Command::PolarityKnown).unwrap();
+    let press = |rig: &mut Rig, seconds: f32| {
+        rig.arm();
+        rig.turn(0, -0.15, 1.0);
+        rig.tremble(seconds);
+    };
+    press(&mut rig, 0.5);
+    assert_eq!(rig.fault(), Some(Fault::ThermalBudget), "it had no time to cool");
+
+    // The budget is (3² - 1²) A² for 4 s; at rest it gains 1 A² every second.
+    rig.execute(Command::Clear).unwrap();
+    rig.turn(0, 0.0, 1.0);
+    rig.run(33.0);
+    press(&mut rig, 2.0);
+    assert_eq!(rig.fault(), None, "it has cooled");
+}
+
+/// Seconds for which a paddle at 2.9 A of 3 A goes on, on a board that starts with this heat in its motors; 1 A may
+/// flow for ever.
+fn lasts(heat: Heat) -> f32 {
+    let mut rig = Rig::bare(hardware(), rules());
+    rig.servo.start_heat([heat; 3]);
+    rig.load(&paddle(), &scene(1, &[wall(-0.005, 290.0)]), false).unwrap();
+    rig.settle();
+    rig.execute(Command::Home).unwrap();
+    rig.settle();
+    rig.execute(Command::PolarityKnown).unwrap();
+    rig.arm();
+    rig.turn(0, -0.15, 1.0);
+    let began = rig.servo.frame().step;
+    rig.tremble(10.0);
+    assert_eq!(rig.fault(), Some(Fault::ThermalBudget));
+    (rig.servo.frame().step - began) as f32 / rig::RATE
+}
+
+#[test]
+fn a_motor_is_as_hot_after_a_reset_as_before_and_warm_where_nobody_knows() {
+    // (2.9² - 1) A² fill the budget of (3² - 1) A² times 4 s in 4.3 s.
+    let cold = lasts(Heat::default());
+    assert!((4.2..4.5).contains(&cold), "{cold} s");
+    let hot = heated().servo.heat()[0];
+    // A second of homing and arming cools by 1 A² s, which 0.14 s at 2.9 A make up for.
+    let after = lasts(hot);
+    assert!(after < 0.3, "{after} s");
+    let warm = lasts(Heat::UNKNOWN);
+    assert!((0.45 * cold..0.65 * cold).contains(&warm), "{warm} s of {cold} s");
+}

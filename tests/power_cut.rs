@@ -144,27 +144,27 @@ fn values(generation: u8) -> Values {
         .collect()
 }
 
-fn save(flash: Sectors, values: &Values) -> Sectors {
+fn save(mut flash: Sectors, values: &Values) -> Sectors {
     let mut buffer = [0; LONGEST_STORED];
-    let mut storage = Storage::new(flash, RANGE, &mut buffer);
+    let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
     for (key, value) in values {
         if storage.write(*key, value).is_err() {
             break;
         }
     }
-    storage.into_flash()
+    flash
 }
 
-fn read(flash: Sectors) -> (Values, Sectors) {
+fn read(mut flash: Sectors) -> (Values, Sectors) {
     let mut buffer = [0; LONGEST_STORED];
-    let mut storage = Storage::new(flash, RANGE, &mut buffer);
+    let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
     let mut found = Values::new();
     for key in 1..=6 {
         if let Some(value) = storage.read(key).expect("the board boots") {
             found.insert(key, value.to_vec());
         }
     }
-    (found, storage.into_flash())
+    (found, flash)
 }
 
 /// A flash with `generations` saves behind it.
@@ -246,11 +246,11 @@ fn two_hundred_saves_wear_both_sectors_alike_and_lose_nothing() {
 type Asked = Result<Option<Vec<u8>>, StorageError>;
 
 /// What a flash with one bit flipped says of each setting, and the flash after it was asked.
-fn asked(flash: Sectors) -> (Vec<Asked>, Sectors) {
+fn asked(mut flash: Sectors) -> (Vec<Asked>, Sectors) {
     let mut buffer = [0; LONGEST_STORED];
-    let mut storage = Storage::new(flash, RANGE, &mut buffer);
+    let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
     let found = (1..=6).map(|key| storage.read(key).map(|value| value.map(<[u8]>::to_vec))).collect();
-    (found, storage.into_flash())
+    (found, flash)
 }
 
 #[test]
@@ -298,14 +298,14 @@ fn a_setting_from_before_there_were_generations_is_read_and_replaced() {
 }
 
 /// Stages all of these and decides that they count.
-fn save_together(flash: Sectors, values: &Values) -> Sectors {
+fn save_together(mut flash: Sectors, values: &Values) -> Sectors {
     let mut buffer = [0; LONGEST_STORED];
-    let mut storage = Storage::new(flash, RANGE, &mut buffer);
+    let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
     let keys: Vec<u8> = values.keys().copied().collect();
     if values.iter().all(|(key, value)| storage.stage(*key, value).is_ok()) {
         let _ = storage.commit(&keys);
     }
-    storage.into_flash()
+    flash
 }
 
 /// Cuts the power at every operation of a joint save; how many there are, and after how many the new values were found.
@@ -326,9 +326,9 @@ fn all_or_none(flash: &Sectors, old: &Values, new: &Values) -> (usize, usize) {
                 let mut again = save_together(Sectors { cut: Some((operation, cut)), ..flash.clone() }, new).reboot();
                 again.cut = Some((operation % 50, Cut::Within));
                 let mut buffer = [0; LONGEST_STORED];
-                let mut storage = Storage::new(again, RANGE, &mut buffer);
+                let mut storage = Storage::new(&mut again, RANGE, &mut buffer);
                 let _ = storage.read(1);
-                assert_eq!(read(storage.into_flash().reboot()).0, found, "operation {operation}: a second cut");
+                assert_eq!(read(again.reboot()).0, found, "operation {operation}: a second cut");
                 assert_eq!(read(save_together(after.reboot(), new).reboot()).0, *new, "the next save");
             }
         }
@@ -363,13 +363,14 @@ fn what_changes_together_while_a_sector_is_erased_is_still_all_or_none() {
 #[test]
 fn what_was_staged_and_never_decided_never_counts() {
     let mut buffer = [0; LONGEST_STORED];
-    let mut storage = Storage::new(aged(1), RANGE, &mut buffer);
+    let mut flash = aged(1);
+    let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
     storage.stage(3, &[7; 40]).expect("the flash works");
     assert_eq!(storage.staged(3), Ok(Some(&[7; 40][..])));
     assert_eq!(storage.commit(&[3, 4]), Err(StorageError::NotKept), "4 was not staged");
-    let flash = storage.into_flash().reboot();
+    let mut flash = flash.reboot();
     assert_eq!(read(flash.clone()).0, values(0));
-    let mut storage = Storage::new(flash, RANGE, &mut buffer);
+    let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
     assert_eq!(storage.staged(3), Ok(None), "what an earlier run staged is forgotten");
     assert_eq!(storage.commit(&[3]), Err(StorageError::NotKept));
 }
@@ -379,14 +380,13 @@ fn a_flash_that_fails_once_says_which_settings_count_and_reading_writes_nothing(
     let (old, new) = (values(0), values(9));
     let (mut kept, mut went_on) = (0, 0);
     for (operation, cut) in (0..).flat_map(|operation| [(operation, Cut::Before), (operation, Cut::Within)]) {
-        let flash = Sectors { cut: Some((operation, cut)), goes_on: true, ..aged(1).reboot() };
+        let mut flash = Sectors { cut: Some((operation, cut)), goes_on: true, ..aged(1).reboot() };
         let mut buffer = [0; LONGEST_STORED];
-        let mut storage = Storage::new(flash, RANGE, &mut buffer);
+        let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
         if new.iter().any(|(key, value)| storage.stage(*key, value).is_err()) {
             continue;
         }
         let answer = storage.commit(&new.keys().copied().collect::<Vec<_>>());
-        let flash = storage.into_flash();
         if flash.operations <= operation {
             break;
         }

@@ -6,7 +6,7 @@ use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::{FeedForward, Plane, Surface};
 use haptic_bridge::render::velocity::Washout;
 use haptic_bridge::safety::limits::Limits;
-use haptic_bridge::servo::frame::Frame;
+use haptic_bridge::servo::frame::StepRecord;
 use haptic_bridge::servo::{Command, Rules};
 use rig::{COUNTS, RATE, Rig, five_bar, hardware, rules, scene, wall};
 
@@ -145,5 +145,5 @@ fn a_duty_at_its_end_is_marked_by_itself() {
     rig.servo.duties(24.0, &rig.samples.currents, false);
     let frame = rig.servo.frame();
     assert_eq!(frame.saturation(0), 2.0, "{frame:?}");
-    assert_eq!(Frame { limited: 0b101, ..frame }.saturation(0), 3.0);
+    assert_eq!(StepRecord { limited: 0b101, ..frame }.saturation(0), 3.0);
 }

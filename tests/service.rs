@@ -94,7 +94,7 @@ macro_rules! ask {
 }
 
 /// A request by name, and its answer in each of [`STATES`].
-type Line = (&'static str, Ask, [Result<(), Refusal>; 6]);
+type RequestCase = (&'static str, Ask, [Result<(), Refusal>; 6]);
 
 fn staged<S: settings::Setting>(board: &mut Board, value: &S) -> Result<(), Refusal> {
     let entry = settings::encode(value).expect("it fits");
@@ -112,7 +112,7 @@ fn too_high(share: f32) -> Refusal {
     Refusal::BadLimit(BadLimit { limit: Limit::Torque, joint: Some(0), value, least: 0.0, most: 5.0 })
 }
 
-fn table() -> Vec<Line> {
+fn table() -> Vec<RequestCase> {
     use Refusal::{Armed as On, BadTable, NoDevice, NotHomed};
     let ok = Ok(());
     let fault = Err(Refusal::Faulted(Fault::GateDriver));

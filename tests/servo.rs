@@ -482,6 +482,23 @@ fn a_hand_that_moves_a_joint_passes_no_check_for_its_motor() {
 }
 
 #[test]
+fn the_polarity_check_asks_no_more_force_than_the_tip_may_make_and_looks_at_no_angle_of_before() {
+    let gentle = Rules { limits: Limits { tip_force: 0.2, ..limits() }, ..rules() };
+    let mut rig = Rig::with(&paddle(), &scene(1, &[]), hardware(), gentle);
+    rig.turn(0, 0.5, 1.0);
+    rig.settle();
+    // Homing moves what is read by half a radian, before the next step.
+    rig.execute(Command::Home).expect("at rest");
+    rig.execute(Command::CheckPolarity).expect("ready");
+    for step in 0..1_800 {
+        rig.step();
+        assert_eq!(rig.state(), State::CheckingPolarity, "step {step}");
+        let force = rig.servo.frame().torque[0] / 0.1;
+        assert!(force <= 0.2 * 1.001, "{force} N");
+    }
+}
+
+#[test]
 fn a_joint_that_turns_the_wrong_way_or_not_at_all_fails_the_polarity_check() {
     let mut rig = Rig::ready(&scene(1, &[]));
     rig.execute(Command::CheckPolarity).unwrap();

@@ -2,18 +2,18 @@
 
 use haptic_bridge::board::telemetry::{BATCH_VALUES, Batch, Field, Fields, Packer, StreamRequest};
 use haptic_bridge::safety::fault::State;
-use haptic_bridge::servo::frame::Frame;
+use haptic_bridge::servo::frame::StepRecord;
 use haptic_bridge::servo::joints::Counts;
 use proptest::prelude::*;
 
-fn frame(step: u32) -> Frame {
-    Frame {
+fn frame(step: u32) -> StepRecord {
+    StepRecord {
         step,
         q: [step as f32, 0.5, -0.5],
         counts: Counts([-7, 16_777_217, 3]),
         contacts: 2,
         state: State::Armed,
-        ..Frame::default()
+        ..StepRecord::default()
     }
 }
 
@@ -138,7 +138,7 @@ proptest! {
 #[test]
 fn what_waits_in_a_queue_leaves_in_order_and_the_rest_when_it_is_late() {
     let mut packer = packer(Fields(Field::Angle.bit()), 2, 1);
-    let mut queue = heapless::spsc::Queue::<Frame, 512>::new();
+    let mut queue = heapless::spsc::Queue::<StepRecord, 512>::new();
     let (mut producer, mut consumer) = queue.split();
     for step in 0..500 {
         producer.enqueue(frame(step)).unwrap();

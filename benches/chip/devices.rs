@@ -1,7 +1,6 @@
 //! The devices that the counting image steps: one shipped device file per mechanism, as numbers.
 //!
-//! The image has no TOML reader, so the numbers stand here again; `host/tests/speed.rs` reads the device files and
-//! holds these to them.
+//! The image has no TOML reader, so the numbers stand here again; tests/counted_devices.rs holds them to the files.
 
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::catalogue::{MAX_JOINTS, MAX_LINKS};

@@ -20,7 +20,7 @@ const ANGLES: usize = 24;
 const LEAST_RADIUS: f64 = 0.01;
 
 /// A board that a program made with CHAI3D uses.
-pub struct Device {
+pub struct HdDevice {
     session: Session,
     axes: Axes,
     /// The tip that is CHAI3D's origin, m.
@@ -37,7 +37,7 @@ pub struct Device {
     told: bool,
 }
 
-impl Device {
+impl HdDevice {
     /// Opens the board at HAPTIC_PORT, or a simulated one. Errors are words for a person.
     pub fn open() -> Result<Self, String> {
         let port = std::env::var("HAPTIC_PORT").unwrap_or_else(|_| "sim".into());

@@ -8,7 +8,7 @@
 
 mod device;
 
-use device::Device;
+use device::HdDevice;
 use std::ffi::{c_char, c_int};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Mutex, PoisonError};
@@ -17,7 +17,7 @@ use std::sync::{Mutex, PoisonError};
 enum Found {
     NotYet,
     None,
-    Open(Box<Device>),
+    Open(Box<HdDevice>),
 }
 
 static FOUND: Mutex<Found> = Mutex::new(Found::NotYet);
@@ -26,14 +26,14 @@ const DONE: c_int = 0;
 const FAILED: c_int = -1;
 
 /// Has the board do something, opening it first where nobody has yet. After a panic it is let go of, which disarms it.
-fn with(id: c_int, work: impl FnOnce(&mut Device) -> bool) -> c_int {
+fn with(id: c_int, work: impl FnOnce(&mut HdDevice) -> bool) -> c_int {
     if id != 0 {
         return FAILED;
     }
     let done = catch_unwind(AssertUnwindSafe(|| {
         let mut found = FOUND.lock().unwrap_or_else(PoisonError::into_inner);
         if matches!(*found, Found::NotYet) {
-            *found = match Device::open() {
+            *found = match HdDevice::open() {
                 Ok(device) => Found::Open(Box::new(device)),
                 Err(words) => {
                     haptic::tell!("haptic-bridge: {words}");
@@ -100,13 +100,13 @@ pub extern "C" fn hdPhantomGetNumDevices() -> c_int {
 /// Opens the device, and turns its motors on. Where the board refuses that, positions are there and forces are not.
 #[unsafe(no_mangle)]
 pub extern "C" fn hdPhantomOpen(id: c_int) -> c_int {
-    with(id, Device::arm)
+    with(id, HdDevice::arm)
 }
 
 /// Turns the motors off.
 #[unsafe(no_mangle)]
 pub extern "C" fn hdPhantomClose(id: c_int) -> c_int {
-    with(id, Device::disarm)
+    with(id, HdDevice::disarm)
 }
 
 /// The tip, m.

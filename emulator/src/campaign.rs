@@ -169,8 +169,8 @@ impl Campaign {
     fn ready(&mut self) {
         let (rig, home) = (&mut self.rig, self.home);
         rig.tool.disarm().expect("the board disarms");
-        rig.with(move |bench| {
-            let board = bench.hardware();
+        rig.with(move |stopped| {
+            let board = stopped.hardware();
             board.broken = Broken::default();
             board.encoders_unplugged = [false; 3];
             let device = board.plant.device().expect("a simulated device");
@@ -207,13 +207,13 @@ impl Campaign {
         rig.run(phase * period / PHASES);
         let cause = case.cause;
         let began = rig.now();
-        rig.with(move |bench| {
-            bench.hardware().peaks = Peaks::default();
-            cause(bench.hardware());
+        rig.with(move |stopped| {
+            stopped.hardware().peaks = Peaks::default();
+            cause(stopped.hardware());
         });
         let floats = rig.shared.board().run_until(PATIENCE, 25 * MICROSECOND, disabled);
         let after = rig.now() - began;
-        let peaks = rig.with(|bench| bench.hardware().peaks);
+        let peaks = rig.with(|stopped| stopped.hardware().peaks);
         let status = rig.tool.status().expect("the board answers");
         assert_eq!(floats, status.state == State::Fault, "{}: {status:?}", case.what);
         assert!(!floats || rig.with(off), "{}: {status:?}", case.what);
@@ -222,8 +222,8 @@ impl Campaign {
 }
 
 /// Whether the power stages are disabled: also where a bridge is stuck.
-fn disabled(bench: &mut crate::run::Bench<'_>) -> bool {
-    let board = bench.hardware();
+fn disabled(stopped: &mut crate::run::StoppedBoard<'_>) -> bool {
+    let board = stopped.hardware();
     board.wiring.is_some_and(|wiring| board.level(wiring.enable) == Level::Low)
 }
 

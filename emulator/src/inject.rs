@@ -1,20 +1,15 @@
-//! A way to bring about every fault there is, in the unmodified image on the emulated chip, and what came of it.
+//! A way to bring about every fault there is, in the unmodified image on the emulated chip; what came of it is in
+//! provoke.rs, and told in report.rs.
 //!
 //! The match over all faults is exhaustive: a fault without an injector does not build. Faults that neither board has a
 //! means to see say so.
 
 use std::f64::consts::PI;
-use std::path::{Path, PathBuf};
-use std::time::Duration;
 
-use haptic::backup::Backup;
-use haptic::link::{Board, BoardError};
 use haptic::sim::{Hand, Intent, SimulatedDevice, Waypoint};
-use haptic_bridge::board::settings::{Damage, Key};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
-use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
-use haptic_bridge::safety::refusal::Refusal;
+use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::servo::{HostAction, Rules};
 use rigless::time::VirtualNanos;
 
@@ -23,7 +18,16 @@ use crate::contact::WallAt;
 use crate::hands::{firm, hold, push, wander};
 use crate::image::{CODE, SETTINGS};
 use crate::rig::{Rig, device_file, firmware};
-use crate::run::{Bench, MICROSECOND, MILLISECOND, SECOND};
+use crate::run::{MICROSECOND, MILLISECOND, SECOND, StoppedBoard};
+
+mod provoke;
+mod report;
+mod stub;
+
+pub use provoke::{Outcome, off, provoke};
+pub use report::{document, how, row, table};
+pub use stub::run_instead;
+use stub::{NMI_FLAG, SUPERVISOR, wire_to_nmi};
 
 /// How a fault is brought about.
 pub enum Injection {
@@ -42,22 +46,11 @@ pub enum Injection {
     Unseen(&'static str),
 }
 
-/// What came of it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Outcome {
-    /// The fault as it was latched.
-    pub record: FaultRecord,
-    /// Control periods from the cause to bridges that float.
-    pub from_cause: u32,
-    /// Control periods from the step that saw it; `None` where the chip restarted and counts anew.
-    pub from_seen: Option<u32>,
-}
-
 const FIVE_BAR: &str = "pantograph-mk2";
 /// A stiffness, N/m, that no other word of the RAM looks like.
 const MARK: f32 = 517.25;
-/// Where a stub of code can be put: above everything that the firmware keeps in RAM.
-const FREE_RAM: u64 = 0x2001_F000;
+/// A word of the stack.
+const SPOILT: u64 = 0x2000_4000;
 
 fn in_contact() -> Rig {
     pressed(0.8)
@@ -96,61 +89,19 @@ fn pushed_by(rig: &Rig, force: [f64; 3]) {
     rig.with_simulated(move |device| push(device, force, 0.05));
 }
 
-/// A word of the stack.
-const SPOILT: u64 = 0x2000_4000;
-
-/// Puts code into free RAM and has the task in `pool` enter it the next time it is polled. `code` is told where the
-/// task itself begins.
-///
-/// # Panics
-///
-/// When the image has no such task.
-pub fn run_instead(rig: &Rig, pool: &str, code: impl FnOnce(u32) -> Vec<u32>) {
-    let image = firmware(rig.kind);
-    let pool = image.find_ending(pool).expect("the task");
-    let (from, to) = image.text();
-    let place = rig.with(move |bench| {
-        let is_code = |word: u32| word & 1 == 1 && (from..to).contains(&u64::from(word));
-        let mut words = (0..pool.size / 4).map(|nth| pool.address + 4 * nth);
-        words.find_map(|at| bench.word(at).filter(|word| is_code(*word)).map(|word| (at, word)))
-    });
-    let (at, task) = place.expect("the task's poll function");
-    let code = code(task);
-    rig.with(move |bench| {
-        for (to, word) in (FREE_RAM..).step_by(4).zip(code) {
-            assert!(bench.poke(to, word), "there is RAM");
-        }
-        bench.poke(at, FREE_RAM as u32 | 1);
-    });
-}
-
-/// The word that a task waits for, and whether it waits.
-const NMI_FLAG: u64 = FREE_RAM + 0x100;
-const NMI_WAITS: u64 = NMI_FLAG + 4;
-
-/// An armed board in contact, one of whose tasks stands in for the wire from the clock security system to the core: it
-/// waits for the flag's word and writes that into ICSR, whose top bit pends the non-maskable interrupt.
+/// An armed board in contact that has a wire from the clock security system to the core.
 fn wired_to_nmi() -> Rig {
     let rig = in_contact();
-    rig.with(|bench| [NMI_FLAG, NMI_WAITS].map(|at| assert!(bench.poke(at, 0), "there is RAM")));
-    // ldr r2, =flag; movs r3, #1; str r3, [r2, #4]; again: ldr r3, [r2]; cmp r3, #0; beq again; ldr r2, =ICSR;
-    // str r3, [r2]; b .; nop; and the two addresses.
-    let stub = vec![0x2301_4A04, 0x6813_6053, 0xD0FC_2B00, 0x6013_4A02, 0xBF00_E7FE, NMI_FLAG as u32, 0xE000_ED04];
-    run_instead(&rig, SUPERVISOR, |_| stub);
-    let waits = rig.shared.board().run_until(50 * MILLISECOND, MILLISECOND, |bench| bench.word(NMI_WAITS) == Some(1));
-    assert!(waits, "the supervisor runs every 20 ms");
+    wire_to_nmi(&rig);
     rig
 }
 
 /// Does something to a board and presses its reset button.
-fn restarting(rig: &mut Rig, cause: impl FnOnce(&mut Bench<'_>) + Send + 'static) {
+fn restarting(rig: &mut Rig, cause: impl FnOnce(&mut StoppedBoard<'_>) + Send + 'static) {
     rig.with(cause);
     rig.run(MICROSECOND);
-    rig.with(|bench| bench.reset());
+    rig.with(|stopped| stopped.reset());
 }
-
-/// The supervisor, which feeds the watchdog.
-const SUPERVISOR: &str = "10supervisor9supervise4POOL";
 
 /// How `fault` is brought about.
 #[must_use]
@@ -163,9 +114,9 @@ pub fn injection(fault: Fault) -> Injection {
             in_contact,
             |rig| {
                 after_crest(rig, 5);
-                rig.with(|bench| bench.hold(true));
+                rig.with(|stopped| stopped.hold(true));
                 rig.run(55 * MICROSECOND);
-                rig.with(|bench| bench.hold(false));
+                rig.with(|stopped| stopped.hold(false));
             },
             5,
         ),
@@ -189,7 +140,7 @@ pub fn injection(fault: Fault) -> Injection {
             "encoders unplugged while a motor pushes at its limit",
             in_contact,
             |rig| {
-                rig.with(|bench| bench.hardware().encoders_unplugged = [true; 3]);
+                rig.with(|stopped| stopped.hardware().encoders_unplugged = [true; 3]);
                 rules(rig, |rules| rules.limits.current = [0.15; 3]);
             },
             6_000,
@@ -199,7 +150,7 @@ pub fn injection(fault: Fault) -> Injection {
             free,
             |rig| {
                 rules(rig, |rules| rules.limits.speed = [4.0; 3]);
-                rig.with(|bench| bench.hardware().encoders_unplugged = [true; 3]);
+                rig.with(|stopped| stopped.hardware().encoders_unplugged = [true; 3]);
                 pushed_by(rig, [3.0, 3.0, 0.0]);
             },
             2_000,
@@ -209,7 +160,7 @@ pub fn injection(fault: Fault) -> Injection {
             "20 encoder edges lost between two passes of the index mark",
             marked,
             |rig| {
-                rig.with(|bench| bench.hardware().edges_lost[0] = 20);
+                rig.with(|stopped| stopped.hardware().edges_lost[0] = 20);
                 rig.with_simulated(|device| sweep(device, -SWEEP, SWEEP));
             },
             2_000,
@@ -230,7 +181,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a current sensor shows 8 A more",
             in_contact,
             |rig| {
-                rig.with(|bench| bench.hardware().broken.sensor_extra[..2].fill(8.0));
+                rig.with(|stopped| stopped.hardware().broken.sensor_extra[..2].fill(8.0));
             },
             5,
         ),
@@ -268,7 +219,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a gate driver pulls its fault line",
             in_contact,
             |rig| {
-                rig.with(|bench| bench.hardware().driver(1).fail(1 << 2));
+                rig.with(|stopped| stopped.hardware().driver(1).fail(1 << 2));
             },
             5,
         ),
@@ -282,10 +233,10 @@ pub fn injection(fault: Fault) -> Injection {
                 rig
             },
             |rig| {
-                rig.with(|bench| {
+                rig.with(|stopped| {
                     for at in (0x2000_0000..0x2002_0000).step_by(4) {
-                        if bench.word(at) == Some(MARK.to_bits()) {
-                            bench.poke(at, f32::NAN.to_bits());
+                        if stopped.word(at) == Some(MARK.to_bits()) {
+                            stopped.poke(at, f32::NAN.to_bits());
                         }
                     }
                 });
@@ -348,7 +299,7 @@ pub fn injection(fault: Fault) -> Injection {
                 rig
             },
             |rig| {
-                restarting(rig, |bench| bench.flip_in_flash(SETTINGS, b"second name"));
+                restarting(rig, |stopped| stopped.flip_in_flash(SETTINGS, b"second name"));
             },
             500,
         ),
@@ -356,7 +307,7 @@ pub fn injection(fault: Fault) -> Injection {
             "the break line pulled down",
             || free_on(BoardKind::HBridgeF405),
             |rig| {
-                rig.with(|bench| bench.hardware().fault_line_shorted = true);
+                rig.with(|stopped| stopped.hardware().fault_line_shorted = true);
             },
             5,
         ),
@@ -402,7 +353,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a converter that is no longer triggered",
             in_contact,
             |rig| {
-                rig.with(|bench| bench.hardware().chip.converters[0].hook.stopped = true);
+                rig.with(|stopped| stopped.hardware().chip.converters[0].hook.stopped = true);
             },
             5,
         ),
@@ -410,7 +361,7 @@ pub fn injection(fault: Fault) -> Injection {
             "one of a motor's two shunts shows nothing while a hand pushes with 2.5 N",
             || pressed(2.5),
             |rig| {
-                rig.with(|bench| bench.hardware().broken.sensor_gain[0] = 0.0);
+                rig.with(|stopped| stopped.hardware().broken.sensor_gain[0] = 0.0);
             },
             5,
         ),
@@ -418,9 +369,9 @@ pub fn injection(fault: Fault) -> Injection {
             "both current sensors of a motor show nothing",
             in_contact,
             |rig| {
-                rig.with(|bench| {
-                    bench.hardware().broken.sensor_gain[0] = 0.0;
-                    bench.hardware().broken.sensor_gain[1] = 0.0;
+                rig.with(|stopped| {
+                    stopped.hardware().broken.sensor_gain[0] = 0.0;
+                    stopped.hardware().broken.sensor_gain[1] = 0.0;
                 });
             },
             50,
@@ -429,7 +380,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a gate driver forgets its registers where nothing pushes",
             free,
             |rig| {
-                rig.with(|bench| bench.hardware().driver(0).forget());
+                rig.with(|stopped| stopped.hardware().driver(0).forget());
             },
             50,
         ),
@@ -437,7 +388,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a bridge that stands at 20 % before arming",
             disarmed,
             |rig| {
-                rig.with(|bench| bench.hardware().broken.stuck_on[0] = Some(0.2));
+                rig.with(|stopped| stopped.hardware().broken.stuck_on[0] = Some(0.2));
                 let _ = rig.tool.check_polarity();
             },
             500,
@@ -446,10 +397,10 @@ pub fn injection(fault: Fault) -> Injection {
             "the crystal stops",
             wired_to_nmi,
             |rig| {
-                rig.with(|bench| {
-                    let at = VirtualNanos(bench.at);
-                    if bench.hardware().chip.stop_crystal(at) {
-                        bench.poke(NMI_FLAG, 1 << 31);
+                rig.with(|stopped| {
+                    let at = VirtualNanos(stopped.at);
+                    if stopped.hardware().chip.stop_crystal(at) {
+                        stopped.poke(NMI_FLAG, 1 << 31);
                     }
                 });
             },
@@ -459,16 +410,16 @@ pub fn injection(fault: Fault) -> Injection {
             "the chip's 3.3 V fall to 2.7 V for 100 µs",
             in_contact,
             |rig| {
-                rig.with(|bench| bench.supply(2700));
+                rig.with(|stopped| stopped.supply(2700));
                 rig.run(100 * MICROSECOND);
-                rig.with(|bench| bench.supply(3300));
+                rig.with(|stopped| stopped.supply(3300));
             },
             5,
         ),
         Fault::ImageDamaged => chip(
             "one bit of the image in flash flipped, then a reset",
             disarmed,
-            |rig| restarting(rig, |bench| bench.flip_in_flash(CODE, b"odrive-v3")),
+            |rig| restarting(rig, |stopped| stopped.flip_in_flash(CODE, b"odrive-v3")),
             500,
         ),
         Fault::RamDamaged => chip(
@@ -477,9 +428,9 @@ pub fn injection(fault: Fault) -> Injection {
             |rig| {
                 restarting(rig, |_| ());
                 rig.run(MILLISECOND);
-                rig.with(|bench| {
-                    let word = bench.word(SPOILT).expect("there is RAM");
-                    bench.poke(SPOILT, word ^ 1 << 7);
+                rig.with(|stopped| {
+                    let word = stopped.word(SPOILT).expect("there is RAM");
+                    stopped.poke(SPOILT, word ^ 1 << 7);
                 });
             },
             500,
@@ -559,153 +510,8 @@ fn swapped() -> Rig {
 /// Runs to `microseconds` after a crest.
 fn after_crest(rig: &Rig, microseconds: u64) {
     let now = rig.now();
-    let crest = rig.with(|bench| bench.hardware().chip.advanced[0].hook.crest()).expect("the carrier runs");
+    let crest = rig.with(|stopped| stopped.hardware().chip.advanced[0].hook.crest()).expect("the carrier runs");
     let period = 50 * MICROSECOND;
     let next = crest + ((now - crest) / period + 1) * period + microseconds * MICROSECOND;
     rig.run(next - now);
-}
-
-/// Whether every bridge floats and the power stages are disabled.
-pub fn off(bench: &mut Bench<'_>) -> bool {
-    bench.hardware().bridges_float()
-}
-
-/// Brings `fault` about and watches what comes of it: latched, bridges off, arming refused, cleared only when asked
-/// for. `None` for what neither board can see.
-///
-/// # Panics
-///
-/// When any of that is not so.
-#[must_use]
-pub fn provoke(fault: Fault) -> Option<Outcome> {
-    let Injection::Chip { ready, cause, within, .. } = injection(fault) else { return None };
-    let name = fault.name();
-    let mut rig = ready();
-    let resets = rig.with(|bench| bench.resets().len());
-    let before = rig.steps();
-    let began = rig.now();
-    cause(&mut rig);
-    let mut seen = None;
-    while rig.now() < began + within * MILLISECOND {
-        if rig.with(off) {
-            seen = Some((rig.now(), rig.steps()));
-            break;
-        }
-        rig.run(25 * MICROSECOND);
-    }
-    let (at, steps) =
-        seen.unwrap_or_else(|| panic!("{name}: bridges are still on after {within} ms: {:?}", rig.tool.status()));
-    rig.run(20 * MILLISECOND);
-    // A chip that restarted enumerates anew.
-    let ready_again = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |bench| bench.usb().ready());
-    assert!(ready_again, "{name}: the port is gone");
-    let restarted = rig.with(|bench| bench.resets().len()) > resets;
-    if restarted {
-        rig.tool = Board::over(rig.shared.wire(), "again").unwrap_or_else(|error| panic!("{name}: {error}"));
-    }
-    let status = rig.tool.status().expect("the board answers");
-    let record = status.fault.unwrap_or_else(|| panic!("{name}: no fault is latched: {status:?}"));
-    assert_eq!((record.fault, status.state), (fault, State::Fault), "{name}: {status:?}");
-    if fault == Fault::SettingsDamaged {
-        // The name, and not the one of before, is at its default; the other settings are kept.
-        let details = rig.tool.details().expect("the board answers");
-        assert_eq!(details.damage.as_slice(), [(Key::Name, Damage::Corrupt)]);
-        assert_eq!((details.name.as_str(), details.device.is_some()), ("", true), "{details:?}");
-        let backup = Backup::read(&mut rig.tool).expect("the board answers");
-        let kept = |key: Key| backup.settings.contains_key(key.name());
-        assert!(kept(Key::Device) && !kept(Key::Name), "{:?}", backup.settings.keys());
-        assert!(backup.ready().is_ok(), "what is left can be restored");
-    }
-    let listed = rig.tool.faults().expect("the board answers");
-    assert!(listed.iter().any(|listed| listed.fault == fault), "{name}: not listed: {listed:?}");
-    // Latched: it stays, the bridges stay off, and arming is refused.
-    let _ = rig.tool.rows(Duration::from_millis(50));
-    let refused = rig.tool.arm();
-    let named = matches!(refused, Err(BoardError::Refused(Refusal::Faulted(latched))) if latched == fault);
-    // A chip that restarted has forgotten its device as well, and names that.
-    let refused_after_restart = restarted && matches!(refused, Err(BoardError::Refused(_)));
-    assert!(named || refused_after_restart, "{name}: {refused:?}");
-    assert!(rig.with(off), "{name}: bridges came on again");
-    if fault == Fault::NotFinite {
-        // The number is still there: only a new scene is a cure.
-        rig.set_scene("");
-    }
-    rig.tool.clear().unwrap_or_else(|error| panic!("{name}: {error}"));
-    rig.run(MILLISECOND);
-    let status = rig.tool.status().expect("the board answers");
-    assert_eq!((status.state, status.fault), (State::Disarmed, None), "{name} is not cleared");
-    assert!(rig.with(off), "{name}: clearing turned the bridges on");
-    if matches!(fault, Fault::ImageDamaged | Fault::RamDamaged) {
-        // Clearing it makes nothing whole.
-        let refused = rig.tool.check_polarity();
-        let named = matches!(refused, Err(BoardError::Refused(Refusal::Faulted(again))) if again == fault);
-        assert!(named && rig.with(off), "{name}: {refused:?}");
-    }
-    let from_cause = ((at - began) / (50 * MICROSECOND)) as u32;
-    // Seen before the bridges were ever on, and told by an answer that took its time.
-    let never_on = fault == Fault::StrayCurrent;
-    // A step counts itself at its end, when its bridges have long been off.
-    let since = (steps.wrapping_sub(record.step) as i32).max(0) as u32;
-    let from_seen = (!restarted).then_some(if never_on { 0 } else { since });
-    assert!(before <= steps || restarted, "{name}: steps went back");
-    Some(Outcome { record, from_cause, from_seen })
-}
-
-/// Where the table is kept.
-#[must_use]
-pub fn document() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/results/faults.md")
-}
-
-/// How `fault` is brought about, or why it cannot be, in words.
-#[must_use]
-pub fn how(fault: Fault) -> String {
-    match injection(fault) {
-        Injection::Chip { how, .. } => how.to_owned(),
-        Injection::Unseen(why) => format!("not possible: {why}"),
-    }
-}
-
-/// The row of docs/results/faults.md for `fault`. Values and periods that hang on how fast the image is, such as the
-/// instant at which a moving hand trips a limit, are left out.
-#[must_use]
-pub fn row(fault: Fault, outcome: Option<&Outcome>) -> String {
-    let slow = matches!(injection(fault), Injection::Chip { within, .. } if within > 5);
-    let how = how(fault);
-    let (cause, seen) = match outcome {
-        None => ("", "".to_owned()),
-        Some(outcome) => {
-            let cause = if slow {
-                "later"
-            } else if outcome.from_cause <= 3 {
-                "at most 3"
-            } else {
-                "more than 3"
-            };
-            let seen = match outcome.from_seen {
-                None => "before the restart".to_owned(),
-                Some(0 | 1) => "at most 1".to_owned(),
-                Some(periods) => periods.to_string(),
-            };
-            (cause, seen)
-        }
-    };
-    format!("| {} | {} | {how} | {cause} | {seen} | {} |", fault.code(), fault.name(), fault.remedy())
-}
-
-/// The document for what came of every fault.
-#[must_use]
-pub fn table(outcomes: &[(Fault, Option<Outcome>)]) -> String {
-    let mut text = "# Faults brought about in the release images\n\n\
-        Written by `cargo xtask faults`: every fault of src/safety/fault.rs injected into an armed board on the emulated chip\n\
-        (emulator/src/inject.rs). Each was latched and listed, refused arming until it was cleared, and left the bridges\n\
-        floating with the enable line low. Periods from the cause count to bridges that float: `later` is where the cause has to\n\
-        last (a budget, a timeout, a moving hand). Periods from the last step before it was seen: at most 1 is the same period.\n\n\
-        | code | fault | injection | periods from the cause | periods from being seen | remedy |\n|--:|---|---|---|---|---|\n"
-        .to_owned();
-    for (fault, outcome) in outcomes {
-        text += &row(*fault, outcome.as_ref());
-        text.push('\n');
-    }
-    text
 }

@@ -18,7 +18,7 @@ use crate::hardware::Hardware;
 use crate::image::Firmware;
 use crate::log::Decoder;
 use crate::plant::{Dummy, Plant};
-use crate::run::{Bench, MILLISECOND, SECOND, VirtualBoard};
+use crate::run::{MILLISECOND, SECOND, StoppedBoard, VirtualBoard};
 use crate::wire::Shared;
 
 /// The release image of `board`, built once for each process.
@@ -110,7 +110,7 @@ impl Rig {
     fn with_plant(kind: BoardKind, plant: Box<dyn Plant>, file: Option<DeviceFile>) -> Self {
         let hardware = Hardware::new(kind, plant).expect("the board's description is sound");
         let mut board = VirtualBoard::start(firmware(kind), hardware).unwrap_or_else(|error| panic!("{error}"));
-        assert!(board.run_until(2 * SECOND, MILLISECOND, |bench| bench.usb().ready()), "no USB after two seconds");
+        assert!(board.run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready()), "no USB after two seconds");
         let shared = Shared::new(board);
         let tool = Board::over(shared.wire(), "virtual").unwrap_or_else(|error| panic!("{error}"));
         let mut rig = Self { kind, shared, tool, file };
@@ -128,10 +128,10 @@ impl Rig {
         let Self { kind, shared, file, .. } = self;
         {
             let mut board = shared.board();
-            board.with(|bench| bench.reset());
+            board.with(|stopped| stopped.reset());
             board.run(MILLISECOND);
-            assert!(board.run_until(2 * SECOND, MILLISECOND, |bench| bench.usb().ready()), "no USB after a reset");
-            board.with(|bench| bench.usb().take());
+            assert!(board.run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready()), "no USB after a reset");
+            board.with(|stopped| stopped.usb().take());
         }
         let tool = Board::over(shared.wire(), "virtual").unwrap_or_else(|error| panic!("{error}"));
         let mut rig = Self { kind, shared, tool, file };
@@ -221,7 +221,7 @@ impl Rig {
     }
 
     /// Does `job` with the board standing still.
-    pub fn with<T: Send + 'static>(&self, job: impl FnOnce(&mut Bench<'_>) -> T + Send + 'static) -> T {
+    pub fn with<T: Send + 'static>(&self, job: impl FnOnce(&mut StoppedBoard<'_>) -> T + Send + 'static) -> T {
         self.shared.board().with(job)
     }
 
@@ -231,14 +231,14 @@ impl Rig {
     ///
     /// On a rig without one.
     pub fn with_simulated<T: Send + 'static>(&self, job: impl FnOnce(&mut SimulatedDevice) -> T + Send + 'static) -> T {
-        self.with(|bench| job(bench.hardware().plant.device().expect("a simulated device")))
+        self.with(|stopped| job(stopped.hardware().plant.device().expect("a simulated device")))
     }
 
     /// What there is to know of a board that does not answer any more: its port's history, restarts and log.
     #[must_use]
     pub fn post_mortem(&self) -> String {
-        let (at, port, restarts, raw) =
-            self.with(|bench| (bench.at, bench.usb().log().to_vec(), bench.resets().to_vec(), bench.take_log()));
+        let (at, port, restarts, raw) = self
+            .with(|stopped| (stopped.at, stopped.usb().log().to_vec(), stopped.resets().to_vec(), stopped.take_log()));
         let log = Decoder::new(firmware(self.kind)).map_or_else(Vec::new, |decoder| decoder.lines(&raw));
         format!("at {at} ns\nport: {port:?}\nrestarts: {restarts:?}\nlog: {log:#?}")
     }
@@ -257,6 +257,6 @@ impl Rig {
     #[must_use]
     pub fn steps(&self) -> u32 {
         let address = firmware(self.kind).find_ending("5servo5STEPS").expect("the count of steps").address;
-        self.with(move |bench| bench.word(address)).expect("RAM")
+        self.with(move |stopped| stopped.word(address)).expect("RAM")
     }
 }

@@ -57,7 +57,7 @@ impl From<image::Error> for Error {
 }
 
 /// The board at a stop: everything on it can be looked at and changed.
-pub struct Bench<'a> {
+pub struct StoppedBoard<'a> {
     session: &'a mut Session<Hardware>,
     memory: &'a mut dyn emulator::Host,
     /// Virtual nanoseconds since power-on.
@@ -68,7 +68,7 @@ pub struct Bench<'a> {
     rtt: &'a mut Rtt,
 }
 
-impl Bench<'_> {
+impl StoppedBoard<'_> {
     /// The board's hardware.
     pub fn hardware(&mut self) -> &mut Hardware {
         self.session.board_mut()
@@ -144,7 +144,7 @@ impl Bench<'_> {
         *self.tracer = Some(Tracer::new(code.clone(), entry as u32));
     }
 
-    /// Ends what [`Bench::trace`] began and takes the handler's whole runs.
+    /// Ends what [`StoppedBoard::trace`] began and takes the handler's whole runs.
     pub fn take_trace(&mut self, code: &Code) -> Vec<Run> {
         code.addresses().for_each(|address| self.session.unwatch(Watch::Instruction(address)));
         self.tracer.take().map(Tracer::finish).unwrap_or_default()
@@ -184,7 +184,7 @@ impl Bench<'_> {
     }
 }
 
-type Job = Box<dyn FnOnce(&mut Bench<'_>) + Send>;
+type Job = Box<dyn FnOnce(&mut StoppedBoard<'_>) + Send>;
 
 enum Command {
     With(Job),
@@ -257,11 +257,11 @@ impl VirtualBoard {
     /// # Panics
     ///
     /// When the emulator stopped, with its reason.
-    pub fn with<T: Send + 'static>(&mut self, job: impl FnOnce(&mut Bench<'_>) -> T + Send + 'static) -> T {
+    pub fn with<T: Send + 'static>(&mut self, job: impl FnOnce(&mut StoppedBoard<'_>) -> T + Send + 'static) -> T {
         let (result, taken) = channel();
-        self.order(Command::With(Box::new(move |bench| {
+        self.order(Command::With(Box::new(move |stopped| {
             // The receiver stands below, so there is someone to take it.
-            let _ = result.send(job(bench));
+            let _ = result.send(job(stopped));
         })));
         taken.recv().expect("the job was done")
     }
@@ -271,13 +271,13 @@ impl VirtualBoard {
         &mut self,
         span: u64,
         step: u64,
-        mut done: impl FnMut(&mut Bench<'_>) -> bool + Send + Clone + 'static,
+        mut done: impl FnMut(&mut StoppedBoard<'_>) -> bool + Send + Clone + 'static,
     ) -> bool {
         let last = self.at + span;
         while self.at < last {
             self.run(step.min(last - self.at));
             let mut look = done.clone();
-            let (is_done, kept) = self.with(move |bench| (look(bench), look));
+            let (is_done, kept) = self.with(move |stopped| (look(stopped), look));
             done = kept;
             if is_done {
                 return true;
@@ -336,7 +336,7 @@ impl Runner {
                 Command::With(job) => {
                     let Self { tracer, rtt, .. } = self;
                     let (at, instructions) = (stop.at.0, stop.instruction_count);
-                    job(&mut Bench { session, memory, at, instructions, tracer, rtt });
+                    job(&mut StoppedBoard { session, memory, at, instructions, tracer, rtt });
                     self.answers.send(Reply::Done).ok()?;
                 }
                 Command::RunUntil(until) => {

@@ -17,7 +17,7 @@ use haptic_bridge::servo::program::Hardware;
 use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::board::{Board, This};
-use crate::machine::Panel;
+use crate::machine::BoardMachine;
 use crate::serial::{Event, Incoming, Outgoing, PACKET, Serial, UsbDriver};
 use crate::telemetry::TelemetryStream;
 use crate::{faults, supervisor, watchdog};
@@ -89,15 +89,15 @@ const DRAIN: Duration = Duration::from_millis(1);
 
 /// Answers the host, sends telemetry and new faults. `previous` is how the last run ended, if that was a fault.
 #[embassy_executor::task]
-pub async fn serve(mut panel: Panel, hardware: Hardware, previous: Option<FaultRecord>, serial: Serial) -> ! {
+pub async fn serve(mut machine: BoardMachine, hardware: Hardware, previous: Option<FaultRecord>, serial: Serial) -> ! {
     static FRAME: ConstStaticCell<[u8; MAX_FRAME]> = ConstStaticCell::new([0; MAX_FRAME]);
     let frame = FRAME.take();
     let (sender, receiver) = serial.split();
     let (mut outgoing, mut incoming) = (Outgoing::new(sender), Incoming::new(receiver));
     let mut service = Service::new(hardware, This::LIMITS);
-    watchdog::patient(|| service.boot(&mut panel));
+    watchdog::patient(|| service.boot(&mut machine));
     if let Some(record) = previous {
-        let _ = panel.execute(Command::Fault(record));
+        let _ = machine.execute(Command::Fault(record));
     }
     let mut stream = TelemetryStream::default();
     let mut sequence = 0;
@@ -115,13 +115,13 @@ pub async fn serve(mut panel: Panel, hardware: Hardware, previous: Option<FaultR
         };
         match select(incoming.next(), Timer::at(wake)).await {
             Either::First(Event::Frame(request)) => {
-                let (answer, after) = dispatch::answer(&mut service, &mut panel, request, frame);
+                let (answer, after) = dispatch::answer(&mut service, &mut machine, request, frame);
                 if let Some(answer) = answer {
                     outgoing.send(answer).await;
                 }
                 match after {
                     After::Nothing => {}
-                    After::Stream(request, axes) => stream.start(&request, axes, &mut panel),
+                    After::Stream(request, axes) => stream.start(&request, axes, &mut machine),
                     After::BootLoader => restart(faults::reboot_to_boot_loader).await,
                     After::Restart => restart(faults::reboot).await,
                 }
@@ -130,7 +130,7 @@ pub async fn serve(mut panel: Panel, hardware: Hardware, previous: Option<FaultR
             Either::Second(()) => {}
         }
         more = false;
-        if let Some(batch) = stream.batch(&mut panel) {
+        if let Some(batch) = stream.batch(&mut machine) {
             more = true;
             if let Some(message) = dispatch::telemetry(sequence, batch, frame) {
                 sequence = sequence.wrapping_add(1);
@@ -139,8 +139,8 @@ pub async fn serve(mut panel: Panel, hardware: Hardware, previous: Option<FaultR
         }
         if Instant::now() >= watch {
             watch = Instant::now() + WATCH;
-            panel.watch_gate();
-            if let Some(record) = service.poll(&mut panel)
+            machine.watch_gate();
+            if let Some(record) = service.poll(&mut machine)
                 && let Some(message) = dispatch::publish::<FaultSeen>(sequence, &record, frame)
             {
                 sequence = sequence.wrapping_add(1);

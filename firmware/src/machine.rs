@@ -12,7 +12,7 @@ use haptic_bridge::drive::carrier::Carrier;
 use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::compiled::{BoardMath, BoardProgram};
-use haptic_bridge::servo::frame::Frame;
+use haptic_bridge::servo::frame::StepRecord;
 use haptic_bridge::servo::program::Program;
 use haptic_bridge::servo::{Command, Reply, Status};
 use heapless::spsc::{Consumer, Producer};
@@ -33,11 +33,11 @@ use crate::watchdog;
 const PROGRAMS: usize = 2;
 
 /// What the tasks own of the board.
-pub struct Panel {
+pub struct BoardMachine {
     requests: Producer<'static, Request>,
     answers: Consumer<'static, Answer>,
     /// Frames of the telemetry stream.
-    pub frames: Consumer<'static, Frame>,
+    pub frames: Consumer<'static, StepRecord>,
     gate: <This as Board>::Gate,
     storage: Storage,
     serial: &'static str,
@@ -46,7 +46,7 @@ pub struct Panel {
     carrier: Carrier,
 }
 
-impl Panel {
+impl BoardMachine {
     /// Call once.
     pub fn new(
         link: servo::ServoQueues,
@@ -134,7 +134,7 @@ impl Panel {
     }
 }
 
-impl Machine for Panel {
+impl Machine for BoardMachine {
     type Math = BoardMath;
     type Held = BoardProgram;
 
@@ -219,7 +219,7 @@ impl Machine for Panel {
     }
 }
 
-impl Described for Panel {
+impl Described for BoardMachine {
     fn info(&self) -> Info {
         Info {
             protocol: PROTOCOL,

@@ -38,7 +38,7 @@ use haptic_bridge::servo::Rules;
 use haptic_bridge::servo::program::Hardware;
 
 use crate::board::{Board, This};
-use crate::machine::Panel;
+use crate::machine::BoardMachine;
 use crate::watchdog::Watchdog;
 
 #[embassy_executor::main]
@@ -78,14 +78,14 @@ async fn main(spawner: Spawner) {
     let storage = storage::open(common.flash);
     let fault = self_test::failed().or_else(|| start.fault());
     let serial_number = link::serial_number();
-    let panel = Panel::new(servo, gate, storage, serial_number, carrier);
+    let machine = BoardMachine::new(servo, gate, storage, serial_number, carrier);
     let (usb, serial) = link::device(common.usb, serial_number);
 
     // Before any task: what stretches its time must find it running.
     let watchdog = Watchdog::start(common.watchdog);
     spawner.must_spawn(supervisor::supervise(watchdog));
     spawner.must_spawn(link::usb(usb));
-    spawner.must_spawn(link::serve(panel, hardware, fault, serial));
+    spawner.must_spawn(link::serve(machine, hardware, fault, serial));
 }
 
 /// A halted core must not leave a duty standing: with these bits the carriers stop with it and their outputs go to the

@@ -21,7 +21,7 @@ pub fn outputs<const N: usize>(pins: [Flex<'static>; N], alternate_function: u8)
 }
 
 /// What a bridge's timer is told once.
-pub struct Setup {
+pub struct PwmConfig {
     /// Which of channels 1..3 drive a bridge; the others stay off.
     pub channels: [bool; 3],
     /// Dead time between the two switches of a half bridge, ticks of 1/168 MHz, at most 127.
@@ -31,7 +31,7 @@ pub struct Setup {
 }
 
 /// Sets a timer up as a stopped carrier with its outputs off.
-pub fn configure(timer: TimAdv, setup: &Setup, carrier: Carrier) {
+pub fn configure(timer: TimAdv, config: &PwmConfig, carrier: Carrier) {
     timer.cr1().write(|w| {
         w.set_cms(vals::Cms::CENTER_ALIGNED1);
         w.set_arpe(true);
@@ -44,8 +44,8 @@ pub fn configure(timer: TimAdv, setup: &Setup, carrier: Carrier) {
             w.set_ocpe(channel % 2, true);
         });
         timer.ccer().modify(|w| {
-            w.set_cce(channel, setup.channels[channel]);
-            w.set_ccne(channel, setup.channels[channel]);
+            w.set_cce(channel, config.channels[channel]);
+            w.set_ccne(channel, config.channels[channel]);
         });
     }
     // Channel 4 has no pin. It is active from just before the crest to just after it, and its rising edge starts the
@@ -55,12 +55,12 @@ pub fn configure(timer: TimAdv, setup: &Setup, carrier: Carrier) {
         w.set_ocpe(1, true);
     });
     timer.bdtr().write(|w| {
-        w.set_dtg(setup.dead_time.min(127));
+        w.set_dtg(config.dead_time.min(127));
         // Off is a driven low level at every switch, not a floating input, both while idle and for unused channels.
         w.set_ossi(vals::Ossi::IDLE_LEVEL);
         w.set_ossr(vals::Ossr::IDLE_LEVEL);
         w.set_bkp(0, vals::Bkp::ACTIVE_LOW);
-        w.set_bke(0, setup.break_input);
+        w.set_bke(0, config.break_input);
     });
     set_carrier(timer, carrier);
     timer.egr().write(|w| w.set_ug(true));

@@ -23,7 +23,7 @@ use haptic_bridge::drive::heat::Heat;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::compiled::{self, BoardProgram, BoardServo};
-use haptic_bridge::servo::frame::{Frame, Rendered, Samples};
+use haptic_bridge::servo::frame::{Rendered, Samples, StepRecord};
 use haptic_bridge::servo::host_force::{ForceAnswer, ForceRequest};
 use haptic_bridge::servo::program::Hardware;
 use haptic_bridge::servo::{Command, Reply, Rules, Status};
@@ -69,7 +69,7 @@ pub struct ServoQueues {
     /// Its answers, one each.
     pub answers: Consumer<'static, Answer>,
     /// Frames of the telemetry stream.
-    pub frames: Consumer<'static, Frame>,
+    pub frames: Consumer<'static, StepRecord>,
 }
 
 /// Control steps since the start, wrapping.
@@ -99,7 +99,7 @@ struct Step {
     servo: BoardServo,
     requests: Consumer<'static, Request>,
     answers: Producer<'static, Answer>,
-    frames: Producer<'static, Frame>,
+    frames: Producer<'static, StepRecord>,
     /// Crests until the next control step.
     countdown: u16,
     /// What was sampled at the last crest, and what the step under way asks for.
@@ -129,7 +129,7 @@ static STEP: Owned<Step> = Owned(UnsafeCell::new(None));
 pub fn start(mut io: <This as Board>::Io, hardware: Hardware, rules: Rules, heat: [Heat; MAX_JOINTS]) -> ServoQueues {
     static REQUEST_QUEUE: StaticCell<Queue<Request, REQUESTS>> = StaticCell::new();
     static ANSWER_QUEUE: StaticCell<Queue<Answer, REQUESTS>> = StaticCell::new();
-    static FRAME_QUEUE: StaticCell<Queue<Frame, FRAMES>> = StaticCell::new();
+    static FRAME_QUEUE: StaticCell<Queue<StepRecord, FRAMES>> = StaticCell::new();
     let (to_servo, requests) = REQUEST_QUEUE.init(Queue::new()).split();
     let (answers, from_servo) = ANSWER_QUEUE.init(Queue::new()).split();
     let (frames, from_steps) = FRAME_QUEUE.init(Queue::new()).split();

@@ -5,7 +5,7 @@ use core::sync::atomic::Ordering;
 use embassy_time::{Duration, Instant};
 use haptic_bridge::board::telemetry::{Batch, Packer, StreamRequest};
 
-use crate::machine::Panel;
+use crate::machine::BoardMachine;
 use crate::servo;
 
 /// Longest time that a row waits for its batch to fill.
@@ -20,9 +20,9 @@ pub struct TelemetryStream {
 
 impl TelemetryStream {
     /// Starts a stream for a device of `axes` joints, or stops it when the request's divider is 0.
-    pub fn start(&mut self, request: &StreamRequest, axes: usize, panel: &mut Panel) {
+    pub fn start(&mut self, request: &StreamRequest, axes: usize, machine: &mut BoardMachine) {
         self.stop();
-        while panel.frames.dequeue().is_some() {}
+        while machine.frames.dequeue().is_some() {}
         self.packer.start(request, axes);
         servo::FRAMES_DROPPED.store(0, Ordering::Relaxed);
         servo::STREAM_DIVIDER.store(request.divider, Ordering::Relaxed);
@@ -42,10 +42,10 @@ impl TelemetryStream {
     }
 
     /// Packs what frames there are; a batch that is full or has waited long enough.
-    pub fn batch(&mut self, panel: &mut Panel) -> Option<&Batch> {
+    pub fn batch(&mut self, machine: &mut BoardMachine) -> Option<&Batch> {
         let late = Instant::now().saturating_duration_since(self.last?) > PATIENCE;
         let dropped = servo::FRAMES_DROPPED.load(Ordering::Relaxed);
-        let batch = self.packer.drain(&mut panel.frames, dropped, late)?;
+        let batch = self.packer.drain(&mut machine.frames, dropped, late)?;
         self.last = Some(Instant::now());
         Some(batch)
     }

@@ -1,7 +1,7 @@
 //! Boards: real ones, and simulated ones in this process.
 
 use crate::arrays::{array, list};
-use crate::device::{Device, Scene};
+use crate::device::{PyDevice, Scene};
 use crate::errors::{self, LinkError, RequestError};
 use crate::recording::Recording;
 use haptic::haptic_bridge::board::protocol::{ForceAnswer, ForceDone, ForceRequest, HostContact};
@@ -207,7 +207,7 @@ impl Board {
 
     /// Loads a device and a scene; without a scene, free space. Motors must be off.
     #[pyo3(signature = (device, scene = None))]
-    fn load(&self, py: Python<'_>, device: &Device, scene: Option<&Scene>) -> PyResult<()> {
+    fn load(&self, py: Python<'_>, device: &PyDevice, scene: Option<&Scene>) -> PyResult<()> {
         let data = device.file.device().map_err(|error| RequestError::new_err(error.to_string()))?;
         let task = device.file.spec().task as u8;
         let scene = match scene {

@@ -69,13 +69,13 @@ impl<T> Columns<'_, '_, T> {
 ///
 /// N joints, d task dimensions; SI units, angles in rad. Poses are arrays of shape (..., N): one pose (N,) or any number of
 /// them; results have the same leading shape. The interpreter's lock is released while they are computed, on all cores.
-#[pyclass(frozen, module = "haptic_bridge")]
-pub struct Device {
+#[pyclass(name = "Device", frozen, module = "haptic_bridge")]
+pub struct PyDevice {
     pub file: DeviceFile,
 }
 
 #[pymethods]
-impl Device {
+impl PyDevice {
     /// Device(path): reads a device file.
     #[new]
     fn new(path: PathBuf) -> PyResult<Self> {
@@ -373,7 +373,7 @@ impl Device {
     }
 }
 
-impl Device {
+impl PyDevice {
     /// Unit normals, one for each pose.
     fn units_along(&self, given: &Bound<'_, PyAny>, poses: &Rows) -> PyResult<Vec<Vec<f64>>> {
         self.units(rows("normal", given, self.task())?.along("normal", poses)?)

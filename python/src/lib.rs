@@ -22,7 +22,7 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("ImpossibleError", py.get_type::<errors::ImpossibleError>())?;
     module.add("LinkError", py.get_type::<errors::LinkError>())?;
     module.add("RefusedError", py.get_type::<errors::RefusedError>())?;
-    module.add_class::<device::Device>()?;
+    module.add_class::<device::PyDevice>()?;
     module.add_class::<device::Scene>()?;
     module.add_class::<simulation::Simulation>()?;
     module.add_class::<board::Board>()?;

@@ -2,7 +2,7 @@
 
 use crate::arrays::{array, list, rows};
 use crate::board::Board;
-use crate::device::{Device, word};
+use crate::device::{PyDevice, word};
 use crate::errors::{self, ImpossibleError, RequestError, failure};
 use haptic::analysis::plant::Drive;
 use haptic::analysis::sampled::Loop;
@@ -80,7 +80,7 @@ struct Measured {
 #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
 pub fn measure_range<'py>(
     py: Python<'py>,
-    device: &Device,
+    device: &PyDevice,
     normal: &Bound<'py, PyAny>,
     board: Option<&Board>,
     rate_hz: f64,
@@ -164,7 +164,7 @@ pub fn measure_range<'py>(
 
 /// The walls that are measured together.
 fn walls(
-    device: &Device,
+    device: &PyDevice,
     normal: &Bound<'_, PyAny>,
     share: Option<Vec<f64>>,
     no_feed_forward: Option<Vec<usize>>,

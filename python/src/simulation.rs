@@ -2,7 +2,7 @@
 
 use crate::arrays::list;
 use crate::board::Board;
-use crate::device::{Device, Scene};
+use crate::device::{PyDevice, Scene};
 use crate::errors::{self, RequestError};
 use haptic::haptic_bridge::render::scene::Scene as BoardScene;
 use haptic::link::{Board as Linked, Session};
@@ -27,7 +27,7 @@ pub struct Simulation {
 impl Simulation {
     #[new]
     #[pyo3(signature = (device, scene = None, *, ideal = false, friction = true, strict = false))]
-    fn new(device: &Device, scene: Option<&Scene>, ideal: bool, friction: bool, strict: bool) -> PyResult<Self> {
+    fn new(device: &PyDevice, scene: Option<&Scene>, ideal: bool, friction: bool, strict: bool) -> PyResult<Self> {
         let options = BoardOptions {
             drive: if ideal { DriveModel::Ideal } else { DriveModel::Electric },
             device: Options { friction, ..Options::default() },

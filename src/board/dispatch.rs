@@ -12,7 +12,7 @@ use postcard_rpc::standard_icd::{ERROR_KEY, WireError};
 use postcard_rpc::{Endpoint, Topic};
 use serde::{Serialize, de::DeserializeOwned};
 
-/// What a machine tells of itself, beside being one.
+/// A [`Machine`] that can also tell a tool what it is.
 pub trait Described: Machine {
     /// Who it is.
     fn info(&self) -> Info;

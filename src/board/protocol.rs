@@ -1,9 +1,10 @@
 //! Every message between board and host, with its version.
 //!
 //! postcard-rpc frames (header with key and sequence number, then postcard), COBS-encoded over a byte stream: a USB
-//! CDC-ACM serial port, a pseudo-terminal or TCP. A message's key is a hash of its path and of its types, so a tool and
-//! a board that disagree about one message do not misread it; that they disagree at all is said by [`PROTOCOL`], in
-//! the answer to [`GetInfo`], whose own shape never changes.
+//! CDC-ACM serial port, a pseudo-terminal or TCP. A message's key is a hash of its path and of its types: a
+//! board that has another form of a message does not know its key, and answers that instead of misreading it. Whether
+//! tool and board speak the same protocol is asked first: [`GetInfo`], whose shape never changes, answers with
+//! [`PROTOCOL`].
 
 use crate::board::settings::{Damage, Entry, Key};
 use crate::board::telemetry::{Batch, StreamRequest};

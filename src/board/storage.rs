@@ -311,9 +311,4 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         };
         self.put(key, copy.get(..length).unwrap_or_default())
     }
-
-    /// Gives the flash back.
-    pub fn into_flash(self) -> F {
-        self.map.destroy().0
-    }
 }

@@ -6,7 +6,7 @@
 //! told from what the next one asked for.
 
 use crate::model::catalogue::MAX_JOINTS;
-use crate::servo::frame::Frame;
+use crate::servo::frame::StepRecord;
 use heapless::Vec;
 use heapless::spsc::Consumer;
 use postcard_schema::Schema;
@@ -45,8 +45,8 @@ macro_rules! fields {
             pub const fn is_vector(self) -> bool {
                 match self { $(Field::$Name => $vector,)* }
             }
-            fn value(self, frame: &Frame, i: usize) -> f32 {
-                match self { $(Field::$Name => (|$frame: &Frame, $i: usize| -> f32 { $value })(frame, i),)* }
+            fn value(self, frame: &StepRecord, i: usize) -> f32 {
+                match self { $(Field::$Name => (|$frame: &StepRecord, $i: usize| -> f32 { $value })(frame, i),)* }
             }
         }
     };
@@ -203,7 +203,7 @@ impl Packer {
 
     /// Adds a frame that [`Packer::wants`]. `dropped` counts rows lost on the board so far. Returns a batch when this
     /// frame does not continue the one under way, or fills it.
-    pub fn push(&mut self, frame: &Frame, dropped: u32) -> Option<&Batch> {
+    pub fn push(&mut self, frame: &StepRecord, dropped: u32) -> Option<&Batch> {
         let batch = &self.batches[self.filling & 1];
         let rows = batch.values.len().checked_div(self.width).unwrap_or(0) as u32;
         let due = batch.first_step.wrapping_add(rows.wrapping_mul(batch.divider));
@@ -231,7 +231,7 @@ impl Packer {
 
     /// Packs what frames wait in a queue, up to the first full batch, which is returned; the batch under way instead,
     /// if none is full and rows have waited too long (`late`).
-    pub fn drain(&mut self, frames: &mut Consumer<'_, Frame>, dropped: u32, late: bool) -> Option<&Batch> {
+    pub fn drain(&mut self, frames: &mut Consumer<'_, StepRecord>, dropped: u32, late: bool) -> Option<&Batch> {
         let mut full = false;
         while !full && let Some(frame) = frames.peek() {
             full = self.wants(frame.step) && self.push(frame, dropped).is_some();
@@ -265,7 +265,7 @@ impl Packer {
 
 #[cfg(test)]
 mod tests {
-    use crate::servo::frame::Frame;
+    use crate::servo::frame::StepRecord;
     use crate::servo::joints::Torques;
 
     fields! {
@@ -276,7 +276,7 @@ mod tests {
     /// Everything that is told of a signal follows from its line.
     #[test]
     fn a_toy_signal_is_one_line() {
-        let frame = Frame { tip: [0.1, 0.2, 0.3], torque: Torques([1.0, 2.0, 3.0]), ..Frame::default() };
+        let frame = StepRecord { tip: [0.1, 0.2, 0.3], torque: Torques([1.0, 2.0, 3.0]), ..StepRecord::default() };
         let told = |field: &Field| (field.bit(), field.name(), field.unit(), field.is_vector(), field.meaning());
         let told_of_all =
             [(8, "height", "m", false, "How high the tip is"), (32, "doubled", "N m", true, "Twice the torque")];

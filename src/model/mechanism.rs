@@ -199,8 +199,8 @@ pub(crate) fn reciprocal<T: Real>(x: T, floor: T) -> T {
     if x < T::zero() { -limit } else { limit }
 }
 
-/// [`Mechanism::pose`], compiled once: a copy at every use would fill the board's flash, and a call costs little beside
-/// it.
+/// [`Mechanism::pose`], compiled once for each mechanism: a call costs little beside it, and a copy at every use would
+/// come out of the 256 KB that an image may fill.
 #[inline(never)]
 pub(crate) fn shared_pose<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     mechanism: &M,

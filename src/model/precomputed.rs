@@ -251,7 +251,8 @@ impl<T: Real, const N: usize> MassModel<T, N> {
     }
 
     /// What a unit tip motion along `n` takes and weighs. `values` are the table's. Shared by single walls and corners:
-    /// a call costs less than a second copy of every mechanism in the board's flash.
+    /// a call costs little beside it, and a second copy for every mechanism would come out of the 256 KB that an image
+    /// may fill.
     #[inline(never)]
     pub fn shaping<M: Mechanism<T, N>>(
         &self,

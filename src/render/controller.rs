@@ -24,19 +24,19 @@ use guidance::{Beside, Guidance};
 use heapless::Vec;
 use nalgebra::SVector;
 use observers::Observers;
-use plan::Plan;
 use postcard_schema::Schema;
 pub use push::{Push, PushedPlane};
 use serde::{Deserialize, Serialize};
+use straight::StepVariant;
 use walls::{Acting, Active, Walls};
 pub use walls::{TOUCH_DEPTH, TOUCH_SHARE};
 
 mod encoders;
 mod guidance;
 mod observers;
-mod plan;
 mod posture;
 mod push;
+mod straight;
 mod walls;
 
 /// Sine of a serial singularity at and above which the feed-forward acts in full.
@@ -133,7 +133,7 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     posture: Option<Posture<T>>,
     /// b of the shaped torque is not zero.
     biased: bool,
-    plan: Plan,
+    variant: StepVariant,
     math: PhantomData<K>,
 }
 
@@ -182,17 +182,17 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             admissible: scene.admissible,
             posture: scene.posture,
             biased,
-            plan: Plan::General,
+            variant: StepVariant::General,
             math: PhantomData,
         };
-        controller.plan = Plan::of(&mut controller);
+        controller.variant = StepVariant::of(&mut controller);
         Ok(controller)
     }
 
     /// Takes the mass matrix from `mass` from now on instead of the mechanism's closed form.
     pub fn set_mass(&mut self, mass: MassModel<T, N>) {
         self.mass = mass;
-        self.plan = Plan::of(self);
+        self.variant = StepVariant::of(self);
     }
 
     /// Joint torques for these encoder counts. Call at the control rate.
@@ -205,7 +205,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     #[inline(always)]
     pub fn step_with(&mut self, counts: &[i32; N], table: &[T]) -> Step<T, N> {
         // A host may add its own force at any time.
-        if self.plan == Plan::Plane
+        if self.variant == StepVariant::Plane
             && !self.guidance.any
             && let Some(step) = self.step_at_a_plane(counts)
         {
@@ -543,7 +543,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         }
         self.coefficients = *coefficients;
         self.encoders.retune(coefficients);
-        self.plan = Plan::of(self);
+        self.variant = StepVariant::of(self);
     }
 }
 

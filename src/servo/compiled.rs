@@ -6,7 +6,7 @@
 use crate::drive::carrier::Carrier;
 use crate::math::Minimax;
 use crate::model::catalogue::MAX_JOINTS;
-use crate::servo::frame::{Frame, Outputs, Rendered, Samples};
+use crate::servo::frame::{Outputs, Rendered, Samples, StepRecord};
 use crate::servo::joints::Counts;
 use crate::servo::program::Program;
 use crate::servo::{Servo, for_joints};
@@ -60,7 +60,7 @@ fn legs_of<const J: usize>(
 
 /// Puts the last step's frame into the queue; false when it is full.
 #[inline(never)]
-pub fn record(servo: &BoardServo, frames: &mut Producer<'static, Frame>) -> bool {
+pub fn record(servo: &BoardServo, frames: &mut Producer<'static, StepRecord>) -> bool {
     // A full queue is known before anything is copied.
     frames.ready() && frames.enqueue(servo.frame()).is_ok()
 }

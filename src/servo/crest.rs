@@ -146,8 +146,9 @@ where
         }
     }
 
-    /// Whether bridges may go on after what this crest shows; nobody asks for its index pulses and faults yet. Call at every crest, before [`Servo::act`] where one
-    /// is due and before [`Servo::duties`].
+    /// Whether the bridges may go on driving after what this crest shows in counts, currents and supply. It leaves the
+    /// index pulses and reported faults of `seen` to the control step. Call at every crest, before [`Servo::act`] where
+    /// a step is due and before [`Servo::duties`].
     #[inline(always)]
     pub fn guard(&mut self, seen: &Samples) -> Outputs {
         for_joints!(self.joints(), J => self.guard_joints::<J>(seen))

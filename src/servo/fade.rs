@@ -29,7 +29,7 @@ pub(super) struct Acted {
 /// Torques that a host asked for, on their way out.
 #[derive(Clone, Copy, Debug, Default)]
 struct Lease {
-    ///, when `life` (s) were left, of which `left` are.
+    /// N m when `life` (s) were left; they fall as `left`, what is left now, does.
     torque: Torques,
     life: f32,
     left: f32,
@@ -48,7 +48,8 @@ impl Lease {
 pub(super) struct Fade {
     /// How far the scene is in, 0 to 1.
     pub ramp: f32,
-    /// Share of what was asked in the last step that the ramp let act, before torques were limited.
+    /// By what the last step multiplied the forces asked for, before torques were limited: the ramp times the share that
+    /// the limit of the force at the tip left.
     pub share: f32,
     /// Whether a step of it was.
     begun: bool,

@@ -63,11 +63,11 @@ pub(crate) struct Now {
     pub walls: AtWalls,
     /// What the limits leave of the walls' force, N.
     pub rendered_force: f32,
-    /// See [`Frame::limited`].
+    /// See [`StepRecord::limited`].
     pub limited: u8,
 }
 
-/// What a step found at the walls, see [`Frame`].
+/// What a step found at the walls, see [`StepRecord`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct AtWalls {
     pub contacts: u8,
@@ -86,7 +86,7 @@ pub(crate) struct AtWalls {
 
 /// One step as telemetry records it. Vectors are padded with zeros to three entries.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Frame {
+pub struct StepRecord {
     /// Control steps since boot.
     pub step: u32,
     /// The state after this step.
@@ -129,7 +129,7 @@ pub struct Frame {
     pub bus_voltage: f32,
 }
 
-impl Frame {
+impl StepRecord {
     /// The record of a step that left the servo in `state`, field by field: a copy of the whole would be a call of memcpy.
     #[inline(always)]
     pub(crate) fn of(now: &Now, state: State) -> Self {
@@ -157,7 +157,7 @@ impl Frame {
         }
     }
 
-    /// Whether joint `i` could not do what was asked: 1 a limit changed its torque ([`Frame::limited`]), 2 its duty is at
+    /// Whether joint `i` could not do what was asked: 1 a limit changed its torque ([`StepRecord::limited`]), 2 its duty is at
     /// its end, 3 both.
     pub fn saturation(&self, i: usize) -> f32 {
         let end = self.duty.get(i).is_some_and(|duty| duty.abs() >= DUTY_END);

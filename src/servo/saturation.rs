@@ -114,7 +114,8 @@ impl Asked {
     }
 }
 
-/// The share of a force that is within `most` (N), 1 where all of it is; none of what is no number.
+/// By how much a force, given by its square (N²), is multiplied so that it is at most `most` (N): by 1 where it is
+/// within that, by 0 where it is not finite.
 pub(super) fn share_within(squared: f32, most: f32) -> f32 {
     if squared <= most * most {
         1.0
@@ -125,7 +126,7 @@ pub(super) fn share_within(squared: f32, most: f32) -> f32 {
     }
 }
 
-/// The largest share, up to `most`, of `part` that fits on top of `base` within ±`limit`; none of what is no number.
+/// The largest share, up to `most`, of `part` that fits on top of `base` within ±`limit`; 0 where `part` is no number.
 fn room(base: f32, part: f32, limit: f32, most: f32) -> f32 {
     let left = if part > 0.0 { limit - base } else { limit + base };
     let size = part.abs();

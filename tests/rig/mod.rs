@@ -25,6 +25,8 @@ pub type Held = Box<Program<Minimax>>;
 
 /// Control rate of the scenes here, Hz.
 pub const RATE: f32 = 2_000.0;
+/// Control rates, Hz, that limits and watches have to hold at alike.
+pub const RATES: [f32; 3] = [200.0, 1_000.0, 20_000.0];
 /// Counts in a turn of a joint here.
 pub const COUNTS: f64 = 60_000.0;
 
@@ -122,6 +124,11 @@ pub fn scene(task: u8, walls: &[Wall<f32>]) -> Scene<f32> {
     Scene { task, rate_hz: RATE, cutoff_hz: 200.0, walls: walls.iter().copied().collect(), ..Scene::default() }
 }
 
+/// A stiff wall at -0.05 m, far from the paddle's home.
+pub fn quiet() -> Scene<f32> {
+    scene(1, &[wall(-0.05, 1_000.0)])
+}
+
 pub fn device(description: &Description) -> Device<f32> {
     Device::new("test", description).expect("a sound device")
 }
@@ -187,7 +194,14 @@ impl Rig {
 
     /// A paddle in free space far from a stiff wall at -0.05 m, armed, ramp over.
     pub fn armed() -> Self {
-        let mut rig = Self::ready(&scene(1, &[wall(-0.05, 1_000.0)]));
+        Self::armed_with(|_| ())
+    }
+
+    /// As [`Rig::armed`], with other rules.
+    pub fn armed_with(change: impl Fn(&mut Rules)) -> Self {
+        let mut rules = rules();
+        change(&mut rules);
+        let mut rig = Self::with(&paddle(), &quiet(), hardware(), rules);
         rig.arm();
         rig
     }

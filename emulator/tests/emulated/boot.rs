@@ -11,7 +11,8 @@ use virtual_board::usb::Event;
 fn a_board_is_a_serial_port_right_after_enumeration() {
     for kind in BoardKind::ALL {
         let rig = Rig::empty(kind);
-        let (descriptors, log) = rig.with(|bench| (bench.usb().descriptors().clone(), bench.usb().log().to_vec()));
+        let (descriptors, log) =
+            rig.with(|stopped| (stopped.usb().descriptors().clone(), stopped.usb().log().to_vec()));
         assert_eq!(descriptors.ids(), (USB_VENDOR, USB_PRODUCT));
         assert!(descriptors.strings.iter().any(|text| text == USB_PRODUCT_NAME), "{:?}", descriptors.strings);
         assert!(!log.iter().any(|(_, event)| matches!(event, Event::Stalled(_) | Event::Left)), "{log:?}");
@@ -29,7 +30,7 @@ fn every_register_the_firmware_touches_has_a_model() {
     for kind in BoardKind::ALL {
         let rig = Rig::empty(kind);
         rig.run(SECOND / 10);
-        let gaps = rig.with(|bench| bench.gaps());
+        let gaps = rig.with(|stopped| stopped.gaps());
         // At boot the bridges are switched off before their clocks run, which a chip ignores. SYSCFG and EXTI hold
         // values that the hardware around the chip acts on.
         let real: Vec<_> = gaps
@@ -49,7 +50,7 @@ fn the_flash_is_as_fast_as_it_can_be() {
     const PREFETCH_AND_CACHES: u64 = 0b111 << 8;
     for kind in BoardKind::ALL {
         let rig = Rig::empty(kind);
-        let control = rig.with(|bench| bench.hardware().chip.register("FLASH", ACCESS_CONTROL));
+        let control = rig.with(|stopped| stopped.hardware().chip.register("FLASH", ACCESS_CONTROL));
         assert_eq!(control, PREFETCH_AND_CACHES | WAIT_STATES, "FLASH_ACR is {control:#x}");
     }
 }
@@ -58,7 +59,7 @@ fn the_flash_is_as_fast_as_it_can_be() {
 fn the_log_says_which_board_started() {
     for kind in BoardKind::ALL {
         let rig = Rig::empty(kind);
-        let raw = rig.with(|bench| bench.take_log());
+        let raw = rig.with(|stopped| stopped.take_log());
         let lines = Decoder::new(firmware(kind)).expect("the image logs").lines(&raw);
         assert!(lines.iter().any(|line| line.contains(kind.wiring().name)), "{lines:?}");
     }
@@ -68,7 +69,7 @@ fn the_log_says_which_board_started() {
 fn the_clock_of_the_tasks_tells_the_time_since_it_started() {
     let rig = Rig::empty(BoardKind::OdriveV3);
     let heard = firmware(rig.kind).find_ending("10supervisor13LAST_HEARD_MS").expect("when a task was heard").address;
-    let read = || rig.with(move |bench| (bench.word(heard).expect("RAM"), bench.at / MILLISECOND));
+    let read = || rig.with(move |stopped| (stopped.word(heard).expect("RAM"), stopped.at / MILLISECOND));
     let (mut before, mut signs) = (read().0, 0);
     let mut started = None;
     // Across some turns of its 16-bit count of microseconds.

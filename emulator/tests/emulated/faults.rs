@@ -5,12 +5,12 @@ use haptic::sim::MotorInput;
 use haptic_bridge::safety::fault::{Fault, State};
 use virtual_board::boards::BoardKind;
 use virtual_board::rig::Rig;
-use virtual_board::run::{Bench, MILLISECOND, SECOND};
+use virtual_board::run::{MILLISECOND, SECOND, StoppedBoard};
 
 use crate::session::WALL;
 
 /// A board that is armed, does something, and is then broken by `breaks`; what it says of it.
-fn after(kind: BoardKind, breaks: impl FnOnce(&mut Bench<'_>) + Send + 'static) -> (Rig, Option<Fault>) {
+fn after(kind: BoardKind, breaks: impl FnOnce(&mut StoppedBoard<'_>) + Send + 'static) -> (Rig, Option<Fault>) {
     let mut rig = Rig::with_device(kind, "pantograph-mk2", |_| ());
     rig.load(WALL);
     rig.ready();
@@ -18,16 +18,16 @@ fn after(kind: BoardKind, breaks: impl FnOnce(&mut Bench<'_>) + Send + 'static) 
     rig.run(50 * MILLISECOND);
     let status = rig.tool.status().expect("the board answers");
     assert_eq!(status.state, State::Fault, "{status:?}");
-    let drives = rig.with(|bench| bench.hardware().drives());
+    let drives = rig.with(|stopped| stopped.hardware().drives());
     assert!(drives.iter().all(|drive| !matches!(drive, MotorInput::Duty(duty) if *duty != 0.0)), "{drives:?}");
     (rig, status.fault.map(|record| record.fault))
 }
 
 #[test]
 fn a_gate_driver_that_pulls_its_fault_line_takes_both_axes_down() {
-    let (mut rig, fault) = after(BoardKind::OdriveV3, |bench| bench.hardware().driver(1).fail(1 << 2));
+    let (mut rig, fault) = after(BoardKind::OdriveV3, |stopped| stopped.hardware().driver(1).fail(1 << 2));
     assert_eq!(fault, Some(Fault::GateDriver));
-    let drives = rig.with(|bench| bench.hardware().drives());
+    let drives = rig.with(|stopped| stopped.hardware().drives());
     assert_eq!(drives, [MotorInput::Floating; 3]);
     // The fault went with EN_GATE, and the board can be armed anew.
     rig.tool.clear().expect("the fault clears");
@@ -38,16 +38,16 @@ fn a_gate_driver_that_pulls_its_fault_line_takes_both_axes_down() {
 
 #[test]
 fn too_much_bus_voltage_turns_the_motors_off() {
-    let (_, fault) = after(BoardKind::OdriveV3, |bench| {
-        bench.hardware().plant.device().expect("a device").set_bus_voltage(58.0);
+    let (_, fault) = after(BoardKind::OdriveV3, |stopped| {
+        stopped.hardware().plant.device().expect("a device").set_bus_voltage(58.0);
     });
     assert_eq!(fault, Some(Fault::BusOverVoltage));
 }
 
 #[test]
 fn an_encoder_that_jumps_turns_the_motors_off() {
-    let (_, fault) = after(BoardKind::OdriveV3, |bench| {
-        let device = bench.hardware().plant.device().expect("a device");
+    let (_, fault) = after(BoardKind::OdriveV3, |stopped| {
+        let device = stopped.hardware().plant.device().expect("a device");
         let [a, b, c] = device.q();
         device.place([a + 0.4, b, c]);
     });
@@ -59,13 +59,13 @@ fn a_gate_driver_that_forgets_its_settings_is_never_armed() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
     rig.tool.home().expect("homed");
-    rig.with(|bench| bench.hardware().driver(0).stick(true));
+    rig.with(|stopped| stopped.hardware().driver(0).stick(true));
     let outcome = rig.tool.check_polarity();
     rig.run(SECOND / 2);
     let status = rig.tool.status().expect("it answers");
     let refused = matches!(outcome, Err(BoardError::Refused(_)));
     assert!(refused || status.state == State::Fault, "{outcome:?} {status:?}");
     assert!(!status.polarity);
-    let drives = rig.with(|bench| bench.hardware().drives());
+    let drives = rig.with(|stopped| stopped.hardware().drives());
     assert_eq!(drives, [MotorInput::Floating; 3]);
 }

@@ -38,24 +38,24 @@ fn scene(rig: &mut Rig) -> SceneData {
 /// The board started with those words in its settings' sectors.
 fn started_with(words: &[u32], rig: Rig) -> Rig {
     let words = words.to_vec();
-    rig.with(move |bench| bench.set_flash(SETTINGS.start, &words));
+    rig.with(move |stopped| stopped.set_flash(SETTINGS.start, &words));
     rig.run(MILLISECOND);
     rig.restarted()
 }
 
 /// Lets the power go within the flash operation of that number from now on.
 fn cut(rig: &Rig, operation: u64) {
-    rig.with(move |bench| bench.hardware().chip.flash.hook.cut = Some(operation));
+    rig.with(move |stopped| stopped.hardware().chip.flash.hook.cut = Some(operation));
 }
 
 /// Operations that are left until it goes.
 fn left(rig: &Rig) -> Option<u64> {
-    rig.with(|bench| bench.hardware().chip.flash.hook.cut)
+    rig.with(|stopped| stopped.hardware().chip.flash.hook.cut)
 }
 
 /// Cuts the power within every `step`th operation of a save that changes the scene. Answers how many it has.
 fn cut_within(step: usize, mut rig: Rig) -> u64 {
-    let flash = rig.with(|bench| bench.flash(SETTINGS));
+    let flash = rig.with(|stopped| stopped.flash(SETTINGS));
     let old = scene(&mut rig);
     cut(&rig, FOREVER);
     assert!(save(&mut rig, 600));
@@ -91,17 +91,17 @@ fn a_power_cut_within_a_save_leaves_the_old_or_the_new_scene() {
 #[test]
 fn a_power_cut_within_a_save_that_erases_a_sector_leaves_the_old_or_the_new_scene() {
     let mut rig = saved();
-    let erased = |rig: &Rig| rig.with(|bench| bench.hardware().chip.flash.hook.erased.len());
+    let erased = |rig: &Rig| rig.with(|stopped| stopped.hardware().chip.flash.hook.erased.len());
     // Up to where the next save finds its sector full: more saves than anyone would try without this.
     let mut before = Vec::new();
     for nth in 0..400 {
-        before = rig.with(|bench| bench.flash(SETTINGS));
+        before = rig.with(|stopped| stopped.flash(SETTINGS));
         assert!(save(&mut rig, 500 + nth % 2), "save {nth}");
         if erased(&rig) > 0 {
             break;
         }
     }
     assert_eq!(erased(&rig), 1);
-    assert!(rig.with(|bench| bench.resets().is_empty()), "the board restarted");
+    assert!(rig.with(|stopped| stopped.resets().is_empty()), "the board restarted");
     assert!(cut_within(37, started_with(&before, rig)) > 100);
 }

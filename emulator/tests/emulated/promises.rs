@@ -32,7 +32,7 @@ fn from_power_on_to_usb_the_bridges_are_off_at_every_instant() {
         while !ready {
             board.run(20 * MICROSECOND);
             let is_off;
-            (is_off, ready) = board.with(|bench| (off(bench), bench.usb().ready()));
+            (is_off, ready) = board.with(|stopped| (off(stopped), stopped.usb().ready()));
             assert!(is_off, "{} after {} ns", kind.wiring().name, board.now());
             assert!(board.now() < 2 * SECOND, "no USB after two seconds");
         }
@@ -44,7 +44,7 @@ fn a_reset_of_an_armed_board_turns_the_bridges_off_and_leaves_them_off() {
     for kind in BoardKind::ALL {
         let rig = armed(kind);
         assert!(!rig.with(off), "the board was armed");
-        rig.with(|bench| bench.reset());
+        rig.with(|stopped| stopped.reset());
         for instant in 0..2_000 {
             rig.run(20 * MICROSECOND);
             assert!(rig.with(off) || instant == 0, "{}: {instant} x 20 us after the reset", kind.wiring().name);
@@ -81,8 +81,8 @@ const CARRIERS_STOP: u64 = 0b11;
 fn a_debugger_that_halts_the_core_stops_the_carriers_and_the_watchdog() {
     for kind in BoardKind::ALL {
         let rig = Rig::empty(kind);
-        let (first, second) = rig.with(|bench| {
-            let chip = &bench.hardware().chip;
+        let (first, second) = rig.with(|stopped| {
+            let chip = &stopped.hardware().chip;
             (chip.register("DBG", APB1_FREEZE), chip.register("DBG", APB2_FREEZE))
         });
         assert_eq!(first & WATCHDOG_STOPS, WATCHDOG_STOPS, "{}", kind.wiring().name);
@@ -97,13 +97,13 @@ const OUTPUTS: u64 = 1 << 15;
 #[test]
 fn the_break_input_cuts_the_outputs_without_the_processor() {
     let rig = armed(BoardKind::HBridgeF405);
-    let outputs = || rig.with(|bench| bench.hardware().chip.register("TIM1", BREAK_AND_DEAD_TIME) & OUTPUTS);
+    let outputs = || rig.with(|stopped| stopped.hardware().chip.register("TIM1", BREAK_AND_DEAD_TIME) & OUTPUTS);
     let executed = || rig.shared.board().instructions();
     assert_eq!(outputs(), OUTPUTS);
-    rig.with(|bench| bench.hold(true));
+    rig.with(|stopped| stopped.hold(true));
     rig.run(MICROSECOND);
     let before = executed();
-    rig.with(|bench| bench.hardware().fault_line_shorted = true);
+    rig.with(|stopped| stopped.hardware().fault_line_shorted = true);
     rig.run(100 * MICROSECOND);
     assert_eq!(outputs(), 0, "the outputs are on");
     assert_eq!(executed(), before, "the processor stood still");
@@ -115,15 +115,15 @@ fn bitten(task: &'static str, code: impl FnOnce(u32) -> Vec<u32>, least: u64, mo
     let mut rig = armed(BoardKind::OdriveV3);
     run_instead(&rig, task, code);
     let began = rig.now();
-    let resets = rig.with(|bench| bench.resets().len());
-    while rig.with(|bench| bench.resets().len()) == resets {
+    let resets = rig.with(|stopped| stopped.resets().len());
+    while rig.with(|stopped| stopped.resets().len()) == resets {
         rig.run(MILLISECOND);
         assert!(rig.now() < began + most * MILLISECOND, "no reset after {most} ms");
     }
     assert!(rig.now() > began + least * MILLISECOND, "a reset after {} ns", rig.now() - began);
     rig.run(MILLISECOND);
     assert!(rig.with(off), "bridges are on after the reset");
-    let ready = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |bench| bench.usb().ready());
+    let ready = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready());
     assert!(ready, "the port is gone");
     rig.tool = haptic::link::Board::over(rig.shared.wire(), "again").expect("the board answers");
     let status = rig.tool.status().expect("the board answers");
@@ -156,17 +156,17 @@ fn the_watchdog_bites_when_the_control_interrupt_comes_too_often() {
 #[test]
 fn a_board_whose_supply_stays_low_stays_off_and_says_so_once_it_is_back() {
     let mut rig = armed(BoardKind::OdriveV3);
-    rig.with(|bench| bench.supply(2700));
+    rig.with(|stopped| stopped.supply(2700));
     rig.run(100 * MICROSECOND);
-    let steps = rig.with(|bench| bench.resets().len());
+    let steps = rig.with(|stopped| stopped.resets().len());
     for _ in 0..1_000 {
         assert!(rig.with(off), "bridges are on after {} ns", rig.now());
         rig.run(100 * MICROSECOND);
     }
-    let (resets, ready) = rig.with(|bench| (bench.resets().len(), bench.usb().ready()));
+    let (resets, ready) = rig.with(|stopped| (stopped.resets().len(), stopped.usb().ready()));
     assert!(resets == steps && !ready, "{resets} resets; the board runs on too little");
-    rig.with(|bench| bench.supply(3300));
-    assert!(rig.shared.board().run_until(2 * SECOND, MILLISECOND, |bench| bench.usb().ready()), "the port is gone");
+    rig.with(|stopped| stopped.supply(3300));
+    assert!(rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready()), "the port is gone");
     rig.tool = haptic::link::Board::over(rig.shared.wire(), "again").expect("the board answers");
     let status = rig.tool.status().expect("the board answers");
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::SupplyDip)));
@@ -177,7 +177,7 @@ fn a_board_that_is_left_alone_is_not_bitten() {
     let mut rig = armed(BoardKind::OdriveV3);
     let _ = rig.tool.rows(Duration::from_millis(10));
     rig.run(2 * SECOND);
-    assert_eq!(rig.with(|bench| bench.resets().len()), 0);
+    assert_eq!(rig.with(|stopped| stopped.resets().len()), 0);
     assert_eq!(rig.tool.status().expect("the board answers").state, State::Armed);
 }
 

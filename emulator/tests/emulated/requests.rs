@@ -142,9 +142,9 @@ fn what_a_board_refuses_changes_neither_its_pins_nor_what_it_holds() {
         all_refused(&mut rig, State::Armed, READYING);
         all_refused(&mut rig, State::Armed, OFF);
 
-        rig.with(|bench| bench.hardware().plant.device().expect("a device").set_bus_voltage(58.0));
+        rig.with(|stopped| stopped.hardware().plant.device().expect("a device").set_bus_voltage(58.0));
         rig.run(20 * MILLISECOND);
-        rig.with(|bench| bench.hardware().plant.device().expect("a device").set_bus_voltage(24.0));
+        rig.with(|stopped| stopped.hardware().plant.device().expect("a device").set_bus_voltage(24.0));
         all_refused(&mut rig, State::Fault, READYING);
         all_refused(&mut rig, State::Fault, NEVER);
     }

@@ -49,7 +49,7 @@ fn a_session_from_info_to_disarm() {
     rig.tool.disarm().expect("the board disarms");
     rig.run(10 * MILLISECOND);
     assert_eq!(rig.tool.status().expect("the board answers").state, State::Disarmed);
-    let drives = rig.with(|bench| bench.hardware().drives());
+    let drives = rig.with(|stopped| stopped.hardware().drives());
     assert!(drives.iter().all(|drive| *drive == haptic::sim::MotorInput::Floating), "{drives:?}");
 }
 
@@ -93,7 +93,7 @@ fn a_backup_of_three_joints_is_put_in_force_and_leaves_stack_untouched() {
     let details = rig.tool.details().expect("the board answers");
     assert_eq!(details.walls, 3);
     assert!(details.stack_free >= 8 * 1024, "{} of 40 KB were never touched", details.stack_free);
-    assert!(rig.with(|bench| bench.resets().is_empty()), "{}", rig.post_mortem());
+    assert!(rig.with(|stopped| stopped.resets().is_empty()), "{}", rig.post_mortem());
 }
 
 fn refusal(outcome: Result<(), BoardError>) -> Refusal {

@@ -19,33 +19,33 @@ fn answers(rig: &Rig) -> bool {
 }
 
 fn wait_until_ready(rig: &Rig) {
-    let ready = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |bench| bench.usb().ready());
-    assert!(ready, "no port after two seconds: {:?}", rig.with(|bench| bench.usb().log().to_vec()));
+    let ready = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready());
+    assert!(ready, "no port after two seconds: {:?}", rig.with(|stopped| stopped.usb().log().to_vec()));
 }
 
 #[test]
 fn a_board_that_is_plugged_in_again_answers_again() {
     let rig = Rig::empty(BoardKind::OdriveV3);
     for _ in 0..3 {
-        rig.with(|bench| bench.usb().plug(false));
+        rig.with(|stopped| stopped.usb().plug(false));
         rig.run(200 * MILLISECOND);
-        rig.with(|bench| bench.usb().plug(true));
+        rig.with(|stopped| stopped.usb().plug(true));
         wait_until_ready(&rig);
         assert!(answers(&rig));
     }
-    let resets = rig.with(|bench| bench.resets().len());
+    let resets = rig.with(|stopped| stopped.resets().len());
     assert_eq!(resets, 0, "the chip itself never restarted");
 }
 
 #[test]
 fn a_board_wakes_up_with_its_computer() {
     let rig = Rig::empty(BoardKind::OdriveV3);
-    rig.with(|bench| bench.usb().suspend(true));
+    rig.with(|stopped| stopped.usb().suspend(true));
     rig.run(500 * MILLISECOND);
-    rig.with(|bench| bench.usb().suspend(false));
+    rig.with(|stopped| stopped.usb().suspend(false));
     rig.run(100 * MILLISECOND);
     assert!(answers(&rig));
-    let log = rig.with(|bench| bench.usb().log().to_vec());
+    let log = rig.with(|stopped| stopped.usb().log().to_vec());
     assert!(log.iter().any(|(_, event)| *event == Event::Suspended), "{log:?}");
     assert!(log.iter().any(|(_, event)| *event == Event::Resumed), "{log:?}");
 }
@@ -64,20 +64,20 @@ fn garbage_is_answered_by_nothing_and_harms_nothing() {
         })
         .take(3000)
         .collect();
-        rig.with(move |bench| bench.usb().write(&noise));
+        rig.with(move |stopped| stopped.usb().write(&noise));
         rig.run(20 * MILLISECOND);
     }
-    rig.with(|bench| bench.usb().take());
+    rig.with(|stopped| stopped.usb().take());
     // Requests that no serial port knows are stalled, and the port goes on.
     for setup in [[0xC0, 0x55, 0, 0, 0, 0, 64, 0], [0x80, 6, 9, 9, 0, 0, 255, 0], [0x21, 0x77, 1, 0, 0, 0, 0, 0]] {
-        rig.with(move |bench| bench.usb().ask(setup, &[]));
+        rig.with(move |stopped| stopped.usb().ask(setup, &[]));
         rig.run(5 * MILLISECOND);
     }
-    let refused = rig.with(|bench| bench.usb().take_answers());
+    let refused = rig.with(|stopped| stopped.usb().take_answers());
     assert_eq!(refused.len(), 3);
     assert!(refused.iter().all(Result::is_err), "{refused:?}");
     assert!(answers(&rig));
-    assert_eq!(rig.with(|bench| bench.resets().len()), 0);
+    assert_eq!(rig.with(|stopped| stopped.resets().len()), 0);
 }
 
 #[test]
@@ -87,9 +87,9 @@ fn a_computer_that_stops_reading_stops_nothing_else() {
     rig.ready();
     rig.tool.start_stream(Fields::ALL, 1).expect("a stream starts");
     let before = rig.tool.rows(Duration::from_millis(50)).expect("rows come").last().expect("a row").step;
-    rig.with(|bench| bench.usb().read_port(false));
+    rig.with(|stopped| stopped.usb().read_port(false));
     rig.run(SECOND);
-    rig.with(|bench| bench.usb().read_port(true));
+    rig.with(|stopped| stopped.usb().read_port(true));
     rig.run(200 * MILLISECOND);
     let status = rig.tool.status().expect("the board answers");
     // 1.2 s and more at 20 kHz: the control step never waited.
@@ -112,13 +112,13 @@ fn a_computer_that_reads_a_packet_now_and_then_stops_nothing_else() {
     rig.tool.start_stream(Fields::ALL, 1).expect("a stream starts");
     rig.tool.rows(Duration::from_millis(50)).expect("rows come");
     for _ in 0..40 {
-        rig.with(|bench| bench.usb().read_port(true));
+        rig.with(|stopped| stopped.usb().read_port(true));
         rig.run(60 * MICROSECOND);
-        rig.with(|bench| bench.usb().read_port(false));
+        rig.with(|stopped| stopped.usb().read_port(false));
         rig.run(90 * MILLISECOND);
-        assert_eq!(rig.with(|bench| bench.resets().len()), 0, "the watchdog bit");
+        assert_eq!(rig.with(|stopped| stopped.resets().len()), 0, "the watchdog bit");
     }
-    rig.with(|bench| bench.usb().read_port(true));
+    rig.with(|stopped| stopped.usb().read_port(true));
     rig.run(200 * MILLISECOND);
     let status = rig.tool.status().expect("the board answers");
     assert_eq!((status.state, status.fault), (State::Armed, None));
@@ -137,9 +137,9 @@ fn a_flood_of_requests_starves_nobody() {
     let flood = frames.last().expect("a request was sent").repeat(3000);
     rig.shared.wire().send(&flood).expect("the port takes it");
     rig.run(SECOND / 2);
-    let resets = rig.with(|bench| bench.resets().len());
+    let resets = rig.with(|stopped| stopped.resets().len());
     assert_eq!(resets, 0, "the watchdog bit");
-    rig.with(|bench| bench.usb().take());
+    rig.with(|stopped| stopped.usb().take());
     rig.tool = Board::over(rig.shared.wire(), "again").expect("the board answers again");
     let status = rig.tool.status().expect("it answers");
     assert_eq!((status.state, status.fault), (State::Armed, None));
@@ -161,7 +161,7 @@ fn every_arming_readies_the_drivers_anew() {
     for pause in [0, 100 * MILLISECOND] {
         rig.shared.wire().send(&both).expect("the port takes it");
         rig.run(40 * MILLISECOND + pause);
-        rig.with(|bench| bench.usb().take());
+        rig.with(|stopped| stopped.usb().take());
         rig.tool = Board::over(rig.shared.wire(), "again").expect("the board answers again");
         let before = rig.now();
         rig.tool.arm().expect("the board arms");
@@ -169,7 +169,7 @@ fn every_arming_readies_the_drivers_anew() {
         assert!(took > 30 * MILLISECOND, "armed after {} us", took / MICROSECOND);
         rig.tool.disarm().expect("the board disarms");
     }
-    assert_eq!(rig.with(|bench| bench.resets().len()), 0);
+    assert_eq!(rig.with(|stopped| stopped.resets().len()), 0);
 }
 
 #[test]
@@ -193,11 +193,11 @@ fn arming_disarming_and_replugging_over_and_over_leaves_a_board_that_works() {
         rig.tool.arm().expect("the board arms");
         rig.run(cycle * 3 * MILLISECOND);
         if cycle % 6 == 5 {
-            rig.with(|bench| bench.usb().plug(false));
+            rig.with(|stopped| stopped.usb().plug(false));
             rig.run((1 + cycle) * 5 * MILLISECOND);
-            rig.with(|bench| bench.usb().plug(true));
+            rig.with(|stopped| stopped.usb().plug(true));
             wait_until_ready(&rig);
-            rig.with(|bench| bench.usb().take());
+            rig.with(|stopped| stopped.usb().take());
             rig.tool = Board::over(rig.shared.wire(), "again").expect("the board answers again");
             // Nothing was said of a silent host in the rules, so the wall is still there.
             assert_eq!(rig.tool.status().expect("it answers").state, State::Armed, "cycle {cycle}");
@@ -208,6 +208,6 @@ fn arming_disarming_and_replugging_over_and_over_leaves_a_board_that_works() {
     assert_eq!(rig.tool.details().expect("it answers").overruns, 0);
     rig.tool.disarm().expect("the board disarms");
     rig.run(MILLISECOND);
-    let (drives, resets) = rig.with(|bench| (bench.hardware().drives(), bench.resets().len()));
+    let (drives, resets) = rig.with(|stopped| (stopped.hardware().drives(), stopped.resets().len()));
     assert_eq!((drives, resets), ([MotorInput::Floating; 3], 0));
 }

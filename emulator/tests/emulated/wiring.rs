@@ -35,11 +35,11 @@ fn each_encoder_counts_its_own_axis_up_and_down() {
         rig.load(if kind == BoardKind::OdriveV3 { WALL } else { "" });
         let axes = kind.wiring().encoders.len();
         let mut expected = vec![0.0; axes];
-        rig.with(|bench| bench.hardware().plant = Box::new(Dummy::default()));
+        rig.with(|stopped| stopped.hardware().plant = Box::new(Dummy::default()));
         for (axis, moved) in (0..axes).map(|axis| (axis, 137 - 200 * (axis as i32 % 2))) {
             let counts: [i32; 3] = std::array::from_fn(|i| if i <= axis { 137 - 200 * (i as i32 % 2) } else { 0 });
-            rig.with(move |bench| {
-                bench.hardware().plant = Box::new(Dummy { counts, ..Dummy::default() });
+            rig.with(move |stopped| {
+                stopped.hardware().plant = Box::new(Dummy { counts, ..Dummy::default() });
             });
             expected[axis] = f64::from(moved);
             rig.run(MILLISECOND);
@@ -63,7 +63,7 @@ fn each_index_pulse_reaches_its_own_axis() {
                     let mut dummy = Dummy::default();
                     dummy.counts[axis] = count;
                     dummy.index[axis] = index;
-                    rig.with(move |bench| bench.hardware().plant = Box::new(dummy));
+                    rig.with(move |stopped| stopped.hardware().plant = Box::new(dummy));
                     rig.run(MILLISECOND);
                 }
                 let record = rig.tool.status().expect("it answers").fault;
@@ -73,7 +73,7 @@ fn each_index_pulse_reaches_its_own_axis() {
             assert_eq!(pass(0), None, "{place}: the first pulse is where it is");
             assert_eq!(pass(40), Some((Fault::IndexMismatch, Some(axis as u8), 40.0)), "{place}");
             rig.tool.clear().expect("the fault clears");
-            rig.with(|bench| bench.hardware().plant = Box::new(Dummy::default()));
+            rig.with(|stopped| stopped.hardware().plant = Box::new(Dummy::default()));
             // At rest again, or it could not be homed.
             rig.run(100 * MILLISECOND);
         }
@@ -86,8 +86,8 @@ fn the_bus_voltage_is_read_within_a_converter_step() {
         let mut rig = Rig::empty(kind);
         let step = 3.3 / 4096.0 * kind.wiring().bus.1;
         for volts in [12.0, 24.0, 27.5] {
-            rig.with(move |bench| {
-                bench.hardware().plant = Box::new(Dummy { bus_voltage: volts, ..Dummy::default() });
+            rig.with(move |stopped| {
+                stopped.hardware().plant = Box::new(Dummy { bus_voltage: volts, ..Dummy::default() });
             });
             rig.run(2 * MILLISECOND);
             let seen = f64::from(rig.tool.status().expect("it answers").bus_voltage);
@@ -102,7 +102,7 @@ fn motors_float_until_the_board_is_armed() {
         let mut rig = Rig::with_device(kind, device_of(kind), |_| ());
         rig.load(if kind == BoardKind::OdriveV3 { WALL } else { "" });
         rig.run(20 * MILLISECOND);
-        let drives = rig.with(|bench| bench.hardware().drives());
+        let drives = rig.with(|stopped| stopped.hardware().drives());
         assert_eq!(drives, [MotorInput::Floating; 3], "{}", kind.wiring().name);
     }
 }

@@ -98,8 +98,8 @@ impl Board for HBridgeF405 {
         let mut break_input = Flex::new(p.PB12);
         break_input.set_as_af_unchecked(1, AfType::input(Pull::Up));
         core::mem::forget(break_input);
-        let setup = pwm::Setup { channels: [true; 3], dead_time: DEAD_TIME_TICKS, break_input: true };
-        pwm::configure(pac::TIM1, &setup, carrier);
+        let config = pwm::PwmConfig { channels: [true; 3], dead_time: DEAD_TIME_TICKS, break_input: true };
+        pwm::configure(pac::TIM1, &config, carrier);
         let [a, b, c] = [Flex::new(p.PA8), Flex::new(p.PA9), Flex::new(p.PA10)];
         pwm::outputs([a, b, c, Flex::new(p.PB13), Flex::new(p.PB14), Flex::new(p.PB15)], 1);
 

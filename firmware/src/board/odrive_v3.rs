@@ -115,9 +115,9 @@ impl Board for OdriveV3 {
         rcc::enable_and_reset::<peripherals::ADC1>();
         rcc::enable_and_reset::<peripherals::ADC2>();
 
-        let setup = pwm::Setup { channels: [false, true, true], dead_time: DEAD_TIME_TICKS, break_input: false };
+        let config = pwm::PwmConfig { channels: [false, true, true], dead_time: DEAD_TIME_TICKS, break_input: false };
         for timer in TIMERS {
-            pwm::configure(timer, &setup, carrier);
+            pwm::configure(timer, &config, carrier);
         }
         let [a, b, c] = [Flex::new(p.PA8), Flex::new(p.PA9), Flex::new(p.PA10)];
         pwm::outputs([a, b, c, Flex::new(p.PB13), Flex::new(p.PB14), Flex::new(p.PB15)], 1);

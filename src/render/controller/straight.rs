@@ -5,7 +5,7 @@
 //! and the questions, so it returns the same numbers, bit for bit; tests/straight_steps.rs holds every one to that.
 //! What it meets rarely (a fading feed-forward) it leaves to the same cold functions.
 //!
-//! To add one: a file beside plane.rs with its function, a line in [`Plan`] and in [`Plan::of`], its arm in
+//! To add one: a file beside plane.rs with its function, a line in [`StepVariant`] and in [`StepVariant::of`], its arm in
 //! [`Controller::step_with`], and its scenes in tests/straight_steps.rs.
 
 use super::Controller;
@@ -18,15 +18,15 @@ mod plane;
 
 /// The step that a scene gets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Plan {
+pub(super) enum StepVariant {
     /// Any scene.
     General,
     /// One plane alone, with its feed-forward by the closed form; while springs, fields or a host add nothing.
     Plane,
 }
 
-impl Plan {
-    /// The plan of a scene as the controller holds it.
+impl StepVariant {
+    /// The variant of a scene as the controller holds it.
     pub fn of<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
         controller: &mut Controller<T, M, K, N>,
     ) -> Self {

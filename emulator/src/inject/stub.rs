@@ -1,0 +1,52 @@
+//! Code that runs in the place of one of the firmware's tasks, and where it lies in RAM.
+
+use crate::rig::{Rig, firmware};
+use crate::run::MILLISECOND;
+
+/// Where a stub of code can be put: above everything that the firmware keeps in RAM.
+const FREE_RAM: u64 = 0x2001_F000;
+
+/// The supervisor, which feeds the watchdog.
+pub(super) const SUPERVISOR: &str = "10supervisor9supervise4POOL";
+
+/// Puts code into free RAM and has the task in `pool` enter it the next time it is polled. `code` is told where the
+/// task itself begins.
+///
+/// # Panics
+///
+/// When the image has no such task.
+pub fn run_instead(rig: &Rig, pool: &str, code: impl FnOnce(u32) -> Vec<u32>) {
+    let image = firmware(rig.kind);
+    let pool = image.find_ending(pool).expect("the task");
+    let (from, to) = image.text();
+    let place = rig.with(move |stopped| {
+        let is_code = |word: u32| word & 1 == 1 && (from..to).contains(&u64::from(word));
+        let mut words = (0..pool.size / 4).map(|nth| pool.address + 4 * nth);
+        words.find_map(|at| stopped.word(at).filter(|word| is_code(*word)).map(|word| (at, word)))
+    });
+    let (at, task) = place.expect("the task's poll function");
+    let code = code(task);
+    rig.with(move |stopped| {
+        for (to, word) in (FREE_RAM..).step_by(4).zip(code) {
+            assert!(stopped.poke(to, word), "there is RAM");
+        }
+        stopped.poke(at, FREE_RAM as u32 | 1);
+    });
+}
+
+/// The word that a task waits for, and whether it waits.
+pub(super) const NMI_FLAG: u64 = FREE_RAM + 0x100;
+const NMI_WAITS: u64 = NMI_FLAG + 4;
+
+/// Has one of the board's tasks stand in for the wire from the clock security system to the core: it waits for the
+/// flag's word and writes that into ICSR, whose top bit pends the non-maskable interrupt.
+pub(super) fn wire_to_nmi(rig: &Rig) {
+    rig.with(|stopped| [NMI_FLAG, NMI_WAITS].map(|at| assert!(stopped.poke(at, 0), "there is RAM")));
+    // ldr r2, =flag; movs r3, #1; str r3, [r2, #4]; again: ldr r3, [r2]; cmp r3, #0; beq again; ldr r2, =ICSR;
+    // str r3, [r2]; b .; nop; and the two addresses.
+    let stub = vec![0x2301_4A04, 0x6813_6053, 0xD0FC_2B00, 0x6013_4A02, 0xBF00_E7FE, NMI_FLAG as u32, 0xE000_ED04];
+    run_instead(rig, SUPERVISOR, |_| stub);
+    let waits =
+        rig.shared.board().run_until(50 * MILLISECOND, MILLISECOND, |stopped| stopped.word(NMI_WAITS) == Some(1));
+    assert!(waits, "the supervisor runs every 20 ms");
+}

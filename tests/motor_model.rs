@@ -1,0 +1,121 @@
+//! What the model of a motor shows and what it does not mistake for a fault: sensors that lie or that a board has not,
+//! open and warm windings, encoders that stand still.
+
+mod rig;
+
+use haptic_bridge::safety::fault::{Fault, State};
+use haptic_bridge::servo::Command;
+use rig::{RATES, Rig, hardware, paddle, quiet, rules, scene, wall};
+
+/// The largest current of motor 0 from here until the bridges float, A, and the fault; `None` where they do not within
+/// 50 ms.
+fn worst_current(rig: &mut Rig) -> (f32, Option<Fault>) {
+    let mut most = 0.0_f32;
+    for _ in 0..(0.05 * rig.rate) as u32 {
+        rig.step();
+        most = most.max(rig.peak);
+        if rig.state() == State::Fault {
+            break;
+        }
+    }
+    (most, rig.fault())
+}
+
+#[test]
+fn a_current_sensor_that_lies_does_not_let_the_motor_run_beyond_its_limit() {
+    for rate in RATES {
+        for shown in [0.0_f32, 1.0, -2.0] {
+            let mut scene = scene(1, &[wall(-0.005, 250.0)]);
+            (scene.rate_hz, scene.cutoff_hz) = (rate, 0.2 * rate);
+            let mut rig = Rig::ready(&scene);
+            rig.arm();
+            rig.turn(0, -0.15, 1.0);
+            rig.shown_current = Some(shown);
+            let (most, fault) = worst_current(&mut rig);
+            assert_eq!(fault, Some(Fault::MotorModel), "{shown} A at {rate} Hz");
+            // Half again the limit of 3 A and an ampere: what a current that is seen may reach.
+            assert!(most < 5.5, "{shown} A at {rate} Hz: {most} A");
+        }
+    }
+}
+
+#[test]
+fn an_open_winding_is_seen_as_soon_as_it_should_carry_current() {
+    for rate in RATES {
+        let mut scene = scene(1, &[wall(-0.005, 250.0)]);
+        (scene.rate_hz, scene.cutoff_hz) = (rate, 0.2 * rate);
+        let mut rig = Rig::ready(&scene);
+        rig.arm();
+        rig.turn(0, -0.15, 1.0);
+        rig.resistance = f32::INFINITY;
+        let (_, fault) = worst_current(&mut rig);
+        assert_eq!(fault, Some(Fault::MotorModel), "{rate} Hz");
+    }
+}
+
+#[test]
+fn a_sound_motor_is_never_called_strange() {
+    // Hot and cold windings, walls hit and left at speed, at every rate.
+    for rate in RATES {
+        for resistance in [1.7, 2.0, 2.8] {
+            let mut scene = scene(1, &[wall(-0.005, 250.0)]);
+            (scene.rate_hz, scene.cutoff_hz) = (rate, 0.2 * rate);
+            let mut rig = Rig::ready(&scene);
+            rig.resistance = resistance;
+            rig.arm();
+            for (angle, speed) in [(-0.15, 8.0), (0.5, 8.0), (-0.12, 15.0), (-0.14, 0.5), (0.2, 15.0)] {
+                rig.turn(0, angle, speed);
+            }
+            assert_eq!(rig.fault(), None, "{resistance} ohm at {rate} Hz");
+        }
+    }
+}
+
+#[test]
+fn a_stall_is_judged_by_the_torque_that_acts() {
+    // A torque limit of a tenth of the motor's: pressing against it for long is no sign of a dead encoder.
+    let mut rules = rules();
+    rules.limits.torque = [0.03; 3];
+    let mut rig = Rig::with(&paddle(), &scene(1, &[wall(-0.005, 10_000.0)]), hardware(), rules);
+    rig.arm();
+    rig.turn(0, -0.15, 1.0);
+    rig.run(6.0);
+    assert_eq!((rig.state(), rig.fault()), (State::Armed, None));
+}
+
+#[test]
+fn a_warm_winding_pressed_against_a_wall_is_no_lost_encoder() {
+    // Copper at 100 °C has a third more resistance than the 2 ohm of the data sheet.
+    let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 250.0)]));
+    rig.resistance = 2.7;
+    rig.arm();
+    rig.turn(0, -0.15, 1.0);
+    rig.run(1.0);
+    assert_eq!((rig.state(), rig.fault()), (State::Armed, None));
+    assert!((rig.currents[0] - 2.5).abs() < 0.05, "the loop makes 2.5 A all the same: {:?}", rig.currents);
+}
+
+#[test]
+fn voltages_and_currents_that_a_board_does_not_sense_are_ignored() {
+    let mut board = hardware();
+    board.bus_sensed = false;
+    board.bridge.current_sensed = false;
+    let mut rig = Rig::with(&paddle(), &quiet(), board, rules());
+    rig.samples.bus_voltage = f32::NAN;
+    rig.shown_current = Some(f32::NAN);
+    rig.arm();
+    rig.run(0.2);
+    assert_eq!((rig.state(), rig.fault()), (State::Armed, None));
+}
+
+#[test]
+fn a_board_without_bus_voltage_does_not_mistake_that_for_a_lost_encoder() {
+    let mut board = hardware();
+    board.bus_sensed = false;
+    let mut rig = Rig::with(&paddle(), &quiet(), board, rules());
+    rig.samples.bus_voltage = 0.0;
+    rig.shown_current = Some(2.0);
+    rig.execute(Command::Arm).unwrap();
+    rig.run(0.5);
+    assert_eq!((rig.state(), rig.fault()), (State::Armed, None));
+}
