@@ -21,6 +21,7 @@ pub use error::{BoardError, LinkError};
 pub use framing::{Deframer, Frame, MAX_FRAME, encode, envelope};
 pub use past::disarm_past;
 pub use ports::{BoardPort, PortSpec, USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR, boards};
+pub(crate) use ports::{open_serial, open_tcp};
 pub use session::{FADE, HOLD, Session};
 pub use telemetry::{Column, Losses, Row, columns, fields, rows_that_fit};
 pub use wire::{SerialWire, TcpWire, Wire};

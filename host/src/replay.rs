@@ -7,8 +7,8 @@
 
 use crate::backup::Kept;
 use crate::error::Failure;
-use crate::plausible::counted;
 use crate::recorder::{Recording, STATES};
+use crate::words::counted;
 use haptic_bridge::board::settings::Setting;
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::math::Minimax;

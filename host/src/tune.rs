@@ -17,6 +17,7 @@ mod scene;
 pub use margins::{Margins, vertex};
 pub use scene::to_toml;
 
+use crate::analysis::control_loop::{CURRENT_LOOP_HZ, usual_delay};
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
 use crate::analysis::range::{WORTHWHILE_RATIO, boundary_of, stiffnesses};
@@ -25,7 +26,6 @@ use crate::bench::estimators::{Comparison, Pressed, Shaping, pressed};
 use crate::device_file::DeviceFile;
 use crate::error::Failure;
 use crate::plausible::device::force_along;
-use crate::plausible::scene::usual_delay;
 use crate::sweep::Sweep;
 use crate::vectors::padded_to;
 use haptic_bridge::model::admissible::Admissible;
@@ -40,8 +40,6 @@ use std::collections::BTreeMap;
 pub const FASTEST_HZ: f64 = 30_000.0;
 /// Rates that are searched where none are named, Hz.
 pub const RATES_HZ: [f64; 4] = [1_000.0, 5_000.0, 10_000.0, 20_000.0];
-/// -3 dB of the boards' current loops, Hz: as `haptic range --board` has it.
-const CURRENT_HZ: f64 = 6400.0;
 /// Cutoffs of the low-passes, and of what has a bandwidth of its own, Hz.
 const CUTOFFS_HZ: [f64; 8] = [20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 4000.0];
 const BANDWIDTHS_HZ: [f64; 6] = [10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0];
@@ -162,7 +160,7 @@ impl Settings {
             rate_hz: self.rate_hz,
             delay_samples: usual_delay(self.rate_hz),
             estimator: LinearEstimator::of(self.kind, self.cutoff_hz)?,
-            drive: Drive::Current { bandwidth_hz: CURRENT_HZ },
+            drive: Drive::Current { bandwidth_hz: CURRENT_LOOP_HZ },
             damping_compensation: self.damping_compensation,
         })
     }

@@ -3,7 +3,7 @@
 //! Each takes the change of position over the last sample and gives a velocity per sample. What it remembers is chosen so
 //! that its change over a sample is computed directly and not as a difference of near-equal numbers.
 
-use super::sampled::AnalysisError;
+use super::error::AnalysisError;
 use haptic_bridge::render::velocity::{Chosen, Estimator as Kind};
 use nalgebra::{DMatrix, DVector};
 

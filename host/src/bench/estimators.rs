@@ -7,6 +7,7 @@
 //! prediction, with any drive, delay and linear estimator, where this one has the board's own step; tests/ripple.rs holds both
 //! to each other.
 
+use crate::analysis::control_loop::usual_delay;
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
 use crate::analysis::range::stiffness_at;
@@ -14,7 +15,6 @@ use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
 use crate::device_file::DeviceFile;
 use crate::error::Failure;
 use crate::measure::complement;
-use crate::plausible::scene::usual_delay;
 use crate::sim::{EncoderModel, Load, Plant};
 use crate::sweep::Sweep;
 use crate::vectors::{padded, padded_to};

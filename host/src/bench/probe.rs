@@ -3,11 +3,10 @@
 
 use crate::analysis::map::Reachable;
 use crate::analysis::pose::PoseError;
-use crate::bench::error::strongest;
 use crate::vectors::padded;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
-use haptic_bridge::model::device::Device;
+use haptic_bridge::model::device::{Device, Motor};
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::controller::{FULL_REGULARITY, PARALLEL_REGULARITY};
 use haptic_bridge::render::scene::Surface;
@@ -17,6 +16,8 @@ use nalgebra::SVector;
 
 /// Force where a device file names no motors, N.
 const FORCE_WITHOUT_MOTORS: f64 = 5.0;
+/// How fast a hand is taken to move when nothing is said, m/s.
+pub const HAND_SPEED: f64 = 0.5;
 /// How fast the redundant arm turns its last link per speed of the hand, rad/m.
 const TURNING: f64 = 4.0;
 
@@ -82,6 +83,11 @@ pub fn on_surface(
         });
     }
     Ok(probes)
+}
+
+/// The most that a motor gives at its joint, N m.
+pub fn strongest(motor: &Motor<f64>) -> f64 {
+    motor.torque_constant.abs() * motor.max_current
 }
 
 fn pad<const N: usize>(values: &SVector<f64, N>) -> [f64; MAX_JOINTS] {

@@ -3,10 +3,9 @@
 use crate::bench::counts;
 use crate::bench::error::{Errors, Law, Parts, STIFFNESS, Terms, Trigonometry, encoder_step, errors, parts};
 use crate::bench::precompute::{Precomputed, frozen, most_points, range, table};
-use crate::bench::probe::{Probe, workspace};
+use crate::bench::probe::{HAND_SPEED, Probe, workspace};
 use crate::device_file::DeviceFile;
 use crate::error::Failure;
-use crate::plan::HAND_SPEED;
 use crate::plot::Picture;
 use crate::plot::axes::{Axis, Frame, Mark};
 use crate::plot::canvas::{Anchor, Canvas, Stroke};

@@ -5,7 +5,7 @@ mod report;
 
 use super::force::Force;
 use super::port::Port;
-use crate::cli::{self, Numbers};
+use crate::commands::arguments::{self, Numbers};
 use clap::ValueEnum;
 use clap::builder::TypedValueParser;
 use haptic::analysis::several::{Member, WallSet};
@@ -134,9 +134,9 @@ enum FrictionKind {
 
 /// Which feed-forwards are measured, one after the other.
 fn kinds() -> impl TypedValueParser<Value = &'static [FeedForward]> {
-    let one = |alone: &'static [FeedForward; 1]| (alone[0].name(), cli::what(alone[0]), &alone[..]);
+    let one = |alone: &'static [FeedForward; 1]| (alone[0].name(), arguments::what(alone[0]), &alone[..]);
     let all = &[FeedForward::Off, FeedForward::Full, FeedForward::Washout];
-    cli::one_of([
+    arguments::one_of([
         ("both", "Without, then with equation (4)", &all[..2]),
         ("all", "Without, with equation (4), and with it behind a washout", &all[..]),
         one(&[FeedForward::Off]),

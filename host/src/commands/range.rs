@@ -1,10 +1,11 @@
 //! `haptic range`: which walls stay stable on a device, predicted, without and with the feed-forward.
 
+use super::arguments::{self, Numbers};
 use super::continued::Continue;
 use super::force::Force;
 use super::port::counted;
-use crate::cli::{self, Numbers};
 use clap::{Args as ClapArgs, ValueEnum};
+use haptic::analysis::control_loop::{CURRENT_LOOP_HZ, usual_delay};
 use haptic::analysis::flexible::Hand;
 use haptic::analysis::host::{Host, HostWall};
 use haptic::analysis::passivity::Passivity;
@@ -17,7 +18,6 @@ use haptic::analysis::several::{Member, WallSet};
 use haptic::analysis::why::{Both, Limits, Why, why};
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
-use haptic::plausible::scene::usual_delay;
 use haptic::plausible::{Doubt, Warned, angles, warn};
 use haptic::plot::range::{Contents, draw};
 use haptic::sweep::Sweep;
@@ -82,7 +82,7 @@ pub struct Args {
     #[arg(long, value_name = "ALPHA", default_value_t = 1.0)]
     feed_forward_gain: f64,
     /// What a redundant device holds: orientation, joint-0, joint-1, joint-2 or consistent
-    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = cli::admissible)]
+    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = arguments::admissible)]
     admissible: Admissible,
     /// How the motors are driven: ideal (torque at once), voltage (resistance, inductance and back-EMF of the device
     /// file's motors), current (a current loop of --current-bandwidth) [default: ideal]
@@ -93,7 +93,7 @@ pub struct Args {
     board: Option<BoardKind>,
     /// Bandwidth of the current loop in Hz, for --drive current; the default lags by half a carrier period at 20 kHz,
     /// as the boards' loops do, which make a current within one
-    #[arg(long, value_name = "HZ", default_value_t = 6400.0)]
+    #[arg(long, value_name = "HZ", default_value_t = CURRENT_LOOP_HZ)]
     current_bandwidth: f64,
     /// Also analyse the wall rendered by a program on a computer that asks so many times a second, over this board
     #[arg(long, value_name = "HZ")]

@@ -8,6 +8,7 @@ use super::campaign::{self, Plan};
 use super::progress::{Progress, ProgressError};
 use super::simulated::World;
 use super::{Bench, MeasureError, Setup, rules_for};
+use crate::analysis::control_loop::{CARRIER_HZ, CURRENT_LOOP_HZ};
 use crate::analysis::plant::Drive;
 use crate::analysis::sampled::{LinearEstimator, Loop};
 use crate::device_file::DeviceFile;
@@ -17,10 +18,6 @@ use haptic_bridge::model::device::Device;
 
 /// Poses closer than this are the same, rad.
 const SAME_POSE: f64 = 0.02;
-
-/// Lag of the boards' current loops at a carrier of 20 kHz, Hz: half a carrier period, as `haptic range` has it.
-pub const CURRENT_HZ: f64 = 6400.0;
-const CARRIER_HZ: f64 = 20_000.0;
 
 /// A board that is measured.
 pub struct Occasion<'a> {
@@ -139,7 +136,7 @@ pub fn another(board: &mut Board, device: &Device<f32>) -> Result<Option<String>
 /// The loop of a board that is measured with `setup`, as the theory knows it: its own delay, and its own drive.
 #[must_use]
 pub fn around(setup: &Setup, info: &Info, details: &Details) -> Loop {
-    let bandwidth_hz = (CURRENT_HZ * f64::from(details.carrier_hz) / CARRIER_HZ).round();
+    let bandwidth_hz = (CURRENT_LOOP_HZ * f64::from(details.carrier_hz) / CARRIER_HZ).round();
     let ideal = info.board.as_str() == crate::sim::IDEAL_BOARD;
     Loop {
         rate_hz: setup.rate_hz,

@@ -2,7 +2,7 @@
 //! is no room for is left out, the state and what was said never.
 
 use super::seen::{Seen, Trace, WallSeen, number, numbers};
-use crate::plausible::with_unit;
+use crate::words::with_unit;
 use crate::words::{bytes_in_words, short};
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -103,7 +103,7 @@ fn words(seen: &Seen) -> Line<'_> {
 fn gains_in_words(seen: &Seen) -> String {
     let spring = match seen.springs.len() {
         0 => String::new(),
-        count => format!("; {}", crate::plausible::counted(count, "spring")),
+        count => format!("; {}", crate::words::counted(count, "spring")),
     };
     match seen.walls.get(seen.wall) {
         None => format!("no wall in this scene{spring}"),

@@ -89,7 +89,7 @@ fn direction(description: &Description, q: &[f64], here: &Skeleton, motion: &DVe
 /// The device, and where a push along n moves it: with the feed-forward, and by itself.
 fn motion(canvas: &mut Canvas, description: &Description, q: &[f64], here: &Skeleton, device: &Linearised) {
     let points = here.bars.iter().flat_map(|bar| [bar.from, bar.to]).chain(here.base.iter().copied());
-    let (low, high) = super::map::bounds(points);
+    let (low, high) = super::linkage::bounds(points);
     let middle = ((low.0 + high.0) / 2.0, (low.1 + high.1) / 2.0);
     let half = 0.68 * (high.0 - low.0).max(high.1 - low.1);
     let axis =

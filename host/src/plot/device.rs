@@ -8,7 +8,7 @@ use haptic_bridge::model::description::Description;
 use super::axes::{Axis, Frame};
 use super::canvas::{Anchor, Canvas, Stroke};
 use super::colour::{FAINT, FULL, INK, OFF, WASHOUT};
-use super::map::bounds;
+use super::linkage::bounds;
 use super::{Picture, linkage};
 use crate::analysis::cut::{Cut, Fineness};
 use crate::analysis::pose::PoseError;

@@ -72,7 +72,7 @@ pub fn chart(
     let (step, top, highest) = scale_of(&coarse);
 
     let tips = coarse.iter().flat_map(|tile| tile.outline.iter().copied());
-    let (low, high) = bounds(tips.chain(home.iter().flat_map(corners)));
+    let (low, high) = linkage::bounds(tips.chain(home.iter().flat_map(corners)));
     let pixels = SIDE / (high.0 - low.0).max(high.1 - low.1);
     let mut frame = Frame {
         at: (86.0, 92.0),
@@ -116,17 +116,6 @@ pub fn chart(
 
 fn corners(skeleton: &Skeleton) -> impl Iterator<Item = Point> + '_ {
     skeleton.bars.iter().flat_map(|bar| [bar.from, bar.to])
-}
-
-/// A box around points with room to breathe.
-pub(super) fn bounds(points: impl Iterator<Item = Point>) -> (Point, Point) {
-    let empty = ((f64::INFINITY, f64::INFINITY), (f64::NEG_INFINITY, f64::NEG_INFINITY));
-    let (low, high) = points.fold(empty, |(l, h), p| ((l.0.min(p.0), l.1.min(p.1)), (h.0.max(p.0), h.1.max(p.1))));
-    let margin = 0.05 * (high.0 - low.0).max(high.1 - low.1);
-    if !margin.is_finite() || margin <= 0.0 {
-        return ((-1.0, -1.0), (1.0, 1.0));
-    }
-    ((low.0 - margin, low.1 - margin), (high.0 + margin, high.1 + margin))
 }
 
 /// Step between ticks and top of the colour scale, and the highest share there is.
