@@ -18,7 +18,7 @@ mod wire;
 pub use board::Board;
 pub use client::{Client, Occupied, TopicFrame};
 pub use error::{BoardError, LinkError};
-pub use framing::{Deframer, Frame, MAX_FRAME, encode, envelope};
+pub use framing::{Deframer, MAX_FRAME, Packet, encode, envelope};
 pub use past::disarm_past;
 pub use ports::{BoardPort, PortSpec, USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR, boards};
 pub(crate) use ports::{open_serial, open_tcp};

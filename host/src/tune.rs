@@ -251,7 +251,7 @@ pub fn ripple(question: &Question<'_>, settings: &Settings) -> Result<Pressed, F
 }
 
 /// The question with what does not change between candidates.
-struct Bench<'a> {
+struct SearchContext<'a> {
     question: &'a Question<'a>,
     nominal: Linearised,
     /// Corners of the margins without and with a feed-forward.
@@ -285,7 +285,7 @@ fn three_digits(value: f64, down: bool) -> f64 {
     (if down { (scaled + 1e-9).floor() } else { scaled.round() }) / unit
 }
 
-impl<'a> Bench<'a> {
+impl<'a> SearchContext<'a> {
     fn new(question: &'a Question<'a>) -> Result<Self, Failure> {
         let Question { file, q, normal, admissible, .. } = question;
         let nominal = Linearised::holding(&file.description, q, normal, *admissible)?;
@@ -450,9 +450,9 @@ fn check(question: &Question<'_>) -> Result<(), Failure> {
 /// Searches. The same in any order of work.
 pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<Answer, Failure> {
     check(question)?;
-    let bench = Bench::new(question)?;
-    let coupled = bench.nominal.w_eff().is_some_and(|w_eff| bench.nominal.w_rr() / w_eff > 1.0 + 1e-3);
-    let mut best = bench.known()?;
+    let context = SearchContext::new(question)?;
+    let coupled = context.nominal.w_eff().is_some_and(|w_eff| context.nominal.w_rr() / w_eff > 1.0 + 1e-3);
+    let mut best = context.known()?;
     let mut all: Vec<Found> = best.into_iter().collect();
     let mut looked_at = (0, 0);
     let mut well: Vec<Settings> = Vec::new();
@@ -465,7 +465,7 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<Answer, Failure> {
             combinations.retain(|other| well.iter().any(|one| one.is_like(other)));
         }
         let stage = format!("walls, feed-forward {}", feed_forward.name());
-        let curves = sweep.map(&stage, &combinations, |settings| Ok(bench.curve(settings)))?;
+        let curves = sweep.map(&stage, &combinations, |settings| Ok(context.curve(settings)))?;
         let mut candidates: Vec<(Settings, Curve)> =
             combinations.into_iter().zip(curves).filter_map(|(settings, curve)| Some((settings, curve?))).collect();
         looked_at.0 += candidates.len();
@@ -473,7 +473,7 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<Answer, Failure> {
         candidates.sort_by(|(one, a), (other, b)| {
             b.top().total_cmp(&a.top()).then_with(|| other.rate_hz.total_cmp(&one.rate_hz))
         });
-        let found = simulated(&bench, &candidates, feed_forward, sweep, &mut looked_at.1)?;
+        let found = simulated(&context, &candidates, feed_forward, sweep, &mut looked_at.1)?;
         if feed_forward == FeedForward::Off {
             well = candidates.iter().map(|(settings, _)| *settings).collect();
             let stiffness = |settings: &Settings| {
@@ -484,7 +484,7 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<Answer, Failure> {
             well.truncate(FOLLOWED);
         }
         let Some(stiffest) = stiffest(&found) else { continue };
-        let refined = refined(&bench, stiffest, sweep)?;
+        let refined = refined(&context, stiffest, sweep)?;
         all.extend(found);
         all.push(refined);
         // A feed-forward has its price: it must bring more than it costs.
@@ -503,7 +503,7 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<Answer, Failure> {
         ))
         .remedy("allow more --ripple, or ask at another pose or normal (`haptic design`)"));
     };
-    let (active, limits, beside) = limits(&bench, &best)?;
+    let (active, limits, beside) = limits(&context, &best)?;
     Ok(Answer { best, active, limits, beside, others: of_each_estimator(all), looked_at })
 }
 
@@ -515,7 +515,7 @@ fn stiffest(found: &[Found]) -> Option<Found> {
 
 /// Simulates candidates from the most promising on, until none can be better than the best.
 fn simulated(
-    bench: &Bench<'_>,
+    context: &SearchContext<'_>,
     candidates: &[(Settings, Curve)],
     feed_forward: FeedForward,
     sweep: &Sweep,
@@ -529,7 +529,7 @@ fn simulated(
         }
         let stage = format!("ripple, feed-forward {}, round {}", feed_forward.name(), round + 1);
         let results =
-            sweep.map(&stage, some, |(settings, curve)| Ok(bench.best_on(settings, curve, best)?.map(kept)))?;
+            sweep.map(&stage, some, |(settings, curve)| Ok(context.best_on(settings, curve, best)?.map(kept)))?;
         *count += some.len();
         let each = some.iter().zip(results);
         found.extend(each.filter_map(|((settings, _), result)| Some(restored(settings, result?))));
@@ -547,11 +547,11 @@ fn restored(settings: &Settings, [stiffness, damping, ripple_n]: [f64; 3]) -> Fo
 }
 
 /// Cutoffs between those of the grid, then the highest corner of the washout that keeps the stiffness.
-fn refined(bench: &Bench<'_>, found: Found, sweep: &Sweep) -> Result<Found, Failure> {
+fn refined(context: &SearchContext<'_>, found: Found, sweep: &Sweep) -> Result<Found, Failure> {
     let better = |candidates: Vec<Settings>, floor: f64, stage: &str| -> Result<Vec<Found>, Failure> {
         let results = sweep.map(stage, &candidates, |settings| {
-            let Some(curve) = bench.curve(settings) else { return Ok(None) };
-            Ok(bench.best_on(settings, &curve, floor)?.map(kept))
+            let Some(curve) = context.curve(settings) else { return Ok(None) };
+            Ok(context.best_on(settings, &curve, floor)?.map(kept))
         })?;
         let each = candidates.iter().zip(results);
         Ok(each.filter_map(|(settings, result)| Some(restored(settings, result?))).collect())
@@ -568,9 +568,9 @@ fn refined(bench: &Bench<'_>, found: Found, sweep: &Sweep) -> Result<Found, Fail
     }
     let near = [0.76, 0.87, 1.15, 1.32].map(|factor| three_digits(best.settings.damping * factor, false));
     let results = sweep.map(&format!("dampings, feed-forward {name}"), &near, |damping| {
-        let Some(most) = bench.allowed(&best.settings, &[*damping]) else { return Ok(None) };
+        let Some(most) = context.allowed(&best.settings, &[*damping]) else { return Ok(None) };
         let curve = Curve { points: vec![(*damping, most[0])] };
-        Ok(bench.best_on(&best.settings, &curve, best.settings.stiffness)?.map(kept))
+        Ok(context.best_on(&best.settings, &curve, best.settings.stiffness)?.map(kept))
     })?;
     for result in results.into_iter().flatten() {
         best = stiffest(&[best, restored(&best.settings, result)]).unwrap_or(best);
@@ -596,11 +596,11 @@ fn of_each_estimator(mut all: Vec<Found>) -> Vec<Found> {
 }
 
 /// What stops the wall: each limit alone, and what more damping would bring.
-fn limits(bench: &Bench<'_>, best: &Found) -> Result<(&'static str, Vec<Limit>, Vec<Beside>), Failure> {
+fn limits(context: &SearchContext<'_>, best: &Found) -> Result<(&'static str, Vec<Limit>, Vec<Beside>), Failure> {
     let settings = &best.settings;
     let Some(around) = settings.around() else { return Ok(("", Vec::new(), Vec::new())) };
     let shaped = settings.feed_forward != FeedForward::Off;
-    let question = bench.question;
+    let question = context.question;
     let mut limits = Vec::new();
     for (limit, margins) in question.margins.alone() {
         let corners =
@@ -616,26 +616,26 @@ fn limits(bench: &Bench<'_>, best: &Found) -> Result<(&'static str, Vec<Limit>, 
         }
         limits.push(Limit { limit, stiffness: least.is_finite().then_some(least) });
     }
-    limits.push(Limit { limit: "motors and encoder counts", stiffness: Some(bench.most.0) });
-    limits.push(Limit { limit: "ripple of encoder steps alone", stiffness: Some(bench.steps) });
-    limits.push(Limit { limit: "ripple", stiffness: rippling(bench, settings)? });
+    limits.push(Limit { limit: "motors and encoder counts", stiffness: Some(context.most.0) });
+    limits.push(Limit { limit: "ripple of encoder steps alone", stiffness: Some(context.steps) });
+    limits.push(Limit { limit: "ripple", stiffness: rippling(context, settings)? });
 
     let mut beside = Vec::new();
     for (stiffer, more) in [(MORE, 1.0), (1.0, MORE), (1.0, 1.0 / MORE)] {
         let stiffness = three_digits(settings.stiffness * stiffer, false);
         let damping = three_digits(settings.damping * more, false);
-        let allowed = bench.allowed(settings, &[damping]).is_some_and(|most| most[0] >= stiffness);
+        let allowed = context.allowed(settings, &[damping]).is_some_and(|most| most[0] >= stiffness);
         let ripple_n = ripple(question, &Settings { stiffness, damping, ..*settings })?.ripple_n;
         beside.push(Beside { stiffness, damping, allowed, ripple_n });
     }
-    let most = bench.allowed(settings, &[settings.damping]).map_or(0.0, |most| most[0]);
+    let most = context.allowed(settings, &[settings.damping]).map_or(0.0, |most| most[0]);
     let active = if settings.stiffness < 0.96 * most {
         "ripple"
-    } else if settings.stiffness >= 0.96 * bench.most.0 {
+    } else if settings.stiffness >= 0.96 * context.most.0 {
         "motors and encoder counts"
-    } else if settings.stiffness >= 0.96 * STEPS * bench.steps {
+    } else if settings.stiffness >= 0.96 * STEPS * context.steps {
         "ripple of encoder steps alone"
-    } else if settings.damping * MORE > bench.most.1 {
+    } else if settings.damping * MORE > context.most.1 {
         "motors and damping"
     } else {
         "all margins together"
@@ -644,10 +644,10 @@ fn limits(bench: &Bench<'_>, best: &Found) -> Result<(&'static str, Vec<Limit>, 
 }
 
 /// The stiffness at which ripple alone would end this wall: up to four times its own.
-fn rippling(bench: &Bench<'_>, settings: &Settings) -> Result<Option<f64>, Failure> {
+fn rippling(context: &SearchContext<'_>, settings: &Settings) -> Result<Option<f64>, Failure> {
     let keeps = |stiffness: f64| -> Result<bool, Failure> {
-        let Pressed { ripple_n, holds } = ripple(bench.question, &Settings { stiffness, ..*settings })?;
-        Ok(holds && ripple_n.is_some_and(|ripple| ripple <= bench.question.ripple_n))
+        let Pressed { ripple_n, holds } = ripple(context.question, &Settings { stiffness, ..*settings })?;
+        Ok(holds && ripple_n.is_some_and(|ripple| ripple <= context.question.ripple_n))
     };
     let (mut low, mut high) = (settings.stiffness, 4.0 * settings.stiffness);
     if keeps(high)? {
@@ -674,12 +674,12 @@ pub fn ripple_like(question: &Question<'_>, written: &Settings) -> Result<f64, F
 /// The settings of a scene's wall, as stiff as the same margins and ripple let them be.
 pub fn baseline(question: &Question<'_>, written: &Settings) -> Result<Baseline, Failure> {
     check(question)?;
-    let bench = Bench::new(question)?;
+    let context = SearchContext::new(question)?;
     if written.around().is_none() {
         return Err(Failure::wrong(format!("`{}` has no linear analysis to hold it to margins", written.estimator))
             .remedy("compare with a scene that has another estimator"));
     }
-    let most = bench.allowed(written, &[written.damping]).map_or(0.0, |allowed| three_digits(allowed[0], true));
+    let most = context.allowed(written, &[written.damping]).map_or(0.0, |allowed| three_digits(allowed[0], true));
     let at = |stiffness: f64| -> Result<Option<Found>, Failure> {
         let settings = Settings { stiffness: three_digits(stiffness, true), ..*written };
         let ripple_n = if stiffness > 0.0 { ripple(question, &settings)?.ripple_n } else { None };

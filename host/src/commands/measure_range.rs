@@ -17,7 +17,7 @@ use haptic::measure::campaign::Plan;
 use haptic::measure::occasion::{self, Occasion};
 use haptic::measure::progress::{Progress, ProgressError};
 use haptic::measure::simulated::{Friction, World};
-use haptic::measure::{Bench, Law, MeasureError, Setup, most_tested};
+use haptic::measure::{Law, MeasureError, MeasurementSetup, PreparedBoard, most_tested};
 use haptic::vectors::padded;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::device::Device;
@@ -162,7 +162,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         )
         .remedy("use them with --port sim; a board is measured where and as it is"));
     }
-    let setup = Setup {
+    let setup = MeasurementSetup {
         walls,
         rate_hz: args.rate,
         cutoff_hz: args.cutoff,
@@ -217,10 +217,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
         path: Some(path),
         remembers: !simulated,
     };
-    let begun = |bench: &mut Bench<'_>, q: &[f64]| {
-        let (info, details) = (bench.board().info().clone(), bench.board().details()?);
+    let begun = |prepared: &mut PreparedBoard<'_>, q: &[f64]| {
+        let (info, details) = (prepared.board().info().clone(), prepared.board().details()?);
         let around = occasion::around(&setup, &info, &details);
-        theory = Some(Theory::new(&args, &file, setup.walls.clone(), q, around, *bench.excitation())?);
+        theory = Some(Theory::new(&args, &file, setup.walls.clone(), q, around, *prepared.excitation())?);
         Ok(())
     };
     let measured = occasion.measure(setup.clone(), &plan, &stop, begun, |done| meter.done(done));

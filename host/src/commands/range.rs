@@ -12,7 +12,7 @@ use haptic::analysis::passivity::Passivity;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::pose::motors;
 use haptic::analysis::range::{Domain, Range, WORTHWHILE_RATIO, predict, predict_several};
-use haptic::analysis::ripple::{Along, LIGHT_HAND, Line, PUSH_N, Pressed, Ripple};
+use haptic::analysis::ripple::{Along, DampingRule, LIGHT_HAND, PUSH_N, Pressed, Ripple};
 use haptic::analysis::sampled::{AnalysisError, LinearEstimator, Loop, Mode};
 use haptic::analysis::several::{Member, WallSet};
 use haptic::analysis::why::{Both, Limits, Why, why};
@@ -388,15 +388,15 @@ fn stepped(
     if let Some(bound) = args.ripple {
         let bound_n = positive(bound, "--ripple")?;
         let ratio = positive(args.damping_ratio, "--damping-ratio")?;
-        let dampings: Vec<Line> = match &args.kd {
-            Some(Numbers(dampings)) => dampings.iter().map(|kd| Line::Damping(*kd)).collect(),
-            None => vec![Line::Ratio(ratio)],
+        let dampings: Vec<DampingRule> = match &args.kd {
+            Some(Numbers(dampings)) => dampings.iter().map(|kd| DampingRule::Damping(*kd)).collect(),
+            None => vec![DampingRule::Ratio(ratio)],
         };
         for line in dampings {
             let along = |mode| pressed.along(mode, line, bound_n, sweep)?.ok_or_else(unseen);
             let (damping_ratio, kd) = match line {
-                Line::Ratio(ratio) => (Some(ratio), None),
-                Line::Damping(kd) => (None, Some(kd)),
+                DampingRule::Ratio(ratio) => (Some(ratio), None),
+                DampingRule::Damping(kd) => (None, Some(kd)),
             };
             lines.push(StepsAlong {
                 bound_n,

@@ -342,7 +342,7 @@ mod tests {
     use clap::Parser;
 
     #[derive(clap::Parser)]
-    struct Line {
+    struct CommandLine {
         #[command(flatten)]
         args: Args,
     }
@@ -361,7 +361,7 @@ mod tests {
             let path = |name: String| root.join(name).display().to_string();
             let mut words = vec!["haptic".to_string(), path(format!("devices/{device}.toml"))];
             words.extend(scene.map(|scene| path(format!("devices/scenes/{device}/{scene}.toml"))));
-            let args = Line::parse_from(words).args;
+            let args = CommandLine::parse_from(words).args;
             let file = DeviceFile::load(&args.device).unwrap();
             let subject = subject(&args, &file).unwrap();
             for section in sections(&args, &file, &subject) {

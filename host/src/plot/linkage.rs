@@ -1,12 +1,12 @@
 //! A device's links and joints in a frame.
 
-use super::axes::Frame;
+use super::axes::PlotArea;
 use super::canvas::{Canvas, Stroke};
 use super::colour::INK;
 use crate::skeleton::{Point, Skeleton};
 
 /// Draws the linkage as thin bars that stay readable on any ground: base pivots square, tip round.
-pub fn outline(canvas: &mut Canvas, frame: &Frame, skeleton: &Skeleton) {
+pub fn outline(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton) {
     for (colour, width) in [("white", 4.6), (INK, 1.8)] {
         for bar in &skeleton.bars {
             let ends = [bar.from, bar.to].map(|p| frame.pixel(p.0, p.1));

@@ -9,7 +9,7 @@
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 
-use super::axes::{Axis, Frame};
+use super::axes::{Axis, PlotArea};
 use super::canvas::{Anchor, Canvas, Stroke};
 use super::colour::{ABOVE, FAINT, INK, scale};
 use super::{Picture, linkage, paddle};
@@ -35,7 +35,7 @@ pub struct Chart {
     /// The picture.
     pub picture: Picture,
     /// Where places lie in it.
-    pub frame: Frame,
+    pub frame: PlotArea,
     /// The share at the top of the colour scale; what is above is [`ABOVE`].
     pub top: f64,
 }
@@ -74,7 +74,7 @@ pub fn chart(
     let tips = coarse.iter().flat_map(|tile| tile.outline.iter().copied());
     let (low, high) = linkage::bounds(tips.chain(home.iter().flat_map(corners)));
     let pixels = SIDE / (high.0 - low.0).max(high.1 - low.1);
-    let mut frame = Frame {
+    let mut frame = PlotArea {
         at: (86.0, 92.0),
         size: ((high.0 - low.0) * pixels, (high.1 - low.1) * pixels),
         x: Axis { name: "x".into(), unit: "m".into(), low: low.0, high: high.0 },
@@ -141,7 +141,7 @@ fn round_step(least: f64) -> f64 {
 }
 
 /// The tiles, those of one colour as one shape.
-fn paint(canvas: &mut Canvas, frame: &Frame, tiles: &[Tile], top: f64) {
+fn paint(canvas: &mut Canvas, frame: &PlotArea, tiles: &[Tile], top: f64) {
     let mut shapes = std::collections::BTreeMap::<String, Vec<Vec<Point>>>::new();
     for tile in tiles {
         let outline = tile.outline.iter().map(|&(x, y)| frame.pixel(x, y)).collect();
@@ -153,7 +153,7 @@ fn paint(canvas: &mut Canvas, frame: &Frame, tiles: &[Tile], top: f64) {
 }
 
 /// Ellipses on an even lattice, all to one scale; returns the mass (kg) that has [`RADIUS`].
-fn ellipses(canvas: &mut Canvas, frame: &Frame, cut: &Cut, pixels: f64) -> Result<Option<f64>, PoseError> {
+fn ellipses(canvas: &mut Canvas, frame: &PlotArea, cut: &Cut, pixels: f64) -> Result<Option<f64>, PoseError> {
     let spacing = SPACING / pixels;
     let off = |(x, y): Point| {
         let cell = ((x / spacing).round(), (y / spacing).round());
@@ -199,7 +199,7 @@ fn ellipses(canvas: &mut Canvas, frame: &Frame, cut: &Cut, pixels: f64) -> Resul
 }
 
 /// The wall's normal as seen in the plane, right of the heading.
-fn arrow(canvas: &mut Canvas, frame: &Frame, (nx, ny): Point) {
+fn arrow(canvas: &mut Canvas, frame: &PlotArea, (nx, ny): Point) {
     let length = nx.hypot(ny);
     if length < 1e-9 {
         return;
@@ -216,7 +216,7 @@ fn arrow(canvas: &mut Canvas, frame: &Frame, (nx, ny): Point) {
     canvas.text((middle.0 + 12.0 * uy.abs() + 6.0, middle.1 + 14.0 * ux.abs() + 2.0), 13.0, Anchor::Start, false, "n");
 }
 
-fn colour_bar(canvas: &mut Canvas, frame: &Frame, step: f64, top: f64, highest: f64) {
+fn colour_bar(canvas: &mut Canvas, frame: &PlotArea, step: f64, top: f64, highest: f64) {
     let left = frame.at.0 + frame.size.0 + 22.0;
     let above = if highest > top { 26.0 } else { 0.0 };
     let (start, height) = (frame.at.1 + above, frame.size.1 - above);

@@ -37,12 +37,12 @@ const CONNECTIONS: usize = 64;
 
 /// A port that browsers open.
 #[derive(Debug)]
-pub struct Door {
+pub struct PageListener {
     listener: TcpListener,
     token: Option<String>,
 }
 
-impl Door {
+impl PageListener {
     /// Listens. Beyond this computer a token is asked for, drawn anew.
     pub fn open(address: SocketAddr) -> io::Result<Self> {
         let listener = TcpListener::bind(address)?;

@@ -9,8 +9,8 @@ use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
 use haptic_bridge::safety::fault::Fault;
 use page::{
-    DEMO, FINE, Kept, SLIDES, Slid, demo, kept_around_home, kept_with_rotor, perturbed, ratio, slid, slide, stiffest,
-    stiffest_moving, tables,
+    DEMO, FINE, GainRetained, SLIDES, Slid, demo, kept_around_home, kept_with_rotor, perturbed, ratio, slid, slide,
+    stiffest, stiffest_moving, tables,
 };
 
 #[test]
@@ -145,7 +145,7 @@ fn half_or_half_again_as_much_rotor_keeps_nearly_all_of_the_gain_at_the_demos_po
 #[test]
 fn elsewhere_a_wrong_rotor_costs_more() {
     // An outside plant, poses within 0.6 rad of home: 17 % keep less than seven eighths, from 69 to 131 %.
-    let Kept { cases, below, least, most } = kept_around_home();
+    let GainRetained { cases, below, least, most } = kept_around_home();
     assert!(cases > 1000, "{cases}");
     let share = below as f64 / cases as f64;
     assert!((share - 0.17).abs() < 0.02, "{share}");

@@ -264,7 +264,7 @@ pub fn kept_with_rotor(at: ([f64; 2], f64), joint: usize, factor: f64) -> f64 {
 
 /// What is kept with a rotor's inertia a half wrong, at poses around home where the feed-forward acts in full and is
 /// worth having.
-pub struct Kept {
+pub struct GainRetained {
     pub cases: usize,
     /// Of them, those that keep less than seven eighths.
     pub below: usize,
@@ -273,9 +273,9 @@ pub struct Kept {
 }
 
 /// Poses within 0.6 rad of home in steps of 0.05 rad, normals in steps of 15°, Wrr/Weff above 1.3.
-pub fn kept_around_home() -> Kept {
+pub fn kept_around_home() -> GainRetained {
     let description = five_bar();
-    let mut kept = Kept { cases: 0, below: 0, least: f64::INFINITY, most: f64::NEG_INFINITY };
+    let mut kept = GainRetained { cases: 0, below: 0, least: f64::INFINITY, most: f64::NEG_INFINITY };
     let steps = |i: i32| 0.05 * f64::from(i);
     for (a, b) in (-12..=12).flat_map(|a| (-12..=12).map(move |b| (a, b))) {
         let q = [HOME[0] + steps(a), HOME[1] + steps(b)];
@@ -341,7 +341,7 @@ pub fn tables() -> String {
         let kept = |joint| 100.0 * kept_with_rotor(DEMO, joint, 1.0 + f64::from(percent) / 100.0);
         line(format!("| {percent:+} % | {:.1} | {:.1} |", kept(0), kept(1)));
     }
-    let Kept { cases, below, least, most } = kept_around_home();
+    let GainRetained { cases, below, least, most } = kept_around_home();
     line("\n| around home, a half wrong | |\n|---|---|".into());
     line(format!("| cases | {cases} |"));
     line(format!("| keep less than 87.5 % of the gain, % of the cases | {:.1} |", 100.0 * below as f64 / cases as f64));
