@@ -79,6 +79,19 @@ impl LinearEstimator {
         }
     }
 
+    /// Those of scenes that one filter stands for whatever else is chosen, by their names there: they have no window of
+    /// their own, which [`LinearEstimator::over`] gives to any that takes a difference.
+    pub fn named() -> impl Iterator<Item = (&'static str, Kind)> {
+        let windowless = |kind: Kind| kind.spec().is_none_or(|spec| spec.key.is_none());
+        let all = Kind::ALL.iter().copied();
+        all.filter(move |(_, kind)| windowless(*kind) && Self::of(*kind, 1.0).is_some())
+    }
+
+    /// Whether it begins with a difference, which can be taken over more samples.
+    pub fn takes_difference(self) -> bool {
+        !matches!(self, Self::AlphaBeta(_) | Self::Predicted(_))
+    }
+
     /// Its cutoff, Hz.
     pub(super) fn cutoff_hz(self) -> Option<f64> {
         match self {

@@ -90,10 +90,6 @@ pub fn strongest(motor: &Motor<f64>) -> f64 {
     motor.torque_constant.abs() * motor.max_current
 }
 
-fn pad<const N: usize>(values: &SVector<f64, N>) -> [f64; MAX_JOINTS] {
-    std::array::from_fn(|i| if i < N { values[i] } else { 0.0 })
-}
-
 fn place<M: Mechanism<f64, N>, const N: usize>(task: &SVector<f64, N>) -> SVector<f64, N> {
     SVector::from_fn(|i, _| if i < M::SPEC.task { task[i] } else { 0.0 })
 }
@@ -114,7 +110,7 @@ fn moved_onto<M: Mechanism<f64, N>, const N: usize>(
         if contact.distance.abs() < 1.0e-7 {
             let allowed = |i: usize| device.joints[i].limits.is_none_or(|(low, high)| (low..=high).contains(&q[i]));
             let near = (0..N).all(|i| (q[i] - start[i]).abs() <= 1.5 * spacing[i]);
-            return ((0..N).all(allowed) && near).then(|| (pad(&q), pad(&contact.normal)));
+            return ((0..N).all(allowed) && near).then(|| (padded(q.as_slice()), padded(contact.normal.as_slice())));
         }
         q -= m.inverse(&pose, &(contact.normal * contact.distance));
     }
@@ -164,10 +160,10 @@ fn push<M: Mechanism<f64, N>, const N: usize>(
         let rate = surface.map_or(SVector::zeros(), |s| s.normal_rate::<Libm, N>(&here, &place::<M, N>(&velocity)));
         probes.push(Probe {
             q: *q,
-            qd: pad(&qd),
+            qd: padded(qd.as_slice()),
             normal: *normal,
-            normal_rate: pad(&rate),
-            velocity: pad(&velocity),
+            normal_rate: padded(rate.as_slice()),
+            velocity: padded(velocity.as_slice()),
             force,
         });
     }

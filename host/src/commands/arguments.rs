@@ -1,11 +1,13 @@
 //! How numbers, directions and words are read from the command line.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use haptic::analysis::estimator::LinearEstimator;
 use haptic::error::Failure;
 use haptic::vectors::unit;
 use haptic::words::counted;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::render::velocity::Estimator;
 
 /// A list of numbers separated by commas, such as `-0.3,1.2`.
 #[derive(Clone, Debug, PartialEq)]
@@ -102,6 +104,19 @@ pub fn what(kind: FeedForward) -> &'static str {
     }
 }
 
+/// A velocity estimator that has a linear analysis, by its name in scene files.
+pub fn linear_estimator() -> impl TypedValueParser<Value = Estimator> {
+    let what = |kind| match kind {
+        Estimator::Butterworth => "Backward difference and a 2nd-order Butterworth low-pass",
+        Estimator::FirstOrder => "Backward difference and a 1st-order low-pass",
+        Estimator::BackwardDifference => "Backward difference alone",
+        Estimator::AlphaBeta(_) => "α-β filter with its poles at the cutoff",
+        Estimator::Predicted(_) => "Observer that knows the motors' torques, with its poles at the cutoff",
+        _ => "As in scene files",
+    };
+    one_of(LinearEstimator::named().map(move |(name, kind)| (name, what(kind), kind)))
+}
+
 /// What a redundant device holds, by its name.
 pub fn admissible(text: &str) -> Result<Admissible, String> {
     let known = Admissible::ALL.iter().find(|(name, _)| *name == text).map(|(_, choice)| *choice);
@@ -111,6 +126,12 @@ pub fn admissible(text: &str) -> Result<Admissible, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_linear_estimators_are_those_without_a_window_of_their_own() {
+        let names: Vec<&str> = LinearEstimator::named().map(|(name, _)| name).collect();
+        assert_eq!(names, ["butterworth", "first-order", "backward-difference", "alpha-beta", "predicted"]);
+    }
 
     #[test]
     fn numbers_parse_with_signs_and_spaces_but_not_with_gaps() {

@@ -24,6 +24,7 @@ use haptic::sweep::Sweep;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::render::scene::{MAX_RATE_HZ, MIN_RATE_HZ};
+use haptic_bridge::render::velocity::Estimator;
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -58,8 +59,8 @@ pub struct Args {
     #[arg(long, value_name = "SAMPLES", allow_hyphen_values = true, conflicts_with = "board")]
     delay: Option<f64>,
     /// Velocity estimator
-    #[arg(long, value_name = "KIND", default_value = "butterworth")]
-    estimator: EstimatorKind,
+    #[arg(long, value_name = "KIND", default_value = "butterworth", value_parser = arguments::linear_estimator())]
+    estimator: Estimator,
     /// Take the velocity from the difference over so many samples, before the estimator's filter
     #[arg(long, value_name = "SAMPLES", default_value_t = 1)]
     difference_over: usize,
@@ -130,21 +131,6 @@ pub struct Args {
     png: Option<PathBuf>,
     #[command(flatten)]
     force: Force,
-}
-
-/// Estimators of the analysis.
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum EstimatorKind {
-    /// Backward difference and a 2nd-order Butterworth low-pass
-    Butterworth,
-    /// Backward difference and a 1st-order low-pass
-    FirstOrder,
-    /// Backward difference alone
-    BackwardDifference,
-    /// α-β filter with its poles at the cutoff
-    AlphaBeta,
-    /// Observer that knows the motors' torques, with its poles at the cutoff
-    Predicted,
 }
 
 /// Drives of the analysis.
@@ -555,17 +541,13 @@ fn costly(range: &Range) -> Option<String> {
 /// The estimator that was asked for.
 fn estimator(args: &Args) -> Result<LinearEstimator, Failure> {
     let over = args.difference_over;
-    let cutoff = args.cutoff;
-    match (args.estimator, over) {
-        (EstimatorKind::Butterworth, 1) => Ok(LinearEstimator::Butterworth(cutoff)),
-        (EstimatorKind::FirstOrder, 1) => Ok(LinearEstimator::FirstOrder(cutoff)),
-        (EstimatorKind::BackwardDifference, 1) => Ok(LinearEstimator::BackwardDifference),
-        (EstimatorKind::Butterworth, _) => Ok(LinearEstimator::Butterworth(cutoff).over(over)),
-        (EstimatorKind::FirstOrder, _) => Ok(LinearEstimator::FirstOrder(cutoff).over(over)),
-        (EstimatorKind::BackwardDifference, _) => Ok(LinearEstimator::BackwardDifference.over(over)),
-        (EstimatorKind::AlphaBeta, 1) => Ok(LinearEstimator::AlphaBeta(cutoff)),
-        (EstimatorKind::Predicted, 1) => Ok(LinearEstimator::Predicted(cutoff)),
-        (EstimatorKind::AlphaBeta | EstimatorKind::Predicted, _) => {
+    let alone = LinearEstimator::of(args.estimator, args.cutoff).ok_or_else(|| {
+        Failure::wrong(format!("{} has no linear analysis", args.estimator.name())).remedy("choose another --estimator")
+    })?;
+    match over {
+        1 => Ok(alone),
+        _ if alone.takes_difference() => Ok(alone.over(over)),
+        _ => {
             let reason = format!("--difference-over {over} with an estimator that takes no difference");
             Err(Failure::wrong(reason).remedy("leave it out, or choose a low-pass with --estimator"))
         }
