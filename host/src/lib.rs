@@ -68,6 +68,7 @@ pub mod model;
 #[cfg(feature = "tool")]
 pub mod monitor;
 mod open;
+pub mod outline;
 pub mod output;
 pub mod plan;
 pub mod plausible;

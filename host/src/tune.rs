@@ -364,7 +364,8 @@ impl<'a> SearchContext<'a> {
     }
 
     /// The stiffest wall of a candidate that keeps the ripple and is stiffer than `floor` (N/m): at each damping, as stiff as
-    /// margins, motors and ripple let it be. One trial tells of most dampings that they are not worth it.
+    /// margins, motors and ripple let it be. For most dampings one trial at the lowest
+    /// stiffness that would win shows that none there does.
     fn best_on(&self, settings: &Settings, curve: &Curve, floor: f64) -> Result<Option<Found>, Failure> {
         let mut best: Option<Found> = None;
         for &(damping, most) in &curve.points {

@@ -15,6 +15,7 @@ use super::stability::{Oracle, Plane, Question};
 use super::world::{World, hand_settings, lead};
 use crate::error::Failure;
 use crate::link::{Board, BoardError, Column, LinkError, Losses, Row, columns, rows_that_fit};
+use crate::outline::outline;
 use crate::output::{self, Overwrite};
 use crate::recorder::about::About;
 use crate::recorder::{RecordError, RowWriter};
@@ -748,7 +749,8 @@ impl Stage {
     fn walls(&self) -> Value {
         let walls = self.scene.walls.iter().map(|wall| {
             json!({
-                "shape": wall.surface.spec().name, "values": wall.surface.values(), "stiffness": wall.stiffness,
+                "shape": wall.surface.spec().name, "values": wall.surface.values(),
+                "outline": outline(&wall.surface.cast()), "stiffness": wall.stiffness,
                 "damping": wall.damping, "feed_forward": wall.feed_forward, "washout_hz": wall.washout_hz,
             })
         });
