@@ -10,10 +10,14 @@
 //! simulated. They are looked at in rounds of a fixed size, so the answer does not depend on the number of cores. A wall with
 //! a feed-forward is looked for with the settings that do best without.
 
+mod baseline;
+mod limits;
 mod margins;
 pub mod measured;
 mod scene;
 
+pub use baseline::{Baseline, LEAST_RIPPLE_N, USUAL_RIPPLE_N, baseline, ripple_like};
+pub use limits::{Beside, Limit};
 pub use margins::{Margins, vertex};
 pub use scene::to_toml;
 
@@ -21,7 +25,7 @@ use crate::analysis::control_loop::{CURRENT_LOOP_HZ, usual_delay};
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
 use crate::analysis::range::{WORTHWHILE_RATIO, boundary_of, stiffnesses};
-use crate::analysis::sampled::{AnalysisError, LinearEstimator, Loop, Mode};
+use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
 use crate::bench::estimators::{Comparison, Pressed, Shaping, pressed};
 use crate::device_file::DeviceFile;
 use crate::error::Failure;
@@ -31,6 +35,7 @@ use crate::vectors::padded_to;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_bridge::render::velocity::{Chosen, CutoffMeans, Estimator};
+use limits::limits;
 use margins::Corner;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -61,9 +66,6 @@ const KEEPS: f64 = 0.98;
 const STEPS: f64 = 1.2;
 /// With how many settings that do well without a feed-forward the others are looked at.
 const FOLLOWED: usize = 16;
-/// How much more and less is tried to say what stops it.
-const MORE: f64 = 1.15;
-
 /// What is asked.
 #[derive(Clone, Debug)]
 pub struct Question<'a> {
@@ -176,28 +178,6 @@ pub struct Found {
     pub ripple_n: f64,
 }
 
-/// What one limit alone would allow at the damping that was found.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Limit {
-    /// Which.
-    pub limit: &'static str,
-    /// Largest stiffness, N/m; none where it sets no bound up to four times what was found.
-    pub stiffness: Option<f64>,
-}
-
-/// A wall a little beside the one that was found.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Beside {
-    /// N/m
-    pub stiffness: f64,
-    /// N s/m
-    pub damping: f64,
-    /// Whether it is stable within the margins, and the motors have it.
-    pub allowed: bool,
-    /// N; none where the tip flies off.
-    pub ripple_n: Option<f64>,
-}
-
 /// The answer.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Answer {
@@ -213,21 +193,6 @@ pub struct Answer {
     pub others: Vec<Found>,
     /// How many combinations of rate, estimator, cutoff and feed-forward there were, and of how many ripple was simulated.
     pub looked_at: (usize, usize),
-}
-
-/// The wall's settings that came before, held to the same margins.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Baseline {
-    /// Rate, estimator, cutoff, damping and feed-forward of the scene, with the largest stiffness within margins and ripple;
-    /// 0 where there is none.
-    #[serde(flatten)]
-    pub settings: Settings,
-    /// Ripple at that stiffness, N.
-    pub ripple_n: Option<f64>,
-    /// The largest stiffness within the margins, whatever it ripples, N/m.
-    pub within_margins: f64,
-    /// The stiffness that the scene has, N/m.
-    pub as_written: f64,
 }
 
 /// Ripple of a wall with these settings. The one place where tuning asks for it: by simulation with the steps of the
@@ -594,125 +559,4 @@ fn of_each_estimator(mut all: Vec<Found>) -> Vec<Found> {
     let mut indices: Vec<usize> = best.into_values().collect();
     indices.sort_unstable();
     indices.into_iter().map(|index| all[index]).collect()
-}
-
-/// What stops the wall: each limit alone, and what more damping would bring.
-fn limits(context: &SearchContext<'_>, best: &Found) -> Result<(&'static str, Vec<Limit>, Vec<Beside>), Failure> {
-    let settings = &best.settings;
-    let Some(around) = settings.around() else { return Ok(("", Vec::new(), Vec::new())) };
-    let shaped = settings.feed_forward != FeedForward::Off;
-    let question = context.question;
-    let mut limits = Vec::new();
-    for (limit, margins) in question.margins.alone() {
-        let corners =
-            margins.corners(&question.file.description, &question.q, &question.normal, question.admissible, shaped)?;
-        let mut least = f64::INFINITY;
-        for corner in corners {
-            let around = corner.around(&around);
-            let found = stiffnesses(&corner.device, &corner.believed, &around, settings.mode(), &[settings.damping]);
-            match found {
-                Err(AnalysisError::Unbounded) => {}
-                found => least = least.min(found?[0]),
-            }
-        }
-        limits.push(Limit { limit, stiffness: least.is_finite().then_some(least) });
-    }
-    limits.push(Limit { limit: "motors and encoder counts", stiffness: Some(context.most.0) });
-    limits.push(Limit { limit: "ripple of encoder steps alone", stiffness: Some(context.steps) });
-    limits.push(Limit { limit: "ripple", stiffness: rippling(context, settings)? });
-
-    let mut beside = Vec::new();
-    for (stiffer, more) in [(MORE, 1.0), (1.0, MORE), (1.0, 1.0 / MORE)] {
-        let stiffness = three_digits(settings.stiffness * stiffer, false);
-        let damping = three_digits(settings.damping * more, false);
-        let allowed = context.allowed(settings, &[damping]).is_some_and(|most| most[0] >= stiffness);
-        let ripple_n = ripple(question, &Settings { stiffness, damping, ..*settings })?.ripple_n;
-        beside.push(Beside { stiffness, damping, allowed, ripple_n });
-    }
-    let most = context.allowed(settings, &[settings.damping]).map_or(0.0, |most| most[0]);
-    let active = if settings.stiffness < 0.96 * most {
-        "ripple"
-    } else if settings.stiffness >= 0.96 * context.most.0 {
-        "motors and encoder counts"
-    } else if settings.stiffness >= 0.96 * STEPS * context.steps {
-        "ripple of encoder steps alone"
-    } else if settings.damping * MORE > context.most.1 {
-        "motors and damping"
-    } else {
-        "all margins together"
-    };
-    Ok((active, limits, beside))
-}
-
-/// The stiffness at which ripple alone would end this wall: up to four times its own.
-fn rippling(context: &SearchContext<'_>, settings: &Settings) -> Result<Option<f64>, Failure> {
-    let keeps = |stiffness: f64| -> Result<bool, Failure> {
-        let Pressed { ripple_n, holds } = ripple(context.question, &Settings { stiffness, ..*settings })?;
-        Ok(holds && ripple_n.is_some_and(|ripple| ripple <= context.question.ripple_n))
-    };
-    let (mut low, mut high) = (settings.stiffness, 4.0 * settings.stiffness);
-    if keeps(high)? {
-        return Ok(None);
-    }
-    for _ in 0..5 {
-        let middle = (low * high).sqrt();
-        if keeps(middle)? { low = middle } else { high = middle }
-    }
-    Ok(Some(low))
-}
-
-/// The ripple that a wall may have where nothing else is said, N: what the estimators were made to come below.
-pub const USUAL_RIPPLE_N: f64 = 0.1;
-
-/// The least ripple that is asked for where a scene's wall has less, N.
-pub const LEAST_RIPPLE_N: f64 = 0.002;
-
-/// The ripple that settings like these may have: as much as the wall as it is written, and no less than the least.
-pub fn ripple_like(question: &Question<'_>, written: &Settings) -> Result<f64, Failure> {
-    Ok(ripple(question, written)?.ripple_n.unwrap_or(USUAL_RIPPLE_N).max(LEAST_RIPPLE_N))
-}
-
-/// The settings of a scene's wall, as stiff as the same margins and ripple let them be.
-pub fn baseline(question: &Question<'_>, written: &Settings) -> Result<Baseline, Failure> {
-    check(question)?;
-    let context = SearchContext::new(question)?;
-    if written.around().is_none() {
-        return Err(Failure::wrong(format!("`{}` has no linear analysis to hold it to margins", written.estimator))
-            .remedy("compare with a scene that has another estimator"));
-    }
-    let most = context.allowed(written, &[written.damping]).map_or(0.0, |allowed| three_digits(allowed[0], true));
-    let at = |stiffness: f64| -> Result<Option<Found>, Failure> {
-        let settings = Settings { stiffness: three_digits(stiffness, true), ..*written };
-        let ripple_n = if stiffness > 0.0 { ripple(question, &settings)?.ripple_n } else { None };
-        Ok(ripple_n.map(|ripple_n| Found { settings, ripple_n }))
-    };
-    let keeps = |found: &Option<Found>| found.is_some_and(|found| found.ripple_n <= question.ripple_n);
-    let mut best = at(most)?;
-    if most > 0.0 && !keeps(&best) {
-        // Down from there, as far as it takes, but not below what keeps it as it is written.
-        let (mut low, mut high) = (0.0_f64, most);
-        let mut step = most;
-        best = None;
-        let as_written = if written.stiffness <= most { at(written.stiffness)? } else { None };
-        if keeps(&as_written) {
-            (low, best) = (written.stiffness, as_written);
-        }
-        while low == 0.0 && step > 1e-3 * most {
-            step /= 2.0;
-            let found = at(step)?;
-            if keeps(&found) { (low, best) = (step, found) } else { high = step }
-        }
-        while low > 0.0 && high / low > 1.03 {
-            let middle = (low * high).sqrt();
-            let found = at(middle)?;
-            if keeps(&found) { (low, best) = (middle, found) } else { high = middle }
-        }
-    }
-    let nothing = Settings { stiffness: 0.0, ..*written };
-    Ok(Baseline {
-        settings: best.map_or(nothing, |best| best.settings),
-        ripple_n: best.map(|best| best.ripple_n),
-        within_margins: most,
-        as_written: written.stiffness,
-    })
 }
