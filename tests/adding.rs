@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// What the product is made of.
-const PRODUCT: [&str; 11] = [
+const PRODUCT: [&str; 12] = [
     "src",
     "host/src",
     "firmware/src",
@@ -16,43 +16,51 @@ const PRODUCT: [&str; 11] = [
     "capi/src",
     "chai3d/src",
     "python/src",
+    "python/package/haptic_bridge",
     "benches/chip",
     ".cargo/config.toml",
 ];
 
-/// A row of the table, with one of its kind that is there.
+/// A row of the table, with those of its kind that are there and touch all of its files between them.
 struct Row {
     name: &'static str,
-    /// What names it.
+    /// What names them.
     words: &'static [&'static str],
-    /// The stem of its own file, where it has one.
-    stem: &'static str,
-    /// Files that use it, and would do without.
+    /// The stems of their own files, where they have one.
+    stems: &'static [&'static str],
+    /// Files that use them, and would do without.
     users: &'static [&'static str],
 }
 
 const ROWS: [Row; 9] = [
-    Row { name: "mechanism", words: &["Serial3r", "serial_3r"], stem: "serial_3r", users: &[] },
-    Row { name: "wall shape", words: &["Cylinder", "cylinder"], stem: "cylinder", users: &[] },
+    // One that stands in its own way, for other programs and in MuJoCo.
+    Row { name: "mechanism", words: &["Parallelogram", "parallelogram"], stems: &["parallelogram"], users: &[] },
+    Row { name: "wall shape", words: &["Cylinder", "cylinder"], stems: &["cylinder"], users: &[] },
     Row {
         name: "telemetry signal",
         words: &["RenderedForce", "rendered_force"],
-        stem: "",
+        stems: &[],
         users: &["host/src/sim/held.rs", "host/src/view/picture.rs"],
     },
-    Row { name: "fault", words: &["IndexMismatch"], stem: "", users: &[] },
-    Row { name: "velocity estimator", words: &["Levant", "levant"], stem: "levant", users: &[] },
+    Row { name: "fault", words: &["IndexMismatch"], stems: &[], users: &[] },
+    // One that is not linear, and one that is.
+    Row {
+        name: "velocity estimator",
+        words: &["Levant", "levant", "AlphaBeta", "alpha_beta", "alpha-beta"],
+        stems: &["levant", "alpha_beta"],
+        users: &[],
+    },
     Row {
         name: "request",
         words: &["SetName", "set_name"],
-        stem: "",
+        stems: &[],
         users: &["host/src/commands/name.rs", "emulator/src/inject.rs"],
     },
-    Row { name: "command", words: &["Completions", "completions"], stem: "completions", users: &[] },
+    Row { name: "command", words: &["Completions", "completions"], stems: &["completions"], users: &[] },
     Row {
         name: "board",
         words: &["HBridgeF405", "h_bridge_f405", "h-bridge-f405", "flash-h-bridge-f405"],
-        stem: "h_bridge_f405",
+        stems: &["h_bridge_f405"],
         users: &[
             // What runs on either.
             "emulator/src/bin/board.rs",
@@ -62,8 +70,11 @@ const ROWS: [Row; 9] = [
             "host/src/commands/report.rs",
         ],
     },
-    Row { name: "motor stage", words: &["brushed"], stem: "brushed", users: &["host/src/sim/board.rs"] },
+    Row { name: "motor stage", words: &["brushed"], stems: &["brushed"], users: &["host/src/sim/board.rs"] },
 ];
+
+/// What its files end with.
+const ENDINGS: [&str; 4] = ["rs", "toml", "py", "pyi"];
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -78,7 +89,7 @@ fn files(path: &Path, found: &mut Vec<PathBuf>) {
         for entry in std::fs::read_dir(path).expect("a readable folder") {
             files(&entry.expect("a readable entry").path(), found);
         }
-    } else if path.extension().is_some_and(|end| end == "rs" || end == "toml") {
+    } else if path.extension().is_some_and(|end| ENDINGS.iter().any(|known| end == *known)) {
         found.push(path.into());
     }
 }
@@ -105,28 +116,38 @@ fn named_in(words: &[&str]) -> BTreeSet<String> {
     named.map(inside).collect()
 }
 
-/// The files of a row of the table, with `stem` where it says NAME.
-fn told(row: &str, stem: &str) -> BTreeSet<String> {
+/// The files of a row of the table, with each of `stems` where it says NAME.
+fn told(row: &str, stems: &[&str]) -> BTreeSet<String> {
     let text = read(&root().join("docs/architecture.md"));
     let table = text.split("## Adding things").nth(1).expect("the section").to_string();
     let line = table.lines().find(|line| line.starts_with(&format!("| {row} |"))).unwrap_or_else(|| panic!("no {row}"));
     let part = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);
     let words = line.split(|c: char| !part(c)).filter(|word| word.contains('/'));
-    let files = words.filter(|word| word.ends_with(".rs") || word.ends_with(".toml"));
-    files.map(|word| word.replace("NAME", stem)).filter(|file| !file.contains("tests/")).collect()
+    let files =
+        words.filter(|word| Path::new(word).extension().is_some_and(|end| ENDINGS.iter().any(|known| end == *known)));
+    let files = files.filter(|file| !file.contains("tests/"));
+    let each = |file: &str| -> Vec<String> {
+        if file.contains("NAME") {
+            stems.iter().map(|stem| file.replace("NAME", stem)).collect()
+        } else {
+            vec![file.into()]
+        }
+    };
+    files.flat_map(each).collect()
 }
 
 #[test]
 fn the_places_where_one_that_is_there_is_named_are_the_files_of_its_row() {
-    for Row { name, words, stem, users } in ROWS {
-        let told = told(name, stem);
+    for Row { name, words, stems, users } in ROWS {
+        let told = told(name, stems);
         assert!(told.iter().all(|file| root().join(file).exists()), "{name}: {told:?}");
         let mut named = named_in(words);
         for user in users {
             assert!(named.remove(*user), "{name}: {user} does not use it");
         }
         // A file need not say its own name.
-        named.extend(told.iter().filter(|file| file.ends_with(&format!("/{stem}.rs"))).cloned());
+        let own = |file: &&String| stems.iter().any(|stem| file.ends_with(&format!("/{stem}.rs")));
+        named.extend(told.iter().filter(own).cloned());
         assert_eq!(named, told, "{name}: where {words:?} stands is not what the row says");
     }
 }

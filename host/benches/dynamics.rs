@@ -6,9 +6,8 @@
 //! direction, W, z with the velocity terms, Weff, f_a and both torques.
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use haptic::bench::probe::workspace;
+use haptic::bench::probe::{HAND_SPEED, workspace};
 use haptic::bench::report::devices;
-use haptic::plan::HAND_SPEED;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::inertia::Inertia;
 use haptic_bridge::model::mechanism::Mechanism;

@@ -5,9 +5,8 @@
 use criterion::{Criterion, criterion_group, criterion_main};
 use haptic::bench::error::{Law, Terms, torque};
 use haptic::bench::precompute::{Precomputed, frozen, most_points, range, table};
-use haptic::bench::probe::workspace;
+use haptic::bench::probe::{HAND_SPEED, workspace};
 use haptic::bench::report::devices;
-use haptic::plan::HAND_SPEED;
 use haptic_bridge::math::Minimax;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::model::precomputed::{Interpolation, MassModel};

@@ -4,6 +4,7 @@
 //! Nothing here talks to a board: a pose, a direction and a few numbers about the loop go in, predictions come out.
 //!
 //! - [`amplitudes`]: how much of a recorded signal swings at which frequency
+//! - [`control_loop`]: rate, delay, estimator, drives and feed-forward: everything about a loop that is not the device
 //! - [`cut`]: the plane of that map that is drawn, in tiles
 //! - [`estimator`]: the velocity estimators as linear filters
 //! - [`flexible`]: what is not rigid about it: transmissions, and a hand on the tip
@@ -15,7 +16,8 @@
 //! - [`spectrum`]: the small dense linear algebra this needs (matrix exponential, resolvent, growth), with its own eigenvalue iteration
 //! - [`boundary`]: the stiffness at which a mode leaves the unit circle, and every other stable interval
 //! - [`pose`]: from a device description and joint angles to the matrices all of this works on
-//! - [`range`]: boundary, area and islands of one device: what `haptic range` prints
+//! - [`domain`]: boundary, area and islands of one device with one feed-forward
+//! - [`range`]: the domains of every feed-forward side by side: what `haptic range` prints
 //! - [`ripple`]: what encoder steps make of a pressed wall, by simulation
 //! - [`several`]: the same loop around walls that act together
 //! - [`why`]: what each effect takes from the boundary
@@ -25,16 +27,22 @@
 
 pub mod amplitudes;
 pub mod boundary;
+pub mod control_loop;
 pub mod cut;
+pub mod domain;
+mod drift;
 mod eigenvalues;
+pub mod error;
 pub mod estimator;
 pub mod flexible;
+mod flexible_reduction;
 pub mod host;
 pub mod map;
 pub mod passivity;
 pub mod plant;
 pub mod pose;
 pub mod range;
+mod reduction;
 pub mod ripple;
 pub mod sampled;
 pub mod several;

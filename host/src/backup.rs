@@ -32,12 +32,12 @@ pub struct Backup {
     /// Its serial number.
     pub serial: String,
     /// The settings by name; those that were never saved are not there.
-    pub settings: BTreeMap<String, Kept>,
+    pub settings: BTreeMap<String, SavedSetting>,
 }
 
 /// One setting.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Kept {
+pub struct SavedSetting {
     /// Version of its bytes.
     pub version: u8,
     /// What they mean; none when this tool could not read them.
@@ -46,7 +46,7 @@ pub struct Kept {
     pub bytes: String,
 }
 
-impl Kept {
+impl SavedSetting {
     /// A value as the board would keep it; none where it is too long for that.
     pub fn of<S: Setting>(value: &S) -> Option<Self> {
         Some(kept(S::KEY, &encode(value).ok()?))
@@ -221,7 +221,7 @@ fn damaged(key: Key, damage: Damage) -> BackupError {
     BackupError::Damaged(key.name(), reason)
 }
 
-fn kept(key: Key, entry: &[u8]) -> Kept {
+fn kept(key: Key, entry: &[u8]) -> SavedSetting {
     fn value<S: Setting>(entry: &[u8]) -> Option<Value> {
         serde_json::to_value(decode::<S>(entry).ok()?).ok().map(shortest)
     }
@@ -234,10 +234,10 @@ fn kept(key: Key, entry: &[u8]) -> Kept {
         Key::Name => value::<BoardName>(entry),
     };
     let bytes = entry.iter().map(|byte| format!("{byte:02x}")).collect();
-    Kept { version: entry.get(1).copied().unwrap_or(0), value, bytes }
+    SavedSetting { version: entry.get(1).copied().unwrap_or(0), value, bytes }
 }
 
-fn usable(key: Key, kept: &Kept) -> Result<(Entry, Restored), BackupError> {
+fn usable(key: Key, kept: &SavedSetting) -> Result<(Entry, Restored), BackupError> {
     match key {
         Key::Device => usable_as::<Device<f32>>(kept),
         Key::Scene => usable_as::<Scene<f32>>(kept),
@@ -249,7 +249,7 @@ fn usable(key: Key, kept: &Kept) -> Result<(Entry, Restored), BackupError> {
 }
 
 /// The bytes if this version understands them, else the value encoded anew.
-fn usable_as<S: Setting>(kept: &Kept) -> Result<(Entry, Restored), BackupError> {
+fn usable_as<S: Setting>(kept: &SavedSetting) -> Result<(Entry, Restored), BackupError> {
     let bytes = from_hex(&kept.bytes).ok_or_else(|| damaged(S::KEY, Damage::Corrupt))?;
     match decode::<S>(&bytes) {
         Ok(value) => {

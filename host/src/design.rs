@@ -13,12 +13,12 @@ pub mod place;
 pub mod posture;
 pub mod sensitivity;
 
+use crate::analysis::control_loop::usual_delay;
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
 use crate::analysis::range::domain;
 use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
 use crate::error::Failure;
-use crate::plausible::scene::usual_delay;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use nalgebra::{DMatrix, DVector};

@@ -13,14 +13,14 @@ impl Axes {
     pub fn of(kind: Kind, weight: bool) -> Self {
         let (x, y, z) = (Some((0, 1.0)), Some((1, 1.0)), Some((2, 1.0)));
         let back = |axis: Option<(usize, f64)>| axis.map(|(index, sign)| (index, -sign));
-        match kind {
+        match (kind.spec().task, kind) {
+            (1, _) => Self([None, x, None]),
+            (2, _) if weight => Self([None, x, y]),
+            (2, _) => Self([y, back(x), None]),
             // Its vertical is y, and the arm reaches along x towards who holds it.
-            Kind::Parallelogram => Self([x, back(z), y]),
+            (_, Kind::Parallelogram) => Self([x, back(z), y]),
             // The motors are away from the operator, who is where y points to.
-            Kind::FiveBarTurret => Self([y, back(x), z]),
-            Kind::Paddle => Self([None, x, None]),
-            _ if weight => Self([None, x, y]),
-            _ => Self([y, back(x), None]),
+            _ => Self([y, back(x), z]),
         }
     }
 

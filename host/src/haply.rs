@@ -74,7 +74,7 @@ impl Wish {
 }
 
 /// A board that programs take for a device of Haply's.
-pub struct Device {
+pub struct Inverse3 {
     session: Session,
     axes: Axes,
     id: String,
@@ -87,7 +87,7 @@ pub struct Device {
     told: Vec<String>,
 }
 
-impl Device {
+impl Inverse3 {
     /// Of a board that is open and has a device; a board without a scene gets free space. `axes` are CHAI3D's, as
     /// [`Axes::of`] knows them.
     pub fn new(mut session: Session, axes: Option<Axes>, simulated: bool) -> Result<Self, BoardError> {
@@ -245,9 +245,9 @@ impl Device {
 }
 
 /// A port at which programs find a board.
-pub struct Door(TcpListener);
+pub struct HaplyListener(TcpListener);
 
-impl Door {
+impl HaplyListener {
     /// Listens at a port of this computer; nobody else is let in.
     pub fn open(port: u16) -> io::Result<Self> {
         let listener = TcpListener::bind(SocketAddr::from(([127, 0, 0, 1], port)))?;
@@ -262,7 +262,7 @@ impl Door {
 
     /// Serves a device until `stop`, or until its board is gone, which is the error. One program at a time uses the device;
     /// anybody on this computer may ask what it is.
-    pub fn serve(&self, device: Device, stop: &AtomicBool) -> Result<(), BoardError> {
+    pub fn serve(&self, device: Inverse3, stop: &AtomicBool) -> Result<(), BoardError> {
         let shared = Arc::new(Shared {
             device: Mutex::new(device),
             lost: Mutex::new(None),
@@ -300,7 +300,7 @@ impl Door {
 
 /// What the connections share.
 struct Shared {
-    device: Mutex<Device>,
+    device: Mutex<Inverse3>,
     lost: Mutex<Option<BoardError>>,
     /// A program uses the device.
     taken: AtomicBool,
@@ -308,7 +308,7 @@ struct Shared {
 }
 
 impl Shared {
-    fn device(&self) -> MutexGuard<'_, Device> {
+    fn device(&self) -> MutexGuard<'_, Inverse3> {
         self.device.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -67,6 +67,8 @@ pub mod measure;
 pub mod model;
 #[cfg(feature = "tool")]
 pub mod monitor;
+mod open;
+pub mod outline;
 pub mod output;
 pub mod plan;
 pub mod plausible;

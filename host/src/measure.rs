@@ -17,17 +17,17 @@
 //! the smallest such pull, nothing can be told, and nothing is reported.
 
 pub mod before;
-pub mod bench;
 pub mod campaign;
 pub mod excitation;
 pub mod occasion;
+pub mod prepared;
 pub mod progress;
 pub mod search;
 pub mod simulated;
 pub mod swing;
 mod walls;
 
-pub use bench::{Bench, rules_for};
+pub use prepared::{PreparedBoard, rules_for};
 pub use search::Boundary;
 pub use walls::{complement, most_tested};
 
@@ -114,7 +114,7 @@ impl MeasureError {
 
 /// What is measured, and how gently.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Setup {
+pub struct MeasurementSetup {
     /// The walls that act together.
     pub walls: Vec<Member>,
     /// Control rate, Hz.
@@ -155,7 +155,7 @@ impl Default for Law {
     }
 }
 
-impl Setup {
+impl MeasurementSetup {
     /// How fast the device is held and its motion judged, Hz: the low-pass's cutoff. The cutoff of an estimator that watches
     /// joints is not how fast the loop is, and theirs may be fast.
     #[must_use]

@@ -18,8 +18,6 @@ use serde::Serialize;
 
 /// Share of the budget that the poses looked at may use up: between them the error may be larger.
 pub const MARGIN: f64 = 0.6;
-/// How fast a hand is taken to move when nothing is said, m/s.
-pub const HAND_SPEED: f64 = 0.5;
 /// The budget when nothing is said, percent.
 pub const DEFAULT_PERCENT: f64 = 1.0;
 /// Trigonometry of the firmware.

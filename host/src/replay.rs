@@ -5,10 +5,10 @@
 //! while it was made, forces that a host asked for, and what the velocity estimators remembered from before its first
 //! row, which fades within the first rows.
 
-use crate::backup::Kept;
+use crate::backup::SavedSetting;
 use crate::error::Failure;
-use crate::plausible::counted;
 use crate::recorder::{Recording, STATES};
+use crate::words::counted;
 use haptic_bridge::board::settings::Setting;
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::math::Minimax;
@@ -64,7 +64,7 @@ impl Replayed {
     }
 }
 
-fn setting<S: Setting>(settings: &BTreeMap<String, Kept>, name: &str) -> Result<S, Failure> {
+fn setting<S: Setting>(settings: &BTreeMap<String, SavedSetting>, name: &str) -> Result<S, Failure> {
     let missing = || {
         Failure::wrong(format!("the recording says nothing of the board's {name}"))
             .remedy("record with a device and a scene loaded, by haptic record")
@@ -109,7 +109,7 @@ pub fn replay(recording: &Recording) -> Result<Replayed, Failure> {
     let settings = recording.told("settings").ok_or_else(|| {
         Failure::wrong("the recording does not hold the board's settings").remedy("record with haptic record")
     })?;
-    let settings: BTreeMap<String, Kept> = serde_json::from_str(settings).map_err(Failure::wrong)?;
+    let settings: BTreeMap<String, SavedSetting> = serde_json::from_str(settings).map_err(Failure::wrong)?;
     let (device, scene): (Device<f32>, Scene<f32>) = (setting(&settings, "device")?, setting(&settings, "scene")?);
     // Nobody sends heartbeats here.
     let rules = Rules { host_action: HostAction::Ignore, ..setting(&settings, "rules")? };

@@ -26,5 +26,4 @@ pub use held::{Felt, Held, Press, WIDE};
 pub use motor::{MotorInput, MotorModel, PowerStage};
 pub use plant::{Load, Plant};
 pub use random::Random;
-pub(crate) use wire::open_simulated;
 pub use wire::{SHIPPED_DEVICE, SharedBoard, ready_board};

@@ -166,38 +166,3 @@ fn serial(description: &Description, q: &[f64]) -> Skeleton {
     }
     Skeleton { bars, angles, base: vec![(0.0, 0.0)], letters: Vec::new(), tip: at }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::analysis::pose::TaskPose;
-    use crate::device_file::DeviceFile;
-
-    #[test]
-    fn every_drawn_tip_is_where_the_model_has_it() {
-        for name in
-            ["pantograph-mk2", "fictive-five-bar-turret", "phantom-premium-1.5", "serial-3r", "coupled-five-bar"]
-        {
-            let path = format!("{}/../devices/{name}.toml", env!("CARGO_MANIFEST_DIR"));
-            let description = DeviceFile::load(path).unwrap().description;
-            let mut seen = 0;
-            for i in 0..200 {
-                let angle = |step: f64| (f64::from(i) * step).sin() * 3.0;
-                let mut q = vec![angle(0.7), angle(1.3), angle(2.9)];
-                q.truncate(description.kind.spec().joints);
-                let drawn = skeleton(&description, &q);
-                if Turret::of(description.kind).is_some() {
-                    q[0] = 0.0;
-                }
-                let pose = TaskPose::at(&description, &q).unwrap();
-                if pose.regularity.parallel < 1e-6 {
-                    continue;
-                }
-                let tip = drawn.unwrap().tip;
-                assert!((tip.0 - pose.position[0]).hypot(tip.1 - pose.position[1]) < 1e-12, "{name} {q:?}");
-                seen += 1;
-            }
-            assert!(seen > 50, "{name}: {seen}");
-        }
-    }
-}

@@ -5,7 +5,7 @@ use crate::analysis::map::{MapPoint, climb, map};
 use crate::analysis::pose::{PoseError, TaskPose};
 use crate::device_file::DeviceFile;
 use crate::plausible::device::force_at;
-use crate::plausible::with_unit;
+use crate::words::with_unit;
 use haptic_bridge::model::device::Device;
 use serde::Serialize;
 

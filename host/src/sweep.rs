@@ -21,7 +21,7 @@ const WRITING: u32 = 20;
 
 /// What is kept between runs.
 #[derive(Debug, Default, Deserialize, Serialize)]
-struct Kept {
+struct Checkpoint {
     /// The tool's version: another one may come to other numbers.
     version: String,
     /// The command.
@@ -40,7 +40,7 @@ struct Stage {
     done: BTreeMap<usize, String>,
 }
 
-impl Kept {
+impl Checkpoint {
     /// Whether both belong to the same question.
     fn is_of(&self, other: &Self) -> bool {
         (&self.version, &self.command, &self.question) == (&other.version, &other.command, &other.question)
@@ -56,7 +56,7 @@ pub struct Sweep {
 }
 
 struct State {
-    kept: Kept,
+    kept: Checkpoint,
     /// When it is to be written again.
     due: Instant,
 }
@@ -71,7 +71,7 @@ impl Sweep {
         file: Option<&Path>,
         interrupted: impl Fn() -> bool + Send + Sync + 'static,
     ) -> Result<Self, Failure> {
-        let mut kept = Kept {
+        let mut kept = Checkpoint {
             version: env!("CARGO_PKG_VERSION").into(),
             command: command.into(),
             question: question.into(),
@@ -102,7 +102,7 @@ impl Sweep {
     /// One that nobody interrupts, and that neither shows nor keeps anything.
     #[must_use]
     pub fn quiet() -> Self {
-        let state = Mutex::new(State { kept: Kept::default(), due: Instant::now() });
+        let state = Mutex::new(State { kept: Checkpoint::default(), due: Instant::now() });
         Self { interrupted: Box::new(|| false), file: None, shown: false, state }
     }
 
@@ -214,12 +214,12 @@ impl Sweep {
     }
 }
 
-fn write(file: &Path, kept: &Kept) -> Result<(), Failure> {
+fn write(file: &Path, kept: &Checkpoint) -> Result<(), Failure> {
     output::write(file, &serde_json::to_vec(kept).map_err(Failure::impossible)?, Overwrite::Replace)
 }
 
 /// What an earlier run has left.
-fn earlier(file: &Path) -> Result<Option<Kept>, Failure> {
+fn earlier(file: &Path) -> Result<Option<Checkpoint>, Failure> {
     match crate::input::read_own(file) {
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
         Err(error) => Err(Failure::impossible(format!("{} cannot be read: {error}", file.display()))),

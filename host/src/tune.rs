@@ -10,27 +10,32 @@
 //! simulated. They are looked at in rounds of a fixed size, so the answer does not depend on the number of cores. A wall with
 //! a feed-forward is looked for with the settings that do best without.
 
+mod baseline;
+mod limits;
 mod margins;
 pub mod measured;
 mod scene;
 
+pub use baseline::{Baseline, LEAST_RIPPLE_N, USUAL_RIPPLE_N, baseline, ripple_like};
+pub use limits::{Beside, Limit};
 pub use margins::{Margins, vertex};
 pub use scene::to_toml;
 
+use crate::analysis::control_loop::{CURRENT_LOOP_HZ, usual_delay};
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
 use crate::analysis::range::{WORTHWHILE_RATIO, boundary_of, stiffnesses};
-use crate::analysis::sampled::{AnalysisError, LinearEstimator, Loop, Mode};
+use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
 use crate::bench::estimators::{Comparison, Pressed, Shaping, pressed};
 use crate::device_file::DeviceFile;
 use crate::error::Failure;
 use crate::plausible::device::force_along;
-use crate::plausible::scene::usual_delay;
 use crate::sweep::Sweep;
 use crate::vectors::padded_to;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_bridge::render::velocity::{Chosen, CutoffMeans, Estimator};
+use limits::limits;
 use margins::Corner;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -40,8 +45,6 @@ use std::collections::BTreeMap;
 pub const FASTEST_HZ: f64 = 30_000.0;
 /// Rates that are searched where none are named, Hz.
 pub const RATES_HZ: [f64; 4] = [1_000.0, 5_000.0, 10_000.0, 20_000.0];
-/// -3 dB of the boards' current loops, Hz: as `haptic range --board` has it.
-const CURRENT_HZ: f64 = 6400.0;
 /// Cutoffs of the low-passes, and of what has a bandwidth of its own, Hz.
 const CUTOFFS_HZ: [f64; 8] = [20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 4000.0];
 const BANDWIDTHS_HZ: [f64; 6] = [10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0];
@@ -63,9 +66,6 @@ const KEEPS: f64 = 0.98;
 const STEPS: f64 = 1.2;
 /// With how many settings that do well without a feed-forward the others are looked at.
 const FOLLOWED: usize = 16;
-/// How much more and less is tried to say what stops it.
-const MORE: f64 = 1.15;
-
 /// What is asked.
 #[derive(Clone, Debug)]
 pub struct Question<'a> {
@@ -162,7 +162,7 @@ impl Settings {
             rate_hz: self.rate_hz,
             delay_samples: usual_delay(self.rate_hz),
             estimator: LinearEstimator::of(self.kind, self.cutoff_hz)?,
-            drive: Drive::Current { bandwidth_hz: CURRENT_HZ },
+            drive: Drive::Current { bandwidth_hz: CURRENT_LOOP_HZ },
             damping_compensation: self.damping_compensation,
         })
     }
@@ -176,28 +176,6 @@ pub struct Found {
     pub settings: Settings,
     /// Root mean square of what its force has above 20 Hz under a hand that slides along it, N.
     pub ripple_n: f64,
-}
-
-/// What one limit alone would allow at the damping that was found.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Limit {
-    /// Which.
-    pub limit: &'static str,
-    /// Largest stiffness, N/m; none where it sets no bound up to four times what was found.
-    pub stiffness: Option<f64>,
-}
-
-/// A wall a little beside the one that was found.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Beside {
-    /// N/m
-    pub stiffness: f64,
-    /// N s/m
-    pub damping: f64,
-    /// Whether it is stable within the margins, and the motors have it.
-    pub allowed: bool,
-    /// N; none where the tip flies off.
-    pub ripple_n: Option<f64>,
 }
 
 /// The answer.
@@ -215,21 +193,6 @@ pub struct Answer {
     pub others: Vec<Found>,
     /// How many combinations of rate, estimator, cutoff and feed-forward there were, and of how many ripple was simulated.
     pub looked_at: (usize, usize),
-}
-
-/// The wall's settings that came before, held to the same margins.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Baseline {
-    /// Rate, estimator, cutoff, damping and feed-forward of the scene, with the largest stiffness within margins and ripple;
-    /// 0 where there is none.
-    #[serde(flatten)]
-    pub settings: Settings,
-    /// Ripple at that stiffness, N.
-    pub ripple_n: Option<f64>,
-    /// The largest stiffness within the margins, whatever it ripples, N/m.
-    pub within_margins: f64,
-    /// The stiffness that the scene has, N/m.
-    pub as_written: f64,
 }
 
 /// Ripple of a wall with these settings. The one place where tuning asks for it: by simulation with the steps of the
@@ -253,7 +216,7 @@ pub fn ripple(question: &Question<'_>, settings: &Settings) -> Result<Pressed, F
 }
 
 /// The question with what does not change between candidates.
-struct Bench<'a> {
+struct SearchContext<'a> {
     question: &'a Question<'a>,
     nominal: Linearised,
     /// Corners of the margins without and with a feed-forward.
@@ -287,7 +250,7 @@ fn three_digits(value: f64, down: bool) -> f64 {
     (if down { (scaled + 1e-9).floor() } else { scaled.round() }) / unit
 }
 
-impl<'a> Bench<'a> {
+impl<'a> SearchContext<'a> {
     fn new(question: &'a Question<'a>) -> Result<Self, Failure> {
         let Question { file, q, normal, admissible, .. } = question;
         let nominal = Linearised::holding(&file.description, q, normal, *admissible)?;
@@ -366,7 +329,8 @@ impl<'a> Bench<'a> {
     }
 
     /// The stiffest wall of a candidate that keeps the ripple and is stiffer than `floor` (N/m): at each damping, as stiff as
-    /// margins, motors and ripple let it be. One trial tells of most dampings that they are not worth it.
+    /// margins, motors and ripple let it be. For most dampings one trial at the lowest
+    /// stiffness that would win shows that none there does.
     fn best_on(&self, settings: &Settings, curve: &Curve, floor: f64) -> Result<Option<Found>, Failure> {
         let mut best: Option<Found> = None;
         for &(damping, most) in &curve.points {
@@ -452,9 +416,9 @@ fn check(question: &Question<'_>) -> Result<(), Failure> {
 /// Searches. The same in any order of work.
 pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<Answer, Failure> {
     check(question)?;
-    let bench = Bench::new(question)?;
-    let coupled = bench.nominal.w_eff().is_some_and(|w_eff| bench.nominal.w_rr() / w_eff > 1.0 + 1e-3);
-    let mut best = bench.known()?;
+    let context = SearchContext::new(question)?;
+    let coupled = context.nominal.w_eff().is_some_and(|w_eff| context.nominal.w_rr() / w_eff > 1.0 + 1e-3);
+    let mut best = context.known()?;
     let mut all: Vec<Found> = best.into_iter().collect();
     let mut looked_at = (0, 0);
     let mut well: Vec<Settings> = Vec::new();
@@ -467,7 +431,7 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<Answer, Failure> {
             combinations.retain(|other| well.iter().any(|one| one.is_like(other)));
         }
         let stage = format!("walls, feed-forward {}", feed_forward.name());
-        let curves = sweep.map(&stage, &combinations, |settings| Ok(bench.curve(settings)))?;
+        let curves = sweep.map(&stage, &combinations, |settings| Ok(context.curve(settings)))?;
         let mut candidates: Vec<(Settings, Curve)> =
             combinations.into_iter().zip(curves).filter_map(|(settings, curve)| Some((settings, curve?))).collect();
         looked_at.0 += candidates.len();
@@ -475,7 +439,7 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<Answer, Failure> {
         candidates.sort_by(|(one, a), (other, b)| {
             b.top().total_cmp(&a.top()).then_with(|| other.rate_hz.total_cmp(&one.rate_hz))
         });
-        let found = simulated(&bench, &candidates, feed_forward, sweep, &mut looked_at.1)?;
+        let found = simulated(&context, &candidates, feed_forward, sweep, &mut looked_at.1)?;
         if feed_forward == FeedForward::Off {
             well = candidates.iter().map(|(settings, _)| *settings).collect();
             let stiffness = |settings: &Settings| {
@@ -486,7 +450,7 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<Answer, Failure> {
             well.truncate(FOLLOWED);
         }
         let Some(stiffest) = stiffest(&found) else { continue };
-        let refined = refined(&bench, stiffest, sweep)?;
+        let refined = refined(&context, stiffest, sweep)?;
         all.extend(found);
         all.push(refined);
         // A feed-forward has its price: it must bring more than it costs.
@@ -505,7 +469,7 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<Answer, Failure> {
         ))
         .remedy("allow more --ripple, or ask at another pose or normal (`haptic design`)"));
     };
-    let (active, limits, beside) = limits(&bench, &best)?;
+    let (active, limits, beside) = limits(&context, &best)?;
     Ok(Answer { best, active, limits, beside, others: of_each_estimator(all), looked_at })
 }
 
@@ -517,7 +481,7 @@ fn stiffest(found: &[Found]) -> Option<Found> {
 
 /// Simulates candidates from the most promising on, until none can be better than the best.
 fn simulated(
-    bench: &Bench<'_>,
+    context: &SearchContext<'_>,
     candidates: &[(Settings, Curve)],
     feed_forward: FeedForward,
     sweep: &Sweep,
@@ -531,7 +495,7 @@ fn simulated(
         }
         let stage = format!("ripple, feed-forward {}, round {}", feed_forward.name(), round + 1);
         let results =
-            sweep.map(&stage, some, |(settings, curve)| Ok(bench.best_on(settings, curve, best)?.map(kept)))?;
+            sweep.map(&stage, some, |(settings, curve)| Ok(context.best_on(settings, curve, best)?.map(kept)))?;
         *count += some.len();
         let each = some.iter().zip(results);
         found.extend(each.filter_map(|((settings, _), result)| Some(restored(settings, result?))));
@@ -549,11 +513,11 @@ fn restored(settings: &Settings, [stiffness, damping, ripple_n]: [f64; 3]) -> Fo
 }
 
 /// Cutoffs between those of the grid, then the highest corner of the washout that keeps the stiffness.
-fn refined(bench: &Bench<'_>, found: Found, sweep: &Sweep) -> Result<Found, Failure> {
+fn refined(context: &SearchContext<'_>, found: Found, sweep: &Sweep) -> Result<Found, Failure> {
     let better = |candidates: Vec<Settings>, floor: f64, stage: &str| -> Result<Vec<Found>, Failure> {
         let results = sweep.map(stage, &candidates, |settings| {
-            let Some(curve) = bench.curve(settings) else { return Ok(None) };
-            Ok(bench.best_on(settings, &curve, floor)?.map(kept))
+            let Some(curve) = context.curve(settings) else { return Ok(None) };
+            Ok(context.best_on(settings, &curve, floor)?.map(kept))
         })?;
         let each = candidates.iter().zip(results);
         Ok(each.filter_map(|(settings, result)| Some(restored(settings, result?))).collect())
@@ -570,9 +534,9 @@ fn refined(bench: &Bench<'_>, found: Found, sweep: &Sweep) -> Result<Found, Fail
     }
     let near = [0.76, 0.87, 1.15, 1.32].map(|factor| three_digits(best.settings.damping * factor, false));
     let results = sweep.map(&format!("dampings, feed-forward {name}"), &near, |damping| {
-        let Some(most) = bench.allowed(&best.settings, &[*damping]) else { return Ok(None) };
+        let Some(most) = context.allowed(&best.settings, &[*damping]) else { return Ok(None) };
         let curve = Curve { points: vec![(*damping, most[0])] };
-        Ok(bench.best_on(&best.settings, &curve, best.settings.stiffness)?.map(kept))
+        Ok(context.best_on(&best.settings, &curve, best.settings.stiffness)?.map(kept))
     })?;
     for result in results.into_iter().flatten() {
         best = stiffest(&[best, restored(&best.settings, result)]).unwrap_or(best);
@@ -595,125 +559,4 @@ fn of_each_estimator(mut all: Vec<Found>) -> Vec<Found> {
     let mut indices: Vec<usize> = best.into_values().collect();
     indices.sort_unstable();
     indices.into_iter().map(|index| all[index]).collect()
-}
-
-/// What stops the wall: each limit alone, and what more damping would bring.
-fn limits(bench: &Bench<'_>, best: &Found) -> Result<(&'static str, Vec<Limit>, Vec<Beside>), Failure> {
-    let settings = &best.settings;
-    let Some(around) = settings.around() else { return Ok(("", Vec::new(), Vec::new())) };
-    let shaped = settings.feed_forward != FeedForward::Off;
-    let question = bench.question;
-    let mut limits = Vec::new();
-    for (limit, margins) in question.margins.alone() {
-        let corners =
-            margins.corners(&question.file.description, &question.q, &question.normal, question.admissible, shaped)?;
-        let mut least = f64::INFINITY;
-        for corner in corners {
-            let around = corner.around(&around);
-            let found = stiffnesses(&corner.device, &corner.believed, &around, settings.mode(), &[settings.damping]);
-            match found {
-                Err(AnalysisError::Unbounded) => {}
-                found => least = least.min(found?[0]),
-            }
-        }
-        limits.push(Limit { limit, stiffness: least.is_finite().then_some(least) });
-    }
-    limits.push(Limit { limit: "motors and encoder counts", stiffness: Some(bench.most.0) });
-    limits.push(Limit { limit: "ripple of encoder steps alone", stiffness: Some(bench.steps) });
-    limits.push(Limit { limit: "ripple", stiffness: rippling(bench, settings)? });
-
-    let mut beside = Vec::new();
-    for (stiffer, more) in [(MORE, 1.0), (1.0, MORE), (1.0, 1.0 / MORE)] {
-        let stiffness = three_digits(settings.stiffness * stiffer, false);
-        let damping = three_digits(settings.damping * more, false);
-        let allowed = bench.allowed(settings, &[damping]).is_some_and(|most| most[0] >= stiffness);
-        let ripple_n = ripple(question, &Settings { stiffness, damping, ..*settings })?.ripple_n;
-        beside.push(Beside { stiffness, damping, allowed, ripple_n });
-    }
-    let most = bench.allowed(settings, &[settings.damping]).map_or(0.0, |most| most[0]);
-    let active = if settings.stiffness < 0.96 * most {
-        "ripple"
-    } else if settings.stiffness >= 0.96 * bench.most.0 {
-        "motors and encoder counts"
-    } else if settings.stiffness >= 0.96 * STEPS * bench.steps {
-        "ripple of encoder steps alone"
-    } else if settings.damping * MORE > bench.most.1 {
-        "motors and damping"
-    } else {
-        "all margins together"
-    };
-    Ok((active, limits, beside))
-}
-
-/// The stiffness at which ripple alone would end this wall: up to four times its own.
-fn rippling(bench: &Bench<'_>, settings: &Settings) -> Result<Option<f64>, Failure> {
-    let keeps = |stiffness: f64| -> Result<bool, Failure> {
-        let Pressed { ripple_n, holds } = ripple(bench.question, &Settings { stiffness, ..*settings })?;
-        Ok(holds && ripple_n.is_some_and(|ripple| ripple <= bench.question.ripple_n))
-    };
-    let (mut low, mut high) = (settings.stiffness, 4.0 * settings.stiffness);
-    if keeps(high)? {
-        return Ok(None);
-    }
-    for _ in 0..5 {
-        let middle = (low * high).sqrt();
-        if keeps(middle)? { low = middle } else { high = middle }
-    }
-    Ok(Some(low))
-}
-
-/// The ripple that a wall may have where nothing else is said, N: what the estimators were made to come below.
-pub const USUAL_RIPPLE_N: f64 = 0.1;
-
-/// The least ripple that is asked for where a scene's wall has less, N.
-pub const LEAST_RIPPLE_N: f64 = 0.002;
-
-/// The ripple that settings like these may have: as much as the wall as it is written, and no less than the least.
-pub fn ripple_like(question: &Question<'_>, written: &Settings) -> Result<f64, Failure> {
-    Ok(ripple(question, written)?.ripple_n.unwrap_or(USUAL_RIPPLE_N).max(LEAST_RIPPLE_N))
-}
-
-/// The settings of a scene's wall, as stiff as the same margins and ripple let them be.
-pub fn baseline(question: &Question<'_>, written: &Settings) -> Result<Baseline, Failure> {
-    check(question)?;
-    let bench = Bench::new(question)?;
-    if written.around().is_none() {
-        return Err(Failure::wrong(format!("`{}` has no linear analysis to hold it to margins", written.estimator))
-            .remedy("compare with a scene that has another estimator"));
-    }
-    let most = bench.allowed(written, &[written.damping]).map_or(0.0, |allowed| three_digits(allowed[0], true));
-    let at = |stiffness: f64| -> Result<Option<Found>, Failure> {
-        let settings = Settings { stiffness: three_digits(stiffness, true), ..*written };
-        let ripple_n = if stiffness > 0.0 { ripple(question, &settings)?.ripple_n } else { None };
-        Ok(ripple_n.map(|ripple_n| Found { settings, ripple_n }))
-    };
-    let keeps = |found: &Option<Found>| found.is_some_and(|found| found.ripple_n <= question.ripple_n);
-    let mut best = at(most)?;
-    if most > 0.0 && !keeps(&best) {
-        // Down from there, as far as it takes, but not below what keeps it as it is written.
-        let (mut low, mut high) = (0.0_f64, most);
-        let mut step = most;
-        best = None;
-        let as_written = if written.stiffness <= most { at(written.stiffness)? } else { None };
-        if keeps(&as_written) {
-            (low, best) = (written.stiffness, as_written);
-        }
-        while low == 0.0 && step > 1e-3 * most {
-            step /= 2.0;
-            let found = at(step)?;
-            if keeps(&found) { (low, best) = (step, found) } else { high = step }
-        }
-        while low > 0.0 && high / low > 1.03 {
-            let middle = (low * high).sqrt();
-            let found = at(middle)?;
-            if keeps(&found) { (low, best) = (middle, found) } else { high = middle }
-        }
-    }
-    let nothing = Settings { stiffness: 0.0, ..*written };
-    Ok(Baseline {
-        settings: best.map_or(nothing, |best| best.settings),
-        ripple_n: best.map(|best| best.ripple_n),
-        within_margins: most,
-        as_written: written.stiffness,
-    })
 }

@@ -17,6 +17,6 @@ pub mod stage;
 pub mod world;
 
 #[cfg(feature = "serve")]
-pub use door::Door;
+pub use door::PageListener;
 pub use stage::{Stage, Turn};
 pub use world::World;

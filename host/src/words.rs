@@ -41,6 +41,36 @@ pub fn bytes_in_words(bytes: u64) -> String {
     }
 }
 
+/// A number as it was meant, to six significant digits: without what arithmetic left behind them.
+pub fn digits(value: f64) -> String {
+    format!("{value:.5e}").parse::<f64>().unwrap_or(value).to_string()
+}
+
+/// So many of a thing.
+pub fn counted(count: impl std::fmt::Display, noun: &str) -> String {
+    let count = count.to_string();
+    let plural = if count == "1" { "" } else { "s" };
+    format!("{count} {noun}{plural}")
+}
+
+/// A number for people: three significant digits, and a prefix where the unit takes one.
+pub fn with_unit(value: f64, unit: &str) -> String {
+    let size = value.abs();
+    let (factor, prefix) = match unit {
+        "kg" if size < 1.0 => return with_unit(1e3 * value, "g"),
+        "kg" | "g" => (1.0, ""),
+        _ if size >= 1e9 => (1e9, "G"),
+        _ if size >= 1e6 => (1e6, "M"),
+        _ if size >= 1e3 => (1e3, "k"),
+        _ if size >= 1.0 || size == 0.0 => (1.0, ""),
+        _ if size >= 1e-3 => (1e-3, "m"),
+        _ => (1e-6, "µ"),
+    };
+    let scaled = value / factor;
+    let decimals = if scaled == 0.0 { 0 } else { (2 - scaled.abs().log10().floor() as i32).clamp(0, 3) as usize };
+    format!("{scaled:.decimals$} {prefix}{unit}")
+}
+
 /// "3rd step".
 pub fn nth_step(divider: u32) -> String {
     let ending = match (divider % 10, divider % 100) {

@@ -120,7 +120,7 @@ fn a_polarity_check_is_never_restored() {
     let mut backup = Backup::read(&mut full()).unwrap();
     let entry = haptic_bridge::board::settings::encode(&haptic_bridge::board::settings::Polarity(7)).unwrap();
     let bytes = entry.iter().map(|byte| format!("{byte:02x}")).collect();
-    let kept = haptic::backup::Kept { version: 1, value: None, bytes };
+    let kept = haptic::backup::SavedSetting { version: 1, value: None, bytes };
     backup.settings.insert("polarity".into(), kept);
     let ready = backup.ready().unwrap().into_iter().find(|setting| setting.key == Key::Polarity).unwrap();
     assert_eq!(ready.how, Restored::MadeAnew);

@@ -5,7 +5,7 @@ mod sim;
 use haptic::analysis::flexible::Hand;
 use haptic::analysis::map::map_swept;
 use haptic::analysis::plant::{Drive, Linearised};
-use haptic::analysis::ripple::{LIGHT_HAND, Line, PUSH_N, Pressed};
+use haptic::analysis::ripple::{DampingRule, LIGHT_HAND, PUSH_N, Pressed};
 use haptic::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic::analysis::why::why;
 use haptic::bench::estimators::{Comparison, compare};
@@ -103,7 +103,7 @@ fn a_range_with_its_ripple_and_its_reasons() {
     let description = file.description;
     let pressed =
         Pressed { device: &device, description, q, normal, around: &around, hand: LIGHT_HAND, push_n: PUSH_N };
-    comes_to_the_same(2, 12, |sweep| pressed.along(Mode::Full, Line::Ratio(0.7), 0.1, sweep));
+    comes_to_the_same(2, 12, |sweep| pressed.along(Mode::Full, DampingRule::Ratio(0.7), 0.1, sweep));
 }
 
 #[cfg(unix)]

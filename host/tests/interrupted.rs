@@ -9,7 +9,7 @@ use haptic::device_file::DeviceFile;
 use haptic::link::{Board, encode};
 use haptic::measure::before::Before;
 use haptic::measure::progress::Progress;
-use haptic::measure::{Bench, Law, MeasureError, Setup, rules_for};
+use haptic::measure::{Law, MeasureError, MeasurementSetup, PreparedBoard, rules_for};
 use haptic::recorder::Recording;
 use haptic::scene_file::SceneFile;
 use haptic::sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, ready_board};
@@ -337,8 +337,8 @@ fn a_measurement_that_was_killed_between_its_rules_and_its_scene_gives_way_to_th
     sim.run(&["rules"]).success().stdout(contains("0.5, 0.5 N m"));
 }
 
-fn setup() -> Setup {
-    Setup {
+fn setup() -> MeasurementSetup {
+    MeasurementSetup {
         walls: vec![Member::new(vec![0.6, 0.8], 1.0)],
         rate_hz: 1_000.0,
         cutoff_hz: 20.0,
@@ -368,8 +368,8 @@ fn a_measurement_that_ends_anywhere_has_its_motors_off_and_the_rules_as_they_wer
             asked.set(asked.get() + 1);
             asked.get() > most
         };
-        let ended = Bench::new(&mut board, &device, setup(), &stop)
-            .and_then(|mut bench| bench.oscillates(FeedForward::Off, 100.0, 1.0, 1.0).map(drop));
+        let ended = PreparedBoard::new(&mut board, &device, setup(), &stop)
+            .and_then(|mut prepared| prepared.oscillates(FeedForward::Off, 100.0, 1.0, 1.0).map(drop));
         assert_eq!(ended.is_err(), asked.get() > most, "{ended:?}");
         assert_eq!(shared.lock().status().state, State::Disarmed, "after {most}");
         assert_eq!(board.rules().unwrap(), before);
@@ -393,8 +393,8 @@ fn a_measurement_ends_when_somebody_else_turns_the_motors_off_or_clears_its_faul
             }
             false
         };
-        let ended = Bench::new(&mut board, &device, setup(), &stop)
-            .and_then(|mut bench| bench.oscillates(FeedForward::Off, 100.0, 1.0, 1.0).map(drop));
+        let ended = PreparedBoard::new(&mut board, &device, setup(), &stop)
+            .and_then(|mut prepared| prepared.oscillates(FeedForward::Off, 100.0, 1.0, 1.0).map(drop));
         assert!(asked.get() >= most, "it was in the middle of it");
         assert!(matches!(ended, Err(MeasureError::Disarmed)), "{ended:?}");
         assert_eq!(shared.lock().status().state, State::Disarmed);
@@ -404,9 +404,9 @@ fn a_measurement_ends_when_somebody_else_turns_the_motors_off_or_clears_its_faul
 #[test]
 fn a_measurement_whose_tool_dies_takes_its_motors_with_it() {
     let (device, shared, mut board) = simulated();
-    let bench = Bench::new(&mut board, &device, setup(), &|| false).unwrap();
+    let prepared = PreparedBoard::new(&mut board, &device, setup(), &|| false).unwrap();
     // What a killed process does: nothing more, not even dropping.
-    std::mem::forget(bench);
+    std::mem::forget(prepared);
     assert_eq!(shared.lock().status().state, State::Armed);
     shared.lock().run(1.1);
     let status = shared.lock().status();

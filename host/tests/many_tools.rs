@@ -2,7 +2,7 @@
 
 use haptic::device_file::DeviceFile;
 use haptic::link::{Board, LinkError, PortSpec, disarm_past, encode};
-use haptic::sim::door::{Door, tcp};
+use haptic::sim::door::{ToolListener, tcp};
 use haptic::sim::server::{Pace, serve};
 use haptic::sim::{BoardOptions, SHIPPED_DEVICE, SimulatedBoard, ready_board};
 use haptic_bridge::board::protocol::GetDetails;
@@ -22,7 +22,7 @@ fn simulated() -> SimulatedBoard {
 }
 
 /// Serves a board until the test ends; its port, and what ends it.
-fn served(door: Door) -> (PortSpec, Stop) {
+fn served(door: ToolListener) -> (PortSpec, Stop) {
     let port = door.port.parse().unwrap();
     let stop = Stop(Arc::new(AtomicBool::new(false)));
     let stopped = Arc::clone(&stop.0);

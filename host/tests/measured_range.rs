@@ -10,7 +10,7 @@ use haptic::analysis::several::Member;
 use haptic::device_file::DeviceFile;
 use haptic::link::Board;
 use haptic::measure::simulated::{Friction, World};
-use haptic::measure::{Bench, Boundary, Law, MeasureError, Setup};
+use haptic::measure::{Boundary, Law, MeasureError, MeasurementSetup, PreparedBoard};
 use haptic::sim::{BoardOptions, DriveModel, Options, SHIPPED_DEVICE, SharedBoard, ready_board};
 use haptic_bridge::model::description::{EncoderAt, Transmission};
 use haptic_bridge::render::scene::FeedForward;
@@ -34,8 +34,8 @@ fn board(file: &DeviceFile) -> SharedBoard {
     SharedBoard::new(ready_board(file, options).unwrap())
 }
 
-fn setup(rate_hz: f64, cutoff_hz: f64) -> Setup {
-    Setup {
+fn setup(rate_hz: f64, cutoff_hz: f64) -> MeasurementSetup {
+    MeasurementSetup {
         walls: vec![Member::new(NORMAL.to_vec(), 1.0)],
         rate_hz,
         cutoff_hz,
@@ -60,17 +60,17 @@ fn the_measured_boundary_is_the_predicted_one() {
     };
     let shared = board(&file);
     let mut board = Board::over(shared.wire(), "sim").unwrap();
-    let mut bench = Bench::new(&mut board, &file, setup(rate_hz, cutoff), &|| false).unwrap();
+    let mut prepared = PreparedBoard::new(&mut board, &file, setup(rate_hz, cutoff), &|| false).unwrap();
     for (mode, theory) in [(FeedForward::Off, Mode::Off), (FeedForward::Full, Mode::Full)] {
         let kd_max = domain(&device, &around, theory, Some(&[])).unwrap().kd_max;
         for share in [0.3, 0.8] {
             let kd = share * kd_max;
             let predicted = domain(&device, &around, theory, Some(&[kd])).unwrap().boundary[0].kp;
-            let measured = bench.boundary(mode, kd, 0, None).unwrap().gain;
+            let measured = prepared.boundary(mode, kd, 0, None).unwrap().gain;
             assert!((measured / predicted - 1.0).abs() < 0.03, "{mode:?} at {kd}: {measured} is not {predicted}");
         }
     }
-    bench.finish().unwrap();
+    prepared.finish().unwrap();
     assert_eq!(board.status().unwrap().state, State::Disarmed);
 }
 
@@ -84,8 +84,8 @@ fn an_interrupted_measurement_leaves_the_motors_off() {
         looks.set(looks.get() + 1);
         looks.get() > 60
     };
-    let stopped = Bench::new(&mut board, &file, setup(20_000.0, 500.0), &interrupted)
-        .and_then(|mut bench| bench.boundary(FeedForward::Off, 100.0, 0, None));
+    let stopped = PreparedBoard::new(&mut board, &file, setup(20_000.0, 500.0), &interrupted)
+        .and_then(|mut prepared| prepared.boundary(FeedForward::Off, 100.0, 0, None));
     assert!(matches!(stopped, Err(MeasureError::Interrupted)));
     assert_eq!(board.status().unwrap().state, State::Disarmed);
     shared.lock().run(0.01);
@@ -104,9 +104,9 @@ fn phantom(feed_forward: FeedForward, finer: f64) -> Result<Boundary, MeasureErr
     }
     let mut board = Board::over(world.board(&file, 5_000.0).unwrap().wire(), "sim").unwrap();
     let walls = vec![Member::new(vec![0.6, 0.8, 0.0], 1.0)];
-    let setup = Setup { walls, torque_limit: 1.0, largest_pull: 5e-4, ..setup(5_000.0, 200.0) };
-    let mut bench = Bench::new(&mut board, &file, setup, &|| false).unwrap();
-    bench.boundary(feed_forward, 20.0, 0, None)
+    let setup = MeasurementSetup { walls, torque_limit: 1.0, largest_pull: 5e-4, ..setup(5_000.0, 200.0) };
+    let mut prepared = PreparedBoard::new(&mut board, &file, setup, &|| false).unwrap();
+    prepared.boundary(feed_forward, 20.0, 0, None)
 }
 
 const PHANTOM: [(FeedForward, f64); 2] = [(FeedForward::Off, 27_618.72), (FeedForward::Full, 32_029.50)];
@@ -154,9 +154,9 @@ fn a_device_is_held_as_softly_as_its_cables_ask() {
     }
     let mut board = Board::over(world.board(&file, 5_000.0).unwrap().wire(), "sim").unwrap();
     let walls = vec![Member::new(vec![0.6, 0.8, 0.0], 1.0)];
-    let setup = Setup { walls, torque_limit: 1.0, largest_pull: 5e-4, ..setup(5_000.0, 200.0) };
-    let mut bench = Bench::new(&mut board, &file, setup, &|| false).unwrap();
-    let mut stands = |kp| !bench.oscillates(FeedForward::Off, kp, 3.26, 1.0).unwrap();
+    let setup = MeasurementSetup { walls, torque_limit: 1.0, largest_pull: 5e-4, ..setup(5_000.0, 200.0) };
+    let mut prepared = PreparedBoard::new(&mut board, &file, setup, &|| false).unwrap();
+    let mut stands = |kp| !prepared.oscillates(FeedForward::Off, kp, 3.26, 1.0).unwrap();
     assert!(stands(0.9 * 8406.0));
     assert!(!stands(1.1 * 8406.0));
 }

@@ -2,8 +2,9 @@
 
 use haptic::bench::counts::instructions;
 use haptic::bench::error::{Law, Terms, Trigonometry, errors};
+use haptic::bench::probe::HAND_SPEED;
 use haptic::device_file::DeviceFile;
-use haptic::plan::{Budget, HAND_SPEED, Plan, cost, plan, touched};
+use haptic::plan::{Budget, Plan, cost, plan, touched};
 use haptic::scene_file::SceneFile;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::{FeedForward, Scene, VelocityTerms};

@@ -39,7 +39,7 @@ fn recording(path: &Path) {
 
 /// A coordinate system read from an SVG: what each axis is called, and its lines in SI units.
 #[derive(Debug, Default)]
-struct Panel {
+struct SvgPanel {
     labels: Vec<String>,
     lines: Vec<Vec<(f64, f64)>>,
 }
@@ -64,7 +64,7 @@ fn factor(label: &str) -> f64 {
     }
 }
 
-fn read(svg: &str) -> Vec<Panel> {
+fn read(svg: &str) -> Vec<SvgPanel> {
     let mut panels = Vec::new();
     let (mut drawn, mut ticks, mut labels) = (Vec::new(), [Vec::new(), Vec::new()], Vec::new());
     let lines: Vec<&str> = svg.lines().collect();
@@ -91,7 +91,7 @@ fn read(svg: &str) -> Vec<Panel> {
                     (v0 + (pixel - p0) / (p1 - p0) * (v1 - v0)) * factor(&labels[axis])
                 };
                 let lines = drawn.iter().map(|line| line.iter().map(|(x, y)| (scale(0, *x), scale(1, *y))).collect());
-                panels.push(Panel { lines: lines.collect(), labels: std::mem::take(&mut labels) });
+                panels.push(SvgPanel { lines: lines.collect(), labels: std::mem::take(&mut labels) });
                 (drawn, ticks) = (Vec::new(), [Vec::new(), Vec::new()]);
             }
         }

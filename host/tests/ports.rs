@@ -2,7 +2,7 @@
 
 use haptic::device_file::DeviceFile;
 use haptic::link::{Board, Deframer, LinkError, PortSpec, Wire, encode, fields};
-use haptic::sim::door::{Door, tcp};
+use haptic::sim::door::{ToolListener, tcp};
 use haptic::sim::server::{Hosted, Pace, serve};
 use haptic::sim::{BoardOptions, SHIPPED_DEVICE, SimulatedBoard, ready_board};
 use haptic_bridge::board::protocol::{GetInfo, Info, PROTOCOL};
@@ -20,11 +20,11 @@ use std::time::{Duration, Instant};
 struct Served {
     port: PortSpec,
     stop: Arc<AtomicBool>,
-    server: Option<JoinHandle<Option<Door>>>,
+    server: Option<JoinHandle<Option<ToolListener>>>,
 }
 
 impl Served {
-    fn new(door: Door, pace: Pace) -> Self {
+    fn new(door: ToolListener, pace: Pace) -> Self {
         let port = door.port.parse().unwrap();
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = Arc::clone(&stop);

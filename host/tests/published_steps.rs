@@ -4,7 +4,7 @@
 use haptic::analysis::flexible::Hand;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::domain;
-use haptic::analysis::ripple::{LIGHT_HAND, Line, PUSH_N, Pressed};
+use haptic::analysis::ripple::{DampingRule, LIGHT_HAND, PUSH_N, Pressed};
 use haptic::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic::device_file::DeviceFile;
 use haptic::sweep::Sweep;
@@ -44,7 +44,7 @@ fn clean_spring(rate_hz: f64) -> (f64, f64) {
         Some(hand),
         (rate_hz, LinearEstimator::BackwardDifference),
         |pressed| {
-            let along = pressed.along(Mode::Off, Line::Damping(0.0), BOUND, &Sweep::quiet()).unwrap().unwrap();
+            let along = pressed.along(Mode::Off, DampingRule::Damping(0.0), BOUND, &Sweep::quiet()).unwrap().unwrap();
             (along.kp_from.unwrap_or(along.kp_stable), along.kp_stable)
         },
     )

@@ -3,7 +3,7 @@
 
 use assert_cmd::Command;
 use haptic::analysis::plant::{Drive, Linearised};
-use haptic::analysis::ripple::{LIGHT_HAND, Line, PUSH_N, Pressed};
+use haptic::analysis::ripple::{DampingRule, LIGHT_HAND, PUSH_N, Pressed};
 use haptic::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic::bench::estimators::{Comparison, ripple_of};
 use haptic::device_file::DeviceFile;
@@ -64,7 +64,7 @@ fn a_fast_loop_buzzes_far_below_its_linear_limit_with_coarse_encoders_only() {
     let rms =
         |counts| pressed(&around, counts, |pressed| pressed.ripple(Mode::Off, 5_000.0, 150.0).unwrap().rms_n.unwrap());
     let limit = pressed(&around, None, |pressed| {
-        pressed.along(Mode::Off, Line::Damping(150.0), 0.1, &Sweep::quiet()).unwrap().unwrap().kp_stable
+        pressed.along(Mode::Off, DampingRule::Damping(150.0), 0.1, &Sweep::quiet()).unwrap().unwrap().kp_stable
     });
     assert!(limit > 50.0 * 5_000.0, "{limit}");
     assert!(rms(None) > 2.0);

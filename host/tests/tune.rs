@@ -1,6 +1,7 @@
 //! `haptic tune` against what can be derived, and against a plain scan of all settings.
 
 use assert_cmd::Command;
+use haptic::analysis::control_loop::CURRENT_LOOP_HZ;
 use haptic::analysis::flexible::Flexible;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::{domain, stiffnesses};
@@ -134,7 +135,7 @@ fn no_wall_of_a_plain_scan_is_much_stiffer() {
                 Settings { kind, estimator: kind.name(), cutoff_hz, stiffness: 1.12 * best.stiffness, damping, ..best };
             let around = Loop {
                 estimator: LinearEstimator::of(kind, cutoff_hz).unwrap(),
-                drive: Drive::Current { bandwidth_hz: 6400.0 },
+                drive: Drive::Current { bandwidth_hz: CURRENT_LOOP_HZ },
                 ..around(5_000.0)
             };
             let around = Loop { delay_samples: 0.125, ..around };

@@ -6,7 +6,7 @@
 use haptic::analysis::several::Member;
 use haptic::device_file::DeviceFile;
 use haptic::link::Board;
-use haptic::measure::{Bench, Law, Setup};
+use haptic::measure::{Law, MeasurementSetup, PreparedBoard};
 use haptic::sim::{BoardOptions, DriveModel, Options, SharedBoard, ready_board};
 use haptic_bridge::render::scene::FeedForward;
 
@@ -40,7 +40,7 @@ fn measure(rate_hz: f64, cutoff_hz: f64, share: f64) -> (f64, f64) {
     let options = BoardOptions { device, drive: DriveModel::Ideal, delay: 0.0, ..BoardOptions::default() };
     let shared = SharedBoard::new(ready_board(&file, options).unwrap());
     let mut board = Board::over(shared.wire(), "sim").unwrap();
-    let setup = Setup {
+    let setup = MeasurementSetup {
         walls: vec![Member::new(vec![1.0], 1.0)],
         rate_hz,
         cutoff_hz,
@@ -49,10 +49,10 @@ fn measure(rate_hz: f64, cutoff_hz: f64, share: f64) -> (f64, f64) {
         torque_limit: 5.0,
         largest_pull: 1e-3,
     };
-    let mut bench = Bench::new(&mut board, &file, setup, &|| false).unwrap();
-    let end = bench.damping_end(FeedForward::Off).unwrap().gain;
-    let summit = bench.boundary(FeedForward::Off, share * end, 0, None).unwrap().gain;
-    bench.finish().unwrap();
+    let mut prepared = PreparedBoard::new(&mut board, &file, setup, &|| false).unwrap();
+    let end = prepared.damping_end(FeedForward::Off).unwrap().gain;
+    let summit = prepared.boundary(FeedForward::Off, share * end, 0, None).unwrap().gain;
+    prepared.finish().unwrap();
     (summit / MASS / rate_hz.powi(2), end / MASS / rate_hz)
 }
 

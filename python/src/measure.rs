@@ -16,7 +16,7 @@ use haptic::measure::campaign::Plan;
 use haptic::measure::occasion::{self, Occasion};
 use haptic::measure::progress::{Point, Progress};
 use haptic::measure::simulated::{Friction, World};
-use haptic::measure::{Law, MeasureError, Setup, most_tested};
+use haptic::measure::{Law, MeasureError, MeasurementSetup, most_tested};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::cell::{Cell, OnceCell};
@@ -29,7 +29,7 @@ const LOOK: Duration = Duration::from_millis(50);
 /// Everything that is asked for.
 struct Order {
     file: DeviceFile,
-    setup: Setup,
+    setup: MeasurementSetup,
     plan: Plan,
     world: World,
     progress: Option<PathBuf>,
@@ -146,8 +146,15 @@ pub fn measure_range<'py>(
         );
     }
     let law = Law::default();
-    let setup =
-        Setup { walls, rate_hz, cutoff_hz, washout_hz, law, torque_limit: torque_limit_nm, largest_pull: pull_m };
+    let setup = MeasurementSetup {
+        walls,
+        rate_hz,
+        cutoff_hz,
+        washout_hz,
+        law,
+        torque_limit: torque_limit_nm,
+        largest_pull: pull_m,
+    };
     let order = Order { file, setup, plan: Plan { modes, kd, points, repeats }, world, progress, yes };
 
     let measured = match board {
@@ -234,9 +241,9 @@ impl Order {
         let mut seen = None;
         let setup = &self.setup;
         let mut occasion = Occasion { board, file: &self.file, before, progress: &mut progress, path, remembers };
-        let begun = |bench: &mut haptic::measure::Bench<'_>, _: &[f64]| {
-            let (info, details) = (bench.board().info().clone(), bench.board().details()?);
-            seen = Some((occasion::around(setup, &info, &details), bench.excitation().quantum));
+        let begun = |prepared: &mut haptic::measure::PreparedBoard<'_>, _: &[f64]| {
+            let (info, details) = (prepared.board().info().clone(), prepared.board().details()?);
+            seen = Some((occasion::around(setup, &info, &details), prepared.excitation().quantum));
             Ok(())
         };
         let ended = occasion.measure(setup.clone(), &self.plan, &stop, begun, done);

@@ -9,7 +9,7 @@ const SHORTEST: usize = 64;
 
 /// A line of a spectrum.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct Line {
+pub struct SpectralLine {
     /// Hz
     pub frequency: f64,
     /// Amplitude of a sine at that frequency, in the signal's unit.
@@ -19,7 +19,7 @@ pub struct Line {
 /// The amplitudes of an even signal's sines, from 0 Hz to half of its rate: pieces of up to 16384 samples that overlap by
 /// half, each less its mean and under a Hann window, averaged by their power (Welch 1967). None where there are fewer than
 /// 64 samples.
-pub fn spectrum(signal: &[f64], rate_hz: f64) -> Option<Vec<Line>> {
+pub fn spectrum(signal: &[f64], rate_hz: f64) -> Option<Vec<SpectralLine>> {
     if signal.len() < SHORTEST {
         return None;
     }
@@ -38,7 +38,7 @@ pub fn spectrum(signal: &[f64], rate_hz: f64) -> Option<Vec<Line>> {
             *sum += (re * re + im * im) / pieces as f64;
         }
     }
-    let line = |(i, power): (usize, f64)| Line {
+    let line = |(i, power): (usize, f64)| SpectralLine {
         frequency: i as f64 * rate_hz / size as f64,
         amplitude: 2.0 * power.sqrt() / gain,
     };

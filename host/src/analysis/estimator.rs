@@ -3,7 +3,7 @@
 //! Each takes the change of position over the last sample and gives a velocity per sample. What it remembers is chosen so
 //! that its change over a sample is computed directly and not as a difference of near-equal numbers.
 
-use super::sampled::AnalysisError;
+use super::error::AnalysisError;
 use haptic_bridge::render::velocity::{Chosen, Estimator as Kind};
 use nalgebra::{DMatrix, DVector};
 
@@ -77,6 +77,19 @@ impl LinearEstimator {
             Kind::Predicted(_) => Some(Self::Predicted(cutoff_hz)),
             Kind::Levant(_) => None,
         }
+    }
+
+    /// Those of scenes that one filter stands for whatever else is chosen, by their names there: they have no window of
+    /// their own, which [`LinearEstimator::over`] gives to any that takes a difference.
+    pub fn named() -> impl Iterator<Item = (&'static str, Kind)> {
+        let windowless = |kind: Kind| kind.spec().is_none_or(|spec| spec.key.is_none());
+        let all = Kind::ALL.iter().copied();
+        all.filter(move |(_, kind)| windowless(*kind) && Self::of(*kind, 1.0).is_some())
+    }
+
+    /// Whether it begins with a difference, which can be taken over more samples.
+    pub fn takes_difference(self) -> bool {
+        !matches!(self, Self::AlphaBeta(_) | Self::Predicted(_))
     }
 
     /// Its cutoff, Hz.

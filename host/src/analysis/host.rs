@@ -6,8 +6,8 @@
 //! at the force and taken over as many control periods as lie between two requests.
 
 use super::boundary::Circle;
+use super::domain::{Domain, bounded};
 use super::plant::Linearised;
-use super::range::{Domain, bounded};
 use super::sampled::{AnalysisError, LONGEST_DELAY, Loop, Mode, OpenLoop};
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
@@ -119,9 +119,9 @@ fn over(board: &OpenLoop, samples: usize) -> (DMatrix<f64>, DVector<f64>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::analysis::domain::domain;
     use crate::analysis::flexible::{Flexible, Hand};
     use crate::analysis::plant::Drive;
-    use crate::analysis::range::domain;
     use crate::analysis::sampled::LinearEstimator;
     use nalgebra::Matrix3;
 

@@ -68,7 +68,7 @@ impl Ripple {
 
 /// Which damping goes with a stiffness.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Line {
+pub enum DampingRule {
     /// This share of the critical damping of what the wall meets, kd = 2 ζ √(kp m).
     Ratio(f64),
     /// This damping, N s/m.
@@ -145,15 +145,15 @@ impl Pressed<'_> {
 
     /// The walls along `line` and where their ripple exceeds `bound_n`. `None`
     /// where a joint has no encoder.
-    pub fn along(&self, mode: Mode, line: Line, bound_n: f64, sweep: &Sweep) -> Result<Option<Along>, Failure> {
+    pub fn along(&self, mode: Mode, line: DampingRule, bound_n: f64, sweep: &Sweep) -> Result<Option<Along>, Failure> {
         if self.resolutions().is_none() {
             return Ok(None);
         }
         let open = OpenLoop::new(self.device, self.around, mode)?;
         let mass = open.mass;
         let damping = |kp: f64| match line {
-            Line::Ratio(ratio) => 2.0 * ratio * (kp * mass).sqrt(),
-            Line::Damping(kd) => kd,
+            DampingRule::Ratio(ratio) => 2.0 * ratio * (kp * mass).sqrt(),
+            DampingRule::Damping(kd) => kd,
         };
         let t = open.sample_s;
         let stable = |kp: f64| open.is_stable(kp * t * t / mass, damping(kp) * t / mass);

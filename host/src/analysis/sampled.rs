@@ -7,112 +7,16 @@
 //! Every state is chosen so that its change over a sample is computed directly and not as a difference of near-equal
 //! numbers: the change of position is a state of its own, and filters are trapezoidal integrators.
 
-use haptic_bridge::render::scene::FeedForward;
 use nalgebra::{DMatrix, DVector};
-use thiserror::Error;
 
+pub use super::control_loop::{CARRIER_HZ, CURRENT_LOOP_HZ, LONGEST_DELAY, Loop, Mode, usual_delay};
+use super::drift::{Drift, drifting};
 use super::eigenvalues::eigenvalues;
+pub use super::error::AnalysisError;
 pub use super::estimator::{LONGEST_DIFFERENCE, LinearEstimator, LowPass};
-use super::plant::{ContinuousPlant, Drive, Linearised, reduce};
+use super::plant::{ContinuousPlant, Drive, Linearised};
+use super::reduction::reduce;
 use super::spectrum::{exp_minus_identity, growth};
-
-/// Longest delay that can be analysed, in samples.
-pub const LONGEST_DELAY: f64 = 64.0;
-
-/// Which torque the wall force becomes: a wall's feed-forward with the numbers that it needs.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Mode {
-    /// τ = Jrᵀ fr.
-    Off,
-    /// Equation (4).
-    Full,
-    /// Equation (4) with the force behind fa high-passed at this frequency, Hz.
-    Washout(f64),
-}
-
-impl Mode {
-    /// What a wall with this feed-forward and this corner of its washout (Hz) does.
-    #[must_use]
-    pub fn of(feed_forward: FeedForward, washout_hz: f64) -> Self {
-        match feed_forward {
-            FeedForward::Off => Self::Off,
-            FeedForward::Full => Self::Full,
-            FeedForward::Washout => Self::Washout(washout_hz),
-        }
-    }
-}
-
-/// Everything about the loop that is not the device.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Loop {
-    /// Control steps per second, Hz.
-    pub rate_hz: f64,
-    /// Samples between reading the position and the torque that answers it; fractions allowed.
-    pub delay_samples: f64,
-    /// Velocity estimator of every wall.
-    pub estimator: LinearEstimator,
-    /// Motor drives.
-    pub drive: Drive,
-    /// Whether the feed-forward also compensates the joints' own damping (B q̇ in b).
-    pub damping_compensation: bool,
-}
-
-/// Why a loop cannot be analysed.
-#[derive(Clone, Debug, Error, PartialEq)]
-pub enum AnalysisError {
-    /// Rate outside what makes sense.
-    #[error("the rate must be a positive number of hertz, not {0}")]
-    Rate(f64),
-    /// Low-pass or washout at or above the Nyquist frequency, or not positive.
-    #[error("a cutoff of {cutoff} Hz cannot be had at {rate} Hz: it must lie above 0 and below half the rate")]
-    Cutoff {
-        /// Hz.
-        cutoff: f64,
-        /// Hz.
-        rate: f64,
-    },
-    /// Negative, not finite, or longer than [`LONGEST_DELAY`].
-    #[error("the delay must lie between 0 and 64 samples, not {0}")]
-    Delay(f64),
-    /// Requests of a program that renders the wall.
-    #[error("a host asks {rate} times a second, and it must be 1 to {board}, the board's own rate")]
-    HostRate {
-        /// Hz.
-        rate: f64,
-        /// Hz.
-        board: f64,
-    },
-    /// Samples of the difference.
-    #[error("a difference can be taken over 1 to 64 samples, not {0}")]
-    Difference(usize),
-    /// Bandwidth of the current loop.
-    #[error("the current loop's bandwidth must be a positive number of hertz, not {0}")]
-    Bandwidth(f64),
-    /// Motor data missing or without resistance.
-    #[error("a voltage drive needs the resistance of every joint's motor ([joint.motor] in the device file)")]
-    Motor,
-    /// Jr, M or B not what a device has.
-    #[error("the device has no inertia in this direction here: its mass matrix or Jacobian is singular or not finite")]
-    Singular,
-    /// A damping value of the boundary.
-    #[error("damping values must be finite and not negative, not {0}")]
-    Damping(f64),
-    /// What the loop compensates is the rigid device's damping.
-    #[error("damping compensation is analysed for rigid joints that nobody holds")]
-    CompensatedFlexible,
-    /// No upper limit of stiffness was found.
-    #[error("no stiffness was found at which this loop becomes unstable")]
-    Unbounded,
-}
-
-impl From<AnalysisError> for crate::error::Failure {
-    fn from(error: AnalysisError) -> Self {
-        match error {
-            AnalysisError::Singular | AnalysisError::Unbounded => Self::impossible(error),
-            _ => Self::wrong(error),
-        }
-    }
-}
 
 /// The loop cut at the wall force, in sample units (see [`super::plant`]).
 #[derive(Clone, Debug)]
@@ -132,19 +36,6 @@ pub(crate) struct OpenLoop {
     /// Motions that no feedback sees by construction (damping compensation alone has any).
     pub(super) drift: Option<Drift>,
     pub(super) resonances: Vec<(f64, f64)>,
-}
-
-/// States at which the loop rests whatever the gains: one column per motion for the states, and the force it needs.
-#[derive(Clone, Debug)]
-pub(super) struct Drift {
-    /// States per unit of motion, without the rendered position.
-    states: DMatrix<f64>,
-    /// Wall force per unit of motion, in force units: the rendered position settles at -force/kp.
-    force: DVector<f64>,
-    /// The state that is one for each motion and zero for the others.
-    pivot: Vec<usize>,
-    /// Index of the rendered position.
-    position: usize,
 }
 
 /// A signal as a linear form over the states and the wall force.
@@ -215,36 +106,6 @@ fn one_pole(hz: f64, rate_hz: f64, signal: &Signal, state: &Signal) -> (Signal, 
     let g = (std::f64::consts::PI * hz / rate_hz).tan();
     let step = signal.plus(-1.0, state).times(g / (1.0 + g));
     (state.plus(1.0, &step), step.times(2.0))
-}
-
-impl Loop {
-    /// Refuses what cannot be sampled.
-    pub fn check(&self) -> Result<(), AnalysisError> {
-        if !(self.rate_hz.is_finite() && self.rate_hz > 0.0) {
-            return Err(AnalysisError::Rate(self.rate_hz));
-        }
-        if !(0.0..=LONGEST_DELAY).contains(&self.delay_samples) {
-            return Err(AnalysisError::Delay(self.delay_samples));
-        }
-        self.estimator.check(self.rate_hz)?;
-        match &self.drive {
-            Drive::Current { bandwidth_hz } if !(bandwidth_hz.is_finite() && *bandwidth_hz > 0.0) => {
-                Err(AnalysisError::Bandwidth(*bandwidth_hz))
-            }
-            Drive::Voltage(motors) if motors.iter().any(|m| !(m.resistance > 0.0 && m.inductance >= 0.0)) => {
-                Err(AnalysisError::Motor)
-            }
-            _ => Ok(()),
-        }
-    }
-
-    pub(super) fn check_cutoff(&self, cutoff: f64) -> Result<(), AnalysisError> {
-        if cutoff > 0.0 && cutoff < self.rate_hz / 2.0 {
-            Ok(())
-        } else {
-            Err(AnalysisError::Cutoff { cutoff, rate: self.rate_hz })
-        }
-    }
 }
 
 impl OpenLoop {
@@ -533,115 +394,5 @@ impl Stepped {
         let (rest, now) = over(1.0 - fraction);
         let before = &early + rest * &early;
         Self { free, now, before }
-    }
-}
-
-/// (velocities of the damped joints, share of the undamped ones, lagging torques, wall force) of one constant motion.
-type Constant = (Vec<f64>, f64, Vec<f64>, f64);
-
-/// The constant motions that damping compensation leaves without any restoring force.
-///
-/// With the joints' damping exactly compensated, every constant joint velocity with no rendered part is at rest: under
-/// full feed-forward the wall holds EᵀB q̇ against it, under washout only where that is zero. A drive that damps by
-/// itself (back-EMF) has none.
-fn drifting(
-    device: &Linearised,
-    around: &Loop,
-    mode: Mode,
-    plant: &ContinuousPlant,
-    mass: f64,
-    states: impl Fn(&[Constant]) -> DMatrix<f64>,
-) -> Option<Drift> {
-    if plant.sensed.is_empty() || plant.electrically_damped {
-        return None;
-    }
-    let t = 1.0 / around.rate_hz;
-    let d = plant.damped.len();
-    let pull = DVector::from_fn(d, |i, _| {
-        let joint = plant.damped[i];
-        device.unit_motion[joint] * device.viscous[joint] * t / mass
-    });
-    let mut conditions = Vec::new();
-    if !plant.has_share {
-        conditions.push(DVector::from_fn(d, |i, _| device.row[plant.damped[i]]));
-    }
-    if matches!(mode, Mode::Washout(_)) {
-        conditions.push(pull.clone());
-    }
-    let (basis, pivot) = null_space(d, &conditions);
-    if basis.is_empty() {
-        return None;
-    }
-    let constants: Vec<Constant> = basis
-        .iter()
-        .map(|v| {
-            let share = -(0..d).map(|i| device.row[plant.damped[i]] * v[i]).sum::<f64>();
-            let torque = plant
-                .lagging
-                .iter()
-                .map(|j| {
-                    let at = plant.damped.iter().position(|i| i == j);
-                    at.map_or(0.0, |i| v[i] * device.viscous[*j] * t / mass)
-                })
-                .collect();
-            let force = if mode == Mode::Full { pull.dot(v) } else { 0.0 };
-            (v.iter().copied().collect(), share, torque, force)
-        })
-        .collect();
-    let force = DVector::from_iterator(constants.len(), constants.iter().map(|c| c.3));
-    Some(Drift { states: states(&constants), force, pivot, position: plant.position })
-}
-
-/// Basis of the vectors orthogonal to all conditions, by Gauss-Jordan elimination: each is one at its own pivot
-/// coordinate and zero at the others'.
-fn null_space(dimension: usize, conditions: &[DVector<f64>]) -> (Vec<DVector<f64>>, Vec<usize>) {
-    let mut rows: Vec<DVector<f64>> = Vec::new();
-    let mut bound = Vec::new();
-    for condition in conditions {
-        let mut row = condition.clone();
-        for (other, &at) in rows.iter().zip(&bound) {
-            let factor = row[at];
-            row -= other * factor;
-        }
-        let at = row.iamax();
-        if row[at].abs() <= 1e-12 * condition.amax() {
-            continue;
-        }
-        row /= row[at];
-        for other in &mut rows {
-            let factor = other[at];
-            *other -= &row * factor;
-        }
-        rows.push(row);
-        bound.push(at);
-    }
-    let free: Vec<usize> = (0..dimension).filter(|i| !bound.contains(i)).collect();
-    let basis = free
-        .iter()
-        .map(|&at| {
-            let mut v = DVector::zeros(dimension);
-            v[at] = 1.0;
-            for (row, &pivot) in rows.iter().zip(&bound) {
-                v[pivot] = -row[at];
-            }
-            v
-        })
-        .collect();
-    (basis, free)
-}
-
-impl Drift {
-    /// F on the states that are left when the constant motions are taken out.
-    fn removed(&self, f: DMatrix<f64>, kp: f64) -> DMatrix<f64> {
-        let mut motion = self.states.clone();
-        for column in 0..motion.ncols() {
-            motion[(self.position, column)] = -self.force[column] / kp;
-        }
-        let mut reduced = f.clone();
-        for (column, &pivot) in self.pivot.iter().enumerate() {
-            reduced -= motion.column(column) * f.row(pivot);
-        }
-        let kept: Vec<usize> = (0..f.nrows()).filter(|i| !self.pivot.contains(i)).collect();
-        DMatrix::from_fn(kept.len(), kept.len(), |i, j| reduced[(kept[i], kept[j])])
     }
 }

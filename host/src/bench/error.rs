@@ -5,11 +5,11 @@
 //! at the tip, J⁻ᵀ Δτ: what a hand there would have to hold.
 
 use crate::bench::precompute::Precomputed;
-use crate::bench::probe::Probe;
+use crate::bench::probe::{Probe, strongest};
 use crate::error::Failure;
 use haptic_bridge::math::{Libm, Math, Micromath, Minimax, Real};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
-use haptic_bridge::model::device::{Device, Motor};
+use haptic_bridge::model::device::Device;
 use haptic_bridge::model::inertia::{frame_rate, shaped_torque_beside};
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::model::precomputed::MassModel;
@@ -268,11 +268,6 @@ fn errors_of<E: Mechanism<f64, N>, const N: usize>(
         duties.push(largest(std::array::from_fn(|i| off[i] * steps[i])));
     }
     Errors { torque: Size::of(torques), force: Size::of(forces), share: Size::of(shares), duty: Size::of(duties) }
-}
-
-/// The most that a motor gives at its joint, N m.
-pub fn strongest(motor: &Motor<f64>) -> f64 {
-    motor.torque_constant.abs() * motor.max_current
 }
 
 fn reference<E: Mechanism<f64, N>, const N: usize>(

@@ -7,6 +7,7 @@
 //! prediction, with any drive, delay and linear estimator, where this one has the board's own step; tests/ripple.rs holds both
 //! to each other.
 
+use crate::analysis::control_loop::usual_delay;
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
 use crate::analysis::range::stiffness_at;
@@ -14,7 +15,6 @@ use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
 use crate::device_file::DeviceFile;
 use crate::error::Failure;
 use crate::measure::complement;
-use crate::plausible::scene::usual_delay;
 use crate::sim::{EncoderModel, Load, Plant};
 use crate::sweep::Sweep;
 use crate::vectors::{padded, padded_to};
@@ -156,12 +156,12 @@ pub fn pressed(
     shaping: Shaping,
 ) -> Result<Pressed, Failure> {
     let device = comparison.file.device().map_err(Failure::wrong)?;
-    let bench = Bench::new(comparison, device)?;
+    let simulation = WallSimulation::new(comparison, device)?;
     let mut held = comparison.file.description;
     held.handle_mass += HAND.0;
     let candidate = Candidate { kind, cutoff_hz, shaping };
     let seconds = SETTLE_S + SLIDE_S;
-    let trace = bench.run(&candidate, comparison.wall, false, &held, Trial::SlidAlong, seconds)?;
+    let trace = simulation.run(&candidate, comparison.wall, false, &held, Trial::SlidAlong, seconds)?;
     if trace.lost {
         return Ok(Pressed { ripple_n: None, holds: false });
     }
@@ -171,10 +171,13 @@ pub fn pressed(
     let ripple = (square / (trace.force.len() - settled) as f64).sqrt();
     // A soft wall gives way, and the hand's own spring holds a part.
     let pushes =
-        (settled..trace.force.len()).filter_map(|n| bench.hand(Trial::SlidAlong, n as f64 / comparison.rate_hz));
+        (settled..trace.force.len()).filter_map(|n| simulation.hand(Trial::SlidAlong, n as f64 / comparison.rate_hz));
     let push = pushes.map(|(_, push)| push).sum::<f64>() / (trace.force.len() - settled) as f64;
     let expected = push * comparison.wall.0 / (comparison.wall.0 + HAND.2);
-    Ok(Pressed { ripple_n: Some(ripple), holds: (mean / expected - 1.0).abs() < 0.1 + bench.friction() / expected })
+    Ok(Pressed {
+        ripple_n: Some(ripple),
+        holds: (mean / expected - 1.0).abs() < 0.1 + simulation.friction() / expected,
+    })
 }
 
 /// What a force has above `RIPPLE_HZ` from sample `from` on: less a trend that two poles make of it, one after the other.
@@ -247,9 +250,9 @@ pub fn compare(comparison: &Comparison<'_>, sweep: &Sweep) -> Result<Vec<Row>, F
     let linearised = Linearised::of(&device, comparison.q, comparison.normal, Admissible::default())?;
     let around = around(comparison.rate_hz, comparison.cutoff_hz);
     let (_, damping) = stiffness_at(&linearised, &around, Mode::Off, 0.0)?;
-    let bench = Bench::new(comparison, device)?;
+    let simulation = WallSimulation::new(comparison, device)?;
     let mut rows =
-        sweep.map("estimators", &candidates(comparison.cutoff_hz), |candidate| bench.row(candidate, damping))?;
+        sweep.map("estimators", &candidates(comparison.cutoff_hz), |candidate| simulation.row(candidate, damping))?;
     let enough = rows.iter().find(|row| row.estimator == "butterworth").map_or(0.0, |row| row.area);
     rows.sort_by(|a, b| {
         let first = |row: &Row| row.area >= enough && row.holds;
@@ -271,11 +274,11 @@ pub fn compare(comparison: &Comparison<'_>, sweep: &Sweep) -> Result<Vec<Row>, F
 pub fn ripple_of(comparison: &Comparison<'_>, kind: Estimator) -> Result<Option<f64>, Failure> {
     let device = comparison.file.device().map_err(Failure::wrong)?;
     let candidate = Candidate { kind, cutoff_hz: comparison.cutoff_hz, shaping: Shaping::NONE };
-    Ok(Bench::new(comparison, device)?.ripple(&candidate)?.0)
+    Ok(WallSimulation::new(comparison, device)?.ripple(&candidate)?.0)
 }
 
 /// The device with its wall.
-struct Bench<'a> {
+struct WallSimulation<'a> {
     comparison: &'a Comparison<'a>,
     device: Device<f64>,
     board: Device<f32>,
@@ -301,7 +304,7 @@ struct Trace {
     lost: bool,
 }
 
-impl<'a> Bench<'a> {
+impl<'a> WallSimulation<'a> {
     fn new(comparison: &'a Comparison<'a>, device: Device<f64>) -> Result<Self, Failure> {
         let description = &comparison.file.description;
         let joints = device.axes();

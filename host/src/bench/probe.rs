@@ -3,11 +3,10 @@
 
 use crate::analysis::map::Reachable;
 use crate::analysis::pose::PoseError;
-use crate::bench::error::strongest;
 use crate::vectors::padded;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
-use haptic_bridge::model::device::Device;
+use haptic_bridge::model::device::{Device, Motor};
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::controller::{FULL_REGULARITY, PARALLEL_REGULARITY};
 use haptic_bridge::render::scene::Surface;
@@ -17,6 +16,8 @@ use nalgebra::SVector;
 
 /// Force where a device file names no motors, N.
 const FORCE_WITHOUT_MOTORS: f64 = 5.0;
+/// How fast a hand is taken to move when nothing is said, m/s.
+pub const HAND_SPEED: f64 = 0.5;
 /// How fast the redundant arm turns its last link per speed of the hand, rad/m.
 const TURNING: f64 = 4.0;
 
@@ -84,8 +85,9 @@ pub fn on_surface(
     Ok(probes)
 }
 
-fn pad<const N: usize>(values: &SVector<f64, N>) -> [f64; MAX_JOINTS] {
-    std::array::from_fn(|i| if i < N { values[i] } else { 0.0 })
+/// The most that a motor gives at its joint, N m.
+pub fn strongest(motor: &Motor<f64>) -> f64 {
+    motor.torque_constant.abs() * motor.max_current
 }
 
 fn place<M: Mechanism<f64, N>, const N: usize>(task: &SVector<f64, N>) -> SVector<f64, N> {
@@ -108,7 +110,7 @@ fn moved_onto<M: Mechanism<f64, N>, const N: usize>(
         if contact.distance.abs() < 1.0e-7 {
             let allowed = |i: usize| device.joints[i].limits.is_none_or(|(low, high)| (low..=high).contains(&q[i]));
             let near = (0..N).all(|i| (q[i] - start[i]).abs() <= 1.5 * spacing[i]);
-            return ((0..N).all(allowed) && near).then(|| (pad(&q), pad(&contact.normal)));
+            return ((0..N).all(allowed) && near).then(|| (padded(q.as_slice()), padded(contact.normal.as_slice())));
         }
         q -= m.inverse(&pose, &(contact.normal * contact.distance));
     }
@@ -158,10 +160,10 @@ fn push<M: Mechanism<f64, N>, const N: usize>(
         let rate = surface.map_or(SVector::zeros(), |s| s.normal_rate::<Libm, N>(&here, &place::<M, N>(&velocity)));
         probes.push(Probe {
             q: *q,
-            qd: pad(&qd),
+            qd: padded(qd.as_slice()),
             normal: *normal,
-            normal_rate: pad(&rate),
-            velocity: pad(&velocity),
+            normal_rate: padded(rate.as_slice()),
+            velocity: padded(velocity.as_slice()),
             force,
         });
     }

@@ -3,12 +3,11 @@
 use crate::bench::counts;
 use crate::bench::error::{Errors, Law, Parts, STIFFNESS, Terms, Trigonometry, encoder_step, errors, parts};
 use crate::bench::precompute::{Precomputed, frozen, most_points, range, table};
-use crate::bench::probe::{Probe, workspace};
+use crate::bench::probe::{HAND_SPEED, Probe, workspace};
 use crate::device_file::DeviceFile;
 use crate::error::Failure;
-use crate::plan::HAND_SPEED;
 use crate::plot::Picture;
-use crate::plot::axes::{Axis, Frame, Mark};
+use crate::plot::axes::{Axis, Mark, PlotArea};
 use crate::plot::canvas::{Anchor, Canvas, Stroke};
 use haptic_bridge::math::{Libm, Math, Micromath, Minimax};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
@@ -292,7 +291,7 @@ pub fn picture(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
     let (low, high) = (-6.0, 4.0);
     let decades = |variant: &Variant| variant.felt().max(1.0e-12).log10().clamp(low, high);
     let mut canvas = Canvas::new(760.0, 540.0);
-    let frame = Frame {
+    let frame = PlotArea {
         at: (80.0, 110.0),
         size: (660.0, 370.0),
         x: Axis {
@@ -343,6 +342,6 @@ pub fn picture(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
     {
         canvas.text((frame.at.0, 48.0 + 16.0 * line as f64), 12.0, Anchor::Start, false, text);
     }
-    Frame::legend(&mut canvas, frame.at.0 + frame.size.0 - 10.0, frame.at.1 + 10.0, &entries);
+    PlotArea::legend(&mut canvas, frame.at.0 + frame.size.0 - 10.0, frame.at.1 + 10.0, &entries);
     canvas.finish(title, "Instructions of each variant over its largest error of the force at the tip.")
 }

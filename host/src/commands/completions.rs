@@ -1,6 +1,6 @@
 //! `haptic completions`: shell completions, and the manual.
 
-use crate::cli;
+use super::help;
 use clap::builder::{Resettable, StyledStr};
 use clap_complete::Shell;
 use clap_mangen::Man;
@@ -27,10 +27,10 @@ pub struct Args {
 pub fn run(args: Args) -> Result<(), Failure> {
     if let Some(shell) = args.shell {
         let mut document = Vec::new();
-        clap_complete::generate(shell, &mut cli::command(), "haptic", &mut document);
+        clap_complete::generate(shell, &mut help::command(), "haptic", &mut document);
         return print(&String::from_utf8_lossy(&document));
     }
-    let mut whole = cli::command();
+    let mut whole = help::command();
     whole.build();
     let Some(folder) = args.man.flatten() else {
         return print(&page(&whole, "haptic")?);
@@ -49,7 +49,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
 
 /// A page of the manual, with what clap does not know: exit codes, examples, files.
 fn page(command: &clap::Command, name: &str) -> Result<String, Failure> {
-    let examples = cli::examples(command.get_name());
+    let examples = help::examples(command.get_name());
     // Examples have a section of their own here.
     let man = Man::new(command.clone().after_help(Resettable::<StyledStr>::Reset).display_name(name));
     let mut text = Vec::new();

@@ -1,8 +1,8 @@
 //! `haptic design`: where, in which direction and with which links and posture a device renders walls best.
 
+use super::arguments::{self, Numbers};
 use super::continued::Continue;
 use super::force::Force;
-use crate::cli::{self, Numbers};
 use haptic::analysis::pose::TaskPose;
 use haptic::analysis::range::WORTHWHILE_RATIO;
 use haptic::design::place::{Directions, Placed, Places, directions, places};
@@ -51,7 +51,7 @@ pub struct Args {
     #[arg(long, value_name = "HZ", default_value_t = 500.0)]
     cutoff: f64,
     /// What a redundant device holds: orientation, joint-0, joint-1, joint-2 or consistent
-    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = cli::admissible)]
+    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = arguments::admissible)]
     admissible: Admissible,
     #[command(flatten)]
     continued: Continue,

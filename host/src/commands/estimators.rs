@@ -1,7 +1,7 @@
 //! `haptic estimators`: which velocity estimator suits a device, by simulation with its encoder steps.
 
+use super::arguments::Numbers;
 use super::continued::Continue;
-use crate::cli::Numbers;
 use haptic::bench::estimators::{Comparison, Row, compare, telling_wall};
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};

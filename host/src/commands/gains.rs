@@ -1,7 +1,7 @@
 //! `haptic gains`: shows or changes stiffness, damping, feed-forward and cutoff, also while a wall is touched.
 
+use super::arguments;
 use super::port::{Port, answer, counted, feed_forward_in_words, short};
-use crate::cli;
 use haptic::error::Failure;
 use haptic::link::{Board, BoardError};
 use haptic::plausible::scene::{at, beyond};
@@ -32,7 +32,7 @@ pub struct Args {
     #[arg(long, value_name = "N S/M", value_parser = gain, allow_hyphen_values = true)]
     damping: Option<f32>,
     /// Feed-forward of the wall's force
-    #[arg(long, value_name = "KIND", value_parser = cli::feed_forward())]
+    #[arg(long, value_name = "KIND", value_parser = arguments::feed_forward())]
     feed_forward: Option<FeedForward>,
     /// Corner of the washout in Hz
     #[arg(long, value_name = "HZ", value_parser = gain, allow_hyphen_values = true)]

@@ -1,8 +1,8 @@
 //! `haptic map`: how the inertia that a wall meets varies over the workspace, and where the feed-forward pays.
 
+use super::arguments::{self, Numbers};
 use super::continued::Continue;
 use super::force::Force;
-use crate::cli::{self, Numbers};
 use haptic::analysis::map::{MapPoint, map_swept};
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
@@ -29,7 +29,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     points: u32,
     /// What a redundant device holds: orientation, joint-0, joint-1, joint-2 or consistent
-    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = cli::admissible)]
+    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = arguments::admissible)]
     admissible: Admissible,
     #[command(flatten)]
     continued: Continue,

@@ -5,7 +5,7 @@ mod report;
 
 use super::force::Force;
 use super::port::Port;
-use crate::cli::{self, Numbers};
+use crate::commands::arguments::{self, Numbers};
 use clap::ValueEnum;
 use clap::builder::TypedValueParser;
 use haptic::analysis::several::{Member, WallSet};
@@ -17,7 +17,7 @@ use haptic::measure::campaign::Plan;
 use haptic::measure::occasion::{self, Occasion};
 use haptic::measure::progress::{Progress, ProgressError};
 use haptic::measure::simulated::{Friction, World};
-use haptic::measure::{Bench, Law, MeasureError, Setup, most_tested};
+use haptic::measure::{Law, MeasureError, MeasurementSetup, PreparedBoard, most_tested};
 use haptic::vectors::padded;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::device::Device;
@@ -134,9 +134,9 @@ enum FrictionKind {
 
 /// Which feed-forwards are measured, one after the other.
 fn kinds() -> impl TypedValueParser<Value = &'static [FeedForward]> {
-    let one = |alone: &'static [FeedForward; 1]| (alone[0].name(), cli::what(alone[0]), &alone[..]);
+    let one = |alone: &'static [FeedForward; 1]| (alone[0].name(), arguments::what(alone[0]), &alone[..]);
     let all = &[FeedForward::Off, FeedForward::Full, FeedForward::Washout];
-    cli::one_of([
+    arguments::one_of([
         ("both", "Without, then with equation (4)", &all[..2]),
         ("all", "Without, with equation (4), and with it behind a washout", &all[..]),
         one(&[FeedForward::Off]),
@@ -162,7 +162,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         )
         .remedy("use them with --port sim; a board is measured where and as it is"));
     }
-    let setup = Setup {
+    let setup = MeasurementSetup {
         walls,
         rate_hz: args.rate,
         cutoff_hz: args.cutoff,
@@ -217,10 +217,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
         path: Some(path),
         remembers: !simulated,
     };
-    let begun = |bench: &mut Bench<'_>, q: &[f64]| {
-        let (info, details) = (bench.board().info().clone(), bench.board().details()?);
+    let begun = |prepared: &mut PreparedBoard<'_>, q: &[f64]| {
+        let (info, details) = (prepared.board().info().clone(), prepared.board().details()?);
         let around = occasion::around(&setup, &info, &details);
-        theory = Some(Theory::new(&args, &file, setup.walls.clone(), q, around, *bench.excitation())?);
+        theory = Some(Theory::new(&args, &file, setup.walls.clone(), q, around, *prepared.excitation())?);
         Ok(())
     };
     let measured = occasion.measure(setup.clone(), &plan, &stop, begun, |done| meter.done(done));

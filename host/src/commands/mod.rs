@@ -1,5 +1,6 @@
 //! The subcommands. Each is one file here, with its `Args` and `run(Args) -> Result<(), Failure>`, and one line below.
 
+pub mod arguments;
 mod arm;
 mod backup;
 mod bench;
@@ -16,6 +17,7 @@ mod estimators;
 mod faults;
 mod force;
 mod gains;
+pub mod help;
 mod home;
 mod info;
 mod latency;

@@ -1,6 +1,6 @@
 //! `haptic model`: the inertia a wall meets at one configuration, and the feed-forward that changes it.
 
-use crate::cli::{self, Numbers};
+use super::arguments::{self, Numbers};
 use clap::ValueEnum;
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
@@ -40,7 +40,7 @@ pub struct Args {
     #[arg(long, value_name = "I,J,..")]
     no_feed_forward: Option<Numbers>,
     /// What a redundant device holds: orientation, joint-0, joint-1, joint-2 or consistent
-    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = cli::admissible)]
+    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = arguments::admissible)]
     admissible: Admissible,
     /// Arithmetic: f64, or f32 to run the very code that the board runs
     #[arg(long, value_name = "f32|f64", default_value = "f64")]

@@ -1,9 +1,10 @@
 //! `haptic plan`: the cheapest model of a device that a scene needs.
 
 use clap::builder::NonEmptyStringValueParser;
+use haptic::bench::probe::HAND_SPEED;
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
-use haptic::plan::{Budget, DEFAULT_PERCENT, HAND_SPEED, Plan, newtons, percent, plan};
+use haptic::plan::{Budget, DEFAULT_PERCENT, Plan, newtons, percent, plan};
 use haptic::plausible::{scene::doubts, warn};
 use haptic::scene_file::SceneFile;
 use haptic::toml_file::Document;

@@ -2,8 +2,8 @@
 
 use haptic::error::{Failure, print};
 use haptic::link::{Board, PortSpec};
-pub use haptic::plausible::counted;
 use haptic::precision::print_json;
+pub use haptic::words::counted;
 pub use haptic::words::{feed_forward_in_words, short, wall_in_words};
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{FaultRecord, State};

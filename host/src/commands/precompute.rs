@@ -1,7 +1,7 @@
 //! `haptic precompute`: makes a frozen mass matrix or a table of it, and says what error it leaves.
 
+use super::arguments::Numbers;
 use super::force::Force;
-use crate::cli::Numbers;
 use clap::ValueEnum;
 use haptic::bench::error::{Law, Terms, Trigonometry, errors};
 use haptic::bench::precompute::{Precomputed, frozen, most_points, range, table};

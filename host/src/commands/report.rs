@@ -1,8 +1,8 @@
 //! `haptic report`: everything about a device on one page, each number with the command that prints it.
 
+use super::arguments::Numbers;
 use super::continued::Continue;
 use super::force::Force;
-use crate::cli::Numbers;
 use haptic::design::place::directions;
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
@@ -338,11 +338,11 @@ fn page(name: &str, args: &Args, sections: &[Section], said: &[Said]) -> String 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cli;
+    use crate::commands::help;
     use clap::Parser;
 
     #[derive(clap::Parser)]
-    struct Line {
+    struct CommandLine {
         #[command(flatten)]
         args: Args,
     }
@@ -361,13 +361,13 @@ mod tests {
             let path = |name: String| root.join(name).display().to_string();
             let mut words = vec!["haptic".to_string(), path(format!("devices/{device}.toml"))];
             words.extend(scene.map(|scene| path(format!("devices/scenes/{device}/{scene}.toml"))));
-            let args = Line::parse_from(words).args;
+            let args = CommandLine::parse_from(words).args;
             let file = DeviceFile::load(&args.device).unwrap();
             let subject = subject(&args, &file).unwrap();
             for section in sections(&args, &file, &subject) {
                 // As a shell splits it: no path here needs quotes.
-                let words = section.line().split(' ').map(Into::into).collect();
-                if let Err(error) = cli::read(words) {
+                let line = section.line();
+                if let Err(error) = help::command().try_get_matches_from(line.split(' ')) {
                     panic!("{}: {error}", section.line());
                 }
                 lines += 1;

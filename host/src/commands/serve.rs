@@ -3,7 +3,7 @@
 use super::port::Port;
 use haptic::error::{Failure, print};
 use haptic::frame::Axes;
-use haptic::haply::{Device, Door, USUAL_PORT};
+use haptic::haply::{HaplyListener, Inverse3, USUAL_PORT};
 use haptic::interrupt;
 use haptic::link::{PortSpec, Session};
 
@@ -31,8 +31,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let stop = interrupt::watch();
     let simulated = matches!(args.port.spec(), PortSpec::Sim(_));
     let session = Session::of(args.port.open()?);
-    let device = Device::new(session, args.axes, simulated)?;
-    let listening = Door::open(args.listen).map_err(|error| {
+    let device = Inverse3::new(session, args.axes, simulated)?;
+    let listening = HaplyListener::open(args.listen).map_err(|error| {
         Failure::impossible(format!("cannot listen on port {}: {error}", args.listen))
             .remedy("end what listens there, such as Haply's own service, or choose another --listen PORT")
     })?;

@@ -124,13 +124,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
 }
 
 #[cfg(unix)]
-fn pseudo_terminal() -> Result<haptic::sim::door::Door, Failure> {
+fn pseudo_terminal() -> Result<haptic::sim::door::ToolListener, Failure> {
     haptic::sim::door::pseudo_terminal().map_err(|error| {
         Failure::impossible(format!("cannot open a pseudo-terminal: {error}")).remedy("use --tcp PORT")
     })
 }
 
 #[cfg(not(unix))]
-fn pseudo_terminal() -> Result<haptic::sim::door::Door, Failure> {
+fn pseudo_terminal() -> Result<haptic::sim::door::ToolListener, Failure> {
     Err(Failure::wrong("this system has no pseudo-terminals").remedy("use --tcp PORT"))
 }

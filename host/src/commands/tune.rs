@@ -1,14 +1,13 @@
 //! `haptic tune`: the settings of the stiffest wall on a device, and what limits it.
 
+use super::arguments::{self, Numbers};
 use super::continued::Continue;
 use super::force::Force;
-use crate::cli::{self, Numbers};
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::interrupt;
 use haptic::link::{Board, PortSpec};
 use haptic::output;
-use haptic::plausible::digits;
 use haptic::plausible::scene::doubts;
 use haptic::scene_file::SceneFile;
 use haptic::tune::measured::{self, Measured};
@@ -16,6 +15,7 @@ use haptic::tune::{
     Answer, Baseline, Found, Margins, Question, RATES_HZ, Settings, USUAL_RIPPLE_N, baseline, ripple_like, to_toml,
     tune,
 };
+use haptic::words::digits;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::{FeedForward, Scene, Surface};
 use serde::Serialize;
@@ -54,7 +54,7 @@ pub struct Args {
     #[arg(long, value_name = "A,B,..", default_value = "1000,5000,10000,20000")]
     rates: Numbers,
     /// Feed-forwards to look at; full pushes a resting hand along the wall
-    #[arg(long, value_name = "KIND", value_delimiter = ',', default_value = "off,washout", value_parser = cli::feed_forward())]
+    #[arg(long, value_name = "KIND", value_delimiter = ',', default_value = "off,washout", value_parser = arguments::feed_forward())]
     feed_forward: Vec<FeedForward>,
     /// Factor by which the motors may be stronger or weaker than the file says
     #[arg(long, value_name = "FACTOR", default_value_t = Margins::default().gain)]
@@ -75,7 +75,7 @@ pub struct Args {
     #[arg(long, value_name = "M/S", default_value_t = 0.1)]
     speed: f64,
     /// What a redundant device holds [default: what the scene says, or orientation]
-    #[arg(long, value_name = "COORDINATE", value_parser = cli::admissible)]
+    #[arg(long, value_name = "COORDINATE", value_parser = arguments::admissible)]
     admissible: Option<Admissible>,
     /// Measure both on the simulated board as well, with everything switched on: some minutes
     #[arg(long)]

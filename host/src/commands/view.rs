@@ -7,7 +7,7 @@ use haptic::interrupt;
 use haptic::link::{LinkError, PortSpec};
 use haptic::scene_file::SceneFile;
 use haptic::view::hub::{Event, Hub};
-use haptic::view::{Door, Stage, World};
+use haptic::view::{PageListener, Stage, World};
 use haptic_bridge::render::scene::Scene;
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
@@ -155,13 +155,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let door = match &args.listen {
             Some(text) => {
                 let address = address(text, "--listen")?;
-                Door::open(address).map_err(|error| {
+                PageListener::open(address).map_err(|error| {
                     Failure::impossible(format!("cannot listen on {address}: {error}"))
                         .remedy("choose another --listen PORT")
                 })?
             }
-            None => Door::open((Ipv4Addr::LOCALHOST, USUAL_PORT).into())
-                .or_else(|_| Door::open((Ipv4Addr::LOCALHOST, 0).into()))
+            None => PageListener::open((Ipv4Addr::LOCALHOST, USUAL_PORT).into())
+                .or_else(|_| PageListener::open((Ipv4Addr::LOCALHOST, 0).into()))
                 .map_err(Failure::impossible)?,
         };
         let url = door.url().map_err(Failure::impossible)?;

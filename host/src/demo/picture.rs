@@ -4,7 +4,7 @@ use super::Demo;
 use super::comparison::Comparison;
 use super::crossing::{Crossing, Moment};
 use crate::plot::Picture;
-use crate::plot::axes::{Axis, Frame};
+use crate::plot::axes::{Axis, PlotArea};
 use crate::plot::canvas::{Anchor, Canvas, Stroke};
 use crate::plot::colour::{FAINT, OFF, WASHOUT};
 
@@ -83,7 +83,7 @@ pub fn draw(demo: &Demo, without: &Crossing, with: &Crossing) -> Picture {
         for (column, (crossing, colour, name)) in columns.iter().enumerate() {
             let axis = |name: &str, unit: &str, low, high| Axis { name: name.into(), unit: unit.into(), low, high };
             let left = LEFT + column as f64 * (width + BETWEEN);
-            let frame = Frame {
+            let frame = PlotArea {
                 at: (left, top),
                 size: (width, PANEL),
                 x: axis("time", "s", 0.0, end),

@@ -9,7 +9,7 @@ use crate::analysis::range::domain;
 use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
 use crate::analysis::several::Member;
 use crate::link::Board;
-use crate::measure::{Bench, Law, Setup};
+use crate::measure::{Law, MeasurementSetup, PreparedBoard};
 use crate::sim::{BoardOptions, DriveModel, Options, SharedBoard, ready_board};
 use haptic_bridge::render::scene::FeedForward;
 
@@ -37,7 +37,7 @@ pub fn limit(demo: &Demo, feed_forward: FeedForward) -> Result<Limit, DemoError>
     let options = BoardOptions { device, drive: DriveModel::Ideal, ..BoardOptions::default() };
     let shared = SharedBoard::new(ready_board(&demo.file, options)?);
     let mut board = Board::over(shared.wire(), "sim")?;
-    let setup = Setup {
+    let setup = MeasurementSetup {
         walls: vec![Member::new(demo.normal.to_vec(), 1.0)],
         rate_hz: demo.rate_hz,
         cutoff_hz: demo.cutoff_hz,
@@ -46,11 +46,11 @@ pub fn limit(demo: &Demo, feed_forward: FeedForward) -> Result<Limit, DemoError>
         torque_limit: 2.0,
         largest_pull: 1e-3,
     };
-    let mut bench = Bench::new(&mut board, &demo.file, setup, &|| false)?;
-    let measured = bench.boundary(feed_forward, demo.damping, 0, None)?.gain;
+    let mut prepared = PreparedBoard::new(&mut board, &demo.file, setup, &|| false)?;
+    let measured = prepared.boundary(feed_forward, demo.damping, 0, None)?.gain;
     // Predicted for the delay that the board itself reports, while it runs at the demo's rate.
-    let delay_samples = f64::from(bench.board().details()?.delay_samples);
-    bench.finish()?;
+    let delay_samples = f64::from(prepared.board().details()?.delay_samples);
+    prepared.finish()?;
     Ok(Limit { measured, predicted: predict(&demo, feed_forward, delay_samples)?, delay_samples })
 }
 

@@ -2,10 +2,8 @@
 
 use super::client::{Client, unlike_any_before};
 use super::error::{BoardError, LinkError};
-use super::ports::{self, PortSpec};
 use super::telemetry::{Losses, Row, Rows};
 use super::wire::Wire;
-use crate::sim::open_simulated;
 use haptic_bridge::board::protocol::{self as p, Details, GainsRequest, Info, Outcome, PROTOCOL};
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::board::telemetry::{Fields, StreamRequest};
@@ -38,16 +36,6 @@ pub struct Board {
 }
 
 impl Board {
-    /// Finds and opens the board that `--port` means, and checks its protocol version.
-    pub fn open(port: &PortSpec) -> Result<Self, LinkError> {
-        match port {
-            PortSpec::Find => ports::open_serial(None).and_then(|(wire, path)| Self::over(wire, path)),
-            PortSpec::Serial(name) => ports::open_serial(Some(name)).and_then(|(wire, path)| Self::over(wire, path)),
-            PortSpec::Tcp(address) => Self::over(ports::open_tcp(address)?, format!("tcp:{address}")),
-            PortSpec::Sim(device) => Self::over(open_simulated(device.as_deref())?, "sim"),
-        }
-    }
-
     /// A board behind an open wire; `port` is what messages call it.
     pub fn over(wire: Box<dyn Wire>, port: impl Into<String>) -> Result<Self, LinkError> {
         let mut client = Client::new(wire);

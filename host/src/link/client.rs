@@ -1,7 +1,7 @@
 //! Requests and their answers, and the topic messages that come between them.
 
 use super::error::LinkError;
-use super::framing::{Deframer, Frame, encode};
+use super::framing::{Deframer, Packet, encode};
 use super::wire::Wire;
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use postcard_rpc::standard_icd::{ERROR_KEY, WireError};
@@ -35,7 +35,7 @@ impl TopicFrame {
 pub struct Client {
     wire: Box<dyn Wire>,
     deframer: Deframer,
-    answers: VecDeque<Frame>,
+    answers: VecDeque<Packet>,
     topics: VecDeque<TopicFrame>,
     sequence: u16,
     buffer: Vec<u8>,
@@ -150,7 +150,7 @@ impl Client {
             if answers.iter().any(|key| VarKey::Key8(*key) == frame.header.key) {
                 waiting.push_back(frame);
             } else {
-                let Frame { header, body } = frame;
+                let Packet { header, body } = frame;
                 topics.push_back(TopicFrame { key: header.key, sequence: header.seq_no, body });
             }
         });

@@ -7,7 +7,7 @@ pub const MAX_FRAME: usize = haptic_bridge::board::protocol::MAX_FRAME;
 
 /// One message: which, in answer to what, and its postcard bytes.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Frame {
+pub struct Packet {
     /// Key of endpoint or topic, and sequence number.
     pub header: VarHeader,
     /// The serialised message.
@@ -43,10 +43,10 @@ pub struct Deframer {
 
 impl Deframer {
     /// Takes bytes in and hands out every message they complete.
-    pub fn feed(&mut self, bytes: &[u8], mut found: impl FnMut(Frame)) {
+    pub fn feed(&mut self, bytes: &[u8], mut found: impl FnMut(Packet)) {
         let mut headless = 0;
         self.feed_plain(bytes, |plain| match VarHeader::take_from_slice(plain) {
-            Some((header, body)) => found(Frame { header, body: body.to_vec() }),
+            Some((header, body)) => found(Packet { header, body: body.to_vec() }),
             None => headless += 1,
         });
         self.garbled += headless;
@@ -115,7 +115,7 @@ mod tests {
                 deframer.feed(chunk, |frame| frames.push(frame));
             }
             assert_eq!(frames.len(), 2);
-            assert_eq!(frames[0], Frame { header: header(1), body: vec![1, 0, 2] });
+            assert_eq!(frames[0], Packet { header: header(1), body: vec![1, 0, 2] });
             assert_eq!(frames[1].body, [0; 300]);
         }
     }
@@ -129,7 +129,7 @@ mod tests {
         let mut deframer = Deframer::default();
         let mut frames = Vec::new();
         deframer.feed(&stream, |frame| frames.push(frame));
-        assert_eq!(frames, [Frame { header: header(5), body: vec![4] }]);
+        assert_eq!(frames, [Packet { header: header(5), body: vec![4] }]);
         assert_eq!(deframer.garbled, 2);
     }
 }

@@ -1,6 +1,6 @@
 //! Telemetry as it arrives: rows with their step, columns with name and unit, and exact accounts of what was lost.
 
-use crate::plausible::counted;
+use crate::words::counted;
 use haptic_bridge::board::telemetry::{Batch, Field, Fields};
 
 /// One kept control step.

@@ -19,14 +19,14 @@ pub struct Before {
 
 /// What a file keeps of it for as long as a measurement runs: a tool that is killed puts nothing back itself.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Kept {
+pub struct RestorePoint {
     /// Serial number of the board.
     pub serial: String,
-    scene: Option<backup::Kept>,
-    rules: backup::Kept,
+    scene: Option<backup::SavedSetting>,
+    rules: backup::SavedSetting,
     /// The rules that the measurement sets: whoever finds them finds nobody's later wish.
     #[serde(default)]
-    measuring: Option<backup::Kept>,
+    measuring: Option<backup::SavedSetting>,
 }
 
 impl Before {
@@ -49,29 +49,29 @@ impl Before {
 
     /// As a file keeps it: the scene and the rules of this board, and the rules that the measurement is about to set.
     #[must_use]
-    pub fn keep(&self, serial: &str, measuring: &Rules) -> Option<Kept> {
+    pub fn keep(&self, serial: &str, measuring: &Rules) -> Option<RestorePoint> {
         let scene = match &self.scene {
-            Some(scene) => Some(backup::Kept::of(scene)?),
+            Some(scene) => Some(backup::SavedSetting::of(scene)?),
             None => None,
         };
-        let (rules, measuring) = (backup::Kept::of(&self.rules)?, backup::Kept::of(measuring));
-        Some(Kept { serial: serial.into(), scene, rules, measuring })
+        let (rules, measuring) = (backup::SavedSetting::of(&self.rules)?, backup::SavedSetting::of(measuring));
+        Some(RestorePoint { serial: serial.into(), scene, rules, measuring })
     }
 
     /// What was kept before a measurement that was cut short. Its rules take the place of those that the measurement set;
     /// others stay: somebody has lowered them meanwhile. Also says whether the rules are as they were.
-    pub fn from_kept(&self, kept: &Kept) -> Result<(Self, bool), BackupError> {
-        let scene = kept.scene.as_ref().map(backup::Kept::read::<Scene<f32>>).transpose()?;
+    pub fn from_kept(&self, kept: &RestorePoint) -> Result<(Self, bool), BackupError> {
+        let scene = kept.scene.as_ref().map(backup::SavedSetting::read::<Scene<f32>>).transpose()?;
         let then = kept.rules.read::<Rules>()?;
-        let measuring = kept.measuring.as_ref().map(backup::Kept::read::<Rules>).transpose()?;
+        let measuring = kept.measuring.as_ref().map(backup::SavedSetting::read::<Rules>).transpose()?;
         let rules = if measuring == Some(self.rules) { then } else { self.rules };
         Ok((Self { scene, rules, ..self.clone() }, rules == then))
     }
 
     /// The same with the rules of before a measurement that was cut short, where those in force are the ones that it set.
-    pub fn without_its_rules(&self, kept: &Kept) -> Result<Option<Self>, BackupError> {
+    pub fn without_its_rules(&self, kept: &RestorePoint) -> Result<Option<Self>, BackupError> {
         let then = kept.rules.read::<Rules>()?;
-        let measuring = kept.measuring.as_ref().map(backup::Kept::read::<Rules>).transpose()?;
+        let measuring = kept.measuring.as_ref().map(backup::SavedSetting::read::<Rules>).transpose()?;
         let left = measuring == Some(self.rules) && then != self.rules;
         Ok(left.then(|| Self { rules: then, ..self.clone() }))
     }
@@ -135,7 +135,7 @@ mod tests {
         assert_eq!(lowered.without_its_rules(&kept).unwrap(), None);
         assert_eq!(lowered.from_kept(&kept).unwrap(), (lowered, false));
         // A file of an earlier version does not say what the measurement set.
-        let kept = Kept { measuring: None, ..kept };
+        let kept = RestorePoint { measuring: None, ..kept };
         assert_eq!(measuring.from_kept(&kept).unwrap(), (measuring, false));
     }
 }

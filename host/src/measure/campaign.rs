@@ -4,7 +4,7 @@ use haptic_bridge::render::scene::FeedForward;
 
 use super::progress::{Open, Progress, same_damping};
 use super::swing::Verdict;
-use super::{Bench, MeasureError};
+use super::{MeasureError, PreparedBoard};
 
 /// What is to be measured.
 #[derive(Clone, Debug, PartialEq)]
@@ -41,7 +41,7 @@ impl Progress {
 /// Measures what `progress` lacks. `saved` is called after every repeat, with how many of the plan are done. A damping
 /// at which nothing can be told is noted with the reason, its other repeats are left out, and the next one follows.
 pub fn run(
-    bench: &mut Bench<'_>,
+    prepared: &mut PreparedBoard<'_>,
     plan: &Plan,
     progress: &mut Progress,
     mut saved: impl FnMut(&Progress, usize) -> Result<(), MeasureError>,
@@ -54,7 +54,7 @@ pub fn run(
                 let end = match progress.end(mode) {
                     Some(end) => end,
                     None => {
-                        let end = damping_end(bench, mode, progress)?;
+                        let end = damping_end(prepared, mode, progress)?;
                         saved(progress, done)?;
                         end
                     }
@@ -68,7 +68,7 @@ pub fn run(
                 let earlier = progress.point(mode, kd);
                 if earlier.repeats.len() <= repeat && earlier.open.is_none() {
                     let guess = earlier.repeats.last().copied();
-                    let found = bench.boundary(mode, kd, repeat, guess);
+                    let found = prepared.boundary(mode, kd, repeat, guess);
                     progress.now();
                     let point = progress.point(mode, kd);
                     match found {
@@ -93,8 +93,12 @@ pub fn run(
 }
 
 /// Where the range of a mode ends; where that cannot be told, as far as it is known to reach.
-fn damping_end(bench: &mut Bench<'_>, mode: FeedForward, progress: &mut Progress) -> Result<f64, MeasureError> {
-    let end = match bench.damping_end(mode) {
+fn damping_end(
+    prepared: &mut PreparedBoard<'_>,
+    mode: FeedForward,
+    progress: &mut Progress,
+) -> Result<f64, MeasureError> {
+    let end = match prepared.damping_end(mode) {
         Ok(found) => found.gain,
         Err(MeasureError::Open { stable, why }) if stable > 0.0 => {
             progress.open_ends.push((mode, why.to_string()));

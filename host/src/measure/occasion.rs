@@ -7,7 +7,8 @@ use super::before::Before;
 use super::campaign::{self, Plan};
 use super::progress::{Progress, ProgressError};
 use super::simulated::World;
-use super::{Bench, MeasureError, Setup, rules_for};
+use super::{MeasureError, MeasurementSetup, PreparedBoard, rules_for};
+use crate::analysis::control_loop::{CARRIER_HZ, CURRENT_LOOP_HZ};
 use crate::analysis::plant::Drive;
 use crate::analysis::sampled::{LinearEstimator, Loop};
 use crate::device_file::DeviceFile;
@@ -17,10 +18,6 @@ use haptic_bridge::model::device::Device;
 
 /// Poses closer than this are the same, rad.
 const SAME_POSE: f64 = 0.02;
-
-/// Lag of the boards' current loops at a carrier of 20 kHz, Hz: half a carrier period, as `haptic range` has it.
-pub const CURRENT_HZ: f64 = 6400.0;
-const CARRIER_HZ: f64 = 20_000.0;
 
 /// A board that is measured.
 pub struct Occasion<'a> {
@@ -39,14 +36,14 @@ pub struct Occasion<'a> {
 }
 
 impl Occasion<'_> {
-    /// Measures what `progress` lacks of `plan`. `stop` is asked often whether to end; `begun` hears of the bench before
+    /// Measures what `progress` lacks of `plan`. `stop` is asked often whether to end; `begun` hears of the prepared board before
     /// anything is measured, `done` how many repeats are.
     pub fn measure(
         &mut self,
-        setup: Setup,
+        setup: MeasurementSetup,
         plan: &Plan,
         stop: &dyn Fn() -> bool,
-        begun: impl FnOnce(&mut Bench<'_>, &[f64]) -> Result<(), MeasureError>,
+        begun: impl FnOnce(&mut PreparedBoard<'_>, &[f64]) -> Result<(), MeasureError>,
         mut done: impl FnMut(usize),
     ) -> Result<(), MeasureError> {
         if self.remembers {
@@ -54,21 +51,21 @@ impl Occasion<'_> {
             self.progress.before = self.before.keep(&self.board.info().serial, &rules);
             save(self.progress, self.path)?;
         }
-        let mut bench = Bench::new(self.board, self.file, setup, stop)?;
+        let mut prepared = PreparedBoard::new(self.board, self.file, setup, stop)?;
         // To a millionth of a radian, as it is printed: theory and printed pose then agree in every digit.
-        let q: Vec<f64> = bench.pose().iter().map(|angle| (angle * 1e6).round() / 1e6).collect();
+        let q: Vec<f64> = prepared.pose().iter().map(|angle| (angle * 1e6).round() / 1e6).collect();
         if self.progress.q.is_empty() {
             self.progress.q.clone_from(&q);
         } else if self.progress.q.iter().zip(&q).any(|(then, now)| (then - now).abs() > SAME_POSE) {
             return Err(MeasureError::Moved);
         }
-        begun(&mut bench, &q)?;
+        begun(&mut prepared, &q)?;
         let path = self.path;
-        campaign::run(&mut bench, plan, self.progress, |progress, repeats| {
+        campaign::run(&mut prepared, plan, self.progress, |progress, repeats| {
             done(repeats);
             Ok(save(progress, path)?)
         })?;
-        bench.finish()
+        prepared.finish()
     }
 
     /// Puts back what the board held, and says on standard error what could not be.
@@ -138,8 +135,8 @@ pub fn another(board: &mut Board, device: &Device<f32>) -> Result<Option<String>
 
 /// The loop of a board that is measured with `setup`, as the theory knows it: its own delay, and its own drive.
 #[must_use]
-pub fn around(setup: &Setup, info: &Info, details: &Details) -> Loop {
-    let bandwidth_hz = (CURRENT_HZ * f64::from(details.carrier_hz) / CARRIER_HZ).round();
+pub fn around(setup: &MeasurementSetup, info: &Info, details: &Details) -> Loop {
+    let bandwidth_hz = (CURRENT_LOOP_HZ * f64::from(details.carrier_hz) / CARRIER_HZ).round();
     let ideal = info.board.as_str() == crate::sim::IDEAL_BOARD;
     Loop {
         rate_hz: setup.rate_hz,
@@ -152,7 +149,7 @@ pub fn around(setup: &Setup, info: &Info, details: &Details) -> Loop {
 
 /// What is measured, in words: a file of progress goes on only with the same.
 #[must_use]
-pub fn what(name: &str, setup: &Setup, world: &World) -> String {
+pub fn what(name: &str, setup: &MeasurementSetup, world: &World) -> String {
     let along: Vec<(&Vec<f64>, f64)> = setup.walls.iter().map(|wall| (&wall.normal, wall.share)).collect();
     // Without the noise of a multiplication.
     let pull_mm = (setup.largest_pull * 1e9).round() / 1e6;

@@ -1,7 +1,7 @@
 //! What has been measured so far, kept in a file after every repeat so that an interrupted measurement goes on where it
 //! stopped.
 
-use super::before::Kept;
+use super::before::RestorePoint;
 use crate::error::Failure;
 use crate::output::{self, Overwrite};
 use haptic_bridge::render::scene::FeedForward;
@@ -77,7 +77,7 @@ pub struct Progress {
     pub date: Option<String>,
     /// What the board held before, for as long as it does not hold it again.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub before: Option<Kept>,
+    pub before: Option<RestorePoint>,
 }
 
 /// Why a file cannot be used.

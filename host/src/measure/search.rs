@@ -3,7 +3,7 @@
 use haptic_bridge::render::scene::FeedForward;
 
 use super::swing::Verdict;
-use super::{Bench, MeasureError};
+use super::{MeasureError, PreparedBoard};
 
 /// Ratio of the bracket at which the search ends.
 pub const RESOLUTION: f64 = 1.005;
@@ -78,7 +78,7 @@ fn climb(
     Ok(Boundary { gain: (low * high).sqrt(), beyond })
 }
 
-impl Bench<'_> {
+impl PreparedBoard<'_> {
     /// Measures the largest stable stiffness (N/m) at one damping.
     pub fn boundary(
         &mut self,

@@ -4,7 +4,7 @@
 use haptic_bridge::render::scene::{FeedForward, MAX_WALLS, Plane, Scene, Surface, VelocityTerms, Wall};
 use nalgebra::DVector;
 
-use super::{MeasureError, Setup};
+use super::{MeasureError, MeasurementSetup};
 use crate::analysis::pose::unit_normal;
 use crate::vectors::padded;
 
@@ -76,7 +76,7 @@ pub fn is_measurement(scene: &Scene<f32>) -> bool {
 
 /// The scene of a measurement, its walls without gains yet. `direction` is that of the pulls, `across` all others.
 pub fn scene(
-    setup: &Setup,
+    setup: &MeasurementSetup,
     tip: &DVector<f64>,
     direction: &DVector<f64>,
     across: &[DVector<f64>],
@@ -130,7 +130,7 @@ mod tests {
         for normals in [vec![vec![0.6, 0.8]], vec![vec![1.0, 0.0], vec![0.3, -0.9]], vec![vec![0.1, 0.2, 0.9]]] {
             let walls: Vec<_> = normals.into_iter().map(|normal| Member::new(normal, 1.0)).collect();
             let tip = DVector::from_fn(walls[0].normal.len(), |i, _| 0.07 - 0.1 * i as f64);
-            let setup = Setup {
+            let setup = MeasurementSetup {
                 rate_hz: 1_000.0,
                 cutoff_hz: 20.0,
                 washout_hz: 2.0,

@@ -2,7 +2,8 @@
 //! is no room for is left out, the state and what was said never.
 
 use super::seen::{Seen, Trace, WallSeen, number, numbers};
-use crate::plausible::with_unit;
+use crate::outline::Outline;
+use crate::words::with_unit;
 use crate::words::{bytes_in_words, short};
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -103,7 +104,7 @@ fn words(seen: &Seen) -> Line<'_> {
 fn gains_in_words(seen: &Seen) -> String {
     let spring = match seen.springs.len() {
         0 => String::new(),
-        count => format!("; {}", crate::plausible::counted(count, "spring")),
+        count => format!("; {}", crate::words::counted(count, "spring")),
     };
     match seen.walls.get(seen.wall) {
         None => format!("no wall in this scene{spring}"),
@@ -230,8 +231,8 @@ fn stage(frame: &mut Frame<'_>, area: Rect, seen: &Seen) {
 
 fn draw_wall(c: &mut Context<'_>, wall: &WallSeen, long: f64, dot: f64) {
     let color = Color::Blue;
-    match (wall.shape.as_str(), &wall.values[..]) {
-        ("plane", [px, py, _, nx, ny, ..]) => {
+    match wall.outline {
+        Some(Outline::Line { at: [px, py], normal: [nx, ny] }) => {
             let mut line = |depth: f64, from: f64, to: f64| {
                 let at = |s: f64| (px - depth * nx - s * ny, py - depth * ny + s * nx);
                 let ((x1, y1), (x2, y2)) = (at(from), at(to));
@@ -244,9 +245,12 @@ fn draw_wall(c: &mut Context<'_>, wall: &WallSeen, long: f64, dot: f64) {
                 line(3.0 * dot, s, s + 2.0 * dot);
             }
         }
-        ("sphere", [x, y, _, radius, ..]) => c.draw(&Circle { x: *x, y: *y, radius: *radius, color }),
-        (_, [x, y, _, _, _, _, radius, ..]) => c.draw(&Circle { x: *x, y: *y, radius: *radius, color }),
-        _ => {}
+        Some(Outline::Circle { at: [x, y], radius, .. }) => c.draw(&Circle { x, y, radius, color }),
+        None => {
+            if let [x, y, ..] = wall.values[..] {
+                c.print(x, y, format!("{}: not drawn", wall.shape));
+            }
+        }
     }
 }
 

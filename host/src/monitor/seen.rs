@@ -1,5 +1,6 @@
 //! What the terminal has heard of the board.
 
+use crate::outline::Outline;
 use crate::view::message::{FromPage, ScopeRequest};
 use crate::view::stability::Plane;
 use haptic_bridge::render::scene::FeedForward;
@@ -15,6 +16,8 @@ pub struct WallSeen {
     pub shape: String,
     /// The shape's numbers, in the order of scene files.
     pub values: Vec<f64>,
+    /// What is drawn of it, if anything can be.
+    pub outline: Option<Outline>,
     /// N/m
     pub stiffness: f32,
     /// N s/m
@@ -59,7 +62,7 @@ pub struct Seen {
     was_held: bool,
 }
 
-/// A number of a document, 0 where it is none.
+/// A number in a document; 0 where there is something else.
 pub fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or(0.0)
 }
@@ -239,6 +242,7 @@ fn wall(value: &Value) -> Option<WallSeen> {
     Some(WallSeen {
         shape: value["shape"].as_str()?.into(),
         values: numbers(&value["values"]),
+        outline: serde_json::from_value(value["outline"].clone()).ok(),
         stiffness: value["stiffness"].as_f64()? as f32,
         damping: value["damping"].as_f64()? as f32,
         feed_forward: serde_json::from_value(value["feed_forward"].clone()).ok()?,

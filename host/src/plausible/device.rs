@@ -1,8 +1,9 @@
 //! Doubts about a device file.
 
-use super::{Doubt, Key, digits, turns, with_unit};
+use super::{Doubt, Key, turns};
 use crate::analysis::pose::TaskPose;
 use crate::vectors::padded_to;
+use crate::words::{digits, with_unit};
 use core::f64::consts::{PI, TAU};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::{Description, Joint, Link};

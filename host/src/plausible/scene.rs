@@ -1,7 +1,8 @@
 //! Doubts about walls on a device: out of reach, beyond what is stable there, beyond the motors.
 
 use super::device::force_along;
-use super::{Doubt, Key, digits, with_unit};
+use super::{Doubt, Key};
+use crate::analysis::control_loop::usual_delay;
 use crate::analysis::flexible::Flexible;
 use crate::analysis::map::Reachable;
 use crate::analysis::plant::{Drive, Linearised};
@@ -11,6 +12,7 @@ use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
 use crate::bench::probe::on_surface;
 use crate::scene_file::place_of;
 use crate::vectors::{padded, padded_to};
+use crate::words::{digits, with_unit};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::shape::Meaning;
@@ -26,9 +28,6 @@ const SLOW: f64 = 0.1;
 const BUZZ: f64 = 1.0;
 /// Poses of each joint in which a device with so many joints is looked at.
 const PER_JOINT: [usize; 3] = [400, 60, 16];
-/// Carrier of the boards, Hz: torque follows the encoders by half a period of it.
-const CARRIER_HZ: f64 = 20_000.0;
-
 /// What a wall meets where the tip touches it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Contact {
@@ -48,11 +47,6 @@ pub struct Contact {
     pub count: f64,
     /// The largest force that one count alone makes with this wall's gains and this scene's estimator, N.
     pub step_n: f64,
-}
-
-/// The delay of a board at a control rate when nothing else is known, control samples: half a period of the carrier.
-pub fn usual_delay(rate_hz: f64) -> f64 {
-    0.5 / (CARRIER_HZ / rate_hz).round().max(1.0)
 }
 
 /// Everything doubtful about the walls of a scene, and what each meets where the device touches it.
@@ -235,7 +229,7 @@ fn buzzing(scene: &Scene<f64>, contact: &Contact) -> Option<Doubt> {
 
 /// A ratio with two significant digits.
 fn times(ratio: f64) -> String {
-    if ratio < 10.0 { format!("{ratio:.1}") } else { crate::plausible::with_unit(ratio, "").trim().to_string() }
+    if ratio < 10.0 { format!("{ratio:.1}") } else { with_unit(ratio, "").trim().to_string() }
 }
 
 enum Touched {

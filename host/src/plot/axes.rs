@@ -20,7 +20,7 @@ pub struct Axis {
 
 /// Where the frame lies on the canvas, in pixels, and what it shows.
 #[derive(Clone, Debug)]
-pub struct Frame {
+pub struct PlotArea {
     /// Left and top edge.
     pub at: (f64, f64),
     /// Width and height.
@@ -85,7 +85,7 @@ impl Axis {
     }
 }
 
-impl Frame {
+impl PlotArea {
     /// The pixel of a value pair.
     pub fn pixel(&self, x: f64, y: f64) -> (f64, f64) {
         let share = |axis: &Axis, v: f64| (v - axis.low) / (axis.high - axis.low);

@@ -10,12 +10,6 @@ pub const FULL: &str = "#D55E00";
 pub const WASHOUT: &str = "#009E73";
 /// Rendered by a computer.
 pub const HOST: &str = "#CC79A7";
-/// [`OFF`], [`FULL`] and [`WASHOUT`] on a dark ground: the same hues, lighter.
-pub const OFF_ON_DARK: &str = "#56B4E9";
-/// See [`OFF_ON_DARK`].
-pub const FULL_ON_DARK: &str = "#FF9155";
-/// See [`OFF_ON_DARK`].
-pub const WASHOUT_ON_DARK: &str = "#3ECDA3";
 /// Bounds that are not the boundary itself.
 pub const BOUND: &str = "#7A5195";
 /// Frames, ticks and text.

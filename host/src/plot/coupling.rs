@@ -4,7 +4,7 @@
 //! In the plane the directions make a curve, in space a surface. With as many joints as task directions the coupling
 //! vanishes along the axes and is largest between the first and the last of them.
 
-use super::axes::{Axis, Frame, Mark};
+use super::axes::{Axis, Mark, PlotArea};
 use super::canvas::{Anchor, Canvas, Stroke};
 use super::colour::{BOUND, FAINT, FULL, INK, OFF, WASHOUT, scale};
 use super::{Picture, linkage};
@@ -89,12 +89,12 @@ fn direction(description: &Description, q: &[f64], here: &Skeleton, motion: &DVe
 /// The device, and where a push along n moves it: with the feed-forward, and by itself.
 fn motion(canvas: &mut Canvas, description: &Description, q: &[f64], here: &Skeleton, device: &Linearised) {
     let points = here.bars.iter().flat_map(|bar| [bar.from, bar.to]).chain(here.base.iter().copied());
-    let (low, high) = super::map::bounds(points);
+    let (low, high) = super::linkage::bounds(points);
     let middle = ((low.0 + high.0) / 2.0, (low.1 + high.1) / 2.0);
     let half = 0.68 * (high.0 - low.0).max(high.1 - low.1);
     let axis =
         |name: &str, middle: f64| Axis { name: name.into(), unit: "m".into(), low: middle - half, high: middle + half };
-    let frame = Frame { at: (75.0, 70.0), size: (SIDE, SIDE), x: axis("x", middle.0), y: axis("y", middle.1) };
+    let frame = PlotArea { at: (75.0, 70.0), size: (SIDE, SIDE), x: axis("x", middle.0), y: axis("y", middle.1) };
     // Joint motion per metre of the tip along n: held, and free, which is what Jᵀ pushes.
     let held = device.unit_motion.clone();
     let free = device.mass.clone().cholesky().map(|mass| mass.solve(&device.row));
@@ -121,7 +121,7 @@ fn motion(canvas: &mut Canvas, description: &Description, q: &[f64], here: &Skel
         (Mark::Line(Stroke::solid(FULL, 2.0)), "along n, with the feed-forward".to_string()),
         (Mark::Line(Stroke::solid(OFF, 2.0)), "what a push along n does without".to_string()),
     ];
-    Frame::legend(canvas, 75.0 + SIDE, SIDE + 122.0, &entries);
+    PlotArea::legend(canvas, 75.0 + SIDE, SIDE + 122.0, &entries);
 }
 
 fn arrow(canvas: &mut Canvas, from: Point, to: Point, colour: &str) {
@@ -146,7 +146,7 @@ fn curve(canvas: &mut Canvas, at: Point, pose: &TaskPose, point: &MapPoint, n: &
         .collect();
     let largest = around.iter().map(|(_, _, w_rr)| *w_rr).fold(0.0, f64::max) * 1.12;
     let axis = |name: &str| Axis { name: name.into(), unit: "kg".into(), low: -largest, high: largest };
-    let frame = Frame { at, size: (SIDE, SIDE), x: axis("along x"), y: axis("along y") };
+    let frame = PlotArea { at, size: (SIDE, SIDE), x: axis("along x"), y: axis("along y") };
     let polar = |value: fn(&(f64, f64, f64)) -> f64| -> Vec<(f64, f64)> {
         around.iter().map(|all| (value(all) * all.0.cos(), value(all) * all.0.sin())).collect()
     };
@@ -167,7 +167,7 @@ fn curve(canvas: &mut Canvas, at: Point, pose: &TaskPose, point: &MapPoint, n: &
         (Mark::Area(WASHOUT), "coupling Wrr - Weff".to_string()),
         (Mark::Line(Stroke::solid(BOUND, 2.0)), "n".to_string()),
     ];
-    Frame::legend(canvas, at.0 + SIDE, at.1 + SIDE + 52.0, &entries);
+    PlotArea::legend(canvas, at.0 + SIDE, at.1 + SIDE + 52.0, &entries);
 }
 
 /// The axes of the tip's inertia, as lines through the middle.

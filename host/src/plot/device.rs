@@ -5,10 +5,10 @@ use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Description;
 
-use super::axes::{Axis, Frame};
+use super::axes::{Axis, PlotArea};
 use super::canvas::{Anchor, Canvas, Stroke};
 use super::colour::{FAINT, FULL, INK, OFF, WASHOUT};
-use super::map::bounds;
+use super::linkage::bounds;
 use super::{Picture, linkage};
 use crate::analysis::cut::{Cut, Fineness};
 use crate::analysis::pose::PoseError;
@@ -41,7 +41,7 @@ pub fn draw(description: &Description, name: &str, q: &[f64], lines: &[String]) 
     let room = room * (high.0 - low.0).max(high.1 - low.1);
     let (low, high) = ((low.0 - room, low.1 - room), (high.0 + room, high.1 + room));
     let pixels = side / (high.0 - low.0).max(high.1 - low.1);
-    let frame = Frame {
+    let frame = PlotArea {
         at: (86.0, 62.0),
         size: ((high.0 - low.0) * pixels, (high.1 - low.1) * pixels),
         x: Axis { name: "x".into(), unit: "m".into(), low: low.0, high: high.0 },
@@ -132,7 +132,7 @@ fn overlap(a: &Area, b: &Area) -> bool {
 }
 
 /// The links, with labels where nothing is `taken` yet.
-fn links(canvas: &mut Canvas, frame: &Frame, skeleton: &Skeleton, mut taken: Vec<Area>) {
+fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, mut taken: Vec<Area>) {
     for bar in &skeleton.bars {
         let ends = [bar.from, bar.to].map(|p| frame.pixel(p.0, p.1));
         canvas.polyline(&ends, Stroke::solid(INK, 9.0));
@@ -195,7 +195,7 @@ fn links(canvas: &mut Canvas, frame: &Frame, skeleton: &Skeleton, mut taken: Vec
 /// A joint's angle: its zero, its arc with an arrow, its limits.
 fn arc(
     canvas: &mut Canvas,
-    frame: &Frame,
+    frame: &PlotArea,
     angle: &Angle,
     pixels: f64,
     description: &Description,
@@ -253,7 +253,7 @@ impl Label {
     }
 }
 
-fn label(frame: &Frame, angle: &Angle, skeleton: &Skeleton) -> Label {
+fn label(frame: &PlotArea, angle: &Angle, skeleton: &Skeleton) -> Label {
     let centre = frame.pixel(angle.at.0, angle.at.1);
     let text = format!("joint {}: {:.1}°", angle.joint, angle.angle.to_degrees());
     // Below the pivot, where links of usual poses are not; two base pivots keep apart.
@@ -274,7 +274,7 @@ fn label(frame: &Frame, angle: &Angle, skeleton: &Skeleton) -> Label {
 }
 
 /// Where the turret's axis is named.
-fn turret_label(frame: &Frame, kind: Kind) -> Option<Area> {
+fn turret_label(frame: &PlotArea, kind: Kind) -> Option<Area> {
     const LONG: f64 = 100.0;
     let origin = frame.pixel(0.0, 0.0);
     let right = frame.at.0 + frame.size.0 - 8.0;
@@ -284,7 +284,7 @@ fn turret_label(frame: &Frame, kind: Kind) -> Option<Area> {
     })
 }
 
-fn turret_axis(canvas: &mut Canvas, frame: &Frame, kind: Kind) {
+fn turret_axis(canvas: &mut Canvas, frame: &PlotArea, kind: Kind) {
     let axis = Stroke { colour: INK, width: 1.2, dash: "14 4 3 4" };
     let (left, top) = frame.at;
     let (right, bottom) = (left + frame.size.0, top + frame.size.1);

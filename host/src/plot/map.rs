@@ -9,7 +9,7 @@
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 
-use super::axes::{Axis, Frame};
+use super::axes::{Axis, PlotArea};
 use super::canvas::{Anchor, Canvas, Stroke};
 use super::colour::{ABOVE, FAINT, INK, scale};
 use super::{Picture, linkage, paddle};
@@ -35,7 +35,7 @@ pub struct Chart {
     /// The picture.
     pub picture: Picture,
     /// Where places lie in it.
-    pub frame: Frame,
+    pub frame: PlotArea,
     /// The share at the top of the colour scale; what is above is [`ABOVE`].
     pub top: f64,
 }
@@ -72,9 +72,9 @@ pub fn chart(
     let (step, top, highest) = scale_of(&coarse);
 
     let tips = coarse.iter().flat_map(|tile| tile.outline.iter().copied());
-    let (low, high) = bounds(tips.chain(home.iter().flat_map(corners)));
+    let (low, high) = linkage::bounds(tips.chain(home.iter().flat_map(corners)));
     let pixels = SIDE / (high.0 - low.0).max(high.1 - low.1);
-    let mut frame = Frame {
+    let mut frame = PlotArea {
         at: (86.0, 92.0),
         size: ((high.0 - low.0) * pixels, (high.1 - low.1) * pixels),
         x: Axis { name: "x".into(), unit: "m".into(), low: low.0, high: high.0 },
@@ -118,17 +118,6 @@ fn corners(skeleton: &Skeleton) -> impl Iterator<Item = Point> + '_ {
     skeleton.bars.iter().flat_map(|bar| [bar.from, bar.to])
 }
 
-/// A box around points with room to breathe.
-pub(super) fn bounds(points: impl Iterator<Item = Point>) -> (Point, Point) {
-    let empty = ((f64::INFINITY, f64::INFINITY), (f64::NEG_INFINITY, f64::NEG_INFINITY));
-    let (low, high) = points.fold(empty, |(l, h), p| ((l.0.min(p.0), l.1.min(p.1)), (h.0.max(p.0), h.1.max(p.1))));
-    let margin = 0.05 * (high.0 - low.0).max(high.1 - low.1);
-    if !margin.is_finite() || margin <= 0.0 {
-        return ((-1.0, -1.0), (1.0, 1.0));
-    }
-    ((low.0 - margin, low.1 - margin), (high.0 + margin, high.1 + margin))
-}
-
 /// Step between ticks and top of the colour scale, and the highest share there is.
 fn scale_of(tiles: &[Tile]) -> (f64, f64, f64) {
     let mut shares: Vec<(f64, f64)> = tiles.iter().map(|tile| (tile.share, tile.area())).collect();
@@ -152,7 +141,7 @@ fn round_step(least: f64) -> f64 {
 }
 
 /// The tiles, those of one colour as one shape.
-fn paint(canvas: &mut Canvas, frame: &Frame, tiles: &[Tile], top: f64) {
+fn paint(canvas: &mut Canvas, frame: &PlotArea, tiles: &[Tile], top: f64) {
     let mut shapes = std::collections::BTreeMap::<String, Vec<Vec<Point>>>::new();
     for tile in tiles {
         let outline = tile.outline.iter().map(|&(x, y)| frame.pixel(x, y)).collect();
@@ -164,7 +153,7 @@ fn paint(canvas: &mut Canvas, frame: &Frame, tiles: &[Tile], top: f64) {
 }
 
 /// Ellipses on an even lattice, all to one scale; returns the mass (kg) that has [`RADIUS`].
-fn ellipses(canvas: &mut Canvas, frame: &Frame, cut: &Cut, pixels: f64) -> Result<Option<f64>, PoseError> {
+fn ellipses(canvas: &mut Canvas, frame: &PlotArea, cut: &Cut, pixels: f64) -> Result<Option<f64>, PoseError> {
     let spacing = SPACING / pixels;
     let off = |(x, y): Point| {
         let cell = ((x / spacing).round(), (y / spacing).round());
@@ -210,7 +199,7 @@ fn ellipses(canvas: &mut Canvas, frame: &Frame, cut: &Cut, pixels: f64) -> Resul
 }
 
 /// The wall's normal as seen in the plane, right of the heading.
-fn arrow(canvas: &mut Canvas, frame: &Frame, (nx, ny): Point) {
+fn arrow(canvas: &mut Canvas, frame: &PlotArea, (nx, ny): Point) {
     let length = nx.hypot(ny);
     if length < 1e-9 {
         return;
@@ -227,7 +216,7 @@ fn arrow(canvas: &mut Canvas, frame: &Frame, (nx, ny): Point) {
     canvas.text((middle.0 + 12.0 * uy.abs() + 6.0, middle.1 + 14.0 * ux.abs() + 2.0), 13.0, Anchor::Start, false, "n");
 }
 
-fn colour_bar(canvas: &mut Canvas, frame: &Frame, step: f64, top: f64, highest: f64) {
+fn colour_bar(canvas: &mut Canvas, frame: &PlotArea, step: f64, top: f64, highest: f64) {
     let left = frame.at.0 + frame.size.0 + 22.0;
     let above = if highest > top { 26.0 } else { 0.0 };
     let (start, height) = (frame.at.1 + above, frame.size.1 - above);

@@ -3,10 +3,9 @@
 
 use haptic_bridge::model::description::Description;
 
-use super::axes::{Axis, Frame};
+use super::axes::{Axis, PlotArea};
 use super::canvas::{Anchor, Canvas, Stroke};
 use super::colour::{INK, scale};
-use super::map::bounds;
 use super::{Picture, linkage};
 use crate::analysis::map::along;
 use crate::analysis::pose::{PoseError, TaskPose, unit_normal};
@@ -26,9 +25,9 @@ pub fn draw(description: &Description, name: &str) -> Result<Picture, PoseError>
     let (_, w_rr) =
         along(&TaskPose::at(description, &[home])?, &unit_normal(&[1.0], 1, 1)?).ok_or(PoseError::Serial)?;
 
-    let (least, most) = bounds(arc.iter().copied().chain([(0.0, 0.0)]));
+    let (least, most) = linkage::bounds(arc.iter().copied().chain([(0.0, 0.0)]));
     let pixels = 380.0 / (most.0 - least.0).max(most.1 - least.1);
-    let frame = Frame {
+    let frame = PlotArea {
         at: (86.0, 100.0),
         size: ((most.0 - least.0) * pixels, (most.1 - least.1) * pixels),
         x: Axis { name: "x".into(), unit: "m".into(), low: least.0, high: most.0 },

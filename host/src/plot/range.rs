@@ -2,7 +2,7 @@
 //! and, when there are any, measured dots.
 
 use super::Picture;
-use super::axes::{Axis, Frame, Mark};
+use super::axes::{Axis, Mark, PlotArea};
 use super::canvas::{Anchor, Canvas, Stroke};
 use super::colour::{BOUND, FAINT, FULL, HOST, OFF, WASHOUT};
 use crate::analysis::passivity::Passivity;
@@ -59,7 +59,7 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
 
     let symbols = contents.passivity.map(symbols).unwrap_or_default();
     let mut canvas = Canvas::new(720.0, 486.0 + LINE * symbols.len() as f64);
-    let frame = Frame {
+    let frame = PlotArea {
         at: (86.0, 82.0),
         size: (610.0, 340.0),
         x: Axis { name: "wall damping kd".into(), unit: "N s/m".into(), low: 0.0, high: above(widest) },
@@ -126,7 +126,7 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
     for (line, text) in symbols.iter().enumerate() {
         canvas.text((frame.at.0, 486.0 + LINE * line as f64), 11.5, Anchor::Start, false, text);
     }
-    Frame::legend(&mut canvas, frame.at.0 + frame.size.0 - 10.0, frame.at.1 + 10.0, &entries);
+    PlotArea::legend(&mut canvas, frame.at.0 + frame.size.0 - 10.0, frame.at.1 + 10.0, &entries);
     canvas
         .finish(&contents.title, "Stable stiffness over damping of a virtual wall, without and with the feed-forward.")
 }

@@ -4,14 +4,14 @@
 //! was lost is a gap: no line leads over it.
 
 use super::Picture;
-use super::axes::{Axis, Frame, Mark};
+use super::axes::{Axis, Mark, PlotArea};
 use super::canvas::{Anchor, Canvas, Stroke};
 use super::colour::{BOUND, FULL, INK, OFF, WASHOUT};
-use crate::analysis::amplitudes::{Line, spectrum};
+use crate::analysis::amplitudes::{SpectralLine, spectrum};
 use crate::error::Failure;
 use crate::link::columns;
-use crate::plausible::{counted, with_unit};
 use crate::recorder::Recording;
+use crate::words::{counted, with_unit};
 use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use serde::Serialize;
@@ -94,7 +94,7 @@ pub struct Found {
     /// Rows.
     pub missing: u64,
     /// The strongest sine of the first signal from 10 Hz on.
-    pub strongest: Option<Line>,
+    pub strongest: Option<SpectralLine>,
     /// Stiffness of the line through force over penetration in contact, N/m.
     pub stiffness: Option<f64>,
     /// What is drawn.
@@ -312,7 +312,11 @@ fn slope(points: &[(f64, f64)]) -> Option<f64> {
     (points.len() > 2 && spread > 0.0).then(|| both / spread)
 }
 
-fn amplitudes(rows: &Rows<'_>, signals: &[String], most_hz: Option<f64>) -> Result<(Panel, Option<Line>), Failure> {
+fn amplitudes(
+    rows: &Rows<'_>,
+    signals: &[String],
+    most_hz: Option<f64>,
+) -> Result<(Panel, Option<SpectralLine>), Failure> {
     let stretch = rows.longest();
     let half = 0.5 * rows.rate_hz;
     let most = most_hz.unwrap_or(1000.0).min(half);
@@ -426,7 +430,7 @@ fn draw_panel(canvas: &mut Canvas, at: (f64, f64), panel: &Panel) {
         }
     };
     let y = axis(&panel.y, ends(|p| p.1), 0.06);
-    let frame = Frame { at, size: SIZE, x: axis(&panel.x, ends(|p| p.0), 0.0), y };
+    let frame = PlotArea { at, size: SIZE, x: axis(&panel.x, ends(|p| p.0), 0.0), y };
     frame.clipped(canvas, |canvas| {
         for (curve, colour) in panel.curves.iter().zip(COLOURS.into_iter().cycle()) {
             for piece in &curve.pieces {
@@ -457,7 +461,7 @@ fn draw_panel(canvas: &mut Canvas, at: (f64, f64), panel: &Panel) {
             .zip(COLOURS.into_iter().cycle())
             .map(|(curve, colour)| (Mark::Line(Stroke::solid(colour, 1.6)), curve.name.clone()))
             .collect();
-        Frame::legend(canvas, at.0 + SIZE.0 - 8.0, at.1 + 8.0, &entries);
+        PlotArea::legend(canvas, at.0 + SIZE.0 - 8.0, at.1 + 8.0, &entries);
     }
 }
 
@@ -467,7 +471,7 @@ fn finite(point: &(f64, f64)) -> bool {
 
 /// Where more points than half pixels follow each other: first, lowest, highest and last of each half pixel, so that no
 /// peak is lost.
-fn envelope(frame: &Frame, piece: &[(f64, f64)]) -> Vec<(f64, f64)> {
+fn envelope(frame: &PlotArea, piece: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let mut kept: Vec<(f64, f64)> = Vec::new();
     let place = |point: &(f64, f64)| (2.0 * frame.pixel(point.0, point.1).0).floor();
     for column in piece.chunk_by(|a, b| place(a) == place(b)) {
@@ -493,7 +497,7 @@ fn envelope(frame: &Frame, piece: &[(f64, f64)]) -> Vec<(f64, f64)> {
 }
 
 /// Without the points that lie on the one before them, within a quarter of a pixel.
-fn thinned(frame: &Frame, piece: &[(f64, f64)]) -> Vec<(f64, f64)> {
+fn thinned(frame: &PlotArea, piece: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let mut kept: Vec<(f64, f64)> = Vec::new();
     let mut last = (f64::INFINITY, f64::INFINITY);
     for point in piece.iter().filter(|p| finite(p)) {

@@ -5,7 +5,7 @@ use super::Picture;
 use super::canvas::{Anchor, Canvas, Stroke};
 use super::colour::{FAINT, FULL, OFF};
 use crate::analysis::why::{Both, Why};
-use crate::plausible::with_unit;
+use crate::words::with_unit;
 
 /// Width of a letter at most, of the bars, and what one effect takes of the height, pixels.
 const LETTER: f64 = 6.8;

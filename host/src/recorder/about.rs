@@ -1,6 +1,6 @@
 //! What a recording is of: read from the board once, written at the head of every file.
 
-use crate::backup::Kept;
+use crate::backup::SavedSetting;
 use crate::error::Failure;
 use crate::link::Board;
 use crate::output;
@@ -53,9 +53,9 @@ impl About {
         text.push_str(&format!("rules {}\n", json(&rules)?));
         // And once more to the bit, as a backup has them: `haptic replay` computes with these.
         let mut settings = BTreeMap::new();
-        settings.extend(device.and_then(|device| Some(("device", bytes_alone(Kept::of(&device)?)))));
-        settings.extend(scene.and_then(|scene| Some(("scene", bytes_alone(Kept::of(&scene)?)))));
-        settings.extend(Kept::of(&rules).map(|rules| ("rules", bytes_alone(rules))));
+        settings.extend(device.and_then(|device| Some(("device", bytes_alone(SavedSetting::of(&device)?)))));
+        settings.extend(scene.and_then(|scene| Some(("scene", bytes_alone(SavedSetting::of(&scene)?)))));
+        settings.extend(SavedSetting::of(&rules).map(|rules| ("rules", bytes_alone(rules))));
         text.push_str(&format!("settings {}\n", json(&settings)?));
         Ok(Self { text, rate_hz: details.rate_hz.into(), divider, delay_samples: details.delay_samples })
     }
@@ -91,8 +91,8 @@ impl About {
 }
 
 /// Version and bytes; what they mean stands beside them already.
-fn bytes_alone(kept: Kept) -> Kept {
-    Kept { value: None, ..kept }
+fn bytes_alone(kept: SavedSetting) -> SavedSetting {
+    SavedSetting { value: None, ..kept }
 }
 
 fn json(value: &impl Serialize) -> Result<String, Failure> {

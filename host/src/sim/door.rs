@@ -44,7 +44,7 @@ const HANDOVER: Duration = Duration::from_millis(500);
 /// How long a tool that disarms past another one hears what the board says.
 pub(super) const DISARM_ANSWER: Duration = Duration::from_secs(1);
 /// A door that tools come through.
-pub struct Door {
+pub struct ToolListener {
     /// What a tool writes after `--port`.
     pub port: String,
     pub(super) events: Receiver<Event>,
@@ -52,7 +52,7 @@ pub struct Door {
 
 /// Opens a pseudo-terminal.
 #[cfg(unix)]
-pub fn pseudo_terminal() -> io::Result<Door> {
+pub fn pseudo_terminal() -> io::Result<ToolListener> {
     use serialport::{SerialPort, TTYPort};
     let (mut master, slave) = TTYPort::pair()?;
     let port = slave.name().unwrap_or_default();
@@ -88,11 +88,11 @@ pub fn pseudo_terminal() -> io::Result<Door> {
             }
         }
     });
-    Ok(Door { port, events })
+    Ok(ToolListener { port, events })
 }
 
 /// Listens on a TCP address; port 0 takes any that is free. Only this computer is let in unless the address says more.
-pub fn tcp(address: SocketAddr) -> io::Result<Door> {
+pub fn tcp(address: SocketAddr) -> io::Result<ToolListener> {
     let listener = TcpListener::bind(address)?;
     let port = format!("tcp:{}", listener.local_addr()?);
     let (send, events) = sync_channel(EVENTS);
@@ -121,7 +121,7 @@ pub fn tcp(address: SocketAddr) -> io::Result<Door> {
             });
         }
     });
-    Ok(Door { port, events })
+    Ok(ToolListener { port, events })
 }
 
 /// The connection that holds the board.

@@ -4,7 +4,7 @@
 //! tool that floods or does not read costs no memory.
 
 use super::board::SimulatedBoard;
-use super::door::{BLOCK, DISARM_ANSWER, Door, Event, Outgoing};
+use super::door::{BLOCK, DISARM_ANSWER, Event, Outgoing, ToolListener};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, TryRecvError, TrySendError};
 use std::time::{Duration, Instant};
@@ -66,7 +66,7 @@ const SLICE: f64 = 1e-3;
 const CATCH_UP: f64 = 0.1;
 
 /// Runs `board` behind `door` until `stop` is set.
-pub fn serve(board: &mut impl Hosted, door: &Door, pace: Pace, stop: &AtomicBool) {
+pub fn serve(board: &mut impl Hosted, door: &ToolListener, pace: Pace, stop: &AtomicBool) {
     let mut tools = Tools::default();
     let began = Instant::now();
     let start = board.time();

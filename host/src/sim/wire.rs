@@ -3,9 +3,8 @@
 use super::board::{BoardOptions, SimulatedBoard};
 use super::device::DeviceError;
 use crate::device_file::DeviceFile;
-use crate::link::{LinkError, Wire};
+use crate::link::Wire;
 use std::io;
-use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -54,18 +53,6 @@ impl Wire for SimulatedWire {
     fn now(&self) -> Duration {
         Duration::from_secs_f64(self.0.lock().time())
     }
-}
-
-/// Opens `--port sim` (the shipped device) or `--port sim:FILE`: a board with that device on it and loaded.
-pub(crate) fn open_simulated(device: Option<&Path>) -> Result<Box<dyn Wire>, LinkError> {
-    let file = match device {
-        Some(path) => DeviceFile::load(path),
-        None => DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml"),
-    };
-    let file = file.map_err(|error| LinkError::CannotSimulate(error.to_string()))?;
-    let board = ready_board(&file, BoardOptions::default())
-        .map_err(|error| LinkError::CannotSimulate(format!("{}: {error}", file.path.display())))?;
-    Ok(SharedBoard::new(board).wire())
 }
 
 /// A simulated board with the device of `file` wired to it and, when it takes it, loaded.

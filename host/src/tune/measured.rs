@@ -7,7 +7,7 @@ use crate::bench::estimators::fast;
 use crate::error::Failure;
 use crate::link::{Board, fields};
 use crate::measure::simulated::World;
-use crate::measure::{Bench, Law, MeasureError, Setup, complement};
+use crate::measure::{Law, MeasureError, MeasurementSetup, PreparedBoard, complement};
 use crate::sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, Waypoint, ready_board};
 use crate::vectors::padded;
 use haptic_bridge::board::telemetry::Field;
@@ -59,7 +59,7 @@ fn boundary(question: &Question<'_>, settings: &Settings, stop: &dyn Fn() -> boo
     let shared =
         world.board(question.file, settings.rate_hz).map_err(|error| MeasureError::Scene(error.to_string()))?;
     let mut board = Board::over(shared.wire(), "sim")?;
-    let setup = Setup {
+    let setup = MeasurementSetup {
         walls: vec![Member::new(question.normal.clone(), 1.0)],
         rate_hz: settings.rate_hz,
         cutoff_hz: settings.cutoff_hz,
@@ -73,9 +73,9 @@ fn boundary(question: &Question<'_>, settings: &Settings, stop: &dyn Fn() -> boo
         torque_limit: TORQUE,
         largest_pull: PULL,
     };
-    let mut bench = Bench::new(&mut board, question.file, setup, stop)?;
-    let found = bench.boundary(settings.feed_forward, settings.damping, 0, None)?.gain;
-    bench.finish()?;
+    let mut prepared = PreparedBoard::new(&mut board, question.file, setup, stop)?;
+    let found = prepared.boundary(settings.feed_forward, settings.damping, 0, None)?.gain;
+    prepared.finish()?;
     Ok(found)
 }
 

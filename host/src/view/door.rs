@@ -37,12 +37,12 @@ const CONNECTIONS: usize = 64;
 
 /// A port that browsers open.
 #[derive(Debug)]
-pub struct Door {
+pub struct PageListener {
     listener: TcpListener,
     token: Option<String>,
 }
 
-impl Door {
+impl PageListener {
     /// Listens. Beyond this computer a token is asked for, drawn anew.
     pub fn open(address: SocketAddr) -> io::Result<Self> {
         let listener = TcpListener::bind(address)?;
@@ -86,7 +86,7 @@ fn token() -> io::Result<String> {
     Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-/// Reads the head of a GET request; everything else is none.
+/// Reads the head of a GET request; `None` for any other request, a head that is too long, and one that comes too late.
 pub(crate) fn head(stream: &mut TcpStream) -> Option<Request> {
     let began = Instant::now();
     let mut bytes = Vec::new();
@@ -252,8 +252,9 @@ mod tests {
 
     #[test]
     fn feed_forward_has_the_colours_that_it_has_in_every_picture() {
-        use crate::plot::colour::{FULL, FULL_ON_DARK, OFF, OFF_ON_DARK, WASHOUT, WASHOUT_ON_DARK};
-        for [off, full, washout] in [[OFF, FULL, WASHOUT], [OFF_ON_DARK, FULL_ON_DARK, WASHOUT_ON_DARK]] {
+        use crate::plot::colour::{FULL, OFF, WASHOUT};
+        // On a dark ground the same hues, lighter.
+        for [off, full, washout] in [[OFF, FULL, WASHOUT], ["#56B4E9", "#FF9155", "#3ECDA3"]] {
             assert!(PAGE.contains(&format!("--off: {off}; --full: {full}; --washout: {washout};")), "{off}");
         }
     }

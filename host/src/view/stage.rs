@@ -7,17 +7,17 @@
 //! It reads no clock: whoever calls [`Stage::turn`] says what time it is. The tool does so in a loop ([`Stage::run`]), the
 //! page as a file whenever the browser lets it (playground/).
 
+mod recording;
+mod told;
+
 use super::hub::{Event, Hub, PageId};
 use super::message::FromPage;
-use super::picture::{FIELDS, Geometry, Newest, Numbers, nearest_wall};
+use super::picture::{FIELDS, Newest};
 use super::scope::{LONGEST, Ring, Scope};
-use super::stability::{Oracle, Plane, Question};
-use super::world::{World, hand_settings, lead};
+use super::stability::{Oracle, Plane};
+use super::world::{World, lead};
 use crate::error::Failure;
-use crate::link::{Board, BoardError, Column, LinkError, Losses, Row, columns, rows_that_fit};
-use crate::output::{self, Overwrite};
-use crate::recorder::about::About;
-use crate::recorder::{RecordError, RowWriter};
+use crate::link::{Board, BoardError, Column, LinkError, columns, rows_that_fit};
 use crate::scene_file::place_of;
 use crate::vectors::{padded, unit};
 use crate::words::wall_in_words;
@@ -26,15 +26,16 @@ use haptic_bridge::model::device::Device;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::shape::Meaning;
 use haptic_bridge::render::scene::{FeedForward, Scene, Surface};
-use haptic_bridge::safety::fault::{FaultRecord, State};
-use serde::Serialize;
-use serde_json::{Value, json};
+use haptic_bridge::safety::fault::State;
+use recording::ActiveRecording;
+use serde_json::json;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
 use std::thread;
 use std::time::{Duration, Instant};
+use told::{in_words, plane_message};
 
 /// How long the page in command may be silent with its key down before the motors go off: as long as a board lets its host
 /// be silent, unless told otherwise. A page says six times in it that its key is down.
@@ -100,46 +101,7 @@ pub struct Stage {
     pace: Pace,
     /// Where recordings go, if anywhere, and the one under way.
     folder: Option<PathBuf>,
-    recording: Option<Recording>,
-}
-
-/// A recording under way.
-struct Recording {
-    writer: RowWriter,
-    rate_hz: f64,
-    /// Steps of its first and its newest row.
-    steps: Option<(u32, u32)>,
-    rows: u64,
-    /// What had been lost before it began.
-    before: Losses,
-}
-
-impl Recording {
-    /// Time of its newest row, s.
-    fn time(&self) -> f64 {
-        self.steps.map_or(0.0, |(first, newest)| f64::from(newest.wrapping_sub(first)) / self.rate_hz)
-    }
-
-    fn take(&mut self, row: &Row) -> Result<(), RecordError> {
-        let first = self.steps.map_or(row.step, |(first, _)| first);
-        self.steps = Some((first, row.step));
-        self.rows += 1;
-        self.writer.row(row.step, self.time(), &row.values)
-    }
-
-    /// Ends it; in words what came of it.
-    fn end(mut self, now: Losses, cut: bool) -> Result<String, RecordError> {
-        let losses = Losses {
-            received: self.rows,
-            missing: now.missing.saturating_sub(self.before.missing),
-            dropped_by_board: now.dropped_by_board.saturating_sub(self.before.dropped_by_board),
-            batches_lost: now.batches_lost.saturating_sub(self.before.batches_lost),
-            garbled: now.garbled.saturating_sub(self.before.garbled),
-        };
-        let cut = if cut { "cut short: the board was lost; " } else { "" };
-        self.writer.end(&format!("{cut}{losses}"), &losses)?;
-        Ok(format!("recorded {}: {losses}", self.writer.place()))
-    }
+    recording: Option<ActiveRecording>,
 }
 
 /// Simulated time against the wall clock.
@@ -148,42 +110,6 @@ struct Pace {
     board_began: Duration,
     measured: (Duration, Duration),
     speed: f64,
-}
-
-/// One picture, as JSON.
-#[derive(Serialize)]
-struct Picture<'a> {
-    is: &'static str,
-    time: f64,
-    state: &'static str,
-    geometry: &'a Geometry,
-    numbers: &'a Numbers,
-    trail: &'a [[f64; 2]],
-    hand: Option<HandSeen>,
-    command: Option<PageId>,
-    held: bool,
-    fault: Option<&'a str>,
-    losses: String,
-    lost: u64,
-    load: Option<f64>,
-    speed: Option<f64>,
-    pages: usize,
-    recording: Option<Recorded>,
-}
-
-/// The recording under way, as a page sees it.
-#[derive(Serialize)]
-struct Recorded {
-    file: String,
-    rows: u64,
-    bytes: u64,
-}
-
-#[derive(Serialize)]
-struct HandSeen {
-    at: [f64; 2],
-    goal: [f64; 2],
-    force: [f64; 2],
 }
 
 impl Stage {
@@ -420,53 +346,10 @@ impl Stage {
         Ok(())
     }
 
-    fn start_recording(&mut self, id: PageId) -> Result<(), BoardError> {
-        if self.recording.is_some() {
-            self.refuse(id, "a recording is under way");
-            return Ok(());
-        }
-        let Some(folder) = &self.folder else {
-            self.refuse(id, "nothing can be recorded here");
-            return Ok(());
-        };
-        let name = format!("haptic-{}.mcap", output::date().replace(':', ""));
-        let path = output::unused(&folder.join(name));
-        let divider = self.divider;
-        let writer = About::read(self.board(), divider).and_then(|about| {
-            let writer = RowWriter::create(&path, &about, &self.columns, Overwrite::Never)?;
-            Ok((writer, about.rate_hz))
-        });
-        match writer {
-            Ok((writer, rate_hz)) => {
-                let before = self.board().losses();
-                self.recording = Some(Recording { writer, rate_hz, steps: None, rows: 0, before });
-            }
-            Err(failure) => self.refuse(id, &failure.to_string()),
-        }
-        Ok(())
-    }
-
-    fn stop_recording(&mut self, cut: bool) {
-        let losses = self.board().losses();
-        match self.recording.take().map(|recording| recording.end(losses, cut)) {
-            Some(Ok(words)) => self.say_to_all(&json!({"is": "recorded", "words": words})),
-            Some(Err(error)) => self.recording_failed(error),
-            None => {}
-        }
-    }
-
-    /// What is in its file stays there.
-    fn recording_failed(&mut self, error: RecordError) {
-        self.recording = None;
-        if let RecordError::Failed(failure) = error {
-            self.refuse_all(&format!("the recording has ended: {failure}"));
-        }
-    }
-
     /// Keeps in the recording what happened.
     fn note(&mut self, words: &str) {
         if let Some(recording) = &mut self.recording
-            && let Err(error) = recording.writer.event(recording.time(), words)
+            && let Err(error) = recording.note(words)
         {
             self.recording_failed(error);
         }
@@ -619,95 +502,15 @@ impl Stage {
         Ok(())
     }
 
-    /// The moment to every page.
-    fn show(&mut self) {
-        let newest = Newest::of(&self.ring, &self.columns);
-        let links = self.world.file.as_ref().map(|file| &file.description);
-        let (geometry, numbers) = newest.moment(&self.device, links, &self.scene, self.rows_hz);
-        let hand = self.world.simulated.as_ref().and_then(|board| {
-            let board = board.lock();
-            let [x, y, _] = board.device().hand().position()?;
-            let [fx, fy, _] = board.device().hand_force();
-            Some(HandSeen { at: [x, y], goal: self.goal.unwrap_or([x, y]), force: [fx, fy] })
-        });
-        let every = self.trail.len().div_ceil(32).max(1);
-        let trail: Vec<[f64; 2]> = self.trail.drain(..).step_by(every).collect();
-        let losses = self.world.board.losses();
-        let picture = Picture {
-            is: "picture",
-            time: self.world.board.now().as_secs_f64(),
-            state: crate::recorder::STATES[self.state as usize],
-            geometry: &geometry,
-            numbers: &numbers,
-            trail: if self.device.axes() > 1 { &trail } else { &[] },
-            hand,
-            command: self.command.map(|(id, _)| id),
-            held: self.held.is_some(),
-            fault: self.fault.as_deref(),
-            lost: losses.missing,
-            losses: losses.to_string(),
-            load: self.load,
-            speed: self.world.simulated.is_some().then_some(self.pace.speed),
-            pages: self.hub.count(),
-            recording: self.recording.as_ref().map(|recording| Recorded {
-                file: recording.writer.place(),
-                rows: recording.rows,
-                bytes: recording.writer.bytes(),
-            }),
-        };
-        // Numbers that are none become null: a page leaves them out.
-        if let Ok(text) = serde_json::to_string(&picture) {
-            self.hub.to_all(|outbox| outbox.picture = Some(text.clone()));
-        }
-        let sound = std::mem::take(&mut self.sound);
-        for listener in &self.listeners {
-            self.hub.to(*listener, |outbox| outbox.hear(self.rows_hz as f32, &sound));
-        }
-        let q = newest.q(self.device.axes());
-        let (wall, normal) = match nearest_wall(&self.scene, &self.tip()) {
-            Some((wall, normal)) => (wall, normal),
-            None => return,
-        };
-        let moved = self.asked.as_ref().is_none_or(|(asked, at)| {
-            *asked != wall || at.iter().zip(&q).any(|(before, now)| (before - now).abs() > TURNED)
-        });
-        if moved && self.ring.end() > 0 && !self.oracle.is_busy() {
-            let task = usize::from(self.scene.task);
-            self.oracle.ask(Question {
-                device: self.device.clone(),
-                scene: self.scene.clone(),
-                wall,
-                q: q.clone(),
-                normal: normal.as_slice()[..task].to_vec(),
-                delay_samples: self.delay_samples,
-            });
-            self.asked = Some((wall, q));
-        }
-        if let Some(answer) = self.oracle.answered() {
-            self.plane = answer;
-            let message = self.plane.as_ref().map_or(json!({"is": "plane", "plane": null}), plane_message);
-            self.say_to_all(&message);
-        }
-    }
-
     fn tip(&self) -> Vec<f64> {
         let newest = Newest::of(&self.ring, &self.columns);
         (0..usize::from(self.scene.task)).map(|axis| newest.get(Field::Tip, axis)).collect()
     }
 
-    fn sweep(&mut self) {
-        for (id, scope) in &mut self.scopes {
-            if let Some(sweep) = scope.sweep(&self.ring) {
-                let bytes = scope.bytes(&sweep);
-                self.hub.to(*id, |outbox| outbox.scope = Some(bytes));
-            }
-        }
-    }
-
     fn look(&mut self) -> Result<(), LinkError> {
         let details = self.board().details()?;
         let cycles = f64::from(details.longest_cycles);
-        if let Some(Err(error)) = self.recording.as_mut().map(|recording| recording.writer.flush()) {
+        if let Some(Err(error)) = self.recording.as_mut().map(|recording| recording.flush()) {
             self.recording_failed(error);
         }
         self.load = (cycles > 0.0).then(|| cycles * f64::from(details.carrier_hz) / CORE_HZ);
@@ -716,77 +519,4 @@ impl Stage {
         self.pace.speed = board_now.saturating_sub(board_then).as_secs_f64() / now.saturating_sub(then).as_secs_f64();
         Ok(())
     }
-
-    /// What a page has to know once.
-    fn about(&self) -> Value {
-        let info = self.world.board.info();
-        let hand = hand_settings();
-        json!({
-            "is": "hello",
-            "tool": env!("CARGO_PKG_VERSION"),
-            "device": self.device.name.as_str(),
-            "board": info.board.as_str(),
-            "serial": info.serial.as_str(),
-            "port": self.world.board.port(),
-            "simulated": self.world.simulated.is_some(),
-            "records": self.folder.is_some(),
-            "weightless": self.world.weightless,
-            "flat": self.device.mechanism.kind().spec().task == 2,
-            "task": self.device.mechanism.kind().spec().task,
-            "rate_hz": self.scene.rate_hz,
-            "rows_hz": self.rows_hz,
-            "cutoff_hz": self.scene.cutoff_hz,
-            "columns": self.columns.iter().map(|column| column.label.as_str()).collect::<Vec<_>>(),
-            "hand": {
-                "mass": hand.mass, "grip": [hand.grip_stiffness, hand.grip_damping],
-                "arm": [hand.arm_stiffness, hand.arm_damping],
-            },
-            "silence_ms": SILENCE.as_millis() as u64,
-        })
-    }
-
-    fn walls(&self) -> Value {
-        let walls = self.scene.walls.iter().map(|wall| {
-            json!({
-                "shape": wall.surface.spec().name, "values": wall.surface.values(), "stiffness": wall.stiffness,
-                "damping": wall.damping, "feed_forward": wall.feed_forward, "washout_hz": wall.washout_hz,
-            })
-        });
-        let springs = self.scene.springs.iter().map(|spring| {
-            json!({
-                "point": spring.point, "direction": spring.direction, "stiffness": spring.stiffness,
-                "damping": spring.damping,
-            })
-        });
-        json!({
-            "is": "walls", "walls": walls.collect::<Vec<_>>(), "springs": springs.collect::<Vec<_>>(),
-            "field_damping": self.scene.field_damping,
-        })
-    }
-
-    fn say(&self, id: PageId, message: &Value) {
-        self.hub.to(id, |outbox| outbox.messages.push_back(message.to_string()));
-    }
-
-    fn say_to_all(&self, message: &Value) {
-        let text = message.to_string();
-        self.hub.to_all(|outbox| outbox.messages.push_back(text.clone()));
-    }
-
-    fn refuse(&self, id: PageId, why: &str) {
-        self.say(id, &json!({"is": "refused", "why": why}));
-    }
-
-    fn refuse_all(&self, why: &str) {
-        self.say_to_all(&json!({"is": "refused", "why": why}));
-    }
-}
-
-fn plane_message(plane: &Plane) -> Value {
-    json!({"is": "plane", "plane": plane})
-}
-
-fn in_words(record: &FaultRecord) -> String {
-    let joint = record.axis.map_or(String::new(), |axis| format!(" (joint {axis})"));
-    format!("{}{joint}: {}", record.fault, record.fault.remedy())
 }

@@ -1,5 +1,6 @@
 //! What is looked at: a board, its links to draw, and where it is simulated the hand on it.
 
+use crate::analysis::control_loop::usual_delay;
 use crate::analysis::plant::Linearised;
 use crate::analysis::range::stiffness_at;
 use crate::analysis::sampled::Mode;
@@ -7,7 +8,7 @@ use crate::demo::Demo;
 use crate::device_file::DeviceFile;
 use crate::error::Failure;
 use crate::link::{Board, LinkError};
-use crate::plausible::scene::{around, usual_delay};
+use crate::plausible::scene::around;
 use crate::scene_file::{DEFAULT_CUTOFF_HZ, DEFAULT_RATE_HZ, DEFAULT_WASHOUT_HZ};
 use crate::sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, ready_board};
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};

@@ -2,7 +2,7 @@
 //! limited joint by joint. Draws docs/results/saturation.svg: `cargo run --package figures --bin saturation`.
 
 use haptic::device_file::DeviceFile;
-use haptic::plot::axes::{Axis, Frame, Mark};
+use haptic::plot::axes::{Axis, Mark, PlotArea};
 use haptic::plot::canvas::{Anchor, Canvas, Stroke};
 use haptic::plot::colour::{FAINT, FULL, OFF};
 use haptic::sim::{Felt, Held, Press, WIDE};
@@ -36,7 +36,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
 
     let mut canvas = Canvas::new(720.0, 486.0);
-    let frame = Frame {
+    let frame = PlotArea {
         at: (86.0, 82.0),
         size: (610.0, 340.0),
         x: Axis { name: "depth in the wall".into(), unit: "m".into(), low: 0.0, high: 2.0e-3 },
@@ -62,7 +62,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     canvas.text((frame.at.0, 48.0), 12.0, Anchor::Start, false, about);
     let entries: Vec<(Mark<'_>, String)> =
         curves.iter().map(|(_, stroke, text)| (Mark::Line(*stroke), (*text).to_string())).collect();
-    Frame::legend(&mut canvas, frame.at.0 + 320.0, frame.at.1 + 10.0, &entries);
+    PlotArea::legend(&mut canvas, frame.at.0 + 320.0, frame.at.1 + 10.0, &entries);
     let picture = canvas.finish("saturation", "Force along the normal and sideways over the depth in a wall.");
     picture.save_svg(&Path::new(root).join("docs/results/saturation.svg"))?;
     Ok(())

@@ -2,6 +2,7 @@
 
 use super::Args;
 use crate::commands::port::counted;
+use haptic::analysis::control_loop::CURRENT_LOOP_HZ;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::pose::PoseError;
 use haptic::analysis::range::{BoundaryPoint, Range, predict, predict_several};
@@ -11,7 +12,6 @@ use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::measure::campaign::Plan;
 use haptic::measure::excitation::{Excitation, millimetres};
-use haptic::measure::occasion::CURRENT_HZ;
 use haptic::measure::progress::{Point, Progress};
 use haptic::plot::range::{Contents, MeasuredPoint, draw};
 use haptic_bridge::model::admissible::Admissible;
@@ -82,7 +82,7 @@ impl Theory {
         let _ = write!(line, " --rate {} --cutoff {} --delay {}", args.rate, args.cutoff, around.delay_samples);
         if let Drive::Current { bandwidth_hz } = around.drive {
             line.push_str(" --drive current");
-            if bandwidth_hz != CURRENT_HZ {
+            if bandwidth_hz != CURRENT_LOOP_HZ {
                 let _ = write!(line, " --current-bandwidth {bandwidth_hz}");
             }
         }

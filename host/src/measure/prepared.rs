@@ -14,7 +14,7 @@ use super::before::Before;
 use super::excitation::Excitation;
 use super::swing::{Swing, Verdict};
 use super::walls::{APART, Layout, complement, scene};
-use super::{MeasureError, Setup};
+use super::{MeasureError, MeasurementSetup};
 use crate::analysis::plant::Linearised;
 use crate::analysis::pose::PoseError;
 use crate::analysis::several::WallSet;
@@ -35,9 +35,9 @@ const SOFTEST: usize = 5;
 
 /// A board made ready to measure. While it measures, a tool that is killed or unplugged takes the motors with it; when
 /// dropped it disarms the board and puts back what was loaded before.
-pub struct Bench<'a> {
+pub struct PreparedBoard<'a> {
     board: &'a mut Board,
-    setup: Setup,
+    setup: MeasurementSetup,
     interrupted: &'a dyn Fn() -> bool,
     q: Vec<f64>,
     tip: DVector<f64>,
@@ -63,12 +63,12 @@ pub struct Bench<'a> {
     before: Before,
 }
 
-impl<'a> Bench<'a> {
+impl<'a> PreparedBoard<'a> {
     /// Loads the scene at the present tip, limits the torque, arms and waits until the tip rests.
     pub fn new(
         board: &'a mut Board,
         file: &DeviceFile,
-        setup: Setup,
+        setup: MeasurementSetup,
         interrupted: &'a dyn Fn() -> bool,
     ) -> Result<Self, MeasureError> {
         let spec = file.spec();
@@ -106,7 +106,7 @@ impl<'a> Bench<'a> {
 
         let (layout, wanted) = scene(&setup, &tip, &direction, &across)?;
         // From here on the board is put back as it was whenever this is dropped.
-        let mut bench = Self {
+        let mut prepared = Self {
             board,
             interrupted,
             q,
@@ -126,14 +126,14 @@ impl<'a> Bench<'a> {
             state_column,
             before,
         };
-        bench.board.set_rules(&rules)?;
-        bench.board.set_scene(&wanted)?;
-        bench.board.keep_alive();
-        bench.hold(0.0)?;
-        bench.board.arm()?;
-        bench.board.start_stream(request, bench.divider)?;
-        bench.settle()?;
-        Ok(bench)
+        prepared.board.set_rules(&rules)?;
+        prepared.board.set_scene(&wanted)?;
+        prepared.board.keep_alive();
+        prepared.hold(0.0)?;
+        prepared.board.arm()?;
+        prepared.board.start_stream(request, prepared.divider)?;
+        prepared.settle()?;
+        Ok(prepared)
     }
 
     /// Waits until the armed tip rests where it stands.
@@ -461,7 +461,7 @@ pub fn rules_for(before: &Rules, torque_limit: f64) -> Rules {
     rules
 }
 
-impl Drop for Bench<'_> {
+impl Drop for PreparedBoard<'_> {
     fn drop(&mut self) {
         // The board may be gone; the rules set for the measurement then take the motors off.
         let _ = self.board.stop_stream();

@@ -1,0 +1,88 @@
+//! The loop around a wall: its rate and delay, its estimator and drives, and which torque the wall's force becomes.
+
+use haptic_bridge::render::scene::FeedForward;
+
+use super::error::AnalysisError;
+use super::estimator::LinearEstimator;
+use super::plant::Drive;
+
+/// Longest delay that can be analysed, in samples.
+pub const LONGEST_DELAY: f64 = 64.0;
+/// What is left of the lag of a board's current loop, as the bandwidth of a first-order one (docs/results.md), Hz, where
+/// nothing else is known.
+pub const CURRENT_LOOP_HZ: f64 = 6400.0;
+/// Carrier of the boards, Hz: torque follows the encoders by half a period of it.
+pub const CARRIER_HZ: f64 = 20_000.0;
+
+/// Which torque the wall force becomes: a wall's feed-forward with the numbers that it needs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Mode {
+    /// τ = Jrᵀ fr.
+    Off,
+    /// Equation (4).
+    Full,
+    /// Equation (4) with the force behind fa high-passed at this frequency, Hz.
+    Washout(f64),
+}
+
+impl Mode {
+    /// What a wall with this feed-forward and this corner of its washout (Hz) does.
+    #[must_use]
+    pub fn of(feed_forward: FeedForward, washout_hz: f64) -> Self {
+        match feed_forward {
+            FeedForward::Off => Self::Off,
+            FeedForward::Full => Self::Full,
+            FeedForward::Washout => Self::Washout(washout_hz),
+        }
+    }
+}
+
+/// Everything about the loop that is not the device.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Loop {
+    /// Control steps per second, Hz.
+    pub rate_hz: f64,
+    /// Samples between reading the position and the torque that answers it; fractions allowed.
+    pub delay_samples: f64,
+    /// Velocity estimator of every wall.
+    pub estimator: LinearEstimator,
+    /// Motor drives.
+    pub drive: Drive,
+    /// Whether the feed-forward also compensates the joints' own damping (B q̇ in b).
+    pub damping_compensation: bool,
+}
+
+impl Loop {
+    /// Refuses what cannot be sampled.
+    pub fn check(&self) -> Result<(), AnalysisError> {
+        if !(self.rate_hz.is_finite() && self.rate_hz > 0.0) {
+            return Err(AnalysisError::Rate(self.rate_hz));
+        }
+        if !(0.0..=LONGEST_DELAY).contains(&self.delay_samples) {
+            return Err(AnalysisError::Delay(self.delay_samples));
+        }
+        self.estimator.check(self.rate_hz)?;
+        match &self.drive {
+            Drive::Current { bandwidth_hz } if !(bandwidth_hz.is_finite() && *bandwidth_hz > 0.0) => {
+                Err(AnalysisError::Bandwidth(*bandwidth_hz))
+            }
+            Drive::Voltage(motors) if motors.iter().any(|m| !(m.resistance > 0.0 && m.inductance >= 0.0)) => {
+                Err(AnalysisError::Motor)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    pub(super) fn check_cutoff(&self, cutoff: f64) -> Result<(), AnalysisError> {
+        if cutoff > 0.0 && cutoff < self.rate_hz / 2.0 {
+            Ok(())
+        } else {
+            Err(AnalysisError::Cutoff { cutoff, rate: self.rate_hz })
+        }
+    }
+}
+
+/// The delay of a board at a control rate when nothing else is known, control samples: half a period of the carrier.
+pub fn usual_delay(rate_hz: f64) -> f64 {
+    0.5 / (CARRIER_HZ / rate_hz).round().max(1.0)
+}

@@ -1,0 +1,314 @@
+//! The stable domain of a wall on one device: boundary, area and islands.
+//!
+//! The area is ∫ kp_max dkd, what lies above the first crossing is an island: reported, not counted. The integral is
+//! taken the way the reference cases take theirs (tests/golden/range.json, reproduced to 1e-8): the trapezoidal rule on
+//! dampings spaced like Chebyshev points. Against the exact integral that is 5e-4 low on a smooth boundary, whatever
+//! its shape, and up to 2e-2 off where kp_max jumps (host/tests/range_golden.rs); ratios of areas of the same shape
+//! have no such error.
+
+use serde::Serialize;
+
+use super::boundary::{Circle, Interval};
+use super::control_loop::{Loop, Mode};
+use super::error::AnalysisError;
+use super::plant::Linearised;
+use super::sampled::OpenLoop;
+use super::several::{Loops, WallSet};
+
+/// Damping values on a boundary when none are asked for.
+pub const BOUNDARY_POINTS: usize = 200;
+
+/// One point of the boundary.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, serde::Deserialize)]
+pub struct BoundaryPoint {
+    /// Damping, N s/m.
+    pub kd: f64,
+    /// Largest stiffness that is stable from zero up, N/m; zero where nothing is.
+    pub kp: f64,
+}
+
+/// A stable interval of stiffness that cannot be reached from zero at the same damping.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Island {
+    /// Damping, N s/m.
+    pub kd: f64,
+    /// Lower end, N/m.
+    pub kp_low: f64,
+    /// Upper end, N/m.
+    pub kp_high: f64,
+}
+
+/// The stable domain for one kind of feed-forward.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Domain {
+    /// ∫ kp_max dkd, N²s/m².
+    pub area: f64,
+    /// Damping at which kp_max reaches zero, N s/m.
+    pub kd_max: f64,
+    /// kp_max over damping.
+    pub boundary: Vec<BoundaryPoint>,
+    /// Stable intervals above the boundary, at the same damping values and a little beyond.
+    pub islands: Vec<Island>,
+}
+
+/// Predicts the stable domain for one kind of feed-forward.
+pub fn domain(device: &Linearised, around: &Loop, mode: Mode, kd: Option<&[f64]>) -> Result<Domain, AnalysisError> {
+    if let Some(&refused) = kd.unwrap_or_default().iter().find(|kd| !(kd.is_finite() && **kd >= 0.0)) {
+        return Err(AnalysisError::Damping(refused));
+    }
+    let open = OpenLoop::new(device, around, mode)?;
+    bounded(&mut Circle::new(&open, around.delay_samples), open.mass, open.sample_s, kd)
+}
+
+/// As [`domain`] of walls that act together.
+pub fn domain_of_several(
+    set: &WallSet,
+    around: &Loop,
+    mode: Mode,
+    kd: Option<&[f64]>,
+) -> Result<Domain, AnalysisError> {
+    if let Some(&refused) = kd.unwrap_or_default().iter().find(|kd| !(kd.is_finite() && **kd >= 0.0)) {
+        return Err(AnalysisError::Damping(refused));
+    }
+    let mut loops = Loops::new(set, around, mode)?;
+    let (mass, sample_s) = (loops.mass, loops.sample_s);
+    bounded(&mut loops, mass, sample_s, kd)
+}
+
+/// Stable intervals of one gain with the other held, in sample units.
+pub(super) trait Bounded {
+    fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError>;
+    fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError>;
+}
+
+impl Bounded for Circle<'_> {
+    fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError> {
+        Circle::stiffness_intervals(self, kd)
+    }
+    fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError> {
+        Circle::damping_intervals(self)
+    }
+}
+
+impl Bounded for Loops {
+    fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError> {
+        Loops::stiffness_intervals(self, kd)
+    }
+    fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError> {
+        Loops::damping_intervals(self)
+    }
+}
+
+pub(super) fn bounded(
+    circle: &mut impl Bounded,
+    mass: f64,
+    sample_s: f64,
+    kd: Option<&[f64]>,
+) -> Result<Domain, AnalysisError> {
+    let damping_unit = mass / sample_s;
+    let stiffness_unit = damping_unit / sample_s;
+
+    let support = circle.damping_intervals()?;
+    let kd_max = support.last().map_or(0.0, |last| last.high);
+    let mut stable_at = |kd: f64| match circle.stiffness_intervals(kd) {
+        // At the very damping where all ends nothing need end with stiffness; no gain there counts.
+        Err(AnalysisError::Unbounded) if !supports(&support, kd) => Ok(Vec::new()),
+        found => found,
+    };
+    let area = area(kd_max, |kd| Ok(supported_stiffness(&support, kd, &stable_at(kd)?)))?;
+
+    let even: Vec<f64> = (0..BOUNDARY_POINTS).map(|i| kd_max * i as f64 / (BOUNDARY_POINTS - 1) as f64).collect();
+    let at: Vec<f64> = match kd {
+        Some(asked) => asked.iter().map(|kd| kd / damping_unit).collect(),
+        None => even,
+    };
+    let mut boundary = Vec::with_capacity(at.len());
+    let mut islands = Vec::new();
+    for &kd_hat in &at {
+        let stable = stable_at(kd_hat)?;
+        let kp = supported_stiffness(&support, kd_hat, &stable);
+        boundary.push(BoundaryPoint { kd: kd_hat * damping_unit, kp: kp * stiffness_unit });
+        push_islands(&mut islands, kd_hat, &stable, damping_unit, stiffness_unit);
+    }
+    if kd.is_none() {
+        // Islands may lie beyond the domain; look as far again as it reaches.
+        let reach = if kd_max > 0.0 { kd_max } else { 1.0 };
+        for i in 1..=32 {
+            let kd_hat = kd_max + reach * f64::from(i) / 32.0;
+            let stable = stable_at(kd_hat)?;
+            push_islands(&mut islands, kd_hat, &stable, damping_unit, stiffness_unit);
+        }
+    }
+    Ok(Domain { area: area * damping_unit * stiffness_unit, kd_max: kd_max * damping_unit, boundary, islands })
+}
+
+/// The largest stiffness (N/m) that is stable with damping `kd` (N s/m), zero where none is, and the damping at which
+/// that ends.
+pub fn stiffness_at(device: &Linearised, around: &Loop, mode: Mode, kd: f64) -> Result<(f64, f64), AnalysisError> {
+    let open = OpenLoop::new(device, around, mode)?;
+    let damping_unit = open.mass / open.sample_s;
+    let mut circle = Circle::new(&open, around.delay_samples);
+    let support = circle.damping_intervals()?;
+    let kd_max = support.last().map_or(0.0, |last| last.high);
+    let kp = supported_stiffness(&support, kd / damping_unit, &circle.stiffness_intervals(kd / damping_unit)?);
+    Ok((kp * damping_unit / open.sample_s, kd_max * damping_unit))
+}
+
+/// The largest stiffness (N/m) that is stable at each damping of `kd` (N s/m), zero where none is, on a device that the
+/// controller takes for `believed`.
+pub fn stiffnesses(
+    device: &Linearised,
+    believed: &Linearised,
+    around: &Loop,
+    mode: Mode,
+    kd: &[f64],
+) -> Result<Vec<f64>, AnalysisError> {
+    let points = boundary_of(device, believed, around, mode, |_| kd.to_vec())?;
+    Ok(points.into_iter().map(|point| point.kp).collect())
+}
+
+/// The boundary of such a device at the dampings (N s/m) that `kd` chooses from the largest one with which anything is
+/// stable.
+pub fn boundary_of(
+    device: &Linearised,
+    believed: &Linearised,
+    around: &Loop,
+    mode: Mode,
+    kd: impl FnOnce(f64) -> Vec<f64>,
+) -> Result<Vec<BoundaryPoint>, AnalysisError> {
+    let open = OpenLoop::believing(device, believed, around, mode)?;
+    let damping_unit = open.mass / open.sample_s;
+    let mut circle = Circle::new(&open, around.delay_samples);
+    let support = circle.damping_intervals()?;
+    let kd_max = support.last().map_or(0.0, |last| last.high) * damping_unit;
+    let mut points = Vec::new();
+    for kd in kd(kd_max) {
+        let kd_hat = kd / damping_unit;
+        let kp_hat = match supports(&support, kd_hat) {
+            true => supported_stiffness(&support, kd_hat, &circle.stiffness_intervals(kd_hat)?),
+            false => 0.0,
+        };
+        points.push(BoundaryPoint { kd, kp: kp_hat * damping_unit / open.sample_s });
+    }
+    Ok(points)
+}
+
+/// Whether the smallest stiffness is stable at this damping.
+fn supports(support: &[Interval], kd_hat: f64) -> bool {
+    support.iter().any(|interval| interval.low <= kd_hat && kd_hat < interval.high)
+}
+
+/// kp_max of one damping value: the end of the interval that starts at the smallest stiffness; zero outside the
+/// support.
+fn supported_stiffness(support: &[Interval], kd_hat: f64, stable: &[Interval]) -> f64 {
+    match stable.first() {
+        Some(first) if supports(support, kd_hat) && first.low <= super::boundary::SMALLEST_STIFFNESS => first.high,
+        _ => 0.0,
+    }
+}
+
+/// Intervals of the trapezoidal rule for the area.
+const AREA_INTERVALS: u32 = 60;
+
+/// ∫₀^end value: trapezoids between end (1 - cos φ)/2 at even φ.
+fn area(end: f64, mut value: impl FnMut(f64) -> Result<f64, AnalysisError>) -> Result<f64, AnalysisError> {
+    let at = |i: u32| end * (1.0 - (std::f64::consts::PI * f64::from(i) / f64::from(AREA_INTERVALS)).cos()) / 2.0;
+    let mut total = 0.0;
+    let mut left = value(0.0)?;
+    for i in 1..=AREA_INTERVALS {
+        let right = value(at(i))?;
+        total += (at(i) - at(i - 1)) * (left + right) / 2.0;
+        left = right;
+    }
+    Ok(total)
+}
+
+fn push_islands(into: &mut Vec<Island>, kd_hat: f64, stable: &[Interval], damping: f64, stiffness: f64) {
+    let above = stable.iter().filter(|s| s.low > super::boundary::SMALLEST_STIFFNESS);
+    into.extend(above.map(|s| Island { kd: kd_hat * damping, kp_low: s.low * stiffness, kp_high: s.high * stiffness }));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::analysis::flexible::Flexible;
+    use crate::analysis::plant::Drive;
+    use crate::analysis::sampled::LinearEstimator;
+    use nalgebra::{DMatrix, DVector};
+
+    fn mass(m: f64, b: f64) -> Linearised {
+        Linearised {
+            gain: 1.0,
+            flexible: Flexible::default(),
+            mass: DMatrix::from_element(1, 1, m),
+            viscous: DVector::from_element(1, b),
+            row: DVector::from_element(1, 1.0),
+            unit_motion: DVector::from_element(1, 1.0),
+        }
+    }
+
+    fn around(rate: f64, cutoff: f64, delay: f64) -> Loop {
+        Loop {
+            rate_hz: rate,
+            delay_samples: delay,
+            estimator: LinearEstimator::Butterworth(cutoff),
+            drive: Drive::Ideal,
+            damping_compensation: false,
+        }
+    }
+
+    fn hat(rate: f64, cutoff: f64, delay: f64) -> (f64, f64, f64) {
+        let m = 0.2;
+        let d = domain(&mass(m, 0.0), &around(rate, cutoff, delay), Mode::Off, None).unwrap();
+        let t = 1.0 / rate;
+        let top = d.boundary.iter().map(|p| p.kp).fold(0.0, f64::max);
+        (top * t * t / m, d.kd_max * t / m, d.area * t.powi(3) / (m * m))
+    }
+
+    #[test]
+    fn an_undamped_mass_has_the_known_domain() {
+        for (rate, cutoff, kp, kd, area) in [
+            (200.0, 20.0, 0.08921, 0.5190, 0.02981),
+            (1000.0, 20.0, 0.008215, 0.1520, 7.699e-4),
+            (20000.0, 500.0, 0.01184, 0.1838, 1.351e-3),
+        ] {
+            let found = hat(rate, cutoff, 0.0);
+            for (got, known) in [(found.0, kp), (found.1, kd), (found.2, area)] {
+                assert!((got / known - 1.0).abs() < 1e-3, "{rate}/{cutoff}: {got} is not {known}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_sample_of_delay_costs_most_of_the_domain() {
+        for (rate, cutoff, lost) in [(200.0, 20.0, 0.67), (20000.0, 500.0, 0.43)] {
+            let share = hat(rate, cutoff, 1.0).2 / hat(rate, cutoff, 0.0).2;
+            assert!((1.0 - share - lost).abs() < 0.006, "{share}");
+        }
+    }
+
+    #[test]
+    fn without_filter_or_delay_the_domain_is_the_textbook_one() {
+        // Backward difference, double integrator: 1 + K (z+1)/(2(z-1)²) + D (z+1)/(2z(z-1)) ... by Jury: see below.
+        // z(z-1)² + (k/2) z (z+1) + (d/2)(z+1)(z-1) = z³ + (k/2 + d/2 - 2) z² + (1 + k/2) z - d/2.
+        let around = Loop { estimator: LinearEstimator::BackwardDifference, ..around(1000.0, 1.0, 0.0) };
+        let found = domain(&mass(1.0, 0.0), &around, Mode::Off, Some(&[200.0])).unwrap();
+        // Jury for a cubic with a0 = -d/2: |a0² - 1| > |a0 a2 - a1| gives the limit at d = 0.2.
+        let d = 0.2;
+        let stable = |k: f64| {
+            let (a2, a1, a0) = (k / 2.0 + d / 2.0 - 2.0, 1.0 + k / 2.0, -d / 2.0);
+            1.0 + a2 + a1 + a0 > 0.0
+                && 1.0 - a2 + a1 - a0 > 0.0
+                && a0.abs() < 1.0
+                && (a0 * a0 - 1.0_f64).abs() > (a0 * a2 - a1).abs()
+        };
+        let (mut low, mut high) = (1e-6, 4.0);
+        for _ in 0..60 {
+            let middle = (low + high) / 2.0;
+            if stable(middle) { low = middle } else { high = middle }
+        }
+        assert!((found.boundary[0].kp * 1e-6 / low - 1.0).abs() < 1e-9);
+        // At k = 0 the double root at one leaves 1: kd_max T/m of the rate loop (z² - (1 - d/2) z + d/2) is 2.
+        assert!((found.kd_max * 1e-3 - 2.0).abs() < 1e-6, "{}", found.kd_max);
+    }
+}

@@ -1,0 +1,130 @@
+//! Motions that no feedback sees: with the joints' damping exactly compensated a device drifts, and the loop's analysis
+//! takes these motions out instead of telling modes at rest on the unit circle from unstable ones.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::control_loop::{Loop, Mode};
+use super::plant::{ContinuousPlant, Linearised};
+
+/// States at which the loop rests whatever the gains: one column per motion for the states, and the force it needs.
+#[derive(Clone, Debug)]
+pub(super) struct Drift {
+    /// States per unit of motion, without the rendered position.
+    states: DMatrix<f64>,
+    /// Wall force per unit of motion, in force units: the rendered position settles at -force/kp.
+    force: DVector<f64>,
+    /// The state that is one for each motion and zero for the others.
+    pivot: Vec<usize>,
+    /// Index of the rendered position.
+    position: usize,
+}
+
+impl Drift {
+    /// F on the states that are left when the constant motions are taken out.
+    pub fn removed(&self, f: DMatrix<f64>, kp: f64) -> DMatrix<f64> {
+        let mut motion = self.states.clone();
+        for column in 0..motion.ncols() {
+            motion[(self.position, column)] = -self.force[column] / kp;
+        }
+        let mut reduced = f.clone();
+        for (column, &pivot) in self.pivot.iter().enumerate() {
+            reduced -= motion.column(column) * f.row(pivot);
+        }
+        let kept: Vec<usize> = (0..f.nrows()).filter(|i| !self.pivot.contains(i)).collect();
+        DMatrix::from_fn(kept.len(), kept.len(), |i, j| reduced[(kept[i], kept[j])])
+    }
+}
+
+/// (velocities of the damped joints, share of the undamped ones, lagging torques, wall force) of one constant motion.
+pub(super) type Constant = (Vec<f64>, f64, Vec<f64>, f64);
+
+/// The constant motions that damping compensation leaves without any restoring force.
+///
+/// With the joints' damping exactly compensated, every constant joint velocity with no rendered part is at rest: under
+/// full feed-forward the wall holds EᵀB q̇ against it, under washout only where that is zero. A drive that damps by
+/// itself (back-EMF) has none.
+pub(super) fn drifting(
+    device: &Linearised,
+    around: &Loop,
+    mode: Mode,
+    plant: &ContinuousPlant,
+    mass: f64,
+    states: impl Fn(&[Constant]) -> DMatrix<f64>,
+) -> Option<Drift> {
+    if plant.sensed.is_empty() || plant.electrically_damped {
+        return None;
+    }
+    let t = 1.0 / around.rate_hz;
+    let d = plant.damped.len();
+    let pull = DVector::from_fn(d, |i, _| {
+        let joint = plant.damped[i];
+        device.unit_motion[joint] * device.viscous[joint] * t / mass
+    });
+    let mut conditions = Vec::new();
+    if !plant.has_share {
+        conditions.push(DVector::from_fn(d, |i, _| device.row[plant.damped[i]]));
+    }
+    if matches!(mode, Mode::Washout(_)) {
+        conditions.push(pull.clone());
+    }
+    let (basis, pivot) = null_space(d, &conditions);
+    if basis.is_empty() {
+        return None;
+    }
+    let constants: Vec<Constant> = basis
+        .iter()
+        .map(|v| {
+            let share = -(0..d).map(|i| device.row[plant.damped[i]] * v[i]).sum::<f64>();
+            let torque = plant
+                .lagging
+                .iter()
+                .map(|j| {
+                    let at = plant.damped.iter().position(|i| i == j);
+                    at.map_or(0.0, |i| v[i] * device.viscous[*j] * t / mass)
+                })
+                .collect();
+            let force = if mode == Mode::Full { pull.dot(v) } else { 0.0 };
+            (v.iter().copied().collect(), share, torque, force)
+        })
+        .collect();
+    let force = DVector::from_iterator(constants.len(), constants.iter().map(|c| c.3));
+    Some(Drift { states: states(&constants), force, pivot, position: plant.position })
+}
+
+/// Basis of the vectors orthogonal to all conditions, by Gauss-Jordan elimination: each is one at its own pivot
+/// coordinate and zero at the others'.
+fn null_space(dimension: usize, conditions: &[DVector<f64>]) -> (Vec<DVector<f64>>, Vec<usize>) {
+    let mut rows: Vec<DVector<f64>> = Vec::new();
+    let mut bound = Vec::new();
+    for condition in conditions {
+        let mut row = condition.clone();
+        for (other, &at) in rows.iter().zip(&bound) {
+            let factor = row[at];
+            row -= other * factor;
+        }
+        let at = row.iamax();
+        if row[at].abs() <= 1e-12 * condition.amax() {
+            continue;
+        }
+        row /= row[at];
+        for other in &mut rows {
+            let factor = other[at];
+            *other -= &row * factor;
+        }
+        rows.push(row);
+        bound.push(at);
+    }
+    let free: Vec<usize> = (0..dimension).filter(|i| !bound.contains(i)).collect();
+    let basis = free
+        .iter()
+        .map(|&at| {
+            let mut v = DVector::zeros(dimension);
+            v[at] = 1.0;
+            for (row, &pivot) in rows.iter().zip(&bound) {
+                v[pivot] = -row[at];
+            }
+            v
+        })
+        .collect();
+    (basis, free)
+}

@@ -1,0 +1,246 @@
+//! A device that is not rigid, reduced to what the wall can see.
+//!
+//! Generalised coordinates are the links' joint angles q, behind each transmission its motor's angle θ, and of each mode the
+//! angle of what swings. The states
+//! are scaled by their energy: velocities by a Cholesky factor of the mass matrix, every spring's deflection by the
+//! root of its stiffness. A lossless device is then a rotation, however far apart its frequencies lie.
+//!
+//! The wall sees the rendered position alone, x = Jr (the angles that the encoders measure). What it cannot see, and
+//! what no torque of its can move, is left out exactly: the basis of what is left is built by Arnoldi's method, which
+//! ends where the next power of the system matrix adds nothing (the staircase form; Paige, "Properties of numerical
+//! algorithms related to computing controllability", IEEE TAC 26, 1981). An undamped motion along the wall is thus
+//! never told from a stable one by its rounding.
+
+use nalgebra::{DMatrix, DVector};
+
+use haptic_bridge::model::description::{EncoderAt, StructuralMode, Transmission};
+
+use super::plant::{ContinuousPlant, Lags, Linearised};
+
+/// A transmission that turns back and forth this often (rad) in one sample is rigid: what it would change is smaller by
+/// the square of that.
+const RIGID_PER_SAMPLE: f64 = 1e5;
+
+/// A new direction shorter than this share of the system matrix is rounding.
+const NOTHING_NEW: f64 = 1e-13;
+
+/// The matrices of the device in generalised coordinates, in sample units (see [`super::plant`]): time in samples,
+/// forces in m/T². Links first, then the motors of the joints that have a transmission, then
+/// what swings on the links.
+struct Bodies {
+    mass: DMatrix<f64>,
+    damping: DMatrix<f64>,
+    /// Deflection of each spring per motion, and its stiffness.
+    deflection: DMatrix<f64>,
+    stiffness: DVector<f64>,
+    /// The coordinate that each joint's motor turns, and that which its encoder measures.
+    motor: Vec<usize>,
+    encoder: Vec<usize>,
+    /// The spring of each joint's transmission.
+    twist: Vec<Option<usize>>,
+    /// The first spring of the hand, when it has one.
+    held: Option<usize>,
+}
+
+impl Bodies {
+    fn new(device: &Linearised, lags: &Lags, t: f64, m: f64) -> Option<Self> {
+        let joints = device.row.len();
+        let flexible = &device.flexible;
+        let mut links = device.mass.clone();
+        let gives = |joint: usize| flexible.transmissions.get(joint).copied().flatten();
+        for joint in 0..joints {
+            if let Some(transmission) = gives(joint) {
+                links[(joint, joint)] -= transmission.motor_inertia;
+            }
+        }
+        for (joint, mode) in &flexible.modes {
+            links[(*joint, *joint)] -= mode.inertia;
+        }
+        let mobility = links.clone().cholesky()?.inverse();
+        let (swinging, stiff): (Vec<(usize, StructuralMode)>, Vec<_>) =
+            flexible.modes.iter().partition(|(joint, mode)| {
+                let ease = 1.0 / mode.inertia + mobility[(*joint, *joint)];
+                (mode.stiffness() * ease).sqrt() * t < RIGID_PER_SAMPLE
+            });
+        for (joint, mode) in &stiff {
+            links[(*joint, *joint)] += mode.inertia;
+        }
+        let compliant: Vec<(usize, Transmission)> = (0..joints)
+            .filter_map(|joint| gives(joint).map(|transmission| (joint, transmission)))
+            .filter(|(joint, transmission)| {
+                let ease = 1.0 / transmission.motor_inertia + mobility[(*joint, *joint)];
+                (transmission.stiffness * ease).sqrt() * t < RIGID_PER_SAMPLE
+            })
+            .collect();
+        for joint in 0..joints {
+            if let Some(rigid) = gives(joint).filter(|_| compliant.iter().all(|(other, _)| *other != joint)) {
+                links[(joint, joint)] += rigid.motor_inertia;
+            }
+        }
+        let hand = &flexible.hand;
+        let held = if hand.stiffness > 0.0 { flexible.tip.nrows() } else { 0 };
+        let size = joints + compliant.len() + swinging.len();
+        let springs = compliant.len() + swinging.len() + held;
+        let mut bodies = Self {
+            mass: DMatrix::zeros(size, size),
+            damping: DMatrix::zeros(size, size),
+            deflection: DMatrix::zeros(springs, size),
+            stiffness: DVector::zeros(springs),
+            motor: (0..joints).collect(),
+            encoder: (0..joints).collect(),
+            twist: vec![None; joints],
+            held: (held > 0).then_some(compliant.len() + swinging.len()),
+        };
+        bodies.mass.view_mut((0, 0), (joints, joints)).copy_from(&links);
+        if hand.is_there() {
+            let square = flexible.tip.tr_mul(&flexible.tip);
+            let mut carried = bodies.mass.view_mut((0, 0), (joints, joints));
+            carried += &square * hand.mass;
+            bodies.damping.view_mut((0, 0), (joints, joints)).copy_from(&(square * hand.damping));
+        }
+        for (spring, (joint, transmission)) in compliant.iter().enumerate() {
+            let (q, theta) = (*joint, joints + spring);
+            bodies.motor[q] = theta;
+            if transmission.encoder_at == EncoderAt::Motor {
+                bodies.encoder[q] = theta;
+            }
+            bodies.twist[q] = Some(spring);
+            bodies.mass[(theta, theta)] = transmission.motor_inertia;
+            bodies.deflection[(spring, theta)] = 1.0;
+            bodies.deflection[(spring, q)] = -1.0;
+            bodies.stiffness[spring] = transmission.stiffness;
+            for (a, b, sign) in [(theta, theta, 1.0), (q, q, 1.0), (theta, q, -1.0), (q, theta, -1.0)] {
+                bodies.damping[(a, b)] += sign * transmission.damping;
+            }
+        }
+        for (index, (q, mode)) in swinging.iter().enumerate() {
+            let spring = compliant.len() + index;
+            let (q, swings) = (*q, joints + spring);
+            bodies.mass[(swings, swings)] = mode.inertia;
+            bodies.deflection[(spring, swings)] = 1.0;
+            bodies.deflection[(spring, q)] = -1.0;
+            bodies.stiffness[spring] = mode.stiffness();
+            for (a, b, sign) in [(swings, swings, 1.0), (q, q, 1.0), (swings, q, -1.0), (q, swings, -1.0)] {
+                bodies.damping[(a, b)] += sign * mode.viscous();
+            }
+        }
+        for direction in 0..held {
+            let spring = compliant.len() + swinging.len() + direction;
+            bodies.deflection.view_mut((spring, 0), (1, joints)).copy_from(&flexible.tip.row(direction));
+            bodies.stiffness[spring] = hand.stiffness;
+        }
+        for joint in 0..joints {
+            let turned = bodies.motor[joint];
+            let direct = if lags.rate[joint].is_none() { lags.emf[joint] } else { 0.0 };
+            bodies.damping[(turned, turned)] += device.viscous[joint] + direct;
+        }
+        bodies.mass /= m;
+        bodies.damping *= t / m;
+        bodies.stiffness *= t * t / m;
+        Some(bodies)
+    }
+}
+
+/// The continuous plant of a device that is not rigid, for torque `inputs` (N x p, units of m/T² times metres). `None`
+/// where a mass matrix is not positive definite.
+pub(crate) fn reduce(
+    device: &Linearised,
+    lags: &Lags,
+    inputs: &DMatrix<f64>,
+    sample_s: f64,
+    reference_mass: f64,
+) -> Option<ContinuousPlant> {
+    let joints = device.row.len();
+    let bodies = Bodies::new(device, lags, sample_s, reference_mass)?;
+    let (moving, springs) = (bodies.mass.nrows(), bodies.stiffness.len());
+    let lagging: Vec<usize> = (0..joints).filter(|&joint| lags.rate[joint].is_some()).collect();
+    // States: scaled velocities L' v, scaled deflections, torques of the drives that lag, x where no spring holds it.
+    let (torques, position) = (moving + springs, moving + springs + lagging.len());
+    let integrates = bodies.held.is_none();
+    let size = position + usize::from(integrates);
+    let (mut a, mut b) = (DMatrix::zeros(size, size), DMatrix::zeros(size, inputs.ncols()));
+    let lower = bodies.mass.cholesky()?.l();
+    // From generalised forces to the change of the scaled velocities, L⁻¹; its transpose gives the velocities back.
+    let inverse = lower.solve_lower_triangular(&DMatrix::identity(moving, moving))?;
+    let velocities = inverse.transpose();
+    let roots = bodies.stiffness.map(f64::sqrt);
+    let stretch = DMatrix::from_diagonal(&roots) * &bodies.deflection * &velocities;
+    a.view_mut((0, 0), (moving, moving)).copy_from(&-(&inverse * &bodies.damping * &velocities));
+    a.view_mut((0, moving), (moving, springs)).copy_from(&-stretch.transpose());
+    a.view_mut((moving, 0), (springs, moving)).copy_from(&stretch);
+    for joint in 0..joints {
+        let turned = bodies.motor[joint];
+        match lagging.iter().position(|&other| other == joint) {
+            None => {
+                let mut driven = b.view_mut((0, 0), (moving, inputs.ncols()));
+                driven += inverse.column(turned) * inputs.row(joint);
+            }
+            Some(slot) => {
+                let (state, rate) = (torques + slot, lags.rate[joint].unwrap_or_default());
+                a.view_mut((0, state), (moving, 1)).copy_from(&inverse.column(turned));
+                a[(state, state)] = -rate;
+                let emf = rate * lags.emf[joint] * sample_s / reference_mass;
+                a.view_mut((state, 0), (1, moving)).copy_from(&(velocities.row(turned) * -emf));
+                b.view_mut((state, 0), (1, inputs.ncols())).copy_from(&(inputs.row(joint) * rate));
+            }
+        }
+    }
+    let mut seen = DVector::zeros(size);
+    if integrates {
+        for joint in 0..joints {
+            let mut row = a.view_mut((position, 0), (1, moving));
+            row += velocities.row(bodies.encoder[joint]) * device.row[joint];
+        }
+        seen[position] = 1.0;
+    } else {
+        // Jr q is the tip's own displacement, which the hand's springs hold; an encoder on a motor sees the twist too.
+        let held = bodies.held.unwrap_or_default();
+        for (direction, along) in device.flexible.normal.iter().enumerate() {
+            seen[moving + held + direction] += along / roots[held + direction];
+        }
+        for joint in (0..joints).filter(|&joint| bodies.encoder[joint] != joint) {
+            if let Some(spring) = bodies.twist[joint] {
+                seen[moving + spring] += device.row[joint] / roots[spring];
+            }
+        }
+    }
+
+    let basis = reached(&a.transpose(), &DMatrix::from_columns(&[seen.clone()]));
+    let (a, b, seen) = (basis.tr_mul(&(&a * &basis)), basis.tr_mul(&b), basis.tr_mul(&seen));
+    let basis = reached(&a, &b);
+    let (a, b, seen) = if basis.ncols() < a.nrows() {
+        (basis.tr_mul(&(&a * &basis)), basis.tr_mul(&b), basis.tr_mul(&seen))
+    } else {
+        (a, b, seen)
+    };
+    Some(ContinuousPlant::of_a_flexible_device(a, b, seen))
+}
+
+/// An orthonormal basis of what `from` reaches under powers of `a`: span(from, a from, a² from, …).
+fn reached(a: &DMatrix<f64>, from: &DMatrix<f64>) -> DMatrix<f64> {
+    let size = a.nrows();
+    let mut basis: Vec<DVector<f64>> = Vec::new();
+    let add = |basis: &mut Vec<DVector<f64>>, mut candidate: DVector<f64>, scale: f64| {
+        // Twice is enough (Kahan and Parlett).
+        for _ in 0..2 {
+            for known in basis.iter() {
+                candidate -= known * known.dot(&candidate);
+            }
+        }
+        let length = candidate.norm();
+        if basis.len() < size && length > NOTHING_NEW * scale {
+            basis.push(candidate / length);
+        }
+    };
+    for column in from.column_iter() {
+        add(&mut basis, column.into_owned(), column.norm());
+    }
+    let norm = a.norm();
+    let mut next = 0;
+    while next < basis.len() && basis.len() < size {
+        let powered = a * &basis[next];
+        add(&mut basis, powered, norm);
+        next += 1;
+    }
+    DMatrix::from_columns(&basis)
+}

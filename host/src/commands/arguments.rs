@@ -1,0 +1,144 @@
+//! How numbers, directions and words are read from the command line.
+
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use haptic::analysis::estimator::LinearEstimator;
+use haptic::error::Failure;
+use haptic::vectors::unit;
+use haptic::words::counted;
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::render::velocity::Estimator;
+
+/// A list of numbers separated by commas, such as `-0.3,1.2`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Numbers(pub Vec<f64>);
+
+impl std::str::FromStr for Numbers {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        let number = |part: &str| match part.trim().parse::<f64>() {
+            Ok(number) if number.is_finite() => Ok(number),
+            Ok(_) => Err(format!("`{}` is not a finite number", part.trim())),
+            Err(_) => {
+                Err(format!("`{}` is not a number; write numbers separated by commas, such as 0.3,-1.2", part.trim()))
+            }
+        };
+        text.split(',').map(number).collect::<Result<Vec<f64>, String>>().map(Numbers)
+    }
+}
+
+impl Numbers {
+    /// The numbers, if there are exactly `count`; `option` and `meaning` are for the message.
+    pub fn exactly(self, count: usize, option: &str, meaning: &str) -> Result<Vec<f64>, Failure> {
+        if self.0.len() == count {
+            return Ok(self.0);
+        }
+        let numbers = counted(self.0.len(), "number");
+        let reason = format!("{option} has {numbers}, but this device takes {count} ({meaning})");
+        Err(Failure::wrong(reason).remedy("separate them with commas, without spaces"))
+    }
+
+    /// One positive number for each of `walls` walls.
+    pub fn per_wall(self, walls: usize, option: &str) -> Result<Vec<f64>, Failure> {
+        if self.0.len() != walls {
+            let numbers = counted(self.0.len(), "number");
+            let reason = format!("{option} has {numbers} for {} (--normal)", counted(walls, "wall"));
+            return Err(Failure::wrong(reason).remedy("give one number per --normal, separated by commas"));
+        }
+        if let Some(wrong) = self.0.iter().find(|value| **value <= 0.0) {
+            return Err(Failure::wrong(format!("{option} holds {wrong}")).remedy("every wall needs a positive number"));
+        }
+        Ok(self.0)
+    }
+
+    /// Which of `walls` walls have the feed-forward: all but those that `without` counts, from 0, and some.
+    pub fn with_feed_forward(without: Option<Self>, walls: usize, option: &str) -> Result<Vec<bool>, Failure> {
+        let mut with = vec![true; walls];
+        for index in without.map_or_else(Vec::new, |without| without.0) {
+            let wall = with.iter_mut().enumerate().find(|(wall, _)| *wall as f64 == index);
+            let Some((_, wall)) = wall else {
+                let reason = format!("{option} names wall {index}, and there are {walls} (--normal)");
+                return Err(Failure::wrong(reason).remedy("count the walls from 0, in the order of --normal"));
+            };
+            *wall = false;
+        }
+        if walls > 0 && !with.contains(&true) {
+            let reason = format!("{option} leaves no wall with a feed-forward");
+            return Err(Failure::wrong(reason).remedy("leave one out: results without any stand beside those with it"));
+        }
+        Ok(with)
+    }
+
+    /// A direction of `task` entries, made a unit vector.
+    pub fn unit(self, task: usize, option: &str) -> Result<Vec<f64>, Failure> {
+        let values = self.exactly(task, option, "task directions")?;
+        unit(&values).ok_or_else(|| {
+            Failure::wrong(format!("{option} is zero, which points nowhere")).remedy("write a direction")
+        })
+    }
+}
+
+/// Reads one of these words as what it stands for; each comes with what it is, for the help page.
+pub fn one_of<T: Copy + Send + Sync + 'static>(
+    words: impl IntoIterator<Item = (&'static str, &'static str, T)>,
+) -> impl TypedValueParser<Value = T> {
+    let words: Vec<_> = words.into_iter().collect();
+    let listed = words.iter().map(|(word, about, _)| PossibleValue::new(word).help(*about));
+    PossibleValuesParser::new(listed).try_map(move |word| {
+        let known = words.iter().find(|(other, ..)| *other == word);
+        known.map(|(.., meaning)| *meaning).ok_or("this word stands for nothing")
+    })
+}
+
+/// A feed-forward, by its name.
+pub fn feed_forward() -> impl TypedValueParser<Value = FeedForward> {
+    one_of(FeedForward::ALL.map(|(name, kind)| (name, what(kind), kind)))
+}
+
+/// What a feed-forward is.
+pub fn what(kind: FeedForward) -> &'static str {
+    match kind {
+        FeedForward::Off => "None",
+        FeedForward::Full => "The paper's equation (4)",
+        FeedForward::Washout => "The same, gone at rest, so that a resting hand is not pushed sideways",
+    }
+}
+
+/// A velocity estimator that has a linear analysis, by its name in scene files.
+pub fn linear_estimator() -> impl TypedValueParser<Value = Estimator> {
+    let what = |kind| match kind {
+        Estimator::Butterworth => "Backward difference and a 2nd-order Butterworth low-pass",
+        Estimator::FirstOrder => "Backward difference and a 1st-order low-pass",
+        Estimator::BackwardDifference => "Backward difference alone",
+        Estimator::AlphaBeta(_) => "α-β filter with its poles at the cutoff",
+        Estimator::Predicted(_) => "Observer that knows the motors' torques, with its poles at the cutoff",
+        _ => "As in scene files",
+    };
+    one_of(LinearEstimator::named().map(move |(name, kind)| (name, what(kind), kind)))
+}
+
+/// What a redundant device holds, by its name.
+pub fn admissible(text: &str) -> Result<Admissible, String> {
+    let known = Admissible::ALL.iter().find(|(name, _)| *name == text).map(|(_, choice)| *choice);
+    known.ok_or_else(|| format!("write one of {}", Admissible::ALL.map(|(name, _)| name).join(", ")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_linear_estimators_are_those_without_a_window_of_their_own() {
+        let names: Vec<&str> = LinearEstimator::named().map(|(name, _)| name).collect();
+        assert_eq!(names, ["butterworth", "first-order", "backward-difference", "alpha-beta", "predicted"]);
+    }
+
+    #[test]
+    fn numbers_parse_with_signs_and_spaces_but_not_with_gaps() {
+        assert_eq!("-0.3,1.2".parse(), Ok(Numbers(vec![-0.3, 1.2])));
+        assert_eq!(" 1e-3, -2 ".parse(), Ok(Numbers(vec![1.0e-3, -2.0])));
+        for wrong in ["", ",", "1,,2", "1;2", "nan", "1,inf"] {
+            assert!(wrong.parse::<Numbers>().is_err(), "{wrong}");
+        }
+    }
+}

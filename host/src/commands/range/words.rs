@@ -1,0 +1,219 @@
+//! What `haptic range` says.
+
+use super::Args;
+use crate::commands::arguments::Numbers;
+use crate::commands::port::counted;
+use haptic::analysis::host::HostWall;
+use haptic::analysis::passivity::Passivity;
+use haptic::analysis::range::{Domain, Range, WORTHWHILE_RATIO};
+use haptic::analysis::why::{Both, Limits, Why};
+use haptic_bridge::model::description::Description;
+use std::fmt::Write;
+
+/// Below this ratio a feed-forward costs more than it brings, beyond what rounds away.
+const COSTLY: f64 = 0.99;
+
+/// Pose, walls and loop, for titles.
+pub fn subtitle(args: &Args, q: &[f64], normals: &[Vec<f64>], ratio: f64) -> [String; 2] {
+    let joined = |values: &[f64]| values.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");
+    [
+        format!(
+            "q = ({}) rad, n = {}",
+            joined(q),
+            normals.iter().map(|n| format!("({})", joined(n))).collect::<Vec<_>>().join(" + ")
+        ),
+        format!(
+            "{} Hz, cutoff {} Hz, delay {}, {:?} drive; area ratio {ratio:.3}",
+            args.rate,
+            args.cutoff,
+            counted(args.delay(), "sample"),
+            args.drive()
+        )
+        .to_lowercase()
+        .replace("hz", "Hz"),
+    ]
+}
+
+/// What is in the loop that is not in every one.
+fn besides(args: &Args, description: &Description) -> Vec<String> {
+    let mut besides = Vec::new();
+    if description.is_flexible() {
+        besides.push("with the transmissions and modes of the device file".to_string());
+    }
+    if let Some(Numbers(hand)) = &args.hand {
+        besides.push(format!("in a hand of {} kg, {} N s/m, {} N/m", hand[0], hand[1], hand[2]));
+    }
+    let joints = &description.joints[..description.kind.spec().joints];
+    if joints.iter().any(|joint| joint.friction.is_some() || joint.cogging.is_some()) {
+        besides.push(
+            "without dry friction and cogging, which are not linear (--ripple and `haptic sim` have them)".into(),
+        );
+    }
+    if args.difference_over > 1 {
+        besides.push(format!("velocity from the difference over {} samples", args.difference_over));
+    }
+    besides
+}
+
+/// The whole answer as a table.
+pub fn readable(
+    name: &str,
+    args: &Args,
+    q: &[f64],
+    normals: &[Vec<f64>],
+    range: &Range,
+    passivity: Option<&Passivity>,
+    description: &Description,
+) -> String {
+    let mut text = String::new();
+    let mut line = |content: String| {
+        let _ = writeln!(text, "{content}");
+    };
+    let [pose, around] = subtitle(args, q, normals, range.area_ratio);
+    line(format!("{name}: {pose}"));
+    line(format!("  {around}"));
+    for more in besides(args, description) {
+        line(format!("  {more}"));
+    }
+    line(format!("  effective inertia Weff, met without feed-forward  {:>12.6} kg", range.w_eff));
+    line(format!("  rendered inertia Wrr, met with feed-forward       {:>12.6} kg", range.w_rr));
+    if let Some((gain, met)) = range.feed_forward_gain.zip(range.inertia_met) {
+        line(format!("  met with {gain} times the feed-forward{:>28.6} kg", met));
+        line(format!("  {}", price(range.w_eff, range.w_rr, gain)));
+    }
+    line(String::new());
+    line(format!("  {:<26}{:>14}{:>14}{:>18}", "", "max kp N/m", "kd_max N s/m", "area N²s/m²"));
+    let mut row = |label: &str, domain: &Domain| {
+        let top = domain.boundary.iter().map(|p| p.kp).fold(0.0, f64::max);
+        line(format!("  {label:<26}{top:>14.2}{:>14.4}{:>18.6e}", domain.kd_max, domain.area));
+    };
+    row("no feed-forward", &range.off);
+    row("feed-forward (4)", &range.full);
+    if let Some(washout) = &range.washout {
+        row(&format!("washout {} Hz", args.washout.unwrap_or_default()), washout);
+    }
+    if let Some(host) = &range.host {
+        row(&format!("on a computer, {:.0} Hz", host.rate_hz), &host.domain);
+    }
+    if args.kd.is_some() {
+        line("  max kp: of the dampings asked for; without --kd that of the whole range".into());
+    }
+    line(String::new());
+    // A dozen rows are enough to read; --json gives the rest.
+    let step = if args.kd.is_some() { 1 } else { (range.off.boundary.len() / 12).max(1) };
+    let domains = [
+        ("off", Some(&range.off)),
+        ("full", Some(&range.full)),
+        ("washed", range.washout.as_ref()),
+        ("host", range.host.as_ref().map(|host| &host.domain)),
+    ];
+    let columns = || domains.iter().filter_map(|(name, domain)| Some((name, domain.as_ref()?)));
+    line(columns().fold(" ".into(), |row, (name, _)| {
+        format!("{row} {:>12}{:>14}", format!("kd {name}"), format!("kp_max {name}"))
+    }));
+    for index in (0..range.off.boundary.len()).step_by(step) {
+        line(
+            columns()
+                .filter_map(|(_, domain)| domain.boundary.get(index))
+                .fold(" ".into(), |row, point| format!("{row} {:>12.4}{:>14.2}", point.kd, point.kp)),
+        );
+    }
+    line(String::new());
+    let islands = range.off.islands.len() + range.full.islands.len();
+    if islands > 0 {
+        line(format!(
+            "  {islands} stable intervals lie above the boundary (islands): listed with --json, not counted."
+        ));
+    }
+    if let Some(passivity) = passivity {
+        line(format!(
+            "  passive without feed-forward (Colgate and Schenkel 1997): kp < {:.2} N/m at kd = 0, kd < {:.4} N s/m",
+            passivity.sampled(0.0),
+            passivity.damping
+        ));
+        if let Some(limit) = passivity.quantised() {
+            line(format!(
+                "  passive with quantisation and friction (Abbott and Okamura 2005): kp <= {limit:.2} N/m at kd = 0"
+            ));
+        }
+    }
+    if let Some(host) = &range.host {
+        line(format!("  {}", on_a_computer(range, host)));
+    }
+    line(verdict(range));
+    text
+}
+
+/// What a gain costs, in a sentence.
+fn price(w_eff: f64, w_rr: f64, gain: f64) -> String {
+    let coupling = 1.0 - w_eff / w_rr;
+    format!(
+        "its price: {gain} times (4)'s push along the wall at rest, and a coupling off by 1 % changes the inertia met by \
+         {:.2} % ({:.2} % at a gain of 1)",
+        gain * coupling / (1.0 - gain * coupling),
+        coupling / (1.0 - coupling)
+    )
+}
+
+/// What rendering on the board is worth, in a sentence.
+fn on_a_computer(range: &Range, host: &HostWall) -> String {
+    let top = |domain: &Domain| domain.boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
+    let by =
+        format!("a computer that asks {:.0} times a second, its forces {} ms old", host.rate_hz, 1e3 * host.delay_s);
+    if top(&host.domain) == 0.0 {
+        return format!("rendered by {by}: never stable");
+    }
+    let times = top(&range.off) / top(&host.domain);
+    format!("rendered by {by}: the board's own wall is up to {times:.1} times as stiff")
+}
+
+/// What the feed-forward buys, in a sentence.
+fn verdict(range: &Range) -> String {
+    let ratio = range.area_ratio;
+    if range.off.area == 0.0 {
+        "Nothing is stable here without the feed-forward: lower the delay or raise the cutoff.".into()
+    } else if range.full.area == 0.0 {
+        "With the feed-forward nothing is stable here: uneven joint damping makes it creep. Try --damping-compensation."
+            .into()
+    } else if ratio < WORTHWHILE_RATIO {
+        format!(
+            "The feed-forward buys nothing here: the stable area changes by {:+.1} %. Leave it off at this pose and normal.",
+            100.0 * (ratio - 1.0)
+        )
+    } else {
+        format!("With the feed-forward the stable area is {ratio:.3} times as large.")
+    }
+}
+
+/// Why, as a table.
+pub fn in_words(why: &Why) -> String {
+    let mut text =
+        format!("\n  {:<40}{:>16}{:>9}{:>16}{:>9}\n", "largest kp without", "off N/m", "takes", "full N/m", "takes");
+    let number = |limits: Option<Limits>| limits.map_or("no limit".into(), |limits| format!("{:.2}", limits.kp_max));
+    let share = |share: Option<f64>| share.map_or("-".into(), |share| format!("{:.1} %", 100.0 * share));
+    let mut row = |name: &str, limits: &Both, takes: [String; 2]| {
+        let [off, full] = takes;
+        let _ = writeln!(text, "  {name:<40}{:>16}{off:>9}{:>16}{full:>9}", number(limits.off), number(limits.full));
+    };
+    row("(with everything)", &why.limits, [String::new(), String::new()]);
+    for without in &why.effects {
+        let name = format!("{} ({})", without.effect, without.instead);
+        row(&name, &without.limits, [share(without.takes.off), share(without.takes.full)]);
+    }
+    text.push_str("  takes: of the largest stiffness without it; negative where it helps; they do not add up\n");
+    text
+}
+
+/// A doubt about a feed-forward that costs more than it brings.
+pub fn costly(range: &Range) -> Option<String> {
+    let top = |domain: &Domain| domain.boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
+    let stiffness = top(&range.full) / top(&range.off).max(f64::MIN_POSITIVE);
+    let worse = range.off.area > 0.0 && (range.area_ratio < COSTLY || stiffness < COSTLY);
+    worse.then(|| {
+        format!(
+            "the feed-forward costs more than it brings here: the stable area becomes {:.2} times as large and the \
+             stiffest wall {stiffness:.2} times as stiff; leave it off at this pose and normal",
+            range.area_ratio
+        )
+    })
+}

@@ -1,0 +1,193 @@
+//! What pages are told: pictures, sweeps, the device, the walls, and what was refused.
+
+use super::recording::{ActiveRecording, Recorded};
+use super::{SILENCE, Stage, TURNED};
+use crate::outline::outline;
+use crate::view::hub::PageId;
+use crate::view::picture::{Geometry, Newest, Numbers, nearest_wall};
+use crate::view::stability::{Plane, Question};
+use crate::view::world::hand_settings;
+use haptic_bridge::safety::fault::FaultRecord;
+use serde::Serialize;
+use serde_json::{Value, json};
+
+/// One picture, as JSON.
+#[derive(Serialize)]
+struct Picture<'a> {
+    is: &'static str,
+    time: f64,
+    state: &'static str,
+    geometry: &'a Geometry,
+    numbers: &'a Numbers,
+    trail: &'a [[f64; 2]],
+    hand: Option<HandSeen>,
+    command: Option<PageId>,
+    held: bool,
+    fault: Option<&'a str>,
+    losses: String,
+    lost: u64,
+    load: Option<f64>,
+    speed: Option<f64>,
+    pages: usize,
+    recording: Option<Recorded>,
+}
+
+#[derive(Serialize)]
+struct HandSeen {
+    at: [f64; 2],
+    goal: [f64; 2],
+    force: [f64; 2],
+}
+
+impl Stage {
+    /// The moment to every page.
+    pub(super) fn show(&mut self) {
+        let newest = Newest::of(&self.ring, &self.columns);
+        let links = self.world.file.as_ref().map(|file| &file.description);
+        let (geometry, numbers) = newest.moment(&self.device, links, &self.scene, self.rows_hz);
+        let hand = self.world.simulated.as_ref().and_then(|board| {
+            let board = board.lock();
+            let [x, y, _] = board.device().hand().position()?;
+            let [fx, fy, _] = board.device().hand_force();
+            Some(HandSeen { at: [x, y], goal: self.goal.unwrap_or([x, y]), force: [fx, fy] })
+        });
+        let every = self.trail.len().div_ceil(32).max(1);
+        let trail: Vec<[f64; 2]> = self.trail.drain(..).step_by(every).collect();
+        let losses = self.world.board.losses();
+        let picture = Picture {
+            is: "picture",
+            time: self.world.board.now().as_secs_f64(),
+            state: crate::recorder::STATES[self.state as usize],
+            geometry: &geometry,
+            numbers: &numbers,
+            trail: if self.device.axes() > 1 { &trail } else { &[] },
+            hand,
+            command: self.command.map(|(id, _)| id),
+            held: self.held.is_some(),
+            fault: self.fault.as_deref(),
+            lost: losses.missing,
+            losses: losses.to_string(),
+            load: self.load,
+            speed: self.world.simulated.is_some().then_some(self.pace.speed),
+            pages: self.hub.count(),
+            recording: self.recording.as_ref().map(ActiveRecording::told),
+        };
+        // Numbers that are none become null: a page leaves them out.
+        if let Ok(text) = serde_json::to_string(&picture) {
+            self.hub.to_all(|outbox| outbox.picture = Some(text.clone()));
+        }
+        let sound = std::mem::take(&mut self.sound);
+        for listener in &self.listeners {
+            self.hub.to(*listener, |outbox| outbox.hear(self.rows_hz as f32, &sound));
+        }
+        let q = newest.q(self.device.axes());
+        let (wall, normal) = match nearest_wall(&self.scene, &self.tip()) {
+            Some((wall, normal)) => (wall, normal),
+            None => return,
+        };
+        let moved = self.asked.as_ref().is_none_or(|(asked, at)| {
+            *asked != wall || at.iter().zip(&q).any(|(before, now)| (before - now).abs() > TURNED)
+        });
+        if moved && self.ring.end() > 0 && !self.oracle.is_busy() {
+            let task = usize::from(self.scene.task);
+            self.oracle.ask(Question {
+                device: self.device.clone(),
+                scene: self.scene.clone(),
+                wall,
+                q: q.clone(),
+                normal: normal.as_slice()[..task].to_vec(),
+                delay_samples: self.delay_samples,
+            });
+            self.asked = Some((wall, q));
+        }
+        if let Some(answer) = self.oracle.answered() {
+            self.plane = answer;
+            let message = self.plane.as_ref().map_or(json!({"is": "plane", "plane": null}), plane_message);
+            self.say_to_all(&message);
+        }
+    }
+
+    /// The newest sweep to every page that has a scope.
+    pub(super) fn sweep(&mut self) {
+        for (id, scope) in &mut self.scopes {
+            if let Some(sweep) = scope.sweep(&self.ring) {
+                let bytes = scope.bytes(&sweep);
+                self.hub.to(*id, |outbox| outbox.scope = Some(bytes));
+            }
+        }
+    }
+
+    /// What a page has to know once.
+    pub(super) fn about(&self) -> Value {
+        let info = self.world.board.info();
+        let hand = hand_settings();
+        json!({
+            "is": "hello",
+            "tool": env!("CARGO_PKG_VERSION"),
+            "device": self.device.name.as_str(),
+            "board": info.board.as_str(),
+            "serial": info.serial.as_str(),
+            "port": self.world.board.port(),
+            "simulated": self.world.simulated.is_some(),
+            "records": self.folder.is_some(),
+            "weightless": self.world.weightless,
+            "flat": self.device.mechanism.kind().spec().task == 2,
+            "task": self.device.mechanism.kind().spec().task,
+            "rate_hz": self.scene.rate_hz,
+            "rows_hz": self.rows_hz,
+            "cutoff_hz": self.scene.cutoff_hz,
+            "columns": self.columns.iter().map(|column| column.label.as_str()).collect::<Vec<_>>(),
+            "hand": {
+                "mass": hand.mass, "grip": [hand.grip_stiffness, hand.grip_damping],
+                "arm": [hand.arm_stiffness, hand.arm_damping],
+            },
+            "silence_ms": SILENCE.as_millis() as u64,
+        })
+    }
+
+    pub(super) fn walls(&self) -> Value {
+        let walls = self.scene.walls.iter().map(|wall| {
+            json!({
+                "shape": wall.surface.spec().name, "values": wall.surface.values(),
+                "outline": outline(&wall.surface.cast()), "stiffness": wall.stiffness,
+                "damping": wall.damping, "feed_forward": wall.feed_forward, "washout_hz": wall.washout_hz,
+            })
+        });
+        let springs = self.scene.springs.iter().map(|spring| {
+            json!({
+                "point": spring.point, "direction": spring.direction, "stiffness": spring.stiffness,
+                "damping": spring.damping,
+            })
+        });
+        json!({
+            "is": "walls", "walls": walls.collect::<Vec<_>>(), "springs": springs.collect::<Vec<_>>(),
+            "field_damping": self.scene.field_damping,
+        })
+    }
+
+    pub(super) fn say(&self, id: PageId, message: &Value) {
+        self.hub.to(id, |outbox| outbox.messages.push_back(message.to_string()));
+    }
+
+    pub(super) fn say_to_all(&self, message: &Value) {
+        let text = message.to_string();
+        self.hub.to_all(|outbox| outbox.messages.push_back(text.clone()));
+    }
+
+    pub(super) fn refuse(&self, id: PageId, why: &str) {
+        self.say(id, &json!({"is": "refused", "why": why}));
+    }
+
+    pub(super) fn refuse_all(&self, why: &str) {
+        self.say_to_all(&json!({"is": "refused", "why": why}));
+    }
+}
+
+pub(super) fn plane_message(plane: &Plane) -> Value {
+    json!({"is": "plane", "plane": plane})
+}
+
+pub(super) fn in_words(record: &FaultRecord) -> String {
+    let joint = record.axis.map_or(String::new(), |axis| format!(" (joint {axis})"));
+    format!("{}{joint}: {}", record.fault, record.fault.remedy())
+}
