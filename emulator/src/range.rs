@@ -16,7 +16,7 @@ use haptic::analysis::several::Member;
 use haptic::device_file::DeviceFile;
 use haptic::measure::campaign::{self, Plan};
 use haptic::measure::progress::Progress;
-use haptic::measure::{Bench, Law, MeasureError, Setup};
+use haptic::measure::{Law, MeasureError, MeasurementSetup, PreparedBoard};
 use haptic::plot::Picture;
 use haptic::plot::range::{Contents, MeasuredPoint, draw};
 use haptic::sim::Hand;
@@ -153,9 +153,9 @@ pub fn on<T>(
     rig: &mut Rig,
     cable: Option<Cable>,
     rate: Rate,
-    job: impl FnOnce(&mut Bench<'_>) -> Result<T, MeasureError>,
+    job: impl FnOnce(&mut PreparedBoard<'_>) -> Result<T, MeasureError>,
 ) -> Result<T, MeasureError> {
-    let setup = Setup {
+    let setup = MeasurementSetup {
         walls: vec![Member::new(normal(), 1.0)],
         rate_hz: rate.rate_hz,
         cutoff_hz: rate.cutoff_hz,
@@ -165,7 +165,7 @@ pub fn on<T>(
         law: Law::default(),
     };
     let (file, shared) = (device(cable), rig.shared.clone());
-    let mut bench = Bench::new(&mut rig.tool, &file, setup, &|| false)?;
+    let mut bench = PreparedBoard::new(&mut rig.tool, &file, setup, &|| false)?;
     shared.board().with(|bench| {
         bench.hardware().plant.device().expect("a simulated device").set_hand(Hand::none());
     });
