@@ -20,7 +20,7 @@ use crate::board::{Board, This};
 use crate::machine::Panel;
 use crate::serial::{Event, Incoming, Outgoing, PACKET, Serial, UsbDriver};
 use crate::telemetry::TelemetryStream;
-use crate::{faults, supervisor, watchdog};
+use crate::{faults, supervisor};
 
 bind_interrupts!(struct Irqs {
     OTG_FS => usb::InterruptHandler<USB_OTG_FS>;
@@ -95,7 +95,7 @@ pub async fn serve(mut panel: Panel, hardware: Hardware, previous: Option<FaultR
     let (sender, receiver) = serial.split();
     let (mut outgoing, mut incoming) = (Outgoing::new(sender), Incoming::new(receiver));
     let mut service = Service::new(hardware, This::LIMITS);
-    watchdog::patient(|| service.boot(&mut panel));
+    panel.boot(&mut service);
     if let Some(record) = previous {
         let _ = panel.execute(Command::Fault(record));
     }

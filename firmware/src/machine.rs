@@ -5,7 +5,7 @@ use core::sync::atomic::Ordering;
 
 use haptic_bridge::board::dispatch::Described;
 use haptic_bridge::board::protocol::{Details, ForceAnswer, ForceRequest, Info, PROTOCOL};
-use haptic_bridge::board::service::Machine;
+use haptic_bridge::board::service::{Machine, Service};
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::board::storage::StorageError;
 use haptic_bridge::drive::carrier::Carrier;
@@ -80,15 +80,18 @@ impl Panel {
         }
     }
 
-    /// Runs what writes flash, which stalls the program: the watchdog and the count of late steps know.
-    fn while_flash_stalls(
-        &mut self,
-        work: impl FnOnce(&mut Storage) -> Result<(), StorageError>,
-    ) -> Result<(), Refusal> {
-        servo::STALL_EXPECTED.store(true, Ordering::Relaxed);
-        let result = watchdog::patient(|| work(&mut self.storage));
-        servo::STALL_EXPECTED.store(false, Ordering::Relaxed);
-        result.map_err(|error| {
+    /// Starts the service from the settings. From then on reading one takes neither a search, for which no watchdog waits
+    /// while the motors are on, nor a write.
+    pub fn boot(&mut self, service: &mut Service) {
+        while_flash_stalls(|| {
+            self.storage.start();
+            service.boot(self);
+        });
+    }
+
+    /// Does what writes flash.
+    fn write(&mut self, work: impl FnOnce(&mut Storage) -> Result<(), StorageError>) -> Result<(), Refusal> {
+        while_flash_stalls(|| work(&mut self.storage)).map_err(|error| {
             defmt::error!("the settings were not written: error {=u8}", error as u8);
             if error == StorageError::Unsettled { Refusal::Unsettled } else { Refusal::Flash }
         })
@@ -196,7 +199,7 @@ impl Machine for Panel {
     }
 
     fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
-        self.while_flash_stalls(|storage| storage.stage(key as u8, entry))
+        self.write(|storage| storage.stage(key as u8, entry))
     }
 
     fn staged(&mut self, key: Key) -> Option<Entry> {
@@ -205,7 +208,7 @@ impl Machine for Panel {
 
     fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal> {
         let keys: Vec<u8, { Key::ALL.len() }> = keys.iter().map(|key| *key as u8).collect();
-        self.while_flash_stalls(|storage| storage.commit(&keys))
+        self.write(|storage| storage.commit(&keys))
     }
 
     fn load(&mut self, key: Key) -> Option<Entry> {
@@ -249,6 +252,14 @@ impl Described for Panel {
             stack_free: stack::never_used(),
         }
     }
+}
+
+/// Runs what may write flash, which stalls the program: the watchdog and the count of late steps know.
+fn while_flash_stalls<R>(work: impl FnOnce() -> R) -> R {
+    servo::STALL_EXPECTED.store(true, Ordering::Relaxed);
+    let result = watchdog::patient(work);
+    servo::STALL_EXPECTED.store(false, Ordering::Relaxed);
+    result
 }
 
 /// Whether the motors are on.
