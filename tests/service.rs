@@ -10,13 +10,15 @@ use haptic_bridge::board::protocol::*;
 use haptic_bridge::board::service::Service;
 use haptic_bridge::board::settings::{self, BoardName, Key};
 use haptic_bridge::board::telemetry::{Fields, StreamRequest};
+use haptic_bridge::math::Minimax;
 use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModelData, checksum};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::{BadLimit, Limit, Limits};
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_bridge::servo::{Rules, Servo};
+use haptic_bridge::servo::program::Program;
+use haptic_bridge::servo::{Command, Rules, Servo};
 use postcard_rpc::Endpoint;
 use postcard_rpc::header::VarHeader;
 use postcard_rpc::standard_icd::WireError;
@@ -204,6 +206,21 @@ fn what_only_asks_is_answered_in_every_state_and_changes_none() {
         board.ask::<Force>(&ForceRequest::default()).unwrap();
         assert_eq!(board.ask::<GetStatus>(&()).unwrap().state, before.1);
         assert_eq!((configuration(&mut board), board.state()), before, "{now:?}");
+    }
+}
+
+/// A board readies its gate drivers only for what the servo will not refuse, so it asks before.
+#[test]
+fn whether_it_may_be_armed_is_answered_as_arming_is_and_changes_nothing() {
+    type Commands = [fn() -> Command<Box<Program<Minimax>>>; 2];
+    let pairs: [Commands; 2] =
+        [[|| Command::MayArm, || Command::Arm], [|| Command::MayCheckPolarity, || Command::CheckPolarity]];
+    for (now, [may, does]) in STATES.into_iter().flat_map(|now| pairs.map(|pair| (now, pair))) {
+        let mut board = board(now);
+        let before = (configuration(&mut board), board.ask::<GetStatus>(&()).unwrap());
+        let answer = board.machine.servo.execute(may()).0;
+        assert_eq!((configuration(&mut board), board.ask::<GetStatus>(&()).unwrap()), before, "{now:?}");
+        assert_eq!(answer, board.machine.servo.execute(does()).0, "{now:?}");
     }
 }
 

@@ -144,12 +144,16 @@ impl Machine for Panel {
     fn execute(&mut self, command: Command<BoardProgram>) -> Reply<BoardProgram> {
         let status = self.status();
         // With the motors on, what would switch them on is refused by the servo and has no business with the gate.
-        let powers_up = matches!(command, Command::Arm | Command::CheckPolarity) && !on(status.state);
-        if powers_up {
-            if let Some(record) = status.fault {
-                return (Err(Refusal::Faulted(record.fault)), None);
-            }
-            if let Err(refusal) = self.raise_gate() {
+        let question = match command {
+            Command::Arm if !on(status.state) => Some(Command::MayArm),
+            Command::CheckPolarity if !on(status.state) => Some(Command::MayCheckPolarity),
+            _ => None,
+        };
+        let powers_up = question.is_some();
+        if let Some(question) = question {
+            // What would be refused is no reason to power the gate drivers, or to latch a fault where they have no supply.
+            let refused = self.ask(Request::Command(question)).reply.0;
+            if let Err(refusal) = refused.and_then(|()| self.raise_gate()) {
                 return (Err(refusal), None);
             }
         }
