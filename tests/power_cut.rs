@@ -24,6 +24,8 @@ struct Sectors {
     bytes: Vec<u8>,
     operations: usize,
     erases: usize,
+    /// Bytes that were read.
+    bytes_read: usize,
     cut: Option<(usize, Cut)>,
     /// The flash goes on after the cut: it failed, the power did not.
     goes_on: bool,
@@ -41,7 +43,15 @@ impl NorFlashError for PowerCut {
 
 impl Sectors {
     fn new() -> Self {
-        Self { bytes: vec![0xFF; 2 * SECTOR], operations: 0, erases: 0, cut: None, goes_on: false, dead: false }
+        Self {
+            bytes: vec![0xFF; 2 * SECTOR],
+            operations: 0,
+            erases: 0,
+            bytes_read: 0,
+            cut: None,
+            goes_on: false,
+            dead: false,
+        }
     }
 
     /// Counts an operation; how much of it happens.
@@ -66,6 +76,7 @@ impl Sectors {
         self.cut = None;
         self.operations = 0;
         self.erases = 0;
+        self.bytes_read = 0;
         self
     }
 }
@@ -81,6 +92,7 @@ impl ReadNorFlash for Sectors {
         if self.dead {
             return Err(PowerCut);
         }
+        self.bytes_read += bytes.len();
         let from = offset as usize - START;
         bytes.copy_from_slice(&self.bytes[from..from + bytes.len()]);
         Ok(())
@@ -158,6 +170,7 @@ fn save(mut flash: Sectors, values: &Values) -> Sectors {
 fn read(mut flash: Sectors) -> (Values, Sectors) {
     let mut buffer = [0; LONGEST_STORED];
     let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
+    storage.start();
     let mut found = Values::new();
     for key in 1..=6 {
         if let Some(value) = storage.read(key).expect("the board boots") {
@@ -249,6 +262,7 @@ type Asked = Result<Option<Vec<u8>>, StorageError>;
 fn asked(mut flash: Sectors) -> (Vec<Asked>, Sectors) {
     let mut buffer = [0; LONGEST_STORED];
     let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
+    storage.start();
     let found = (1..=6).map(|key| storage.read(key).map(|value| value.map(<[u8]>::to_vec))).collect();
     (found, flash)
 }
@@ -405,6 +419,71 @@ fn a_flash_that_fails_once_says_which_settings_count_and_reading_writes_nothing(
         }
     }
     assert!(went_on > 100 && kept > 1, "{went_on} went on, {kept} kept what was there");
+}
+
+/// What reading all settings once costs the flash.
+fn reads(storage: &mut Storage<'_, &mut Sectors>) -> (usize, usize) {
+    let so_far = |storage: &mut Storage<'_, &mut Sectors>| (storage.flash().operations, storage.flash().bytes_read);
+    let before = so_far(storage);
+    (1..=6).for_each(|key| _ = storage.read(key));
+    let after = so_far(storage);
+    (after.0 - before.0, after.1 - before.1)
+}
+
+/// With the motors on the watchdog waits for no search, and nothing may be written: also where a bit has flipped, where
+/// a save was cut short, and where some settings were never saved.
+#[test]
+fn after_the_start_reading_takes_no_search_and_no_write_whatever_the_flash_holds() {
+    let whole: usize = values(0).values().map(Vec::len).sum();
+    // Every entry with the catalogue before it, their headers, and what looking for them takes.
+    let most = 2 * whole;
+    let mut flashes = vec![Sectors::new(), aged(9)];
+    let aside = |key: &u8| *key != 5;
+    flashes.push(save(Sectors::new(), &values(3).into_iter().filter(|(key, _)| aside(key)).collect()));
+    let (nine, six) = (aged(9), aged(6));
+    for at in (0..2 * SECTOR).step_by(29) {
+        let mut spoilt = nine.clone();
+        spoilt.bytes[at] ^= 0x10;
+        flashes.push(spoilt);
+    }
+    let saved = save(six.clone(), &values(7)).operations;
+    for operation in (0..saved).step_by(3) {
+        flashes.push(save(Sectors { cut: Some((operation, Cut::Within)), ..six.clone() }, &values(7)).reboot());
+    }
+    let count = flashes.len();
+    for (nth, mut flash) in flashes.into_iter().enumerate() {
+        let mut buffer = [0; LONGEST_STORED];
+        let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
+        storage.start();
+        for round in 0..3 {
+            let (written, read) = reads(&mut storage);
+            assert_eq!(written, 0, "flash {nth} of {count}, round {round}: a reader wrote");
+            assert!(read < most, "flash {nth} of {count}, round {round}: {read} bytes read, where {most} hold it all");
+        }
+    }
+}
+
+/// What went bad since the start is not mended by a reader either: neither entries nor sectors that end before they begin,
+/// which a start would erase.
+#[test]
+fn a_flash_that_goes_bad_while_the_board_runs_is_not_mended_by_reading_it() {
+    let mut buffer = [0; LONGEST_STORED];
+    let mut flash = aged(3);
+    let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
+    storage.start();
+    storage.write(1, &values(4)[&1]).expect("the flash works");
+    for sector in storage.flash().bytes.chunks_mut(SECTOR) {
+        sector.fill(0x55);
+        sector[..4].fill(0xFF);
+        sector[SECTOR - 4..].fill(0x00);
+    }
+    assert_eq!(reads(&mut storage).0, 0, "a reader wrote");
+    assert_eq!(storage.read(1), Err(StorageError::Flash));
+    drop(storage);
+    let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
+    let mended = storage.flash().operations;
+    storage.start();
+    assert!(storage.flash().operations > mended, "a start mends it");
 }
 
 #[test]

@@ -10,13 +10,15 @@ use haptic_bridge::board::protocol::*;
 use haptic_bridge::board::service::Service;
 use haptic_bridge::board::settings::{self, BoardName, Key};
 use haptic_bridge::board::telemetry::{Fields, StreamRequest};
+use haptic_bridge::math::Minimax;
 use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModelData, checksum};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::{BadLimit, Limit, Limits};
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_bridge::servo::{Rules, Servo};
+use haptic_bridge::servo::program::Program;
+use haptic_bridge::servo::{Command, Rules, Servo};
 use postcard_rpc::Endpoint;
 use postcard_rpc::header::VarHeader;
 use postcard_rpc::standard_icd::WireError;
@@ -204,6 +206,21 @@ fn what_only_asks_is_answered_in_every_state_and_changes_none() {
         board.ask::<Force>(&ForceRequest::default()).unwrap();
         assert_eq!(board.ask::<GetStatus>(&()).unwrap().state, before.1);
         assert_eq!((configuration(&mut board), board.state()), before, "{now:?}");
+    }
+}
+
+/// A board readies its gate drivers only for what the servo will not refuse, so it asks before.
+#[test]
+fn whether_it_may_be_armed_is_answered_as_arming_is_and_changes_nothing() {
+    type Commands = [fn() -> Command<Box<Program<Minimax>>>; 2];
+    let pairs: [Commands; 2] =
+        [[|| Command::MayArm, || Command::Arm], [|| Command::MayCheckPolarity, || Command::CheckPolarity]];
+    for (now, [may, does]) in STATES.into_iter().flat_map(|now| pairs.map(|pair| (now, pair))) {
+        let mut board = board(now);
+        let before = (configuration(&mut board), board.ask::<GetStatus>(&()).unwrap());
+        let answer = board.machine.servo.execute(may()).0;
+        assert_eq!((configuration(&mut board), board.ask::<GetStatus>(&()).unwrap()), before, "{now:?}");
+        assert_eq!(answer, board.machine.servo.execute(does()).0, "{now:?}");
     }
 }
 
@@ -430,6 +447,68 @@ fn a_polarity_check_counts_for_the_device_that_it_was_made_on_and_for_no_other()
     }
 }
 
+/// The checksum at the end of a device's entry.
+fn sum(device: &DeviceData) -> u32 {
+    u32::from_le_bytes(*settings::encode(device).unwrap().last_chunk().unwrap())
+}
+
+/// The device under a name that gives its entry this checksum. A CRC is linear: letters of five free bits each are
+/// chosen so that what they change adds up to what is missing.
+fn forged(device: &DeviceData, wanted: u32) -> DeviceData {
+    let mut free = vec![];
+    let named = |letters: &[u8; 10]| DeviceData { name: letters.map(char::from).iter().collect(), ..device.clone() };
+    let plain = sum(&named(&[b'@'; 10]));
+    for bit in 0..50 {
+        let mut letters = [0; 10];
+        letters[bit / 5] = 1 << (bit % 5);
+        free.push((sum(&named(&letters.map(|changed| b'@' ^ changed))) ^ plain, letters));
+    }
+    let (mut missing, mut chosen) = (plain ^ wanted, [b'@'; 10]);
+    let add = |to: &mut [u8; 10], letters: &[u8; 10]| to.iter_mut().zip(letters).for_each(|(a, b)| *a ^= b);
+    for column in 0..32 {
+        let pivot = free.iter().position(|(change, _)| change >> column & 1 == 1).unwrap();
+        let (change, letters) = free.swap_remove(pivot);
+        for other in free.iter_mut().filter(|(other, _)| other >> column & 1 == 1) {
+            other.0 ^= change;
+            add(&mut other.1, &letters);
+        }
+        if missing >> column & 1 == 1 {
+            missing ^= change;
+            add(&mut chosen, &letters);
+        }
+    }
+    named(&chosen)
+}
+
+#[test]
+fn a_device_with_the_checksum_of_the_checked_one_is_not_taken_for_it() {
+    let device = rig::device(&rig::paddle());
+    let mut inverted = rig::paddle();
+    if let Some(encoder) = &mut inverted.joints[0].encoder {
+        encoder.inverted = true;
+    }
+    let inverted = forged(&rig::device(&inverted), sum(&device));
+    assert!(sum(&inverted) == sum(&device) && inverted.joints != device.joints);
+    let known = |board: &mut Board| board.ask::<GetStatus>(&()).unwrap().polarity;
+
+    let mut board = Board::ready(true, &device, &quiet());
+    polarity_check(&mut board, 1);
+    board.ask::<SetDevice>(&inverted).unwrap().unwrap();
+    assert!(!known(&mut board), "loaded as {:?}", inverted.name);
+    board.ask::<SetDevice>(&device).unwrap().unwrap();
+    assert!(known(&mut board));
+    let restored: KeyList = [Key::Device].into_iter().collect();
+    for (device, expected) in [(&inverted, false), (&device, true)] {
+        staged(&mut board, device).unwrap();
+        board.ask::<CommitEntries>(&restored).unwrap().unwrap();
+        assert_eq!(known(&mut board), expected, "restored as {:?}", device.name);
+    }
+    board.ask::<SetDevice>(&inverted).unwrap().unwrap();
+    (0..200).for_each(|_| board.tick());
+    board.ask::<Home>(&()).unwrap().unwrap();
+    assert_eq!(board.ask::<Arm>(&()).unwrap(), Err(Refusal::PolarityUnchecked));
+}
+
 #[test]
 fn a_polarity_check_that_failed_is_not_undone_by_an_older_one_that_passed() {
     let device = rig::device(&rig::paddle());
@@ -565,6 +644,31 @@ fn a_refused_piece_of_a_table_leaves_the_table_in_force() {
             "{bad:?} made what came before incomplete"
         );
         machine.retimed.truncate(installed);
+    }
+}
+
+/// A table is of one device's mass matrix: what was sent before another device came is nothing to it.
+#[test]
+fn a_table_that_was_sent_before_a_device_is_not_accepted_for_it() {
+    let values = [1.0e-3_f32; 3 * 4];
+    let chunk = TableChunk { offset: 0, values: values.iter().copied().collect() };
+    let grid = Grid { interpolation: Interpolation::Bilinear, points: [2, 2], low: [0.0; 2], spacing: [0.5; 2] };
+    let table = MassModelData::Table(grid, checksum(&values));
+    let (first, second) = (device(&five_bar()), DeviceData { weight: true, ..device(&five_bar()) });
+    let loaded = |board: &mut Board| board.ask::<SetDevice>(&second).unwrap().unwrap();
+    let restored = |board: &mut Board| {
+        staged(board, &second).unwrap();
+        board.ask::<CommitEntries>(&[Key::Device].into_iter().collect()).unwrap().unwrap();
+    };
+    for another in [&loaded as &dyn Fn(&mut Board), &restored] {
+        let mut board = board(Now::Bare);
+        board.ask::<SetDevice>(&first).unwrap().unwrap();
+        board.ask::<SendTable>(&chunk).unwrap().unwrap();
+        another(&mut board);
+        assert_eq!(board.ask::<SetMassModel>(&table).unwrap(), Err(Refusal::BadTable));
+        // Sent again, for this device, it is.
+        board.ask::<SendTable>(&chunk).unwrap().unwrap();
+        assert_eq!(board.ask::<SetMassModel>(&table).unwrap(), Ok(()));
     }
 }
 

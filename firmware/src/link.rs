@@ -20,7 +20,7 @@ use crate::board::{Board, This};
 use crate::machine::BoardMachine;
 use crate::serial::{Event, Incoming, Outgoing, PACKET, Serial, UsbDriver};
 use crate::telemetry::TelemetryStream;
-use crate::{faults, supervisor, watchdog};
+use crate::{faults, supervisor};
 
 bind_interrupts!(struct Irqs {
     OTG_FS => usb::InterruptHandler<USB_OTG_FS>;
@@ -95,7 +95,7 @@ pub async fn serve(mut machine: BoardMachine, hardware: Hardware, previous: Opti
     let (sender, receiver) = serial.split();
     let (mut outgoing, mut incoming) = (Outgoing::new(sender), Incoming::new(receiver));
     let mut service = Service::new(hardware, This::LIMITS);
-    watchdog::patient(|| service.boot(&mut machine));
+    machine.boot(&mut service);
     if let Some(record) = previous {
         let _ = machine.execute(Command::Fault(record));
     }

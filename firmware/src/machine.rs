@@ -5,7 +5,7 @@ use core::sync::atomic::Ordering;
 
 use haptic_bridge::board::dispatch::Described;
 use haptic_bridge::board::protocol::{Details, ForceAnswer, ForceRequest, Info, PROTOCOL};
-use haptic_bridge::board::service::Machine;
+use haptic_bridge::board::service::{Machine, Service};
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::board::storage::StorageError;
 use haptic_bridge::drive::carrier::Carrier;
@@ -80,15 +80,18 @@ impl BoardMachine {
         }
     }
 
-    /// Runs what writes flash, which stalls the program: the watchdog and the count of late steps know.
-    fn while_flash_stalls(
-        &mut self,
-        work: impl FnOnce(&mut Storage) -> Result<(), StorageError>,
-    ) -> Result<(), Refusal> {
-        servo::STALL_EXPECTED.store(true, Ordering::Relaxed);
-        let result = watchdog::patient(|| work(&mut self.storage));
-        servo::STALL_EXPECTED.store(false, Ordering::Relaxed);
-        result.map_err(|error| {
+    /// Starts the service from the settings. From then on reading one takes neither a search, for which no watchdog waits
+    /// while the motors are on, nor a write.
+    pub fn boot(&mut self, service: &mut Service) {
+        while_flash_stalls(|| {
+            self.storage.start();
+            service.boot(self);
+        });
+    }
+
+    /// Does what writes flash.
+    fn write(&mut self, work: impl FnOnce(&mut Storage) -> Result<(), StorageError>) -> Result<(), Refusal> {
+        while_flash_stalls(|| work(&mut self.storage)).map_err(|error| {
             defmt::error!("the settings were not written: error {=u8}", error as u8);
             if error == StorageError::Unsettled { Refusal::Unsettled } else { Refusal::Flash }
         })
@@ -141,12 +144,16 @@ impl Machine for BoardMachine {
     fn execute(&mut self, command: Command<BoardProgram>) -> Reply<BoardProgram> {
         let status = self.status();
         // With the motors on, what would switch them on is refused by the servo and has no business with the gate.
-        let powers_up = matches!(command, Command::Arm | Command::CheckPolarity) && !on(status.state);
-        if powers_up {
-            if let Some(record) = status.fault {
-                return (Err(Refusal::Faulted(record.fault)), None);
-            }
-            if let Err(refusal) = self.raise_gate() {
+        let question = match command {
+            Command::Arm if !on(status.state) => Some(Command::MayArm),
+            Command::CheckPolarity if !on(status.state) => Some(Command::MayCheckPolarity),
+            _ => None,
+        };
+        let powers_up = question.is_some();
+        if let Some(question) = question {
+            // What would be refused is no reason to power the gate drivers, or to latch a fault where they have no supply.
+            let refused = self.ask(Request::Command(question)).reply.0;
+            if let Err(refusal) = refused.and_then(|()| self.raise_gate()) {
                 return (Err(refusal), None);
             }
         }
@@ -196,7 +203,7 @@ impl Machine for BoardMachine {
     }
 
     fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
-        self.while_flash_stalls(|storage| storage.stage(key as u8, entry))
+        self.write(|storage| storage.stage(key as u8, entry))
     }
 
     fn staged(&mut self, key: Key) -> Option<Entry> {
@@ -205,7 +212,7 @@ impl Machine for BoardMachine {
 
     fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal> {
         let keys: Vec<u8, { Key::ALL.len() }> = keys.iter().map(|key| *key as u8).collect();
-        self.while_flash_stalls(|storage| storage.commit(&keys))
+        self.write(|storage| storage.commit(&keys))
     }
 
     fn load(&mut self, key: Key) -> Option<Entry> {
@@ -249,6 +256,14 @@ impl Described for BoardMachine {
             stack_free: stack::never_used(),
         }
     }
+}
+
+/// Runs what may write flash, which stalls the program: the watchdog and the count of late steps know.
+fn while_flash_stalls<R>(work: impl FnOnce() -> R) -> R {
+    servo::STALL_EXPECTED.store(true, Ordering::Relaxed);
+    let result = watchdog::patient(work);
+    servo::STALL_EXPECTED.store(false, Ordering::Relaxed);
+    result
 }
 
 /// Whether the motors are on.

@@ -1,7 +1,7 @@
 //! The chip's flash behind the map of settings: sectors 1 and 2.
 //!
 //! Writing stalls the program: 16 us per word, and up to 0.5 s when a sector is erased, so it is done only while the
-//! bridges are off; the caller sees to that.
+//! bridges are off; the caller sees to that, and the map that reading never does it.
 
 use embassy_stm32::flash::{Bank1Region1, Blocking, Error as FlashError, Flash};
 use embassy_stm32::{Peri, peripherals::FLASH};

@@ -71,7 +71,7 @@ pub struct Details {
     pub unsensed: Vec<u8, 16>,
     /// What was found wrong with the settings at boot.
     pub damage: Vec<(Key, Damage), 6>,
-    /// Control steps that came late since boot.
+    /// Runs of the control interrupt that reached past the next crest since boot.
     pub overruns: u32,
     /// Longest control interrupt seen, in core cycles; 0 where it is not measured.
     pub longest_cycles: u32,

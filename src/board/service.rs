@@ -62,8 +62,9 @@ pub struct Service {
     rules: Rules,
     name: Name,
     /// The device whose polarity was found right since the board started. What flash says of earlier checks does not
-    /// count: wires are changed while a board is without power.
-    polarity: Option<u32>,
+    /// count: wires are changed while a board is without power. All of it is kept: a name can be made up that gives
+    /// another device the same checksum.
+    polarity: Option<Device<f32>>,
     damage: Vec<(Key, Damage), 6>,
     faults: FaultList,
     last_fault: Option<FaultRecord>,
@@ -191,12 +192,19 @@ impl Service {
         if fits.is_none() {
             self.scene = None;
         }
-        let fingerprint = fingerprint(&device);
-        if self.polarity.is_some() && self.polarity == fingerprint {
-            machine.execute(Command::PolarityKnown).0?;
-        }
+        self.took_device(machine, &device)?;
         self.device = Some(device);
         Ok(())
+    }
+
+    /// What else there is to do when another device is in force: a table on its way was for the one before, and what
+    /// was checked of this one counts. A number that is none makes it unequal to itself, and unchecked.
+    fn took_device(&mut self, machine: &mut impl Machine, device: &Device<f32>) -> Result<(), Refusal> {
+        self.receiving = Receiving::default();
+        match &self.polarity {
+            Some(checked) if checked == device => machine.execute(Command::PolarityKnown).0,
+            _ => Ok(()),
+        }
     }
 
     /// Loads a scene for the device, with the closed form of the mass matrix: a prepared one is for the walls it was
@@ -391,10 +399,9 @@ impl Service {
     /// Looks at the servo: call a few times a second. Returns a fault that is new.
     pub fn poll(&mut self, machine: &mut impl Machine) -> Option<FaultRecord> {
         let status = machine.status();
-        if status.polarity
-            && let Some(device) = &self.device
-        {
-            self.polarity = fingerprint(device);
+        // What is known already is not copied again.
+        if status.polarity && self.polarity != self.device {
+            self.polarity.clone_from(&self.device);
         }
         let fault = status.fault?;
         // Values are not compared: NaN differs from itself, and such a fault would be reported again and again.
@@ -517,8 +524,8 @@ impl Service {
         if let Some(BoardName(name)) = name {
             self.name = name;
         }
-        if !same_device && self.polarity.is_some() && self.polarity == fingerprint(&device) {
-            machine.execute(Command::PolarityKnown).0?;
+        if !same_device {
+            self.took_device(machine, &device)?;
         }
         self.device = Some(device);
         Ok(())
@@ -561,12 +568,6 @@ fn stage<S: Setting>(machine: &mut impl Machine, value: &S, keys: &mut KeyList) 
 
 fn decoded<S: Setting>(entry: &[u8]) -> Result<S, Refusal> {
     settings::decode(entry).map_err(|_| Refusal::BadEntry)
-}
-
-/// The checksum by which a checked device is known again.
-fn fingerprint<S: Setting>(device: &S) -> Option<u32> {
-    // An entry ends in the checksum of what is before it; the checksum of all of it is the same for every entry.
-    settings::encode(device).ok()?.last_chunk().map(|sum| u32::from_le_bytes(*sum))
 }
 
 /// Whether every number that the step will use is usable.

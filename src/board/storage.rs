@@ -17,7 +17,7 @@ use core::future::Future;
 use core::ops::Range;
 use core::pin::pin;
 use core::task::{Context, Poll, Waker};
-use embedded_storage_async::nor_flash::NorFlash;
+use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash};
 use sequential_storage::cache::key_pointers::ArrayKeyPointers;
 use sequential_storage::cache::{Cache, Uncached};
 use sequential_storage::map::{MapConfig, MapStorage, SerializationError, Value};
@@ -135,11 +135,72 @@ fn finish<T>(work: impl Future<Output = T>) -> T {
 /// Where the newest entries are: looking through a full sector takes the chip milliseconds for every entry.
 type Known = Cache<Uncached, Uncached, ArrayKeyPointers<u8, KEYS>, u8>;
 
+/// A flash that is written only where somebody means it: what reads would otherwise erase and write to mend what it finds.
+struct Locked<F> {
+    flash: F,
+    writable: bool,
+}
+
+/// Why a [`Locked`] flash does not do it.
+#[derive(Debug)]
+enum Failure<E> {
+    /// The flash itself failed.
+    Flash(E),
+    /// Nobody said that it may be written.
+    Locked,
+}
+
+impl<E: NorFlashError> NorFlashError for Failure<E> {
+    fn kind(&self) -> NorFlashErrorKind {
+        match self {
+            Self::Flash(error) => error.kind(),
+            Self::Locked => NorFlashErrorKind::Other,
+        }
+    }
+}
+
+impl<F: NorFlash> ErrorType for Locked<F> {
+    type Error = Failure<F::Error>;
+}
+
+impl<F: NorFlash> ReadNorFlash for Locked<F> {
+    const READ_SIZE: usize = F::READ_SIZE;
+
+    async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Self::Error> {
+        self.flash.read(offset, bytes).await.map_err(Failure::Flash)
+    }
+
+    fn capacity(&self) -> usize {
+        self.flash.capacity()
+    }
+}
+
+impl<F: NorFlash> NorFlash for Locked<F> {
+    const WRITE_SIZE: usize = F::WRITE_SIZE;
+    const ERASE_SIZE: usize = F::ERASE_SIZE;
+
+    async fn erase(&mut self, from: u32, to: u32) -> Result<(), Self::Error> {
+        if !self.writable {
+            return Err(Failure::Locked);
+        }
+        self.flash.erase(from, to).await.map_err(Failure::Flash)
+    }
+
+    async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Self::Error> {
+        if !self.writable {
+            return Err(Failure::Locked);
+        }
+        self.flash.write(offset, bytes).await.map_err(Failure::Flash)
+    }
+}
+
 /// The settings' place in a flash.
 pub struct Storage<'b, F: NorFlash> {
-    map: MapStorage<u8, F, Known>,
+    map: MapStorage<u8, Locked<F>, Known>,
     /// Bits of the keys that were searched for in vain.
     absent: u16,
+    /// Bits of the settings that could not be read when they were last looked for: not searched for again.
+    lost: u16,
     /// Generations of what was staged since the start or the last decision.
     staged: [Generation; SETTINGS],
     /// A decision that the power cut short has been looked for, and carried out.
@@ -153,12 +214,50 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     pub fn new(flash: F, range: Range<u32>, buffer: &'b mut [u8; LONGEST_STORED]) -> Self {
         let known = Cache::new(Uncached, Uncached, ArrayKeyPointers::new());
         Self {
-            map: MapStorage::new(flash, MapConfig::new(range), known),
+            map: MapStorage::new(Locked { flash, writable: false }, MapConfig::new(range), known),
             absent: 0,
+            lost: 0,
             staged: [0; SETTINGS],
             recovered: false,
             buffer,
         }
+    }
+
+    /// Mends what a power cut left behind and finds every setting, so that [`Storage::read`] neither writes nor searches
+    /// from then on. May erase a sector and look through both many times, so it is called at the start, before anything
+    /// else, where nothing waits for it.
+    pub fn start(&mut self) {
+        let _ = self.while_writable(|_| Ok(()));
+    }
+
+    /// The flash itself.
+    pub fn flash(&mut self) -> &mut F {
+        &mut self.map.flash().flash
+    }
+
+    /// Does what may write, and then finds everything anew: writing moves entries, and a flash that fails loses track of
+    /// all of them.
+    fn while_writable<T>(
+        &mut self,
+        work: impl FnOnce(&mut Self) -> Result<T, StorageError>,
+    ) -> Result<T, StorageError> {
+        self.lost = 0;
+        self.map.flash().writable = true;
+        let result = work(self);
+        // What cannot be read makes the map forget where the rest is: find that again, without it.
+        loop {
+            let before = self.lost;
+            for key in 1..DECISION {
+                if self.read(key).is_err() {
+                    self.lost |= bit(key);
+                }
+            }
+            if self.lost == before {
+                break;
+            }
+        }
+        self.map.flash().writable = false;
+        result
     }
 
     fn fetch(&mut self, key: u8) -> Result<Option<Stamped<'_>>, StorageError> {
@@ -185,8 +284,11 @@ impl<'b, F: NorFlash> Storage<'b, F> {
 
     /// The entry of a setting, `None` when it was never stored: the staged one where that is decided on and not yet in
     /// its place. Writes nothing, so that it may be asked at any time. [`StorageError::Damaged`] when only an older one
-    /// is left, or none.
+    /// is left, or none, or when it could not be read at the start.
     pub fn read(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
+        if self.lost & bit(key) != 0 {
+            return Err(StorageError::Damaged);
+        }
         let decided = if self.recovered { 0 } else { self.generations(DECISION)?[place(key)] };
         if decided == 0 {
             return self.current(key);
@@ -209,8 +311,10 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     /// Stores an entry, unless the same is there already, and reads it back. Stalls the program while the flash works;
     /// bridges off.
     pub fn write(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
-        self.recover()?;
-        self.put(key, value)
+        self.while_writable(|storage| {
+            storage.recover()?;
+            storage.put(key, value)
+        })
     }
 
     fn put(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
@@ -234,6 +338,10 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     /// Writes the next entry of a setting aside; it counts from the [`Storage::commit`] that names it on. Replaces what
     /// was staged for this setting before.
     pub fn stage(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
+        self.while_writable(|storage| storage.put_aside(key, value))
+    }
+
+    fn put_aside(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
         self.recover()?;
         let aside = STAGED | key;
         let generation = next(self.fetch(aside)?.map_or(0, |found| found.0));
@@ -250,13 +358,20 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     /// What is staged for a setting.
     pub fn staged(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
         let known = self.staged[place(key)];
-        Ok(self.fetch(STAGED | key)?.filter(|found| known != 0 && found.0 == known).map(|found| found.1))
+        if known == 0 {
+            return Ok(None);
+        }
+        Ok(self.fetch(STAGED | key)?.filter(|found| found.0 == known).map(|found| found.1))
     }
 
     /// Puts what was staged for these settings in their places, all of them or, when the power goes, none. Errors:
     /// [`StorageError::NotKept`] when one was not staged since the start, [`StorageError::Unsettled`] when the flash goes on
     /// failing; after any other nothing has changed.
     pub fn commit(&mut self, keys: &[u8]) -> Result<(), StorageError> {
+        self.while_writable(|storage| storage.decide(keys))
+    }
+
+    fn decide(&mut self, keys: &[u8]) -> Result<(), StorageError> {
         self.recover()?;
         let mut decision = [0; SETTINGS];
         for key in keys {

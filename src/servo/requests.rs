@@ -37,10 +37,14 @@ pub enum Command<P> {
     Home,
     /// Motors on.
     Arm,
+    /// Answers as [`Command::Arm`] would, and changes nothing: what readies the power stage asks first.
+    MayArm,
     /// Motors off.
     Disarm,
     /// Moves each joint by a small torque to see that it turns the right way.
     CheckPolarity,
+    /// Answers as [`Command::CheckPolarity`] would, and changes nothing.
+    MayCheckPolarity,
     /// The polarity of this device is known from an earlier check.
     PolarityKnown,
     /// Clears a latched fault.
@@ -115,6 +119,8 @@ where
             Command::Table(start, values) => self.set_table(start.into(), &values),
             Command::Home => self.home(),
             Command::Arm => self.arm(),
+            Command::MayArm => self.may_arm(),
+            Command::MayCheckPolarity => self.ready().map(drop),
             Command::Disarm => {
                 self.off();
                 if self.state != State::Fault {
@@ -287,7 +293,7 @@ where
         Ok(program)
     }
 
-    fn arm(&mut self) -> Result<(), Refusal> {
+    fn may_arm(&self) -> Result<(), Refusal> {
         let program = self.ready()?;
         if self.hardware.real && !self.polarity_known {
             return Err(Refusal::PolarityUnchecked);
@@ -295,6 +301,11 @@ where
         if program.controller.inside_a_wall(&self.now.counts) {
             return Err(Refusal::InsideWall);
         }
+        Ok(())
+    }
+
+    fn arm(&mut self) -> Result<(), Refusal> {
+        self.may_arm()?;
         self.fade = fade::Fade::default();
         self.watch_anew();
         self.state = State::Armed;

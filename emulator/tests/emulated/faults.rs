@@ -3,6 +3,7 @@
 use haptic::link::BoardError;
 use haptic::sim::MotorInput;
 use haptic_bridge::safety::fault::{Fault, State};
+use haptic_bridge::safety::refusal::Refusal;
 use virtual_board::boards::BoardKind;
 use virtual_board::rig::Rig;
 use virtual_board::run::{MILLISECOND, SECOND, StoppedBoard};
@@ -52,6 +53,19 @@ fn an_encoder_that_jumps_turns_the_motors_off() {
         device.place([a + 0.4, b, c]);
     });
     assert!(matches!(fault, Some(Fault::EncoderJump | Fault::SpeedLimit)), "{fault:?}");
+}
+
+/// Gate drivers without a supply would latch a fault, but nobody asks them.
+#[test]
+fn what_is_refused_leaves_the_gate_drivers_alone() {
+    let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
+    rig.load(WALL);
+    rig.with(|bench| bench.hardware().driver(0).stick(true));
+    for outcome in [rig.tool.arm(), rig.tool.check_polarity()] {
+        assert!(matches!(outcome, Err(BoardError::Refused(Refusal::NotHomed))), "{outcome:?}");
+    }
+    let status = rig.tool.status().expect("it answers");
+    assert_eq!((status.state, status.fault), (State::Disarmed, None));
 }
 
 #[test]
