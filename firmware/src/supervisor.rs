@@ -1,5 +1,6 @@
 //! Feeds the watchdog, and only when everything that has to move has moved: the control interrupt since the last
-//! feeding, and no more often than its rate says, and every task within its own time.
+//! feeding, no more often than its rate says and, while the motors are on, no less often, and every task within its own
+//! time.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
@@ -7,7 +8,7 @@ use embassy_time::{Duration, Instant, Ticker};
 use haptic_bridge::drive::carrier::CARRIER_MIN_HZ;
 
 use crate::servo;
-use crate::watchdog::Watchdog;
+use crate::watchdog::{self, Watchdog};
 
 /// Time between feedings; the watchdog bites after 68 ms at the earliest.
 const PERIOD: Duration = Duration::from_millis(20);
@@ -33,6 +34,9 @@ static RATE_HZ: AtomicU32 = AtomicU32::new(CARRIER_MIN_HZ);
 /// A loop that runs this much too often is as dead as one that stops, %; both clocks are the crystal's, so what is
 /// left is a step or two at either end.
 const TOO_OFTEN_PERCENT: u64 = 110;
+/// One that runs less often than this has everything that it sums up wrong. Only while the power stage is up: with the
+/// motors off a scene that the chip cannot keep up with is no reason to start anew with the same scene.
+const TOO_SELDOM_PERCENT: u64 = 90;
 const STEPS_AT_THE_ENDS: u64 = 4;
 
 /// The control rate is this from now on, Hz.
@@ -56,6 +60,8 @@ pub async fn supervise(mut watchdog: Watchdog) -> ! {
     let mut steps = servo::STEPS.load(Ordering::Relaxed);
     let mut rate = RATE_HZ.load(Ordering::Relaxed);
     let mut looked = Instant::now();
+    let mut stalls = watchdog::stalls();
+    let mut up = false;
     for task in TASKS {
         alive(task);
     }
@@ -66,13 +72,20 @@ pub async fn supervise(mut watchdog: Watchdog) -> ! {
         // The faster of two rates, where one replaced the other meanwhile.
         let rate_before = core::mem::replace(&mut rate, RATE_HZ.load(Ordering::Relaxed));
         let most = elapsed * u64::from(rate.max(rate_before)) * TOO_OFTEN_PERCENT / 100_000_000 + STEPS_AT_THE_ENDS;
-        let paced = u64::from(steps.wrapping_sub(before)) <= most;
+        let least = elapsed * u64::from(rate.min(rate_before)) * TOO_SELDOM_PERCENT / 100_000_000;
+        let taken = u64::from(steps.wrapping_sub(before));
+        let paced = taken <= most;
+        // While flash is written no step is taken. A power stage that has only just come up is judged at the next look.
+        let stalled = core::mem::replace(&mut stalls, watchdog::stalls()) != stalls;
+        let up_before = core::mem::replace(&mut up, servo::GATE_READY.load(Ordering::Relaxed));
+        let kept_up = stalled || !(up && up_before) || taken + STEPS_AT_THE_ENDS >= least;
         let now = now_ms();
         let silent = TASKS
             .into_iter()
             .find(|task| now.wrapping_sub(LAST_HEARD_MS[*task as usize].load(Ordering::Relaxed)) > SILENCE_MAX_MS);
         match (steps != before, paced, silent) {
-            (true, true, None) => watchdog.feed(),
+            (true, true, None) if kept_up => watchdog.feed(),
+            (true, true, None) => defmt::error!("the control step runs too seldom"),
             (false, ..) => defmt::error!("the control step stands still"),
             (true, false, _) => defmt::error!("the control step runs too often"),
             (true, true, Some(task)) => defmt::error!("task {} is silent", task),

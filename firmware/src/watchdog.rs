@@ -5,6 +5,8 @@
 //! s, and looking through a full one takes tens of milliseconds, so the time is stretched to at least 2.7 s around the
 //! writing of a setting and the reading of all of them at start ([`patient`]): both while the bridges are off.
 
+use core::sync::atomic::{AtomicU32, Ordering};
+
 use embassy_stm32::pac;
 use embassy_stm32::pac::iwdg::vals::{Key, Pr};
 use embassy_stm32::{Peri, peripherals::IWDG};
@@ -33,9 +35,18 @@ impl Watchdog {
     }
 }
 
+/// How often [`patient`] has been called.
+static STALLS: AtomicU32 = AtomicU32::new(0);
+
+/// Stretches so far in which the program may have stalled, wrapping.
+pub fn stalls() -> u32 {
+    STALLS.load(Ordering::Relaxed)
+}
+
 /// Runs something that stalls the program for long, with a watchdog that waits for it. It must be running:
 /// a write before its oscillator runs is lost, and blocks every write after it.
 pub fn patient<R>(work: impl FnOnce() -> R) -> R {
+    STALLS.store(stalls().wrapping_add(1), Ordering::Relaxed);
     set(PATIENT_TICKS);
     let result = work();
     set(NORMAL_TICKS);

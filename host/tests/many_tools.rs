@@ -146,6 +146,21 @@ fn a_request_to_disarm_gets_past_the_tool_that_holds_the_board_over_tcp() {
     assert_eq!(first.status().unwrap().state, State::Armed);
 }
 
+#[test]
+fn a_request_to_disarm_gets_past_forty_connections_that_say_nothing() {
+    let (port, _stop) = on_tcp();
+    let mut first = Board::open(&port).unwrap();
+    armed(&mut first);
+    let silent: Vec<TcpStream> = (0..40).map(|_| connect(&port)).collect();
+    // As `haptic disarm` does: it asks first, and is told that the board is held.
+    let told = Board::open(&port).map(drop);
+    assert!(matches!(told, Err(LinkError::HeldByAnother(_))), "{told:?}");
+    let more: Vec<TcpStream> = (0..40).map(|_| connect(&port)).collect();
+    disarm_past(&port).unwrap();
+    assert_eq!(first.status().unwrap().state, State::Disarmed);
+    drop((silent, more));
+}
+
 #[cfg(unix)]
 #[test]
 fn a_request_to_disarm_gets_past_the_tool_that_holds_a_pseudo_terminal() {

@@ -154,6 +154,13 @@ fn the_watchdog_bites_when_the_control_interrupt_comes_too_often() {
 }
 
 #[test]
+fn the_watchdog_bites_when_the_control_interrupt_comes_too_seldom_while_the_motors_are_on() {
+    // As above, with a carrier of 16 kHz.
+    let stub = |task| vec![0x4B04_4A03, 0x3A01_601A, 0xBF00_615A, 0xF008_F8DF, 5250, 0x4001_002C, task];
+    bitten("10supervisor9supervise4POOL", stub, 40, 300);
+}
+
+#[test]
 fn a_board_whose_supply_stays_low_stays_off_and_says_so_once_it_is_back() {
     let mut rig = armed(BoardKind::OdriveV3);
     rig.with(|stopped| stopped.supply(2700));

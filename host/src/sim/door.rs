@@ -9,8 +9,8 @@ use postcard_rpc::Endpoint as _;
 use postcard_rpc::Topic;
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use std::io::{self, Read, Write};
-use std::net::{SocketAddr, TcpListener, TcpStream};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
@@ -34,7 +34,7 @@ const BLOCKS: usize = 8;
 pub(super) const BLOCK: usize = 4096;
 /// Blocks from a tool that wait for the board.
 const EVENTS: usize = 16;
-/// Connections that are looked at while one holds the board; more are closed at once.
+/// Connections that are looked at while one holds the board; for more the oldest that says nothing is closed.
 const KNOCKING: usize = 16;
 /// How long a tool may hold the board without a byte when another one asks for it: ours say something twenty times
 /// a second while they listen.
@@ -98,22 +98,18 @@ pub fn tcp(address: SocketAddr) -> io::Result<ToolListener> {
     let (send, events) = sync_channel(EVENTS);
     thread::spawn(move || {
         let holder = Holder::default();
-        let knocking = Arc::new(AtomicUsize::new(0));
+        let knocking = Knocking::default();
         for stream in listener.incoming() {
             let Ok(stream) = stream else { continue };
-            if knocking.fetch_add(1, Ordering::SeqCst) >= KNOCKING {
-                knocking.fetch_sub(1, Ordering::SeqCst);
-                continue;
-            }
-            let (send, holder, knocking) = (send.clone(), holder.clone(), Arc::clone(&knocking));
-            thread::spawn(move || match holder.admits(&stream) {
-                Some(seat) => {
-                    knocking.fetch_sub(1, Ordering::SeqCst);
+            let Some(seat) = knocking.enters(&stream) else { continue };
+            let (send, holder, knocking) = (send.clone(), holder.clone(), knocking.clone());
+            thread::spawn(move || {
+                if holder.admits(&stream, seat, &knocking) {
+                    knocking.leaves(seat);
                     carry(stream, &send, &holder, seat);
-                }
-                None => {
+                } else {
                     let request = turn_away(&stream);
-                    knocking.fetch_sub(1, Ordering::SeqCst);
+                    knocking.leaves(seat);
                     if let Some(request) = request {
                         let _ = disarm_for(stream, request, &send);
                     }
@@ -122,6 +118,57 @@ pub fn tcp(address: SocketAddr) -> io::Result<ToolListener> {
         }
     });
     Ok(ToolListener { port, events })
+}
+
+/// The connections that are looked at, oldest first.
+#[derive(Clone, Default)]
+struct Knocking(Arc<Mutex<Vec<Knock>>>);
+
+struct Knock {
+    seat: u64,
+    stream: TcpStream,
+    /// A tool speaks at once; what does not keeps no tool out.
+    spoke: bool,
+}
+
+impl Knocking {
+    fn lock(&self) -> MutexGuard<'_, Vec<Knock>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A number for the connection that no other has, none when there is no room because all speak.
+    fn enters(&self, stream: &TcpStream) -> Option<u64> {
+        static SEATS: AtomicU64 = AtomicU64::new(0);
+        let mut knocks = self.lock();
+        if knocks.len() >= KNOCKING {
+            let silent = knocks.iter().position(|knock| !knock.spoke)?;
+            let _ = knocks.remove(silent).stream.shutdown(Shutdown::Both);
+        }
+        let (seat, stream) = (SEATS.fetch_add(1, Ordering::SeqCst), stream.try_clone().ok()?);
+        knocks.push(Knock { seat, stream, spoke: false });
+        Some(seat)
+    }
+
+    /// Waits for a first byte of a connection, for 10 ms; false when it is closed.
+    fn hears(&self, stream: &TcpStream, seat: u64) -> bool {
+        let pause = Duration::from_millis(10);
+        let _ = stream.set_read_timeout(Some(pause));
+        match stream.peek(&mut [0]) {
+            Ok(0) => false,
+            Ok(_) => {
+                let mut knocks = self.lock();
+                knocks.iter_mut().filter(|knock| knock.seat == seat).for_each(|knock| knock.spoke = true);
+                drop(knocks);
+                thread::sleep(pause);
+                true
+            }
+            Err(error) => matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut),
+        }
+    }
+
+    fn leaves(&self, seat: u64) {
+        self.lock().retain(|knock| knock.seat != seat);
+    }
 }
 
 /// The connection that holds the board.
@@ -140,30 +187,29 @@ impl Holder {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Gives the board to this connection if it is free within [`HANDOVER`], or held in silence; its seat.
-    fn admits(&self, stream: &TcpStream) -> Option<u64> {
+    /// Gives the board to this connection if it is free within [`HANDOVER`], or held in silence.
+    fn admits(&self, stream: &TcpStream, seat: u64, knocking: &Knocking) -> bool {
         let began = Instant::now();
         loop {
             {
                 let mut held = self.lock();
                 match &*held {
                     None => {
-                        let seat = held_seats();
-                        let stream = stream.try_clone().ok()?;
+                        let _ = stream.set_read_timeout(None);
+                        let Ok(stream) = stream.try_clone() else { return false };
                         *held = Some(Held { seat, stream, heard: Instant::now() });
-                        return Some(seat);
+                        return true;
                     }
                     // Its reading thread sees the end, and frees the board.
                     Some(silent) if silent.heard.elapsed() > SILENCE => {
-                        let _ = silent.stream.shutdown(std::net::Shutdown::Both);
+                        let _ = silent.stream.shutdown(Shutdown::Both);
                     }
                     Some(_) => {}
                 }
             }
-            if began.elapsed() > HANDOVER {
-                return None;
+            if began.elapsed() > HANDOVER || !knocking.hears(stream, seat) {
+                return false;
             }
-            thread::sleep(Duration::from_millis(10));
         }
     }
 
@@ -176,12 +222,6 @@ impl Holder {
     fn leaves(&self, seat: u64) {
         self.lock().take_if(|held| held.seat == seat);
     }
-}
-
-/// A number that no connection before had.
-fn held_seats() -> u64 {
-    static SEATS: AtomicUsize = AtomicUsize::new(0);
-    SEATS.fetch_add(1, Ordering::SeqCst) as u64
 }
 
 /// Carries the bytes of the connection that holds the board, until it ends.
@@ -232,7 +272,7 @@ pub fn turn_away(stream: &TcpStream) -> Option<Vec<u8>> {
         let header = VarHeader { key: VarKey::Key8(Occupied::TOPIC_KEY), seq_no: VarSeq::Seq2(0) };
         let mut writer = stream;
         let _ = writer.write_all(&encode(&header, &[]));
-        let _ = stream.shutdown(std::net::Shutdown::Write);
+        let _ = stream.shutdown(Shutdown::Write);
         let _ = reader.read(&mut buffer);
     }
     disarm
