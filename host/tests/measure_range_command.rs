@@ -62,6 +62,10 @@ fn what_makes_no_sense_is_refused_before_anything_moves() {
     let progress = folder.path().join("progress.json");
     measure(&progress, &SLOW, &["--torque-limit", "0"]).code(2);
     measure(&progress, &SLOW, &["--pull", "50"]).code(2);
+    let nowhere = folder.path().join("missing").join("p.json");
+    // Its first words: before "repeats" or a port.
+    measure(&nowhere, &SLOW, &[]).code(1).stderr(contains("there is no such folder; make the folder first"));
+    measure(&nowhere, &SLOW, &["--port", "/dev/no-such-port"]).code(1).stderr(contains("no such folder"));
     assert!(!progress.exists());
 }
 
