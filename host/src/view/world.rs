@@ -12,6 +12,7 @@ use crate::plausible::scene::around;
 use crate::scene_file::{DEFAULT_CUTOFF_HZ, DEFAULT_RATE_HZ, DEFAULT_WASHOUT_HZ};
 use crate::sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, ready_board};
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::safety::refusal::Refusal;
 
 /// How far in front of the tip the wall stands that is there when no scene was named, m.
 const AHEAD: f64 = 0.006;
@@ -34,6 +35,15 @@ impl World {
     /// A board that is there.
     pub fn of(board: Board, file: Option<DeviceFile>) -> Self {
         Self { board, simulated: None, file, weightless: false }
+    }
+
+    /// What a board that is there still needs before it can be looked at: a device, a scene.
+    pub fn lacks(&mut self) -> Result<Option<Refusal>, LinkError> {
+        Ok(match (self.board.device()?, self.board.scene()?) {
+            (None, _) => Some(Refusal::NoDevice),
+            (_, None) => Some(Refusal::NoScene),
+            _ => None,
+        })
     }
 
     /// The wall of `haptic demo` on its device: it buzzes without the feed-forward and is quiet with it.

@@ -316,6 +316,7 @@ fn the_feed_forward_has_the_colours_of_the_pictures_of_haptic_range() {
 fn other_computers_need_the_token() {
     let view = View::listen("0.0.0.0:0", &["--port", "sim"]);
     assert_eq!(view.query().len(), "token=".len() + 32, "{}", view.url);
+    assert!(!view.address().starts_with("0.0.0.0"), "no browser of another computer opens {}", view.url);
     let host = view.address();
     let get = |path: &str| ask(&view, &format!("GET {path} HTTP/1.1\r\nHost: {host}\r\n\r\n"));
     assert!(get("/").starts_with("HTTP/1.1 403 ") && get("/live").starts_with("HTTP/1.1 403 "));
@@ -339,11 +340,19 @@ fn every_shipped_device_can_be_looked_at() {
 
 struct Sim(Child);
 
+/// A scene that ships.
+fn scene() -> String {
+    format!("{}/../devices/scenes/coupled-five-bar/wall.toml", env!("CARGO_MANIFEST_DIR"))
+}
+
 impl Sim {
     fn start(port: u16) -> Self {
+        Self::with(port, &["--scene", &scene()])
+    }
+
+    fn with(port: u16, more: &[&str]) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_haptic"));
-        let scene = format!("{}/../devices/scenes/coupled-five-bar/wall.toml", env!("CARGO_MANIFEST_DIR"));
-        command.args(["sim", "--tcp", &port.to_string(), "--scene", &scene]).stdout(Stdio::piped());
+        command.args(["sim", "--tcp", &port.to_string()]).args(more).stdout(Stdio::piped());
         let mut child = command.spawn().unwrap();
         let mut line = [0; 1];
         child.stdout.as_mut().unwrap().read_exact(&mut line).unwrap();
@@ -375,4 +384,31 @@ fn a_board_that_is_lost_is_waited_for() {
     page.until("its return", |page| !page.hello.is_null());
     page.until("nobody in command", |page| page.picture["command"].is_null());
     page.until_state("Disarmed");
+}
+
+/// The scene of a board that is switched off is gone, unless it was saved.
+#[test]
+fn a_board_that_comes_back_without_its_scene_is_waited_for_as_well() {
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let address = format!("tcp:127.0.0.1:{port}");
+    let sim = Sim::start(port);
+    let view = View::start(&["--port", &address]);
+    let mut page = Page::open(&view);
+    drop(sim);
+    page.until("its loss", |page| page.lost.is_some());
+    let _sim = Sim::with(port, &[]);
+    page.until("what to do", |page| page.lost.as_ref().is_some_and(|why| why.contains("`haptic scene FILE`")));
+    page.hello = serde_json::Value::Null;
+    let scene = ["scene", &scene(), "--port", &address];
+    assert_cmd::Command::cargo_bin("haptic").unwrap().args(scene).assert().success();
+    page.until("its return", |page| !page.hello.is_null());
+    page.until_state("Disarmed");
+}
+
+#[test]
+fn a_folder_for_recordings_that_is_missing_is_told_at_the_start() {
+    let view = ["view", "--port", "sim", "--listen", "127.0.0.1:0", "--record-to", "/nonexistent"];
+    let refused = assert_cmd::Command::cargo_bin("haptic").unwrap().args(view).timeout(PATIENCE).assert().code(1);
+    let said = String::from_utf8_lossy(&refused.get_output().stderr).into_owned();
+    assert!(said.contains("/nonexistent is not there; make the folder first"), "{said}");
 }
