@@ -30,8 +30,8 @@ const USUAL_PORT: u16 = 7720;
 /// while somebody holds a key (Space) on the page in command: letting go, closing the page or losing the network turns
 /// them off.
 ///
-/// With --port sim the mouse is a hand on a simulated device. Without DEVICE it is that of `haptic demo`, with a wall that
-/// buzzes without the feed-forward and is quiet with it.
+/// With --port sim the mouse is a hand on a simulated device. Without DEVICE it is that of `haptic demo`, with less dry
+/// friction and finer encoders, before a wall that buzzes without the feed-forward and is quiet with it.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML), for its links [default: a board's tip is drawn without them]
