@@ -3,7 +3,7 @@
 use crate::commands::Command;
 use crate::commands::help::{Cli, command};
 use clap::FromArgMatches;
-use clap::error::ContextKind;
+use clap::error::{ContextKind, ContextValue};
 use std::error::Error;
 use std::ffi::OsString;
 use std::num::{IntErrorKind, ParseFloatError, ParseIntError};
@@ -18,8 +18,33 @@ pub fn parse() -> Command {
 
 /// The command that these words, the program's own name first, ask for. Errors are clap's, and so are help and version.
 pub fn read(words: Vec<OsString>) -> Result<Command, clap::Error> {
-    let matches = command().try_get_matches_from(port_after_command(words)).map_err(what_to_type)?;
+    let words = port_after_command(words);
+    let asked = words.get(1).map(|word| word.to_string_lossy().into_owned()).unwrap_or_default();
+    let unread = |error| what_to_type(without_wrong_tip(error, &asked));
+    let matches = command().try_get_matches_from(words).map_err(unread)?;
     Ok(Cli::from_arg_matches(&matches)?.command)
+}
+
+/// No tip to pass an option that a command has not got as a value, which it would then take for the name of a file; and the
+/// option where a file to write stands without it.
+fn without_wrong_tip(mut error: clap::Error, asked: &str) -> clap::Error {
+    if error.kind() != clap::error::ErrorKind::UnknownArgument {
+        return error;
+    }
+    let as_value = |tip: &clap::builder::StyledStr| tip.to_string().contains("as a value, use '-- ");
+    if let Some(ContextValue::StyledStrs(mut tips)) = error.remove(ContextKind::Suggested) {
+        tips.retain(|tip| !as_value(tip));
+        if !tips.is_empty() {
+            error.insert(ContextKind::Suggested, ContextValue::StyledStrs(tips));
+        }
+    }
+    if let (Some(ContextValue::String(word)), "new") = (error.get(ContextKind::InvalidArg), asked)
+        && !word.starts_with('-')
+    {
+        let tip = format!("to write this file, use '-o {word}'").into();
+        error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip]));
+    }
+    error
 }
 
 /// Where a number could not be read, what would be one, in the place of what the parser stumbled over.
@@ -80,6 +105,16 @@ mod tests {
                 assert_eq!(line.split_whitespace().nth(1), Some(command.get_name()));
             }
         }
+    }
+
+    #[test]
+    fn tips_say_what_helps() {
+        let said = |line: &str| read(line.split_whitespace().map(OsString::from).collect()).err().unwrap().to_string();
+        for line in ["haptic monitor --json", "haptic check a.toml --jsn", "haptic new --json"] {
+            assert!(!said(line).contains("'-- "), "{line}: {}", said(line));
+        }
+        assert!(said("haptic check a.toml --jsn").contains("'--json'"), "{}", said("haptic check a.toml --jsn"));
+        assert!(said("haptic new five-bar mine.toml").contains("use '-o mine.toml'"));
     }
 
     #[test]

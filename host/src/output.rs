@@ -30,16 +30,39 @@ enum Place {
 
 /// Refuses a path whose file would be overwritten unasked, or that cannot be one: before any work is done for it.
 pub fn check(path: &Path, overwrite: Overwrite) -> Result<(), Failure> {
-    place(path, overwrite).map(drop)
+    match place(path, overwrite)? {
+        Place::Special => Ok(()),
+        Place::File(target) => std::fs::metadata(folder_of(&target)).map(drop).map_err(|error| refused(path, &error)),
+    }
+}
+
+/// Refuses a folder that files are to go to later, and that is none.
+pub fn check_folder(folder: &Path) -> Result<(), Failure> {
+    let why = match std::fs::metadata(folder) {
+        Ok(about) if about.is_dir() => return Ok(()),
+        Ok(_) => "is no folder".into(),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => "is not there".into(),
+        Err(error) => format!("cannot be used: {error}"),
+    };
+    Err(Failure::impossible(format!("the folder {} {why}", folder.display()))
+        .remedy("make the folder first, or choose another"))
+}
+
+fn folder_of(target: &Path) -> &Path {
+    target.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// Writes a whole document.
 pub fn write(path: &Path, bytes: &[u8], overwrite: Overwrite) -> Result<(), Failure> {
     match place(path, overwrite)? {
-        Place::Special => OpenOptions::new().write(true).open(path).and_then(|mut file| {
-            file.write_all(bytes)?;
-            file.flush()
-        }),
+        Place::Special => {
+            let written = OpenOptions::new().write(true).open(path).and_then(|mut file| {
+                file.write_all(bytes)?;
+                file.flush()
+            });
+            // A reader that went away (`--svg /dev/stdout | head`) has what he wanted.
+            written.or_else(|error| if error.kind() == io::ErrorKind::BrokenPipe { Ok(()) } else { Err(error) })
+        }
         Place::File(target) => beside(&target, bytes).and_then(|beside| put(beside, &target, overwrite)),
     }
     .map_err(|error| refused(path, &error))
@@ -111,10 +134,6 @@ fn place(path: &Path, overwrite: Overwrite) -> Result<Place, Failure> {
 
 /// A file beside `target` that holds these bytes.
 fn beside(target: &Path, bytes: &[u8]) -> io::Result<NamedTempFile> {
-    let folder = match target.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
     let mut builder = tempfile::Builder::new();
     builder.prefix(".haptic-").suffix(".partial");
     #[cfg(unix)]
@@ -123,7 +142,7 @@ fn beside(target: &Path, bytes: &[u8]) -> io::Result<NamedTempFile> {
         // As any new file's, less the user's mask.
         builder.permissions(std::fs::Permissions::from_mode(0o666));
     }
-    let mut beside = builder.tempfile_in(folder)?;
+    let mut beside = builder.tempfile_in(folder_of(target))?;
     // Its own file, not the named one, whose errors tell of a name that nobody knows.
     beside.as_file_mut().write_all(bytes)?;
     beside.as_file().sync_all()?;
@@ -168,6 +187,32 @@ pub fn date() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_reader_that_goes_away_before_a_document_ends_is_no_error() {
+        use std::io::Read;
+        use std::os::fd::AsRawFd;
+        let (mut reader, writer) = io::pipe().unwrap();
+        let path = format!("/proc/self/fd/{}", writer.as_raw_fd());
+        // More than a pipe holds: whoever writes waits until the reader has gone.
+        let gone = std::thread::spawn(move || reader.read_exact(&mut [0; 300]).unwrap());
+        write(Path::new(&path), &vec![b'x'; 1 << 20], Overwrite::Never).unwrap();
+        gone.join().unwrap();
+    }
+
+    #[test]
+    fn a_folder_that_is_missing_is_told_before_any_work() {
+        let folder = tempfile::tempdir().unwrap();
+        let missing = folder.path().join("missing");
+        let refused = check(&missing.join("p.json"), Overwrite::Replace).unwrap_err().to_string();
+        assert!(refused.contains("there is no such folder; make the folder first"), "{refused}");
+        let refused = check_folder(&missing).unwrap_err().to_string();
+        assert!(refused.contains("missing is not there; make the folder first"), "{refused}");
+        check(&folder.path().join("p.json"), Overwrite::Never).unwrap();
+        check(Path::new("p-that-is-not-there.json"), Overwrite::Never).unwrap();
+        check_folder(folder.path()).unwrap();
+    }
 
     #[test]
     fn a_file_that_exists_is_kept_unless_it_may_be_replaced() {

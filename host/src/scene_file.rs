@@ -99,7 +99,7 @@ impl SceneFile {
 fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
     if top.has("mechanism") || top.has("geometry") {
         let reason = "this looks like a device file, not a scene file".into();
-        let remedy = "name the device file first, then scene files".into();
+        let remedy = "name a scene file here; a device file goes before it, or to `haptic device`".into();
         return Err(top.error_here(Problem::Impossible { reason, remedy }));
     }
     let estimator = top.word("estimator", Estimator::ALL)?.unwrap_or_default();

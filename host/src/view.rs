@@ -17,6 +17,6 @@ pub mod stage;
 pub mod world;
 
 #[cfg(feature = "serve")]
-pub use door::PageListener;
+pub use door::{PageListener, Reach};
 pub use stage::{Stage, Turn};
 pub use world::World;

@@ -343,8 +343,24 @@ fn torque_limits_leave_room_for_the_devices_weight_and_what_was_lower_before_is_
     }
     let sim = Sim::start(&["--strict"]);
     sim.run(&["device", &file("capstan-pantograph.toml")]).success();
-    sim.run(&["device", &file("coupled-five-bar.toml")]).success().stdout(contains("some were lower before"));
+    let lower = sim.run(&["device", &file("coupled-five-bar.toml")]).success();
+    lower.stdout(contains("some were lower before").and(contains("`haptic rules --torque` raises them")));
     assert!(limits(&sim)[0] < 0.5 * without[0], "what somebody may have meant stays");
+
+    // Lengths in millimetres take torques that no limit of the board can be raised to, and nobody is told to.
+    let long = folder.path().join("long.toml");
+    let lengths = [
+        ("base = 0.02\n", "base = 20.0\n"),
+        ("proximal = [0.1, 0.1]", "proximal = [100.0, 100.0]"),
+        ("distal = [0.13, 0.13]", "distal = [130.0, 130.0]"),
+    ];
+    let in_mm = lengths.iter().fold(light.clone(), |text, (m, mm)| text.replace(m, mm));
+    assert!(lengths.iter().all(|(_, mm)| in_mm.contains(mm)), "{in_mm}");
+    std::fs::write(&long, in_mm).unwrap();
+    let sim = Sim::start(&["--strict"]);
+    let said = sim.run(&["device", long.to_str().unwrap()]).success();
+    said.stdout(contains("the board allows no more than 5: are lengths in the file in m").and(contains("rules").not()));
+    assert_eq!(limits(&sim)[0], 5.0);
 }
 
 /// A board whose scene pulls joint 0 past its limit as soon as it is armed, and whose friction leaves it there.

@@ -43,10 +43,19 @@ fn a_measurement_is_reported_kept_and_continued() {
     let again: Value = serde_json::from_slice(&third.get_output().stdout).unwrap();
     assert_eq!((&again["date"], &again["points"]), (&document["date"], &document["points"]));
 
+    // Another damping is measured beside it, and alone told.
+    let other = ["--kd", "16", "--feed-forward", "off", "--repeats", "1", "--pull", "2"];
+    let mut command = Command::cargo_bin("haptic").unwrap();
+    let fixed = ["measure-range", DEVICE, "--port", "sim", "--normal", "0.6,0.8", "--json"];
+    let other = document(command.args(fixed).args(SLOW).args(other).arg("--progress").arg(&progress).assert());
+    let told: Vec<f64> = other["points"].as_array().unwrap().iter().map(|p| p["kd"].as_f64().unwrap()).collect();
+    assert_eq!((told, other["theory"].as_str().unwrap().contains("15")), (vec![16.0], false));
+
     // What was measured at one rate is not mixed with another.
     measure(&progress, &["--rate", "10000", "--cutoff", "200"], &["--feed-forward", "off", "--pull", "2"])
         .code(2)
-        .stderr(contains("holds another measurement").and(contains("--anew")).and(contains(&*date)));
+        .stderr(contains("holds another measurement").and(contains("--anew")).and(contains(&*date)))
+        .stderr(contains("coupled-five-bar along (0.6, 0.8) at 1000 Hz"));
 
     // Unless it is to take its place.
     let anew =
@@ -62,6 +71,10 @@ fn what_makes_no_sense_is_refused_before_anything_moves() {
     let progress = folder.path().join("progress.json");
     measure(&progress, &SLOW, &["--torque-limit", "0"]).code(2);
     measure(&progress, &SLOW, &["--pull", "50"]).code(2);
+    let nowhere = folder.path().join("missing").join("p.json");
+    // Its first words: before "repeats" or a port.
+    measure(&nowhere, &SLOW, &[]).code(1).stderr(contains("there is no such folder; make the folder first"));
+    measure(&nowhere, &SLOW, &["--port", "/dev/no-such-port"]).code(1).stderr(contains("no such folder"));
     assert!(!progress.exists());
 }
 
@@ -103,6 +116,26 @@ fn what_the_readme_says_ends_with_boundaries_near_those_of_theory() {
         let share = point["kp"].as_f64().unwrap() / point["theory_kp"].as_f64().unwrap();
         assert!((0.97..2.5).contains(&share), "{point}");
     }
+    // docs/results.md has the same line and what it gives.
+    let results = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/results.md")).unwrap();
+    let row = results.lines().find(|row| row.contains(&format!("`{line}`"))).expect("a row with this line");
+    let told = |key: &str| {
+        let two = |mode: &str| {
+            let of: Vec<String> = points
+                .iter()
+                .filter(|point| point["mode"] == mode)
+                .map(|point| format!("{:.2}", point[key].as_f64().unwrap() / 1e3))
+                .collect();
+            format!("{mode} {}", of.join(" and "))
+        };
+        format!("| {}, {} kN/m |", two("off"), two("full"))
+    };
+    assert!(
+        row.contains(&told("kp")) && row.contains(&told("theory_kp")),
+        "{}{}: {row}",
+        told("kp"),
+        told("theory_kp")
+    );
 }
 
 #[test]

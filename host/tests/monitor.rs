@@ -148,7 +148,7 @@ fn a_wall_is_pressed_its_gains_are_turned_and_it_is_recorded() {
         "1: rendered_n",
         "2: distance_m",
         "outside",
-        "wall 0 (plane): 22000 N/m, 40 N s/m, feed-forward washout",
+        "wall 0 (plane): 14500 N/m, 60 N s/m, feed-forward washout",
         "hold Space: motors on",
         "rows lost 0",
     ] {
@@ -166,9 +166,9 @@ fn a_wall_is_pressed_its_gains_are_turned_and_it_is_recorded() {
     terminal.press("\u{1b}[1;2B\u{1b}[1;2B\u{1b}[1;2B\u{1b}[1;2B\u{1b}[1;2B");
     terminal.until("a force", |text| text.contains("depth ") && number(text, "force ") > 1.0);
     terminal.press("h");
-    terminal.shows("22000 N/m, 38.095 N s/m");
+    terminal.shows("14500 N/m, 57.143 N s/m");
     terminal.press("jjj");
-    terminal.until("a softer wall", |text| !text.contains("): 22000 N/m"));
+    terminal.until("a softer wall", |text| !text.contains("): 14500 N/m"));
     terminal.press("1");
     terminal.until("the next signal", |text| !text.contains("1: rendered_n"));
     terminal.press("r");
@@ -190,7 +190,7 @@ fn a_wall_is_pressed_its_gains_are_turned_and_it_is_recorded() {
     let recording = Recording::load(&file).unwrap();
     let force = recording.column("rendered_n").unwrap();
     assert!(!recording.torn && recording.rows.iter().any(|row| row[force] > 1.0), "{}", recording.rows.len());
-    assert!(recording.about.iter().any(|line| line.starts_with("wall 0: plane, 22000 N/m, 38.095 N s/m")));
+    assert!(recording.about.iter().any(|line| line.starts_with("wall 0: plane, 14500 N/m, 57.143 N s/m")));
 }
 
 #[test]
@@ -233,6 +233,50 @@ fn a_board_that_is_unplugged_is_waited_for() {
     assert!(terminal.ended().0.success());
     second.kill().unwrap();
     second.wait().unwrap();
+}
+
+/// The scene of a board that is switched off is gone, unless it was saved.
+#[test]
+fn a_board_that_comes_back_without_its_scene_is_waited_for_as_well() {
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port().to_string();
+    let address = format!("tcp:127.0.0.1:{port}");
+    let scene = sim::file("scenes/coupled-five-bar/wall.toml");
+    let board = |more: &[&str]| {
+        let mut sim = Command::new(assert_cmd::cargo::cargo_bin("haptic"));
+        sim.args(["sim", "--tcp", &port]).args(more).stdout(Stdio::null()).spawn().unwrap()
+    };
+    let mut first = board(&["--scene", &scene]);
+    sim::until("the board", || std::net::TcpStream::connect(("127.0.0.1", port.parse::<u16>().unwrap())).is_ok());
+    let mut terminal = Terminal::start(&["--port", &address], 30, 100);
+    terminal.shows("motors off");
+    first.kill().unwrap();
+    first.wait().unwrap();
+    terminal.shows("waiting for it");
+    let mut second = board(&[]);
+    terminal.until("what to do", |text| text.contains("haptic scene FILE") && !text.contains("motors off"));
+    // Between two looks the board is free for others.
+    sim::haptic(&["scene", &scene, "--port", &address]).assert().success();
+    terminal.until("the scene", |text| text.contains("motors off") && !text.contains("waiting for it"));
+    terminal.press("q");
+    assert!(terminal.ended().0.success());
+    second.kill().unwrap();
+    second.wait().unwrap();
+}
+
+/// A terminal of the usual size shows how stiff the wall may be in whole words.
+#[test]
+fn the_predicted_limit_fits_on_a_terminal_of_80_by_24() {
+    let mut terminal = Terminal::start(&["--port", "sim"], 24, 80);
+    terminal.until("the limit", |text| {
+        let words = text.split_whitespace().collect::<Vec<_>>().join(" ");
+        words.split_once("predicted stable up to ").is_some_and(|(_, rest)| {
+            let mut rest = rest.split_whitespace();
+            rest.next().is_some_and(|number| number.parse::<f64>().is_ok())
+                && rest.next().is_some_and(|unit| unit.ends_with("N/m"))
+        })
+    });
+    terminal.press("q");
+    assert!(terminal.ended().0.success());
 }
 
 #[test]

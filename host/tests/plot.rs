@@ -2,6 +2,8 @@
 //! by its own ticks and labels, without the code that drew it.
 
 use assert_cmd::Command;
+use haptic::plot::axes::{Axis, Mark, PlotArea};
+use haptic::plot::canvas::Canvas;
 use predicates::str::contains;
 use std::f64::consts::TAU;
 use std::path::Path;
@@ -176,6 +178,67 @@ fn the_picture_says_what_was_recorded() {
     assert_eq!((points.len(), json["rows"].as_u64(), json["missing"].as_u64()), (101, Some(101), Some(0)));
     let (t, f) = (points[50][0].as_f64().unwrap(), points[50][1].as_f64().unwrap());
     assert!((t - 0.15).abs() < 1e-9 && (f - force(0.15)).abs() < 1e-9);
+}
+
+#[test]
+fn a_legend_lies_where_nothing_is_drawn() {
+    let axis = |high: f64| Axis { name: "x".into(), unit: "m".into(), low: 0.0, high };
+    let frame = PlotArea { at: (100.0, 50.0), size: (600.0, 300.0), x: axis(600.0), y: axis(300.0) };
+    // The top of the box that is drawn, and the height of the page.
+    let legend = |drawn: &[Vec<(f64, f64)>]| {
+        let mut canvas = Canvas::new(800.0, 400.0);
+        frame.clear_legend(&mut canvas, drawn, &[(Mark::Dot("red"), "a dot".into())]);
+        let svg = canvas.finish("", "").svg().to_string();
+        let of = |line: &str, key: &str| -> f64 {
+            line.split_once(&format!(" {key}=\"")).unwrap().1.split('"').next().unwrap().parse().unwrap()
+        };
+        let shown = svg.lines().find(|line| line.contains("#ffffffee")).unwrap();
+        (of(shown, "x"), of(shown, "y"), of(&svg, "height"))
+    };
+    let width = 48.0 + 6.5 * 5.0;
+    let right = 690.0 - width;
+    assert_eq!(legend(&[]), (right, 60.0, 400.0));
+    // A line far from its ends, a dot, and one that passes by.
+    let falling = vec![(400.0, 300.0), (600.0, 270.0)];
+    assert_eq!(legend(std::slice::from_ref(&falling)), (110.0, 60.0, 400.0));
+    assert_eq!(legend(&[falling.clone(), vec![(50.0, 280.0)]]), (right, 312.0, 400.0));
+    assert_eq!(legend(&[vec![(0.0, 240.0), (600.0, 240.0)]]), (right, 60.0, 400.0));
+    // Nowhere: below the page.
+    let cross = [vec![(0.0, 0.0), (600.0, 300.0)], vec![(0.0, 300.0), (600.0, 0.0)]];
+    assert_eq!(legend(&cross), (100.0, 400.0, 400.0 + 28.0 + 20.0));
+}
+
+/// At 20 kHz a velocity that jumps from row to row is a line in the picture and no area, and untouched in --json.
+#[test]
+fn the_phase_of_fast_rows_is_drawn_of_means() {
+    let folder = tempfile::tempdir().unwrap();
+    let (csv, svg) = (folder.path().join("a.csv"), folder.path().join("a.svg"));
+    let mut text = "# haptic-bridge recording\n# date 2026-01-01\n# device a-device\n\
+                    # control rate 20000 Hz, every step\nstep,time_s,distance_m,velocity_m_s\n"
+        .to_string();
+    for row in 0..10_000 {
+        let jump = if row % 2 == 0 { 0.1 } else { -0.1 };
+        text.push_str(&format!("{row},{},{},{}\n", row as f64 / 20e3, 1e-6 * row as f64, 0.02 + jump));
+    }
+    std::fs::write(&csv, text).unwrap();
+    let plot = |more: &[&str]| {
+        Command::cargo_bin("haptic")
+            .unwrap()
+            .arg("plot")
+            .arg(&csv)
+            .args(["--show", "phase"])
+            .args(more)
+            .assert()
+            .success()
+    };
+    plot(&["--svg", svg.to_str().unwrap()]);
+    let text = std::fs::read_to_string(&svg).unwrap();
+    assert!(text.contains("means over 21 rows"), "{text}");
+    let line = &read(&text)[0].lines[0];
+    assert!((400..=500).contains(&line.len()), "{}", line.len());
+    assert!(line.iter().all(|(_, v)| (v - 0.02).abs() < 6e-3), "{line:?}");
+    let json: serde_json::Value = serde_json::from_slice(&plot(&["--json"]).get_output().stdout).unwrap();
+    assert_eq!(json["panels"][0]["curves"][0]["pieces"][0].as_array().unwrap().len(), 10_000);
 }
 
 #[test]

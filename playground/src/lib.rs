@@ -43,7 +43,7 @@ macro_rules! shipped {
 
 /// What can be looked at; the first is what `haptic view --port sim` shows.
 const CHOICES: [Choice; 7] = [
-    Choice { name: "coupled-five-bar: the demo's wall", device: None, scene: None },
+    Choice { name: "coupled-five-bar: a wall that the feed-forward quiets", device: None, scene: None },
     shipped!("haply-2diy: a disc", "haply-2diy", "disc"),
     shipped!("haply-2diy: a groove", "haply-2diy", "groove"),
     shipped!("pantograph-mk2: a corner", "pantograph-mk2", "corner"),

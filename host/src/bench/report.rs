@@ -302,7 +302,7 @@ pub fn picture(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
         },
         y: Axis { name: "instructions".into(), unit: String::new(), low: 0.0, high: f64::from(MOST) },
     };
-    let mut entries = Vec::new();
+    let (mut entries, mut drawn) = (Vec::new(), Vec::new());
     frame.clipped(&mut canvas, |canvas| {
         for ((device, variants), colour) in every.iter().zip(COLOURS) {
             let all: Vec<&Variant> = variants.iter().filter(shown).collect();
@@ -314,6 +314,7 @@ pub fn picture(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
             front.sort_by(|a, b| a.0.total_cmp(&b.0));
             let stroke = Stroke { colour, width: 1.8, dash: "" };
             frame.curve(canvas, &front, stroke);
+            drawn.push(front);
             // A mechanism without a point in the frame has no place in its legend.
             if !all.is_empty() {
                 entries.push((Mark::Line(stroke), device.mechanism.kind().spec().name.to_string()));
@@ -321,6 +322,7 @@ pub fn picture(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
             for variant in all {
                 let y = f64::from(variant.instructions.unwrap_or(0));
                 frame.dot(canvas, decades(variant), y, y, y, colour);
+                drawn.push(vec![(decades(variant), y)]);
             }
         }
     });
@@ -342,6 +344,6 @@ pub fn picture(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
     {
         canvas.text((frame.at.0, 48.0 + 16.0 * line as f64), 12.0, Anchor::Start, false, text);
     }
-    PlotArea::legend(&mut canvas, frame.at.0 + frame.size.0 - 10.0, frame.at.1 + 10.0, &entries);
+    frame.clear_legend(&mut canvas, &drawn, &entries);
     canvas.finish(title, "Instructions of each variant over its largest error of the force at the tip.")
 }

@@ -184,8 +184,8 @@ fn tip_in_words(description: &Description) -> String {
             let joints: Vec<String> =
                 tip.limits_for(GENTLE_FORCE.into()).iter().map(|torque| format!("{torque:.3}")).collect();
             format!(
-                "  at the home pose its motors make up to {:.1} N at the tip{moment}; a board lets walls push with \
-                 {GENTLE_FORCE} N until told otherwise, and `haptic device` sets torque limits for as much and the device's weight ({} N m); at {} rad/s its links carry {:.2} J\n",
+                "  at the home pose its motors make up to {:.1} N at the tip{moment}; a real board lets walls push with \
+                 {GENTLE_FORCE} N until told otherwise, and `haptic device` sets its torque limits for as much and the device's weight ({} N m); at {} rad/s its links carry {:.2} J\n",
                 tip.force(&motors),
                 joints.join(", "),
                 BOARD_SPEED,

@@ -3,12 +3,13 @@
 use super::port::{Port, answer, warn_of_weaker};
 use haptic::device_file::DeviceFile;
 use haptic::error::Failure;
-use haptic::link::Board;
+use haptic::link::{Board, BoardError};
 use haptic::plausible::{device::doubts, warn};
 use haptic::tip::Tip;
 use haptic::toml_file::Document;
 use haptic_bridge::model::device::Device;
-use haptic_bridge::safety::limits::GENTLE_FORCE;
+use haptic_bridge::safety::limits::{GENTLE_FORCE, Limit};
+use haptic_bridge::safety::refusal::Refusal;
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -82,6 +83,16 @@ pub fn run(args: Args) -> Result<(), Failure> {
     answer(args.json, document, &report)
 }
 
+/// Above which torque, N m, nobody raises the board's limit: what it answers to one that every board refuses.
+fn most_torque(board: &mut Board) -> Option<f32> {
+    let mut rules = board.rules().ok()?;
+    rules.limits.torque[0] = f32::INFINITY;
+    match board.set_rules(&rules) {
+        Err(BoardError::Refused(Refusal::BadLimit(bad))) if bad.limit == Limit::Torque => Some(bad.most),
+        _ => None,
+    }
+}
+
 /// Limits the force at the tip, lowers the torque limits to what it takes in the home pose, and says so.
 fn soften(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Result<String, Failure> {
     let before = board.rules()?;
@@ -110,11 +121,18 @@ fn soften(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Result<
     let limits = three(&rules.limits.torque);
     // What was lower before stays: somebody may have meant it.
     if rules.limits.torque.iter().zip(&needs).any(|(limit, needed)| *limit < 0.99 * needed) {
-        return Ok(format!(
-            "{tip}  torque limits: {limits} N m, of which some were lower before; {newtons} N at the tip in the home pose, and what \
-             carries the device, take {}: `haptic rules --torque` raises them\n",
-            three(&needs)
-        ));
+        let needs_in_words =
+            format!("{newtons} N at the tip in the home pose, and what carries the device, take {}", three(&needs));
+        return Ok(match most_torque(board) {
+            Some(most) if needs.iter().any(|needed| *needed > most) => format!(
+                "{tip}  torque limits: {limits} N m; {needs_in_words}, and the board allows no more than {most}: are lengths in \
+                 the file in m and masses in kg? `--tip-force` asks for less\n"
+            ),
+            _ => format!(
+                "{tip}  torque limits: {limits} N m, of which some were lower before; {needs_in_words}: \
+                 `haptic rules --torque` raises them\n"
+            ),
+        });
     }
     if rules.limits.torque == before.limits.torque {
         return Ok(tip);

@@ -18,6 +18,7 @@ use haptic::measure::occasion::{self, Occasion};
 use haptic::measure::progress::{Progress, ProgressError};
 use haptic::measure::simulated::{Friction, World};
 use haptic::measure::{Law, MeasureError, MeasurementSetup, PreparedBoard, most_tested};
+use haptic::output::{self, Overwrite};
 use haptic::vectors::padded;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::device::Device;
@@ -172,6 +173,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         largest_pull: args.pull * 1e-3,
     };
     let what = occasion::what(&file.name, &setup, &world);
+    // Before anything moves: what is measured has to have a place to be kept in.
+    output::check(&args.progress, Overwrite::Replace)?;
     let mut progress = match args.anew {
         true => {
             Progress::read(&args.progress).map(|found| found.map_or(Progress::new(&what), |found| found.anew(&what)))

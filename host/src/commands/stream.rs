@@ -346,6 +346,10 @@ fn finish(ended: Ended, board: &mut Board, mut follow: Follow, json: bool) -> Re
             let cut = if matches!(ended, Ended::BoardLost(_)) { "cut short: the board was lost; " } else { "" };
             written = recorder.end(&format!("{cut}{losses}"), &losses);
         }
+        // Whoever read has what he wanted, also where the last rows found him gone.
+        if matches!((&ended, &written), (Ended::AsAsked, Err(RecordError::ReaderGone))) {
+            return Ok(stopped?);
+        }
         let are = if recorder.rows() == 1 { "is" } else { "are" };
         let size = if follow.sized { format!(", {}", bytes_in_words(recorder.bytes())) } else { String::new() };
         let all = format!("{} {are} in {}{size}", counted(recorder.rows(), "row"), recorder.place());

@@ -4,17 +4,22 @@ use super::port::{Port, address};
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::interrupt;
-use haptic::link::{LinkError, PortSpec};
+use haptic::link::PortSpec;
+use haptic::output;
 use haptic::scene_file::SceneFile;
 use haptic::view::hub::{Event, Hub};
-use haptic::view::{PageListener, Stage, World};
+use haptic::view::{PageListener, Reach, Stage, World};
 use haptic_bridge::render::scene::Scene;
+use std::fmt::Display;
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
 use std::thread;
 use std::time::Duration;
+
+/// Between two looks for a board that is waited for: long enough for other tools to come in between.
+const AGAIN: Duration = Duration::from_millis(500);
 
 /// Where the page is unless asked otherwise.
 const USUAL_PORT: u16 = 7720;
@@ -25,8 +30,8 @@ const USUAL_PORT: u16 = 7720;
 /// while somebody holds a key (Space) on the page in command: letting go, closing the page or losing the network turns
 /// them off.
 ///
-/// With --port sim the mouse is a hand on a simulated device. Without DEVICE it is that of `haptic demo`, with a wall that
-/// buzzes without the feed-forward and is quiet with it.
+/// With --port sim the mouse is a hand on a simulated device. Without DEVICE it is that of `haptic demo`, with less dry
+/// friction and finer encoders, before a wall that buzzes without the feed-forward and is quiet with it.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML), for its links [default: a board's tip is drawn without them]
@@ -74,6 +79,7 @@ impl Shown {
         rate: Option<f64>,
         folder: PathBuf,
     ) -> Result<Self, Failure> {
+        output::check_folder(&folder)?;
         let named = match port.spec() {
             PortSpec::Sim(Some(path)) => Some(path),
             _ => device,
@@ -105,39 +111,53 @@ impl Shown {
         }
     }
 
-    /// Plays until `stop`; a board that was unplugged is waited for. `opened` is called once, when there is something
-    /// to see, and `lost` with the reason whenever a board is waited for.
+    /// A board that was lost, once it is there again; or else why it cannot be looked at yet, where it is there and says so.
+    /// It is free for other tools then, which load what it lacks.
+    fn open_again(&self, hub: &Hub) -> Result<Stage, Option<String>> {
+        let here = |why: &dyn Display| Some(format!("the board is there again, but {why}"));
+        let mut world = self.open().map_err(|_| None)?;
+        match world.lacks() {
+            Ok(None) => Stage::open(world, hub.clone(), self.rate, Some(self.folder.clone())).map_err(|why| here(&why)),
+            Ok(Some(refusal)) => Err(here(&refusal)),
+            Err(_) => Err(None),
+        }
+    }
+
+    /// Plays until `stop`; a board that was unplugged is waited for, also where it comes back without its device or scene.
+    /// `opened` is called once, when there is something to see, and `lost` with the reason whenever a board is waited for.
     pub(super) fn play(
         &self,
         hub: &Hub,
         events: &Receiver<Event>,
         stop: &AtomicBool,
         opened: impl FnOnce() -> Result<(), Failure>,
-        lost: impl Fn(&LinkError),
+        lost: impl Fn(&str),
     ) -> Result<(), Failure> {
-        let mut world = self.open()?;
-        let mut opened = Some(opened);
+        let mut stage = Stage::open(self.open()?, hub.clone(), self.rate, Some(self.folder.clone()))?;
+        opened()?;
         loop {
-            let mut stage = Stage::open(world, hub.clone(), self.rate, Some(self.folder.clone()))?;
-            if let Some(opened) = opened.take() {
-                opened()?;
-            }
             let Err(error) = stage.run(events, stop) else { return Ok(()) };
             if matches!(self.port.spec(), PortSpec::Sim(_)) {
                 return Err(error.into());
             }
             // The pages stay, and say so. The board's port is closed first.
             drop(stage);
-            lost(&error);
-            let why = serde_json::json!({"is": "lost", "why": error.to_string()}).to_string();
-            world = loop {
+            let mut why = error.to_string();
+            lost(&why);
+            stage = loop {
                 if stop.load(Ordering::SeqCst) {
                     return Err(error.into());
                 }
-                hub.to_all(|outbox| outbox.messages.push_back(why.clone()));
-                thread::sleep(Duration::from_millis(500));
-                if let Ok(back) = self.open() {
-                    break back;
+                let told = serde_json::json!({"is": "lost", "why": why}).to_string();
+                hub.to_all(|outbox| outbox.messages.push_back(told.clone()));
+                thread::sleep(AGAIN);
+                match self.open_again(hub) {
+                    Ok(back) => break back,
+                    Err(Some(lacks)) if lacks != why => {
+                        lost(&lacks);
+                        why = lacks;
+                    }
+                    Err(_) => {}
                 }
             };
             // Nobody is in command of a board that has just come back.
@@ -165,7 +185,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
                 .map_err(Failure::impossible)?,
         };
         let url = door.url().map_err(Failure::impossible)?;
-        print(&format!("open {url} in a browser\nCtrl-C ends it\n"))?;
+        let whence = match door.reach().map_err(Failure::impossible)? {
+            Reach::Address => "",
+            Reach::Others => ", here or on another computer of this network",
+            Reach::Unknown => " on this computer; on others put this computer's address in the place of the one here",
+        };
+        print(&format!("open {url} in a browser{whence}\nCtrl-C ends it\n"))?;
         door.serve(hub.clone());
         Ok(())
     };

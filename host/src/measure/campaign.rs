@@ -2,7 +2,7 @@
 
 use haptic_bridge::render::scene::FeedForward;
 
-use super::progress::{Open, Progress, same_damping};
+use super::progress::{Open, Point, Progress, same_damping};
 use super::swing::Verdict;
 use super::{MeasureError, PreparedBoard};
 
@@ -24,15 +24,21 @@ impl Plan {
     pub fn total(&self) -> usize {
         self.modes.len() * self.kd.as_ref().map_or(self.points, Vec::len) * self.repeats
     }
+
+    /// Those of `points` that are of it: where dampings are named, those.
+    #[must_use]
+    pub fn asked<'a>(&self, points: impl IntoIterator<Item = &'a Point>) -> Vec<&'a Point> {
+        let named = |kd: f64| self.kd.as_ref().is_none_or(|kds| kds.iter().any(|other| same_damping(kd, *other)));
+        points.into_iter().filter(|point| self.modes.contains(&point.mode) && named(point.kd)).collect()
+    }
 }
 
 impl Progress {
     /// Repeats of `plan` that are there already.
     #[must_use]
     pub fn measured(&self, plan: &Plan) -> usize {
-        let planned = |kd: f64| plan.kd.as_ref().is_none_or(|kds| kds.iter().any(|other| same_damping(kd, *other)));
-        let points = self.points.iter().filter(|point| plan.modes.contains(&point.mode) && planned(point.kd));
-        points
+        plan.asked(&self.points)
+            .into_iter()
             .map(|point| if point.open.is_some() { plan.repeats } else { point.repeats.len().min(plan.repeats) })
             .sum()
     }

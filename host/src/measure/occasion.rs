@@ -6,7 +6,7 @@ use std::path::Path;
 use super::before::Before;
 use super::campaign::{self, Plan};
 use super::progress::{Progress, ProgressError};
-use super::simulated::World;
+use super::simulated::{Friction, World};
 use super::{MeasureError, MeasurementSetup, PreparedBoard, rules_for};
 use crate::analysis::control_loop::{CARRIER_HZ, CURRENT_LOOP_HZ};
 use crate::analysis::plant::Drive;
@@ -150,19 +150,45 @@ pub fn around(setup: &MeasurementSetup, info: &Info, details: &Details) -> Loop 
 /// What is measured, in words: a file of progress goes on only with the same.
 #[must_use]
 pub fn what(name: &str, setup: &MeasurementSetup, world: &World) -> String {
-    let along: Vec<(&Vec<f64>, f64)> = setup.walls.iter().map(|wall| (&wall.normal, wall.share)).collect();
+    let listed = |values: &[f64]| {
+        // Without the noise of making it a unit.
+        let rounded = values.iter().map(|value| ((value * 1e9).round() / 1e9 + 0.0).to_string());
+        format!("({})", rounded.collect::<Vec<_>>().join(", "))
+    };
+    let each: Vec<String> = setup
+        .walls
+        .iter()
+        .map(|wall| match setup.walls.len() {
+            1 => listed(&wall.normal),
+            _ => format!("{} with share {}", listed(&wall.normal), wall.share),
+        })
+        .collect();
+    let along = each.join(" and ");
     // Without the noise of a multiplication.
     let pull_mm = (setup.largest_pull * 1e9).round() / 1e6;
     let mut what = format!(
-        "{name} along {along:?} at {} Hz, cutoff {} Hz, washout {} Hz, pull {pull_mm} mm, {} N m",
+        "{name} along {along} at {} Hz, cutoff {} Hz, washout {} Hz, pull {pull_mm} mm, {} N m",
         setup.rate_hz, setup.cutoff_hz, setup.washout_hz, setup.torque_limit
     );
     let without: Vec<usize> = (0..setup.walls.len()).filter(|wall| !setup.walls[*wall].feed_forward).collect();
     if !without.is_empty() {
         what.push_str(&format!(", without the feed-forward of {without:?}"));
     }
-    if *world != World::default() {
-        what.push_str(&format!(", {world:?}"));
+    let World { q, friction, ideal_drive, counts, grip } = *world;
+    if let Some(q) = q {
+        what.push_str(&format!(", at q = {} rad", listed(&q)));
+    }
+    if friction != Friction::All {
+        what.push_str(&format!(", friction: {}", format!("{friction:?}").to_lowercase()));
+    }
+    if ideal_drive {
+        what.push_str(", ideal drive");
+    }
+    if let Some(counts) = counts {
+        what.push_str(&format!(", {counts} counts a turn"));
+    }
+    if grip {
+        what.push_str(", held by a hand");
     }
     what
 }

@@ -22,19 +22,21 @@ pub fn draw(frame: &mut Frame<'_>, seen: &Seen) {
     let keys = Paragraph::new(KEYS).wrap(Wrap { trim: true }).style(Style::new().fg(Color::DarkGray));
     let keys_high = if area.height < 18 { 0 } else { (KEYS.chars().count() as u16).div_ceil(area.width.max(1)) + 1 };
     let said_high = if seen.said.is_some() || seen.lost.is_some() || !seen.picture["fault"].is_null() { 2 } else { 0 };
+    let told_of_gains = gains_in_words(seen);
+    let gains_high = lines_of(&told_of_gains, area.width);
     let numbers_high = 2 + u16::from(area.width < 100);
     let [head, said, middle, gains, below, foot] = Layout::vertical([
         Constraint::Length(1),
         Constraint::Length(said_high),
         Constraint::Fill(1),
-        Constraint::Length(1),
+        Constraint::Length(gains_high),
         Constraint::Length(numbers_high),
         Constraint::Length(keys_high),
     ])
     .areas(area);
     frame.render_widget(Paragraph::new(state(seen)), head);
     frame.render_widget(Paragraph::new(words(seen)).wrap(Wrap { trim: true }), said);
-    frame.render_widget(Paragraph::new(gains_in_words(seen)), gains);
+    frame.render_widget(Paragraph::new(told_of_gains).wrap(Wrap { trim: true }), gains);
     frame.render_widget(Paragraph::new(told(seen)).wrap(Wrap { trim: true }), below);
     frame.render_widget(keys, foot);
     if middle.height < 6 {
@@ -57,6 +59,16 @@ pub fn draw(frame: &mut Frame<'_>, seen: &Seen) {
             signal(frame, area, seen, plot);
         }
     }
+}
+
+/// How many lines words take when they are wrapped.
+fn lines_of(words: &str, width: u16) -> u16 {
+    let (mut lines, mut column) = (1, 0);
+    for word in words.split_whitespace().map(|word| word.chars().count()) {
+        let after = if column == 0 { word } else { column + 1 + word };
+        (lines, column) = if column > 0 && after > usize::from(width) { (lines + 1, word) } else { (lines, after) };
+    }
+    lines
 }
 
 fn state(seen: &Seen) -> Line<'_> {

@@ -151,12 +151,36 @@ impl PlotArea {
         canvas.circle(self.pixel(x, y), 3.2, "white", Stroke::solid(colour, 1.6));
     }
 
+    /// A legend that hides nothing: in the first corner of the frame where none of the lines and dots `drawn` (values)
+    /// passes below it, else under everything else, where the page grows for it.
+    pub fn clear_legend(&self, canvas: &mut Canvas, drawn: &[Vec<(f64, f64)>], entries: &[(Mark<'_>, String)]) {
+        const GAP: f64 = 10.0;
+        let (width, height) = Self::legend_size(entries);
+        let (left, right) = (self.at.0 + GAP, self.at.0 + self.size.0 - GAP);
+        let (top, bottom) = (self.at.1 + GAP, self.at.1 + self.size.1 - GAP);
+        let fits = width + 2.0 * GAP < self.size.0 && height + 2.0 * GAP < self.size.1;
+        let corners = [(right, top), (left + width, top), (right, bottom - height), (left + width, bottom - height)];
+        let free = corners.into_iter().find(|&(right, top)| {
+            // A dot with its outline is as wide as this.
+            const AROUND: f64 = 5.0;
+            let low = (right - width - AROUND, top - AROUND);
+            let high = (right + AROUND, top + height + AROUND);
+            let pixels = |line: &Vec<(f64, f64)>| line.iter().map(|&(x, y)| self.pixel(x, y)).collect::<Vec<_>>();
+            fits && !drawn.iter().map(pixels).any(|line| passes(&line, low, high))
+        });
+        let (right, top) = free.unwrap_or_else(|| (self.at.0 + width, canvas.lengthen(height + 2.0 * GAP)));
+        Self::legend(canvas, right, top, entries);
+    }
+
+    fn legend_size(entries: &[(Mark<'_>, String)]) -> (f64, f64) {
+        let longest = entries.iter().map(|(_, text)| text.chars().count()).max().unwrap_or(0) as f64;
+        (48.0 + 6.5 * longest, 10.0 + 18.0 * entries.len() as f64)
+    }
+
     /// A legend whose right edge is `right` and whose first line is at `top` (pixels).
     pub fn legend(canvas: &mut Canvas, right: f64, top: f64, entries: &[(Mark<'_>, String)]) {
-        let longest = entries.iter().map(|(_, text)| text.chars().count()).max().unwrap_or(0) as f64;
-        let width = 48.0 + 6.5 * longest;
+        let (width, height) = Self::legend_size(entries);
         let left = right - width;
-        let height = 10.0 + 18.0 * entries.len() as f64;
         canvas.rectangle((left, top), (width, height), "#ffffffee", Stroke::solid(FAINT, 0.6));
         for (i, (mark, text)) in entries.iter().enumerate() {
             let y = top + 14.0 + 18.0 * i as f64;
@@ -172,6 +196,30 @@ impl PlotArea {
             }
             canvas.text((left + 41.0, y + 4.0), 11.5, Anchor::Start, false, text);
         }
+    }
+}
+
+/// Whether a line through these points (or the only one of them) has a part in the box between two corners.
+fn passes(line: &[(f64, f64)], low: (f64, f64), high: (f64, f64)) -> bool {
+    let within = |from: (f64, f64), to: (f64, f64)| {
+        // The part of the line from 0 to 1 that lies between the left and the right edge, and of that between the others.
+        let (mut enters, mut leaves) = (0.0_f64, 1.0_f64);
+        for (from, to, low, high) in [(from.0, to.0, low.0, high.0), (from.1, to.1, low.1, high.1)] {
+            if from == to {
+                if from < low || from > high {
+                    return false;
+                }
+                continue;
+            }
+            let ends = [(low - from) / (to - from), (high - from) / (to - from)];
+            enters = enters.max(ends[0].min(ends[1]));
+            leaves = leaves.min(ends[0].max(ends[1]));
+        }
+        enters <= leaves
+    };
+    match line {
+        [only] => within(*only, *only),
+        line => line.windows(2).any(|ends| within(ends[0], ends[1])),
     }
 }
 

@@ -57,6 +57,13 @@ impl Canvas {
         Self { body: String::new(), width, height, clips: 0 }
     }
 
+    /// Makes the page higher, and says where its end was.
+    pub fn lengthen(&mut self, by: f64) -> f64 {
+        let end = self.height;
+        self.height += by;
+        end
+    }
+
     /// The finished picture; `title` and `description` are for readers who cannot see it.
     pub fn finish(self, title: &str, description: &str) -> Picture {
         let (width, height) = (self.width, self.height);

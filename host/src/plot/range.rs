@@ -7,6 +7,7 @@ use super::canvas::{Anchor, Canvas, Stroke};
 use super::colour::{BOUND, FAINT, FULL, HOST, OFF, WASHOUT};
 use crate::analysis::passivity::Passivity;
 use crate::analysis::range::{Domain, Range};
+use crate::words::with_unit;
 
 /// Distance of the lines below the axes, pixels.
 const LINE: f64 = 17.0;
@@ -57,16 +58,18 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
         .fold(0.0_f64, f64::max);
     let above = |value: f64| if value > 0.0 { value * 1.08 } else { 1.0 };
 
-    let symbols = contents.passivity.map(symbols).unwrap_or_default();
-    let mut canvas = Canvas::new(720.0, 486.0 + LINE * symbols.len() as f64);
     let frame = PlotArea {
         at: (86.0, 82.0),
         size: (610.0, 340.0),
         x: Axis { name: "wall damping kd".into(), unit: "N s/m".into(), low: 0.0, high: above(widest) },
         y: Axis { name: "wall stiffness kp".into(), unit: "N/m".into(), low: 0.0, high: above(tallest) },
     };
+    let bounds = contents.passivity.map(|passivity| bounds(passivity, &frame)).unwrap_or_default();
+    let symbols = contents.passivity.map(|passivity| symbols(passivity, &bounds)).unwrap_or_default();
+    let mut canvas = Canvas::new(720.0, 486.0 + LINE * symbols.len() as f64);
     let points = |d: &Domain| d.boundary.iter().map(|p| (p.kd, p.kp)).collect::<Vec<_>>();
     let (off, full) = (points(&range.off), points(&range.full));
+    let mut drawn = vec![off.clone(), full.clone()];
     let mut entries = Vec::new();
     frame.clipped(&mut canvas, |canvas| {
         frame.area_under(canvas, &full, FULL, 0.10);
@@ -76,6 +79,7 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
             for island in domain.map_or(&[][..], |d| &d.islands) {
                 let ends = [(island.kd, island.kp_low), (island.kd, island.kp_high)];
                 frame.curve(canvas, &ends, Stroke { colour, width: 1.0, dash: "2 2" });
+                drawn.push(ends.to_vec());
             }
         }
         let line = |colour, dash| Stroke { colour, width: 2.0, dash };
@@ -83,6 +87,7 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
         entries.push((Mark::Line(line(FULL, "")), format!("feed-forward (4), Wrr = {}", mass(range.w_rr))));
         if let Some(washout) = &range.washout {
             frame.curve(canvas, &points(washout), line(WASHOUT, "7 3"));
+            drawn.push(points(washout));
             let washed = match contents.washout_hz {
                 Some(hz) => format!("feed-forward, washout {hz} Hz"),
                 None => "feed-forward with washout".into(),
@@ -94,24 +99,21 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
         if let Some(host) = &range.host {
             frame.area_under(canvas, &points(&host.domain), HOST, 0.5);
             frame.curve(canvas, &points(&host.domain), line(HOST, ""));
+            drawn.push(points(&host.domain));
             let late = format!("{:.1}", 1e3 * host.delay_s);
             let name = format!("rendered by a computer at {:.0} Hz, {late} ms late", host.rate_hz);
             entries.push((Mark::Line(line(HOST, "")), name));
         }
-        if let Some(passivity) = contents.passivity {
-            let sampled = [(0.0, passivity.sampled(0.0)), (passivity.damping, 0.0)];
-            let colgate = Stroke { colour: BOUND, width: 1.6, dash: "5 3" };
-            frame.curve(canvas, &sampled, colgate);
-            entries.push((Mark::Line(colgate), "passive: b > kp T (1/2 + d) + |kd|".into()));
-            if let Some(limit) = passivity.quantised() {
-                let abbott = Stroke { colour: BOUND, width: 1.6, dash: "1.5 2.5" };
-                frame.curve(canvas, &[(0.0, limit), (0.04 * frame.x.high, limit)], abbott);
-                entries.push((Mark::Line(abbott), "passive: kp ≤ 2 fc/Δ".into()));
-            }
+        for bound in bounds.iter().filter(|bound| bound.elsewhere.is_none()) {
+            let stroke = Stroke { colour: BOUND, width: 1.6, dash: bound.dash };
+            frame.curve(canvas, &bound.line, stroke);
+            drawn.push(bound.line.to_vec());
+            entries.push((Mark::Line(stroke), format!("passive: {}", bound.name)));
         }
         for (dots, colour) in [(contents.measured_full, FULL), (contents.measured_off, OFF)] {
             for dot in dots {
                 frame.dot(canvas, dot.kd, dot.kp, dot.low, dot.high, colour);
+                drawn.push(vec![(dot.kd, dot.low), (dot.kd, dot.high)]);
             }
         }
     });
@@ -126,13 +128,49 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
     for (line, text) in symbols.iter().enumerate() {
         canvas.text((frame.at.0, 486.0 + LINE * line as f64), 11.5, Anchor::Start, false, text);
     }
-    PlotArea::legend(&mut canvas, frame.at.0 + frame.size.0 - 10.0, frame.at.1 + 10.0, &entries);
+    frame.clear_legend(&mut canvas, &drawn, &entries);
     canvas
         .finish(&contents.title, "Stable stiffness over damping of a virtual wall, without and with the feed-forward.")
 }
 
-/// What the legend's symbols stand for, with the values that they have here.
-fn symbols(passivity: &Passivity) -> Vec<String> {
+/// A bound of passivity, as a line.
+struct Bound {
+    name: &'static str,
+    dash: &'static str,
+    line: [(f64, f64); 2],
+    /// Where it lies, in words, if not where it can be seen.
+    elsewhere: Option<String>,
+}
+
+/// The bounds in a frame, and which of them a reader would look for in vain.
+fn bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<Bound> {
+    // Pixels: what is closer to an axis is taken for the axis.
+    const SEEN: f64 = 2.0;
+    let most = passivity.sampled(0.0);
+    let (right, top) = frame.pixel(passivity.damping, most);
+    let bottom = frame.at.1 + frame.size.1;
+    let small = right - frame.at.0 < SEEN || bottom - top < SEEN;
+    let mut bounds = vec![Bound {
+        name: "b > kp T (1/2 + d) + |kd|",
+        dash: "5 3",
+        line: [(0.0, most), (passivity.damping, 0.0)],
+        elsewhere: small.then(|| format!("ends at kp = {}, kd = b: not to be seen here", with_unit(most, "N/m"))),
+    }];
+    if let Some(limit) = passivity.quantised() {
+        let (_, y) = frame.pixel(0.0, limit);
+        let hidden = bottom - y < SEEN || y < frame.at.1;
+        bounds.push(Bound {
+            name: "kp ≤ 2 fc/Δ",
+            dash: "1.5 2.5",
+            line: [(0.0, limit), (0.04 * frame.x.high, limit)],
+            elsewhere: hidden.then(|| format!("kp ≤ {}: not to be seen here", with_unit(limit, "N/m"))),
+        });
+    }
+    bounds
+}
+
+/// What the legend's symbols stand for, with the values that they have here, and what lies where it cannot be seen.
+fn symbols(passivity: &Passivity, bounds: &[Bound]) -> Vec<String> {
     let mut lines = vec![
         "Weff, Wrr: the inertia that the wall meets; passive: no hand makes it oscillate, without feed-forward".into(),
         format!(
@@ -147,6 +185,8 @@ fn symbols(passivity: &Passivity) -> Vec<String> {
             1e6 * quantum
         ));
     }
+    let hidden = bounds.iter().filter_map(|bound| Some((bound.name, bound.elsewhere.as_ref()?)));
+    lines.extend(hidden.map(|(name, elsewhere)| format!("passive, {name}: {elsewhere}")));
     lines
 }
 

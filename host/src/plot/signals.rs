@@ -392,6 +392,11 @@ const SIZE: (f64, f64) = (600.0, 190.0);
 const LEFT: f64 = 96.0;
 const HEAD: f64 = 66.0;
 const FOOT: f64 = 68.0;
+/// A phase portrait of faster rows is drawn of means: differences between single rows are encoder steps, whose speeds
+/// make an area of its line.
+const SMOOTHED_HZ: f64 = 1000.0;
+/// Points from which on a line that may cross itself is drawn thin.
+const MANY: usize = 1000;
 const COLOURS: [&str; 4] = [FULL, OFF, WASHOUT, BOUND];
 
 /// Puts them on paper, one below the other.
@@ -405,7 +410,12 @@ pub fn draw(title: &str, subtitle: &[String], found: &Found) -> Picture {
     }
     for (index, panel) in found.panels.iter().enumerate() {
         let at = (LEFT, head + (SIZE.1 + FOOT) * index as f64);
-        draw_panel(&mut canvas, at, panel);
+        // Means over at least a millisecond; at a kilohertz and below every row is drawn.
+        let rows = (found.rows as f64 / (SMOOTHED_HZ * found.seconds.max(f64::MIN_POSITIVE))).ceil();
+        match panel.view {
+            View::Phase if rows > 2.5 => draw_panel(&mut canvas, at, &smoothed(panel, rows as usize)),
+            _ => draw_panel(&mut canvas, at, panel),
+        }
     }
     let views: Vec<&str> = found.panels.iter().map(|panel| panel.y.name.as_str()).collect();
     canvas.finish(title, &format!("Of a recording: {}.", views.join("; ")))
@@ -434,12 +444,13 @@ fn draw_panel(canvas: &mut Canvas, at: (f64, f64), panel: &Panel) {
     frame.clipped(canvas, |canvas| {
         for (curve, colour) in panel.curves.iter().zip(COLOURS.into_iter().cycle()) {
             for piece in &curve.pieces {
-                let stroke = Stroke::solid(colour, 1.1);
-                let thinned = match panel.view {
+                let points = match panel.view {
                     View::Time | View::Spectrum => envelope(&frame, piece),
                     View::Force | View::Phase => thinned(&frame, piece),
                 };
-                frame.curve(canvas, &thinned, stroke);
+                // A line that crosses itself many times would be an area.
+                let crossed = matches!(panel.view, View::Force | View::Phase) && points.len() > MANY;
+                frame.curve(canvas, &points, Stroke::solid(colour, if crossed { 0.4 } else { 1.1 }));
             }
         }
         if frame.y.low < 0.0 && frame.y.high > 0.0 {
@@ -494,6 +505,21 @@ fn envelope(frame: &PlotArea, piece: &[(f64, f64)]) -> Vec<(f64, f64)> {
         kept.extend(picked.into_iter().map(|i| column[i]).filter(finite));
     }
     kept
+}
+
+/// A panel of the means of every `together` points that follow each other; of the last ones, fewer.
+fn smoothed(panel: &Panel, together: usize) -> Panel {
+    let mean = |points: &[(f64, f64)]| {
+        let sum = points.iter().fold((0.0, 0.0), |sum, point| (sum.0 + point.0, sum.1 + point.1));
+        (sum.0 / points.len() as f64, sum.1 / points.len() as f64)
+    };
+    let mut smooth = panel.clone();
+    for piece in smooth.curves.iter_mut().flat_map(|curve| &mut curve.pieces) {
+        *piece = piece.chunks(together).map(mean).collect();
+    }
+    let drawn = format!("drawn: means over {}", counted(together, "row"));
+    smooth.note = if panel.note.is_empty() { drawn } else { format!("{drawn}; {}", panel.note) };
+    smooth
 }
 
 /// Without the points that lie on the one before them, within a quarter of a pixel.

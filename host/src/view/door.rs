@@ -7,7 +7,7 @@
 use super::hub::{self, Hub, PageId};
 use super::message::FromPage;
 use std::io::{self, Read, Write};
-use std::net::{IpAddr, SocketAddr, TcpListener, TcpStream};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
@@ -35,6 +35,17 @@ const SEND: Duration = Duration::from_secs(2);
 /// Connections at once, pages and others.
 const CONNECTIONS: usize = 64;
 
+/// For whom an address that is printed is of use.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reach {
+    /// Whoever reaches the address that was asked for.
+    Address,
+    /// All addresses were asked for; the one that is printed is known to others.
+    Others,
+    /// All addresses were asked for, and which of them others know is not known.
+    Unknown,
+}
+
 /// A port that browsers open.
 #[derive(Debug)]
 pub struct PageListener {
@@ -52,9 +63,23 @@ impl PageListener {
 
     /// What to open in a browser.
     pub fn url(&self) -> io::Result<String> {
-        let address = self.listener.local_addr()?;
+        let mut address = self.listener.local_addr()?;
+        if address.ip().is_unspecified() {
+            // Every address of this computer, and none that a browser could open.
+            address.set_ip(outward(address.ip()).unwrap_or(local(address.ip())));
+        }
         let token = self.token.as_ref().map_or(String::new(), |token| format!("?token={token}"));
         Ok(format!("http://{address}/{token}"))
+    }
+
+    /// Who can use [`Self::url`].
+    pub fn reach(&self) -> io::Result<Reach> {
+        let ip = self.listener.local_addr()?.ip();
+        Ok(match ip.is_unspecified() {
+            false => Reach::Address,
+            true if outward(ip).is_some() => Reach::Others,
+            true => Reach::Unknown,
+        })
     }
 
     /// Lets pages in from now on, on threads of their own.
@@ -77,6 +102,22 @@ impl PageListener {
             }
         });
     }
+}
+
+/// This computer's address as others know it: the one that it would send from. Nothing is sent.
+fn outward(all: IpAddr) -> Option<IpAddr> {
+    let somewhere: IpAddr = match all {
+        IpAddr::V4(_) => Ipv4Addr::new(192, 0, 2, 1).into(),
+        IpAddr::V6(_) => Ipv6Addr::new(0x2001, 0xdb8, 0, 0, 0, 0, 0, 1).into(),
+    };
+    let socket = UdpSocket::bind((all, 0)).ok()?;
+    socket.connect((somewhere, 9)).ok()?;
+    let from = socket.local_addr().ok()?.ip();
+    (!from.is_unspecified() && !from.is_loopback()).then_some(from)
+}
+
+fn local(all: IpAddr) -> IpAddr {
+    if all.is_ipv4() { Ipv4Addr::LOCALHOST.into() } else { Ipv6Addr::LOCALHOST.into() }
 }
 
 /// 128 bits that nobody guesses.

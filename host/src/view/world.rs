@@ -12,9 +12,15 @@ use crate::plausible::scene::around;
 use crate::scene_file::{DEFAULT_CUTOFF_HZ, DEFAULT_RATE_HZ, DEFAULT_WASHOUT_HZ};
 use crate::sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, ready_board};
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::safety::refusal::Refusal;
 
 /// How far in front of the tip the wall stands that is there when no scene was named, m.
 const AHEAD: f64 = 0.006;
+/// How far in front of the tip the wall of [`World::demo`] stands, m.
+const NEAR: f64 = 0.002;
+/// Share of the joints' dry friction that it has, and how much finer its encoders are.
+const LITTLE_FRICTION: f64 = 0.1;
+const FINER: f64 = 5.0;
 /// Tremor of the simulated hand, m: what sets a wall swinging that is about to.
 const TREMOR: f64 = 2e-4;
 
@@ -28,21 +34,46 @@ pub struct World {
     pub file: Option<DeviceFile>,
     /// The device's weight was left out.
     pub weightless: bool,
+    /// The device has less dry friction and finer encoders than its file says.
+    pub smooth: bool,
 }
 
 impl World {
     /// A board that is there.
     pub fn of(board: Board, file: Option<DeviceFile>) -> Self {
-        Self { board, simulated: None, file, weightless: false }
+        Self { board, simulated: None, file, weightless: false, smooth: false }
     }
 
-    /// The wall of `haptic demo` on its device: it buzzes without the feed-forward and is quiet with it.
+    /// What a board that is there still needs before it can be looked at: a device, a scene.
+    pub fn lacks(&mut self) -> Result<Option<Refusal>, LinkError> {
+        Ok(match (self.board.device()?, self.board.scene()?) {
+            (None, _) => Some(Refusal::NoDevice),
+            (_, None) => Some(Refusal::NoScene),
+            _ => None,
+        })
+    }
+
+    /// The device of `haptic demo` in a pose and before a wall of its own: wherever it is pressed and however deep, the wall
+    /// buzzes without the feed-forward and is quiet with it, by prediction as well as when it is tried.
+    ///
+    /// Friction of the joints can hold a wall that is unstable, and lets one swing on that is stable but near its boundary;
+    /// encoder steps make a stiff wall tremble. Both would decide in the feed-forward's place, so this device has little of
+    /// them, and pages are told.
     pub fn demo() -> Result<Self, Failure> {
-        let demo = Demo::shipped(1)?;
-        let start = Some(demo.pose);
-        let mut world = Self::start(demo.file.clone(), start)?;
+        let mut demo = Demo::shipped(1)?;
+        let (sine, cosine) = 60.0_f64.to_radians().sin_cos();
+        (demo.pose, demo.normal) = ([2.43, 1.73, 0.0], [cosine, sine]);
+        (demo.stiffness, demo.damping) = (14_500.0, 60.0);
+        for joint in &mut demo.file.description.joints {
+            joint.coulomb *= LITTLE_FRICTION;
+            if let Some(encoder) = &mut joint.encoder {
+                encoder.counts_per_turn *= FINER;
+            }
+        }
+        let mut world = Self::start(demo.file.clone(), Some(demo.pose))?;
+        world.smooth = true;
         let tip = world.simulated.as_ref().map_or([0.0; 3], |board| board.lock().device().tip());
-        let surface = core::array::from_fn(|i| tip[i] - AHEAD * demo.normal[i]);
+        let surface = core::array::from_fn(|i| tip[i] - NEAR * demo.normal[i]);
         world.board.set_scene(&demo.scene(surface, FeedForward::Washout))?;
         Ok(world)
     }
@@ -67,7 +98,7 @@ impl World {
             .map_err(|error| LinkError::CannotSimulate(format!("{}: {error}", file.path.display())))?;
         let simulated = SharedBoard::new(board);
         let board = Board::over(simulated.wire(), "sim")?;
-        Ok(Self { board, simulated: Some(simulated), file: Some(file), weightless })
+        Ok(Self { board, simulated: Some(simulated), file: Some(file), weightless, smooth: false })
     }
 }
 

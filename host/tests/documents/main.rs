@@ -58,6 +58,29 @@ fn what_takes_longer_works_as_well() {
     assert!(all(|kind| *kind == Kind::Slow, |block| session::run(block, Duration::from_secs(1200))) >= 1);
 }
 
+/// What docs/safety.md says in words of how soon broken sensors are seen holds for what was measured.
+#[test]
+fn the_times_of_the_motor_model_are_those_measured() {
+    let read = |name: &str| fs::read_to_string(root().join("docs").join(name)).unwrap();
+    let said = "at most 0.5 ms ([measured](results/faults.md)); sensors frozen while a hand moves at most 15, 11, 7 ms";
+    assert!(read("safety.md").contains(said));
+    let (mut frozen, mut soon) = (Vec::new(), 0);
+    for line in read("results/faults.md").lines() {
+        let cells: Vec<&str> = line.split('|').map(str::trim).collect();
+        let [_, broken, _, seen, after, ..] = cells[..] else { continue };
+        let Ok(after) = after.parse::<f64>() else { continue };
+        if broken == "current sensors frozen, hand moves" {
+            frozen.push(after);
+        } else if seen.contains("MotorModel") && !broken.contains("frozen") {
+            assert!(after <= 0.5, "{line}");
+            soon += 1;
+        }
+    }
+    assert!(soon >= 15, "{soon}");
+    assert_eq!(frozen.len(), 3, "{frozen:?}");
+    assert!(frozen.iter().zip([15.0, 11.0, 7.0]).all(|(found, said)| *found <= said), "{frozen:?}");
+}
+
 /// Words between backticks that begin with `haptic` or `cargo xtask` name commands and options that there are.
 #[test]
 fn commands_in_sentences_exist() {

@@ -131,12 +131,17 @@ pub struct Report<'a> {
 impl Report<'_> {
     /// Whether there is anything to tell.
     pub fn any(&self) -> bool {
-        self.plan.modes.iter().any(|mode| !self.progress.all(*mode).is_empty())
+        self.plan.modes.iter().any(|mode| !self.points(*mode).is_empty())
     }
 
     /// Whether a boundary was found.
     pub fn measured(&self) -> bool {
-        self.plan.modes.iter().any(|mode| !self.progress.of(*mode).is_empty())
+        self.plan.modes.iter().any(|mode| self.points(*mode).iter().any(|point| !point.repeats.is_empty()))
+    }
+
+    /// What was measured of what is asked: a file of progress may hold other dampings as well.
+    fn points(&self, mode: FeedForward) -> Vec<&Point> {
+        self.plan.asked(self.progress.all(mode))
     }
 
     /// Writes the pictures and prints the table or the document.
@@ -160,7 +165,7 @@ impl Report<'_> {
 
     /// The points of a mode with the theory's at the same dampings.
     fn beside(&self, mode: FeedForward) -> Result<Vec<(&Point, BoundaryPoint)>, Failure> {
-        let points = self.progress.all(mode);
+        let points = self.points(mode);
         let kd: Vec<f64> = points.iter().map(|point| printed(point.kd)).collect();
         let range = self.theory.predict(Some(&kd), self.washout())?;
         Ok(points.into_iter().zip(range.of(mode).boundary.iter().copied()).collect())
@@ -168,7 +173,7 @@ impl Report<'_> {
 
     /// The command that predicts the theory's figures.
     fn line(&self) -> String {
-        let points = self.plan.modes.iter().flat_map(|mode| self.progress.all(*mode));
+        let points = self.plan.modes.iter().flat_map(|mode| self.points(*mode));
         let mut kd: Vec<f64> = points.map(|point| printed(point.kd)).collect();
         kd.sort_by(f64::total_cmp);
         kd.dedup();
@@ -371,7 +376,7 @@ impl Report<'_> {
                 let (low, high) = point.bounds();
                 MeasuredPoint { kd: point.kd, kp: point.median(), low, high }
             };
-            self.progress.of(mode).into_iter().map(dot).collect()
+            self.points(mode).into_iter().filter(|point| !point.repeats.is_empty()).map(dot).collect()
         };
         let (off, full, washed) = (dots(FeedForward::Off), dots(FeedForward::Full), dots(FeedForward::Washout));
         Ok(draw(&Contents {

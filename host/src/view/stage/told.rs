@@ -130,7 +130,7 @@ impl Stage {
             "port": self.world.board.port(),
             "simulated": self.world.simulated.is_some(),
             "records": self.folder.is_some(),
-            "weightless": self.world.weightless,
+            "weightless": self.world.weightless, "smooth": self.world.smooth,
             "flat": self.device.mechanism.kind().spec().task == 2,
             "task": self.device.mechanism.kind().spec().task,
             "rate_hz": self.scene.rate_hz,
