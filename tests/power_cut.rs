@@ -479,7 +479,6 @@ fn a_flash_that_goes_bad_while_the_board_runs_is_not_mended_by_reading_it() {
     }
     assert_eq!(reads(&mut storage).0, 0, "a reader wrote");
     assert_eq!(storage.read(1), Err(StorageError::Flash));
-    drop(storage);
     let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
     let mended = storage.flash().operations;
     storage.start();

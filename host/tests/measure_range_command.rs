@@ -47,7 +47,8 @@ fn a_measurement_is_reported_kept_and_continued() {
     let other = ["--kd", "16", "--feed-forward", "off", "--repeats", "1", "--pull", "2"];
     let mut command = Command::cargo_bin("haptic").unwrap();
     let fixed = ["measure-range", DEVICE, "--port", "sim", "--normal", "0.6,0.8", "--json"];
-    let other = document(command.args(fixed).args(SLOW).args(other).arg("--progress").arg(&progress).assert());
+    let fourth = command.args(fixed).args(SLOW).args(other).arg("--progress").arg(&progress).assert().success();
+    let other: Value = serde_json::from_slice(&fourth.get_output().stdout).unwrap();
     let told: Vec<f64> = other["points"].as_array().unwrap().iter().map(|p| p["kd"].as_f64().unwrap()).collect();
     assert_eq!((told, other["theory"].as_str().unwrap().contains("15")), (vec![16.0], false));
 

@@ -49,7 +49,7 @@ fn added<M: Mechanism<f64, N>, const N: usize>(mechanism: &M, device: &Device<f6
     let tip = mechanism.tip(&mechanism.pose::<Libm>(&SVector::from_fn(|i, _| home[i])));
     let of = |terms| {
         let scene = scene(tip.as_slice(), M::SPEC.task, estimator, terms);
-        Controller::<f64, _, Libm, N>::new(mechanism.clone(), device, &scene).unwrap()
+        Controller::<f64, _, Libm, N>::new(*mechanism, device, &scene).unwrap()
     };
     let (mut with, mut without) = (of(VelocityTerms::Rendered), of(VelocityTerms::Off));
     let mut most = 0.0_f64;

@@ -241,7 +241,9 @@ fn one_click_makes_the_wall_buzz_and_another_quiets_it_while_it_is_pressed() {
         });
         let [off, washout] = [FeedForward::Off, FeedForward::Washout].map(|mode| page.stable_to(mode, gains.1));
         let stiffness = f64::from(gains.0);
-        said += &format!("{depth} mm, {aside} mm aside: red {shares:.2?}, stable to {off:.0} off, {washout:.0} washed out\n");
+        said += &format!(
+            "{depth} mm, {aside} mm aside: red {shares:.2?}, stable to {off:.0} off, {washout:.0} washed out\n"
+        );
         as_it_should &= shares[0] < 0.05 && shares[1] > 0.7 && shares[2] < 0.05;
         as_it_should &= 1.1 * off < stiffness && stiffness < 0.95 * washout;
     }
