@@ -135,14 +135,14 @@ fn where_not_even_the_beginning_fits_no_file_is_left() {
     };
     let csv = folder.path("a.csv");
     limited(0, &["stream", "--csv", csv.to_str().unwrap(), "--port", &sim.port]);
-    // The page of a report fits, and its picture, which is larger, does not.
-    let device = file("hapkit-paddle.toml");
+    // The picture of a report fits, and its page, which is larger, does not.
+    let (one, two) = (file("hapkit-paddle.toml"), file("haply-2diy.toml"));
     let roomy = Folder::new();
-    haptic(&["bench", &device, "--report", roomy.0.path().to_str().unwrap()]).assert().success();
+    haptic(&["bench", &one, &two, "--report", roomy.0.path().to_str().unwrap()]).assert().success();
     let blocks = |name: &str| std::fs::metadata(roomy.path(name)).unwrap().len().div_ceil(512) as u32;
     let (page, picture) = (blocks("speed-against-error.md"), blocks("speed-against-error.svg"));
-    assert!(page < picture, "{page} and {picture} blocks: choose the limit otherwise");
-    limited(page, &["bench", &device, "--report", folder.0.path().to_str().unwrap()]);
+    assert!(picture < page, "{picture} and {page} blocks: choose the limit otherwise");
+    limited(picture, &["bench", &one, &two, "--report", folder.0.path().to_str().unwrap()]);
 }
 
 #[test]

@@ -50,7 +50,8 @@ fn a_measurement_is_reported_kept_and_continued() {
     let fourth = command.args(fixed).args(SLOW).args(other).arg("--progress").arg(&progress).assert().success();
     let other: Value = serde_json::from_slice(&fourth.get_output().stdout).unwrap();
     let told: Vec<f64> = other["points"].as_array().unwrap().iter().map(|p| p["kd"].as_f64().unwrap()).collect();
-    assert_eq!((told, other["theory"].as_str().unwrap().contains("15")), (vec![16.0], false));
+    assert_eq!((told, other["theory"].as_str().unwrap().contains("--kd 15")), (vec![16.0], false));
+    let date = other["date"].as_str().unwrap().to_string();
 
     // What was measured at one rate is not mixed with another.
     measure(&progress, &["--rate", "10000", "--cutoff", "200"], &["--feed-forward", "off", "--pull", "2"])
@@ -75,7 +76,9 @@ fn what_makes_no_sense_is_refused_before_anything_moves() {
     let nowhere = folder.path().join("missing").join("p.json");
     // Its first words: before "repeats" or a port.
     measure(&nowhere, &SLOW, &[]).code(1).stderr(contains("there is no such folder; make the folder first"));
-    measure(&nowhere, &SLOW, &["--port", "/dev/no-such-port"]).code(1).stderr(contains("no such folder"));
+    let elsewhere = ["measure-range", DEVICE, "--port", "/dev/no-such-port", "--normal", "0.6,0.8", "--progress"];
+    let mut command = Command::cargo_bin("haptic").unwrap();
+    command.args(elsewhere).arg(&nowhere).assert().code(1).stderr(contains("no such folder"));
     assert!(!progress.exists());
 }
 

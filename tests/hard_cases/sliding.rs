@@ -190,7 +190,8 @@ pub fn table(rows: &[Row]) -> Table {
         "A tip sliding at 0.5 m/s along a wall that holds it with 5 N, at 20 kHz and a cutoff of 500 Hz, ten runs; all as shares \
          of the largest torque. *Size*: what the velocity terms add. *Rounding*: f32 against f64 fed the same counts. *Against \
          the truth*: f32 against (4) with the joints' true angles and velocities and velocity terms differentiated from M and J \
-         in 106 bits, so with what encoder steps make of the estimate.",
+         in 106 bits, so with what encoder steps make of the estimate and with what the terms leave out of it for the doubt of a \
+         count ([model.md](model.md)).",
         &["device", "velocity terms", "size", "**rounding**", "against the truth, 20 000 counts", "2²⁰ counts"],
     );
     for row in rows {

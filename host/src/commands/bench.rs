@@ -61,7 +61,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if let (Some(folder), Some([text, drawing])) = (&args.report, &files) {
         std::fs::create_dir_all(folder).map_err(|error| output::refused(folder, &error))?;
         let (page, picture) = (page(&every)?, picture(&every));
-        let both = [(text.as_path(), page.as_bytes()), (drawing.as_path(), picture.svg().as_bytes())];
+        let both = [(drawing.as_path(), picture.svg().as_bytes()), (text.as_path(), page.as_bytes())];
         return output::write_together(&both, args.force.overwrite());
     }
     if args.json {

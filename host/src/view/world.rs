@@ -53,7 +53,7 @@ impl World {
         })
     }
 
-    /// The device of `haptic demo` in a pose and before a wall of its own: wherever it is pressed and however deep, the wall
+    /// The device of `haptic demo` in a pose and before a wall of its own: wherever the hand presses it, up to the motors' limit, the wall
     /// buzzes without the feed-forward and is quiet with it, by prediction as well as when it is tried.
     ///
     /// Friction of the joints can hold a wall that is unstable, and lets one swing on that is stable but near its boundary;
@@ -61,9 +61,9 @@ impl World {
     /// them, and pages are told.
     pub fn demo() -> Result<Self, Failure> {
         let mut demo = Demo::shipped(1)?;
-        let (sine, cosine) = 60.0_f64.to_radians().sin_cos();
-        (demo.pose, demo.normal) = ([2.43, 1.73, 0.0], [cosine, sine]);
-        (demo.stiffness, demo.damping) = (14_500.0, 60.0);
+        let (sine, cosine) = 130.0_f64.to_radians().sin_cos();
+        (demo.pose, demo.normal) = ([2.0, 1.3, 0.0], [cosine, sine]);
+        (demo.stiffness, demo.damping) = (17_000.0, 70.0);
         for joint in &mut demo.file.description.joints {
             joint.coulomb *= LITTLE_FRICTION;
             if let Some(encoder) = &mut joint.encoder {

@@ -106,12 +106,12 @@ fn gains_beyond_the_boundary_are_asked_about_first() {
     let view = simulated();
     let mut page = Page::in_command(&view);
     page.until("the boundary", |page| !page.plane.is_null());
-    let gains = |stiffness: f64| json!({"do": "gains", "wall": 0, "stiffness": stiffness, "damping": 60.0, "feed_forward": "off"});
-    page.say(gains(14_500.0));
+    let gains = |stiffness: f64| json!({"do": "gains", "wall": 0, "stiffness": stiffness, "damping": 70.0, "feed_forward": "off"});
+    page.say(gains(17_000.0));
     page.until_refused("predicted to be unstable");
     assert_eq!(page.walls[0]["feed_forward"], "washout", "nothing was changed");
     // Outside already, as when the tip slides to where less is stable: without the feed-forward even less would be.
-    page.say(json!({"do": "gains", "wall": 0, "stiffness": 40e3, "damping": 60.0, "feed_forward": "washout", "beyond": true}));
+    page.say(json!({"do": "gains", "wall": 0, "stiffness": 40e3, "damping": 70.0, "feed_forward": "washout", "beyond": true}));
     page.until("stiffer", |page| page.walls[0]["stiffness"] == 40_000.0);
     page.say(gains(39_000.0));
     page.until("a second refusal", |page| page.refused.len() == 2);
@@ -121,8 +121,8 @@ fn gains_beyond_the_boundary_are_asked_about_first() {
     page.say(again);
     page.until("the gains", |page| page.walls[0]["feed_forward"] == "off");
     // Who is outside already is not asked again, and the way back is free.
-    page.say(gains(13_000.0));
-    page.until("softer", |page| page.walls[0]["stiffness"] == 13_000.0);
+    page.say(gains(14_000.0));
+    page.until("softer", |page| page.walls[0]["stiffness"] == 14_000.0);
     page.say(gains(5_000.0));
     page.until("soft", |page| page.walls[0]["stiffness"] == 5_000.0);
     assert_eq!(page.refused.len(), 2);
@@ -230,7 +230,8 @@ fn one_click_makes_the_wall_buzz_and_another_quiets_it_while_it_is_pressed() {
     };
     let mut said = String::new();
     let mut as_it_should = true;
-    let pressed = [(8.0, 0.0), (14.0, 0.0), (20.0, 0.0), (26.0, 0.0), (34.0, 0.0), (20.0, 6.0), (20.0, -6.0)];
+    let pressed =
+        [(8.0, 0.0), (14.0, 0.0), (20.0, 0.0), (26.0, 0.0), (34.0, 0.0), (46.0, 0.0), (20.0, 6.0), (20.0, -6.0)];
     for (depth, aside) in pressed {
         page.say(FromPage::Hand { at: Some(tip) });
         page.play(0.8);
