@@ -61,9 +61,9 @@ impl World {
     /// them, and pages are told.
     pub fn demo() -> Result<Self, Failure> {
         let mut demo = Demo::shipped(1)?;
-        let (sine, cosine) = 130.0_f64.to_radians().sin_cos();
-        (demo.pose, demo.normal) = ([2.0, 1.3, 0.0], [cosine, sine]);
-        (demo.stiffness, demo.damping) = (17_000.0, 70.0);
+        let (sine, cosine) = 45.0_f64.to_radians().sin_cos();
+        (demo.pose, demo.normal) = ([2.2, 1.2, 0.0], [cosine, sine]);
+        (demo.stiffness, demo.damping) = (9_100.0, 80.0);
         for joint in &mut demo.file.description.joints {
             joint.coulomb *= LITTLE_FRICTION;
             if let Some(encoder) = &mut joint.encoder {

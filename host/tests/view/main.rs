@@ -106,12 +106,12 @@ fn gains_beyond_the_boundary_are_asked_about_first() {
     let view = simulated();
     let mut page = Page::in_command(&view);
     page.until("the boundary", |page| !page.plane.is_null());
-    let gains = |stiffness: f64| json!({"do": "gains", "wall": 0, "stiffness": stiffness, "damping": 70.0, "feed_forward": "off"});
-    page.say(gains(17_000.0));
+    let gains = |stiffness: f64| json!({"do": "gains", "wall": 0, "stiffness": stiffness, "damping": 80.0, "feed_forward": "off"});
+    page.say(gains(9_100.0));
     page.until_refused("predicted to be unstable");
     assert_eq!(page.walls[0]["feed_forward"], "washout", "nothing was changed");
     // Outside already, as when the tip slides to where less is stable: without the feed-forward even less would be.
-    page.say(json!({"do": "gains", "wall": 0, "stiffness": 40e3, "damping": 70.0, "feed_forward": "washout", "beyond": true}));
+    page.say(json!({"do": "gains", "wall": 0, "stiffness": 40e3, "damping": 80.0, "feed_forward": "washout", "beyond": true}));
     page.until("stiffer", |page| page.walls[0]["stiffness"] == 40_000.0);
     page.say(gains(39_000.0));
     page.until("a second refusal", |page| page.refused.len() == 2);
@@ -121,8 +121,8 @@ fn gains_beyond_the_boundary_are_asked_about_first() {
     page.say(again);
     page.until("the gains", |page| page.walls[0]["feed_forward"] == "off");
     // Who is outside already is not asked again, and the way back is free.
-    page.say(gains(14_000.0));
-    page.until("softer", |page| page.walls[0]["stiffness"] == 14_000.0);
+    page.say(gains(7_500.0));
+    page.until("softer", |page| page.walls[0]["stiffness"] == 7_500.0);
     page.say(gains(5_000.0));
     page.until("soft", |page| page.walls[0]["stiffness"] == 5_000.0);
     assert_eq!(page.refused.len(), 2);
