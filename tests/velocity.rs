@@ -1,6 +1,12 @@
 //! The velocity estimators: the transfer function of the usual digital designs, in single precision as in double.
 
-use haptic_bridge::render::velocity::{Coefficients, Estimator, LowPass, Velocity, Washout};
+mod rig;
+
+use haptic_bridge::math::Libm;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::render::velocity::{
+    Chosen, Coefficients, Estimator, JointVelocity, LowPass, Seen, Velocity, Washout,
+};
 
 /// The direct-form coefficients (b0, b1, b2, a1, a2) of a 2nd-order digital Butterworth low-pass, from its definition:
 /// bilinear transform of 1/(s² + √2 s + 1), prewarped.
@@ -88,4 +94,43 @@ fn the_washout_forgets_a_constant_force_also_when_slow_and_in_single_precision()
     // Twelve time constants of 1/(2π 0.2 Hz) leave 6e-6 of it.
     let left = (0..(12.0 * 0.8 * 50_000.0) as u32).map(|_| washout.step(5.0)).last().unwrap();
     assert!(left.abs() < 1e-4, "{left}");
+}
+
+/// A single count seen for four seconds, every period of it, shows no more than what was found in less.
+#[test]
+fn a_count_that_was_not_followed_to_its_end_is_known_as_well() {
+    let device: Device<f64> = rig::device(&rig::five_bar()).cast();
+    let of = |value| Chosen { value, filtered: true };
+    let watching = [
+        Estimator::AdaptiveWindow(of(32)),
+        Estimator::AdaptiveWindow(of(5)),
+        Estimator::Difference(of(32)),
+        Estimator::Difference(of(3)),
+        Estimator::Levant(of(30)),
+        Estimator::AlphaBeta(Chosen { value: 0, filtered: false }),
+        Estimator::Predicted(Chosen { value: 0, filtered: false }),
+    ];
+    for (kind, cutoff) in watching.into_iter().flat_map(|kind| [1.0, 30.0, 500.0].map(|cutoff| (kind, cutoff))) {
+        let rate = 20_000.0;
+        let found = Coefficients::of_device::<Libm>((kind, rate, cutoff), &device).unwrap();
+        for (joint, known) in device.joints.iter().zip(found.one_count()).take(device.axes()) {
+            let speed = joint.radians_per_count.abs() * rate;
+            let mut velocity = JointVelocity::default();
+            let whole = (0..80_000).map(|period| {
+                let moved = if period == 7 { 1.0 } else { 0.0 };
+                let seen = Seen { moved, pushed: 0.0, unit: 1.0 / (speed * rate) };
+                velocity.step::<Libm>(&found, &seen, 0.0).abs()
+            });
+            let most = speed * whole.fold(0.0, f64::max);
+            // One count lies within what an adaptive window takes for rest.
+            assert!(most > 0.0 || matches!(kind, Estimator::AdaptiveWindow(_)), "{kind:?}");
+            assert!((known - most).abs() <= 1e-9 * most, "{kind:?} at {cutoff} Hz: {known} for {most}");
+        }
+    }
+    // Behind a window that is short beside it, a low-pass shows the peak of its impulse response: for a 2nd-order
+    // Butterworth √2 e^(-π/4) sin(π/4) 2πf counts a second.
+    let found = Coefficients::of_device::<Libm>((Estimator::Difference(of(3)), 20_000.0, 20.0), &device).unwrap();
+    let peak = 2f64.sqrt() * (-std::f64::consts::FRAC_PI_4).exp() * (0.5f64.sqrt()) * 40.0 * std::f64::consts::PI;
+    let expected = device.joints[0].radians_per_count.abs() * peak;
+    assert!((found.one_count()[0] / expected - 1.0).abs() < 0.01, "{} for {expected}", found.one_count()[0]);
 }

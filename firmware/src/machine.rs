@@ -143,16 +143,17 @@ impl Machine for BoardMachine {
 
     fn execute(&mut self, command: Command<BoardProgram>) -> Reply<BoardProgram> {
         let status = self.status();
-        // With the motors on, what would switch them on is refused by the servo and has no business with the gate.
         let question = match command {
-            Command::Arm if !on(status.state) => Some(Command::MayArm),
-            Command::CheckPolarity if !on(status.state) => Some(Command::MayCheckPolarity),
+            Command::Arm => Some(Command::MayArm),
+            Command::CheckPolarity => Some(Command::MayCheckPolarity),
             _ => None,
         };
         let powers_up = question.is_some();
         if let Some(question) = question {
             // What would be refused is no reason to power the gate drivers, or to latch a fault where they have no supply.
             let refused = self.ask(Request::Command(question)).reply.0;
+            // With the motors on it is refused, and also if a check of polarity ended since: its gate is about to fall.
+            let refused = if on(status.state) { refused.and(Err(Refusal::Armed)) } else { refused };
             if let Err(refusal) = refused.and_then(|()| self.raise_gate()) {
                 return (Err(refusal), None);
             }

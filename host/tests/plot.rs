@@ -242,6 +242,23 @@ fn the_phase_of_fast_rows_is_drawn_of_means() {
 }
 
 #[test]
+fn what_never_moved_has_a_spectrum_at_the_floor() {
+    let folder = tempfile::tempdir().unwrap();
+    let csv = folder.path().join("a.csv");
+    let mut text = "# haptic-bridge recording\n# date 2026-01-01\n# device a-device\n\
+                    # control rate 1000 Hz, every step\nstep,time_s,distance_m\n"
+        .to_string();
+    (0..3000).for_each(|row| text.push_str(&format!("{row},{},0\n", f64::from(row) / 1e3)));
+    std::fs::write(&csv, text).unwrap();
+    let mut command = Command::cargo_bin("haptic").unwrap();
+    let drawn =
+        command.arg("plot").arg(&csv).args(["--signals", "distance_m", "--show", "spectrum", "--json"]).assert();
+    let json: serde_json::Value = serde_json::from_slice(&drawn.success().get_output().stdout).unwrap();
+    let points = json["panels"][0]["curves"][0]["pieces"][0].as_array().unwrap();
+    assert!(points.len() > 100 && points.iter().all(|point| (point[1].as_f64().unwrap() + 120.0).abs() < 1e-9));
+}
+
+#[test]
 fn what_cannot_be_drawn_is_refused_in_words() {
     let folder = tempfile::tempdir().unwrap();
     let csv = folder.path().join("a.csv");

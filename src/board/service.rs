@@ -308,8 +308,13 @@ impl Service {
         changed.check(device.mechanism.kind().spec().task).map_err(Refusal::Scene)?;
         let rate = changed.rate_hz;
         // Everything that can be refused comes before anything that acts.
-        let coefficients = Coefficients::of_device::<Mc::Math>((changed.estimator, rate, changed.cutoff_hz), device)
-            .map_err(|_| Refusal::Scene(SceneError::Cutoff))?;
+        let coefficients = match request.estimator {
+            Some((estimator, cutoff_hz)) => {
+                let found = Coefficients::of_device::<Mc::Math>((estimator, rate, cutoff_hz), device);
+                Some(found.map_err(|_| Refusal::Scene(SceneError::Cutoff))?)
+            }
+            None => None,
+        };
         if let Some(gains) = request.wall {
             let washout = match gains.feed_forward {
                 FeedForward::Washout => {
@@ -319,7 +324,7 @@ impl Service {
             };
             machine.execute(Command::Gains(gains, washout)).0?;
         }
-        if request.estimator.is_some() {
+        if let Some(coefficients) = coefficients {
             machine.execute(Command::Coefficients(coefficients)).0?;
         }
         *scene = changed;

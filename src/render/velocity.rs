@@ -318,7 +318,7 @@ impl<T: Real> Coefficients<T> {
         device: &Device<T>,
     ) -> Result<Self, BadCutoff> {
         let mut coefficients = Self::new(kind, rate_hz, cutoff_hz)?;
-        for (i, joint) in device.joints.iter().enumerate().take(MAX_JOINTS) {
+        for (i, joint) in device.joints.iter().enumerate().take(device.axes().min(MAX_JOINTS)) {
             let speed = joint.radians_per_count.abs() * rate_hz;
             coefficients.one_count[i] = speed * coefficients.seen_of_one_count::<K>(speed * rate_hz);
         }
@@ -330,13 +330,22 @@ impl<T: Real> Coefficients<T> {
     fn seen_of_one_count<K: Math<T>>(&self, acceleration: T) -> T {
         let unit = if acceleration > T::zero() { T::one() / acceleration } else { T::zero() };
         let (mut behind, mut joint) = (LowPass::default(), JointVelocity::default());
-        let mut most = T::zero();
+        let (mut most, mut quiet) = (T::zero(), 0);
         for period in 0..LONGEST_RISE {
             let moved = if period == 1 { T::one() } else { T::zero() };
-            let velocity = if self.at_joints() {
-                joint.step::<K>(self, &Seen { moved, pushed: T::zero(), unit }, T::zero())
-            } else {
-                behind.step(self, moved)
+            let velocity = match &self.joints {
+                Some(design) => {
+                    // What forgets the count is not asked thousands of times while a low-pass behind it rises: the board
+                    // does this when a request comes, and its watchdog waits meanwhile.
+                    let found = if quiet > LONGEST_WINDOW {
+                        T::zero()
+                    } else {
+                        joint.memory.step::<K>(design, &Seen { moved, pushed: T::zero(), unit }, T::zero())
+                    };
+                    quiet = if found == T::zero() { quiet + 1 } else { 0 };
+                    if self.filtered { joint.behind.step_second_order(self, found) } else { found }
+                }
+                None => behind.step(self, moved),
             };
             if velocity.abs() * T::from_f64(2.0) < most {
                 break;

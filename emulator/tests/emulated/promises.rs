@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use haptic::link::BoardError;
 use haptic_bridge::board::telemetry::{Field, Fields};
+use haptic_bridge::render::velocity::{Chosen, Estimator};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
 use virtual_board::boards::BoardKind;
@@ -184,6 +185,22 @@ fn a_board_that_is_left_alone_is_not_bitten() {
     let mut rig = armed(BoardKind::OdriveV3);
     let _ = rig.tool.rows(Duration::from_millis(10));
     rig.run(2 * SECOND);
+    assert_eq!(rig.with(|stopped| stopped.resets().len()), 0);
+    assert_eq!(rig.tool.status().expect("the board answers").state, State::Armed);
+}
+
+/// What a single count makes of a velocity is found by trying when a request comes; nobody feeds the watchdog meanwhile.
+#[test]
+fn a_request_for_the_slowest_velocities_is_not_bitten() {
+    let slow = |window| Estimator::AdaptiveWindow(Chosen { value: window, filtered: true });
+    let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
+    rig.load(&format!("rate_hz = 10000\nestimator = \"adaptive-window\"\nwindow = 32\ncutoff_hz = 1\n{WALL}"));
+    rig.ready();
+    rig.tool.start_stream(Fields::USUAL, 10).expect("a stream starts");
+    for (estimator, cutoff) in [(slow(32), 1.0), (slow(31), 0.5), (Estimator::Butterworth, 0.5), (slow(32), 2.0)] {
+        rig.tool.set_estimator(estimator, cutoff).expect("the estimator changes while armed");
+        rig.run(100 * MILLISECOND);
+    }
     assert_eq!(rig.with(|stopped| stopped.resets().len()), 0);
     assert_eq!(rig.tool.status().expect("the board answers").state, State::Armed);
 }

@@ -160,7 +160,7 @@ fn bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<Bound> {
         let (_, y) = frame.pixel(0.0, limit);
         let hidden = bottom - y < SEEN || y < frame.at.1;
         bounds.push(Bound {
-            name: "kp ≤ 2 fc/Δ",
+            name: "kp ≤ 2 fc/Δ and b/(T (1/2 + d))",
             dash: "1.5 2.5",
             line: [(0.0, limit), (0.04 * frame.x.high, limit)],
             elsewhere: hidden.then(|| format!("kp ≤ {}: not to be seen here", with_unit(limit, "N/m"))),

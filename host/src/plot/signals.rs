@@ -344,7 +344,9 @@ fn amplitudes(
             strongest = top.copied().filter(|top| top.amplitude > 0.0);
         }
         let shown = lines.iter().filter(|line| line.frequency <= most);
-        let highest = lines.iter().fold(f64::MIN_POSITIVE, |highest, line| highest.max(line.amplitude));
+        let highest = lines.iter().fold(0.0, |highest: f64, line| highest.max(line.amplitude));
+        // What never moved lies where a unit's floor is, and not thousands of decibels below it.
+        let highest = if highest > 0.0 { highest } else { 1.0 };
         let points = shown.map(|line| (line.frequency, 20.0 * line.amplitude.max(FLOOR * highest).log10())).collect();
         panel.curves.push(Curve { name: signal.clone(), pieces: vec![points] });
     }
