@@ -93,7 +93,9 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     assert_eq!((status.state, status.fault), (State::Disarmed, None), "{name} is not cleared");
     assert!(rig.with(off), "{name}: clearing turned the bridges on");
     if matches!(fault, Fault::ImageDamaged | Fault::RamDamaged) {
-        // Clearing it makes nothing whole.
+        // Clearing it makes nothing whole, and nor does a device in the place of the one that the start forgot.
+        rig.load("");
+        rig.tool.home().unwrap_or_else(|error| panic!("{name}: {error}"));
         let refused = rig.tool.check_polarity();
         let named = matches!(refused, Err(BoardError::Refused(Refusal::Faulted(again))) if again == fault);
         assert!(named && rig.with(off), "{name}: {refused:?}");
