@@ -208,59 +208,82 @@ fn gains_that_are_predicted_to_be_unstable_are_asked_about_first() {
     assert!(terminal.ended().0.success(), "Ctrl-C ends it in order");
 }
 
+/// A simulated board that can be unplugged, and another one in its place.
+struct Socket {
+    port: String,
+    board: Child,
+}
+
+impl Socket {
+    /// With a board that has the scene `wall`, and a monitor on it.
+    fn watched() -> (Self, Terminal) {
+        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port().to_string();
+        let socket = Self { board: Self::plugged(&port, &["--scene", &wall()]), port };
+        let port = socket.port.parse::<u16>().unwrap();
+        sim::until("the board", || std::net::TcpStream::connect(("127.0.0.1", port)).is_ok());
+        let mut terminal = Terminal::start(&["--port", &socket.address()], 30, 100);
+        terminal.shows("motors off");
+        (socket, terminal)
+    }
+
+    fn address(&self) -> String {
+        format!("tcp:127.0.0.1:{}", self.port)
+    }
+
+    fn plugged(port: &str, more: &[&str]) -> Child {
+        let mut sim = Command::new(assert_cmd::cargo::cargo_bin("haptic"));
+        sim.args(["sim", "--tcp", port]).args(more).stdout(Stdio::null()).spawn().unwrap()
+    }
+
+    fn unplug(&mut self) {
+        self.board.kill().unwrap();
+        self.board.wait().unwrap();
+    }
+
+    fn plug(&mut self, more: &[&str]) {
+        self.board = Self::plugged(&self.port, more);
+    }
+}
+
+impl Drop for Socket {
+    fn drop(&mut self) {
+        let _ = self.board.kill();
+        let _ = self.board.wait();
+    }
+}
+
+fn wall() -> String {
+    sim::file("scenes/coupled-five-bar/wall.toml")
+}
+
 #[test]
 fn a_board_that_is_unplugged_is_waited_for() {
-    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port().to_string();
-    let scene = sim::file("scenes/coupled-five-bar/wall.toml");
-    let board = || {
-        let mut sim = Command::new(assert_cmd::cargo::cargo_bin("haptic"));
-        sim.args(["sim", "--tcp", &port, "--scene", &scene]).stdout(Stdio::null()).spawn().unwrap()
-    };
-    let mut first = board();
-    sim::until("the board", || std::net::TcpStream::connect(("127.0.0.1", port.parse::<u16>().unwrap())).is_ok());
-    let mut terminal = Terminal::start(&["--port", &format!("tcp:127.0.0.1:{port}")], 30, 100);
-    terminal.shows("motors off");
-    first.kill().unwrap();
-    first.wait().unwrap();
+    let (mut socket, mut terminal) = Socket::watched();
+    socket.unplug();
     terminal.shows("waiting for it");
     terminal.shows("no connection");
-    let mut second = board();
+    socket.plug(&["--scene", &wall()]);
     terminal.until("its return", |text| text.contains("motors off") && !text.contains("waiting for it"));
     terminal.shows("nobody commands");
     terminal.press("t");
     terminal.shows("you command");
     terminal.press("q");
     assert!(terminal.ended().0.success());
-    second.kill().unwrap();
-    second.wait().unwrap();
 }
 
 /// The scene of a board that is switched off is gone, unless it was saved.
 #[test]
 fn a_board_that_comes_back_without_its_scene_is_waited_for_as_well() {
-    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port().to_string();
-    let address = format!("tcp:127.0.0.1:{port}");
-    let scene = sim::file("scenes/coupled-five-bar/wall.toml");
-    let board = |more: &[&str]| {
-        let mut sim = Command::new(assert_cmd::cargo::cargo_bin("haptic"));
-        sim.args(["sim", "--tcp", &port]).args(more).stdout(Stdio::null()).spawn().unwrap()
-    };
-    let mut first = board(&["--scene", &scene]);
-    sim::until("the board", || std::net::TcpStream::connect(("127.0.0.1", port.parse::<u16>().unwrap())).is_ok());
-    let mut terminal = Terminal::start(&["--port", &address], 30, 100);
-    terminal.shows("motors off");
-    first.kill().unwrap();
-    first.wait().unwrap();
+    let (mut socket, mut terminal) = Socket::watched();
+    socket.unplug();
     terminal.shows("waiting for it");
-    let mut second = board(&[]);
+    socket.plug(&[]);
     terminal.until("what to do", |text| text.contains("haptic scene FILE") && !text.contains("motors off"));
     // Between two looks the board is free for others.
-    sim::haptic(&["scene", &scene, "--port", &address]).assert().success();
+    sim::haptic(&["scene", &wall(), "--port", &socket.address()]).assert().success();
     terminal.until("the scene", |text| text.contains("motors off") && !text.contains("waiting for it"));
     terminal.press("q");
     assert!(terminal.ended().0.success());
-    second.kill().unwrap();
-    second.wait().unwrap();
 }
 
 /// A terminal of the usual size shows how stiff the wall may be in whole words.
