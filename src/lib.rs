@@ -37,6 +37,7 @@ pub mod model {
     pub mod device;
     pub mod inertia;
     pub mod mechanism;
+    pub mod motor;
     pub mod precomputed;
     pub mod principal;
     pub mod solve;
@@ -61,6 +62,7 @@ pub mod drive {
 pub mod safety {
     pub mod fault;
     pub mod limits;
+    pub mod pace;
     pub mod refusal;
 }
 

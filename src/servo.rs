@@ -22,7 +22,6 @@ use crate::drive::heat::Heat;
 use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
-use crate::model::precomputed::TABLE_VALUES;
 use crate::safety::fault::{Fault, FaultRecord, State};
 use crate::servo::frame::{Now, Outputs, Rendered, Samples, StepRecord};
 use crate::servo::joints::{Counts, Currents, Duties, Torques};
@@ -31,7 +30,7 @@ use crate::servo::program::Program;
 use crate::servo::saturation::Asked;
 use core::ops::DerefMut;
 pub use crest::SPEED_HZ;
-pub use requests::{Command, REST_SPEED, Reply, Status, TABLE_PIECE};
+pub use requests::{Command, REST_SPEED, Reply, Status};
 pub use rules::{HostAction, Rules};
 
 /// Seconds over which torque ramps up after arming.
@@ -87,8 +86,6 @@ pub struct Servo<P> {
     budgets: watch::Budgets,
     /// What heat the motors hold, whatever device is loaded.
     heat: [Heat; MAX_JOINTS],
-    /// Values of the mass model's table, beside the program because one copy of them is all the memory that they get.
-    table: [f32; TABLE_VALUES],
 }
 
 impl<P, K, S> Servo<P>
@@ -123,7 +120,6 @@ where
             host: host_force::HostForce::default(),
             budgets: watch::Budgets::default(),
             heat: [Heat::default(); MAX_JOINTS],
-            table: [0.0; TABLE_VALUES],
         }
     }
 
@@ -172,7 +168,7 @@ where
     pub fn render(&mut self, counts: &Counts) -> Rendered {
         self.push();
         let Some(program) = self.program.as_mut() else { return Rendered::default() };
-        let mut rendered = program.controller.step(counts, &self.table, &mut self.now, &mut self.motion);
+        let mut rendered = program.controller.step(counts, &mut self.now, &mut self.motion);
         self.pull(&mut rendered.asked);
         rendered
     }

@@ -2,7 +2,7 @@
 
 use haptic_bridge::drive::brushed::{Axis, UNKNOWN_WINDING};
 use haptic_bridge::drive::stage::{Bridge, MAX_DUTY, Stage};
-use haptic_bridge::model::device::Motor;
+use haptic_bridge::model::motor::Motor;
 
 const CARRIER: f32 = 20_000.0;
 const BUS: f32 = 24.0;

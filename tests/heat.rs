@@ -4,7 +4,7 @@ mod rig;
 
 use core::sync::atomic::{AtomicU32, Ordering};
 use haptic_bridge::drive::heat::{Heat, KEPT, WORDS, keep, kept};
-use haptic_bridge::model::description::Motor;
+use haptic_bridge::model::motor::Motor;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::servo::{Command, Rules};
 use proptest::prelude::*;

@@ -6,7 +6,7 @@ mod rig;
 use haptic_bridge::drive::stage::{Bridge, Stage};
 use haptic_bridge::math::{Math, Minimax};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
-use haptic_bridge::model::device::Motor;
+use haptic_bridge::model::motor::Motor;
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::Currents;

@@ -119,7 +119,7 @@ fn wander<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
             *count += pace * *going;
         }
         let at = counts.map(|count| count as i32);
-        let (fast, slow): (Step<T, N>, Step<T, N>) = (straight.step(&at), general.step_generally(&at, &[]));
+        let (fast, slow): (Step<T, N>, Step<T, N>) = (straight.step(&at), general.step_generally(&at));
         assert_eq!(fast, slow, "{} at {at:?} of {scene:?}", M::SPEC.name);
         let Some(wall) = scene.walls.first() else { continue };
         seen.free += usize::from(slow.contacts == 0);

@@ -22,7 +22,7 @@ use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Sphere, Surface, VelocityTerms, Wall};
 use haptic_bridge::render::velocity::{Chosen, Estimator, LONGEST_WINDOW};
 use haptic_bridge::with_mechanism;
-use heapless::String;
+use heapless::{String, Vec};
 use nalgebra::SVector;
 
 #[unsafe(no_mangle)]
@@ -86,7 +86,6 @@ const TERMS: &[(&str, Walls, FeedForward, VelocityTerms)] = &[
 /// A table's points along each coordinate, and how far it reaches from home, rad.
 const POINTS: u8 = 10;
 const RANGE: f32 = 0.6;
-static mut TABLE: [f32; TABLE_VALUES] = [0.0; TABLE_VALUES];
 /// Steps before the one that is counted: the joints come from a few counts away, so velocities are not zero. An
 /// estimator's window is full by then.
 const RUN_UP: i32 = 3;
@@ -142,13 +141,12 @@ fn variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     for kind in ["exact", "bilinear", "bicubic", "frozen"] {
         let interpolation = if kind == "bilinear" { Interpolation::Bilinear } else { Interpolation::Bicubic };
         let Some(grid) = grid(interpolation) else { panic!() };
-        // SAFETY: one thread, and no other reference to the table is alive.
-        let table = unsafe { &mut *addr_of_mut!(TABLE) };
-        tabulate::<f32, K, M, N>(mechanism, &grid, |index, value| table[index] = value);
+        let mut values = Vec::<f32, TABLE_VALUES>::new();
+        tabulate::<f32, K, M, N>(mechanism, &grid, |_, value| drop(values.push(value)));
         let mass = match kind {
             "exact" => MassModel::Exact,
             "frozen" => MassModel::Frozen(mechanism.mass(&pose)),
-            _ => MassModel::table::<M>(&grid).unwrap_or_default(),
+            _ => MassModel::table::<M>(&grid, &values).unwrap_or_default(),
         };
         for (term, walls, feed_forward, velocity_terms) in TERMS {
             // What else a scene may hold is counted with the board's own functions alone, and all but a ball with the
@@ -158,7 +156,7 @@ fn variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
                 continue;
             }
             let scene = scene::<M, N>(&tip, *walls, *feed_forward, *velocity_terms);
-            count::<M, K, N>(mechanism, device, &scene, &mass, table, &home, &[kind, "/", term], RUN_UP);
+            count::<M, K, N>(mechanism, device, &scene, &mass, &home, &[kind, "/", term], RUN_UP);
         }
     }
     // Estimators of the wall's velocity, with the board's own functions: their windows as long as they can be.
@@ -171,20 +169,18 @@ fn variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
             let mut scene = scene::<M, N>(&tip, Walls::One, FeedForward::Full, VelocityTerms::Off);
             scene.estimator = usual.chosen().map_or(*usual, |chosen| usual.choosing(longest(chosen)));
             let name = ["exact/feed-forward, ", estimator];
-            count::<M, K, N>(mechanism, device, &scene, &MassModel::Exact, &[], &home, &name, LONG_RUN_UP);
+            count::<M, K, N>(mechanism, device, &scene, &MassModel::Exact, &home, &name, LONG_RUN_UP);
         }
     }
 }
 
 /// Counts the step of a scene, under its mechanism's and trigonometry's name and `rest`, at every pose.
-#[allow(clippy::too_many_arguments)]
 #[inline(never)]
 fn count<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     mechanism: &M,
     device: &Device<f32>,
     scene: &Scene<f32>,
     mass: &MassModel<f32, N>,
-    table: &[f32],
     home: &[f64; MAX_JOINTS],
     rest: &[&str],
     run_up: i32,
@@ -197,14 +193,13 @@ fn count<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     }
     name(&text);
     for offset in POSES {
-        step_at::<M, K, N>(&mut controller, table, device, home, &offset, run_up);
+        step_at::<M, K, N>(&mut controller, device, home, &offset, run_up);
     }
 }
 
 #[inline(never)]
 fn step_at<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     controller: &mut Controller<f32, M, K, N>,
-    table: &[f32],
     device: &Device<f32>,
     home: &[f64; MAX_JOINTS],
     offset: &[f32; MAX_JOINTS],
@@ -222,7 +217,7 @@ fn step_at<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
         if counted {
             bench_begin();
         }
-        control::<M, K, N>(controller, counts, table);
+        control::<M, K, N>(controller, counts);
         if counted {
             bench_end();
         }
@@ -234,9 +229,8 @@ fn step_at<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
 fn control<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     controller: &mut Controller<f32, M, K, N>,
     counts: &[i32; N],
-    table: &[f32],
 ) {
-    let torque = controller.step_with(counts, table).torque;
+    let torque = controller.step(counts).torque;
     black_box(&torque);
 }
 

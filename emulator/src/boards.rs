@@ -1,18 +1,11 @@
 //! How each board is wired, for the virtual hardware around the chip. The pins are those of docs/wiring-odrive-v3.md
 //! and docs/wiring-h-bridge-f405.md, read a second time here, so that a pin swapped in the firmware shows.
 
+pub use haptic::boards::BoardKind;
+
 /// A port pin: the port's letter and the pin's number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pin(pub char, pub u8);
-
-/// The boards there is firmware for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum BoardKind {
-    /// ODrive v3.6 and its clones.
-    OdriveV3,
-    /// Any STM32F405 module with three H-bridges.
-    HBridgeF405,
-}
 
 /// An encoder's wires: the general timer that counts it (2 to 5), its two pins and their alternate function.
 #[derive(Clone, Copy, Debug)]
@@ -55,8 +48,6 @@ pub struct MotorWires {
 /// A board.
 #[derive(Clone, Copy, Debug)]
 pub struct Wiring {
-    /// The name of the board and of its Cargo feature.
-    pub name: &'static str,
     /// The encoders, one per axis.
     pub encoders: &'static [EncoderWires],
     /// The motors, one per axis.
@@ -89,7 +80,6 @@ const SHUNT: f64 = 500e-6;
 const HALL: f64 = 0.185 * 0.66;
 
 static ODRIVE_V3: Wiring = Wiring {
-    name: "odrive-v3",
     encoders: &[
         EncoderWires { timer: 3, pins: [Pin('B', 4), Pin('B', 5)], function: 2, index: Pin('C', 9) },
         EncoderWires { timer: 4, pins: [Pin('B', 6), Pin('B', 7)], function: 2, index: Pin('C', 15) },
@@ -122,7 +112,6 @@ static ODRIVE_V3: Wiring = Wiring {
 };
 
 static H_BRIDGE_F405: Wiring = Wiring {
-    name: "h-bridge-f405",
     encoders: &[
         EncoderWires { timer: 2, pins: [Pin('A', 15), Pin('B', 3)], function: 1, index: Pin('C', 7) },
         EncoderWires { timer: 3, pins: [Pin('B', 4), Pin('B', 5)], function: 2, index: Pin('C', 8) },
@@ -149,22 +138,13 @@ const fn h_bridge(channel: u8, [p, n]: [Pin; 2], sensors: &'static [(u8, f64)]) 
     MotorWires { timer: 1, ends, gates: [p, n, p, n], function: 1, sensors }
 }
 
-impl BoardKind {
-    /// Both boards.
-    pub const ALL: [Self; 2] = [Self::OdriveV3, Self::HBridgeF405];
-
-    /// The board called `name`.
+impl Wiring {
+    /// How a board is wired.
     #[must_use]
-    pub fn named(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|kind| kind.wiring().name == name)
-    }
-
-    /// How it is wired.
-    #[must_use]
-    pub fn wiring(self) -> &'static Wiring {
-        match self {
-            Self::OdriveV3 => &ODRIVE_V3,
-            Self::HBridgeF405 => &H_BRIDGE_F405,
+    pub fn of(kind: BoardKind) -> &'static Self {
+        match kind {
+            BoardKind::OdriveV3 => &ODRIVE_V3,
+            BoardKind::HBridgeF405 => &H_BRIDGE_F405,
         }
     }
 }

@@ -45,7 +45,7 @@ impl Case {
     #[must_use]
     pub fn name(&self) -> String {
         let walls = if self.walls == 1 { "a wall" } else { "a corner" };
-        format!("{}, {}, {walls}, {} kHz", self.board.wiring().name, self.device, self.rate_hz / 1000)
+        format!("{}, {}, {walls}, {} kHz", self.board.name(), self.device, self.rate_hz / 1000)
     }
 
     /// A rig in contact with the walls of this case at `rate_hz`.

@@ -125,8 +125,8 @@ impl Hardware {
     ///
     /// A wrong description of the part, which is a bug here.
     pub fn new(kind: BoardKind, plant: Box<dyn Plant>) -> Result<Self, rigless::soc::Error> {
-        let mut hardware = Self { wiring: Some(kind.wiring()), plant, ..Self::bare()? };
-        for select in kind.wiring().drivers {
+        let mut hardware = Self { wiring: Some(Wiring::of(kind)), plant, ..Self::bare()? };
+        for select in Wiring::of(kind).drivers {
             let (port, pin) = place(*select);
             let select = Select { port: PORT_NAMES[port], pin, active: Level::Low };
             hardware.chip.spi[SPI3].attach_selected(Drv8301::default(), select);

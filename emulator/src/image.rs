@@ -94,7 +94,7 @@ impl Firmware {
     ///
     /// An image that cannot be built or read.
     pub fn of(board: BoardKind) -> Result<Self, Error> {
-        let name = board.wiring().name;
+        let name = board.name();
         if let Some(directory) = std::env::var_os("HAPTIC_FIRMWARE_DIR") {
             return Self::read(Path::new(&directory).join(format!("haptic-bridge-firmware-{name}.elf")));
         }

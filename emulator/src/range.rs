@@ -21,7 +21,8 @@ use haptic::plot::Picture;
 use haptic::plot::range::{Contents, MeasuredPoint, draw};
 use haptic::sim::Hand;
 use haptic_bridge::model::admissible::Admissible;
-use haptic_bridge::model::description::{EncoderAt, Motor, Transmission};
+use haptic_bridge::model::description::{EncoderAt, Transmission};
+use haptic_bridge::model::motor::Motor;
 use haptic_bridge::render::scene::FeedForward;
 
 use crate::boards::BoardKind;
@@ -34,7 +35,7 @@ pub const POSE: [f64; 3] = [2.6, 1.75, 0.0];
 const COUNTS_PER_TURN: f64 = (1 << 20) as f64;
 /// A direct drive in place of the shipped file's placeholder. A step of the board's current sensors, 7 mA, is then 0.2
 /// mN m and not 4, which would keep the softly held tip moving.
-const MOTOR: Motor = Motor {
+const MOTOR: Motor<f64> = Motor {
     torque_constant: 0.033,
     resistance: 0.5,
     inductance: 1e-4,
@@ -278,7 +279,7 @@ pub fn introduction(occasion: &str) -> String {
          repeats. The theory is that of `haptic range --drive current` with the delay that the board reports. Apart: median less\n\
          theory, in percent of the theory's highest stiffness. A test asks in every run whether walls at 95 % of the theory are\n\
          stable and at 105 % are not.\n",
-        BOARD.wiring().name,
+        BOARD.name(),
         MOTOR.resistance,
         MOTOR.inductance * 1e3,
     )

@@ -12,7 +12,7 @@ use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use crate::boards::BoardKind;
+use crate::boards::{BoardKind, Wiring};
 use crate::hands::hold;
 use crate::hardware::Hardware;
 use crate::image::Firmware;
@@ -96,7 +96,7 @@ impl Rig {
     /// When the device cannot be simulated, or the firmware does not come up.
     #[must_use]
     pub fn with_file(kind: BoardKind, file: DeviceFile, change: impl FnOnce(&mut Options)) -> Self {
-        let wiring = kind.wiring();
+        let wiring = Wiring::of(kind);
         let bridge = PowerStage { bus_voltage: wiring.bus_voltage, dead_time: wiring.dead_time, carrier_hz: 20_000.0 };
         let mut options = Options { bridge, ..Options::default() };
         change(&mut options);

@@ -37,7 +37,6 @@ pub const STAGES: &[(&str, &[&str])] = &[
         "step: walls",
         &[
             "Controller::step",
-            "Controller::step_with",
             "Controller::step_generally",
             "Controller::step_at_a_plane",
             "Running::press",

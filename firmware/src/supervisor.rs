@@ -6,6 +6,7 @@ use core::sync::atomic::{AtomicU32, Ordering};
 
 use embassy_time::{Duration, Instant, Ticker};
 use haptic_bridge::drive::carrier::CARRIER_MIN_HZ;
+use haptic_bridge::safety::pace::{Pace, Verdict};
 
 use crate::servo;
 use crate::watchdog::{self, Watchdog};
@@ -31,14 +32,6 @@ static LAST_HEARD_MS: [AtomicU32; TASKS.len()] = [const { AtomicU32::new(0) }; T
 /// Control steps a second that were asked for last.
 static RATE_HZ: AtomicU32 = AtomicU32::new(CARRIER_MIN_HZ);
 
-/// A loop that runs this much too often is as dead as one that stops, %; both clocks are the crystal's, so what is
-/// left is a step or two at either end.
-const TOO_OFTEN_PERCENT: u64 = 110;
-/// One that runs less often than this has everything that it sums up wrong. Only while the power stage is up: with the
-/// motors off a scene that the chip cannot keep up with is no reason to start anew with the same scene.
-const TOO_SELDOM_PERCENT: u64 = 90;
-const STEPS_AT_THE_ENDS: u64 = 4;
-
 /// The control rate is this from now on, Hz.
 pub fn expect(rate_hz: f32) {
     RATE_HZ.store(rate_hz as u32 + 1, Ordering::Relaxed);
@@ -58,7 +51,7 @@ fn now_ms() -> u32 {
 pub async fn supervise(mut watchdog: Watchdog) -> ! {
     let mut ticker = Ticker::every(PERIOD);
     let mut steps = servo::STEPS.load(Ordering::Relaxed);
-    let mut rate = RATE_HZ.load(Ordering::Relaxed);
+    let mut pace = Pace::new(RATE_HZ.load(Ordering::Relaxed));
     let mut looked = Instant::now();
     let mut stalls = watchdog::stalls();
     let mut up = false;
@@ -69,26 +62,22 @@ pub async fn supervise(mut watchdog: Watchdog) -> ! {
         ticker.next().await;
         let before = core::mem::replace(&mut steps, servo::STEPS.load(Ordering::Relaxed));
         let elapsed = core::mem::replace(&mut looked, Instant::now()).elapsed().as_micros();
-        // The faster of two rates, where one replaced the other meanwhile.
-        let rate_before = core::mem::replace(&mut rate, RATE_HZ.load(Ordering::Relaxed));
-        let most = elapsed * u64::from(rate.max(rate_before)) * TOO_OFTEN_PERCENT / 100_000_000 + STEPS_AT_THE_ENDS;
-        let least = elapsed * u64::from(rate.min(rate_before)) * TOO_SELDOM_PERCENT / 100_000_000;
-        let taken = u64::from(steps.wrapping_sub(before));
-        let paced = taken <= most;
-        // While flash is written no step is taken. A power stage that has only just come up is judged at the next look.
+        // While flash is written no step is taken. With the motors off a scene that the chip cannot keep up with is no
+        // reason to start anew with the same scene; a power stage that has only just come up is judged at the next look.
         let stalled = core::mem::replace(&mut stalls, watchdog::stalls()) != stalls;
         let up_before = core::mem::replace(&mut up, servo::GATE_READY.load(Ordering::Relaxed));
-        let kept_up = stalled || !(up && up_before) || taken + STEPS_AT_THE_ENDS >= least;
+        let excused = stalled || !(up && up_before);
+        let verdict = pace.look(steps.wrapping_sub(before), elapsed, RATE_HZ.load(Ordering::Relaxed), excused);
         let now = now_ms();
         let silent = TASKS
             .into_iter()
             .find(|task| now.wrapping_sub(LAST_HEARD_MS[*task as usize].load(Ordering::Relaxed)) > SILENCE_MAX_MS);
-        match (steps != before, paced, silent) {
-            (true, true, None) if kept_up => watchdog.feed(),
-            (true, true, None) => defmt::error!("the control step runs too seldom"),
+        match (steps != before, verdict, silent) {
+            (true, Verdict::Kept, None) => watchdog.feed(),
             (false, ..) => defmt::error!("the control step stands still"),
-            (true, false, _) => defmt::error!("the control step runs too often"),
-            (true, true, Some(task)) => defmt::error!("task {} is silent", task),
+            (true, Verdict::TooOften, _) => defmt::error!("the control step runs too often"),
+            (true, Verdict::TooSeldom, _) => defmt::error!("the control step runs too seldom"),
+            (true, Verdict::Kept, Some(task)) => defmt::error!("task {} is silent", task),
         }
     }
 }

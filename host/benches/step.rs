@@ -21,14 +21,14 @@ fn torques<M: Mechanism<f32, N>, const N: usize>(
     law: Law,
     probes: &[haptic::bench::probe::Probe],
 ) {
-    let mass = MassModel::<f32, N>::new::<M>(&model.data).expect("a model of this mechanism");
+    let mass = MassModel::<f32, N>::new::<M>(&model.data, &model.values).expect("a model of this mechanism");
     for terms in Terms::ALL {
         let name = format!("{}, {}, {}", M::SPEC.name, model.name(), terms.name());
         let mut next = probes.iter().cycle();
         criterion.bench_function(&name, |bench| {
             bench.iter(|| {
                 let probe = next.next().expect("a cycle does not end");
-                torque::<f32, Minimax, M, N>(mechanism, (&mass, &model.values), terms, law, black_box(probe))
+                torque::<f32, Minimax, M, N>(mechanism, &mass, terms, law, black_box(probe))
             });
         });
     }

@@ -9,11 +9,12 @@ use haptic_bridge::math::{Libm, Minimax, Real};
 use haptic_bridge::model::catalogue::{Kind, Spec};
 use haptic_bridge::model::catalogue::{MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
 use haptic_bridge::model::description::{
-    Cogging, Description, DescriptionError, Encoder, EncoderAt, Joint, Link, MAX_MODES, Motor, Stribeck,
-    StructuralMode, Transmission,
+    Cogging, Description, DescriptionError, Encoder, EncoderAt, Joint, Link, MAX_MODES, Stribeck, StructuralMode,
+    Transmission,
 };
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::model::motor::Motor;
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 use std::path::{Path, PathBuf};
@@ -386,7 +387,7 @@ fn encoder_of(table: &Table<'_>) -> Result<Encoder, FileError> {
     })
 }
 
-fn motor_of(table: &Table<'_>) -> Result<Motor, FileError> {
+fn motor_of(table: &Table<'_>) -> Result<Motor<f64>, FileError> {
     table.refuse_unknown_keys(&[
         "torque_constant",
         "resistance",

@@ -48,6 +48,7 @@ pub use haptic_bridge;
 pub mod analysis;
 pub mod backup;
 pub mod bench;
+pub mod boards;
 pub mod cores;
 pub mod demo;
 #[cfg(feature = "tool")]

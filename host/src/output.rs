@@ -114,6 +114,10 @@ pub fn unused(path: &Path) -> PathBuf {
 
 fn place(path: &Path, overwrite: Overwrite) -> Result<Place, Failure> {
     let shown = path.display();
+    if path == Path::new("-") {
+        return Err(Failure::wrong("- is not written to: here it would be a file of that name")
+            .remedy("write /dev/stdout for the standard output, or ./- for the file"));
+    }
     match std::fs::metadata(path) {
         Ok(about) if about.is_dir() => {
             Err(Failure::impossible(format!("{shown} is a directory")).remedy("name a file in it"))

@@ -2,8 +2,9 @@
 
 use crate::analysis::pose::{PoseError, TaskPose};
 use crate::plausible::device::weight;
-use haptic_bridge::model::description::{Description, Motor};
+use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
+use haptic_bridge::model::motor::Motor;
 use nalgebra::DVector;
 
 /// A device at one pose, to ask what its limits leave.
@@ -70,7 +71,7 @@ pub fn motor_torques(description: &Description) -> Vec<f64> {
 }
 
 /// What a current (A) in each motor makes, N m at the joint; 0 without a motor.
-fn torques_of(description: &Description, current: fn(&Motor) -> f64) -> Vec<f64> {
+fn torques_of(description: &Description, current: fn(&Motor<f64>) -> f64) -> Vec<f64> {
     let motors = description.joints.iter().map(|joint| joint.motor);
     motors.map(|motor| motor.map_or(0.0, |motor| (motor.torque_constant * current(&motor)).abs())).collect()
 }

@@ -270,6 +270,7 @@ fn what_cannot_be_drawn_is_refused_in_words() {
     refused(&["--signals", "nothing_n"], "no column nothing_n; it has step, time_s, torque0_n_m");
     refused(&["--from", "5"], "0 rows to draw; the recording has rows from 0 to 1.999 s");
     refused(&["--show", "colour"], "time, force, spectrum, phase");
+    refused(&["--svg", "-"], "/dev/stdout for the standard output");
     std::fs::write(&csv, "not, a recording\n1,2\n").unwrap();
     refused(&[], "no column step");
     std::fs::write(&csv, b"\x89MCAP0\r\nrubbish").unwrap();

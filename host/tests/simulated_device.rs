@@ -3,10 +3,11 @@
 use haptic::sim::{MotorInput, Options, PowerStage, SimulatedDevice};
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::{
-    Cogging, Description, Encoder, EncoderAt, Joint, Link, Motor, Stribeck, StructuralMode, Transmission,
+    Cogging, Description, Encoder, EncoderAt, Joint, Link, Stribeck, StructuralMode, Transmission,
 };
+use haptic_bridge::model::motor::Motor;
 
-const MOTOR: Motor =
+const MOTOR: Motor<f64> =
     Motor { torque_constant: 0.5, resistance: 2.0, inductance: 0.0, back_emf: 0.5, max_current: 3.0, verified: false };
 
 fn joint(inertia: f64, viscous: f64, coulomb: f64) -> Joint {

@@ -247,19 +247,11 @@ impl PyDevice {
     ) -> PyResult<Bound<'py, PyDict>> {
         let poses = rows("q", q, self.joints())?;
         let normals = self.units_along(normal, &poses)?;
-        let estimators = [
-            ("butterworth", LinearEstimator::Butterworth(cutoff_hz)),
-            ("first-order", LinearEstimator::FirstOrder(cutoff_hz)),
-            ("backward-difference", LinearEstimator::BackwardDifference),
-            ("alpha-beta", LinearEstimator::AlphaBeta(cutoff_hz)),
-            ("predicted", LinearEstimator::Predicted(cutoff_hz)),
-        ];
+        let named = LinearEstimator::named();
+        let estimators: Vec<(&str, LinearEstimator)> =
+            named.filter_map(|(name, kind)| Some((name, LinearEstimator::of(kind, cutoff_hz)?))).collect();
         let estimator = word("estimator", estimator, &estimators)?;
-        let filters = matches!(
-            estimator,
-            LinearEstimator::Butterworth(_) | LinearEstimator::FirstOrder(_) | LinearEstimator::BackwardDifference
-        );
-        if difference_over != 1 && !filters {
+        if difference_over != 1 && !estimator.takes_difference() {
             return Err(RequestError::new_err("difference_over needs an estimator that takes a difference"));
         }
         let drive = match word("drive", drive, &[("ideal", 0), ("voltage", 1), ("current", 2)])? {

@@ -8,15 +8,14 @@ use crate::board::protocol::{Details, FaultList, ForceAnswer, ForceRequest, Gain
 use crate::board::settings::{self, BoardName, Damage, Entry, Key, Polarity, Setting};
 use crate::math::Math;
 use crate::model::device::Device;
-use crate::model::precomputed::TableChunk;
-use crate::model::precomputed::{MassModelData, Receiving};
+use crate::model::precomputed::{MassModelData, Receiving, TableChunk};
 use crate::render::scene::{FeedForward, Scene, SceneError};
 use crate::render::velocity::{Coefficients, Washout};
 use crate::safety::fault::{FaultRecord, State};
 use crate::safety::limits::{BadLimit, GENTLE_FORCE, Limit, Limits};
 use crate::safety::refusal::Refusal;
 use crate::servo::program::{Hardware, Program};
-use crate::servo::{Command, HostAction, Reply, Rules, Status, TABLE_PIECE};
+use crate::servo::{Command, HostAction, Reply, Rules, Status};
 use core::ops::DerefMut;
 use heapless::Vec;
 
@@ -240,7 +239,7 @@ impl Service {
     }
 
     /// Takes a piece of a table, in order from offset 0; see [`Receiving::take`]. A table that is in use gives way to
-    /// the closed form first, so that no step ever looks into half a table.
+    /// the closed form first: its values are those that the new ones take the place of.
     pub fn receive_table(&mut self, machine: &mut impl Machine, chunk: &TableChunk) -> Result<(), Refusal> {
         must_be_off(machine)?;
         let offset = usize::from(chunk.offset);
@@ -251,9 +250,6 @@ impl Service {
             self.set_mass_model(machine, MassModelData::Exact)?;
         }
         self.receiving.take(offset, &chunk.values);
-        for (start, piece) in (chunk.offset..).step_by(TABLE_PIECE).zip(chunk.values.chunks(TABLE_PIECE)) {
-            machine.execute(Command::Table(start, piece.iter().copied().collect())).0?;
-        }
         Ok(())
     }
 
@@ -272,7 +268,7 @@ impl Service {
         same_device: bool,
     ) -> Result<(), Refusal> {
         let mut program = Program::<Mc::Math>::new(&self.hardware, &self.rules.limits, device, scene, same_device)?;
-        program.set_mass(&self.mass)?;
+        program.set_mass(&self.mass, self.receiving.values())?;
         let held = machine.place(program)?;
         let (result, returned) = machine.execute(Command::Program(held));
         if let Some(held) = returned {
@@ -511,7 +507,7 @@ impl Service {
         let empty = Scene { task: task as u8, ..Scene::default() };
         let runs = scene.as_ref().unwrap_or(&empty);
         let mut program = Program::<Mc::Math>::new(&self.hardware, &rules.limits, &device, runs, same_device)?;
-        program.set_mass(&mass)?;
+        program.set_mass(&mass, self.receiving.values())?;
         let held = machine.place(program)?;
         if let Err(refusal) = machine.commit(keys) {
             machine.release(held);

@@ -10,7 +10,7 @@
 
 use super::stage::{Bridge, MAX_DUTY, Stage};
 use crate::math::limited;
-use crate::model::device::Motor;
+use crate::model::motor::Motor;
 
 /// [`MAX_DUTY`] less what rounding may add.
 const USABLE_DUTY: f32 = MAX_DUTY * (1.0 - 2.0 * f32::EPSILON);

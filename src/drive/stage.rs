@@ -4,7 +4,7 @@
 //! field-oriented motor with a sample for each phase and a duty for each leg, is another one: the servo holds its limits,
 //! its watch and its thermal budget to whatever stands here (tests/stages.rs has a toy of each).
 
-use crate::model::device::Motor;
+use crate::model::motor::Motor;
 use core::fmt::Debug;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};

@@ -3,6 +3,7 @@
 //! The host fills it from a TOML file; each mechanism lumps it into its own minimal coefficients once.
 
 use crate::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
+use crate::model::motor::Motor;
 
 /// A whole device.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -71,7 +72,7 @@ pub struct Joint {
     /// The encoder, when the device is to run on a board.
     pub encoder: Option<Encoder>,
     /// The motor, when the device is to run on a board.
-    pub motor: Option<Motor>,
+    pub motor: Option<Motor<f64>>,
     /// What lies between motor and link where that is not rigid.
     pub transmission: Option<Transmission>,
     /// The description vouches that nothing gives between motor and link.
@@ -179,23 +180,6 @@ pub struct Encoder {
     pub offset: f64,
     /// Counts fall when the angle grows.
     pub inverted: bool,
-}
-
-/// A brushed motor as seen at the joint.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Motor {
-    /// N m/A at the joint.
-    pub torque_constant: f64,
-    /// ohm
-    pub resistance: f64,
-    /// H
-    pub inductance: f64,
-    /// V s/rad at the joint.
-    pub back_emf: f64,
-    /// A
-    pub max_current: f64,
-    /// A person or a calibration vouches for these numbers; a real board refuses to arm otherwise.
-    pub verified: bool,
 }
 
 /// Why a description cannot be a device.

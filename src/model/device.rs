@@ -4,6 +4,7 @@ use crate::math::{Math, Real, cast};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::description::{Description, DescriptionError};
 use crate::model::mechanism::{AnyMechanism, Mechanism, shared_pose};
+use crate::model::motor::Motor;
 use crate::model::precomputed::MassModel;
 use heapless::String;
 use nalgebra::SVector;
@@ -48,23 +49,6 @@ pub struct Joint<T> {
     pub motor: Option<Motor<T>>,
 }
 
-/// A brushed motor as seen at the joint.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
-pub struct Motor<T> {
-    /// N m/A
-    pub torque_constant: T,
-    /// ohm
-    pub resistance: T,
-    /// H
-    pub inductance: T,
-    /// V s/rad
-    pub back_emf: T,
-    /// A
-    pub max_current: T,
-    /// Someone vouches for these numbers.
-    pub verified: bool,
-}
-
 impl<T: Real> Device<T> {
     /// Lumps a description in f64 and rounds once. A name longer than [`NAME_LENGTH`] bytes is cut at a character.
     pub fn new(name: &str, description: &Description) -> Result<Self, DescriptionError> {
@@ -92,14 +76,7 @@ impl<T: Real> Device<T> {
             joint.viscous = r(described.viscous);
             joint.coulomb = r(described.coulomb);
             joint.limits = described.limits.map(|(low, high)| (r(low), r(high)));
-            joint.motor = described.motor.map(|motor| Motor {
-                torque_constant: r(motor.torque_constant),
-                resistance: r(motor.resistance),
-                inductance: r(motor.inductance),
-                back_emf: r(motor.back_emf),
-                max_current: r(motor.max_current),
-                verified: motor.verified,
-            });
+            joint.motor = described.motor.map(|motor| motor.cast());
         }
         Ok(Self {
             name: short,
@@ -138,20 +115,6 @@ impl<T: Real> Joint<T> {
             coulomb: cast(self.coulomb),
             limits: self.limits.map(|(low, high)| (cast(low), cast(high))),
             motor: self.motor.map(|motor| motor.cast()),
-        }
-    }
-}
-
-impl<T: Real> Motor<T> {
-    /// The same in another precision.
-    pub fn cast<U: Real>(&self) -> Motor<U> {
-        Motor {
-            torque_constant: cast(self.torque_constant),
-            resistance: cast(self.resistance),
-            inductance: cast(self.inductance),
-            back_emf: cast(self.back_emf),
-            max_current: cast(self.max_current),
-            verified: self.verified,
         }
     }
 }
@@ -218,7 +181,7 @@ fn finite_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M, 
     // A direction in which every coefficient of the mass matrix counts, through the copy of this code that is there
     // anyway.
     let askew = SVector::from_fn(|i, _| 0.5 + 0.1 * i as f32);
-    let shaping = MassModel::Exact.shaping(mechanism, &[], &q, &pose, &askew);
+    let shaping = MassModel::Exact.shaping(mechanism, &q, &pose, &askew);
     let found = [mechanism.tip(&pose), mechanism.gravity(&pose), shaping.e, shaping.me];
     found.iter().all(|v| v.iter().all(|x| x.is_finite())) && shaping.w_rr.is_finite()
 }

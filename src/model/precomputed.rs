@@ -2,8 +2,11 @@
 //!
 //! M depends on two joint coordinates at most ([`Mechanism::shape`]), so a table is a grid over these two. It holds the
 //! distinct entries of M alone ([`Mechanism::MASS_ENTRIES`]), and has a fixed size: [`TABLE_VALUES`] numbers, under 3
-//! KB of the board's memory, which the servo keeps beside the program. Outside its grid the closed form is used, so a
-//! table is never wrong by more than its interpolation.
+//! KB of the board's memory. Outside its grid the closed form is used, so a table is never wrong by more than its
+//! interpolation.
+//!
+//! The way in is [`MassModel::new`], from what a tool sent, and the way out [`MassModel::shaping`]: nothing else knows
+//! how a matrix is prepared.
 //!
 //! The velocity terms z are the mechanism's own in every case: they are forces, not a mass matrix.
 
@@ -42,8 +45,8 @@ impl Interpolation {
     }
 }
 
-/// The grid of a table; its values are kept elsewhere, point by point, the second coordinate running fastest, each
-/// point's entries in the order of [`Mechanism::MASS_ENTRIES`], kg m².
+/// The grid of a table. Its values go point by point, the second coordinate running fastest, each point's entries in
+/// the order of [`Mechanism::MASS_ENTRIES`], kg m².
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Grid<T> {
     /// How values are joined.
@@ -131,9 +134,9 @@ pub fn joints<T: Real, M: Mechanism<T, N>, const N: usize>(mechanism: &M, shape:
     })
 }
 
-/// A grid made ready for the step.
+/// A table made ready for the step.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Lookup<T> {
+pub struct Table<T> {
     interpolation: Interpolation,
     low: [T; 2],
     /// 1/rad
@@ -143,12 +146,17 @@ pub struct Lookup<T> {
     last: [i32; 2],
     /// Points of the second coordinate.
     row: usize,
-    values: usize,
+    /// As [`Grid`] orders them, then zeros.
+    values: [T; TABLE_VALUES],
 }
 
-impl<T: Real> Lookup<T> {
-    fn new(grid: &Grid<T>, entries: usize) -> Self {
+impl<T: Real> Table<T> {
+    fn new(grid: &Grid<T>, given: &[T]) -> Self {
         let margin = i32::from(grid.interpolation.margin());
+        let mut values = [T::zero(); TABLE_VALUES];
+        for (value, given) in values.iter_mut().zip(given) {
+            *value = *given;
+        }
         Self {
             interpolation: grid.interpolation,
             low: grid.low,
@@ -156,7 +164,7 @@ impl<T: Real> Lookup<T> {
             first: margin,
             last: grid.points.map(|count| i32::from(count) - 2 - margin),
             row: usize::from(grid.points[1]),
-            values: grid.values(entries),
+            values,
         }
     }
 
@@ -180,9 +188,9 @@ impl<T: Real> Lookup<T> {
         Some((cell, within))
     }
 
-    /// M at joint coordinates; `None` outside the grid, or without its values.
-    fn mass<M: Mechanism<T, N>, const N: usize>(&self, values: &[T], shape: &[T; 2]) -> Option<SMatrix<T, N, N>> {
-        let entries = self.entries(values, shape, M::MASS_ENTRIES.len())?;
+    /// M at joint coordinates; `None` outside the grid.
+    fn mass<M: Mechanism<T, N>, const N: usize>(&self, shape: &[T; 2]) -> Option<SMatrix<T, N, N>> {
+        let entries = self.entries(shape, M::MASS_ENTRIES.len())?;
         let mut mass = SMatrix::<T, N, N>::zeros();
         for ((row, column), value) in M::MASS_ENTRIES.iter().zip(entries) {
             for place in [(*row, *column), (*column, *row)] {
@@ -196,8 +204,7 @@ impl<T: Real> Lookup<T> {
 
     /// The first `count` entries at joint coordinates. Not inlined: all mechanisms share it.
     #[inline(never)]
-    fn entries(&self, values: &[T], shape: &[T; 2], count: usize) -> Option<[T; MOST_ENTRIES]> {
-        let values = values.get(..self.values)?;
+    fn entries(&self, shape: &[T; 2], count: usize) -> Option<[T; MOST_ENTRIES]> {
         let (cell, within) = self.cell(shape)?;
         let one = T::one();
         let linear = [[one - within[0], within[0]], [one - within[1], within[1]]];
@@ -210,7 +217,7 @@ impl<T: Real> Lookup<T> {
         let mut entries = [T::zero(); MOST_ENTRIES];
         for (i, first) in along.iter().enumerate() {
             let start = ((cell[0] + i).wrapping_sub(before) * self.row + cell[1].wrapping_sub(before)) * count;
-            let mut line = values.get(start..)?.chunks_exact(count.max(1));
+            let mut line = self.values.get(start..)?.chunks_exact(count.max(1));
             for second in across {
                 let weight = *first * *second;
                 for (entry, value) in entries.iter_mut().zip(line.next()?) {
@@ -233,56 +240,41 @@ fn catmull_rom<T: Real>(t: T) -> [T; 4] {
 
 /// Where the step takes the mass matrix from.
 #[derive(Clone, Debug, Default, PartialEq)]
+#[allow(clippy::large_enum_variant, reason = "the board has no heap, and a program keeps room for either")]
 pub enum MassModel<T: Real, const N: usize> {
     /// The mechanism's closed form, at every step.
     #[default]
     Exact,
     /// One matrix for the whole workspace, kg m².
     Frozen(SMatrix<T, N, N>),
-    /// A table, whose values are handed to the step.
-    Table(Lookup<T>),
+    /// A table over the joint angles.
+    Table(Table<T>),
 }
 
 impl<T: Real, const N: usize> MassModel<T, N> {
-    /// The run-time form of a grid for the mechanism `M`; `None` when it does not fit.
-    pub fn table<M: Mechanism<T, N>>(grid: &Grid<T>) -> Option<Self> {
+    /// The run-time form of a table for the mechanism `M`; `None` when the grid does not fit it, or has not as many
+    /// values.
+    pub fn table<M: Mechanism<T, N>>(grid: &Grid<T>, values: &[T]) -> Option<Self> {
         let entries = M::MASS_ENTRIES.len();
-        grid.usable(entries).then(|| Self::Table(Lookup::new(grid, entries)))
+        let fits = grid.usable(entries) && grid.values(entries) == values.len();
+        fits.then(|| Self::Table(Table::new(grid, values)))
     }
 
-    /// What a unit tip motion along `n` takes and weighs. `values` are the table's. Shared by single walls and corners:
-    /// a call costs little beside it, and a second copy for every mechanism would come out of the 256 KB that an image
-    /// may fill.
+    /// What a unit tip motion along `n` takes and weighs. Shared by single walls and corners: a call costs little
+    /// beside it, and a second copy for every mechanism would come out of the 256 KB that an image may fill.
     #[inline(never)]
     pub fn shaping<M: Mechanism<T, N>>(
         &self,
         mechanism: &M,
-        values: &[T],
         q: &SVector<T, N>,
         pose: &M::Pose,
         n: &SVector<T, N>,
     ) -> Shaping<T, N> {
-        match self {
-            Self::Exact => mechanism.shaping(pose, n),
-            prepared => prepared.with_prepared(mechanism, values, q, pose, n),
-        }
-    }
-
-    #[inline(always)]
-    fn with_prepared<M: Mechanism<T, N>>(
-        &self,
-        mechanism: &M,
-        values: &[T],
-        q: &SVector<T, N>,
-        pose: &M::Pose,
-        n: &SVector<T, N>,
-    ) -> Shaping<T, N> {
-        let found = match self {
-            Self::Exact => None,
-            Self::Frozen(mass) => Some(*mass),
-            Self::Table(lookup) => lookup.mass::<M, N>(values, &mechanism.shape(q)),
+        let mass = match self {
+            Self::Exact => return mechanism.shaping(pose, n),
+            Self::Frozen(mass) => *mass,
+            Self::Table(table) => table.mass::<M, N>(&mechanism.shape(q)).unwrap_or_else(|| mechanism.mass(pose)),
         };
-        let mass = found.unwrap_or_else(|| mechanism.mass(pose));
         Shaping::of(&mass, mechanism.inverse(pose, n))
     }
 }
@@ -301,8 +293,9 @@ pub enum MassModelData {
 }
 
 impl<const N: usize> MassModel<f32, N> {
-    /// The run-time form; `None` when the data do not fit the mechanism or are not a mass matrix.
-    pub fn new<M: Mechanism<f32, N>>(data: &MassModelData) -> Option<Self> {
+    /// The run-time form, with the values that were sent for a table; `None` when the data do not fit the mechanism or
+    /// are not a mass matrix.
+    pub fn new<M: Mechanism<f32, N>>(data: &MassModelData, values: &[f32]) -> Option<Self> {
         match data {
             MassModelData::Exact => Some(Self::Exact),
             MassModelData::Frozen(triangle) => {
@@ -313,7 +306,7 @@ impl<const N: usize> MassModel<f32, N> {
                 let usable = (0..N).all(|i| mass[(i, i)] > 0.0) && mass.iter().all(|entry| entry.is_finite());
                 usable.then_some(Self::Frozen(mass))
             }
-            MassModelData::Table(grid, _) => Self::table::<M>(grid),
+            MassModelData::Table(grid, _) => Self::table::<M>(grid, values),
         }
     }
 }
@@ -327,11 +320,10 @@ pub struct TableChunk {
     pub values: Vec<f32, 64>,
 }
 
-/// The values of a table on their way to the board: chunks come in order, and their checksum grows with them.
-#[derive(Clone, Copy, Debug, Default)]
+/// The values of a table on their way to the board, piece by piece.
+#[derive(Clone, Debug, Default)]
 pub struct Receiving {
-    values: usize,
-    crc: Crc32,
+    values: Vec<f32, TABLE_VALUES>,
 }
 
 impl Receiving {
@@ -342,24 +334,25 @@ impl Receiving {
             return false;
         }
         if offset == 0 {
-            *self = Self::default();
+            self.values.clear();
         }
-        for value in chunk {
-            self.crc.take(&value.to_le_bytes());
-        }
-        self.values += chunk.len();
-        true
+        self.values.extend_from_slice(chunk).is_ok()
     }
 
     /// Whether a piece may come next: the first of a table, or the one after the last, of numbers.
     pub fn fits(&self, offset: usize, chunk: &[f32]) -> bool {
-        let next = offset == 0 || offset == self.values;
+        let next = offset == 0 || offset == self.values.len();
         next && offset + chunk.len() <= TABLE_VALUES && chunk.iter().all(|value| value.is_finite())
+    }
+
+    /// What came so far.
+    pub fn values(&self) -> &[f32] {
+        &self.values
     }
 
     /// Whether what came is all of a table of this many values with this checksum.
     pub fn is_complete(&self, values: usize, crc: u32) -> bool {
-        self.values == values && self.crc.sum() == crc
+        self.values.len() == values && checksum(&self.values) == crc
     }
 }
 

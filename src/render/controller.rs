@@ -198,12 +198,6 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// Joint torques for these encoder counts. Call at the control rate.
     #[inline(always)]
     pub fn step(&mut self, counts: &[i32; N]) -> Step<T, N> {
-        self.step_with(counts, &[])
-    }
-
-    /// As [`Controller::step`], with the values of the table that a [`MassModel::Table`] looks into.
-    #[inline(always)]
-    pub fn step_with(&mut self, counts: &[i32; N], table: &[T]) -> Step<T, N> {
         // A host may add its own force at any time.
         if self.variant == StepVariant::Plane
             && !self.guidance.any
@@ -211,12 +205,12 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         {
             return step;
         }
-        self.step_generally(counts, table)
+        self.step_generally(counts)
     }
 
-    /// As [`Controller::step_with`] for any scene, the slow way: what every straight step is held to.
+    /// As [`Controller::step`] for any scene, the slow way: what every straight step is held to.
     #[inline(always)]
-    pub fn step_generally(&mut self, counts: &[i32; N], table: &[T]) -> Step<T, N> {
+    pub fn step_generally(&mut self, counts: &[i32; N]) -> Step<T, N> {
         let (q, turned) = self.encoders.angles(counts);
         let mut qd = self.encoders.velocities(&self.coefficients, counts);
         let pose = self.mechanism.pose::<K>(&turned);
@@ -271,7 +265,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
                 && more.is_empty()
                 && !beside.acts
             {
-                let kept = first.shaped * self.below_the_pole(table, &turned, &pose, &first.normal, gain);
+                let kept = first.shaped * self.below_the_pole(&turned, &pose, &first.normal, gain);
                 plain += first.normal * (first.shaped - kept);
                 first.shaped = kept;
                 straight = true;
@@ -292,12 +286,12 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
                 let (pose, place, qd, turned, first) = (pose, place, qd, turned, first);
                 let left;
                 (step.torque, left) =
-                    self.shaped_by_several(table, &turned, &pose, &place, &qd, &first, &more, &beside, &shaped, share);
+                    self.shaped_by_several(&turned, &pose, &place, &qd, &first, &more, &beside, &shaped, share);
                 step.shaping = share;
                 plain += left;
                 straight = true;
             } else {
-                step.torque = self.shaped_by_one(table, &turned, &pose, &place, &qd, &first);
+                step.torque = self.shaped_by_one(&turned, &pose, &place, &qd, &first);
             }
             if straight {
                 step.torque += self.mechanism.transpose(&pose, &plain);
@@ -343,7 +337,6 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     #[inline(always)]
     fn shaped_by_one(
         &self,
-        table: &[T],
         q: &SVector<T, N>,
         pose: &M::Pose,
         place: &SVector<T, N>,
@@ -353,7 +346,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let shaping = match &self.mass {
             MassModel::Exact => self.mechanism.shaping(pose, &only.normal),
             MassModel::Frozen(mass) => Shaping::of(mass, self.mechanism.inverse(pose, &only.normal)),
-            mass @ MassModel::Table(..) => mass.shaping(&self.mechanism, table, q, pose, &only.normal),
+            mass @ MassModel::Table(..) => mass.shaping(&self.mechanism, q, pose, &only.normal),
         };
         let shaping = self.held(shaping, pose);
         if !self.biased {
@@ -384,8 +377,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// m = Weff/(1 - α ρ), ρ = 1 - Weff/Wrr, which has no bound at α = 1/ρ; half way there, at (1 + 1/ρ)/2, it is twice
     /// Wrr, and no more is given.
     #[inline(never)]
-    fn below_the_pole(&self, table: &[T], q: &SVector<T, N>, pose: &M::Pose, n: &SVector<T, N>, gain: T) -> T {
-        let shaping = self.held(self.mass.shaping(&self.mechanism, table, q, pose, n), pose);
+    fn below_the_pole(&self, q: &SVector<T, N>, pose: &M::Pose, n: &SVector<T, N>, gain: T) -> T {
+        let shaping = self.held(self.mass.shaping(&self.mechanism, q, pose, n), pose);
         let row = self.mechanism.transpose(pose, n);
         let w_eff = T::one() / row.dot(&solve_symmetric(&self.mechanism.mass(pose), &row));
         let coupling = (T::one() - w_eff / shaping.w_rr).greater(T::EPSILON);
@@ -400,7 +393,6 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     #[inline(never)]
     fn shaped_by_several(
         &self,
-        table: &[T],
         q: &SVector<T, N>,
         pose: &M::Pose,
         place: &SVector<T, N>,
@@ -415,20 +407,19 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             return (SVector::zeros(), *force);
         }
         if more.is_empty() && !beside.acts {
-            let shaping = self.held(self.mass.shaping(&self.mechanism, table, q, pose, &first.normal), pose);
+            let shaping = self.held(self.mass.shaping(&self.mechanism, q, pose, &first.normal), pose);
             let (b, met) = self.bias(pose, place, qd, &Acting::One(first));
             (shaped_torque_beside(&shaping, first.shaped, &b, &met) * share, force * (T::one() - share))
         } else {
             let together = self.walls.together::<K, N>(first, more, &self.guidance, beside, place, M::SPEC.task);
-            let along = |i| {
-                self.held(self.mass.shaping(&self.mechanism, table, q, pose, &together.principal.direction(i)), pose)
-            };
+            let along =
+                |i| self.held(self.mass.shaping(&self.mechanism, q, pose, &together.principal.direction(i)), pose);
             let unused = Shaping { e: SVector::zeros(), me: SVector::zeros(), w_rr: T::one() };
             let shapings = core::array::from_fn(|i| if i + 1 < N { along(i) } else { unused });
             let bias = |level| self.bias(pose, place, qd, &Acting::Level(&together, level));
             let first = &together.principal.direction(0);
             let gained = |gain| {
-                let most = gain * self.below_the_pole(table, q, pose, first, gain);
+                let most = gain * self.below_the_pole(q, pose, first, gain);
                 (T::one() + (most - T::one()) * lone(&together.principal)) / gain
             };
             let part = share * self.gain.map_or(T::one(), gained);
@@ -455,7 +446,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             if M::SPEC.task > 1 && self.walls.curved {
                 let velocity = task_part::<T, M, N>(&self.mechanism.velocity(pose, qd));
                 let acceleration = self.walls.turning::<K, N>(place, &velocity, acting);
-                b += MassModel::Exact.shaping(&self.mechanism, &[], qd, pose, &acceleration).me;
+                b += MassModel::Exact.shaping(&self.mechanism, qd, pose, &acceleration).me;
             }
             if M::SPEC.task < N && self.admissible != Admissible::Orientation {
                 let bent = self.mechanism.inverse(pose, &(self.mechanism.jacobian_rate(pose, qd) * qd));

@@ -55,10 +55,10 @@ macro_rules! define {
             }
 
             /// See [`Controller::set_mass`]; refused when the data do not fit the mechanism.
-            pub fn set_mass(&mut self, data: &MassModelData) -> Result<(), Refusal> {
+            pub fn set_mass(&mut self, data: &MassModelData, values: &[f32]) -> Result<(), Refusal> {
                 match self {
                     $(Self::$Variant(controller) => {
-                        let mass = MassModel::new::<crate::model::mechanism::$Variant<f32>>(data);
+                        let mass = MassModel::new::<crate::model::mechanism::$Variant<f32>>(data, values);
                         controller.set_mass(mass.ok_or(Refusal::BadTable)?);
                     })*
                 }
@@ -70,21 +70,15 @@ macro_rules! define {
                 match self { $(Self::$Variant(_) => Kind::$Variant,)* }
             }
 
-            /// One control step with the values of the mass model's table, if it has one; fills what is kept of it and
-            /// [`Step::motion`], and returns the distances from singularities and what the torques are for.
+            /// One control step; fills what is kept of it and [`Step::motion`], and returns the distances from
+            /// singularities and what the torques are for.
             #[inline(always)]
-            pub(crate) fn step(
-                &mut self,
-                counts: &Counts,
-                table: &[f32],
-                now: &mut Now,
-                motion: &mut [f32; MAX_JOINTS],
-            ) -> Rendered {
+            pub(crate) fn step(&mut self, counts: &Counts, now: &mut Now, motion: &mut [f32; MAX_JOINTS]) -> Rendered {
                 match self {
                     $(Self::$Variant(controller) => {
                         // What is still there is what the motors gave since the last step.
                         controller.acted(&head(&now.torque));
-                        record(controller.step_with(&head(counts), table), now, motion)
+                        record(controller.step(&head(counts)), now, motion)
                     })*
                 }
             }
@@ -259,11 +253,12 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
         })
     }
 
-    /// Takes the mass matrix from a prepared model instead of the mechanism's closed form.
+    /// Takes the mass matrix from a prepared model instead of the mechanism's closed form; `values` are those sent for
+    /// a table.
     ///
     /// Errors: data that do not fit the mechanism.
-    pub fn set_mass(&mut self, data: &MassModelData) -> Result<(), Refusal> {
-        self.controller.set_mass(data)
+    pub fn set_mass(&mut self, data: &MassModelData, values: &[f32]) -> Result<(), Refusal> {
+        self.controller.set_mass(data, values)
     }
 
     /// Its controller.

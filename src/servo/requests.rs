@@ -10,12 +10,8 @@ use crate::safety::fault::{FaultRecord, State};
 use crate::safety::refusal::Refusal;
 use crate::servo::program::Program;
 use core::ops::DerefMut;
-use heapless::Vec;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
-
-/// Most values of a table in one [`Command`]: commands are copied between two steps, and no other is longer than this.
-pub const TABLE_PIECE: usize = 16;
 
 /// Speed below which a device counts as at rest, rad/s.
 pub const REST_SPEED: f32 = 0.2;
@@ -31,8 +27,6 @@ pub enum Command<P> {
     Coefficients(Coefficients<f32>),
     /// Rules and limits.
     Rules(Rules),
-    /// Values of a precomputed table from an index on.
-    Table(u16, Vec<f32, TABLE_PIECE>),
     /// The present pose is the home pose.
     Home,
     /// Motors on.
@@ -116,7 +110,6 @@ where
             Command::Gains(gains, washout) => self.with_program(|p| p.controller.set_gains(&gains, &washout)),
             Command::Coefficients(coefficients) => self.with_program(|p| p.controller.set_coefficients(&coefficients)),
             Command::Rules(rules) => self.set_rules(rules),
-            Command::Table(start, values) => self.set_table(start.into(), &values),
             Command::Home => self.home(),
             Command::Arm => self.arm(),
             Command::MayArm => self.may_arm(),
@@ -152,18 +145,6 @@ where
             }
         };
         (result, returned)
-    }
-
-    /// Puts values where a table's are. The service sees to it that no program looks into the table meanwhile.
-    fn set_table(&mut self, start: usize, values: &[f32]) -> Result<(), Refusal> {
-        if matches!(self.state, State::Armed | State::CheckingPolarity) {
-            return Err(Refusal::Armed);
-        }
-        let place = self.table.get_mut(start..start + values.len()).ok_or(Refusal::BadTable)?;
-        for (old, new) in place.iter_mut().zip(values) {
-            *old = *new;
-        }
-        Ok(())
     }
 
     fn with_program(&mut self, change: impl FnOnce(&mut Program<K, S>)) -> Result<(), Refusal> {

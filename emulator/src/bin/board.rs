@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use haptic::device_file::DeviceFile;
 use haptic::sim::{Options, PowerStage, SimulatedDevice};
-use virtual_board::boards::BoardKind;
+use virtual_board::boards::{BoardKind, Wiring};
 use virtual_board::bridge::{Outlet, TcpOutlet};
 use virtual_board::hardware::Hardware;
 use virtual_board::image::Firmware;
@@ -80,7 +80,7 @@ fn ready_to_arm(path: &Path, file: &DeviceFile) -> std::io::Result<PathBuf> {
 }
 
 fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
-    let wiring = arguments.board.wiring();
+    let wiring = Wiring::of(arguments.board);
     let file = DeviceFile::load(&arguments.device)?;
     let bridge = PowerStage { bus_voltage: wiring.bus_voltage, dead_time: wiring.dead_time, ..PowerStage::default() };
     let device = SimulatedDevice::new(&file.description, &Options { bridge, ..Options::default() })?;
@@ -94,7 +94,7 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
         return Err("the firmware did not open its USB port within 2 s".into());
     }
 
-    println!("{} with {}, firmware {}", wiring.name, file.name, firmware.path().display());
+    println!("{} with {}, firmware {}", arguments.board.name(), file.name, firmware.path().display());
     let ready = ready_to_arm(&arguments.device, &file)?;
     let mut outlets: Vec<Box<dyn Outlet>> = Vec::new();
     let tcp = TcpOutlet::listen(arguments.port)?;

@@ -61,7 +61,7 @@ fn the_log_says_which_board_started() {
         let rig = Rig::empty(kind);
         let raw = rig.with(|stopped| stopped.take_log());
         let lines = Decoder::new(firmware(kind)).expect("the image logs").lines(&raw);
-        assert!(lines.iter().any(|line| line.contains(kind.wiring().name)), "{lines:?}");
+        assert!(lines.iter().any(|line| line.contains(kind.name())), "{lines:?}");
     }
 }
 

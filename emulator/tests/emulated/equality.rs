@@ -14,7 +14,7 @@ use haptic_bridge::servo::joints::{Counts, Currents};
 use haptic_bridge::servo::program::Hardware;
 use haptic_bridge::servo::program::Program;
 use haptic_bridge::servo::{Command, Servo};
-use virtual_board::boards::BoardKind;
+use virtual_board::boards::{BoardKind, Wiring};
 use virtual_board::rig::Rig;
 use virtual_board::run::SECOND;
 
@@ -74,8 +74,13 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
 
         let rules = rig.tool.rules().expect("it answers");
         let bridge = Bridge { carrier_hz: 20_000.0, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true };
-        let hardware =
-            Hardware { axes: kind.wiring().motors.len(), real: true, bus_sensed: true, bridge, timer_hz: 168_000_000 };
+        let hardware = Hardware {
+            axes: Wiring::of(kind).motors.len(),
+            real: true,
+            bus_sensed: true,
+            bridge,
+            timer_hz: 168_000_000,
+        };
         let device = Device::new(&file.name, &file.description).expect("a device");
         let scene = SceneFile::parse(&scene, "scene", task).expect("a scene").scene().expect("it fits f32");
         let program: Program<Minimax> =

@@ -34,7 +34,7 @@ fn from_power_on_to_usb_the_bridges_are_off_at_every_instant() {
             board.run(20 * MICROSECOND);
             let is_off;
             (is_off, ready) = board.with(|stopped| (off(stopped), stopped.usb().ready()));
-            assert!(is_off, "{} after {} ns", kind.wiring().name, board.now());
+            assert!(is_off, "{} after {} ns", kind.name(), board.now());
             assert!(board.now() < 2 * SECOND, "no USB after two seconds");
         }
     }
@@ -48,7 +48,7 @@ fn a_reset_of_an_armed_board_turns_the_bridges_off_and_leaves_them_off() {
         rig.with(|stopped| stopped.reset());
         for instant in 0..2_000 {
             rig.run(20 * MICROSECOND);
-            assert!(rig.with(off) || instant == 0, "{}: {instant} x 20 us after the reset", kind.wiring().name);
+            assert!(rig.with(off) || instant == 0, "{}: {instant} x 20 us after the reset", kind.name());
         }
     }
 }
@@ -86,8 +86,8 @@ fn a_debugger_that_halts_the_core_stops_the_carriers_and_the_watchdog() {
             let chip = &stopped.hardware().chip;
             (chip.register("DBG", APB1_FREEZE), chip.register("DBG", APB2_FREEZE))
         });
-        assert_eq!(first & WATCHDOG_STOPS, WATCHDOG_STOPS, "{}", kind.wiring().name);
-        assert_eq!(second & CARRIERS_STOP, CARRIERS_STOP, "{}", kind.wiring().name);
+        assert_eq!(first & WATCHDOG_STOPS, WATCHDOG_STOPS, "{}", kind.name());
+        assert_eq!(second & CARRIERS_STOP, CARRIERS_STOP, "{}", kind.name());
     }
 }
 

@@ -11,7 +11,7 @@ use haptic_bridge::safety::refusal::Refusal;
 
 use haptic::backup::{Backup, restore};
 use haptic::link::BoardError;
-use virtual_board::boards::BoardKind;
+use virtual_board::boards::{BoardKind, Wiring};
 use virtual_board::rig::Rig;
 use virtual_board::run::{MILLISECOND, SECOND};
 
@@ -23,9 +23,9 @@ fn a_session_from_info_to_disarm() {
     let kind = BoardKind::OdriveV3;
     let mut rig = Rig::with_device(kind, "pantograph-mk2", |_| ());
     assert_eq!(rig.tool.info().protocol, PROTOCOL);
-    assert_eq!(rig.tool.info().board.as_str(), kind.wiring().name);
+    assert_eq!(rig.tool.info().board.as_str(), kind.name());
     let details = rig.tool.details().expect("the board answers");
-    assert_eq!(usize::from(details.axes), kind.wiring().motors.len());
+    assert_eq!(usize::from(details.axes), Wiring::of(kind).motors.len());
     assert!(details.real && details.device.is_none());
 
     assert_eq!(refusal(rig.tool.arm()), Refusal::NoDevice);

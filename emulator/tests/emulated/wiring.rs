@@ -5,7 +5,7 @@ use std::time::Duration;
 use haptic::sim::MotorInput;
 use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::safety::fault::Fault;
-use virtual_board::boards::BoardKind;
+use virtual_board::boards::{BoardKind, Wiring};
 use virtual_board::plant::Dummy;
 use virtual_board::rig::Rig;
 use virtual_board::run::MILLISECOND;
@@ -33,7 +33,7 @@ fn each_encoder_counts_its_own_axis_up_and_down() {
     for kind in BoardKind::ALL {
         let mut rig = Rig::with_device(kind, device_of(kind), |_| ());
         rig.load(if kind == BoardKind::OdriveV3 { WALL } else { "" });
-        let axes = kind.wiring().encoders.len();
+        let axes = Wiring::of(kind).encoders.len();
         let mut expected = vec![0.0; axes];
         rig.with(|stopped| stopped.hardware().plant = Box::new(Dummy::default()));
         for (axis, moved) in (0..axes).map(|axis| (axis, 137 - 200 * (axis as i32 % 2))) {
@@ -43,7 +43,7 @@ fn each_encoder_counts_its_own_axis_up_and_down() {
             });
             expected[axis] = f64::from(moved);
             rig.run(MILLISECOND);
-            assert_eq!(latest(&mut rig, Field::Counts), expected, "{} axis {axis}", kind.wiring().name);
+            assert_eq!(latest(&mut rig, Field::Counts), expected, "{} axis {axis}", kind.name());
         }
     }
 }
@@ -53,7 +53,7 @@ fn each_index_pulse_reaches_its_own_axis() {
     for kind in BoardKind::ALL {
         let mut rig = Rig::with_device(kind, device_of(kind), |_| ());
         rig.load(if kind == BoardKind::OdriveV3 { WALL } else { "" });
-        for axis in 0..kind.wiring().encoders.len() {
+        for axis in 0..Wiring::of(kind).encoders.len() {
             let mut rules = rig.tool.rules().expect("the board answers");
             rules.index_period = [4_096; 3];
             rig.tool.set_rules(&rules).expect("rules change");
@@ -69,7 +69,7 @@ fn each_index_pulse_reaches_its_own_axis() {
                 let record = rig.tool.status().expect("it answers").fault;
                 record.map(|record| (record.fault, record.axis, record.value))
             };
-            let place = format!("{} axis {axis}", kind.wiring().name);
+            let place = format!("{} axis {axis}", kind.name());
             assert_eq!(pass(0), None, "{place}: the first pulse is where it is");
             assert_eq!(pass(40), Some((Fault::IndexMismatch, Some(axis as u8), 40.0)), "{place}");
             rig.tool.clear().expect("the fault clears");
@@ -84,14 +84,14 @@ fn each_index_pulse_reaches_its_own_axis() {
 fn the_bus_voltage_is_read_within_a_converter_step() {
     for kind in BoardKind::ALL {
         let mut rig = Rig::empty(kind);
-        let step = 3.3 / 4096.0 * kind.wiring().bus.1;
+        let step = 3.3 / 4096.0 * Wiring::of(kind).bus.1;
         for volts in [12.0, 24.0, 27.5] {
             rig.with(move |stopped| {
                 stopped.hardware().plant = Box::new(Dummy { bus_voltage: volts, ..Dummy::default() });
             });
             rig.run(2 * MILLISECOND);
             let seen = f64::from(rig.tool.status().expect("it answers").bus_voltage);
-            assert!((seen - volts).abs() <= 1.5 * step, "{}: {seen} V for {volts} V", kind.wiring().name);
+            assert!((seen - volts).abs() <= 1.5 * step, "{}: {seen} V for {volts} V", kind.name());
         }
     }
 }
@@ -103,6 +103,6 @@ fn motors_float_until_the_board_is_armed() {
         rig.load(if kind == BoardKind::OdriveV3 { WALL } else { "" });
         rig.run(20 * MILLISECOND);
         let drives = rig.with(|stopped| stopped.hardware().drives());
-        assert_eq!(drives, [MotorInput::Floating; 3], "{}", kind.wiring().name);
+        assert_eq!(drives, [MotorInput::Floating; 3], "{}", kind.name());
     }
 }

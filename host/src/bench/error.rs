@@ -159,7 +159,7 @@ pub struct Found {
 /// The joint torques (N m) of `probe` under a mass model and terms, in the precision `T`.
 pub fn torque<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     mechanism: &M,
-    (mass, values): (&MassModel<T, N>, &[T]),
+    mass: &MassModel<T, N>,
     terms: Terms,
     law: Law,
     probe: &Probe,
@@ -170,7 +170,7 @@ pub fn torque<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     let torque = if terms == Terms::None {
         mechanism.transpose(&pose, &(n * force))
     } else {
-        let shaping = mass.shaping(mechanism, values, &q, &pose, &n);
+        let shaping = mass.shaping(mechanism, &q, &pose, &n);
         let mut b = SVector::zeros();
         if terms == Terms::FeedForwardZ {
             let qd = law.velocities(probe);
@@ -241,9 +241,8 @@ fn compare<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: us
     terms: Terms,
     law: Law,
 ) -> Found {
-    let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data) else { return Found::default() };
-    let torques: Vec<_> =
-        probes.iter().map(|probe| torque::<f32, K, B, N>(board, (&mass, &model.values), terms, law, probe)).collect();
+    let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data, &model.values) else { return Found::default() };
+    let torques: Vec<_> = probes.iter().map(|probe| torque::<f32, K, B, N>(board, &mass, terms, law, probe)).collect();
     let against = |law: Law| errors_of::<E, N>(device, exact, probes, &torques, law);
     Found { whole: against(law.whole()), given: against(law) }
 }
@@ -276,7 +275,7 @@ fn reference<E: Mechanism<f64, N>, const N: usize>(
     law: Law,
     probe: &Probe,
 ) -> [f64; MAX_JOINTS] {
-    torque::<f64, Libm, E, N>(exact, (&MassModel::Exact, &[]), terms, law, probe)
+    torque::<f64, Libm, E, N>(exact, &MassModel::Exact, terms, law, probe)
 }
 
 /// Infinite where it is no number.
@@ -326,17 +325,17 @@ fn parts_of<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: u
     terms: Terms,
     law: Law,
 ) -> Parts {
-    let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data) else { return Parts::default() };
+    let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data, &model.values) else { return Parts::default() };
     let mut parts = Parts { area: f64::INFINITY, ..Parts::default() };
     let more = |most: &mut f64, value: f64| *most = most.max(value);
     let mut dropped = Vec::new();
     for probe in probes {
         let felt = |a, b| at_the_tip::<E, N>(exact, probe, difference(a, b));
-        let closed = torque::<f32, K, B, N>(board, (&MassModel::Exact, &[]), terms, law, probe);
+        let closed = torque::<f32, K, B, N>(board, &MassModel::Exact, terms, law, probe);
         let same = reference::<E, N>(exact, terms, law, probe);
         dropped.push(felt(same, reference::<E, N>(exact, Terms::FeedForwardZ, law.whole(), probe)));
         more(&mut parts.rounding, felt(closed, same));
-        let prepared = torque::<f32, K, B, N>(board, (&mass, &model.values), terms, law, probe);
+        let prepared = torque::<f32, K, B, N>(board, &mass, terms, law, probe);
         more(&mut parts.model, felt(prepared, closed));
 
         let (q, q32) = (SVector::<f64, N>::from_fn(|i, _| probe.q[i]), SVector::from_fn(|i, _| probe.q[i] as f32));
@@ -350,7 +349,7 @@ fn parts_of<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: u
         // The inertia met at rest: a newton's torque on the real mobility.
         let resting = Probe { qd: [0.0; MAX_JOINTS], force: 1.0, ..*probe };
         let without = if terms == Terms::None { Terms::None } else { Terms::FeedForward };
-        let newton = torque::<f32, K, B, N>(board, (&mass, &model.values), without, law, &resting);
+        let newton = torque::<f32, K, B, N>(board, &mass, without, law, &resting);
         let n = SVector::<f64, N>::from_fn(|i, _| probe.normal[i]);
         let moved = solve_symmetric(&exact.mass(&pose), &SVector::from_fn(|i, _| newton[i]));
         let met = 1.0 / exact.transpose(&pose, &n).dot(&moved);

@@ -31,7 +31,7 @@ impl Precomputed {
         }
     }
 
-    /// Bytes it takes on the board beside the program.
+    /// Bytes of its values on the board.
     pub fn bytes(&self) -> usize {
         4 * self.values.len()
     }

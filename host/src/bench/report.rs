@@ -179,13 +179,13 @@ fn time<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
     terms: Terms,
     law: Law,
 ) -> f64 {
-    let Some(mass) = MassModel::<f32, N>::new::<M>(&model.data) else { return f64::NAN };
+    let Some(mass) = MassModel::<f32, N>::new::<M>(&model.data, &model.values) else { return f64::NAN };
     let some = &probes[..probes.len().min(1000)];
     let run = || {
         let start = Instant::now();
         for probe in some {
             let torque: [f64; MAX_JOINTS] =
-                crate::bench::error::torque::<f32, K, M, N>(m, (&mass, &model.values), terms, law, black_box(probe));
+                crate::bench::error::torque::<f32, K, M, N>(m, &mass, terms, law, black_box(probe));
             black_box(torque);
         }
         start.elapsed().as_secs_f64() * 1.0e9 / some.len() as f64

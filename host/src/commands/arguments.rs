@@ -2,6 +2,7 @@
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use haptic::analysis::estimator::LinearEstimator;
+use haptic::boards::BoardKind;
 use haptic::error::Failure;
 use haptic::vectors::unit;
 use haptic::words::counted;
@@ -115,6 +116,12 @@ pub fn linear_estimator() -> impl TypedValueParser<Value = Estimator> {
         _ => "As in scene files",
     };
     one_of(LinearEstimator::named().map(move |(name, kind)| (name, what(kind), kind)))
+}
+
+/// A board there is firmware for, by its name.
+pub fn board() -> impl TypedValueParser<Value = BoardKind> {
+    PossibleValuesParser::new(BoardKind::ALL.map(BoardKind::name))
+        .try_map(|name| BoardKind::named(&name).ok_or("no such board"))
 }
 
 /// What a redundant device holds, by its name.

@@ -18,6 +18,7 @@ use haptic::analysis::range::{Range, predict, predict_several};
 use haptic::analysis::sampled::{AnalysisError, LinearEstimator, Loop};
 use haptic::analysis::several::{Member, WallSet};
 use haptic::analysis::why::{Why, why};
+use haptic::boards::BoardKind;
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::plausible::{Doubt, Warned, angles, warn};
@@ -92,7 +93,7 @@ pub struct Args {
     #[arg(long, value_name = "KIND", conflicts_with = "board")]
     drive: Option<DriveKind>,
     /// The drive and the delay of this board, instead of an ideal drive without delay
-    #[arg(long, value_name = "BOARD")]
+    #[arg(long, value_name = "BOARD", value_parser = arguments::board())]
     board: Option<BoardKind>,
     /// Bandwidth of the current loop in Hz, for --drive current; the default lags by half a carrier period at 20 kHz,
     /// as the boards' loops do, which make a current within one
@@ -141,22 +142,6 @@ enum DriveKind {
     Ideal,
     Voltage,
     Current,
-}
-
-/// Boards whose drive and delay are known.
-#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
-enum BoardKind {
-    OdriveV3,
-    HBridgeF405,
-}
-
-impl BoardKind {
-    fn axes(self) -> usize {
-        match self {
-            BoardKind::OdriveV3 => 2,
-            BoardKind::HBridgeF405 => 3,
-        }
-    }
 }
 
 impl Args {
@@ -231,7 +216,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
         .collect();
     if let Some(board) = args.board.filter(|board| board.axes() < spec.joints) {
         let reason = format!("{} has {} joints, and this board drives {}", file.name, spec.joints, board.axes());
-        return Err(Failure::wrong(reason).remedy("choose a board with as many axes: h-bridge-f405 has three"));
+        let remedy = match BoardKind::with_axes(spec.joints) {
+            Some(larger) => format!("{} drives {}", larger.name(), larger.axes()),
+            None => "no board drives as many".to_string(),
+        };
+        return Err(Failure::wrong(reason).remedy(remedy));
     }
     let drive = match args.drive() {
         DriveKind::Ideal => Drive::Ideal,

@@ -3,6 +3,7 @@
 use super::arguments::Numbers;
 use super::continued::Continue;
 use super::force::Force;
+use haptic::boards::BoardKind;
 use haptic::design::place::directions;
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
@@ -155,7 +156,7 @@ fn sections(args: &Args, file: &DeviceFile, subject: &Subject) -> Vec<Section> {
     let scene = args.scene.as_ref().map(|scene| scene.display().to_string());
     let Subject { q, normal, rate, cutoff, washout } = subject;
     let (q, normal) = (format!("--q={q}"), format!("--normal={normal}"));
-    let board = if file.spec().joints > 2 { "h-bridge-f405" } else { "odrive-v3" };
+    let board = BoardKind::with_axes(file.spec().joints).unwrap_or(BoardKind::HBridgeF405).name();
     let mut sections = Vec::new();
     let mut add = |title, about, picture, words: &[&str]| {
         sections.push(Section { title, about, picture, words: words.iter().map(|word| (*word).to_string()).collect() });

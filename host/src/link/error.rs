@@ -45,7 +45,7 @@ pub enum LinkError {
         error: io::Error,
     },
     /// The board or the wire went away.
-    #[error("the board was unplugged or the connection was lost ({0}); plug it in again and repeat the command")]
+    #[error("the board was unplugged or the connection was lost ({0}); plug it in again")]
     Lost(io::Error),
     /// Another tool is connected to the simulated board.
     #[error("another tool is connected to {0}; close it first")]

@@ -182,20 +182,33 @@ impl PlotArea {
         let (width, height) = Self::legend_size(entries);
         let left = right - width;
         canvas.rectangle((left, top), (width, height), "#ffffffee", Stroke::solid(FAINT, 0.6));
-        for (i, (mark, text)) in entries.iter().enumerate() {
-            let y = top + 14.0 + 18.0 * i as f64;
-            match mark {
-                Mark::Line(stroke) => canvas.line((left + 8.0, y), (left + 34.0, y), *stroke),
-                Mark::Dot(colour) => {
-                    canvas.line((left + 21.0, y - 7.0), (left + 21.0, y + 7.0), Stroke::solid(colour, 1.2));
-                    canvas.circle((left + 21.0, y), 3.2, "white", Stroke::solid(colour, 1.6));
-                }
-                Mark::Area(colour) => {
-                    canvas.rectangle((left + 8.0, y - 5.0), (26.0, 10.0), colour, Stroke::solid(colour, 0.0));
-                }
-            }
-            canvas.text((left + 41.0, y + 4.0), 11.5, Anchor::Start, false, text);
+        for (i, entry) in entries.iter().enumerate() {
+            Self::entry(canvas, (left + 8.0, top + 14.0 + 18.0 * i as f64), entry);
         }
+    }
+
+    /// A legend in one line that begins at `at` (pixels).
+    pub fn legend_line(canvas: &mut Canvas, at: (f64, f64), entries: &[(Mark<'_>, String)]) {
+        let mut left = at.0;
+        for entry in entries {
+            Self::entry(canvas, (left, at.1), entry);
+            left += 33.0 + 6.5 * entry.1.chars().count() as f64 + 20.0;
+        }
+    }
+
+    /// A symbol with its left end there (pixels), and its words.
+    fn entry(canvas: &mut Canvas, (left, y): (f64, f64), (mark, text): &(Mark<'_>, String)) {
+        match mark {
+            Mark::Line(stroke) => canvas.line((left, y), (left + 26.0, y), *stroke),
+            Mark::Dot(colour) => {
+                canvas.line((left + 13.0, y - 7.0), (left + 13.0, y + 7.0), Stroke::solid(colour, 1.2));
+                canvas.circle((left + 13.0, y), 3.2, "white", Stroke::solid(colour, 1.6));
+            }
+            Mark::Area(colour) => {
+                canvas.rectangle((left, y - 5.0), (26.0, 10.0), colour, Stroke::solid(colour, 0.0));
+            }
+        }
+        canvas.text((left + 33.0, y + 4.0), 11.5, Anchor::Start, false, text);
     }
 }
 

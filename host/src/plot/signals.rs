@@ -392,8 +392,8 @@ fn phase(rows: &Rows<'_>) -> Result<Panel, Failure> {
 /// Size of a panel's frame, and of what is around it, pixels.
 const SIZE: (f64, f64) = (600.0, 190.0);
 const LEFT: f64 = 96.0;
-const HEAD: f64 = 66.0;
-const FOOT: f64 = 68.0;
+const HEAD: f64 = 82.0;
+const FOOT: f64 = 84.0;
 /// A phase portrait of faster rows is drawn of means: differences between single rows are encoder steps, whose speeds
 /// make an area of its line.
 const SMOOTHED_HZ: f64 = 1000.0;
@@ -474,7 +474,8 @@ fn draw_panel(canvas: &mut Canvas, at: (f64, f64), panel: &Panel) {
             .zip(COLOURS.into_iter().cycle())
             .map(|(curve, colour)| (Mark::Line(Stroke::solid(colour, 1.6)), curve.name.clone()))
             .collect();
-        PlotArea::legend(canvas, at.0 + SIZE.0 - 8.0, at.1 + 8.0, &entries);
+        // Above the frame and its note: it hides no curve.
+        PlotArea::legend_line(canvas, (at.0, at.1 - 24.0), &entries);
     }
 }
 

@@ -5,7 +5,7 @@
 //! voltage, against the current, fading to zero where the current is smaller than its ripple and changes sign in every
 //! period.
 
-use haptic_bridge::model::description::Motor;
+use haptic_bridge::model::motor::Motor;
 
 /// How one axis is driven.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -40,13 +40,13 @@ impl Default for PowerStage {
 /// The electrical state of one motor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotorModel {
-    motor: Motor,
+    motor: Motor<f64>,
     current: f64,
 }
 
 impl MotorModel {
     /// A motor without current.
-    pub fn new(motor: Motor) -> Self {
+    pub fn new(motor: Motor<f64>) -> Self {
         Self { motor, current: 0.0 }
     }
 
@@ -110,7 +110,7 @@ impl MotorModel {
 mod tests {
     use super::*;
 
-    const MOTOR: Motor = Motor {
+    const MOTOR: Motor<f64> = Motor {
         torque_constant: 0.05,
         resistance: 2.0,
         inductance: 1e-3,

@@ -279,7 +279,13 @@ impl Stage {
         if state != State::Fault && self.state == State::Fault {
             self.fault = None;
         }
+        // Rows on their way may be of the time before the last press of the key: the board says how it is.
+        let went_off = self.state == State::Armed && state == State::Disarmed && self.held.is_some();
         self.state = state;
+        if went_off && self.board().status()?.state == State::Disarmed {
+            self.held = None;
+            self.refuse_all("another tool turned the motors off");
+        }
         Ok(())
     }
 

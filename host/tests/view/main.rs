@@ -503,6 +503,21 @@ fn a_board_that_comes_back_without_its_scene_is_waited_for_as_well() {
     page.until_state("Disarmed");
 }
 
+/// Whoever holds the key learns why the motors went off under it.
+#[test]
+fn motors_that_another_tool_turned_off_are_told() {
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let address = format!("tcp:127.0.0.1:{port}");
+    let _sim = Sim::start(port);
+    let view = View::start(&["--port", &address]);
+    let mut page = Page::in_command(&view);
+    page.arm();
+    let disarm = ["disarm", "--port", &address];
+    assert_cmd::Command::cargo_bin("haptic").unwrap().args(disarm).timeout(PATIENCE).assert().success();
+    page.until_refused("another tool turned the motors off");
+    page.until_state("Disarmed");
+}
+
 #[test]
 fn a_folder_for_recordings_that_is_missing_is_told_at_the_start() {
     let view = ["view", "--port", "sim", "--listen", "127.0.0.1:0", "--record-to", "/nonexistent"];

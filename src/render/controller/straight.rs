@@ -6,7 +6,7 @@
 //! What it meets rarely (a fading feed-forward) it leaves to the same cold functions.
 //!
 //! To add one: a file beside plane.rs with its function, a line in [`StepVariant`] and in [`StepVariant::of`], its arm in
-//! [`Controller::step_with`], and its scenes in tests/straight_steps.rs.
+//! [`Controller::step`], and its scenes in tests/straight_steps.rs.
 
 use super::Controller;
 use crate::math::{Math, Real};

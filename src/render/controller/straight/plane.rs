@@ -11,7 +11,7 @@ use crate::render::scene::{FeedForward, Surface, VelocityTerms};
 use nalgebra::SVector;
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
-    /// [`Controller::step_with`] for one plane, the closed form and α = 1; `None` where the scene is another.
+    /// [`Controller::step`] for one plane, the closed form and α = 1; `None` where the scene is another.
     #[inline(always)]
     pub(in super::super) fn step_at_a_plane(&mut self, counts: &[i32; N]) -> Option<Step<T, N>> {
         let (running, passivity) = self.walls.lone()?;
@@ -77,7 +77,6 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
                     let share = fade(near);
                     let left;
                     (step.torque, left) = self.shaped_by_several(
-                        &[],
                         &turned,
                         &pose,
                         &place,

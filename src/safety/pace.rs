@@ -1,0 +1,60 @@
+//! Whether the control loop keeps its pace: as often as its rate says, no more and no less.
+
+/// A loop that runs this much too often is as dead as one that stops, %; its timer and the clock that it is held to are the
+/// crystal's, so what is left is a step or two at either end.
+const TOO_OFTEN_PERCENT: u64 = 110;
+/// One that runs less often than this has everything that it sums up wrong.
+const TOO_SELDOM_PERCENT: u64 = 90;
+/// Steps that may be cut off at the ends of what is looked at.
+const ENDS: u64 = 4;
+/// Looks are added up until this many steps are to be expected, so that the ends are a twentieth of them at any rate.
+const ENOUGH: u64 = 80;
+
+/// How the loop runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// As its rate says, as far as can be told yet.
+    Kept,
+    /// More often.
+    TooOften,
+    /// Less often.
+    TooSeldom,
+}
+
+/// Holds the number of steps to the time that passed, look by look.
+#[derive(Clone, Copy, Debug)]
+pub struct Pace {
+    /// Steps and time (µs) since the looks were begun to be added up.
+    taken: u64,
+    elapsed: u64,
+    /// The rate at the last look, Hz.
+    rate: u64,
+}
+
+impl Pace {
+    /// A loop that begins at `rate_hz`.
+    pub fn new(rate_hz: u32) -> Self {
+        Self { taken: 0, elapsed: 0, rate: rate_hz.into() }
+    }
+
+    /// `steps` were taken in the `elapsed_us` (µs) since the last look; the rate is `rate_hz` now. `excused`: there was a
+    /// reason to take fewer.
+    pub fn look(&mut self, steps: u32, elapsed_us: u64, rate_hz: u32, excused: bool) -> Verdict {
+        let before = core::mem::replace(&mut self.rate, rate_hz.into());
+        self.taken = self.taken.saturating_add(steps.into());
+        self.elapsed = self.elapsed.saturating_add(elapsed_us);
+        // The faster of two rates, where one replaced the other meanwhile; and the slower one.
+        let at = |rate: u64, percent: u64| self.elapsed.saturating_mul(rate).saturating_mul(percent) / 100_000_000;
+        let verdict = if self.taken > at(before.max(self.rate), TOO_OFTEN_PERCENT) + ENDS {
+            Verdict::TooOften
+        } else if !excused && self.taken + ENDS < at(before.min(self.rate), TOO_SELDOM_PERCENT) {
+            Verdict::TooSeldom
+        } else {
+            Verdict::Kept
+        };
+        if excused || before != self.rate || at(self.rate, 100) >= ENOUGH {
+            (self.taken, self.elapsed) = (0, 0);
+        }
+        verdict
+    }
+}
