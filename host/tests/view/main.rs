@@ -512,9 +512,11 @@ fn motors_that_another_tool_turned_off_are_told() {
     let view = View::start(&["--port", &address]);
     let mut page = Page::in_command(&view);
     page.arm();
-    let disarm = ["disarm", "--port", &address];
-    assert_cmd::Command::cargo_bin("haptic").unwrap().args(disarm).timeout(PATIENCE).assert().success();
+    // The key stays held meanwhile.
+    let mut disarm = Command::new(env!("CARGO_BIN_EXE_haptic"));
+    let mut disarm = disarm.args(["disarm", "--port", &address]).stdout(Stdio::null()).spawn().unwrap();
     page.until_refused("another tool turned the motors off");
+    assert!(disarm.wait().unwrap().success());
     page.until_state("Disarmed");
 }
 
