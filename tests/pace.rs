@@ -35,6 +35,41 @@ fn a_loop_a_fifth_too_fast_or_too_slow_is_found_within_80_steps_at_every_rate() 
     }
 }
 
+/// A watchdog that is fed only where the pace is kept bites within 208 ms of the last feeding.
+#[test]
+fn a_loop_at_a_wrong_pace_is_not_fed_until_the_watchdog_bites() {
+    for rate in [200_u32, 500, 1_000, 2_000, 20_000] {
+        for share in [0.5, 0.7, 0.8, 1.2, 1.3, 1.45, 2.0] {
+            let mut pace = Pace::new(rate);
+            let (mut before, mut hungry, mut longest) = (0, 0, 0);
+            for look in 1..=200 {
+                let steps = ((look * LOOK_US) as f64 * 1.0e-6 * f64::from(rate) * share) as u64;
+                let kept = pace.look((steps - before) as u32, LOOK_US, rate, false) == Verdict::Kept;
+                before = steps;
+                hungry = if kept { 0 } else { hungry + LOOK_US };
+                longest = longest.max(hungry);
+            }
+            assert!(longest > 500_000, "{rate} Hz times {share}: {longest} us");
+        }
+    }
+}
+
+/// What is wrong in single looks is found though it cancels over several.
+#[test]
+fn a_loop_that_runs_in_fits_is_found() {
+    let mut pace = Pace::new(1_000);
+    let found = [28, 12, 28, 12].map(|steps| pace.look(steps, LOOK_US, 1_000, false));
+    assert!(found.iter().all(|verdict| *verdict != Verdict::Kept), "{found:?}");
+}
+
+#[test]
+fn a_loop_that_keeps_its_pace_again_is_fed_again() {
+    let mut pace = Pace::new(1_000);
+    assert_eq!(pace.look(60, LOOK_US, 1_000, false), Verdict::TooOften);
+    let found = [20; 4].map(|steps| pace.look(steps, LOOK_US, 1_000, false));
+    assert_eq!(found, [Verdict::TooOften, Verdict::TooOften, Verdict::TooOften, Verdict::Kept]);
+}
+
 #[test]
 fn a_new_rate_is_held_against_neither() {
     let mut pace = Pace::new(20_000);

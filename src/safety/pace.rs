@@ -29,12 +29,15 @@ pub struct Pace {
     elapsed: u64,
     /// The rate at the last look, Hz.
     rate: u64,
+    /// What was found last. A loop that was found wrong stays so until enough steps have shown it right: the first looks
+    /// after would tell nothing.
+    found: Verdict,
 }
 
 impl Pace {
     /// A loop that begins at `rate_hz`.
     pub fn new(rate_hz: u32) -> Self {
-        Self { taken: 0, elapsed: 0, rate: rate_hz.into() }
+        Self { taken: 0, elapsed: 0, rate: rate_hz.into(), found: Verdict::Kept }
     }
 
     /// `steps` were taken in the `elapsed_us` (µs) since the last look; the rate is `rate_hz` now. `excused`: there was a
@@ -44,17 +47,29 @@ impl Pace {
         self.taken = self.taken.saturating_add(steps.into());
         self.elapsed = self.elapsed.saturating_add(elapsed_us);
         // The faster of two rates, where one replaced the other meanwhile; and the slower one.
-        let at = |rate: u64, percent: u64| self.elapsed.saturating_mul(rate).saturating_mul(percent) / 100_000_000;
-        let verdict = if self.taken > at(before.max(self.rate), TOO_OFTEN_PERCENT) + ENDS {
-            Verdict::TooOften
-        } else if !excused && self.taken + ENDS < at(before.min(self.rate), TOO_SELDOM_PERCENT) {
-            Verdict::TooSeldom
-        } else {
-            Verdict::Kept
-        };
-        if excused || before != self.rate || at(self.rate, 100) >= ENOUGH {
+        let rates = (before.min(self.rate), before.max(self.rate));
+        let [alone, together] = [(u64::from(steps), elapsed_us), (self.taken, self.elapsed)]
+            .map(|(taken, elapsed)| judge(taken, elapsed, rates, excused));
+        let now = if alone == Verdict::Kept { together } else { alone };
+        if now != Verdict::Kept || excused || before != self.rate || expected(self.elapsed, self.rate, 100) >= ENOUGH {
+            self.found = now;
             (self.taken, self.elapsed) = (0, 0);
         }
-        verdict
+        self.found
+    }
+}
+
+/// Steps in `elapsed` (µs) at so many per cent of a rate (Hz).
+fn expected(elapsed: u64, rate: u64, percent: u64) -> u64 {
+    elapsed.saturating_mul(rate).saturating_mul(percent) / 100_000_000
+}
+
+fn judge(taken: u64, elapsed: u64, (slower, faster): (u64, u64), excused: bool) -> Verdict {
+    if taken > expected(elapsed, faster, TOO_OFTEN_PERCENT).saturating_add(ENDS) {
+        Verdict::TooOften
+    } else if !excused && taken.saturating_add(ENDS) < expected(elapsed, slower, TOO_SELDOM_PERCENT) {
+        Verdict::TooSeldom
+    } else {
+        Verdict::Kept
     }
 }

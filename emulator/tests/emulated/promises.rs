@@ -113,7 +113,14 @@ fn the_break_input_cuts_the_outputs_without_the_processor() {
 /// A board that is armed and whose task is replaced: the watchdog resets it, not before `least` ms and before `most`,
 /// and says so.
 fn bitten(task: &'static str, code: impl FnOnce(u32) -> Vec<u32>, least: u64, most: u64) {
-    let mut rig = armed(BoardKind::OdriveV3);
+    bitten_at(20_000, task, code, least, most);
+}
+
+/// As [`bitten`], at another control rate (Hz).
+fn bitten_at(rate: u32, task: &'static str, code: impl FnOnce(u32) -> Vec<u32>, least: u64, most: u64) {
+    let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
+    rig.load(&format!("rate_hz = {rate}\ncutoff_hz = 50\n{WALL}"));
+    rig.ready();
     run_instead(&rig, task, code);
     let began = rig.now();
     let resets = rig.with(|stopped| stopped.resets().len());
@@ -152,6 +159,8 @@ fn the_watchdog_bites_when_the_control_interrupt_comes_too_often() {
     // above.
     let stub = |task| vec![0x4B04_4A03, 0x3A01_601A, 0xBF00_615A, 0xF008_F8DF, 3360, 0x4001_002C, task];
     bitten("10supervisor9supervise4POOL", stub, 40, 300);
+    // A look of 20 ms has 20 steps then, 5 too many: told apart over 80.
+    bitten_at(1_000, "10supervisor9supervise4POOL", stub, 40, 400);
 }
 
 #[test]
@@ -159,6 +168,7 @@ fn the_watchdog_bites_when_the_control_interrupt_comes_too_seldom_while_the_moto
     // As above, with a carrier of 16 kHz.
     let stub = |task| vec![0x4B04_4A03, 0x3A01_601A, 0xBF00_615A, 0xF008_F8DF, 5250, 0x4001_002C, task];
     bitten("10supervisor9supervise4POOL", stub, 40, 300);
+    bitten_at(1_000, "10supervisor9supervise4POOL", stub, 40, 400);
 }
 
 #[test]

@@ -4,12 +4,15 @@ use std::time::Duration;
 
 use haptic_bridge::board::protocol::PROTOCOL;
 use haptic_bridge::board::telemetry::Fields;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::precomputed::{Interpolation, TableChunk};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::refusal::Refusal;
 
 use haptic::backup::{Backup, restore};
+use haptic::bench::precompute;
 use haptic::link::BoardError;
 use virtual_board::boards::{BoardKind, Wiring};
 use virtual_board::rig::Rig;
@@ -81,18 +84,34 @@ fn what_was_not_saved_is_gone_after_a_reset() {
     assert_eq!(rig.tool.device().expect("it answers"), None);
 }
 
+/// A table of masses that leaves no room for another point.
+fn send_the_largest_table(rig: &mut Rig) {
+    let file = rig.file.as_ref().expect("a device at the connectors");
+    let device = Device::<f64>::new(&file.name, &file.description).expect("a device");
+    let points = precompute::most_points(&device);
+    let table = precompute::table(&device, Interpolation::Bicubic, [points; 2], [[0.0; 2], [1.0; 2]]);
+    let table = table.expect("a table that fits");
+    assert_eq!(table.values.len(), 600);
+    for (offset, values) in (0..).step_by(64).zip(table.values.chunks(64)) {
+        let values = values.iter().copied().collect();
+        rig.tool.send_table(&TableChunk { offset, values }).expect("the board takes a piece");
+    }
+    rig.tool.set_mass_model(&table.data).expect("the board takes the table");
+}
+
 /// Putting a whole backup in force decodes, judges and compiles everything at once, which is what needs most stack.
 #[test]
 fn a_backup_of_three_joints_is_put_in_force_and_leaves_stack_untouched() {
     let mut rig = Rig::with_device(BoardKind::HBridgeF405, "serial-3r", |_| ());
     rig.load(&"[[wall]]\npoint = [0.0, 9.0]\nnormal = [0.0, -1.0]\nstiffness = 2000.0\n".repeat(3));
+    send_the_largest_table(&mut rig);
     rig.tool.save().expect("the board saves");
     let backup = Backup::read(&mut rig.tool).expect("the board answers");
     let ready = backup.ready().expect("everything is readable");
     restore(&mut rig.tool, &ready).expect("the board takes its own backup");
     let details = rig.tool.details().expect("the board answers");
     assert_eq!(details.walls, 3);
-    assert!(details.stack_free >= 8 * 1024, "{} of 40 KB were never touched", details.stack_free);
+    assert!(details.stack_free >= 8 * 1024, "{} of 48 KB were never touched", details.stack_free);
     assert!(rig.with(|stopped| stopped.resets().is_empty()), "{}", rig.post_mortem());
 }
 
