@@ -46,6 +46,7 @@ pub mod model {
 /// From encoder counts to joint torques: the scene that is rendered, and the step that renders it.
 pub mod render {
     pub mod controller;
+    pub mod found;
     pub mod scene;
     pub mod velocity;
 }

@@ -5,6 +5,7 @@
 //! between two steps: a [`Program`] is built elsewhere and handed over by ownership, small changes are [`Command`]s.
 //! Nothing here blocks, allocates or panics.
 
+mod budgets;
 pub mod compiled;
 mod crest;
 mod fade;
@@ -22,12 +23,12 @@ use crate::drive::heat::Heat;
 use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
+use crate::render::found::Asked;
 use crate::safety::fault::{Fault, FaultRecord, State};
-use crate::servo::frame::{Now, Outputs, Rendered, Samples, StepRecord};
+use crate::servo::frame::{Now, Outputs, Samples, StepRecord};
 use crate::servo::joints::{Counts, Currents, Duties, Torques};
 use crate::servo::program::Hardware;
 use crate::servo::program::Program;
-use crate::servo::saturation::Asked;
 use core::ops::DerefMut;
 pub use crest::SPEED_HZ;
 pub use requests::{Command, REST_SPEED, Reply, Status};
@@ -54,38 +55,36 @@ macro_rules! for_joints {
 }
 use for_joints;
 
-/// The board's control loop.
+/// The board's control loop. In this order in memory: what every step needs lies within the 1 KB that the FPU's loads reach.
 #[derive(Debug)]
+#[repr(C)]
 pub struct Servo<P> {
-    hardware: Hardware,
-    rules: Rules,
-    program: Option<P>,
     state: State,
     homed: bool,
     polarity_known: bool,
-    polarity: polarity::PolarityCheck,
-    fault: Option<FaultRecord>,
+    program: Option<P>,
     now: Now,
+    hardware: Hardware,
+    crests: crest::Crests,
+    /// What each joint may be asked for, N m, and the square of what all of it may be at the tip, N².
+    most_torque: Torques,
+    most_force_squared: f32,
     period: f32,
+    host_silent: f32,
+    /// For how long it may be, s: without end where nobody minds.
+    host_patience: f32,
+    rules: Rules,
+    host: host_force::HostForce,
     /// What acted before the present scene, while it fades out.
     fade: fade::Fade,
-    /// What the last step commanded.
-    acted: fade::Acted,
-    /// What each joint may be asked for.
-    most_torque: Torques,
-    /// Regularity of the closed loop at the last step.
-    parallel: f32,
-    host_silent: f32,
-    last_counts: Counts,
-    primed: bool,
-    first_index: [Option<i32>; MAX_JOINTS],
-    /// Joint motion per metre along the deepest wall's normal at this step, rad/m; see [`Servo::rendered`].
-    motion: [f32; MAX_JOINTS],
-    crests: crest::Crests,
-    host: host_force::HostForce,
-    budgets: watch::Budgets,
+    /// What the last step commanded, where that is not all of what was asked.
+    cut: Option<fade::Acted>,
+    budgets: budgets::Budgets,
     /// What heat the motors hold, whatever device is loaded.
     heat: [Heat; MAX_JOINTS],
+    first_index: [Option<i32>; MAX_JOINTS],
+    polarity: polarity::PolarityCheck,
+    fault: Option<FaultRecord>,
 }
 
 impl<P, K, S> Servo<P>
@@ -108,17 +107,15 @@ where
             now: Now::default(),
             period: 1.0 / 20_000.0,
             fade: fade::Fade::default(),
-            acted: fade::Acted::default(),
+            cut: Some(fade::Acted::default()),
             most_torque: Torques::default(),
-            parallel: 1.0,
+            most_force_squared: 0.0,
             host_silent: 0.0,
-            last_counts: Counts::default(),
-            primed: false,
+            host_patience: 0.0,
             first_index: [None; MAX_JOINTS],
-            motion: [0.0; MAX_JOINTS],
             crests: crest::Crests::default(),
             host: host_force::HostForce::default(),
-            budgets: watch::Budgets::default(),
+            budgets: budgets::Budgets::default(),
             heat: [Heat::default(); MAX_JOINTS],
         }
     }
@@ -158,43 +155,46 @@ where
     /// One control period: [`Servo::render`], then [`Servo::act`].
     #[inline(always)]
     pub fn control(&mut self, samples: &Samples) -> Outputs {
-        let rendered = self.render(&samples.counts);
-        self.act(samples, &rendered)
+        self.render(&samples.counts);
+        self.act(samples)
     }
 
     /// The part of a control period that needs no more than encoder counts: what the scene asks of the joints. The motors
     /// go on as they are, and so does what they are held to.
     #[inline(always)]
-    pub fn render(&mut self, counts: &Counts) -> Rendered {
+    pub fn render(&mut self, counts: &Counts) {
         self.push();
-        let Some(program) = self.program.as_mut() else { return Rendered::default() };
-        let mut rendered = program.controller.step(counts, &mut self.now, &mut self.motion);
-        self.pull(&mut rendered.asked);
-        rendered
+        let Some(program) = self.program.as_mut() else { return };
+        program.controller.step(counts, &self.now.motors.torque, &mut self.now.found);
+        self.pull();
     }
 
-    /// The rest of it: watches, and sets what each motor shall do of what was `rendered` for the same counts.
+    /// The rest of it: watches, and sets what each motor shall do of what was rendered for the same counts.
     #[inline(always)]
-    pub fn act(&mut self, samples: &Samples, rendered: &Rendered) -> Outputs {
+    pub fn act(&mut self, samples: &Samples) -> Outputs {
+        for_joints!(self.joints(), J => self.act_of::<J>(samples))
+    }
+
+    /// [`Servo::act`] of J joints.
+    #[inline(always)]
+    fn act_of<const J: usize>(&mut self, samples: &Samples) -> Outputs {
         self.now.step = self.now.step.wrapping_add(1);
-        self.now.counts = samples.counts;
-        self.now.bus_voltage = if self.hardware.bus_sensed { samples.bus_voltage } else { 0.0 };
+        self.now.motors.bus_voltage = if self.hardware.bus_sensed { samples.bus_voltage } else { 0.0 };
         if let Some((fault, axis, value)) = samples.fault {
             self.trip(fault, axis, value);
         }
         self.host_silent += self.period;
-        if !self.primed {
-            self.last_counts = samples.counts;
-            self.primed = true;
-        }
         if self.program.is_some() {
-            self.parallel = rendered.regularity.parallel;
-            for_joints!(self.joints(), J => {
-                self.watch::<J>(samples, rendered);
-                self.drive::<J>(&rendered.asked);
-            });
+            self.watch::<J>(samples);
+            self.drive::<J>();
         }
-        self.last_counts = samples.counts;
+        self.now.counts = samples.counts;
+        self.outputs()
+    }
+
+    /// What the bridges may do.
+    #[inline(always)]
+    fn outputs(&self) -> Outputs {
         Outputs { bridges: matches!(self.state, State::Armed | State::CheckingPolarity) }
     }
 
@@ -233,7 +233,7 @@ where
                 *drive = axis.drive(bus_voltage, *sample, late);
             }
         }
-        self.now.duty = Duties(drives.map(S::duty));
+        self.now.motors.duty = Duties(drives.map(S::duty));
         drives
     }
 
@@ -255,9 +255,9 @@ where
     fn off(&mut self) {
         self.let_go();
         self.fade = fade::Fade::default();
-        self.acted = fade::Acted::default();
-        self.now.torque = Torques::default();
-        self.now.current = Currents::default();
+        self.cut = Some(fade::Acted::default());
+        self.now.motors.torque = Torques::default();
+        self.now.motors.current = Currents::default();
         if let Some(program) = self.program.as_mut() {
             program.axes.iter_mut().for_each(S::rest);
         }
@@ -265,68 +265,94 @@ where
 
     /// Sets each motor's current from the step's torques.
     #[inline(always)]
-    fn drive<const J: usize>(&mut self, asked: &Asked) {
-        self.now.rendered_force = 0.0;
-        self.now.limited = 0;
+    fn drive<const J: usize>(&mut self) {
         match self.state {
+            State::Armed if self.fade.ramp < 1.0 => {
+                let (faded, wanted) = self.fade_in();
+                self.command(&faded, &wanted);
+            }
             State::Armed => {
-                if self.fade.ramp < 1.0 {
-                    let (faded, wanted) = self.fade_in(asked);
-                    self.command::<J>(&faded, &wanted);
+                self.fade.share = 1.0;
+                if self.fits::<J>() {
+                    self.command_all::<J>();
                 } else {
-                    self.fade.share = 1.0;
-                    self.command::<J>(asked, &asked.total);
+                    let asked = self.now.found.asked;
+                    self.command(&asked, &asked.total);
                 }
-                self.now.rendered_force = self.rendered::<J>(&asked.total);
             }
             State::CheckingPolarity => {
                 self.check_polarity();
                 if self.state == State::CheckingPolarity {
-                    let torque = self.now.torque;
-                    self.command::<J>(&Asked { total: torque, gravity: torque, ..Asked::default() }, &torque);
+                    let torque = *self.now.motors.torque;
+                    self.command(&Asked { total: torque, gravity: torque, ..Asked::default() }, &torque);
                 }
+                self.now.motors.rendered_force = 0.0;
             }
             State::Disarmed | State::Fault => {
-                self.now.torque = Torques::default();
+                self.now.motors.torque = Torques::default();
+                self.now.motors.rendered_force = 0.0;
+                self.now.motors.limited = 0;
             }
         }
     }
 
-    /// The force (N) that is left of what the walls asked for, when `asked` are the torques of the step.
-    ///
-    /// A tip that only moves along the deepest wall's normal n, by one unit, moves the joints by E = J⁻¹ n. By virtual
-    /// work a joint torque τ therefore is worth E·τ along n (τ = Jᵀ F gives E·τ = n·F), and so the torque that limits
-    /// took off is worth E·(asked - left). Weight and springs drop out of the difference.
+    /// Commands all that is asked, which fits.
     #[inline(always)]
-    fn rendered<const J: usize>(&self, asked: &Torques) -> f32 {
-        let mut force = self.now.walls.force;
-        for (i, asked) in asked.iter().enumerate().take(J) {
-            force -= self.motion[i] * (asked - self.now.torque[i]);
+    fn command_all<const J: usize>(&mut self) {
+        self.cut = None;
+        if self.host.acts {
+            self.host.left = 1.0;
         }
-        force
+        let Some(program) = self.program.as_mut() else { return };
+        let (motors, found) = (&mut self.now.motors, &self.now.found);
+        motors.rendered_force = found.at.walls.wall_force;
+        motors.limited = 0;
+        for (i, axis) in program.axes.iter_mut().enumerate().take(J) {
+            let current = axis.command(found.asked.total[i]);
+            motors.torque[i] = axis.torque_of(current);
+            if !self.hardware.bridge.current_sensed {
+                motors.current[i] = current;
+            }
+        }
     }
 
     /// Commands the torques asked for within limits, and records which are not what was `wanted`.
-    #[inline(always)]
-    fn command<const J: usize>(&mut self, asked: &Asked, wanted: &Torques) {
-        let left = asked.within(&self.most_torque, self.rules.limits.tip_force, J);
-        self.acted.gravity = left.gravity;
-        self.acted.rendered =
-            if left.share == 1.0 { asked.rendered } else { Torques(asked.rendered.map(|r| left.share * r)) };
-        self.acted.share = left.share;
+    #[inline(never)]
+    fn command(&mut self, asked: &Asked<f32>, wanted: &[f32; MAX_JOINTS]) {
+        let joints = self.joints();
+        let left = asked.within(&self.most_torque, self.rules.limits.tip_force, joints);
+        let rendered = Torques(asked.rendered.map(|r| left.share * r));
+        self.cut = Some(fade::Acted { gravity: left.gravity, rendered, share: left.share });
         if self.host.acts {
             self.host.left = left.share * self.fade.share;
         }
         let Some(program) = self.program.as_mut() else { return };
-        for (i, axis) in program.axes.iter_mut().enumerate().take(J) {
+        let motors = &mut self.now.motors;
+        motors.limited = 0;
+        for (i, axis) in program.axes.iter_mut().enumerate().take(joints) {
             let current = axis.command(left.torque[i]);
-            self.now.torque[i] = axis.torque_of(current);
+            motors.torque[i] = axis.torque_of(current);
             // Another torque than was asked, by more than its way through a current rounds; also where that is no number.
-            let kept = (wanted[i] - self.now.torque[i]).abs() <= 1.0e-5 * wanted[i].abs();
-            self.now.limited |= u8::from(!kept) << i;
+            let kept = (wanted[i] - motors.torque[i]).abs() <= 1.0e-5 * wanted[i].abs();
+            motors.limited |= u8::from(!kept) << i;
             if !self.hardware.bridge.current_sensed {
-                self.now.current[i] = current;
+                motors.current[i] = current;
             }
         }
+        self.now.motors.rendered_force = self.rendered();
+    }
+
+    /// The force (N) that the torques commanded leave of what the walls asked for.
+    ///
+    /// A tip that only moves along the deepest wall's normal n, by one unit, moves the joints by E = J⁻¹ n. By virtual
+    /// work a joint torque τ therefore is worth E·τ along n (τ = Jᵀ F gives E·τ = n·F), and so the torque that limits
+    /// took off is worth E·(asked - left). Weight and springs drop out of the difference.
+    fn rendered(&self) -> f32 {
+        let Now { motors, found, .. } = &self.now;
+        let mut force = found.at.walls.wall_force;
+        for (i, asked) in found.asked.total.iter().enumerate().take(self.joints()) {
+            force -= found.motion[i] * (asked - motors.torque[i]);
+        }
+        force
     }
 }

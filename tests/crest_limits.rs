@@ -17,7 +17,7 @@ fn limits_hold_whatever_the_step_is_asked_for() {
     let bound = limits().torque[0] * 1.000_01;
     for angle in [-0.1, -0.5, -0.9, 0.2] {
         rig.turn(0, angle, 4.0);
-        assert!(rig.servo.frame().torque[0].abs() <= bound, "{:?}", rig.servo.frame());
+        assert!(rig.servo.frame().motors.torque[0].abs() <= bound, "{:?}", rig.servo.frame());
         assert!(rig.duties.iter().all(|duty| duty.abs() <= 0.92));
     }
 }

@@ -19,11 +19,11 @@ const ROUNDING: f64 = 1.0e-3;
 /// The force at the tip that the torques of the last step are worth, N.
 fn force(rig: &Rig) -> Vector2<f64> {
     let frame = rig.servo.frame();
-    worth(&frame.q, Vector2::new(frame.torque[0], frame.torque[1]).map(f64::from))
+    worth(&frame.at.q, Vector2::new(frame.motors.torque[0], frame.motors.torque[1]).map(f64::from))
 }
 
 fn torques(rig: &Rig) -> [f32; MAX_JOINTS] {
-    *rig.servo.frame().torque
+    *rig.servo.frame().motors.torque
 }
 
 /// Limits that leave a rig room for this tip force (N) alone.
@@ -47,7 +47,7 @@ fn pulled(tip: [f32; 3], forces: &[[f32; 2]]) -> Scene<f32> {
 
 /// A five-bar at home, armed, whose tip a spring pulls with this force, N.
 fn at_home(rules: Rules, pull: [f32; 2]) -> Rig {
-    let tip = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules).servo.frame().tip;
+    let tip = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules).servo.frame().at.tip;
     let mut rig = Rig::with(&five_bar(), &pulled(tip, &[pull]), hardware(), rules);
     rig.arm();
     rig
@@ -71,7 +71,7 @@ fn a_tip_that_moves_to_a_stretched_elbow_meanwhile_feels_no_more_than_its_limit(
             }
             let left = 1.0 - (step + 1) as f32 / 1_000.0;
             let old =
-                worth(&rig.servo.frame().q, Vector2::new(before[0], before[1]).map(|torque| (torque * left).into()));
+                worth(&rig.servo.frame().at.q, Vector2::new(before[0], before[1]).map(|torque| (torque * left).into()));
             alone = alone.max(old.norm());
             assert!(force(&rig).norm() <= 2.0 + 5.0 * ROUNDING, "{} N, {:?}", force(&rig).norm(), rig.servo.frame());
         }
@@ -103,7 +103,7 @@ fn a_torque_limit_that_is_lowered_makes_no_more_force_of_what_fades() {
 
 #[test]
 fn nothing_steps_where_a_wall_that_pushes_sideways_beyond_the_limit_is_replaced() {
-    let tip = Rig::with(&five_bar(), &scene(2, &[]), hardware(), gentle(2.0)).servo.frame().tip;
+    let tip = Rig::with(&five_bar(), &scene(2, &[]), hardware(), gentle(2.0)).servo.frame().at.tip;
     let normal = [0.8, 0.6, 0.0];
     let surface = Surface::Plane(Plane { point: [tip[0] + 1.0e-3, tip[1], 0.0], normal });
     let bilateral = Wall { surface, bilateral: true, feed_forward: FeedForward::Full, ..wall(0.0, 2_480.0) };
@@ -218,7 +218,7 @@ fn a_scene_that_comes_on_the_way_to_a_stretched_elbow_lifts_no_limit() {
     for (rate, speed) in [(200.0, 2.0), (200.0, 5.0), (1_000.0, 5.0)] {
         let at_rate = |scene: Scene<f32>| Scene { rate_hz: rate, cutoff_hz: 0.2 * rate, ..scene };
         let free = at_rate(scene(2, &[]));
-        let tip = Rig::with(&five_bar(), &free, hardware(), gentle(2.0)).servo.frame().tip;
+        let tip = Rig::with(&five_bar(), &free, hardware(), gentle(2.0)).servo.frame().at.tip;
         let moved = (speed / rate * 60_000.0 / std::f32::consts::TAU) as i32;
         for wait in (0..40).map(|nth| nth * 2) {
             let mut rig = Rig::with(&five_bar(), &at_rate(pulled(tip, &[[1.9, 0.3]])), hardware(), gentle(2.0));
@@ -257,12 +257,12 @@ fn weight_that_is_compensated_from_a_scene_on_takes_nothing_out_of_the_limit() {
         let pose = mechanism.pose::<haptic_bridge::math::Libm>(&at);
         mechanism.gravity(&pose)
     };
-    let tip = Rig::with(&heavy, &scene(2, &[]), hardware(), gentle(2.0)).servo.frame().tip;
+    let tip = Rig::with(&heavy, &scene(2, &[]), hardware(), gentle(2.0)).servo.frame().at.tip;
     for (before, after) in [(false, true), (true, false), (true, true)] {
         let with = |scene: Scene<f32>, on| Scene { gravity_compensation: on, ..scene };
         let mut rig = Rig::with(&heavy, &with(pulled(tip, &[[1.9, 0.0]]), before), hardware(), gentle(2.0));
         rig.arm();
-        let carried = weight(&rig.servo.frame().q);
+        let carried = weight(&rig.servo.frame().at.q);
         rig.load(&heavy, &with(scene(2, &[]), after), true).expect("free space");
         for step in 1..=900 {
             rig.samples.counts[0] += 3;
@@ -274,9 +274,9 @@ fn weight_that_is_compensated_from_a_scene_on_takes_nothing_out_of_the_limit() {
             let frame = rig.servo.frame();
             let ramp = f64::from(step) / 1_000.0;
             let held =
-                carried * if before { 1.0 - ramp } else { 0.0 } + weight(&frame.q) * if after { ramp } else { 0.0 };
-            let rest = Vector2::new(frame.torque[0], frame.torque[1]).map(f64::from) - held;
-            let force = worth(&frame.q, rest).norm();
+                carried * if before { 1.0 - ramp } else { 0.0 } + weight(&frame.at.q) * if after { ramp } else { 0.0 };
+            let rest = Vector2::new(frame.motors.torque[0], frame.motors.torque[1]).map(f64::from) - held;
+            let force = worth(&frame.at.q, rest).norm();
             assert!(force <= 2.0 + 0.02, "{force} N at step {step}, {before} to {after}: {frame:?}");
         }
     }

@@ -244,7 +244,7 @@ fn measurements_that_are_no_numbers_never_reach_a_duty() {
                 assert!(rig.duties.iter().all(|duty| duty.abs() <= 0.96), "{poison}: {:?}", rig.duties);
             }
             let frame = rig.servo.frame();
-            assert!(frame.torque.iter().all(|t| t.is_finite()), "{poison}: {frame:?}");
+            assert!(frame.motors.torque.iter().all(|t| t.is_finite()), "{poison}: {frame:?}");
         }
     }
 }

@@ -79,7 +79,7 @@ fn a_tips_limit_that_is_lowered_holds_joint_torques_at_the_next_step_and_all_the
     assert_eq!(rig.servo.force(&request).done, ForceDone::Taken);
     let force = |rig: &Rig| {
         let frame = rig.servo.frame();
-        worth(&frame.q, Vector2::new(frame.torque[0], frame.torque[1]).map(f64::from)).norm()
+        worth(&frame.at.q, Vector2::new(frame.motors.torque[0], frame.motors.torque[1]).map(f64::from)).norm()
     };
     rig.step();
     assert!(force(&rig) > 2.0, "{} N", force(&rig));
@@ -109,7 +109,7 @@ fn a_request_is_held_then_fades_evenly_and_is_gone() {
         rig.step();
         let age = step as f32 * period;
         let share = ((0.03 - age) / 0.02).clamp(0.0, 1.0);
-        let now = rig.servo.frame().torque[0];
+        let now = rig.servo.frame().motors.torque[0];
         // A step's period is rounded, and ages are sums of periods.
         assert!((now - 0.2 * share).abs() < 0.2 * 1.0e-3, "{now} at {age} s");
         let most = 0.2 * period / 0.02 * 1.001;
@@ -121,7 +121,7 @@ fn a_request_is_held_then_fades_evenly_and_is_gone() {
         let ending = (age - 0.03).abs() < 0.5 * period;
         assert!(ending || answer.age.is_some() == (age < 0.03), "{age} s: {answer:?}");
     }
-    assert_eq!(rig.servo.frame().torque, Torques::default());
+    assert_eq!(rig.servo.frame().motors.torque, Torques::default());
     assert_eq!(rig.state(), State::Armed);
 }
 
@@ -134,14 +134,14 @@ fn what_comes_late_has_only_the_rest_of_its_life() {
     let half = ForceRequest { seen: Some(seen), ..torque(1, 0.2) };
     assert_eq!(rig.servo.force(&half).done, ForceDone::Taken);
     rig.step();
-    let now = rig.servo.frame().torque[0];
+    let now = rig.servo.frame().motors.torque[0];
     let share = (0.03 - 0.02 - 1.0 / RATE) / 0.02;
     assert!((now - 0.2 * share).abs() < 1.0e-4, "{now}");
     rig.run(0.02);
     let answer = rig.servo.force(&ForceRequest { sequence: 2, ..half });
     assert_eq!((answer.done, answer.age), (ForceDone::TooOld, None));
     rig.step();
-    assert_eq!(rig.servo.frame().torque, Torques::default());
+    assert_eq!(rig.servo.frame().motors.torque, Torques::default());
     let future = ForceRequest { seen: Some(answer.step + 10), ..torque(3, 0.2) };
     assert_eq!(rig.servo.force(&future).done, ForceDone::Bad(BadForce::Seen));
 }
@@ -154,12 +154,12 @@ fn repeated_and_reordered_requests_change_nothing() {
         let answer = rig.servo.force(&torque(old, 0.2));
         assert_eq!((answer.sequence, answer.done), (old, ForceDone::NotNewer));
         rig.step();
-        assert!((rig.servo.frame().torque[0] - 0.1).abs() < ROUNDING);
+        assert!((rig.servo.frame().motors.torque[0] - 0.1).abs() < ROUNDING);
     }
     // It wraps.
     assert_eq!(rig.servo.force(&torque(0, 0.2)).done, ForceDone::Taken);
     rig.step();
-    assert!((rig.servo.frame().torque[0] - 0.2).abs() < ROUNDING);
+    assert!((rig.servo.frame().motors.torque[0] - 0.2).abs() < ROUNDING);
     // Another program counts as it likes, once the last request of this one is gone.
     rig.run(0.05);
     assert_eq!(rig.servo.force(&torque(u32::MAX - 7, 0.1)).done, ForceDone::Taken);
@@ -177,7 +177,7 @@ fn lost_requests_are_bridged_for_as_long_as_the_last_one_is_held() {
         }
         rig.step();
         rig.step();
-        let now = rig.servo.frame().torque[0];
+        let now = rig.servo.frame().motors.torque[0];
         assert!((now - 0.1).abs() < ROUNDING, "{now} after {millisecond} ms");
     }
 }
@@ -223,7 +223,7 @@ fn no_absurd_number_is_taken_and_none_disturbs_what_acts() {
         assert_eq!(answer.done, ForceDone::Bad(what), "{request:?}");
         assert!(answer.done.to_string().contains("not taken"), "{}", answer.done);
         rig.step();
-        assert!((rig.servo.frame().torque[0] - 0.1).abs() < ROUNDING, "{request:?}");
+        assert!((rig.servo.frame().motors.torque[0] - 0.1).abs() < ROUNDING, "{request:?}");
     }
 }
 
@@ -243,7 +243,7 @@ fn the_largest_numbers_that_are_taken_are_harmless() {
     assert_eq!(answer.done, ForceDone::Taken);
     for _ in 0..100 {
         rig.step();
-        assert!(rig.servo.frame().torque.iter().all(|torque| torque.abs() <= 0.3 * (1.0 + ROUNDING)));
+        assert!(rig.servo.frame().motors.torque.iter().all(|torque| torque.abs() <= 0.3 * (1.0 + ROUNDING)));
     }
     assert_eq!(rig.state(), State::Armed);
 }
@@ -259,7 +259,7 @@ fn only_armed_motors_take_force_and_disarming_or_a_fault_forgets_it() {
         rig.arm();
         assert_eq!(rig.servo.force(&force(1, 1.0, 0.0)).done, ForceDone::Taken);
         rig.step();
-        assert_ne!(rig.servo.frame().torque, Torques::default());
+        assert_ne!(rig.servo.frame().motors.torque, Torques::default());
         if by_fault {
             rig.servo.trip(Fault::GateDriver, None, 0.0);
         } else {
@@ -274,7 +274,7 @@ fn only_armed_motors_take_force_and_disarming_or_a_fault_forgets_it() {
         rig.execute(Command::Arm).unwrap();
         for _ in 0..20 {
             rig.step();
-            assert_eq!(rig.servo.frame().torque, Torques::default());
+            assert_eq!(rig.servo.frame().motors.torque, Torques::default());
         }
         rig.execute(Command::Disarm).unwrap();
     }
@@ -318,7 +318,7 @@ fn what_the_motors_cannot_make_walls_and_host_give_up_in_the_same_share() {
     rig.servo.force(&force(1, 0.0, 12.0));
     rig.step();
     let answer = look(&mut rig);
-    assert!((rig.servo.frame().wall_force - 2.0).abs() < 1.0e-3);
+    assert!((rig.servo.frame().at.walls.wall_force - 2.0).abs() < 1.0e-3);
     let asked = torques(&answer.q, [2.0, 12.0]);
     let share = 0.3 / asked.amax();
     assert!(share < 0.9, "they ask for more than 0.3 N m: {asked}");

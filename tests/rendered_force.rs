@@ -6,7 +6,7 @@ use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::{FeedForward, Plane, Surface};
 use haptic_bridge::render::velocity::Washout;
 use haptic_bridge::safety::limits::Limits;
-use haptic_bridge::servo::frame::StepRecord;
+use haptic_bridge::servo::frame::{Motors, StepRecord};
 use haptic_bridge::servo::{Command, Rules};
 use rig::{COUNTS, RATE, Rig, five_bar, hardware, rules, scene, wall};
 
@@ -21,16 +21,16 @@ fn pressed(depth: f64) -> Rig {
 #[test]
 fn a_wall_within_the_motors_means_is_rendered_as_asked() {
     let frame = pressed(0.002).servo.frame();
-    assert!((frame.wall_force - 2.0).abs() < 0.02, "{frame:?}");
-    assert!((frame.rendered_force - frame.wall_force).abs() < 1e-5, "{frame:?}");
+    assert!((frame.at.walls.wall_force - 2.0).abs() < 0.02, "{frame:?}");
+    assert!((frame.motors.rendered_force - frame.at.walls.wall_force).abs() < 1e-5, "{frame:?}");
     assert_eq!(frame.saturation(0), 0.0);
 }
 
 #[test]
 fn a_wall_beyond_the_motors_means_is_recorded_as_what_they_can() {
     let frame = pressed(0.008).servo.frame();
-    assert!((frame.wall_force - 8.0).abs() < 0.02, "asked for: {frame:?}");
-    assert!((frame.rendered_force - 3.0).abs() < 1e-4, "0.3 N m at 0.1 m: {frame:?}");
+    assert!((frame.at.walls.wall_force - 8.0).abs() < 0.02, "asked for: {frame:?}");
+    assert!((frame.motors.rendered_force - 3.0).abs() < 1e-4, "0.3 N m at 0.1 m: {frame:?}");
     assert_eq!(frame.saturation(0), 1.0, "and the motor is marked");
     assert_eq!((frame.saturation(1), frame.saturation(2)), (0.0, 0.0), "no other is");
 }
@@ -42,7 +42,7 @@ fn a_force_beyond_the_limit_of_the_tip_is_marked_too() {
     rig.execute(Command::Rules(Rules { limits: Limits { tip_force: 1.0, ..limited.limits }, ..limited })).unwrap();
     rig.step();
     let frame = rig.servo.frame();
-    assert!((frame.rendered_force - 1.0).abs() < 1e-3, "{frame:?}");
+    assert!((frame.motors.rendered_force - 1.0).abs() < 1e-3, "{frame:?}");
     assert_eq!((frame.saturation(0), frame.saturation(1)), (1.0, 0.0), "{frame:?}");
 }
 
@@ -52,15 +52,15 @@ fn nothing_is_rendered_with_the_motors_off_nor_in_full_while_torque_ramps_up() {
     rig.execute(Command::Disarm).unwrap();
     rig.step();
     let off = rig.servo.frame();
-    assert!(off.wall_force > 1.9 && off.rendered_force == 0.0, "{off:?}");
+    assert!(off.at.walls.wall_force > 1.9 && off.motors.rendered_force == 0.0, "{off:?}");
 
     let mut rig = Rig::ready(&scene(1, &[wall(-0.05, 1_000.0)]));
     rig.execute(Command::Arm).unwrap();
     // In 0.03 s of the half second's ramp the tip is 2 mm deep.
     rig.turn(0, -0.52, 18.0);
     let ramp = rig.servo.frame();
-    assert!(ramp.wall_force > 1.9 && ramp.rendered_force > 0.0, "{ramp:?}");
-    assert!(ramp.rendered_force < 0.2 * ramp.wall_force, "{ramp:?}");
+    assert!(ramp.at.walls.wall_force > 1.9 && ramp.motors.rendered_force > 0.0, "{ramp:?}");
+    assert!(ramp.motors.rendered_force < 0.2 * ramp.at.walls.wall_force, "{ramp:?}");
 }
 
 /// The tip (m) of `five_bar` at two joint angles (rad), from the circles about its elbows.
@@ -115,10 +115,10 @@ fn on_two_joints_it_is_the_force_that_the_recorded_torques_hold() {
             let frame = rig.servo.frame();
             // The counts' own angles: 2.4 and 0.7 rad at home.
             let angle = |i: usize| f64::from(frame.counts[i]) / COUNTS * core::f64::consts::TAU + [2.4, 0.7][i];
-            let torque = [f64::from(frame.torque[0]), f64::from(frame.torque[1])];
+            let torque = [f64::from(frame.motors.torque[0]), f64::from(frame.motors.torque[1])];
             let expected = held([angle(0), angle(1)], n, torque);
-            let got = f64::from(frame.rendered_force);
-            if frame.rendered_force < 0.999 * frame.wall_force {
+            let got = f64::from(frame.motors.rendered_force);
+            if frame.motors.rendered_force < 0.999 * frame.at.walls.wall_force {
                 assert_eq!((frame.saturation(0), frame.saturation(1)), (1.0, 1.0), "one factor cuts both: {frame:?}");
             }
             // 1e-4: f32 in the step (2e-5 of the torque), and the differences' own 1e-7.
@@ -126,7 +126,7 @@ fn on_two_joints_it_is_the_force_that_the_recorded_torques_hold() {
             if frame.saturation(0) + frame.saturation(1) > 0.0 {
                 saturated += 1;
                 // The feed-forward is cut before the force is.
-                let cut = frame.rendered_force < 0.999 * frame.wall_force;
+                let cut = frame.motors.rendered_force < 0.999 * frame.at.walls.wall_force;
                 assert!(cut || feed_forward == FeedForward::Full, "{frame:?}");
             }
         }
@@ -145,5 +145,6 @@ fn a_duty_at_its_end_is_marked_by_itself() {
     rig.servo.duties(24.0, &rig.samples.currents, false);
     let frame = rig.servo.frame();
     assert_eq!(frame.saturation(0), 2.0, "{frame:?}");
-    assert_eq!(StepRecord { limited: 0b101, ..frame }.saturation(0), 3.0);
+    let motors = Motors { limited: 0b101, ..frame.motors };
+    assert_eq!(StepRecord { motors, ..frame }.saturation(0), 3.0);
 }

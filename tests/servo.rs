@@ -171,14 +171,14 @@ fn torque_rises_from_nothing_when_armed() {
     let mut last = 0.0;
     for step in 1..=(ARM_SECONDS * RATE) as u32 {
         rig.step();
-        let torque = rig.servo.frame().torque[0];
+        let torque = rig.servo.frame().motors.torque[0];
         let expected = full * step as f32 / (ARM_SECONDS * RATE);
         assert!((torque - expected).abs() < 1.0e-3 * full, "step {step}: {torque} for {expected}");
         assert!(torque >= last);
         last = torque;
     }
     rig.step();
-    assert!((rig.servo.frame().torque[0] - full).abs() < 1.0e-5);
+    assert!((rig.servo.frame().motors.torque[0] - full).abs() < 1.0e-5);
 }
 
 #[test]
@@ -196,13 +196,13 @@ fn a_scene_that_replaces_another_while_armed_fades_in_and_keeps_homing() {
     };
     let mut rig = Rig::ready(&spring_at(0.02));
     rig.arm();
-    let before = rig.servo.frame().torque[0];
+    let before = rig.servo.frame().motors.torque[0];
     rig.load(&paddle(), &spring_at(-0.02), true).unwrap();
     rig.step();
-    let after = rig.servo.frame().torque[0];
+    let after = rig.servo.frame().motors.torque[0];
     assert!((after - before).abs() < 0.01 * before.abs(), "{before} to {after}");
     rig.run(0.6);
-    let settled = rig.servo.frame().torque[0];
+    let settled = rig.servo.frame().motors.torque[0];
     assert!((settled + before).abs() < 1.0e-4, "{settled}");
     let status = rig.servo.status();
     assert_eq!((status.state, status.homed, status.polarity), (State::Armed, true, true));
@@ -327,12 +327,16 @@ fn a_lowered_limit_acts_at_the_next_step() {
         let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 250.0)]));
         rig.arm();
         rig.turn(0, -0.15, 1.0);
-        assert!((rig.servo.frame().torque[0] - 0.25).abs() < 0.01);
+        assert!((rig.servo.frame().motors.torque[0] - 0.25).abs() < 0.01);
         let mut lower = rules();
         change(&mut lower.limits);
         rig.execute(Command::Rules(lower)).unwrap();
         rig.step();
-        assert!((rig.servo.frame().torque[0] - expected).abs() < 1.0e-6, "{name}: {:?}", rig.servo.frame().torque);
+        assert!(
+            (rig.servo.frame().motors.torque[0] - expected).abs() < 1.0e-6,
+            "{name}: {:?}",
+            rig.servo.frame().motors.torque
+        );
     }
 }
 
@@ -349,7 +353,7 @@ fn a_lowered_tip_force_holds_what_still_fades_from_the_scene_before() {
     let mut rig = Rig::ready(&pulled);
     rig.arm();
     // 2 N at an arm of 0.1 m.
-    assert!((rig.servo.frame().torque[0].abs() - 0.2).abs() < 1.0e-3, "{:?}", rig.servo.frame().torque);
+    assert!((rig.servo.frame().motors.torque[0].abs() - 0.2).abs() < 1.0e-3, "{:?}", rig.servo.frame().motors.torque);
     rig.load(&paddle(), &scene(1, &[]), true).unwrap();
     rig.step();
     let mut lower = rules();
@@ -357,7 +361,7 @@ fn a_lowered_tip_force_holds_what_still_fades_from_the_scene_before() {
     rig.execute(Command::Rules(lower)).unwrap();
     for _ in 0..100 {
         rig.step();
-        let force = rig.servo.frame().torque[0].abs() / 0.1;
+        let force = rig.servo.frame().motors.torque[0].abs() / 0.1;
         assert!(force <= 0.5 * 1.001, "{force} N");
         // What is left of the 2 N goes on fading over half a second.
         assert!(force > 0.4, "{force} N");
@@ -376,14 +380,14 @@ fn gains_that_change_in_contact_change_the_torque_by_the_gains_alone() {
         rig.execute(gains(stiffness, 0.0, FeedForward::Off)).unwrap();
         rig.step();
         let expected = stiffness * 0.005 * 0.1;
-        let torque = rig.servo.frame().torque[0];
+        let torque = rig.servo.frame().motors.torque[0];
         assert!((torque - expected).abs() < 2.0e-3 * expected.max(0.01), "{stiffness}: {torque} for {expected}");
     }
     // At rest there is no velocity that damping could act on.
-    let before = rig.servo.frame().torque[0];
+    let before = rig.servo.frame().motors.torque[0];
     rig.execute(gains(400.0, 50.0, FeedForward::Off)).unwrap();
     rig.step();
-    assert!((rig.servo.frame().torque[0] - before).abs() < 1.0e-3 * before);
+    assert!((rig.servo.frame().motors.torque[0] - before).abs() < 1.0e-3 * before);
 }
 
 #[test]
@@ -428,7 +432,7 @@ fn the_polarity_check_moves_every_joint_in_turn_and_ends_disarmed() {
     rig.execute(Command::CheckPolarity).unwrap();
     for joint in 0..2 {
         rig.run(0.5);
-        let torque = rig.servo.frame().torque;
+        let torque = rig.servo.frame().motors.torque;
         assert!(torque[joint] > 0.0 && torque[1 - joint] == 0.0, "{torque:?}");
         assert!(torque[joint] <= 0.25 * 0.3, "a small torque: {torque:?}");
         let counts = rig.samples.counts[joint];
@@ -474,7 +478,7 @@ fn a_hand_that_moves_a_joint_passes_no_check_for_its_motor() {
         for step in 0..(8.0 * rig.rate) as u32 {
             rig.samples.counts[joint] = counts + (f64::from(step) * per_step) as i32;
             rig.step();
-            assert_eq!(rig.servo.frame().torque, Torques::default(), "no torque on a joint that a hand moves");
+            assert_eq!(rig.servo.frame().motors.torque, Torques::default(), "no torque on a joint that a hand moves");
         }
         assert_eq!(rig.fault(), Some(Fault::PolarityUnrest), "joint {joint} at {speed} rad/s");
         assert!(!rig.servo.status().polarity && rig.motors_off());
@@ -493,7 +497,7 @@ fn the_polarity_check_asks_no_more_force_than_the_tip_may_make_and_looks_at_no_a
     for step in 0..1_800 {
         rig.step();
         assert_eq!(rig.state(), State::CheckingPolarity, "step {step}");
-        let force = rig.servo.frame().torque[0] / 0.1;
+        let force = rig.servo.frame().motors.torque[0] / 0.1;
         assert!(force <= 0.2 * 1.001, "{force} N");
     }
 }
@@ -559,7 +563,7 @@ fn commands_in_any_order_never_move_a_disarmed_device() {
             armed &= rig.state() == State::Armed;
             prop_assert!(armed || rig.motors_off());
             prop_assert!(rig.duties.iter().all(|duty| duty.abs() <= 0.92));
-            prop_assert!(rig.servo.frame().torque[0].abs() <= 0.3 * 1.000_01);
+            prop_assert!(rig.servo.frame().motors.torque[0].abs() <= 0.3 * 1.000_01);
         }
     });
 }

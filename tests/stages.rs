@@ -160,10 +160,11 @@ impl<S: Stage> Pressed<S> {
     fn run(&mut self, steps: u32) {
         for _ in 0..steps {
             // The current that was asked for flows.
-            self.samples.currents = Currents(self.servo.frame().torque.map(|torque| torque / 0.1));
+            self.samples.currents = Currents(self.servo.frame().motors.torque.map(|torque| torque / 0.1));
             // 20 kHz and 2 kHz.
             for _ in 0..10 {
                 self.servo.guard(&self.samples);
+                self.servo.sum_up(&self.samples);
             }
             self.servo.control(&self.samples);
         }
@@ -184,7 +185,7 @@ fn an_amplifier_gets_the_current_of_the_walls_torque_and_nothing_once_the_motors
 fn limits_and_the_thermal_budget_hold_for_it_as_for_any() {
     let mut rig = Pressed::<SetPoint>::into_a_wall(1.0e6);
     let most = limits().torque[0];
-    assert!((rig.servo.frame().torque[0] - most).abs() < 1.0e-6, "{:?}", rig.servo.frame().torque);
+    assert!((rig.servo.frame().motors.torque[0] - most).abs() < 1.0e-6, "{:?}", rig.servo.frame().motors.torque);
     // (3² - 1²) A² for 4 s, at 2 kHz; it trembles, so that no encoder stands still.
     for step in 0..8_400 {
         rig.samples.counts[0] += if step % 2 == 0 { 1 } else { -1 };
@@ -198,7 +199,7 @@ fn limits_and_the_thermal_budget_hold_for_it_as_for_any() {
 fn a_field_oriented_motor_has_its_voltage_across_the_field_at_any_angle() {
     let mut rig = Pressed::<FieldOriented>::into_a_wall(250.0);
     for angle in [0.0_f32, 1.0, 2.5, -2.0] {
-        let current = rig.servo.frame().torque[0] / 0.1;
+        let current = rig.servo.frame().motors.torque[0] / 0.1;
         // 2.5 A across the field flow already.
         let phase = |shift: f32| -current * (angle - shift).sin();
         let third = std::f32::consts::TAU / 3.0;
@@ -210,7 +211,7 @@ fn a_field_oriented_motor_has_its_voltage_across_the_field_at_any_angle() {
         for (drive, expected) in drives[0].iter().zip(expected) {
             assert!((drive - expected).abs() < 1.0e-5, "{angle}: {:?} {expected:?}", drives[0]);
         }
-        assert!((rig.servo.frame().duty[0] - 2.0 * current / 24.0).abs() < 1.0e-5);
+        assert!((rig.servo.frame().motors.duty[0] - 2.0 * current / 24.0).abs() < 1.0e-5);
     }
     assert_eq!(rig.servo.status().state, State::Armed);
 }

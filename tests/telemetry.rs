@@ -1,6 +1,7 @@
 //! Telemetry tells every step it holds, and what it does not hold can be counted exactly.
 
 use haptic_bridge::board::telemetry::{BATCH_VALUES, Batch, Field, Fields, Packer, StreamRequest};
+use haptic_bridge::render::found::{At, AtWalls};
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::servo::frame::StepRecord;
 use haptic_bridge::servo::joints::Counts;
@@ -9,9 +10,8 @@ use proptest::prelude::*;
 fn frame(step: u32) -> StepRecord {
     StepRecord {
         step,
-        q: [step as f32, 0.5, -0.5],
         counts: Counts([-7, 16_777_217, 3]),
-        contacts: 2,
+        at: At { q: [step as f32, 0.5, -0.5], walls: AtWalls { contacts: 2, ..AtWalls::default() }, ..At::default() },
         state: State::Armed,
         ..StepRecord::default()
     }

@@ -30,7 +30,7 @@ pub const STAGES: &[(&str, &[&str])] = &[
     (REQUEST, &["Step::take"]),
     ("encoders", &["Pins::counts", "Encoder::read", "Pins::index"]),
     ("samples, fault lines", &["Step::hardware_fault"]),
-    ("servo", &["Servo::render", "compiled::render", "Servo::act", "compiled::act"]),
+    ("servo", &["Servo::render", "compiled::render", "Servo::act_of", "compiled::judge"]),
     ("step: angles, speeds", &["Encoders::angles", "Encoders::velocities"]),
     ("step: pose, tip", &["mechanism::shared_pose", "::pose", "::tip", "::regularity"]),
     (
@@ -56,7 +56,7 @@ pub const STAGES: &[(&str, &[&str])] = &[
             "::velocity_torque",
         ],
     ),
-    ("limits, at every crest", &["compiled::guard", "Servo::guard", "Servo::guard_joints", "::follow"]),
+    ("limits, at every crest", &["compiled::guard", "Servo::guard", "Servo::guard_of", "::follow"]),
     ("guard", &["Servo::watch", "Servo::watch_budgets", "Servo::find", "Servo::index_agrees"]),
     ("drive: torque to current", &["Servo::drive"]),
     ("bridges", &["Step::connect"]),

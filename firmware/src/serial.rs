@@ -76,13 +76,19 @@ impl Incoming {
     /// Moves bytes from the packet to the frame until one is complete; its length once decoded.
     fn take(&mut self) -> Option<usize> {
         while self.taken < self.filled {
-            let byte = self.packet[self.taken];
-            self.taken += 1;
-            if byte != 0 {
-                match self.frame.get_mut(self.length) {
-                    Some(slot) => (*slot, self.length) = (byte, self.length + 1),
-                    None => self.too_long = true,
+            let left = &self.packet[self.taken..self.filled];
+            let end = left.iter().position(|byte| *byte == 0);
+            let piece = &left[..end.unwrap_or(left.len())];
+            self.taken += piece.len() + usize::from(end.is_some());
+            let after = self.length + piece.len();
+            match self.frame.get_mut(self.length..after) {
+                Some(room) => {
+                    room.copy_from_slice(piece);
+                    self.length = after;
                 }
+                None => self.too_long = true,
+            }
+            if end.is_none() {
                 continue;
             }
             let length = core::mem::take(&mut self.length);

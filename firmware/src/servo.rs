@@ -1,8 +1,8 @@
 //! The control interrupt: at the crest of the carrier it samples, steps and writes the duties that apply at the next
 //! valley.
 //!
-//! It runs at every update of TIM1, crests and valleys. At a valley it takes at most one request from the tasks, so
-//! that a request never lengthens a step. At every crest it holds what it sees to the limits and runs the current
+//! It runs at every update of TIM1, crests and valleys. At a valley it sums up what takes long to do harm, and takes at
+//! most one request from the tasks, so that neither lengthens a step. At every crest it holds what it sees to the limits and runs the current
 //! loops; at every k-th crest (k = [`Carrier::divider`]) it runs the library's control step. Everything it shares with tasks is an atomic or a
 //! single-producer single-consumer queue, so nothing here waits and nothing is torn; a full queue drops and counts.
 //!
@@ -23,7 +23,7 @@ use haptic_bridge::drive::heat::Heat;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::compiled::{self, BoardProgram, BoardServo};
-use haptic_bridge::servo::frame::{Rendered, Samples, StepRecord};
+use haptic_bridge::servo::frame::{Samples, StepRecord};
 use haptic_bridge::servo::host_force::{ForceAnswer, ForceRequest};
 use haptic_bridge::servo::program::Hardware;
 use haptic_bridge::servo::{Command, Reply, Rules, Status};
@@ -94,25 +94,26 @@ pub static GATE_READY: AtomicBool = AtomicBool::new(false);
 /// A flash operation is about to stall the program: missed crests are no overruns.
 pub static STALL_EXPECTED: AtomicBool = AtomicBool::new(false);
 
+/// In this order in memory: what the FPU loads lies within the 1 KB that its loads reach.
+#[repr(C)]
 struct Step {
     io: <This as Board>::Io,
-    servo: BoardServo,
-    requests: Consumer<'static, Request>,
-    answers: Producer<'static, Answer>,
-    frames: Producer<'static, StepRecord>,
+    /// What was sampled at the last crest.
+    seen: Samples,
+    legs: [[u16; 2]; MAX_JOINTS],
     /// Crests until the next control step.
     countdown: u16,
-    /// What was sampled at the last crest, and what the step under way asks for.
-    seen: Samples,
-    rendered: Rendered,
     /// Crests for which duties are late yet, and whether those worked out last wait for the valley.
     late: u8,
     pending: bool,
-    legs: [[u16; 2]; MAX_JOINTS],
     /// The bridges are connected to the carrier.
     driving: bool,
     /// The last step overran.
     overrun: bool,
+    servo: BoardServo,
+    requests: Consumer<'static, Request>,
+    answers: Producer<'static, Answer>,
+    frames: Producer<'static, StepRecord>,
 }
 
 /// A value that start-up hands to the control interrupt for good.
@@ -145,7 +146,6 @@ pub fn start(mut io: <This as Board>::Io, hardware: Hardware, rules: Rules, heat
         frames,
         countdown: 1,
         seen: Samples::default(),
-        rendered: Rendered::default(),
         late: 0,
         pending: false,
         legs: [[0; 2]; MAX_JOINTS],
@@ -178,6 +178,9 @@ fn TIM1_UP_TIM10() {
         if core::mem::take(&mut step.pending) {
             step.io.write(&step.legs);
         }
+        if !compiled::sum_up(&mut step.servo, &step.seen).bridges {
+            step.connect(false);
+        }
         if let Some(request) = step.requests.dequeue() {
             step.take(request);
         }
@@ -201,7 +204,7 @@ impl Step {
             self.seen.index = self.io.index();
         }
         if steps && !overran {
-            compiled::render(&mut self.servo, &self.seen.counts, &mut self.rendered);
+            compiled::render(&mut self.servo, &self.seen.counts);
             // What the converters have by now may belong to the next crest.
             overran = self.driving && self.outlasted(DWT::cycle_count().wrapping_sub(began));
         }
@@ -213,10 +216,9 @@ impl Step {
         if let Some((fault, axis, value)) = self.hardware_fault(fresh) {
             self.servo.trip(fault, axis, value);
         }
-        let mut outputs = compiled::guard(&mut self.servo, &self.seen);
+        let outputs = compiled::judge(&mut self.servo, &self.seen, steps);
         if steps {
             self.countdown = self.io.carrier().divider;
-            outputs = compiled::act(&mut self.servo, &self.seen, &self.rendered);
         }
         // At every crest: current loops that ran while their bridges float would wind up.
         self.connect(outputs.bridges);

@@ -178,7 +178,7 @@ pub fn replay(recording: &Recording) -> Result<Replayed, Failure> {
         replayed.armed += u64::from(recorded == State::Armed as usize || recorded == State::CheckingPolarity as usize);
         let mut differs = false;
         for (joint, column) in columns.torque.iter().enumerate() {
-            let (recorded, found) = (row[*column] as f32, frame.torque[joint]);
+            let (recorded, found) = (row[*column] as f32, frame.motors.torque[joint]);
             if recorded.to_bits() == found.to_bits() {
                 continue;
             }

@@ -53,41 +53,41 @@ macro_rules! fields {
 }
 
 fields! {
-    Angle = 0, "q", "rad", true, |frame, i| frame.q[i],
+    Angle = 0, "q", "rad", true, |frame, i| frame.at.q[i],
         "Joint angles";
-    Speed = 1, "qd", "rad/s", true, |frame, i| frame.qd[i],
+    Speed = 1, "qd", "rad/s", true, |frame, i| frame.at.qd[i],
         "Joint velocities, filtered as the scene says";
-    Tip = 2, "tip", "m", true, |frame, i| frame.tip[i],
+    Tip = 2, "tip", "m", true, |frame, i| frame.at.tip[i],
         "Tip in the task frame; on a redundant arm the last is its orientation in rad";
-    Torque = 3, "torque", "N m", true, |frame, i| frame.torque[i],
+    Torque = 3, "torque", "N m", true, |frame, i| frame.motors.torque[i],
         "Joint torques commanded, after all limits; 0 with the motors off";
-    Current = 4, "current", "A", true, |frame, i| frame.current[i],
+    Current = 4, "current", "A", true, |frame, i| frame.motors.current[i],
         "Motor currents: measured, or those commanded where the board senses none";
-    Duty = 5, "duty", "", true, |frame, i| frame.duty[i],
+    Duty = 5, "duty", "", true, |frame, i| frame.motors.duty[i],
         "Bridge duties of the carrier period after the step, as a signed share of the bus voltage";
-    Distance = 6, "distance", "m", false, |frame, _i| frame.distance,
+    Distance = 6, "distance", "m", false, |frame, _i| frame.at.walls.distance,
         "Distance of the tip to the deepest wall, negative inside it; 0 without walls";
-    NormalVelocity = 7, "velocity", "m/s", false, |frame, _i| frame.normal_velocity,
+    NormalVelocity = 7, "velocity", "m/s", false, |frame, _i| frame.at.walls.normal_velocity,
         "Filtered tip velocity along the normal of the deepest wall, positive out of it";
-    WallForce = 8, "force", "N", false, |frame, _i| frame.wall_force,
+    WallForce = 8, "force", "N", false, |frame, _i| frame.at.walls.wall_force,
         "Force that the walls ask for, summed over the walls touched: no motor has been asked yet";
-    RenderedForce = 15, "rendered", "N", false, |frame, _i| frame.rendered_force,
+    RenderedForce = 15, "rendered", "N", false, |frame, _i| frame.motors.rendered_force,
         "What the limits leave of that force: force less what ramp and the limits of tip force, torque and current took off along the normal of the deepest wall; 0 unless armed";
     Saturated = 16, "saturated", "", true, |frame, i| frame.saturation(i),
         "Which motors could not do what was asked: 0 none, 1 a limit of torque, current or tip force left another torque than was asked, 2 its duty is at the end of what the bus gives, 3 both";
-    Shaping = 9, "shaping", "", false, |frame, _i| frame.shaping,
+    Shaping = 9, "shaping", "", false, |frame, _i| frame.at.walls.shaping,
         "Share of the feed-forward that acts, 1 away from singular poses";
-    Energy = 10, "energy", "J", false, |frame, _i| frame.energy,
+    Energy = 10, "energy", "J", false, |frame, _i| frame.at.walls.energy,
         "Energy that the touched walls have taken up since contact began; negative: given out";
-    PassivityDamping = 11, "passivity", "N s/m", false, |frame, _i| frame.passivity_damping,
+    PassivityDamping = 11, "passivity", "N s/m", false, |frame, _i| frame.at.walls.passivity_damping,
         "Damping that the passivity controller added";
-    BusVoltage = 12, "bus", "V", false, |frame, _i| frame.bus_voltage,
+    BusVoltage = 12, "bus", "V", false, |frame, _i| frame.motors.bus_voltage,
         "Bus voltage; 0 where it is not sensed";
     // The bits of a 32-bit integer in the place of a float, so that none is lost.
     Counts = 13, "counts", "", true, |frame, i| f32::from_bits(frame.counts[i] as u32),
         "Encoder counts, 32 bits, wrapping, before homing";
     // 0 disarmed, 1 armed, 2 checking polarity, 3 fault; plus 16 for every wall touched.
-    State = 14, "state", "", false, |frame, _i| f32::from(frame.state as u8) + 16.0 * f32::from(frame.contacts),
+    State = 14, "state", "", false, |frame, _i| f32::from(frame.state as u8) + 16.0 * f32::from(frame.at.walls.contacts),
         "The board's state as a word, and beside it (`contacts`) how many walls are touched";
 }
 
@@ -265,18 +265,21 @@ impl Packer {
 
 #[cfg(test)]
 mod tests {
-    use crate::servo::frame::StepRecord;
+    use crate::render::found::At;
+    use crate::servo::frame::{Motors, StepRecord};
     use crate::servo::joints::Torques;
 
     fields! {
-        Height = 3, "height", "m", false, |frame, _i| frame.tip[1], "How high the tip is";
-        Doubled = 5, "doubled", "N m", true, |frame, i| 2.0 * frame.torque[i], "Twice the torque";
+        Height = 3, "height", "m", false, |frame, _i| frame.at.tip[1], "How high the tip is";
+        Doubled = 5, "doubled", "N m", true, |frame, i| 2.0 * frame.motors.torque[i], "Twice the torque";
     }
 
     /// Everything that is told of a signal follows from its line.
     #[test]
     fn a_toy_signal_is_one_line() {
-        let frame = StepRecord { tip: [0.1, 0.2, 0.3], torque: Torques([1.0, 2.0, 3.0]), ..StepRecord::default() };
+        let at = At { tip: [0.1, 0.2, 0.3], ..At::default() };
+        let motors = Motors { torque: Torques([1.0, 2.0, 3.0]), ..Motors::default() };
+        let frame = StepRecord { at, motors, ..StepRecord::default() };
         let told = |field: &Field| (field.bit(), field.name(), field.unit(), field.is_vector(), field.meaning());
         let told_of_all =
             [(8, "height", "m", false, "How high the tip is"), (32, "doubled", "N m", true, "Twice the torque")];

@@ -107,6 +107,8 @@ pub struct Axis {
     /// That without any current, V, and what each ampere allowed adds where the inductance is not known, Ω.
     least_doubt: f32,
     lag_resistance: f32,
+    /// What each ampere of the largest current of late adds: a winding that is hot, Ω.
+    doubt_resistance: f32,
     /// What the controller asked for, A.
     target: f32,
     /// Voltage that the present speed needs, V, and what that may be off by.
@@ -141,6 +143,7 @@ impl Stage for Axis {
             torque_per_amp: if usable { kt } else { 0.0 },
             motor_current: if usable { motor.max_current } else { 0.0 },
             resistance: motor.resistance,
+            doubt_resistance: RESISTANCE_DOUBT * motor.resistance,
             back_emf: motor.back_emf,
             surge,
             reach: if surge > 0.0 { 1.0 / surge } else { 0.0 },
@@ -246,7 +249,7 @@ impl Stage for Axis {
     #[inline(always)]
     fn strain(&self) -> (f32, f32) {
         let strain = self.integrator + self.resistance * self.missing;
-        (strain, self.doubt + RESISTANCE_DOUBT * self.resistance * self.recent + self.emf_doubt)
+        (strain, self.doubt + self.doubt_resistance * self.recent + self.emf_doubt)
     }
 
     fn turning(&self, volts: f32) -> f32 {

@@ -1,6 +1,6 @@
 //! One control step: encoder counts in, joint torques out.
 //!
-//! [`Controller::step`] is the whole of it, in the order the data flows:
+//! [`Controller::step_generally`] is the whole of it, in the order the data flows:
 //! counts → angles → pose → contacts → wall forces → the feed-forward → torques. It owns no hardware, allocates
 //! nothing, and cannot panic: every index is bounded by a constant, every division is by something clamped. It is
 //! generic over the float and the trigonometry, so the board's f32 step and the analysis' f64 are the same code.
@@ -9,12 +9,14 @@
 //! Coriolis forces, one without springs no tip velocity; the choices are made once, in [`Controller::new`].
 
 use crate::math::{Math, Real};
+use crate::model::catalogue::MAX_JOINTS;
 use crate::model::device::Device;
 use crate::model::inertia::shaped_torque_beside;
 use crate::model::mechanism::{Mechanism, Regularity, Shaping, shared_pose};
 use crate::model::precomputed::MassModel;
 use crate::model::principal::Principal;
 use crate::model::solve::solve_symmetric;
+use crate::render::found::{Asked, AtWalls, Found, clear, put};
 use crate::render::scene::{Admissible, FeedForward, MAX_WALLS, Posture, Scene, SceneError, VelocityTerms};
 use crate::render::velocity::{Coefficients, Washout};
 use core::marker::PhantomData;
@@ -76,64 +78,82 @@ pub struct Gains<T> {
     pub washout_hz: T,
 }
 
-/// What one step found and decided.
+/// What one step found and decided, as vectors of the mechanism's N joints; what it found at the walls is read as its own
+/// fields.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step<T: Real, const N: usize> {
-    /// Joint angles, rad.
+    /// See [`Found`].
     pub q: SVector<T, N>,
-    /// Filtered joint velocities, rad/s.
+    /// See [`Found`].
     pub qd: SVector<T, N>,
-    /// Task position: the tip, m (and φ, rad).
+    /// See [`Found`].
     pub tip: SVector<T, N>,
-    /// Joint torques, N m.
+    /// Joint torques, N m: [`Asked::total`].
     pub torque: SVector<T, N>,
-    /// What of them holds the device against gravity, N m.
+    /// See [`Asked`].
     pub gravity: SVector<T, N>,
-    /// What of them renders the forces that walls, springs and fields ask for, Jᵀ f, N m. The rest is the feed-forward.
+    /// See [`Asked`].
     pub rendered: SVector<T, N>,
-    /// The square of those forces' resultant, N².
+    /// See [`Asked`].
     pub force_squared: T,
-    /// Distance to the deepest wall, m; negative inside it. Zero without walls.
-    pub distance: T,
-    /// Velocity along the normal of the deepest wall, m/s.
-    pub normal_velocity: T,
-    /// Sum of the forces that the walls ask for, N.
-    pub wall_force: T,
-    /// J⁻¹ n: joint motion per metre of tip motion along the normal of the deepest wall, rad/m; zero out of contact.
+    /// See [`Found`].
     pub motion: SVector<T, N>,
-    /// Number of walls touched.
-    pub contacts: u8,
-    /// Energy the touched walls have taken up since contact began, less what they owed then, J; negative when they gave
-    /// some out.
-    pub energy: T,
-    /// Damping that the passivity controller added, N s/m.
-    pub passivity_damping: T,
-    /// Share of the feed-forward that acts: 1 away from singularities, fading to 0 near them.
-    pub shaping: T,
-    /// How far from a singularity the pose is.
+    /// See [`Found`].
     pub regularity: Regularity<T>,
+    /// What it found at the walls.
+    pub walls: AtWalls<T>,
+}
+
+impl<T: Real, const N: usize> Step<T, N> {
+    fn of(found: &Found<T>) -> Self {
+        let Found { at, asked, motion, regularity } = found;
+        let first = |values: &[T; MAX_JOINTS]| SVector::from_fn(|i, _| values[i]);
+        Self {
+            q: first(&at.q),
+            qd: first(&at.qd),
+            tip: first(&at.tip),
+            torque: first(&asked.total),
+            gravity: first(&asked.gravity),
+            rendered: first(&asked.rendered),
+            force_squared: asked.force_squared,
+            motion: first(motion),
+            regularity: *regularity,
+            walls: at.walls,
+        }
+    }
+}
+
+impl<T: Real, const N: usize> core::ops::Deref for Step<T, N> {
+    type Target = AtWalls<T>;
+
+    fn deref(&self) -> &AtWalls<T> {
+        &self.walls
+    }
 }
 
 /// The control step of one mechanism with N joints, its scene, and its memory between steps.
+///
+/// In this order in memory, so that what a usual step needs lies within the 1 KB that the FPU's loads reach.
 #[derive(Clone, Debug)]
+#[repr(C)]
 pub struct Controller<T: Real, M, K, const N: usize> {
-    mechanism: M,
-    mass: MassModel<T, N>,
-    encoders: Encoders<T, N>,
-    observers: Observers<T, N>,
-    coefficients: Coefficients<T>,
-    walls: Walls<T>,
-    guidance: Guidance<T>,
-    viscous: SVector<T, N>,
-    gravity: bool,
+    variant: StepVariant,
     velocity_terms: VelocityTerms,
+    gravity: bool,
+    /// b of the shaped torque is not zero.
+    biased: bool,
+    mechanism: M,
+    coefficients: Coefficients<T>,
+    encoders: Encoders<T, N>,
+    walls: Walls<T>,
+    observers: Observers<T, N>,
+    viscous: SVector<T, N>,
     /// α of the feed-forward where the inertia's pole could be reached: above 1.
     gain: Option<T>,
     admissible: Admissible,
     posture: Option<Posture<T>>,
-    /// b of the shaped torque is not zero.
-    biased: bool,
-    variant: StepVariant,
+    guidance: Guidance<T>,
+    mass: MassModel<T, N>,
     math: PhantomData<K>,
 }
 
@@ -195,22 +215,33 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         self.variant = StepVariant::of(self);
     }
 
-    /// Joint torques for these encoder counts. Call at the control rate.
-    #[inline(always)]
+    /// One control step for these encoder counts. Call at the control rate.
     pub fn step(&mut self, counts: &[i32; N]) -> Step<T, N> {
-        // A host may add its own force at any time.
-        if self.variant == StepVariant::Plane
-            && !self.guidance.any
-            && let Some(step) = self.step_at_a_plane(counts)
-        {
-            return step;
-        }
-        self.step_generally(counts)
+        let mut found = Found::default();
+        self.render(counts, &mut found);
+        Step::of(&found)
     }
 
     /// As [`Controller::step`] for any scene, the slow way: what every straight step is held to.
-    #[inline(always)]
     pub fn step_generally(&mut self, counts: &[i32; N]) -> Step<T, N> {
+        let mut found = Found::default();
+        self.render_generally(counts, &mut found);
+        Step::of(&found)
+    }
+
+    /// [`Controller::step`] where what it finds is kept: writes the first N entries of every vector of `found`.
+    #[inline(always)]
+    pub(crate) fn render(&mut self, counts: &[i32; N], found: &mut Found<T>) {
+        // A host may add a plane of its own at any time.
+        let straight = self.variant == StepVariant::Plane && !self.guidance.any;
+        if !(straight && self.render_a_plane(counts, found)) {
+            self.render_generally(counts, found);
+        }
+    }
+
+    /// [`Controller::step_generally`] where what it finds is kept.
+    #[inline(always)]
+    pub(crate) fn render_generally(&mut self, counts: &[i32; N], found: &mut Found<T>) {
         let (q, turned) = self.encoders.angles(counts);
         let mut qd = self.encoders.velocities(&self.coefficients, counts);
         let pose = self.mechanism.pose::<K>(&turned);
@@ -226,26 +257,15 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let mut more: Vec<Active<T, N>, MAX_WALLS> = Vec::new();
         let along = observed.then_some(&along);
         let touch = self.walls.touch::<K, N>(&self.coefficients, &place, along, &mut more);
-        let mut step = Step {
-            q,
-            qd,
-            tip,
-            torque: SVector::zeros(),
-            gravity: SVector::zeros(),
-            rendered: SVector::zeros(),
-            force_squared: T::zero(),
-            distance: touch.distance,
-            normal_velocity: touch.normal_velocity,
-            wall_force: touch.wall_force,
-            motion: SVector::zeros(),
-            contacts: touch.contacts,
-            energy: touch.energy,
-            passivity_damping: touch.passivity_damping,
-            shaping: T::one(),
-            regularity,
-        };
-        if touch.contacts > 0 {
-            step.motion = self.mechanism.inverse(&pose, &touch.normal);
+        put(&q, &mut found.at.q);
+        put(&qd, &mut found.at.qd);
+        put(&tip, &mut found.at.tip);
+        found.at.walls = touch.found;
+        found.regularity = regularity;
+        if touch.found.contacts > 0 {
+            put(&self.mechanism.inverse(&pose, &touch.normal), &mut found.motion);
+        } else {
+            clear::<T, N>(&mut found.motion);
         }
         let (mut plain, mut straight) = (touch.plain, touch.straight);
         let mut beside = Beside::none();
@@ -260,6 +280,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         }
 
         // (4): what is shaped goes through M E Wrr⁻¹, the rest straight through Jᵀ.
+        let (mut torque, mut rendered, mut force) = (SVector::zeros(), SVector::zeros(), SVector::zeros());
         if let Some(mut first) = touch.first {
             if let Some(gain) = self.gain
                 && more.is_empty()
@@ -276,39 +297,66 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
                 plain -= stiff;
                 shaped += stiff;
             }
-            let force = plain + shaped;
-            step.force_squared = force.dot(&force);
-            step.rendered = self.mechanism.transpose(&pose, &force);
+            force = plain + shaped;
+            rendered = self.mechanism.transpose(&pose, &force);
             let parallel = regularity.parallel * T::from_f64(1.0 / PARALLEL_REGULARITY);
             let share = fade(regularity.serial.lesser(parallel));
             if share < T::one() || !more.is_empty() || beside.acts {
                 // Copies, so that the usual case need not keep these in memory.
                 let (pose, place, qd, turned, first) = (pose, place, qd, turned, first);
                 let left;
-                (step.torque, left) =
+                (torque, left) =
                     self.shaped_by_several(&turned, &pose, &place, &qd, &first, &more, &beside, &shaped, share);
-                step.shaping = share;
+                found.at.walls.shaping = share;
                 plain += left;
                 straight = true;
             } else {
-                step.torque = self.shaped_by_one(&turned, &pose, &place, &qd, &first);
+                torque = self.shaped_by_one(&turned, &pose, &place, &qd, &first);
             }
             if straight {
-                step.torque += self.mechanism.transpose(&pose, &plain);
+                torque += self.mechanism.transpose(&pose, &plain);
             }
         } else if straight {
-            step.force_squared = plain.dot(&plain);
-            step.torque = self.mechanism.transpose(&pose, &plain);
-            step.rendered = step.torque;
+            force = plain;
+            torque = self.mechanism.transpose(&pose, &plain);
+            rendered = torque;
         }
+        put(&rendered, &mut found.asked.rendered);
+        found.asked.force_squared = force.dot(&force);
         if M::SPEC.task < N && self.posture.is_some() {
-            step.torque += self.posture_torque(&pose, &tip, &qd);
+            torque += self.posture_torque(&pose, &tip, &qd);
         }
+        self.ask(&pose, torque, &mut found.asked);
+        self.push_as_well(&pose, &force, &mut found.asked);
+    }
+
+    /// Adds the force that the host pushes with, if it does, to walls, springs and fields whose resultant is `force` (N).
+    #[inline(always)]
+    fn push_as_well(&self, pose: &M::Pose, force: &SVector<T, N>, asked: &mut Asked<T>) {
+        if !self.guidance.pushed {
+            return;
+        }
+        let push = self.guidance.pushing();
+        let all = force + push;
+        asked.force_squared = all.dot(&all);
+        let torque = self.mechanism.transpose(pose, &push);
+        for i in 0..N.min(MAX_JOINTS) {
+            asked.rendered[i] += torque[i];
+            asked.total[i] += torque[i];
+        }
+    }
+
+    /// Writes these torques (N m), and those that hold the device against gravity on top.
+    #[inline(always)]
+    fn ask(&self, pose: &M::Pose, mut torque: SVector<T, N>, asked: &mut Asked<T>) {
         if self.gravity {
-            step.gravity = self.mechanism.gravity(&pose);
-            step.torque += step.gravity;
+            let gravity = self.mechanism.gravity(pose);
+            torque += gravity;
+            put(&gravity, &mut asked.gravity);
+        } else {
+            clear::<T, N>(&mut asked.gravity);
         }
-        step
+        put(&torque, &mut asked.total);
     }
 
     /// Joint velocities (rad/s) by an estimator that watches joints, and the tip's (m/s). `before`: by what was at work

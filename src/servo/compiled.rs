@@ -6,7 +6,7 @@
 use crate::drive::carrier::Carrier;
 use crate::math::Minimax;
 use crate::model::catalogue::MAX_JOINTS;
-use crate::servo::frame::{Outputs, Rendered, Samples, StepRecord};
+use crate::servo::frame::{Outputs, Samples, StepRecord};
 use crate::servo::joints::Counts;
 use crate::servo::program::Program;
 use crate::servo::{Servo, for_joints};
@@ -21,22 +21,26 @@ pub type BoardProgram = &'static mut Program<BoardMath>;
 /// The board's servo.
 pub type BoardServo = Servo<BoardProgram>;
 
-/// What every crest is held to, see [`Servo::guard`].
-#[inline(never)]
-pub fn guard(servo: &mut BoardServo, seen: &Samples) -> Outputs {
-    servo.guard(seen)
-}
-
 /// The part of a control period that needs only counts, see [`Servo::render`].
 #[inline(never)]
-pub fn render(servo: &mut BoardServo, counts: &Counts, rendered: &mut Rendered) {
-    *rendered = servo.render(counts);
+pub fn render(servo: &mut BoardServo, counts: &Counts) {
+    servo.render(counts);
 }
 
-/// The rest of it, see [`Servo::act`].
+/// What every crest is held to and, where a control step is due, the rest of that: see [`Servo::guard`] and
+/// [`Servo::act`].
 #[inline(never)]
-pub fn act(servo: &mut BoardServo, samples: &Samples, rendered: &Rendered) -> Outputs {
-    servo.act(samples, rendered)
+pub fn judge(servo: &mut BoardServo, seen: &Samples, due: bool) -> Outputs {
+    for_joints!(servo.joints(), J => {
+        let outputs = servo.guard_of::<J>(seen);
+        if due { servo.act_of::<J>(seen) } else { outputs }
+    })
+}
+
+/// What builds up, at the valley, see [`Servo::sum_up`].
+#[inline(never)]
+pub fn sum_up(servo: &mut BoardServo, seen: &Samples) -> Outputs {
+    servo.sum_up(seen)
 }
 
 /// Compare values for the legs of every bridge over the next carrier period, see [`Servo::duties`] and

@@ -34,7 +34,7 @@ const STANDSTILL: f32 = 1.0e-3;
 #[derive(Clone, Copy, Debug, Default)]
 struct Bounds {
     /// Most counts that a joint can move in a carrier period.
-    jump: u32,
+    jump: i32,
     /// Gain of the speed filter.
     gain: f32,
     /// Counts in a carrier period.
@@ -45,7 +45,7 @@ struct Bounds {
     limited: i32,
     /// Measured current that is not the loop's overshoot any more, A.
     current: f32,
-    /// What two current sensors may differ by, A.
+    /// What two current sensors may differ by, A: anything where there are none.
     imbalance: f32,
     /// Speed of a count in a carrier period, rad/s, with its sign.
     radians: f32,
@@ -88,6 +88,12 @@ impl Crests {
         self.speed[joint] * self.bounds[joint].radians
     }
 
+    /// That of the carrier, s.
+    #[inline(always)]
+    pub(super) fn period(&self) -> f32 {
+        self.period
+    }
+
     /// The integral of a motor's squared current since the last call, A² s.
     #[inline(always)]
     pub(super) fn take_heat(&mut self, joint: usize) -> f32 {
@@ -103,10 +109,17 @@ pub(super) fn left(value: f32, bound: f32) -> i32 {
     bound.to_bits().wrapping_sub(value.abs().to_bits()) as i32
 }
 
-/// Negative when `value` exceeds `bound`, which is at most half of what its type holds.
+/// Negative when `value` is below `least`, which is not negative; not when it is no number.
 #[inline(always)]
-fn left_of(value: u32, bound: u32) -> i32 {
-    bound.wrapping_sub(value) as i32
+pub(super) fn left_from(value: f32, least: f32) -> i32 {
+    let bits = value.to_bits();
+    (bits | bits.wrapping_sub(least.to_bits())) as i32
+}
+
+/// Negative when |`moved`| exceeds `bound`, which is not negative: what wraps is as negative.
+#[inline(always)]
+fn left_of(moved: i32, bound: i32) -> i32 {
+    bound.wrapping_sub(moved) | bound.wrapping_add(moved)
 }
 
 impl<P, K, S> Servo<P>
@@ -131,7 +144,7 @@ where
             let (first, last) = range.unwrap_or_default();
             self.crests.bounds[i] = Bounds {
                 // Five times the speed limit is no motion any more, and more than noise of a count no noise.
-                jump: ((5.0 * speed) as u32).clamp(4, i32::MAX as u32),
+                jump: ((5.0 * speed) as i32).max(4),
                 gain: (core::f32::consts::TAU * SPEED_HZ * period)
                     .min((COUNT_SHARE * speed).max(core::f32::consts::TAU * SLOWEST_HZ * period)),
                 speed,
@@ -140,7 +153,11 @@ where
                 limited: if range.is_some() { -1 } else { 0 },
                 // The loop may overshoot a little; half again as much as the limit is not the loop.
                 current: 1.5 * axis.max_current() + 1.0,
-                imbalance: IMBALANCE_SHARE * axis.max_current() + IMBALANCE_FLOOR,
+                imbalance: if self.hardware.bridge.current_sensed {
+                    IMBALANCE_SHARE * axis.max_current() + IMBALANCE_FLOOR
+                } else {
+                    f32::INFINITY
+                },
                 radians: scale * program.carrier_hz,
             };
         }
@@ -151,66 +168,66 @@ where
     /// a step is due and before [`Servo::duties`].
     #[inline(always)]
     pub fn guard(&mut self, seen: &Samples) -> Outputs {
-        for_joints!(self.joints(), J => self.guard_joints::<J>(seen))
+        for_joints!(self.joints(), J => self.guard_of::<J>(seen))
     }
 
-    /// [`Servo::guard`] for J joints.
+    /// [`Servo::guard`] of J joints.
     #[inline(always)]
-    fn guard_joints<const J: usize>(&mut self, seen: &Samples) -> Outputs {
+    pub(super) fn guard_of<const J: usize>(&mut self, seen: &Samples) -> Outputs {
         let Some(program) = self.program.as_mut() else { return Outputs { bridges: false } };
         let active = matches!(self.state, State::Armed | State::CheckingPolarity);
-        let crests = &mut self.crests;
+        let (crests, motors) = (&mut self.crests, &self.now.motors);
         if !crests.primed {
             crests.counts = seen.counts;
             crests.primed = true;
         }
+        let currents = if self.hardware.bridge.current_sensed { &seen.currents } else { &motors.current };
         // Negative as soon as something is beyond its bound.
-        let mut worst = 0;
+        let mut least = 0;
         let mut power = 0.0;
-        let mut moves = Counts::default();
+        let before = crests.counts;
         #[allow(clippy::needless_range_loop, reason = "one number for ten arrays")]
         for i in 0..J {
             let bounds = &crests.bounds[i];
-            let moved = seen.counts[i].wrapping_sub(crests.counts[i]);
-            moves[i] = moved;
-            worst |= left_of(moved.unsigned_abs(), bounds.jump);
+            let moved = seen.counts[i].wrapping_sub(before[i]);
+            least |= left_of(moved, bounds.jump);
             let raw = moved as f32;
             crests.speed[i] += bounds.gain * (raw - crests.speed[i]);
-            let sensed = self.hardware.bridge.current_sensed;
-            let current = if sensed { seen.currents[i] } else { self.now.current[i] };
             let speed = crests.speed[i] * bounds.radians;
-            program.axes[i].follow(speed, raw * bounds.radians);
+            let axis = &mut program.axes[i];
+            axis.follow(speed, raw * bounds.radians);
             if active {
                 // Of bridges that float only noise is measured.
-                crests.squares[i] += current * current;
-                worst |= left(crests.speed[i], bounds.speed);
-                worst |= bounds.room(seen.counts[i]);
-                worst |= left(current, bounds.current);
-                if sensed {
-                    let (strain, doubt) = program.axes[i].strain();
-                    worst |= left(seen.imbalance[i], bounds.imbalance) | left(strain, doubt);
-                }
-                power += self.now.torque[i] * speed;
+                crests.squares[i] += currents[i] * currents[i];
+                let (strain, doubt) = axis.strain();
+                least |= left(crests.speed[i], bounds.speed)
+                    | bounds.room(seen.counts[i])
+                    | left(currents[i], bounds.current)
+                    | left(seen.imbalance[i], bounds.imbalance)
+                    | left(strain, doubt);
+                power += motors.torque[i] * speed;
             }
         }
         crests.counts = seen.counts;
-        let mut well = worst >= 0;
         if active {
             // Mean power into the hand: what the torques do on the joints.
             crests.power += (power - crests.power) * crests.power_gain;
-            well &= crests.power <= self.rules.limits.power;
-            well &= !self.hardware.bus_sensed || bus_within(seen.bus_voltage, &self.rules.limits);
+            least |= if crests.power <= self.rules.limits.power { 0 } else { -1 };
+            if self.hardware.bus_sensed {
+                let Limits { bus_min, bus_max, .. } = &self.rules.limits;
+                least |= left(seen.bus_voltage, *bus_max) | left_from(seen.bus_voltage, *bus_min);
+            }
         }
-        if !well {
-            self.find_at_crest(seen, &moves, active);
+        if least < 0 {
+            self.find_at_crest(seen, &before, active);
         }
-        Outputs { bridges: matches!(self.state, State::Armed | State::CheckingPolarity) }
+        self.outputs()
     }
 
     /// Something is not well: finds out what comes first, and turns the motors off.
     #[cold]
     #[inline(never)]
-    fn find_at_crest(&mut self, seen: &Samples, moves: &Counts, active: bool) {
+    fn find_at_crest(&mut self, seen: &Samples, before: &Counts, active: bool) {
         let Some(program) = self.program.as_ref() else { return };
         let joints = program.joints.min(MAX_JOINTS);
         let mut found = None;
@@ -221,14 +238,15 @@ where
         };
         let (crests, bus) = (&self.crests, seen.bus_voltage);
         let sensed = self.hardware.bridge.current_sensed;
-        let current = |i: usize| if sensed { seen.currents[i] } else { self.now.current[i] };
+        let current = |i: usize| if sensed { seen.currents[i] } else { self.now.motors.current[i] };
         for i in 0..joints {
             // No number first: it makes every comparison below meaningless.
             note(active && !current(i).is_finite(), Fault::NotFinite, Some(i), current(i));
         }
         note(active && self.hardware.bus_sensed && !bus.is_finite(), Fault::NotFinite, None, bus);
         for (i, bounds) in crests.bounds.iter().enumerate().take(joints) {
-            note(moves[i].unsigned_abs() > bounds.jump, Fault::EncoderJump, Some(i), moves[i] as f32);
+            let moved = seen.counts[i].wrapping_sub(before[i]);
+            note(left_of(moved, bounds.jump) < 0, Fault::EncoderJump, Some(i), moved as f32);
             if active {
                 note(left(crests.speed[i], bounds.speed) < 0, Fault::SpeedLimit, Some(i), crests.speed(i));
                 let out = bounds.room(seen.counts[i]) < 0;
@@ -266,11 +284,6 @@ where
         let relative = count.wrapping_sub(program.controller.zero()[joint]);
         relative as f32 * program.radians_per_count[joint] + program.offsets[joint]
     }
-}
-
-#[inline(always)]
-fn bus_within(bus: f32, limits: &Limits) -> bool {
-    bus >= limits.bus_min && bus <= limits.bus_max
 }
 
 /// A joint's range as counts, rounded outward by less than one; `None` without limits.

@@ -10,9 +10,11 @@
 use super::{ARM_SECONDS, Servo};
 use crate::drive::stage::Stage;
 use crate::math::Math;
+use crate::model::catalogue::MAX_JOINTS;
+use crate::render::found::Asked;
 use crate::servo::joints::Torques;
 use crate::servo::program::Program;
-use crate::servo::saturation::{Asked, share_within};
+use crate::servo::saturation::share_within;
 use core::ops::DerefMut;
 
 /// What a step commanded by what it was for.
@@ -89,19 +91,24 @@ where
             return;
         }
         let Some(program) = self.program.as_ref() else { return };
+        let asked = &self.now.found.asked;
+        let Acted { gravity, rendered, share } = self.cut.unwrap_or(Acted {
+            gravity: Torques(asked.gravity),
+            rendered: Torques(asked.rendered),
+            share: 1.0,
+        });
         let (torque, life) = self.host_torque();
         let mut host = Lease { torque, life, left: life };
         if self.fade.host.left > 0.0 {
             // Of an earlier scene: both end with the one that ends first.
             host.life = if torque == Torques::default() { self.fade.host.left } else { life.min(self.fade.host.left) };
             host.left = host.life;
-            let part = (1.0 - self.fade.ramp) * self.acted.share;
+            let part = (1.0 - self.fade.ramp) * share;
             for (host, earlier) in host.torque.iter_mut().zip(self.fade.host.acts().iter()) {
                 *host += part * earlier;
             }
         }
-        let Acted { gravity, rendered, .. } = self.acted;
-        let aside = Torques::from_fn(|i| self.now.torque[i] - gravity[i] - rendered[i]);
+        let aside = Torques::from_fn(|i| self.now.motors.torque[i] - gravity[i] - rendered[i]);
         self.fade = Fade {
             ramp: 0.0,
             share: 0.0,
@@ -110,14 +117,15 @@ where
             scene: Torques::from_fn(|i| rendered[i] - host.torque[i]),
             host,
             aside,
-            aside_squared: program.mechanism.force_squared::<K>(&self.now.q, &aside),
+            aside_squared: program.mechanism.force_squared::<K>(&self.now.found.at.q, &aside),
         };
     }
 
-    /// One step of the fade: what is to be commanded instead of `asked`, and what that would be without the limit of the
-    /// force at the tip.
+    /// One step of the fade: what is to be commanded instead of what is asked, and what that would be without the limit of
+    /// the force at the tip.
     #[inline(never)]
-    pub(super) fn fade_in(&mut self, asked: &Asked) -> (Asked, Torques) {
+    pub(super) fn fade_in(&mut self) -> (Asked<f32>, [f32; MAX_JOINTS]) {
+        let asked = &{ self.now.found.asked };
         self.fade.begun = true;
         self.fade.ramp = (self.fade.ramp + self.period * (1.0 / ARM_SECONDS)).min(1.0);
         self.fade.host.left -= self.period;
@@ -128,8 +136,8 @@ where
         let (fade, before) = (&self.fade, self.fade.rendered());
         let faded = Asked {
             total: self.between(asked, share),
-            gravity: Torques::from_fn(|i| fade.part(fade.weight[i], asked.gravity[i])),
-            rendered: Torques::from_fn(|i| fade.part(before[i], share * asked.rendered[i])),
+            gravity: core::array::from_fn(|i| fade.part(fade.weight[i], asked.gravity[i])),
+            rendered: core::array::from_fn(|i| fade.part(before[i], share * asked.rendered[i])),
             force_squared: 0.0,
         };
         (faded, self.between(asked, 1.0))
@@ -143,7 +151,7 @@ where
         if rendered == Torques::default() && fade.aside == Torques::default() {
             return;
         }
-        let squared = |torque| program.mechanism.force_squared::<K>(&self.now.q, torque);
+        let squared = |torque| program.mechanism.force_squared::<K>(&self.now.found.at.q, torque);
         let share = share_within(squared(&rendered), self.rules.limits.tip_force);
         for part in fade.scene.iter_mut().chain(fade.host.torque.iter_mut()).chain(fade.aside.iter_mut()) {
             *part *= share;
@@ -156,9 +164,9 @@ where
     }
 
     /// All of it, with a `share` of what is asked beyond what carries the device.
-    fn between(&self, asked: &Asked, share: f32) -> Torques {
+    fn between(&self, asked: &Asked<f32>, share: f32) -> [f32; MAX_JOINTS] {
         let (fade, rendered) = (&self.fade, self.fade.rendered());
-        Torques::from_fn(|i| {
+        core::array::from_fn(|i| {
             let from = fade.weight[i] + rendered[i] + fade.aside[i];
             fade.part(from, asked.gravity[i] + share * (asked.total[i] - asked.gravity[i]))
         })

@@ -14,11 +14,11 @@ use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::render::controller::{Push, PushedPlane};
+use crate::render::found::Found;
 use crate::safety::fault::State;
 use crate::servo::Servo;
 use crate::servo::joints::Torques;
 use crate::servo::program::Program;
-use crate::servo::saturation::Asked;
 use core::ops::DerefMut;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
@@ -328,10 +328,10 @@ where
             step: self.now.step,
             period: self.period,
             age: self.host.acts.then_some(self.host.age),
-            tip: self.now.tip,
+            tip: self.now.found.at.tip,
             velocity: [0.0; 3],
-            q: self.now.q,
-            torque: self.now.torque.0,
+            q: self.now.found.at.q,
+            torque: self.now.motors.torque.0,
             force: [0.0; 3],
             share: 0.0,
         };
@@ -351,7 +351,7 @@ where
             return (Torques::default(), 0.0);
         };
         let (_, force) = program.controller.pushed(&self.now);
-        let pushed = program.mechanism.torque::<K>(&self.now.q, &force);
+        let pushed = program.mechanism.torque::<K>(&self.now.found.at.q, &force);
         (Torques::from_fn(|i| self.host.left * (pushed[i] + self.host.torque[i])), self.host.life)
     }
 
@@ -396,25 +396,26 @@ where
 
     /// Adds what the host asks of the joints to what the controller asks of them.
     #[inline(always)]
-    pub(super) fn pull(&mut self, asked: &mut Asked) {
+    pub(super) fn pull(&mut self) {
         if self.host.acts {
-            self.add(asked);
+            self.add();
         }
     }
 
     /// Adds the host's joint torques, which make a force at the tip as well: that of everything rendered, whose torques
-    /// Jᵀ f are in `asked` already, is worked out anew.
+    /// Jᵀ f are among those asked already, is worked out anew.
     #[inline(never)]
-    fn add(&mut self, asked: &mut Asked) {
+    fn add(&mut self) {
         let torque = self.host.torque;
         if torque != Torques::default()
             && let Some(program) = self.program.as_ref()
         {
+            let Found { at, asked, .. } = &mut self.now.found;
             for (i, torque) in torque.iter().enumerate() {
                 asked.rendered[i] += torque;
                 asked.total[i] += torque;
             }
-            asked.force_squared = program.mechanism.force_squared::<K>(&self.now.q, &asked.rendered);
+            asked.force_squared = program.mechanism.force_squared::<K>(&at.q, &Torques(asked.rendered));
         }
     }
 

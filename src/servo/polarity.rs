@@ -59,17 +59,17 @@ where
     #[cold]
     #[inline(never)]
     pub(super) fn check_polarity(&mut self) {
-        self.now.torque = Torques::default();
+        self.now.motors.torque = Torques::default();
         let i = self.polarity.axis.min(MAX_JOINTS - 1);
         if self.polarity.from.is_none() && !self.at_rest(i) {
             if self.polarity.waited >= POLARITY_PATIENCE {
-                self.trip(Fault::PolarityUnrest, Some(i as u8), self.now.q[i] - self.polarity.rests_at);
+                self.trip(Fault::PolarityUnrest, Some(i as u8), self.now.found.at.q[i] - self.polarity.rests_at);
             }
             return;
         }
         let Some(program) = self.program.as_ref() else { return };
         let (joints, most) = (program.joints, program.axes[i].max_torque());
-        let moved = self.now.q[i] - *self.polarity.from.get_or_insert(self.now.q[i]);
+        let moved = self.now.found.at.q[i] - *self.polarity.from.get_or_insert(self.now.found.at.q[i]);
         if moved > POLARITY_MOTION {
             if i + 1 >= joints {
                 self.off();
@@ -91,13 +91,13 @@ where
         let share = POLARITY_SHARE * (self.polarity.seconds * (1.0 / POLARITY_SECONDS)).min(1.0);
         let mut torque = Torques::default();
         torque[i] = share * most;
-        let squared = program.mechanism.force_squared::<K>(&self.now.q, &torque);
-        self.now.torque[i] = torque[i] * share_within(squared, self.rules.limits.tip_force);
+        let squared = program.mechanism.force_squared::<K>(&self.now.found.at.q, &torque);
+        self.now.motors.torque[i] = torque[i] * share_within(squared, self.rules.limits.tip_force);
     }
 
     /// Whether joint `i` has come to rest.
     fn at_rest(&mut self, i: usize) -> bool {
-        let (polarity, q) = (&mut self.polarity, self.now.q[i]);
+        let (polarity, q) = (&mut self.polarity, self.now.found.at.q[i]);
         polarity.waited += self.period;
         polarity.rested += self.period;
         if (q - polarity.rests_at).abs() > REST_MOTION {

@@ -9,14 +9,14 @@ use crate::model::catalogue::MAX_JOINTS;
 use crate::model::device::Device;
 use crate::model::mechanism::AnyMechanism;
 use crate::model::precomputed::{MassModel, MassModelData};
-use crate::render::controller::{Controller, Gains, Push, Step};
+use crate::render::controller::{Controller, Gains, Push};
+use crate::render::found::Found;
 use crate::render::scene::Scene;
 use crate::render::velocity::{Coefficients, Washout};
 use crate::safety::limits::Limits;
 use crate::safety::refusal::Refusal;
-use crate::servo::frame::{AtWalls, Now, Rendered};
+use crate::servo::frame::Now;
 use crate::servo::joints::{Counts, Torques};
-use crate::servo::saturation::Asked;
 
 /// What a board is, as far as the servo cares.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -70,15 +70,13 @@ macro_rules! define {
                 match self { $(Self::$Variant(_) => Kind::$Variant,)* }
             }
 
-            /// One control step; fills what is kept of it and [`Step::motion`], and returns the distances from
-            /// singularities and what the torques are for.
+            /// One control step; writes what it finds. `acted`: what the motors gave since the last, N m.
             #[inline(always)]
-            pub(crate) fn step(&mut self, counts: &Counts, now: &mut Now, motion: &mut [f32; MAX_JOINTS]) -> Rendered {
+            pub(crate) fn step(&mut self, counts: &Counts, acted: &Torques, found: &mut Found<f32>) {
                 match self {
                     $(Self::$Variant(controller) => {
-                        // What is still there is what the motors gave since the last step.
-                        controller.acted(&head(&now.torque));
-                        record(controller.step(&head(counts)), now, motion)
+                        controller.acted(&head(acted));
+                        controller.render(&head(counts), found);
                     })*
                 }
             }
@@ -115,7 +113,7 @@ macro_rules! define {
             pub(crate) fn pushed(&self, now: &Now) -> ([f32; MAX_JOINTS], [f32; MAX_JOINTS]) {
                 match self {
                     $(Self::$Variant(controller) => {
-                        let (velocity, force) = controller.pushed(&head(&now.counts), &head(&now.qd).into());
+                        let (velocity, force) = controller.pushed(&head(&now.counts), &head(&now.found.at.qd).into());
                         (pad(&velocity.data.0[0]), pad(&force.data.0[0]))
                     })*
                 }
@@ -150,30 +148,6 @@ fn head<V: Copy, const N: usize>(values: &[V; MAX_JOINTS]) -> [V; N] {
 #[inline(always)]
 fn pad<V: Copy + Default, const N: usize>(values: &[V; N]) -> [V; MAX_JOINTS] {
     core::array::from_fn(|i| if i < N { values[i.min(N - 1)] } else { V::default() })
-}
-
-#[inline(always)]
-fn record<const N: usize>(step: Step<f32, N>, now: &mut Now, motion: &mut [f32; MAX_JOINTS]) -> Rendered {
-    *motion = pad(&step.motion.data.0[0]);
-    now.q = pad(&step.q.data.0[0]);
-    now.qd = pad(&step.qd.data.0[0]);
-    now.tip = pad(&step.tip.data.0[0]);
-    now.walls = AtWalls {
-        contacts: step.contacts,
-        distance: step.distance,
-        normal_velocity: step.normal_velocity,
-        force: step.wall_force,
-        shaping: step.shaping,
-        energy: step.energy,
-        passivity_damping: step.passivity_damping,
-    };
-    let asked = Asked {
-        total: Torques(pad(&step.torque.data.0[0])),
-        gravity: Torques(pad(&step.gravity.data.0[0])),
-        rendered: Torques(pad(&step.rendered.data.0[0])),
-        force_squared: step.force_squared,
-    };
-    Rendered { regularity: step.regularity, asked }
 }
 
 /// A device in a scene on a board, ready to run: what is handed to the servo whole. `S` is what stands between a joint's

@@ -5,6 +5,7 @@ use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::render::controller::Gains;
+use crate::render::found::Found;
 use crate::render::velocity::{Coefficients, Washout};
 use crate::safety::fault::{FaultRecord, State};
 use crate::safety::refusal::Refusal;
@@ -87,9 +88,9 @@ where
             polarity: self.polarity_known,
             fault: self.fault,
             step: self.now.step,
-            bus_voltage: self.now.bus_voltage,
-            q: self.now.q,
-            tip: self.now.tip,
+            bus_voltage: self.now.motors.bus_voltage,
+            q: self.now.found.at.q,
+            tip: self.now.found.at.tip,
         }
     }
 
@@ -180,6 +181,9 @@ where
                 self.homed = false;
                 self.polarity_known = false;
                 self.first_index = [None; MAX_JOINTS];
+                // Of what a device with more joints found, nothing would be written over.
+                self.now.found = Found::default();
+                self.now.found.regularity.parallel = 1.0;
             }
         }
         // The currents that flow go on.
@@ -257,16 +261,16 @@ where
         if self.hardware.real && !self.homed {
             return Err(Refusal::NotHomed);
         }
-        let bus = self.now.bus_voltage;
+        let bus = self.now.motors.bus_voltage;
         if self.hardware.bus_sensed && !(self.rules.limits.bus_min..=self.rules.limits.bus_max).contains(&bus) {
             return Err(Refusal::BusVoltage);
         }
-        if self.parallel < watch::SINGULAR_SINE {
+        if self.now.found.regularity.parallel < watch::SINGULAR_SINE {
             return Err(Refusal::Singular);
         }
         for (i, limits) in program.limits.iter().enumerate().take(program.joints) {
             if let Some((low, high)) = limits
-                && !(*low..=*high).contains(&self.now.q[i])
+                && !(*low..=*high).contains(&self.now.found.at.q[i])
             {
                 return Err(Refusal::OutsideLimits(i as u8));
             }

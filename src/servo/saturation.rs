@@ -12,27 +12,20 @@
 //! for the other way: the common factor would jump from 0 to 1 where that motor's own part passes zero. So the force
 //! leaves a motor's own part its room up to [`ROOM`] of the limit.
 
-use crate::math::{limited, sqrt};
+use super::Servo;
+use super::crest::left;
+use crate::drive::stage::Stage;
+use crate::math::{Math, limited, sqrt};
 use crate::model::catalogue::MAX_JOINTS;
+use crate::render::found::Asked;
 use crate::servo::joints::Torques;
+use crate::servo::program::Program;
+use core::ops::DerefMut;
 
 /// Share of a joint's limit that what is rendered leaves to the feed-forward where that points the same way.
 const ROOM: f32 = 1.0 / 64.0;
 
-/// Joint torques of one control step by what they are for.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Asked {
-    /// All of them together.
-    pub total: Torques,
-    /// What holds the device against gravity.
-    pub gravity: Torques,
-    /// What renders the forces that walls, springs and fields ask for; the rest is the feed-forward.
-    pub rendered: Torques,
-    /// |f|², the square of those forces' resultant, N².
-    pub force_squared: f32,
-}
-
-/// What the limits leave of it.
+/// What the limits leave of what was asked.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Left {
     /// All torques together.
@@ -43,19 +36,38 @@ pub struct Left {
     pub share: f32,
 }
 
-impl Asked {
+impl<P, K, S> Servo<P>
+where
+    P: DerefMut<Target = Program<K, S>>,
+    K: Math<f32>,
+    S: Stage,
+{
+    /// Whether all that the step asks of the J joints is within their limits, step by step of the order above, and its
+    /// forces within theirs; not where some of it is no number.
+    #[inline(always)]
+    pub(super) fn fits<const J: usize>(&self) -> bool {
+        let Asked { total, gravity, rendered, force_squared } = &self.now.found.asked;
+        let mut least = left(*force_squared, self.most_force_squared);
+        for i in 0..J {
+            let limit = self.most_torque[i];
+            least |= left(total[i], limit) | left(gravity[i], limit) | left(gravity[i] + rendered[i], limit);
+        }
+        least >= 0
+    }
+}
+
+impl Asked<f32> {
     /// What is within ±`limit` (not negative) of each of the first `joints` joints, and of forces within
     /// `tip_force` (N).
-    #[inline(always)]
-    pub fn within(&self, limit: &Torques, tip_force: f32, joints: usize) -> Left {
-        // A loop, because an iterator's `all` is not inlined on the chip and checks its index there.
+    pub(super) fn within(&self, limit: &Torques, tip_force: f32, joints: usize) -> Left {
+        let joints = joints.min(MAX_JOINTS);
         let mut fits = self.force_squared <= tip_force * tip_force;
         for (i, limit) in limit.iter().enumerate().take(joints) {
             let both = self.gravity[i] + self.rendered[i];
             fits &= self.gravity[i].abs() <= *limit && both.abs() <= *limit && self.total[i].abs() <= *limit;
         }
         if fits {
-            Left { torque: self.total, gravity: self.gravity, share: 1.0 }
+            Left { torque: Torques(self.total), gravity: Torques(self.gravity), share: 1.0 }
         } else {
             self.cut(limit, tip_force, joints)
         }
@@ -91,11 +103,8 @@ impl Asked {
         self.total[i] - self.gravity[i] - self.rendered[i]
     }
 
-    #[cold]
-    #[inline(never)]
     #[allow(clippy::needless_range_loop, reason = "one number for four arrays")]
     fn cut(&self, limit: &Torques, tip_force: f32, joints: usize) -> Left {
-        let joints = joints.min(MAX_JOINTS);
         let share = self.share(limit, tip_force, joints);
         let (mut torque, mut gravity) = (Torques::default(), Torques::default());
         for i in 0..joints {
@@ -145,8 +154,7 @@ mod tests {
     use super::*;
 
     fn cut(gravity: [f32; 3], rendered: [f32; 3], rest: [f32; 3], limit: [f32; 3]) -> [f32; 3] {
-        let total = Torques::from_fn(|i| gravity[i] + rendered[i] + rest[i]);
-        let (gravity, rendered) = (Torques(gravity), Torques(rendered));
+        let total = core::array::from_fn(|i| gravity[i] + rendered[i] + rest[i]);
         *Asked { total, gravity, rendered, force_squared: 0.0 }.within(&Torques(limit), 5.0, 3).torque
     }
 
@@ -154,13 +162,13 @@ mod tests {
     fn a_force_beyond_its_limit_is_cut_to_it_and_the_feed_forward_with_it() {
         // 3-4-5: 10 N where 5 N may be, in torques that all fit.
         let asked = Asked {
-            total: Torques([1.0, 6.0 + 2.0, 8.0 + 1.0]),
-            gravity: Torques([1.0, 0.0, 0.0]),
-            rendered: Torques([0.0, 6.0, 8.0]),
+            total: [1.0, 6.0 + 2.0, 8.0 + 1.0],
+            gravity: [1.0, 0.0, 0.0],
+            rendered: [0.0, 6.0, 8.0],
             force_squared: 100.0,
         };
         assert_eq!(*asked.within(&Torques([50.0; 3]), 5.0, 3).torque, [1.0, 3.0 + 1.0, 4.0 + 0.5]);
-        assert_eq!(asked.within(&Torques([50.0; 3]), 10.0, 3).torque, asked.total, "10 N are within 10 N");
+        assert_eq!(*asked.within(&Torques([50.0; 3]), 10.0, 3).torque, asked.total, "10 N are within 10 N");
         let less = asked.within(&Torques([50.0, 50.0, 2.0]), 5.0, 3).torque;
         // 2 N m less a 64th for that joint's own feed-forward, of 8.
         let share = (2.0 - 2.0 / 64.0) / 8.0;

@@ -210,12 +210,12 @@ impl Board {
         }
         self.keeps_its_promises();
         // Not after a request: a limit that was lowered acts at the next control step.
-        let (torque, limits) = (frame.torque, self.service.rules().limits);
+        let (torque, limits) = (frame.motors.torque, self.service.rules().limits);
         let within = torque.iter().zip(&limits.torque).all(|(torque, limit)| torque.abs() <= limit * 1.000_01);
         assert!(within, "torque {torque:?} above {limits:?}");
         if self.renders_plainly() {
             let mechanism = self.service.device().map(|device| device.mechanism);
-            let force = mechanism.map_or(0.0, |it| it.force_squared::<Minimax>(&frame.q, &torque).sqrt());
+            let force = mechanism.map_or(0.0, |it| it.force_squared::<Minimax>(&frame.at.q, &torque).sqrt());
             // Where the device is stretched, rounding is all that is left of a force.
             let rounding = 1.0e-3 * limits.tip_force + 1.0e-3;
             assert!(force <= limits.tip_force + rounding, "{force} N at the tip, {torque:?} N m, above {limits:?}");
@@ -238,7 +238,7 @@ impl Board {
     /// The samples, with currents that flow as they were asked for on top of what a sensor is off by.
     fn seen(&self) -> Samples {
         let mut samples = self.samples;
-        let torque = self.machine.servo.frame().torque;
+        let torque = self.machine.servo.frame().motors.torque;
         for (axis, joint) in self.service.device().iter().flat_map(|device| &device.joints).enumerate() {
             if let Some(motor) = joint.motor.filter(|motor| motor.torque_constant != 0.0) {
                 samples.currents[axis] += torque[axis] / motor.torque_constant;
@@ -254,10 +254,11 @@ impl Board {
         assert!(limits.within(&self.most), "limits above the board's own: {limits:?}");
         let seen = self.seen();
         self.duties = self.machine.servo.duties(seen.bus_voltage, &seen.currents, false);
+        self.bridges &= self.machine.servo.sum_up(&seen).bridges;
         let duties = self.duties;
         assert!(duties.iter().all(|duty| duty.abs() <= MAX_DUTY), "{duties:?} with {:?}", self.samples);
         if !driving(state) {
-            let torque = self.machine.servo.frame().torque;
+            let torque = self.machine.servo.frame().motors.torque;
             assert_eq!(duties, [0.0; MAX_JOINTS], "duty while {state:?}");
             assert_eq!(*torque, [0.0; MAX_JOINTS], "torque while {state:?}");
         }

@@ -252,6 +252,7 @@ impl Rig {
                 self.outputs = self.servo.control(&self.samples);
             }
             self.duties = self.servo.duties(self.samples.bus_voltage, &measured, false);
+            self.outputs = self.servo.sum_up(&seen);
             for (i, current) in self.currents.iter_mut().enumerate() {
                 let turned = self.samples.counts[i].wrapping_sub(before[i]) as f32 * core::f32::consts::TAU;
                 let voltage = self.duties[i] * 24.0 - 0.1 * turned / COUNTS as f32 * self.rate;
@@ -312,6 +313,8 @@ impl Rig {
 
     /// Whether nothing acts: bridges off, no duty, no torque asked for.
     pub fn motors_off(&self) -> bool {
-        !self.outputs.bridges && self.duties == [0.0; MAX_JOINTS] && self.servo.frame().torque == Torques::default()
+        !self.outputs.bridges
+            && self.duties == [0.0; MAX_JOINTS]
+            && self.servo.frame().motors.torque == Torques::default()
     }
 }

@@ -312,10 +312,13 @@ impl SimulatedBoard {
         }
         self.countdown = self.countdown.saturating_sub(carriers);
         let duties = self.innards.servo.duties(bus_voltage, &currents, false);
+        for _ in 0..carriers {
+            self.bridges &= self.innards.servo.sum_up(&samples).bridges;
+        }
         if due {
             self.record();
         }
-        let torques = self.innards.servo.frame().torque;
+        let torques = self.innards.servo.frame().motors.torque;
         let next = core::array::from_fn(|axis| match (self.bridges, self.innards.options.drive) {
             (false, _) => MotorInput::Floating,
             (true, DriveModel::Electric) => MotorInput::Duty(f64::from(duties[axis])),

@@ -150,14 +150,14 @@ impl Held {
         let q = self.pose(depth);
         self.rest(&q, steps);
         let frame = self.servo.frame();
-        let torque = frame.torque.map(f64::from);
+        let torque = frame.motors.torque.map(f64::from);
         let (along, across) = self.force(&q, &torque);
         Felt {
             depth,
             q,
             torque,
-            asked: frame.wall_force.into(),
-            rendered: frame.rendered_force.into(),
+            asked: frame.at.walls.wall_force.into(),
+            rendered: frame.motors.rendered_force.into(),
             along,
             across,
             state: frame.state,

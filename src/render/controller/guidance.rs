@@ -19,8 +19,9 @@ pub(super) struct Guidance<T: Real> {
     springs: Vec<Spring<T>, MAX_SPRINGS>,
     field_damping: T,
     push: Option<Push<T>>,
-    /// Whether there is anything of it.
+    /// Whether there is anything of it but a force of the host's, and whether there is that.
     pub any: bool,
+    pub pushed: bool,
     /// How it is shaped beside walls with the feed-forward; [`FeedForward::Off`] where the scene has none.
     together: FeedForward,
     /// Of the springs' force, and of the plane's.
@@ -53,6 +54,7 @@ impl<T: Real> Guidance<T> {
             field_damping: scene.field_damping,
             push: None,
             any: false,
+            pushed: false,
             together: FeedForward::Off,
             washouts: [Washout::default(); 4],
         };
@@ -60,19 +62,26 @@ impl<T: Real> Guidance<T> {
         guidance
     }
 
-    /// Whether there is anything of it.
+    /// See [`Guidance::any`].
     fn acts(&self) -> bool {
-        !self.springs.is_empty() || self.field_damping > T::zero() || self.push.is_some()
+        let plane = self.push.as_ref().is_some_and(|push| !push.plane.is_absent());
+        !self.springs.is_empty() || self.field_damping > T::zero() || plane
     }
 
     /// What the host adds from the next step on.
     pub fn set_push(&mut self, push: Option<&Push<T>>) {
         self.push = push.copied();
         self.any = self.acts();
-        if push.is_none() {
+        self.pushed = push.is_some();
+        if push.is_none_or(|push| push.plane.is_absent()) {
             let [of_plane, ..] = &mut self.washouts;
             *of_plane = anew(of_plane);
         }
+    }
+
+    /// The force (N) that the host adds at the tip.
+    pub fn pushing<const N: usize>(&self) -> SVector<T, N> {
+        self.push.as_ref().map_or(SVector::zeros(), |push| task_vector(&push.force))
     }
 
     /// What the host adds.
@@ -97,12 +106,12 @@ impl<T: Real> Guidance<T> {
         self.washouts.iter_mut().for_each(|washout| *washout = anew(washout));
     }
 
-    /// The force (N) at the tip.
+    /// The force (N) at the tip, without what the host pushes with.
     #[inline(always)]
     pub fn force<const N: usize>(&self, place: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
         let mut force = velocity * -self.field_damping;
         if let Some(push) = &self.push {
-            force += push.at(place, velocity);
+            force += push.plane.pushes(place, velocity);
         }
         for spring in &self.springs {
             force += spring_force(spring, place, velocity);

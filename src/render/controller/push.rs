@@ -32,9 +32,7 @@ impl<T: Real> Push<T> {
     /// The force (N) at the tip position `place` (m) and velocity (m/s).
     #[inline(never)]
     pub fn at<const N: usize>(&self, place: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
-        let force = task_vector::<T, N>(&self.force);
-        let push = self.plane.force(place, velocity);
-        if push > T::zero() { force + task_vector::<T, N>(&self.plane.normal) * push } else { force }
+        task_vector::<T, N>(&self.force) + self.plane.pushes(place, velocity)
     }
 }
 
@@ -43,6 +41,17 @@ impl<T: Real> PushedPlane<T> {
     #[inline(always)]
     pub(super) fn depth<const N: usize>(&self, place: &SVector<T, N>) -> T {
         self.offset - task_vector::<T, N>(&self.normal).dot(place)
+    }
+
+    /// Whether it can make no force.
+    pub(super) fn is_absent(&self) -> bool {
+        self.stiffness == T::zero() && self.damping == T::zero()
+    }
+
+    /// Its force at the tip position `place` (m) and velocity (m/s), N.
+    #[inline(never)]
+    pub(super) fn pushes<const N: usize>(&self, place: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
+        task_vector::<T, N>(&self.normal) * self.force(place, velocity)
     }
 
     /// Its force along n, N.

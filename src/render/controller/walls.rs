@@ -5,6 +5,7 @@
 use super::Gains;
 use crate::math::{Math, Real};
 use crate::model::inertia::frame_rate;
+use crate::render::found::AtWalls;
 use crate::render::scene::{Contact, FeedForward, MAX_WALLS, Scene, SceneError, Surface, Wall};
 use crate::render::velocity::{Coefficients, Velocity, Washout};
 use heapless::Vec;
@@ -208,18 +209,9 @@ pub(super) struct Walls<T: Real> {
 /// What the walls do at one tip position.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Touch<T: Real, const N: usize> {
-    /// Distance to the deepest wall, m, and the velocity along its normal, m/s.
-    pub distance: T,
-    pub normal_velocity: T,
-    /// Its normal.
+    pub found: AtWalls<T>,
+    /// The normal of the deepest.
     pub normal: SVector<T, N>,
-    /// Sum of all forces, N.
-    pub wall_force: T,
-    /// Number of walls touched.
-    pub contacts: u8,
-    /// Energy they have taken up, J, and the damping added to make them take up more, N s/m.
-    pub energy: T,
-    pub passivity_damping: T,
     /// The force that goes straight through Jᵀ (N), if there is one.
     pub plain: SVector<T, N>,
     pub straight: bool,
@@ -295,36 +287,30 @@ impl<T: Real> Walls<T> {
         along: Option<&SVector<T, N>>,
         more: &mut Vec<Active<T, N>, MAX_WALLS>,
     ) -> Touch<T, N> {
-        let mut touch = Touch {
-            distance: if self.running.is_empty() { T::zero() } else { T::INFINITY },
-            normal_velocity: T::zero(),
-            normal: SVector::zeros(),
-            wall_force: T::zero(),
-            contacts: 0,
-            energy: T::zero(),
-            passivity_damping: T::zero(),
-            plain: SVector::zeros(),
-            straight: false,
-            first: None,
-        };
+        let mut found = AtWalls { shaping: T::one(), ..AtWalls::default() };
+        if !self.running.is_empty() {
+            found.distance = T::INFINITY;
+        }
+        let zeros = SVector::zeros();
+        let mut touch = Touch { found, normal: zeros, plain: zeros, straight: false, first: None };
         for (index, running) in self.running.iter_mut().enumerate() {
             let contact = running.wall.surface.contact::<K, N>(place);
             let known = along.map(|velocity| contact.normal.dot(velocity));
             let pressed = running.press(coefficients, &contact, known, self.passivity, self.gain);
             // Written so that what is not a number stays one, and is found out.
-            let shallower = contact.distance >= touch.distance;
+            let shallower = contact.distance >= touch.found.distance;
             if !shallower {
-                touch.distance = contact.distance;
-                touch.normal_velocity = pressed.velocity;
+                touch.found.distance = contact.distance;
+                touch.found.normal_velocity = pressed.velocity;
                 touch.normal = contact.normal;
             }
             if !pressed.touched {
                 continue;
             }
-            touch.contacts += 1;
-            touch.wall_force += pressed.force;
-            touch.energy += running.energy();
-            touch.passivity_damping += pressed.passivity_damping;
+            touch.found.contacts += 1;
+            touch.found.wall_force += pressed.force;
+            touch.found.energy += running.energy();
+            touch.found.passivity_damping += pressed.passivity_damping;
             if running.together != FeedForward::Full || self.gain != T::one() {
                 touch.plain += contact.normal * (pressed.force - pressed.shaped);
                 touch.straight = true;

@@ -38,6 +38,13 @@ pub extern "C" fn carrier_guard(servo: &mut OnBoard, seen: &Samples, outputs: &m
     *outputs = servo.guard(seen);
 }
 
+/// What it sums up at a valley, as the interrupt calls it.
+// SAFETY: no other symbol of the image has this name.
+#[unsafe(no_mangle)]
+pub extern "C" fn carrier_sums(servo: &mut OnBoard, seen: &Samples, outputs: &mut Outputs) {
+    *outputs = servo.sum_up(seen);
+}
+
 /// One carrier period, as the interrupt calls it.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]

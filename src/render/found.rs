@@ -1,0 +1,79 @@
+//! What one control step finds and decides, vectors padded with zeros: written in place once a step, and then read by
+//! the servo and telemetry.
+
+use crate::math::Real;
+use crate::model::catalogue::MAX_JOINTS;
+use crate::model::mechanism::Regularity;
+
+/// What a step found at the walls.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct AtWalls<T> {
+    /// Number of walls touched.
+    pub contacts: u8,
+    /// Distance to the deepest wall, m; negative inside it. Zero without walls.
+    pub distance: T,
+    /// Velocity along the normal of the deepest wall, m/s.
+    pub normal_velocity: T,
+    /// Sum of the forces that the walls ask for, N.
+    pub wall_force: T,
+    /// Share of the feed-forward that acts: 1 away from singularities, fading to 0 near them.
+    pub shaping: T,
+    /// Energy the touched walls have taken up since contact began, less what they owed then, J; negative when they gave
+    /// some out.
+    pub energy: T,
+    /// Damping that the passivity controller added, N s/m.
+    pub passivity_damping: T,
+}
+
+/// Where the device is and what touches it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct At<T> {
+    /// Joint angles, rad.
+    pub q: [T; MAX_JOINTS],
+    /// Filtered joint velocities, rad/s.
+    pub qd: [T; MAX_JOINTS],
+    /// Task position: the tip, m (and φ, rad).
+    pub tip: [T; MAX_JOINTS],
+    /// The walls.
+    pub walls: AtWalls<T>,
+}
+
+/// Joint torques of one control step by what they are for.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Asked<T> {
+    /// All of them together, N m.
+    pub total: [T; MAX_JOINTS],
+    /// What holds the device against gravity, N m.
+    pub gravity: [T; MAX_JOINTS],
+    /// What renders the forces that walls, springs and fields ask for, Jᵀ f, N m; the rest is the feed-forward.
+    pub rendered: [T; MAX_JOINTS],
+    /// |f|², the square of those forces' resultant, N².
+    pub force_squared: T,
+}
+
+/// All of it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Found<T> {
+    /// Where the device is and what touches it.
+    pub at: At<T>,
+    /// What the scene asks of the joints.
+    pub asked: Asked<T>,
+    /// J⁻¹ n: joint motion per metre of tip motion along the normal of the deepest wall, rad/m; zero out of contact.
+    pub motion: [T; MAX_JOINTS],
+    /// How far from a singularity the pose is.
+    pub regularity: Regularity<T>,
+}
+
+/// Writes the first N of a vector's entries.
+#[inline(always)]
+pub(crate) fn put<T: Real, const N: usize>(vector: &nalgebra::SVector<T, N>, into: &mut [T; MAX_JOINTS]) {
+    for i in 0..N.min(MAX_JOINTS) {
+        into[i] = vector[i];
+    }
+}
+
+/// Zero in the first N entries.
+#[inline(always)]
+pub(crate) fn clear<T: Real, const N: usize>(vector: &mut [T; MAX_JOINTS]) {
+    put::<T, N>(&nalgebra::SVector::zeros(), vector);
+}
