@@ -32,7 +32,7 @@ struct Row {
     users: &'static [&'static str],
 }
 
-const ROWS: [Row; 9] = [
+const ROWS: [Row; 10] = [
     // One that stands in its own way, for other programs and in MuJoCo.
     Row { name: "mechanism", words: &["Parallelogram", "parallelogram"], stems: &["parallelogram"], users: &[] },
     Row { name: "wall shape", words: &["Cylinder", "cylinder"], stems: &["cylinder"], users: &[] },
@@ -42,6 +42,7 @@ const ROWS: [Row; 9] = [
         stems: &[],
         users: &["host/src/sim/held.rs", "host/src/view/picture.rs"],
     },
+    Row { name: "signal of the walls", words: &["PassivityDamping", "passivity_damping"], stems: &[], users: &[] },
     Row { name: "fault", words: &["IndexMismatch"], stems: &[], users: &[] },
     // One that is not linear, and one that is.
     Row {

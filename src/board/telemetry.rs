@@ -45,8 +45,14 @@ macro_rules! fields {
             pub const fn is_vector(self) -> bool {
                 match self { $(Field::$Name => $vector,)* }
             }
-            fn value(self, frame: &StepRecord, i: usize) -> f32 {
-                match self { $(Field::$Name => (|$frame: &StepRecord, $i: usize| -> f32 { $value })(frame, i),)* }
+            /// Hands on the numbers of the `wanted` fields of a device of `axes` joints, in their order.
+            #[inline(always)]
+            fn each(wanted: Fields, axes: usize, frame: &StepRecord, mut number: impl FnMut(f32)) {
+                $(if wanted.has(Field::$Name) {
+                    for i in 0..if $vector { axes.min(MAX_JOINTS) } else { 1 } {
+                        number((|$frame: &StepRecord, $i: usize| -> f32 { $value })(frame, i));
+                    }
+                })*
             }
         }
     };
@@ -216,13 +222,10 @@ impl Packer {
             batch.first_step = frame.step;
         }
         batch.dropped = dropped;
-        let fields = Fields(batch.fields);
-        for field in Field::ALL.iter().filter(|field| fields.has(**field)) {
-            let numbers = if field.is_vector() { usize::from(batch.axes) } else { 1 };
-            for i in 0..numbers.min(MAX_JOINTS) {
-                let _ = batch.values.push(field.value(frame, i));
-            }
-        }
+        let (fields, values) = (Fields(batch.fields), &mut batch.values);
+        Field::each(fields, batch.axes.into(), frame, |number| {
+            let _ = values.push(number);
+        });
         if full.is_none() && batch.values.len() + self.width > BATCH_VALUES {
             full = Some(self.turn());
         }
@@ -265,9 +268,11 @@ impl Packer {
 
 #[cfg(test)]
 mod tests {
+    use super::Fields;
     use crate::render::found::At;
     use crate::servo::frame::{Motors, StepRecord};
     use crate::servo::joints::Torques;
+    use heapless::Vec;
 
     fields! {
         Height = 3, "height", "m", false, |frame, _i| frame.at.tip[1], "How high the tip is";
@@ -284,7 +289,8 @@ mod tests {
         let told_of_all =
             [(8, "height", "m", false, "How high the tip is"), (32, "doubled", "N m", true, "Twice the torque")];
         assert!(Field::ALL.iter().map(told).eq(told_of_all));
-        assert_eq!(Field::Height.value(&frame, 0), 0.2);
-        assert_eq!([0, 1, 2].map(|i| Field::Doubled.value(&frame, i)), [2.0, 4.0, 6.0]);
+        let mut row = Vec::<f32, 8>::new();
+        Field::each(Fields(8 | 32), 2, &frame, |number| row.push(number).unwrap());
+        assert_eq!(row[..], [0.2, 2.0, 4.0]);
     }
 }

@@ -124,13 +124,13 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
             let frame = servo.frame();
             let here = |field| -> [f32; 3] {
                 match field {
-                    Field::Angle => frame.q,
-                    Field::Speed => frame.qd,
-                    Field::Tip => frame.tip,
-                    Field::Torque => *frame.torque,
-                    Field::Distance => [frame.distance, 0.0, 0.0],
-                    Field::WallForce => [frame.wall_force, 0.0, 0.0],
-                    _ => [frame.shaping, 0.0, 0.0],
+                    Field::Angle => frame.at.q,
+                    Field::Speed => frame.at.qd,
+                    Field::Tip => frame.at.tip,
+                    Field::Torque => *frame.motors.torque,
+                    Field::Distance => [frame.at.walls.distance, 0.0, 0.0],
+                    Field::WallForce => [frame.at.walls.wall_force, 0.0, 0.0],
+                    _ => [frame.at.walls.shaping, 0.0, 0.0],
                 }
             };
             for field in fields {
@@ -142,7 +142,7 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
                 assert_eq!(chip, pc, "{name}: {field:?} at step {} ({:?} here)", row.step, here(field));
             }
             compared += 1;
-            touched += usize::from(frame.wall_force > 0.0);
+            touched += usize::from(frame.at.walls.wall_force > 0.0);
         }
         println!("{name}: {compared} steps compared, {touched} of them in the wall");
         assert!(compared > 4_000 && touched > 500, "{name}: {compared} compared, {touched} in the wall");
