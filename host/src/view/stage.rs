@@ -395,7 +395,11 @@ impl Stage {
         }
         if !self.commands(id) {
             if !matches!(message, FromPage::Release {} | FromPage::Hold {}) {
-                self.refuse(id, "another page is in command; this one watches");
+                let why = match self.command {
+                    Some(_) => "another page is in command; this one watches",
+                    None => "nobody is in command: take it first",
+                };
+                self.refuse(id, why);
             }
             return Ok(());
         }

@@ -150,6 +150,24 @@ fn the_dot_is_dragged_and_stops_at_the_boundary_until_one_goes_on() {
 }
 
 #[test]
+fn a_click_beside_the_dot_changes_no_gains() {
+    let (_view, mut browser, tab) = opened();
+    browser.hold_until(&tab, "document.body.dataset.state === 'Armed'");
+    let beside = on_plane(&mut browser, &tab, 40.0, 15e3);
+    browser.evaluate(&tab, "window.before = JSON.stringify([view.walls[0].damping, view.walls[0].stiffness])");
+    browser.mouse(&tab, "mousePressed", beside);
+    browser.mouse(&tab, "mouseReleased", beside);
+    browser.evaluate(&tab, "window.then = view.pictures");
+    browser.until(&tab, "view.pictures > then + 10");
+    assert_eq!(
+        browser.evaluate(&tab, "JSON.stringify([view.walls[0].damping, view.walls[0].stiffness]) === before"),
+        true,
+        "only who takes hold of the dot moves it"
+    );
+    browser.space(&tab, "keyUp");
+}
+
+#[test]
 fn the_wall_is_pressed_by_the_mouse_and_its_feed_forward_changed_under_it() {
     let (_view, mut browser, tab) = opened();
     browser.hold_until(&tab, "document.body.dataset.state === 'Armed'");
