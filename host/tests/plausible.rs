@@ -118,6 +118,22 @@ fn what_a_file_leaves_out_and_what_coarse_encoders_do_is_said() {
 }
 
 #[test]
+fn springs_and_fields_that_no_loop_renders_are_doubted() {
+    for (scene, said) in [
+        ("[[spring]]\npoint = [0, 0.1]\nstiffness = 1e9\n", "the stiffness of spring 0"),
+        ("[[spring]]\npoint = [0, 0.1]\nstiffness = 100\ndamping = 1e6\n", "the damping of spring 0"),
+        ("[[field]]\ndamping = 1e6\n", "the damping of the fields"),
+    ] {
+        let (json, err) = checked(&[], Some(scene));
+        assert!(err.contains(said) && err.contains("predicted stable at home"), "{scene}: {err}");
+        assert!(!json["warnings"].as_array().unwrap().is_empty(), "{scene}");
+    }
+    let (_, err) =
+        checked(&[], Some("[[spring]]\npoint = [0, 0.1]\nstiffness = 100\ndamping = 0.2\n[[field]]\ndamping = 0.5\n"));
+    assert!(!err.contains("predicted stable"), "{err}");
+}
+
+#[test]
 fn a_soft_wall_that_the_device_can_press_in_full_is_not_doubted() {
     for stiffness in ["60.0", "0.0"] {
         let scene =

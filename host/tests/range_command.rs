@@ -169,3 +169,30 @@ fn a_feed_forward_that_costs_more_than_it_brings_is_warned_of() {
     let rigid = of(shipped);
     assert!(rigid["area_ratio"].as_f64().unwrap() > 1.2 && rigid.get("warnings").is_none(), "{}", rigid["area_ratio"]);
 }
+
+#[test]
+fn a_washout_that_costs_is_doubted_where_the_feed_forward_in_full_brings_much() {
+    // Where Wrr is many times Weff, 2 Hz are no longer far below what a loop at 200 Hz does.
+    let found = json(&[
+        "range",
+        concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/capstan-pantograph.toml"),
+        "--q=2.968991857470883,0.19068693916888918",
+        "--normal=-0.6056607432341015,-0.2794685223955733",
+        "--rate",
+        "200",
+        "--cutoff",
+        "20",
+        "--delay",
+        "0.5",
+        "--washout",
+        "2",
+        "--json",
+    ]);
+    let number = |of: &str| found[of]["area"].as_f64().unwrap();
+    assert!(number("washout") < 0.5 * number("off") && number("full") > 10.0 * number("off"), "{found}");
+    let said = found["warnings"].to_string();
+    assert!(
+        said.contains("the washout costs more than it brings") && !said.contains("the feed-forward costs"),
+        "{said}"
+    );
+}

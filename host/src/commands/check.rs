@@ -63,6 +63,8 @@ struct SceneReport {
     path: String,
     walls: usize,
     springs: usize,
+    /// N s/m, of all fields together.
+    field_damping: f64,
     rate_hz: f64,
     entered_at_home: Vec<usize>,
     contacts: Vec<Contact>,
@@ -115,6 +117,7 @@ fn scene_report(path: &Path, device: &DeviceFile) -> Result<(SceneReport, Vec<Wa
         path: path.display().to_string(),
         walls: file.scene.walls.len(),
         springs: file.scene.springs.len(),
+        field_damping: file.scene.field_damping,
         rate_hz: file.scene.rate_hz,
         entered_at_home: device.description.home.map(|home| file.walls_entered(device, &home)).unwrap_or_default(),
         contacts,
@@ -149,8 +152,12 @@ fn readable(report: &Report, tip: &str) -> String {
         text.push_str(&format!("  before a real board arms: {lack}\n"));
     }
     for scene in &report.scenes {
+        let field = match scene.field_damping {
+            0.0 => String::new(),
+            damping => format!(", fields of {}", with_unit(damping, "N s/m")),
+        };
         text.push_str(&format!(
-            "{}: sound: {}, {} at {} Hz\n",
+            "{}: sound: {}, {}{field} at {} Hz\n",
             scene.path,
             counted(scene.walls, "wall"),
             counted(scene.springs, "spring"),

@@ -239,7 +239,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     };
     let (analyse, passivity) = walls(&args, &file, &q, &members, &around)?;
     let range = analyse(args.kd.as_ref().map(|kd| kd.0.as_slice()))?;
-    warnings.extend(costly(&range).map(|text| Doubt { key: None, text }.typed()));
+    warnings.extend(costly(&range).into_iter().map(|text| Doubt { key: None, text }.typed()));
     warn(&warnings);
     let asked = (&args.ripple, &args.kd, args.washout, args.damping_ratio, &args.hand);
     let device = (file.description, args.undamped, args.feed_forward_gain, args.admissible);

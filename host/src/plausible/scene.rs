@@ -1,4 +1,5 @@
-//! Doubts about walls on a device: out of reach, beyond what is stable there, beyond the motors.
+//! Doubts about a scene on a device: walls out of reach, beyond what is stable there or beyond the motors, springs and
+//! fields beyond what is stable at home.
 
 use super::device::force_along;
 use super::{Doubt, Key};
@@ -49,7 +50,7 @@ pub struct Contact {
     pub step_n: f64,
 }
 
-/// Everything doubtful about the walls of a scene, and what each meets where the device touches it.
+/// Everything doubtful about a scene, and what each wall meets where the device touches it.
 pub fn doubts(device: &Device<f64>, scene: &Scene<f64>) -> (Vec<Doubt>, Vec<Contact>) {
     let (mut doubts, mut contacts) = (Vec::new(), Vec::new());
     for (index, wall) in scene.walls.iter().enumerate() {
@@ -68,7 +69,46 @@ pub fn doubts(device: &Device<f64>, scene: &Scene<f64>) -> (Vec<Doubt>, Vec<Cont
         }
     }
     doubts.extend(held(device, scene));
+    doubts.extend(at_home(device, scene).into_iter().flatten());
     (doubts, contacts)
+}
+
+/// Springs and fields beyond what is stable at home in the direction in which the device is lightest.
+fn at_home(device: &Device<f64>, scene: &Scene<f64>) -> Option<Vec<Doubt>> {
+    let spec = device.mechanism.kind().spec();
+    let q = &device.home?[..spec.joints];
+    let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?;
+    let jacobian = pose.jacobian.rows(0, spec.task).into_owned();
+    let mobility = &jacobian * pose.mass.clone().cholesky()?.solve(&jacobian.transpose());
+    let motions = mobility.symmetric_eigen();
+    let lightest = motions.eigenvectors.column(motions.eigenvalues.imax());
+    let around = ideal_loop(scene, false, usual_delay(scene.rate_hz))?;
+    let linearised = Linearised::of(device, q, lightest.as_slice(), scene.admissible).ok()?;
+    let stable = |damping| stiffness_at(&linearised, &around, Mode::Off, damping).ok();
+    let mut doubts = Vec::new();
+    let mut doubt = |table, index: usize, name, what: &str, has: f64, most: f64, unit| {
+        let text = format!(
+            "the {name} of {what}, {}, is beyond what is predicted stable at home: up to {}; it will vibrate unless \
+             friction or a hand damps it",
+            with_unit(has, unit),
+            with_unit(most, unit)
+        );
+        doubts.push(Doubt::new(Key { table, index: Some(index), part: "", name }, text));
+    };
+    for (index, spring) in scene.springs.iter().enumerate() {
+        let (stable_to, damping_to) = stable(spring.damping)?;
+        let what = format!("spring {index}");
+        if spring.damping > damping_to {
+            doubt("spring", index, "damping", &what, spring.damping, damping_to, "N s/m");
+        } else if spring.stiffness > stable_to {
+            doubt("spring", index, "stiffness", &what, spring.stiffness, stable_to, "N/m");
+        }
+    }
+    let (_, damping_to) = stable(0.0)?;
+    if scene.field_damping > damping_to {
+        doubt("field", 0, "damping", "the fields", scene.field_damping, damping_to, "N s/m");
+    }
+    Some(doubts)
 }
 
 /// A posture that the device cannot be held in, or whose spring sampling makes unstable.
@@ -229,7 +269,11 @@ fn buzzing(scene: &Scene<f64>, contact: &Contact) -> Option<Doubt> {
 
 /// A ratio with two significant digits.
 fn times(ratio: f64) -> String {
-    if ratio < 10.0 { format!("{ratio:.1}") } else { with_unit(ratio, "").trim().to_string() }
+    if ratio < 10.0 {
+        return format!("{ratio:.1}");
+    }
+    let last = 10.0_f64.powi(ratio.log10() as i32 - 1);
+    format!("{:.0}", (ratio / last).round() * last)
 }
 
 enum Touched {

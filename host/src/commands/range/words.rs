@@ -204,16 +204,22 @@ pub fn in_words(why: &Why) -> String {
     text
 }
 
-/// A doubt about a feed-forward that costs more than it brings.
-pub fn costly(range: &Range) -> Option<String> {
+/// Doubts about a feed-forward that costs more than it brings: in full, and washed out.
+pub fn costly(range: &Range) -> Vec<String> {
     let top = |domain: &Domain| domain.boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
-    let stiffness = top(&range.full) / top(&range.off).max(f64::MIN_POSITIVE);
-    let worse = range.off.area > 0.0 && (range.area_ratio < COSTLY || stiffness < COSTLY);
-    worse.then(|| {
-        format!(
-            "the feed-forward costs more than it brings here: the stable area becomes {:.2} times as large and the \
-             stiffest wall {stiffness:.2} times as stiff; leave it off at this pose and normal",
-            range.area_ratio
-        )
-    })
+    let doubt = |domain: &Domain, what: &str, instead: &str| {
+        let stiffness = top(domain) / top(&range.off).max(f64::MIN_POSITIVE);
+        let area = domain.area / range.off.area.max(f64::MIN_POSITIVE);
+        (range.off.area > 0.0 && (area < COSTLY || stiffness < COSTLY)).then(|| {
+            format!(
+                "{what} costs more than it brings here: the stable area becomes {area:.2} times as large and the \
+                 stiffest wall {stiffness:.2} times as stiff; {instead}"
+            )
+        })
+    };
+    let washout = range.washout.as_ref().and_then(|washout| {
+        doubt(washout, "the washout", "a lower corner takes less of it (--washout), or leave the feed-forward off")
+    });
+    let full = doubt(&range.full, "the feed-forward", "leave it off at this pose and normal");
+    full.into_iter().chain(washout).collect()
 }
