@@ -240,8 +240,15 @@ int32_t hb_disarm(const hb_board *board);
 int32_t hb_clear(const hb_board *board);
 
 /*
- Sends a request (NULL only asks) and waits for the answer, well below a millisecond. A request that was not taken is
- no failure: hb_state.done says why.
+ For how long hb_exchange() waits for its answer, s; 0.1 unless this says otherwise. A program whose loop has less time
+ asks for less: a lost frame then costs it no more.
+ */
+int32_t hb_wait_for_forces(const hb_board *board, double seconds);
+
+/*
+ Sends a request (NULL only asks) and waits for the answer, usually below a millisecond. Where a frame was lost it
+ fails after hb_wait_for_forces() seconds, and the next request goes on. A request that was not taken is no failure:
+ hb_state.done says why.
  */
 int32_t hb_exchange(const hb_board *board, const hb_request *request, hb_state *state);
 

@@ -15,6 +15,7 @@ use std::cell::RefCell;
 use std::ffi::{CStr, CString, c_char};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
 
 /// Of this header. A library of another number has other structures: compare with hb_version().
 pub const HB_VERSION: u32 = 1;
@@ -322,8 +323,23 @@ pub unsafe extern "C" fn hb_clear(board: *const Board) -> i32 {
     unsafe { with(board, |session| Ok(session.clear()?)) }
 }
 
-/// Sends a request (NULL only asks) and waits for the answer, well below a millisecond. A request that was not taken is
-/// no failure: hb_state.done says why.
+/// For how long hb_exchange() waits for its answer, s; 0.1 unless this says otherwise. A program whose loop has less time
+/// asks for less: a lost frame then costs it no more.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn hb_wait_for_forces(board: *const Board, seconds: f64) -> i32 {
+    // SAFETY: as the caller promises.
+    unsafe {
+        with(board, |session| {
+            let patience = Duration::try_from_secs_f64(seconds).map_err(|_| Failure::Argument("the time"))?;
+            session.wait_for_forces(patience);
+            Ok(())
+        })
+    }
+}
+
+/// Sends a request (NULL only asks) and waits for the answer, usually below a millisecond. Where a frame was lost it
+/// fails after hb_wait_for_forces() seconds, and the next request goes on. A request that was not taken is no failure:
+/// hb_state.done says why.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_exchange(board: *const Board, request: *const Request, state: *mut State) -> i32 {
     // SAFETY: as the caller promises.

@@ -15,8 +15,8 @@ mod session;
 mod telemetry;
 mod wire;
 
-pub use board::Board;
-pub use client::{Client, Occupied, TopicFrame};
+pub use board::{Board, FORCE_PATIENCE};
+pub use client::{Client, Occupied, Sent, TopicFrame};
 pub use error::{BoardError, LinkError};
 pub use framing::{Deframer, MAX_FRAME, Packet, encode, envelope};
 pub use past::disarm_past;

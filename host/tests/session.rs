@@ -4,12 +4,14 @@ mod sim;
 
 use haptic::device_file::DeviceFile;
 use haptic::latency::measure;
-use haptic::link::{Board, FADE, HOLD, Session};
+use haptic::link::{Board, FADE, FORCE_PATIENCE, HOLD, LinkError, Session, Wire};
 use haptic::sim::{BoardOptions, Hand, HandSettings, Intent, SHIPPED_DEVICE, SharedBoard, Waypoint, ready_board};
-use haptic_bridge::board::protocol::{ForceDone, HostContact};
+use haptic_bridge::board::protocol::{ForceDone, ForceRequest, HostContact};
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::State;
 use predicates::str::contains;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 /// A simulated board with a five-bar in free space, and a session on it.
@@ -19,6 +21,62 @@ fn session() -> (SharedBoard, Session) {
     let mut session = Session::of(Board::over(shared.wire(), "sim").unwrap());
     session.set_scene(&Scene { task: 2, ..Scene::default() }).unwrap();
     (shared, session)
+}
+
+/// A wire that loses what is sent while it is told to.
+struct Lossy {
+    wire: Box<dyn Wire>,
+    loses: Arc<AtomicBool>,
+}
+
+impl Wire for Lossy {
+    fn send(&mut self, bytes: &[u8]) -> std::io::Result<()> {
+        if self.loses.load(Ordering::Relaxed) { Ok(()) } else { self.wire.send(bytes) }
+    }
+    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> std::io::Result<usize> {
+        self.wire.receive(buffer, timeout)
+    }
+    fn now(&self) -> Duration {
+        self.wire.now()
+    }
+}
+
+#[test]
+fn a_lost_frame_costs_a_force_its_patience_and_the_next_one_nothing() {
+    let file = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
+    let shared = SharedBoard::new(ready_board(&file, BoardOptions::default()).unwrap());
+    let loses = Arc::new(AtomicBool::new(false));
+    let wire = Lossy { wire: shared.wire(), loses: loses.clone() };
+    let mut session = Session::of(Board::over(Box::new(wire), "sim").unwrap());
+    for patience in [FORCE_PATIENCE, Duration::from_millis(5)] {
+        session.wait_for_forces(patience);
+        loses.store(true, Ordering::Relaxed);
+        let began = session.now();
+        let error = session.look().unwrap_err();
+        assert!(matches!(error, LinkError::Unanswered { waited } if waited == patience), "{error}");
+        let waited = session.now() - began;
+        assert!(waited >= patience && waited < patience + Duration::from_millis(2), "{waited:?} of {patience:?}");
+        loses.store(false, Ordering::Relaxed);
+        assert_eq!(session.look().unwrap().done, ForceDone::Looked);
+    }
+}
+
+#[test]
+fn forces_that_do_not_wait_for_each_other_are_answered_in_their_order() {
+    let (_shared, mut session) = armed();
+    let request = |sequence| ForceRequest { sequence, hold: 0.02, force: [0.1, 0.0, 0.0], ..ForceRequest::default() };
+    let mut under_way = std::collections::VecDeque::new();
+    for sequence in 1..=50 {
+        under_way.push_back((sequence, session.send_force(&request(sequence)).unwrap()));
+        if under_way.len() == 2 {
+            let (sequence, sent) = under_way.pop_front().unwrap();
+            let answer = session.force_answer(sent).unwrap();
+            assert_eq!((answer.sequence, answer.done), (sequence, ForceDone::Taken));
+        }
+    }
+    // One that nobody waits for is given up.
+    let sent = session.send_force(&request(51)).unwrap();
+    assert_eq!(session.force_answer(sent).unwrap().sequence, 51);
 }
 
 /// Lets the ramp after arming pass.

@@ -11,6 +11,7 @@ use haptic::haptic_bridge::render::scene::Scene as BoardScene;
 use haptic::link::{self, BoardError, PortSpec, Row, Session, columns};
 use haptic::recorder::STATES;
 use numpy::PyArrayDyn;
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::{Mutex, PoisonError};
@@ -257,6 +258,17 @@ impl Board {
             held.session.set_wall_gains(gains).map(Ok)
         })?;
         there.map_err(|walls| RequestError::new_err(format!("the scene has {walls} walls, so there is no wall {wall}")))
+    }
+
+    /// For how long look, force and torque wait for their answer, s; 0.1 unless this says otherwise. Where it does not come
+    /// they raise, and the next one goes on.
+    fn wait_for_forces(&self, py: Python<'_>, seconds: f64) -> PyResult<()> {
+        let patience = Duration::try_from_secs_f64(seconds)
+            .map_err(|_| PyValueError::new_err(format!("a time is no less than 0 s, not {seconds}")))?;
+        self.with(py, |held| {
+            held.session.wait_for_forces(patience);
+            Ok::<_, BoardError>(())
+        })
     }
 
     /// How the device is; asks nothing of the motors.

@@ -1,6 +1,6 @@
 //! A board as a program sees it: one method for every endpoint of the protocol.
 
-use super::client::{Client, unlike_any_before};
+use super::client::{Client, Sent, unlike_any_before};
 use super::error::{BoardError, LinkError};
 use super::telemetry::{Losses, Row, Rows};
 use super::wire::Wire;
@@ -20,6 +20,9 @@ use std::time::Duration;
 const ANSWER: Duration = Duration::from_secs(2);
 /// How long it may take when it writes flash: two sector erases of 16 KB and what is written (STM32F405 data sheet).
 const FLASH_ANSWER: Duration = Duration::from_secs(6);
+/// How long the answer to a force is waited for, unless a program says otherwise: until then its lease has run out by
+/// itself, as [`super::Session`] sets it.
+pub const FORCE_PATIENCE: Duration = Duration::from_millis(100);
 /// How often the host says that it is there, when it was asked to.
 const HEARTBEAT: Duration = Duration::from_millis(50);
 
@@ -32,6 +35,7 @@ pub struct Board {
     garbled_before: u64,
     heartbeat: bool,
     last_heartbeat: Duration,
+    force_patience: Duration,
     faults: Vec<haptic_bridge::safety::fault::FaultRecord>,
 }
 
@@ -57,6 +61,7 @@ impl Board {
             garbled_before: 0,
             heartbeat: false,
             last_heartbeat: Duration::ZERO,
+            force_patience: FORCE_PATIENCE,
             faults: Vec::new(),
         })
     }
@@ -159,7 +164,26 @@ impl Board {
     /// Asks for a force at the tip, joint torques or a contact, for as long as its lease runs; reads how the device is.
     /// What was not done says so in the answer.
     pub fn force(&mut self, request: &p::ForceRequest) -> Result<p::ForceAnswer, LinkError> {
-        self.ask::<p::Force>(request, ANSWER)
+        let sent = self.send_force(request)?;
+        self.force_answer(sent)
+    }
+    /// Sends what [`Board::force`] sends, and does not wait: a program that sends its next request before it has this
+    /// one's answer is not slowed down by the way to the board and back. Two on their way are enough; answers come in
+    /// the order of the requests.
+    pub fn send_force(&mut self, request: &p::ForceRequest) -> Result<Sent, LinkError> {
+        self.client.send::<p::Force>(request)
+    }
+    /// The answer to a [`Board::send_force`], waited for no longer than [`Board::wait_for_forces`] says.
+    pub fn force_answer(&mut self, sent: Sent) -> Result<p::ForceAnswer, LinkError> {
+        let waited = self.force_patience;
+        self.client.answer::<p::Force>(sent, waited).map_err(|error| match error {
+            LinkError::Silent { .. } => LinkError::Unanswered { waited },
+            error => error,
+        })
+    }
+    /// For how long the answer to a force is waited for: [`FORCE_PATIENCE`] unless this says otherwise.
+    pub fn wait_for_forces(&mut self, patience: Duration) {
+        self.force_patience = patience;
     }
     /// Clears a latched fault.
     pub fn clear(&mut self) -> Result<(), BoardError> {

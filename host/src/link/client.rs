@@ -41,6 +41,10 @@ pub struct Client {
     buffer: Vec<u8>,
 }
 
+/// A request on its way.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sent(VarSeq);
+
 /// A number that is most likely not the one drawn last, in this process or another.
 pub(super) fn unlike_any_before() -> u32 {
     use std::hash::{BuildHasher, RandomState};
@@ -96,17 +100,34 @@ impl Client {
         E::Request: Serialize,
         E::Response: DeserializeOwned,
     {
+        let sent = self.send::<E>(request)?;
+        self.answer::<E>(sent, timeout)
+    }
+
+    /// Sends a request of endpoint `E`; what [`Client::answer`] wants to know of it.
+    pub fn send<E: Endpoint>(&mut self, request: &E::Request) -> Result<Sent, LinkError>
+    where
+        E::Request: Serialize,
+    {
         self.sequence = self.sequence.wrapping_add(1);
-        let sequence = VarSeq::Seq2(self.sequence);
+        let sent = Sent(VarSeq::Seq2(self.sequence));
         let key = VarKey::Key8(E::REQ_KEY);
         let body = postcard::to_stdvec(request).map_err(|_| LinkError::Unreadable { what: E::PATH })?;
-        self.wire.send(&encode(&VarHeader { key, seq_no: sequence }, &body)).map_err(LinkError::Lost)?;
+        self.wire.send(&encode(&VarHeader { key, seq_no: sent.0 }, &body)).map_err(LinkError::Lost)?;
+        Ok(sent)
+    }
 
+    /// Waits for the answer to a request of endpoint `E`. Requests are answered in their order: those sent before it and
+    /// not waited for yet are given up.
+    pub fn answer<E: Endpoint>(&mut self, sent: Sent, timeout: Duration) -> Result<E::Response, LinkError>
+    where
+        E::Response: DeserializeOwned,
+    {
         let deadline = self.wire.now() + timeout;
         loop {
             while let Some(frame) = self.answers.pop_front() {
                 // Anything else answers a request that was given up.
-                if frame.header.seq_no != sequence {
+                if frame.header.seq_no != sent.0 {
                     continue;
                 }
                 if frame.header.key == VarKey::Key8(E::RESP_KEY) {
