@@ -4,6 +4,7 @@
 //! other device, a packet begun as soon as the chip offers or takes it. A computer that answers at once is looked at
 //! every [`LOOK`]; a real one adds what its own USB and scheduler take.
 
+use std::collections::VecDeque;
 use std::time::Duration;
 
 use haptic::link::{Board, Losses};
@@ -41,7 +42,7 @@ pub struct Exchanges {
 }
 
 /// Pushes for `milliseconds` with a small force that changes at every exchange, and `contact`, while every `divider`th
-/// step's `fields` stream; no stream with 0.
+/// step's `fields` stream; no stream with 0. `ahead`: how many requests are on their way at most, 1 for lock step.
 ///
 /// # Panics
 ///
@@ -52,6 +53,7 @@ pub fn run(
     rate_hz: u32,
     milliseconds: u64,
     contact: Option<HostContact>,
+    ahead: usize,
 ) -> Exchanges {
     rig.tool = Board::over(rig.shared.wire_looking_every(LOOK), "virtual").expect("the board answers");
     if divider > 0 {
@@ -62,11 +64,11 @@ pub fn run(
     let (before, began) = (rig.steps(), rig.now());
     let end = began + milliseconds * MILLISECOND;
     let (mut times, mut seen, mut not_taken) = (Vec::new(), None, 0);
+    let (mut under_way, mut asked) = (VecDeque::new(), 0);
     // Newer than those of a run before this one.
     let first = (began / MICROSECOND) as u32;
     while rig.now() < end {
-        let asked = rig.now();
-        let sequence = first.wrapping_add(times.len() as u32);
+        let sequence = first.wrapping_add(asked);
         let push = if sequence.is_multiple_of(2) { 0.05 } else { -0.05 };
         let request = ForceRequest {
             sequence,
@@ -77,10 +79,16 @@ pub fn run(
             contact,
             ..ForceRequest::default()
         };
-        let answer = rig.tool.force(&request).expect("the board answers");
+        under_way.push_back((sequence, rig.now(), rig.tool.send_force(&request).expect("the link holds")));
+        asked += 1;
+        if under_way.len() < ahead {
+            continue;
+        }
+        let Some((sequence, began, sent)) = under_way.pop_front() else { continue };
+        let answer = rig.tool.force_answer(sent).expect("the board answers");
         not_taken += usize::from(answer.done != ForceDone::Taken || answer.sequence != sequence);
         seen = Some(answer.step);
-        times.push(rig.now() - asked);
+        times.push(rig.now() - began);
         rig.tool.rows(Duration::ZERO).expect("the link holds");
     }
     let (after, ended) = (rig.steps(), rig.now());
