@@ -48,8 +48,8 @@ macro_rules! fields {
             /// Hands on the numbers of the `wanted` fields of a device of `axes` joints, in their order.
             #[inline(always)]
             fn each(wanted: Fields, axes: usize, frame: &StepRecord, mut number: impl FnMut(f32)) {
-                $(if wanted.has(Field::$Name) {
-                    for i in 0..if $vector { axes.min(MAX_JOINTS) } else { 1 } {
+                $(if wanted.0 & Field::$Name.bit() != 0 {
+                    for i in 0..if $vector { axes.min($crate::model::catalogue::MAX_JOINTS) } else { 1 } {
                         number((|$frame: &StepRecord, $i: usize| -> f32 { $value })(frame, i));
                     }
                 })*
