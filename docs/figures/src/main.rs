@@ -80,24 +80,37 @@ const MAPS: [(&str, &str); 2] = [("coupled-five-bar", "1,0"), ("phantom-premium-
 const BEGIN: &str = "<!-- impedance range: begin, written by docs/figures/src/main.rs -->";
 const END: &str = "<!-- impedance range: end -->";
 
+/// Why no test types the lines.
+const DURATION: &str = "a quarter of a minute to minutes each; `cargo xtask figures` runs them all";
+
 /// Processes that run at a time.
 const AT_A_TIME: usize = 2;
 
-/// The command line of a case, as a reader types it.
-fn line(case: &Case) -> String {
-    let picture = case.picture.map_or(String::new(), |name| format!(" --svg docs/results/{name}.svg"));
-    format!("haptic measure-range {WHERE} {} {}{picture}", case.rate, case.world)
+/// The command line of a case, which keeps what was measured in this file and replaces the published picture.
+fn line(case: &Case, progress: &str) -> String {
+    let picture = case.picture.map_or(String::new(), |name| format!(" --svg docs/results/{name}.svg --force"));
+    format!("haptic measure-range {WHERE} {} {}{picture} --progress {progress}", case.rate, case.world)
+}
+
+/// Where a reader keeps what was measured: no two cases share a file.
+fn typed_file(case: &Case) -> String {
+    let kind = if WASHED.iter().any(|washed| washed.name == case.name) { "washout-" } else { "" };
+    format!("{kind}{}.json", case.name.replace([' ', '.'], "-").replace(',', ""))
+}
+
+/// The command line of a map.
+fn map_line((device, normal): (&str, &str)) -> String {
+    format!("haptic map devices/{device}.toml --normal {normal} --png docs/results/map-{device}.png --force")
 }
 
 /// What the tool answers to a line in JSON.
-fn asked(root: &Path, line: &str, more: &[&str]) -> Result<Value, Error> {
+fn asked(root: &Path, line: &str) -> Result<Value, Error> {
     let mut command = Command::new(env!("CARGO"));
     command.current_dir(root).args(["run", "--quiet", "--package", "haptic"]);
     if !cfg!(debug_assertions) {
         command.arg("--release");
     }
-    command.arg("--").args(line.split_whitespace().skip(1)).args(more);
-    let output = command.args(["--json", "--force"]).output()?;
+    let output = command.arg("--").args(line.split_whitespace().skip(1)).arg("--json").output()?;
     if !output.status.success() {
         return Err(format!("{line}: {}", String::from_utf8_lossy(&output.stderr)).into());
     }
@@ -106,8 +119,9 @@ fn asked(root: &Path, line: &str, more: &[&str]) -> Result<Value, Error> {
 
 /// Measures the cases of a group, some at a time.
 fn measured(root: &Path, group: &'static [Case], wanted: &[String]) -> Result<Vec<(&'static Case, Value)>, Error> {
-    let folder = std::env::temp_dir().join(format!("figures-{}", std::process::id()));
-    std::fs::create_dir_all(&folder)?;
+    // Relative to the repository: no blank of another path splits a line.
+    let folder = format!("target/figures-{}", std::process::id());
+    std::fs::create_dir_all(root.join(&folder))?;
     let cases: Vec<&Case> =
         group.iter().filter(|case| wanted.is_empty() || wanted.iter().any(|name| name == case.name)).collect();
     let (next, found) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
@@ -115,15 +129,14 @@ fn measured(root: &Path, group: &'static [Case], wanted: &[String]) -> Result<Ve
         for _ in 0..AT_A_TIME {
             scope.spawn(|| {
                 while let Some(case) = cases.get(next.fetch_add(1, Ordering::SeqCst)) {
-                    let progress = folder.join(format!("{}.json", case.name));
-                    let answer = asked(root, &line(case), &["--progress", &progress.display().to_string()]);
+                    let answer = asked(root, &line(case, &format!("{folder}/{}", typed_file(case))));
                     eprintln!("{}: done", case.name);
                     found.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push((*case, answer));
                 }
             });
         }
     });
-    std::fs::remove_dir_all(&folder)?;
+    std::fs::remove_dir_all(root.join(&folder))?;
     let found = found.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
     let mut found = found.into_iter().map(|(case, answer)| Ok((case, answer?))).collect::<Result<Vec<_>, Error>>()?;
     found.sort_by_key(|(case, _)| group.iter().position(|other| other.name == case.name));
@@ -171,7 +184,7 @@ fn main() -> Result<(), Error> {
             let rate = case.rate.split(" --pull").next().unwrap_or_default();
             let (place, delay) = (WHERE.replace(" --port sim", ""), &answer["delay_samples"]);
             let line = format!("haptic range {place} {rate} --delay {delay} --undamped --washout {corner}");
-            let range = asked(&root, &line, &[])?;
+            let range = asked(&root, &line)?;
             let area = |mode: &str| range[mode]["area"].as_f64().ok_or("no area");
             let kept = (area("washout")? - area("off")?) / (area("full")? - area("off")?);
             let _ = write!(section, " {:.1} % |", 100.0 * kept);
@@ -206,9 +219,8 @@ fn main() -> Result<(), Error> {
     section.push_str(WORLD_MEANS);
     section.push_str(&lines());
     if wanted.is_empty() {
-        for (device, normal) in MAPS {
-            let map = format!("haptic map devices/{device}.toml --normal {normal} --png docs/results/map-{device}.png");
-            asked(&root, &map, &[])?;
+        for map in MAPS {
+            asked(&root, &map_line(map))?;
         }
         write_section(&root.join("docs/results.md"), &section)?;
     }
@@ -266,14 +278,12 @@ fn pictures() -> String {
 
 /// Every command line of the section.
 fn lines() -> String {
-    let mut text =
-        String::from("\n### The command lines\n\n```sh no-run: minutes each; `cargo xtask figures` runs them all\n");
+    let mut text = format!("\n### The command lines\n\n```sh no-run: {DURATION}\n");
     for case in THEORY.iter().chain(&WASHED).chain(&WORLDS) {
-        let _ = writeln!(text, "{}", line(case));
+        let _ = writeln!(text, "{}", line(case, &typed_file(case)));
     }
-    for (device, normal) in MAPS {
-        let _ =
-            writeln!(text, "haptic map devices/{device}.toml --normal {normal} --png docs/results/map-{device}.png");
+    for map in MAPS {
+        let _ = writeln!(text, "{}", map_line(map));
     }
     text.push_str("```\n");
     text

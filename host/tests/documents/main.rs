@@ -13,7 +13,7 @@ mod blocks;
 mod session;
 
 use blocks::{Block, Kind, blocks, documents, root};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::process::Command;
 use std::time::Duration;
@@ -56,6 +56,26 @@ fn the_files_that_they_show_are_sound() {
 #[ignore = "minutes, and needs the images: `cargo xtask test` runs it"]
 fn what_takes_longer_works_as_well() {
     assert!(all(|kind| *kind == Kind::Slow, |block| session::run(block, Duration::from_secs(1200))) >= 1);
+}
+
+/// Lines too long for any test still begin in a checkout: none stops at a published picture, which is there, or at what
+/// the line before it has measured.
+#[test]
+fn published_command_lines_work_where_their_pictures_are() {
+    let (mut wrong, mut seen) = (Vec::new(), BTreeSet::new());
+    let lines = blocks(&root().join("docs/results.md")).unwrap().into_iter().flat_map(|block| block.commands());
+    for line in lines {
+        let after = |option: &str| line.split_once(option).and_then(|(_, rest)| rest.split_whitespace().next());
+        let picture = ["--svg ", "--png "].into_iter().find_map(after);
+        if picture.is_some_and(|path| root().join(path).exists()) && !line.contains("--force") {
+            wrong.push(format!("its picture exists: {line}"));
+        }
+        if line.starts_with("haptic measure-range") && !seen.insert(after("--progress ").map(str::to_string)) {
+            wrong.push(format!("another line has its progress file: {line}"));
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(seen.len() > 18 && !seen.contains(&None), "{seen:?}");
 }
 
 /// What docs/safety.md says in words of how soon broken sensors are seen holds for what was measured.
