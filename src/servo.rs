@@ -195,7 +195,7 @@ where
     /// What the bridges may do.
     #[inline(always)]
     fn outputs(&self) -> Outputs {
-        Outputs { bridges: matches!(self.state, State::Armed | State::CheckingPolarity) }
+        Outputs { bridges: self.state.drives() }
     }
 
     /// Joints of the loaded program, at most [`MAX_JOINTS`].
@@ -226,7 +226,7 @@ where
         late: bool,
     ) -> [S::Drive; MAX_JOINTS] {
         let mut drives = [S::Drive::default(); MAX_JOINTS];
-        if matches!(self.state, State::Armed | State::CheckingPolarity)
+        if self.state.drives()
             && let Some(program) = self.program.as_mut()
         {
             for ((drive, axis), sample) in drives.iter_mut().zip(&mut program.axes).zip(samples).take(J) {

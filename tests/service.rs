@@ -22,7 +22,7 @@ use haptic_bridge::servo::{Command, Rules, Servo};
 use postcard_rpc::Endpoint;
 use postcard_rpc::header::VarHeader;
 use postcard_rpc::standard_icd::WireError;
-use rig::board::{Board, Machinery, driving, frame};
+use rig::board::{Board, Machinery, frame};
 use rig::{device, five_bar, hardware};
 use std::collections::BTreeMap;
 
@@ -188,7 +188,7 @@ fn every_request_in_every_state_is_done_or_refused_for_the_right_reason() {
                 assert!(!expected.unwrap_err().to_string().is_empty());
             }
             board.tick();
-            assert_eq!(board.bridges, driving(board.state()), "{name} while {now:?}");
+            assert_eq!(board.bridges, board.state().drives(), "{name} while {now:?}");
         }
     }
 }
@@ -421,7 +421,7 @@ fn polarity_check(board: &mut Board, way: i32) {
     // The joint has to rest first.
     (0..(0.3 * rig::RATE) as u32).for_each(|_| board.tick());
     for _ in 0..8_000 {
-        if !driving(board.state()) {
+        if !board.state().drives() {
             break;
         }
         board.samples.counts[0] += way;

@@ -9,7 +9,7 @@ use haptic_bridge::board::service::{Machine, Service};
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::board::storage::StorageError;
 use haptic_bridge::drive::carrier::Carrier;
-use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
+use haptic_bridge::safety::fault::{Fault, FaultRecord};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::compiled::{BoardMath, BoardProgram};
 use haptic_bridge::servo::frame::StepRecord;
@@ -124,7 +124,7 @@ impl BoardMachine {
             return;
         }
         // What ended before the control interrupt had connected the bridges left the drivers up.
-        if !on(self.status().state) {
+        if !self.status().state.drives() {
             return lower_gate();
         }
         let Err(error) = self.gate.check() else { return };
@@ -153,7 +153,7 @@ impl Machine for BoardMachine {
             // What would be refused is no reason to power the gate drivers, or to latch a fault where they have no supply.
             let refused = self.ask(Request::Command(question)).reply.0;
             // With the motors on it is refused, and also if a check of polarity ended since: its gate is about to fall.
-            let refused = if on(status.state) { refused.and(Err(Refusal::Armed)) } else { refused };
+            let refused = if status.state.drives() { refused.and(Err(Refusal::Armed)) } else { refused };
             if let Err(refusal) = refused.and_then(|()| self.raise_gate()) {
                 return (Err(refusal), None);
             }
@@ -265,11 +265,6 @@ fn while_flash_stalls<R>(work: impl FnOnce() -> R) -> R {
     let result = watchdog::patient(work);
     servo::STALL_EXPECTED.store(false, Ordering::Relaxed);
     result
-}
-
-/// Whether the motors are on.
-fn on(state: State) -> bool {
-    matches!(state, State::Armed | State::CheckingPolarity)
 }
 
 /// Lets the power stage go, while the motors are off: nothing but a task switches them on.

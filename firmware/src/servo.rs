@@ -21,7 +21,7 @@ use embassy_stm32::pac::timer::vals::Dir;
 use haptic_bridge::drive::carrier::Carrier;
 use haptic_bridge::drive::heat::Heat;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
-use haptic_bridge::safety::fault::{Fault, State};
+use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::servo::compiled::{self, BoardProgram, BoardServo};
 use haptic_bridge::servo::frame::{Samples, StepRecord};
 use haptic_bridge::servo::host_force::{ForceAnswer, ForceRequest};
@@ -266,7 +266,7 @@ impl Step {
         // A few times a second, what a reset must not cool is put where it stays.
         warmth::keep(self.servo.heat());
         let status = self.servo.status();
-        if !matches!(status.state, State::Armed | State::CheckingPolarity) {
+        if !status.state.drives() {
             self.connect(false);
         }
         let _ = self.answers.enqueue(Answer { reply, status, force });

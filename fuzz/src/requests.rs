@@ -1,7 +1,7 @@
 //! The board's end of the link: any bytes, and any requests in any order, while anything happens to encoders, supply
 //! and motors. What must hold all along stands in tests/rig/board.rs.
 
-use crate::board::{Board, driving, frame};
+use crate::board::{Board, frame};
 use crate::shipped::shipped;
 use haptic::link::Deframer;
 use haptic_bridge::board::protocol::*;
@@ -47,11 +47,11 @@ pub fn requests(data: &[u8]) -> u32 {
     let (mut ticks, mut driven) = (0, 0);
     while !input.0.is_empty() && ticks < MOST_TICKS {
         ticks += step(&mut board, &mut input);
-        driven += u32::from(driving(board.state()));
+        driven += u32::from(board.state().drives());
     }
     // Whatever was asked: disarming works at once, and the board still says how it is.
     board.ask::<Disarm>(&()).expect("it can be disarmed").expect("which is never refused");
-    assert!(!driving(board.state()));
+    assert!(!board.state().drives());
     board.tick();
     assert!(!board.bridges);
     board.ask::<GetStatus>(&()).expect("it has a state");
@@ -134,16 +134,16 @@ fn spin(board: &mut Board, which: usize) -> u32 {
         board.samples.counts[axis] = from.wrapping_add((counts * tick as f32) as i32);
         board.tick();
     }
-    assert!(!driving(board.state()), "joint {axis} turns at twice its limit of {limit} rad/s");
+    assert!(!board.state().drives(), "joint {axis} turns at twice its limit of {limit} rad/s");
     ticks as u32
 }
 
 fn send(board: &mut Board, key: postcard_rpc::Key, body: &[u8]) -> u32 {
-    let before = driving(board.state());
+    let before = board.state().drives();
     let answer = board.answer(&frame(key, body));
     assert!(answer.is_some(), "every frame with a header is answered");
     let asked_to_move = key == Arm::REQ_KEY || key == CheckPolarity::REQ_KEY;
-    assert!(before || asked_to_move || !driving(board.state()), "motors on without being asked");
+    assert!(before || asked_to_move || !board.state().drives(), "motors on without being asked");
     // The next request may come before the next control step.
     let ticks = body.first().map_or(2, |byte| byte % 3);
     (0..ticks).for_each(|_| board.tick());

@@ -124,7 +124,7 @@ pub fn replay(recording: &Recording) -> Result<Replayed, Failure> {
         ))
         .remedy("record at the control rate: haptic record does where the link carries it, with fewer --fields"));
     }
-    if first[columns.state] as u8 == State::Armed as u8 || first[columns.state] as u8 == State::CheckingPolarity as u8 {
+    if drives(first[columns.state] as usize) {
         return Err(Failure::wrong(
             "the motors are on in the first row: what the control step remembered is not known",
         )
@@ -175,7 +175,7 @@ pub fn replay(recording: &Recording) -> Result<Replayed, Failure> {
         servo.control(&Samples { counts, ..Samples::default() });
         let frame = servo.frame();
         replayed.rows += 1;
-        replayed.armed += u64::from(recorded == State::Armed as usize || recorded == State::CheckingPolarity as usize);
+        replayed.armed += u64::from(drives(recorded));
         let mut differs = false;
         for (joint, column) in columns.torque.iter().enumerate() {
             let (recorded, found) = (row[*column] as f32, frame.motors.torque[joint]);
@@ -202,14 +202,18 @@ pub fn replay(recording: &Recording) -> Result<Replayed, Failure> {
     Ok(replayed)
 }
 
+/// Whether the motors are on in a recorded state.
+fn drives(recorded: usize) -> bool {
+    State::ALL.get(recorded).is_some_and(|state| state.drives())
+}
+
 /// Brings the servo into the state that the row was recorded in.
 fn follow(
     servo: &mut Servo<Box<Program<Minimax>>>,
     recorded: usize,
 ) -> Result<(), haptic_bridge::safety::refusal::Refusal> {
-    let on = |state: usize| state == State::Armed as usize || state == State::CheckingPolarity as usize;
     let now = servo.frame().state;
-    if now as usize == recorded || !on(now as usize) && !on(recorded) {
+    if now as usize == recorded || !now.drives() && !drives(recorded) {
         return Ok(());
     }
     // A check that has ended turns the motors off by itself, in the step that shows it.

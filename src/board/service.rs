@@ -11,7 +11,7 @@ use crate::model::device::Device;
 use crate::model::precomputed::{MassModelData, Receiving, TableChunk};
 use crate::render::scene::{FeedForward, Scene, SceneError};
 use crate::render::velocity::{Coefficients, Washout};
-use crate::safety::fault::{FaultRecord, State};
+use crate::safety::fault::FaultRecord;
 use crate::safety::limits::{BadLimit, GENTLE_FORCE, Limit, Limits};
 use crate::safety::refusal::Refusal;
 use crate::servo::program::{Hardware, Program};
@@ -549,10 +549,7 @@ impl Service {
 
 /// Refuses while the motors are on.
 pub fn must_be_off(machine: &mut impl Machine) -> Result<(), Refusal> {
-    match machine.status().state {
-        State::Armed | State::CheckingPolarity => Err(Refusal::Armed),
-        State::Disarmed | State::Fault => Ok(()),
-    }
+    if machine.status().state.drives() { Err(Refusal::Armed) } else { Ok(()) }
 }
 
 /// Stages a setting, unless flash holds this value already, and notes its key.

@@ -19,6 +19,19 @@ pub enum State {
     Fault,
 }
 
+impl State {
+    /// Every state, in the order of the numbers that telemetry gives them.
+    pub const ALL: [Self; 4] = [Self::Disarmed, Self::Armed, Self::CheckingPolarity, Self::Fault];
+
+    /// Whether the bridges drive the motors.
+    pub const fn drives(self) -> bool {
+        match self {
+            Self::Armed | Self::CheckingPolarity => true,
+            Self::Disarmed | Self::Fault => false,
+        }
+    }
+}
+
 macro_rules! faults {
     ($($(#[$doc:meta])* $Name:ident = $code:literal, $what:literal, $remedy:literal;)*) => {
         /// What can go wrong, each with a code that never changes.

@@ -6,7 +6,7 @@ use super::Servo;
 use crate::drive::stage::Stage;
 use crate::math::{Math, limited};
 use crate::model::catalogue::MAX_JOINTS;
-use crate::safety::fault::{Fault, State};
+use crate::safety::fault::Fault;
 use crate::servo::frame::{Outputs, Samples};
 use crate::servo::joints::Counts;
 use crate::servo::program::Program;
@@ -55,7 +55,7 @@ where
     /// valley, after [`Servo::duties`].
     #[inline(always)]
     pub fn sum_up(&mut self, seen: &Samples) -> Outputs {
-        let active = matches!(self.state, State::Armed | State::CheckingPolarity);
+        let active = self.state.drives();
         if let Some((fault, axis, value)) = self.spent(seen, active)
             && active
         {

@@ -8,7 +8,7 @@ use super::{Servo, for_joints};
 use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
-use crate::safety::fault::{Fault, State};
+use crate::safety::fault::Fault;
 use crate::safety::limits::{Limits, POWER_SECONDS};
 use crate::servo::frame::{Outputs, Samples};
 use crate::servo::joints::Counts;
@@ -175,7 +175,7 @@ where
     #[inline(always)]
     pub(super) fn guard_of<const J: usize>(&mut self, seen: &Samples) -> Outputs {
         let Some(program) = self.program.as_mut() else { return Outputs { bridges: false } };
-        let active = matches!(self.state, State::Armed | State::CheckingPolarity);
+        let active = self.state.drives();
         let (crests, motors) = (&mut self.crests, &self.now.motors);
         if !crests.primed {
             crests.counts = seen.counts;

@@ -244,10 +244,10 @@ where
     }
 
     fn must_be_off(&self) -> Result<(), Refusal> {
-        match (self.state, self.fault) {
-            (State::Armed | State::CheckingPolarity, _) => Err(Refusal::Armed),
-            (_, Some(record)) => Err(Refusal::Faulted(record.fault)),
-            _ => Ok(()),
+        match self.fault {
+            _ if self.state.drives() => Err(Refusal::Armed),
+            Some(record) => Err(Refusal::Faulted(record.fault)),
+            None => Ok(()),
         }
     }
 

@@ -5,7 +5,7 @@ use super::crest::{left, left_from};
 use super::{HostAction, Servo};
 use crate::drive::stage::Stage;
 use crate::math::Math;
-use crate::safety::fault::{Fault, FaultRecord, State};
+use crate::safety::fault::{Fault, FaultRecord};
 use crate::servo::frame::Samples;
 use crate::servo::joints::Torques;
 use crate::servo::program::Program;
@@ -40,7 +40,7 @@ where
     /// Looks for what must turn the motors off in what the step found, before the counts of the last are forgotten.
     #[inline(always)]
     pub(super) fn watch<const J: usize>(&mut self, samples: &Samples) {
-        let active = matches!(self.state, State::Armed | State::CheckingPolarity);
+        let active = self.state.drives();
         let sensed = self.hardware.bridge.current_sensed;
         let mut sum = self.now.found.at.walls.wall_force + self.now.found.at.walls.normal_velocity;
         let mut well = true;
@@ -86,7 +86,7 @@ where
     #[inline(never)]
     fn find(&mut self, samples: &Samples, sum: f32) {
         let joints = self.joints();
-        let active = matches!(self.state, State::Armed | State::CheckingPolarity);
+        let active = self.state.drives();
         let mut found = None;
         let mut note = |wrong: bool, fault: Fault, axis: Option<usize>, value: f32| {
             if wrong && found.is_none() {

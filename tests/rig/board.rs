@@ -56,11 +56,11 @@ impl Machine for Machinery {
     }
     fn release(&mut self, _held: Self::Held) {}
     fn retime(&mut self, rate_hz: f32) {
-        assert!(!driving(self.servo.status().state), "the timer is set while the motors are on");
+        assert!(!self.servo.status().state.drives(), "the timer is set while the motors are on");
         self.retimed.push(rate_hz);
     }
     fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
-        assert!(!driving(self.servo.status().state), "flash is written while the motors are on");
+        assert!(!self.servo.status().state.drives(), "flash is written while the motors are on");
         if self.flash_broken {
             return Err(Refusal::Flash);
         }
@@ -71,7 +71,7 @@ impl Machine for Machinery {
         self.staged.get(&(key as u8)).cloned()
     }
     fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal> {
-        assert!(!driving(self.servo.status().state), "flash is written while the motors are on");
+        assert!(!self.servo.status().state.drives(), "flash is written while the motors are on");
         if self.flash_broken {
             return Err(Refusal::Flash);
         }
@@ -110,11 +110,6 @@ impl Described for Machinery {
             stack_free: 0,
         }
     }
-}
-
-/// Whether the bridges drive in this state.
-pub fn driving(state: State) -> bool {
-    matches!(state, State::Armed | State::CheckingPolarity)
 }
 
 /// Whether anything that protects is looser in these rules than it was `before`.
@@ -201,7 +196,7 @@ impl Board {
         let samples = self.seen();
         self.machine.servo.guard(&samples);
         self.bridges = self.machine.servo.control(&samples).bridges;
-        assert!(!self.bridges || driving(self.state()), "bridges drive while {:?}", self.state());
+        assert!(!self.bridges || self.state().drives(), "bridges drive while {:?}", self.state());
         self.samples.fault = None;
         self.samples.index = [None; MAX_JOINTS];
         let frame = self.machine.servo.frame();
@@ -257,7 +252,7 @@ impl Board {
         self.bridges &= self.machine.servo.sum_up(&seen).bridges;
         let duties = self.duties;
         assert!(duties.iter().all(|duty| duty.abs() <= MAX_DUTY), "{duties:?} with {:?}", self.samples);
-        if !driving(state) {
+        if !state.drives() {
             let torque = self.machine.servo.frame().motors.torque;
             assert_eq!(duties, [0.0; MAX_JOINTS], "duty while {state:?}");
             assert_eq!(*torque, [0.0; MAX_JOINTS], "torque while {state:?}");
@@ -273,7 +268,7 @@ impl Board {
         let before = (self.state(), *self.service.rules());
         let (answer, after) = dispatch::answer(&mut self.service, &mut self.machine, frame, &mut out);
         let answer = answer.map(<[u8]>::to_vec);
-        if driving(before.0) && driving(self.state()) {
+        if before.0.drives() && self.state().drives() {
             let now = self.service.rules();
             assert!(!looser(now, &before.1), "rules loosened while the motors are on: {:?} to {now:?}", before.1);
         }
@@ -282,7 +277,7 @@ impl Board {
             After::Nothing => {}
             After::Stream(request, axes) => self.packer.start(&request, axes),
             After::BootLoader | After::Restart => {
-                assert!(!driving(self.state()), "the board leaves with its motors on");
+                assert!(!self.state().drives(), "the board leaves with its motors on");
                 *self = Self::with_flash(self.hardware.real, core::mem::take(&mut self.machine.flash));
             }
         }

@@ -96,7 +96,7 @@ fn held(board: &mut Board) -> String {
 /// Makes requests that the board is to refuse, and looks at its pins and its memory after each.
 fn all_refused(rig: &mut Rig, state: State, requests: &[Request]) {
     assert_eq!(rig.tool.status().expect("the board answers").state, state);
-    let driving = matches!(state, State::Armed | State::CheckingPolarity);
+    let driving = state.drives();
     for (name, request) in requests {
         let before = held(&mut rig.tool);
         let outcome = request(&mut rig.tool);

@@ -2,7 +2,6 @@
 
 use super::port::{Port, answer, confirm};
 use haptic::error::Failure;
-use haptic_bridge::safety::fault::State;
 use serde_json::json;
 
 /// Restart a board into its boot loader, to be flashed over USB
@@ -24,7 +23,7 @@ pub struct Args {
 /// Asks for the restart.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.port.open()?;
-    if matches!(board.status()?.state, State::Armed | State::CheckingPolarity) {
+    if board.status()?.state.drives() {
         confirm(args.yes, "the motors are on and will go off: what has weight falls")?;
     }
     board.enter_dfu()?;

@@ -3,7 +3,6 @@
 use super::port::{Port, answer, confirm};
 use haptic::backup::unsaved;
 use haptic::error::Failure;
-use haptic_bridge::safety::fault::State;
 use serde_json::json;
 
 /// Restart a board: the motors go off, and it begins with what was saved
@@ -26,7 +25,7 @@ pub struct Args {
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.port.open()?;
     let mut loses = Vec::new();
-    if matches!(board.status()?.state, State::Armed | State::CheckingPolarity) {
+    if board.status()?.state.drives() {
         loses.push("the motors are on and will go off: what has weight falls".to_string());
     }
     let unsaved = unsaved(&mut board)?;

@@ -3,7 +3,6 @@
 use super::port::{Port, answer};
 use haptic::error::Failure;
 use haptic::link::BoardError;
-use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::refusal::Refusal;
 use serde_json::json;
 
@@ -22,7 +21,7 @@ pub struct Args {
 /// Saves.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.port.open_to_stay()?;
-    if matches!(board.status()?.state, State::Armed | State::CheckingPolarity) {
+    if board.status()?.state.drives() {
         return Err(BoardError::Refused(Refusal::Armed).into());
     }
     haptic::tell!("writing flash: the board pauses for up to a second");

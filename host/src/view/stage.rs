@@ -266,12 +266,8 @@ impl Stage {
             self.note(&words);
             self.fault = Some(words);
         }
-        let state = match Newest::of(&self.ring, &self.columns).get(Field::State, 0) as u8 {
-            1 => State::Armed,
-            2 => State::CheckingPolarity,
-            3 => State::Fault,
-            _ => State::Disarmed,
-        };
+        let code = Newest::of(&self.ring, &self.columns).get(Field::State, 0) as usize;
+        let state = State::ALL.get(code).copied().unwrap_or_default();
         if state == State::Fault && (self.state != State::Fault || self.fault.is_none()) {
             self.fault = self.board().status()?.fault.as_ref().map(in_words);
             self.held = None;
