@@ -6,7 +6,7 @@ mod rig;
 use haptic_bridge::board::protocol::{BadForce, ForceAnswer, ForceDone, ForceRequest, HostContact};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::host_force::{
-    MOST_DAMPING, MOST_DISTANCE, MOST_FORCE, MOST_LEASE, MOST_STIFFNESS, MOST_TORQUE,
+    MOST_DAMPING, MOST_DISTANCE, MOST_HELD_FORCE, MOST_LEASE, MOST_STIFFNESS, MOST_TORQUE,
 };
 use haptic_bridge::servo::joints::Torques;
 use haptic_bridge::servo::{Command, HostAction, Rules};
@@ -189,7 +189,7 @@ fn no_absurd_number_is_taken_and_none_disturbs_what_acts() {
     let mut bad: Vec<(BadForce, ForceRequest)> = Vec::new();
     let wild = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX];
     let above = |most: f32| wild.into_iter().chain([most * 1.000_01, -most * 1.000_01]);
-    for value in above(MOST_FORCE) {
+    for value in above(MOST_HELD_FORCE) {
         bad.push((BadForce::Force, force(2, value, 0.0)));
         bad.push((BadForce::Force, force(2, 0.0, value)));
     }
@@ -238,7 +238,7 @@ fn the_largest_numbers_that_are_taken_are_harmless() {
             damping: MOST_DAMPING,
         }),
         torque: [MOST_TORQUE, -MOST_TORQUE, 0.0],
-        ..force(1, MOST_FORCE, -MOST_FORCE)
+        ..force(1, MOST_HELD_FORCE, -MOST_HELD_FORCE)
     });
     assert_eq!(answer.done, ForceDone::Taken);
     for _ in 0..100 {

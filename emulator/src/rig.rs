@@ -6,7 +6,7 @@ use haptic::scene_file::SceneFile;
 use haptic::sim::{Options, PowerStage, SimulatedDevice};
 use haptic_bridge::model::device::Device as DeviceData;
 use haptic_bridge::safety::fault::State;
-use haptic_bridge::safety::limits::{Limits, MOST_FORCE};
+use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
 use haptic_bridge::servo::{HostAction, Rules};
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
@@ -147,7 +147,7 @@ impl Rig {
     /// When the board refuses.
     pub fn watch_nobody(&mut self) {
         let rules = self.tool.rules().expect("the board answers");
-        let limits = Limits { tip_force: MOST_FORCE, ..rules.limits };
+        let limits = Limits { tip_force: MOST_TIP_FORCE, ..rules.limits };
         self.tool.set_rules(&Rules { limits, host_action: HostAction::Ignore, ..rules }).expect("the motors are off");
     }
 

@@ -31,7 +31,7 @@ pub struct Limits {
 pub const GENTLE_FORCE: f32 = 5.0;
 
 /// Tip force, N, above which nobody raises the limit of a board with real motors: each board names it.
-pub const MOST_FORCE: f32 = 100.0;
+pub const MOST_TIP_FORCE: f32 = 100.0;
 
 /// What a backup meant whose limits had no tip force.
 fn gentle() -> f32 {

@@ -26,7 +26,7 @@ use serde::{Deserialize, Serialize};
 /// Longest time for which a request may be held, and longest for it to fade, s.
 pub const MOST_LEASE: f32 = 0.2;
 /// Largest force that a request may hold, N; what the motors cannot make is cut to what they can.
-pub const MOST_FORCE: f32 = 1.0e3;
+pub const MOST_HELD_FORCE: f32 = 1.0e3;
 /// Largest joint torque that a request may hold, N m.
 pub const MOST_TORQUE: f32 = 1.0e2;
 /// Furthest from the origin that a contact's point may be, m.
@@ -99,7 +99,7 @@ pub enum BadForce {
     Lease,
     /// `seen` is a step that has not been.
     Seen,
-    /// The force is not finite, above [`MOST_FORCE`], or in a direction that the device does not have.
+    /// The force is not finite, above [`MOST_HELD_FORCE`], or in a direction that the device does not have.
     Force,
     /// A torque is not finite, above [`MOST_TORQUE`], or of a joint that the device does not have.
     Torque,
@@ -123,7 +123,7 @@ impl core::fmt::Display for ForceDone {
             Self::Bad(BadForce::Seen) => f.write_str("not taken: it was computed from a step that has not been"),
             Self::Bad(BadForce::Force) => write!(
                 f,
-                "not taken: each entry of the force must be at most {MOST_FORCE} N, and 0 where the device has no direction"
+                "not taken: each entry of the force must be at most {MOST_HELD_FORCE} N, and 0 where the device has no direction"
             ),
             Self::Bad(BadForce::Torque) => write!(
                 f,
@@ -181,7 +181,7 @@ impl ForceRequest {
         if !leased(&self.hold) || !leased(&self.fade) {
             return Some(BadForce::Lease);
         }
-        if !self.force.iter().all(|value| within(value, MOST_FORCE)) || !only(&self.force, task) {
+        if !self.force.iter().all(|value| within(value, MOST_HELD_FORCE)) || !only(&self.force, task) {
             return Some(BadForce::Force);
         }
         if !self.torque.iter().all(|value| within(value, MOST_TORQUE)) || !only(&self.torque, joints) {

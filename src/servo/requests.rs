@@ -265,7 +265,7 @@ where
         if self.hardware.bus_sensed && !(self.rules.limits.bus_min..=self.rules.limits.bus_max).contains(&bus) {
             return Err(Refusal::BusVoltage);
         }
-        if self.now.found.regularity.parallel < watch::SINGULAR_SINE {
+        if self.now.found.regularity.parallel < watch::TRIPPING_SINE {
             return Err(Refusal::Singular);
         }
         for (i, limits) in program.limits.iter().enumerate().take(program.joints) {

@@ -12,7 +12,7 @@ use crate::servo::program::Program;
 use core::ops::DerefMut;
 
 /// Regularity of a closed loop below which its tip force is no longer defined well enough to act.
-pub const SINGULAR_SINE: f32 = 2.0e-3;
+pub const TRIPPING_SINE: f32 = 2.0e-3;
 /// Width of an index pulse, counts; the first one counts only if it was passed no faster than this in a step.
 pub const INDEX_WIDTH: u32 = 4;
 
@@ -125,7 +125,7 @@ where
 /// Negative where a closed loop is stretched so far that its tip force is not defined, and where that is not known.
 #[inline(always)]
 fn beyond(parallel: f32) -> i32 {
-    left_from(parallel, SINGULAR_SINE) | left(parallel, f32::MAX)
+    left_from(parallel, TRIPPING_SINE) | left(parallel, f32::MAX)
 }
 
 /// Counts between an index pulse at `count` and the nearest place where it should be: whole turns of `period` from the

@@ -12,7 +12,7 @@ use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
-use haptic_bridge::safety::limits::{Limits, MOST_FORCE};
+use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::{Counts, Currents};
 
@@ -72,7 +72,7 @@ impl Board for HBridgeF405 {
         power: 40.0,
         bus_min: 6.0,
         bus_max: 34.0,
-        tip_force: MOST_FORCE,
+        tip_force: MOST_TIP_FORCE,
     };
     const UNSENSED: &'static [Fault] = &[Fault::EncoderIllegal, Fault::GateDriver];
     type Io = Pins;

@@ -15,7 +15,7 @@ use super::plant::{Linearised, MotorElectrics};
 use crate::vectors::{padded_to, unit};
 
 /// Poses closer to a singularity than this sine are refused.
-pub const SINGULAR_SINE: f64 = 1e-6;
+pub const LEAST_ANALYSED_SINE: f64 = 1e-6;
 
 /// Why a pose cannot be analysed.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -123,9 +123,9 @@ impl TaskPose {
 
     /// The pose, unless it is singular.
     pub fn regular(self) -> Result<Self, PoseError> {
-        if self.regularity.parallel.is_nan() || self.regularity.parallel < SINGULAR_SINE {
+        if self.regularity.parallel.is_nan() || self.regularity.parallel < LEAST_ANALYSED_SINE {
             Err(PoseError::Parallel)
-        } else if self.regularity.serial.is_nan() || self.regularity.serial < SINGULAR_SINE {
+        } else if self.regularity.serial.is_nan() || self.regularity.serial < LEAST_ANALYSED_SINE {
             Err(PoseError::Serial)
         } else {
             Ok(self)

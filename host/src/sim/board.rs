@@ -23,7 +23,7 @@ use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
-use haptic_bridge::safety::limits::{Limits, MOST_FORCE};
+use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::{Counts, Currents};
@@ -187,7 +187,7 @@ impl Described for Innards {
 /// What nobody can raise the limits above: where the board takes its motors for real ones, the force of a real board.
 fn most(hardware: Hardware) -> Limits {
     let limits = Limits::default();
-    if hardware.real { Limits { tip_force: MOST_FORCE, ..limits } } else { limits }
+    if hardware.real { Limits { tip_force: MOST_TIP_FORCE, ..limits } } else { limits }
 }
 
 /// A board with a device on it.
