@@ -70,7 +70,7 @@ pub struct Details {
     /// Faults (their codes) that this board cannot sense as it is wired.
     pub unsensed: Vec<u8, 16>,
     /// What was found wrong with the settings at boot.
-    pub damage: Vec<(Key, Damage), 6>,
+    pub damage: Vec<(Key, Damage), { Key::ALL.len() }>,
     /// Runs of the control interrupt that reached past the next crest since boot.
     pub overruns: u32,
     /// Longest control interrupt seen, in core cycles; 0 where it is not measured.
@@ -110,7 +110,7 @@ pub type FaultList = Vec<FaultRecord, FAULT_HISTORY>;
 /// A setting's bytes, if it is set.
 pub type MaybeEntry = Option<Entry>;
 /// Settings by their keys.
-pub type KeyList = Vec<Key, 6>;
+pub type KeyList = Vec<Key, { Key::ALL.len() }>;
 /// What a person calls a board.
 pub type Name = String<32>;
 

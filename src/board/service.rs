@@ -64,7 +64,7 @@ pub struct Service {
     /// count: wires are changed while a board is without power. All of it is kept: a name can be made up that gives
     /// another device the same checksum.
     polarity: Option<Device<f32>>,
-    damage: Vec<(Key, Damage), 6>,
+    damage: Vec<(Key, Damage), { Key::ALL.len() }>,
     faults: FaultList,
     last_fault: Option<FaultRecord>,
 }

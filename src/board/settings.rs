@@ -3,6 +3,7 @@
 //! An entry that is damaged or of an unknown version is refused by itself; the others are kept. The bytes are the same
 //! in flash, in a backup file and on the link.
 
+use crate::board::storage::DECISION;
 use crate::checksum::crc32;
 use crate::model::device::Device;
 use crate::model::precomputed::MassModelData;
@@ -36,6 +37,16 @@ pub enum Key {
     /// What the board is called.
     Name = 6,
 }
+
+// Their entries lie in flash between the catalogue's and the decision's, and `ALL` has them in the order of their keys.
+const _: () = {
+    let mut place = 0;
+    while place < Key::ALL.len() {
+        let key = Key::ALL[place] as usize;
+        assert!(key == place + 1 && key < DECISION as usize);
+        place += 1;
+    }
+};
 
 impl Key {
     /// Every key.

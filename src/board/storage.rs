@@ -29,9 +29,10 @@ pub const LONGEST_STORED: usize = 2048;
 const CATALOGUE: u8 = 0;
 /// Key of the decision: which staged entries count, by their generations; all zeros when none does. Settings have the
 /// keys between the two.
-const DECISION: u8 = 7;
+pub(super) const DECISION: u8 = 7;
 /// What the key of a setting has when its entry stands aside.
 const STAGED: u8 = 8;
+const _: () = assert!(DECISION < STAGED && (DECISION as usize) < SETTINGS && 2 * SETTINGS <= KEYS);
 /// Keys up to the decision's: places in the catalogue and in the decision.
 const SETTINGS: usize = 8;
 /// All keys.
