@@ -4,7 +4,7 @@ mod meter;
 mod report;
 
 use super::force::Force;
-use super::port::Port;
+use super::port::{Port, confirm};
 use crate::commands::arguments::{self, Numbers};
 use clap::ValueEnum;
 use clap::builder::TypedValueParser;
@@ -25,7 +25,6 @@ use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::FeedForward;
 use meter::Meter;
 use report::{Report, Theory};
-use std::io::{IsTerminal, Write as _};
 use std::path::PathBuf;
 
 /// Measure on a board which walls stay stable; moves the motors
@@ -344,17 +343,7 @@ fn ready(board: &mut Board, file: &DeviceFile, args: &Args) -> Result<(), Failur
         args.pull * 12.0,
         args.torque_limit
     );
-    if !std::io::stdin().is_terminal() {
-        return Err(Failure::impossible("nobody is there to agree").remedy("agree beforehand with --yes"));
-    }
-    haptic::error::say(format_args!("Go on? Type yes: "));
-    let _ = std::io::stderr().flush();
-    let mut answer = String::new();
-    let read = std::io::stdin().read_line(&mut answer);
-    match (read, answer.trim()) {
-        (Ok(_), "yes") => Ok(()),
-        _ => Err(Failure::impossible("not measured: you did not agree")),
-    }
+    confirm(false, "the device will move")
 }
 
 fn progress_failure(error: ProgressError) -> Failure {

@@ -79,7 +79,7 @@ pub fn confirm(yes: bool, what: &str) -> Result<(), Failure> {
     let mut answer = String::new();
     let read = std::io::stdin().lock().read_line(&mut answer);
     match read {
-        Ok(_) if answer.trim().eq_ignore_ascii_case("y") => Ok(()),
+        Ok(_) if ["y", "yes"].contains(&answer.trim().to_ascii_lowercase().as_str()) => Ok(()),
         _ => Err(Failure::impossible("not confirmed").remedy("nothing was done")),
     }
 }
