@@ -26,6 +26,11 @@ pub enum Precision {
     F64,
 }
 
+impl Precision {
+    /// Every precision with its name.
+    pub const ALL: [(&'static str, Self); 2] = [("f64", Self::F64), ("f32", Self::F32)];
+}
+
 /// One wall: its unit normal (task dimension entries) and its force along it, N.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WallForce {

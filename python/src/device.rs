@@ -159,7 +159,7 @@ impl PyDevice {
             None => vec![vec![0.0; n]; poses.rows.len()],
         };
         let normals = normal.map(|normal| self.units_along(normal, &poses)).transpose()?;
-        let precision = word("precision", precision, &[("f64", Precision::F64), ("f32", Precision::F32)])?;
+        let precision = word("precision", precision, &Precision::ALL)?;
         let admissible = word("admissible", admissible, &Admissible::ALL)?;
         let keep = keeps(singular)?;
         let found: Vec<Result<Report, Failure>> = py.detach(|| {

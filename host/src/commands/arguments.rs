@@ -4,6 +4,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use haptic::analysis::estimator::LinearEstimator;
 use haptic::boards::BoardKind;
 use haptic::error::Failure;
+use haptic::model::Precision;
 use haptic::vectors::unit;
 use haptic::words::counted;
 use haptic_bridge::model::admissible::Admissible;
@@ -116,6 +117,14 @@ pub fn linear_estimator() -> impl TypedValueParser<Value = Estimator> {
         _ => "As in scene files",
     };
     one_of(LinearEstimator::named().map(move |(name, kind)| (name, what(kind), kind)))
+}
+
+/// The arithmetic to compute in, by its name.
+pub fn precision() -> impl TypedValueParser<Value = Precision> {
+    PossibleValuesParser::new(Precision::ALL.map(|(name, _)| name)).try_map(|word| {
+        let known = Precision::ALL.into_iter().find(|(name, _)| *name == word);
+        known.map(|(_, precision)| precision).ok_or("no such precision")
+    })
 }
 
 /// A board there is firmware for, by its name.

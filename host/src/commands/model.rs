@@ -1,7 +1,6 @@
 //! `haptic model`: the inertia a wall meets at one configuration, and the feed-forward that changes it.
 
 use super::arguments::{self, Numbers};
-use clap::ValueEnum;
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::model::{Precision, Report, Rows, WallForce, evaluate_holding};
@@ -43,17 +42,11 @@ pub struct Args {
     #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = arguments::admissible)]
     admissible: Admissible,
     /// Arithmetic: f64, or f32 to run the very code that the board runs
-    #[arg(long, value_name = "f32|f64", default_value = "f64")]
-    precision: Arithmetic,
+    #[arg(long, value_name = "f32|f64", default_value = "f64", value_parser = arguments::precision())]
+    precision: Precision,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum Arithmetic {
-    F32,
-    F64,
 }
 
 /// Computes and prints.
@@ -75,17 +68,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let warnings: Vec<_> = angles(&q, "--q").into_iter().map(Doubt::typed).collect();
     warn(&warnings);
     let walls = walls(&args.normal, &args.force, args.stiffness, args.no_feed_forward, spec.task)?;
-    let precision = match args.precision {
-        Arithmetic::F32 => Precision::F32,
-        Arithmetic::F64 => Precision::F64,
-    };
-    let report = evaluate_holding(&device, &q, &qd, &walls, precision, args.admissible)?;
+    let report = evaluate_holding(&device, &q, &qd, &walls, args.precision, args.admissible)?;
     if args.json {
         let json =
             serde_json::to_string(&Warned { result: &report, warnings: &warnings }).map_err(Failure::impossible)?;
         return print(&(json + "\n"));
     }
-    let board = if precision == Precision::F32 { ", f32 as on the board" } else { "" };
+    let board = if args.precision == Precision::F32 { ", f32 as on the board" } else { "" };
     let heading = format!("{} ({}){board}\n", device.name, spec.name);
     let mut text = heading + &readable(&report, &q, &qd, &walls);
     if let ([only], true) = (walls.as_slice(), spec.joints > spec.task) {
