@@ -71,6 +71,7 @@ pub mod servo;
 
 /// What a board says and keeps: its protocol, settings and telemetry, and the service behind them.
 pub mod board {
+    pub mod configuration;
     pub mod dispatch;
     pub mod protocol;
     pub mod service;

@@ -4,6 +4,7 @@
 //! Everything is checked here even though the tool has checked it: whatever comes over the link, nothing that the
 //! rules forbid reaches the servo, and the servo checks again what depends on the moment.
 
+use crate::board::configuration::{Configuration, nothing_to_feel, task};
 use crate::board::protocol::{Details, FaultList, ForceAnswer, ForceRequest, GainsRequest, KeyList, Name, WriteEntry};
 use crate::board::settings::{self, BoardName, Damage, Entry, Key, Polarity, Setting};
 use crate::math::Math;
@@ -54,11 +55,8 @@ pub trait Machine {
 pub struct Service {
     hardware: Hardware,
     most: Limits,
-    device: Option<Device<f32>>,
-    scene: Option<Scene<f32>>,
-    mass: MassModelData,
+    configuration: Configuration,
     receiving: Receiving,
-    rules: Rules,
     name: Name,
     /// The device whose polarity was found right since the board started. What flash says of earlier checks does not
     /// count: wires are changed while a board is without power. All of it is kept: a name can be made up that gives
@@ -81,11 +79,13 @@ impl Service {
         Self {
             hardware,
             most,
-            device: None,
-            scene: None,
-            mass: MassModelData::Exact,
+            configuration: Configuration {
+                device: None,
+                scene: None,
+                mass: MassModelData::Exact,
+                rules: Rules { limits: Limits { tip_force, ..most }, host_action, ..Rules::default() },
+            },
             receiving: Receiving::default(),
-            rules: Rules { limits: Limits { tip_force, ..most }, host_action, ..Rules::default() },
             name: Name::new(),
             polarity: None,
             damage: Vec::new(),
@@ -98,7 +98,7 @@ impl Service {
     /// [`Details::damage`]; the rest is kept.
     pub fn boot(&mut self, machine: &mut impl Machine) {
         // What is in force until something else is read.
-        let _ = self.set_rules(machine, self.rules);
+        let _ = self.set_rules(machine, self.configuration.rules);
         if let Some(BoardName(name)) = self.read(machine) {
             self.name = name;
         }
@@ -108,26 +108,26 @@ impl Service {
             let _ = self.damage.push((Key::Rules, Damage::Corrupt));
         }
         if let Some(mass) = self.read(machine).filter(|mass| !matches!(mass, MassModelData::Table(..))) {
-            self.mass = mass;
+            self.configuration.mass = mass;
         }
+        let mass = self.configuration.mass.clone();
+        let modelled = mass != MassModelData::Exact;
         let scene = self.read::<Scene<f32>>(machine);
         if let Some(device) = self.read::<Device<f32>>(machine)
-            && self.set_device_keeping_mass(machine, device.clone()).is_err()
+            && self.set_device_and_mass(machine, device.clone(), mass.clone()).is_err()
         {
             // A mass model that does not fit is no reason to be without a device.
-            let modelled = self.mass != MassModelData::Exact;
             let key = if modelled && self.set_device(machine, device).is_ok() { Key::MassModel } else { Key::Device };
             let _ = self.damage.push((key, Damage::Corrupt));
         }
-        if let (Some(scene), true) = (scene, self.device.is_some()) {
-            // What was saved beside the scene was made for its walls.
-            let mass = core::mem::take(&mut self.mass);
-            if self.set_scene(machine, scene).is_err() {
-                self.mass = mass;
-                let _ = self.damage.push((Key::Scene, Damage::Corrupt));
-            } else if mass != MassModelData::Exact && self.set_mass_model(machine, mass).is_err() {
-                let _ = self.damage.push((Key::MassModel, Damage::Corrupt));
-            }
+        let mass = self.configuration.mass.clone();
+        let modelled = mass != MassModelData::Exact;
+        // What was saved beside the scene was made for its walls.
+        if let (Some(scene), true) = (scene, self.configuration.device.is_some())
+            && self.set_scene_and_mass(machine, scene.clone(), mass).is_err()
+        {
+            let key = if modelled && self.set_scene(machine, scene).is_ok() { Key::MassModel } else { Key::Scene };
+            let _ = self.damage.push((key, Damage::Corrupt));
         }
         if !self.damage.is_empty() {
             let value = self.damage.len() as f32;
@@ -150,58 +150,52 @@ impl Service {
         details.name = self.name.clone();
         details.axes = self.hardware.axes as u8;
         details.real = self.hardware.real;
-        details.device = self.device.as_ref().map(|device| device.name.clone());
-        details.walls = self.scene.as_ref().map_or(0, |scene| scene.walls.len() as u8);
-        details.rate_hz = self.scene.as_ref().map_or(20_000.0, |scene| scene.rate_hz);
+        details.device = self.configuration.device.as_ref().map(|device| device.name.clone());
+        details.walls = self.configuration.scene.as_ref().map_or(0, |scene| scene.walls.len() as u8);
+        details.rate_hz = self.configuration.scene.as_ref().map_or(20_000.0, |scene| scene.rate_hz);
         details.damage = self.damage.clone();
     }
 
     /// The loaded device.
     pub fn device(&self) -> Option<&Device<f32>> {
-        self.device.as_ref()
+        self.configuration.device.as_ref()
     }
 
     /// The scene in force.
     pub fn scene(&self) -> Option<&Scene<f32>> {
-        self.scene.as_ref()
+        self.configuration.scene.as_ref()
     }
 
     /// The rules in force.
     pub fn rules(&self) -> &Rules {
-        &self.rules
+        &self.configuration.rules
     }
 
     /// Loads a device: motors must be off; homing, scene (unless it fits) and mass model start anew.
     pub fn set_device(&mut self, machine: &mut impl Machine, device: Device<f32>) -> Result<(), Refusal> {
-        let old = core::mem::take(&mut self.mass);
-        let result = self.set_device_keeping_mass(machine, device);
-        if result.is_err() {
-            self.mass = old;
-        }
-        result
+        self.set_device_and_mass(machine, device, MassModelData::Exact)
     }
 
-    fn set_device_keeping_mass<Mc: Machine>(&mut self, machine: &mut Mc, device: Device<f32>) -> Result<(), Refusal> {
+    fn set_device_and_mass<Mc: Machine>(
+        &mut self,
+        machine: &mut Mc,
+        device: Device<f32>,
+        mass: MassModelData,
+    ) -> Result<(), Refusal> {
         must_be_off(machine)?;
         check_device::<Mc::Math>(&device)?;
-        let task = device.mechanism.kind().spec().task;
-        let fits = self.scene.as_ref().filter(|scene| usize::from(scene.task) == task);
-        let empty = Scene { task: task as u8, ..Scene::default() };
-        self.install(machine, &device, fits.unwrap_or(&empty), false)?;
-        if fits.is_none() {
-            self.scene = None;
-        }
-        self.took_device(machine, &device)?;
-        self.device = Some(device);
-        Ok(())
+        let scene = self.configuration.scene.as_ref().filter(|scene| usize::from(scene.task) == task(&device)).cloned();
+        let next = Configuration { device: Some(device), scene, mass, rules: self.configuration.rules };
+        self.install(machine, next, false, None)?;
+        self.took_device(machine)
     }
 
-    /// What else there is to do when another device is in force: a table on its way was for the one before, and what
-    /// was checked of this one counts. A number that is none makes it unequal to itself, and unchecked.
-    fn took_device(&mut self, machine: &mut impl Machine, device: &Device<f32>) -> Result<(), Refusal> {
+    /// Forgets a table that was on its way for the device before, and tells the servo when this device's polarity was
+    /// found right already. A device that holds a NaN equals no device, so it counts as unchecked.
+    fn took_device(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
         self.receiving = Receiving::default();
         match &self.polarity {
-            Some(checked) if checked == device => machine.execute(Command::PolarityKnown).0,
+            Some(_) if self.polarity == self.configuration.device => machine.execute(Command::PolarityKnown).0,
             _ => Ok(()),
         }
     }
@@ -209,15 +203,19 @@ impl Service {
     /// Loads a scene for the device, with the closed form of the mass matrix: a prepared one is for the walls it was
     /// made for. With the motors on it must keep the control rate and must not be touched.
     pub fn set_scene(&mut self, machine: &mut impl Machine, scene: Scene<f32>) -> Result<(), Refusal> {
-        let device = self.device.as_ref().ok_or(Refusal::NoDevice)?;
-        scene.check(device.mechanism.kind().spec().task).map_err(Refusal::Scene)?;
-        let old = core::mem::take(&mut self.mass);
-        if let Err(refusal) = self.install(machine, device, &scene, true) {
-            self.mass = old;
-            return Err(refusal);
-        }
-        self.scene = Some(scene);
-        Ok(())
+        self.set_scene_and_mass(machine, scene, MassModelData::Exact)
+    }
+
+    fn set_scene_and_mass(
+        &mut self,
+        machine: &mut impl Machine,
+        scene: Scene<f32>,
+        mass: MassModelData,
+    ) -> Result<(), Refusal> {
+        let device = self.configuration.device.as_ref().ok_or(Refusal::NoDevice)?;
+        scene.check(task(device)).map_err(Refusal::Scene)?;
+        let (device, rules) = (Some(device.clone()), self.configuration.rules);
+        self.install(machine, Configuration { device, scene: Some(scene), mass, rules }, true, None)
     }
 
     /// Chooses where the step takes its mass matrix from; motors must be off. A table's values must have been sent
@@ -225,17 +223,14 @@ impl Service {
     pub fn set_mass_model(&mut self, machine: &mut impl Machine, mass: MassModelData) -> Result<(), Refusal> {
         must_be_off(machine)?;
         if let MassModelData::Table(grid, crc) = &mass {
-            let device = self.device.as_ref().ok_or(Refusal::NoDevice)?;
+            let device = self.configuration.device.as_ref().ok_or(Refusal::NoDevice)?;
             if !self.receiving.is_complete(grid.values(device.mechanism.mass_entries().len()), *crc) {
                 return Err(Refusal::BadTable);
             }
         }
-        let old = core::mem::replace(&mut self.mass, mass);
-        let result = self.reinstall(machine);
-        if result.is_err() {
-            self.mass = old;
-        }
-        result
+        let Configuration { device, scene, rules, .. } = &self.configuration;
+        let next = Configuration { device: device.clone(), scene: scene.clone(), mass, rules: *rules };
+        self.install(machine, next, true, None)
     }
 
     /// Takes a piece of a table, in order from offset 0; see [`Receiving::take`]. A table that is in use gives way to
@@ -246,46 +241,61 @@ impl Service {
         if !self.receiving.fits(offset, &chunk.values) {
             return Err(Refusal::BadTable);
         }
-        if matches!(self.mass, MassModelData::Table(..)) {
+        if matches!(self.configuration.mass, MassModelData::Table(..)) {
             self.set_mass_model(machine, MassModelData::Exact)?;
         }
         self.receiving.take(offset, &chunk.values);
         Ok(())
     }
 
-    fn reinstall(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
-        let Some(device) = self.device.as_ref() else { return Ok(()) };
-        let task = device.mechanism.kind().spec().task;
-        let empty = Scene { task: task as u8, ..Scene::default() };
-        self.install(machine, device, self.scene.as_ref().unwrap_or(&empty), true)
-    }
-
+    /// Puts a configuration in force, or refuses it and leaves everything as it is. Settings that were staged under `keys`
+    /// count once nothing can refuse the configuration any more.
     fn install<Mc: Machine>(
-        &self,
+        &mut self,
         machine: &mut Mc,
-        device: &Device<f32>,
-        scene: &Scene<f32>,
+        next: Configuration,
         same_device: bool,
+        keys: Option<&KeyList>,
     ) -> Result<(), Refusal> {
-        let mut program = Program::<Mc::Math>::new(&self.hardware, &self.rules.limits, device, scene, same_device)?;
-        program.set_mass(&self.mass, self.receiving.values())?;
-        let held = machine.place(program)?;
-        let (result, returned) = machine.execute(Command::Program(held));
-        if let Some(held) = returned {
-            machine.release(held);
+        let Configuration { device, scene, mass, rules } = &next;
+        let mut placed = None;
+        if let Some(device) = device {
+            let empty = nothing_to_feel(device);
+            let scene = scene.as_ref().unwrap_or(&empty);
+            let mut program = Program::<Mc::Math>::new(&self.hardware, &rules.limits, device, scene, same_device)?;
+            program.set_mass(mass, self.receiving.values())?;
+            placed = Some((machine.place(program)?, scene.rate_hz));
         }
-        result?;
-        // What was taken with the motors on has the rate that there is. Asked now, because a fault may have come meanwhile.
-        if must_be_off(machine).is_ok() {
-            machine.retime(scene.rate_hz);
+        if let Some(Err(refusal)) = keys.map(|keys| machine.commit(keys)) {
+            if let Some((held, _)) = placed {
+                machine.release(held);
+            }
+            return Err(refusal);
         }
+        let rate_hz = placed.as_ref().map(|(_, rate_hz)| *rate_hz);
+        if let Some((held, _)) = placed {
+            let (result, returned) = machine.execute(Command::Program(held));
+            if let Some(held) = returned {
+                machine.release(held);
+            }
+            result?;
+        }
+        if keys.is_some() {
+            machine.execute(Command::Rules(*rules)).0?;
+        }
+        // A scene that was taken with the motors on keeps the rate. Asked now, because a fault may have come meanwhile.
+        if let Some(rate_hz) = rate_hz.filter(|_| must_be_off(machine).is_ok()) {
+            machine.retime(rate_hz);
+        }
+        self.configuration = next;
         Ok(())
     }
 
     /// Changes gains while the scene runs. Refused as a whole when any part of it cannot be.
     pub fn set_gains<Mc: Machine>(&mut self, machine: &mut Mc, request: &GainsRequest) -> Result<(), Refusal> {
-        let device = self.device.as_ref().ok_or(Refusal::NoDevice)?;
-        let scene = self.scene.as_mut().ok_or(Refusal::NoScene)?;
+        let Configuration { device, scene, .. } = &mut self.configuration;
+        let device = device.as_ref().ok_or(Refusal::NoDevice)?;
+        let scene = scene.as_mut().ok_or(Refusal::NoScene)?;
         let mut changed = scene.clone();
         if let Some(gains) = &request.wall {
             let wall = changed
@@ -301,7 +311,7 @@ impl Service {
             changed.estimator = estimator;
             changed.cutoff_hz = cutoff_hz;
         }
-        changed.check(device.mechanism.kind().spec().task).map_err(Refusal::Scene)?;
+        changed.check(task(device)).map_err(Refusal::Scene)?;
         let rate = changed.rate_hz;
         // Everything that can be refused comes before anything that acts.
         let coefficients = match request.estimator {
@@ -331,7 +341,7 @@ impl Service {
     pub fn set_rules(&mut self, machine: &mut impl Machine, rules: Rules) -> Result<(), Refusal> {
         self.check_rules(&rules)?;
         machine.execute(Command::Rules(rules)).0?;
-        self.rules = rules;
+        self.configuration.rules = rules;
         Ok(())
     }
 
@@ -367,10 +377,10 @@ impl Service {
 
     /// Motors on.
     pub fn arm(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
-        if self.device.is_none() {
+        if self.configuration.device.is_none() {
             return Err(Refusal::NoDevice);
         }
-        if self.scene.is_none() {
+        if self.configuration.scene.is_none() {
             return Err(Refusal::NoScene);
         }
         machine.execute(Command::Arm).0
@@ -401,8 +411,8 @@ impl Service {
     pub fn poll(&mut self, machine: &mut impl Machine) -> Option<FaultRecord> {
         let status = machine.status();
         // What is known already is not copied again.
-        if status.polarity && self.polarity != self.device {
-            self.polarity.clone_from(&self.device);
+        if status.polarity && self.polarity != self.configuration.device {
+            self.polarity.clone_from(&self.configuration.device);
         }
         let fault = status.fault?;
         // Values are not compared: NaN differs from itself, and such a fault would be reported again and again.
@@ -428,15 +438,15 @@ impl Service {
         must_be_off(machine)?;
         let _ = self.poll(machine);
         let mut keys = KeyList::new();
-        if let Some(device) = &self.device {
+        if let Some(device) = &self.configuration.device {
             stage(machine, device, &mut keys)?;
         }
-        if let Some(scene) = &self.scene {
+        if let Some(scene) = &self.configuration.scene {
             stage(machine, scene, &mut keys)?;
         }
-        stage(machine, &self.rules, &mut keys)?;
+        stage(machine, &self.configuration.rules, &mut keys)?;
         // A table is too long for a setting and not kept: a board that starts anew uses the closed form.
-        match &self.mass {
+        match &self.configuration.mass {
             MassModelData::Table(..) => stage(machine, &MassModelData::Exact, &mut keys)?,
             kept => stage(machine, kept, &mut keys)?,
         }
@@ -476,60 +486,34 @@ impl Service {
         let mass: Option<MassModelData> = self.taken(machine, keys)?;
         let name: Option<BoardName> = self.taken(machine, keys)?;
 
-        let rules = rules.unwrap_or(self.rules);
+        let rules = rules.unwrap_or(self.configuration.rules);
         self.check_rules(&rules)?;
-        let mass = match (mass, &device) {
-            (Some(MassModelData::Table(..)), _) => return Err(Refusal::BadTable),
-            (Some(mass), _) => mass,
-            (None, Some(_)) => MassModelData::Exact,
-            (None, None) => self.mass.clone(),
-        };
+        if matches!(mass, Some(MassModelData::Table(..))) {
+            return Err(Refusal::BadTable);
+        }
         if let Some(device) = &device {
             check_device::<Mc::Math>(device)?;
         }
         let same_device = device.is_none();
-        let device = device.or_else(|| self.device.clone());
-        let Some(device) = device else {
-            // Rules and a name alone.
-            if scene.is_some() {
-                return Err(Refusal::NoDevice);
+        let before = &self.configuration;
+        let device = device.or_else(|| before.device.clone());
+        let (scene, mass) = match &device {
+            Some(device) => {
+                if let Some(scene) = &scene {
+                    scene.check(task(device)).map_err(Refusal::Scene)?;
+                }
+                let scene = scene.or_else(|| before.scene.clone());
+                let kept = if same_device { before.mass.clone() } else { MassModelData::Exact };
+                (scene.filter(|scene| usize::from(scene.task) == task(device)), mass.unwrap_or(kept))
             }
-            machine.commit(keys)?;
-            machine.execute(Command::Rules(rules)).0?;
-            (self.rules, self.name) = (rules, name.map_or(self.name.clone(), |BoardName(name)| name));
-            return Ok(());
+            None if scene.is_some() => return Err(Refusal::NoDevice),
+            None => (None, before.mass.clone()),
         };
-        let task = device.mechanism.kind().spec().task;
-        if let Some(scene) = &scene {
-            scene.check(task).map_err(Refusal::Scene)?;
-        }
-        let scene = scene.or_else(|| self.scene.clone()).filter(|scene| usize::from(scene.task) == task);
-        let empty = Scene { task: task as u8, ..Scene::default() };
-        let runs = scene.as_ref().unwrap_or(&empty);
-        let mut program = Program::<Mc::Math>::new(&self.hardware, &rules.limits, &device, runs, same_device)?;
-        program.set_mass(&mass, self.receiving.values())?;
-        let held = machine.place(program)?;
-        if let Err(refusal) = machine.commit(keys) {
-            machine.release(held);
-            return Err(refusal);
-        }
-        // From here on nothing is refused: the motors are off, and everything has been checked.
-        let (result, returned) = machine.execute(Command::Program(held));
-        if let Some(held) = returned {
-            machine.release(held);
-        }
-        result?;
-        machine.execute(Command::Rules(rules)).0?;
-        machine.retime(runs.rate_hz);
-        (self.rules, self.mass, self.scene) = (rules, mass, scene);
+        self.install(machine, Configuration { device, scene, mass, rules }, same_device, Some(keys))?;
         if let Some(BoardName(name)) = name {
             self.name = name;
         }
-        if !same_device {
-            self.took_device(machine, &device)?;
-        }
-        self.device = Some(device);
-        Ok(())
+        if same_device { Ok(()) } else { self.took_device(machine) }
     }
 
     /// The staged value of a setting, where its key is among these.

@@ -1,0 +1,30 @@
+//! What a board is configured to do: a device, what is rendered on it, with which mass matrix and within which limits.
+
+use crate::model::device::Device;
+use crate::model::precomputed::MassModelData;
+use crate::render::scene::Scene;
+use crate::servo::Rules;
+
+/// A whole configuration. The service makes the next one beside the one in force and swaps them once it is accepted, so
+/// a refusal leaves nothing to undo.
+#[derive(Clone, Debug)]
+pub struct Configuration {
+    /// The loaded device.
+    pub device: Option<Device<f32>>,
+    /// The loaded scene.
+    pub scene: Option<Scene<f32>>,
+    /// Where the step takes its mass matrix from.
+    pub mass: MassModelData,
+    /// Limits and rules.
+    pub rules: Rules,
+}
+
+/// The scene of a device that has none yet: nothing to feel.
+pub fn nothing_to_feel(device: &Device<f32>) -> Scene<f32> {
+    Scene { task: task(device) as u8, ..Scene::default() }
+}
+
+/// Dimensions of a device's task space.
+pub fn task(device: &Device<f32>) -> usize {
+    device.mechanism.kind().spec().task
+}
