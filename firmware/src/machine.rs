@@ -4,8 +4,8 @@
 use core::sync::atomic::Ordering;
 
 use haptic_bridge::board::dispatch::Described;
-use haptic_bridge::board::protocol::{Details, ForceAnswer, ForceRequest, Info, PROTOCOL};
-use haptic_bridge::board::service::{Machine, Service};
+use haptic_bridge::board::protocol::{ForceAnswer, ForceRequest, Info, PROTOCOL};
+use haptic_bridge::board::service::{Machine, Measured, Service};
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::board::storage::StorageError;
 use haptic_bridge::drive::carrier::Carrier;
@@ -237,21 +237,14 @@ impl Described for BoardMachine {
         }
     }
 
-    fn details(&mut self) -> Details {
+    fn measured(&mut self) -> Measured {
         // A few late steps (a new program, a change of gains) are no delay; many are.
         let late = servo::LATE_SHARE.load(Ordering::Relaxed) > servo::WHOLE / 4;
         let delay = self.carrier.delay_samples();
-        Details {
-            name: String::new(),
-            axes: This::AXES as u8,
-            real: true,
+        Measured {
             carrier_hz: self.carrier.carrier_hz(),
             delay_samples: if late { 2.0 * delay } else { delay },
-            device: None,
-            rate_hz: self.carrier.rate_hz(),
-            walls: 0,
             unsensed: This::UNSENSED.iter().map(|fault| fault.code()).collect(),
-            damage: Vec::new(),
             overruns: servo::OVERRUNS.load(Ordering::Relaxed),
             longest_cycles: servo::LONGEST_CYCLES.load(Ordering::Relaxed),
             stack_free: stack::never_used(),

@@ -5,7 +5,7 @@
 //! by postcard-rpc's own error message; nothing that comes in can do more than that.
 
 use crate::board::protocol::*;
-use crate::board::service::{Machine, Service};
+use crate::board::service::{Machine, Measured, Service};
 use crate::board::telemetry::{Batch, StreamRequest};
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use postcard_rpc::standard_icd::{ERROR_KEY, WireError};
@@ -16,8 +16,8 @@ use serde::{Serialize, de::DeserializeOwned};
 pub trait Described: Machine {
     /// Who it is.
     fn info(&self) -> Info;
-    /// Its own part of the details; the service fills in the rest.
-    fn details(&mut self) -> Details;
+    /// What it measures of itself.
+    fn measured(&mut self) -> Measured;
 }
 
 /// What is left to do once the answer is on its way.
@@ -131,11 +131,7 @@ fn route<M: Described>(
         SetScene: |scene| service.set_scene(machine, scene);
         SetDevice: |device| service.set_device(machine, device);
         GetInfo: |()| machine.info();
-        GetDetails: |()| {
-            let mut details = machine.details();
-            service.describe(&mut details);
-            details
-        };
+        GetDetails: |()| service.details(machine.measured());
         GetDevice: |()| service.device().cloned();
         GetScene: |()| service.scene().cloned();
         SetMassModel: |mass| service.set_mass_model(machine, mass);

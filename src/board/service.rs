@@ -50,6 +50,23 @@ pub trait Machine {
     fn load(&mut self, key: Key) -> Option<Entry>;
 }
 
+/// What only the machine itself can measure of what a board tells in [`Details`].
+#[derive(Clone, Debug, Default)]
+pub struct Measured {
+    /// Carrier frequency at the present control rate, Hz.
+    pub carrier_hz: f32,
+    /// Computation delay from sampling to duty, in control samples.
+    pub delay_samples: f32,
+    /// Faults (their codes) that this board cannot sense as it is wired.
+    pub unsensed: Vec<u8, 16>,
+    /// Runs of the control interrupt that reached past the next crest since boot.
+    pub overruns: u32,
+    /// Longest control interrupt seen, in core cycles; 0 where it is not measured.
+    pub longest_cycles: u32,
+    /// Stack never used so far, bytes; 0 where it is not measured.
+    pub stack_free: u32,
+}
+
 /// The configuration of a board and everything that may be done to it.
 #[derive(Debug)]
 pub struct Service {
@@ -145,15 +162,25 @@ impl Service {
         settings::decode(&entry).map_err(|damage| self.damage.push((S::KEY, damage))).ok()
     }
 
-    /// What the service knows for [`Details`]; the machine fills in the rest.
-    pub fn describe(&self, details: &mut Details) {
-        details.name = self.name.clone();
-        details.axes = self.hardware.axes as u8;
-        details.real = self.hardware.real;
-        details.device = self.configuration.device.as_ref().map(|device| device.name.clone());
-        details.walls = self.configuration.scene.as_ref().map_or(0, |scene| scene.walls.len() as u8);
-        details.rate_hz = self.configuration.scene.as_ref().map_or(20_000.0, |scene| scene.rate_hz);
-        details.damage = self.damage.clone();
+    /// What the board tells of itself.
+    pub fn details(&self, measured: Measured) -> Details {
+        let Configuration { device, scene, .. } = &self.configuration;
+        let Measured { carrier_hz, delay_samples, unsensed, overruns, longest_cycles, stack_free } = measured;
+        Details {
+            name: self.name.clone(),
+            axes: self.hardware.axes as u8,
+            real: self.hardware.real,
+            carrier_hz,
+            delay_samples,
+            device: device.as_ref().map(|device| device.name.clone()),
+            rate_hz: scene.as_ref().map_or(20_000.0, |scene| scene.rate_hz),
+            walls: scene.as_ref().map_or(0, |scene| scene.walls.len() as u8),
+            unsensed,
+            damage: self.damage.clone(),
+            overruns,
+            longest_cycles,
+            stack_free,
+        }
     }
 
     /// The loaded device.

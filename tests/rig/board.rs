@@ -4,8 +4,8 @@
 #![allow(dead_code, reason = "every test file uses its own part")]
 
 use haptic_bridge::board::dispatch::{self, After, Described};
-use haptic_bridge::board::protocol::{Details, ForceAnswer, ForceRequest, Info, MAX_FRAME, PROTOCOL};
-use haptic_bridge::board::service::{Machine, Service};
+use haptic_bridge::board::protocol::{ForceAnswer, ForceRequest, Info, MAX_FRAME, PROTOCOL};
+use haptic_bridge::board::service::{Machine, Measured, Service};
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::board::telemetry::Packer;
 use haptic_bridge::drive::stage::{Bridge, MAX_DUTY};
@@ -93,22 +93,8 @@ impl Described for Machinery {
         Info { protocol: PROTOCOL, firmware: text("0.0.0"), board: text("bench"), serial: "B1".chars().collect() }
     }
 
-    fn details(&mut self) -> Details {
-        Details {
-            name: Default::default(),
-            axes: 0,
-            real: false,
-            carrier_hz: 20_000.0,
-            delay_samples: 0.5,
-            device: None,
-            rate_hz: 0.0,
-            walls: 0,
-            unsensed: Default::default(),
-            damage: Default::default(),
-            overruns: 0,
-            longest_cycles: 0,
-            stack_free: 0,
-        }
+    fn measured(&mut self) -> Measured {
+        Measured { carrier_hz: 20_000.0, delay_samples: 0.5, ..Measured::default() }
     }
 }
 

@@ -9,10 +9,8 @@ use super::hand::{Hand, HandSettings};
 use super::motor::MotorInput;
 use super::port::Port;
 use haptic_bridge::board::dispatch::{self, After, Described};
-use haptic_bridge::board::protocol::{
-    Details, FaultSeen, ForceAnswer, ForceRequest, Info, MAX_FRAME, PROTOCOL, Telemetry,
-};
-use haptic_bridge::board::service::{Machine, Service};
+use haptic_bridge::board::protocol::{FaultSeen, ForceAnswer, ForceRequest, Info, MAX_FRAME, PROTOCOL, Telemetry};
+use haptic_bridge::board::service::{Machine, Measured, Service};
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::board::telemetry::Packer;
 use haptic_bridge::drive::brushed::UNKNOWN_WINDING;
@@ -164,23 +162,9 @@ impl Described for Innards {
         }
     }
 
-    fn details(&mut self) -> Details {
+    fn measured(&mut self) -> Measured {
         let delay = self.options.delay / f64::from(self.carrier.divider);
-        Details {
-            name: Default::default(),
-            axes: 0,
-            real: false,
-            carrier_hz: self.carrier.carrier_hz(),
-            delay_samples: delay as f32,
-            device: None,
-            rate_hz: 0.0,
-            walls: 0,
-            unsensed: Default::default(),
-            damage: Default::default(),
-            overruns: 0,
-            longest_cycles: 0,
-            stack_free: 0,
-        }
+        Measured { carrier_hz: self.carrier.carrier_hz(), delay_samples: delay as f32, ..Measured::default() }
     }
 }
 
