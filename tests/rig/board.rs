@@ -3,6 +3,7 @@
 //! change.
 #![allow(dead_code, reason = "every test file uses its own part")]
 
+use haptic::sim::SettingsFlash;
 use haptic_bridge::board::dispatch::{self, After, Described};
 use haptic_bridge::board::protocol::{ForceAnswer, ForceRequest, Info, MAX_FRAME, PROTOCOL};
 use haptic_bridge::board::service::{Machine, Measured, Service};
@@ -29,9 +30,7 @@ use std::collections::BTreeMap;
 /// What the service may reach.
 pub struct Machinery {
     pub servo: Servo<Box<Program<Minimax>>>,
-    pub flash: BTreeMap<u8, Entry>,
-    /// Entries that do not count yet.
-    pub staged: BTreeMap<u8, Entry>,
+    pub flash: SettingsFlash,
     /// Flash operations are refused from now on.
     pub flash_broken: bool,
     /// Rates that the timer was set to, Hz.
@@ -64,26 +63,20 @@ impl Machine for Machinery {
         if self.flash_broken {
             return Err(Refusal::Flash);
         }
-        self.staged.insert(key as u8, Entry::from_slice(entry).map_err(|_| Refusal::Flash)?);
-        Ok(())
+        self.flash.stage(key, entry)
     }
     fn staged(&mut self, key: Key) -> Option<Entry> {
-        self.staged.get(&(key as u8)).cloned()
+        self.flash.staged(key)
     }
     fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal> {
         assert!(!self.servo.status().state.drives(), "flash is written while the motors are on");
         if self.flash_broken {
             return Err(Refusal::Flash);
         }
-        if keys.iter().any(|key| !self.staged.contains_key(&(*key as u8))) {
-            return Err(Refusal::Flash);
-        }
-        let staged = std::mem::take(&mut self.staged);
-        self.flash.extend(staged.into_iter().filter(|(key, _)| keys.iter().any(|named| *named as u8 == *key)));
-        Ok(())
+        self.flash.commit(keys)
     }
     fn load(&mut self, key: Key) -> Option<Entry> {
-        self.flash.get(&(key as u8)).cloned()
+        self.flash.load(key)
     }
 }
 
@@ -149,7 +142,12 @@ impl Board {
         let most = Limits::default();
         let servo = Servo::new(hardware, Rules::default());
         let mut board = Self {
-            machine: Machinery { servo, flash, staged: BTreeMap::new(), flash_broken: false, retimed: Vec::new() },
+            machine: Machinery {
+                servo,
+                flash: SettingsFlash::holding(flash),
+                flash_broken: false,
+                retimed: Vec::new(),
+            },
             service: Service::new(hardware, most),
             samples: Samples { bus_voltage: 24.0, ..Samples::default() },
             bridges: false,
@@ -264,7 +262,7 @@ impl Board {
             After::Stream(request, axes) => self.packer.start(&request, axes),
             After::BootLoader | After::Restart => {
                 assert!(!self.state().drives(), "the board leaves with its motors on");
-                *self = Self::with_flash(self.hardware.real, core::mem::take(&mut self.machine.flash));
+                *self = Self::with_flash(self.hardware.real, core::mem::take(&mut self.machine.flash.kept));
             }
         }
         answer

@@ -5,6 +5,7 @@
 
 use super::around::Around;
 use super::device::{DeviceError, Options, SimulatedDevice, Support};
+use super::flash::SettingsFlash;
 use super::hand::{Hand, HandSettings};
 use super::motor::MotorInput;
 use super::port::Port;
@@ -27,7 +28,6 @@ use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::{Counts, Currents};
 use haptic_bridge::servo::program::{Hardware, Program};
 use haptic_bridge::servo::{ARM_SECONDS, Command, HostAction, Reply, Rules, Servo, Status};
-use std::collections::BTreeMap;
 
 /// Frequency that the PWM timers count at, as those of the real boards do, Hz.
 pub const TIMER_HZ: u32 = 168_000_000;
@@ -92,9 +92,7 @@ const POLL_SECONDS: f64 = 0.02;
 #[derive(Debug)]
 struct Innards {
     servo: Servo<Box<Program<Minimax>>>,
-    flash: BTreeMap<u8, Entry>,
-    /// Entries that do not count yet.
-    staged: BTreeMap<u8, Entry>,
+    flash: SettingsFlash,
     carrier: Carrier,
     options: BoardOptions,
 }
@@ -120,22 +118,16 @@ impl Machine for Innards {
         self.carrier = Carrier::for_rate(TIMER_HZ, rate_hz);
     }
     fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
-        self.staged.insert(key as u8, Entry::from_slice(entry).map_err(|_| Refusal::Flash)?);
-        Ok(())
+        self.flash.stage(key, entry)
     }
     fn staged(&mut self, key: Key) -> Option<Entry> {
-        self.staged.get(&(key as u8)).cloned()
+        self.flash.staged(key)
     }
     fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal> {
-        if keys.iter().any(|key| !self.staged.contains_key(&(*key as u8))) {
-            return Err(Refusal::Flash);
-        }
-        let staged = std::mem::take(&mut self.staged);
-        self.flash.extend(staged.into_iter().filter(|(key, _)| keys.iter().any(|named| *named as u8 == *key)));
-        Ok(())
+        self.flash.commit(keys)
     }
     fn load(&mut self, key: Key) -> Option<Entry> {
-        self.flash.get(&(key as u8)).cloned()
+        self.flash.load(key)
     }
 }
 
@@ -228,8 +220,7 @@ impl SimulatedBoard {
             service: Service::new(hardware, most(hardware)),
             innards: Innards {
                 servo: Servo::new(hardware, Rules::default()),
-                flash: BTreeMap::new(),
-                staged: BTreeMap::new(),
+                flash: SettingsFlash::default(),
                 carrier: Carrier::for_rate(TIMER_HZ, CARRIER_MIN_HZ as f32),
                 options: options.clone(),
             },
@@ -518,7 +509,7 @@ impl SimulatedBoard {
 
     /// What pressing reset does: flash stays, everything else starts anew, motors off.
     fn restart(&mut self) {
-        self.innards.staged.clear();
+        self.innards.flash.restart();
         // RAM is not cleared, and motors do not cool by a reset.
         let heat = *self.innards.servo.heat();
         self.innards.servo = Servo::new(self.hardware, Rules::default());
