@@ -35,6 +35,7 @@ struct Row {
 const ROWS: [Row; 10] = [
     // One that stands in its own way, for other programs and in MuJoCo.
     Row { name: "mechanism", words: &["Parallelogram", "parallelogram"], stems: &["parallelogram"], users: &[] },
+    Row { name: "straight step", words: &["StepVariant"], stems: &["plane"], users: &[] },
     Row { name: "wall shape", words: &["Cylinder", "cylinder"], stems: &["cylinder"], users: &[] },
     Row {
         name: "telemetry signal",

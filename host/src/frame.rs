@@ -13,14 +13,14 @@ impl Axes {
     pub fn of(kind: Kind, weight: bool) -> Self {
         let (x, y, z) = (Some((0, 1.0)), Some((1, 1.0)), Some((2, 1.0)));
         let back = |axis: Option<(usize, f64)>| axis.map(|(index, sign)| (index, -sign));
-        match (kind.spec().task, kind) {
-            (1, _) => Self([None, x, None]),
-            (2, _) if weight => Self([None, x, y]),
-            (2, _) => Self([y, back(x), None]),
+        match kind {
+            Kind::Paddle => Self([None, x, None]),
+            Kind::FiveBar | Kind::Serial3r if weight => Self([None, x, y]),
+            Kind::FiveBar | Kind::Serial3r => Self([y, back(x), None]),
             // Its vertical is y, and the arm reaches along x towards who holds it.
-            (_, Kind::Parallelogram) => Self([x, back(z), y]),
+            Kind::Parallelogram => Self([x, back(z), y]),
             // The motors are away from the operator, who is where y points to.
-            _ => Self([y, back(x), z]),
+            Kind::FiveBarTurret => Self([y, back(x), z]),
         }
     }
 

@@ -10,7 +10,7 @@ use crate::plot::Picture;
 use crate::plot::axes::{Axis, Mark, PlotArea};
 use crate::plot::canvas::{Anchor, Canvas, Stroke};
 use haptic_bridge::math::{Libm, Math, Micromath, Minimax};
-use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::catalogue::{Kind, MAX_JOINTS};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::model::precomputed::{Interpolation, MassModel};
@@ -21,19 +21,21 @@ use std::fmt::Write;
 use std::hint::black_box;
 use std::time::Instant;
 
-/// The device of each mechanism that the figures are of: the same that the counting image steps.
-const DEVICES: [&str; 5] = [
-    include_str!("../../../devices/hapkit-paddle.toml"),
-    include_str!("../../../devices/haply-2diy.toml"),
-    include_str!("../../../devices/fictive-five-bar-turret.toml"),
-    include_str!("../../../devices/phantom-premium-1.5.toml"),
-    include_str!("../../../devices/serial-3r.toml"),
-];
+/// The device file of each mechanism that the figures are of, the same that the counting image steps, and its colour.
+fn example_of(kind: Kind) -> (&'static str, &'static str) {
+    match kind {
+        Kind::Paddle => (include_str!("../../../devices/hapkit-paddle.toml"), "#7f7f7f"),
+        Kind::FiveBar => (include_str!("../../../devices/haply-2diy.toml"), "#0072b2"),
+        Kind::FiveBarTurret => (include_str!("../../../devices/fictive-five-bar-turret.toml"), "#d55e00"),
+        Kind::Parallelogram => (include_str!("../../../devices/phantom-premium-1.5.toml"), "#009e73"),
+        Kind::Serial3r => (include_str!("../../../devices/serial-3r.toml"), "#cc79a7"),
+    }
+}
 
 /// The devices of the report.
 pub fn devices() -> Result<Vec<Device<f64>>, Failure> {
     let read = |text| DeviceFile::parse(text, "a shipped device")?.device().map_err(Failure::wrong);
-    DEVICES.iter().copied().map(read).collect()
+    Kind::ALL.iter().map(|kind| read(example_of(*kind).0)).collect()
 }
 
 /// One variant on one target.
@@ -281,8 +283,6 @@ fn steps(value: f64) -> String {
     if value < 0.1 { format!("{value:.1e}") } else { format!("{value:.1}") }
 }
 
-const COLOURS: [&str; 5] = ["#7f7f7f", "#0072b2", "#d55e00", "#009e73", "#cc79a7"];
-
 /// The picture: instructions over what is wrong with the force at the tip, each mechanism's Pareto front as a line.
 pub fn picture(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
     // Beyond these lies libm alone, whose thousands of instructions would press the rest together.
@@ -304,7 +304,8 @@ pub fn picture(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
     };
     let (mut entries, mut drawn) = (Vec::new(), Vec::new());
     frame.clipped(&mut canvas, |canvas| {
-        for ((device, variants), colour) in every.iter().zip(COLOURS) {
+        for (device, variants) in every {
+            let (_, colour) = example_of(device.mechanism.kind());
             let all: Vec<&Variant> = variants.iter().filter(shown).collect();
             let mut front: Vec<(f64, f64)> = all
                 .iter()

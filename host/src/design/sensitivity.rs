@@ -44,20 +44,14 @@ type Change = Box<dyn Fn(&mut Description, f64)>;
 
 /// The links that a length of a mechanism's geometry belongs to, by its place there.
 fn links_of(kind: Kind, entry: usize) -> &'static [usize] {
-    match (kind, entry) {
-        (Kind::FiveBar | Kind::FiveBarTurret, 1) => &[0],
-        (Kind::FiveBar | Kind::FiveBarTurret, 2) => &[1],
-        (Kind::FiveBar | Kind::FiveBarTurret, 3) => &[2],
-        (Kind::FiveBar | Kind::FiveBarTurret, 4) => &[3],
+    let of_each: &[&[usize]] = match kind {
+        Kind::Paddle => &[],
+        Kind::FiveBar | Kind::FiveBarTurret => &[&[], &[0], &[1], &[2], &[3]],
         // The coupler is as long as the upper arm.
-        (Kind::Parallelogram, 0) => &[0, 3],
-        (Kind::Parallelogram, 1) => &[1],
-        (Kind::Parallelogram, 2) => &[2],
-        (Kind::Serial3r, 0) => &[0],
-        (Kind::Serial3r, 1) => &[1],
-        (Kind::Serial3r, 2) => &[2],
-        _ => &[],
-    }
+        Kind::Parallelogram => &[&[0, 3], &[1], &[2]],
+        Kind::Serial3r => &[&[0], &[1], &[2]],
+    };
+    of_each.get(entry).copied().unwrap_or_default()
 }
 
 /// A counterweight of a tenth of the link's mass, as far behind its joint as the centre of mass is before it.
