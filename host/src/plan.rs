@@ -11,6 +11,7 @@ use crate::bench::error::{Errors, Found, Law, Terms, Trigonometry, errors};
 use crate::bench::precompute::{Precomputed, frozen, most_points, range, table};
 use crate::bench::probe::{Probe, on_surface};
 use crate::error::Failure;
+use crate::link::{Board, BoardError};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::Interpolation;
 use haptic_bridge::render::scene::{FeedForward, Scene, VelocityTerms};
@@ -78,6 +79,16 @@ pub struct Plan {
     pub candidates: Vec<Candidate>,
     /// Why, in sentences.
     pub reasons: Vec<String>,
+}
+
+impl Plan {
+    /// Loads the planned scene and its mass matrix onto a board whose motors are off; returns the scene as it was sent.
+    pub fn load(&self, board: &mut Board) -> Result<Scene<f32>, BoardError> {
+        let scene = self.scene.cast();
+        board.set_scene(&scene)?;
+        board.send_mass(&self.mass.data, &self.mass.values)?;
+        Ok(scene)
+    }
 }
 
 /// Angles per joint of the grid that is looked at.

@@ -2,9 +2,8 @@
 
 use super::port::{Port, answer, confirm};
 use haptic::error::Failure;
-use haptic_bridge::safety::fault::State;
+use haptic::link::PolarityOutcome;
 use serde_json::json;
-use std::time::Duration;
 
 /// Check that every motor turns its joint the way its encoder counts (moves the device)
 ///
@@ -31,21 +30,16 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     board.keep_alive();
     board.check_polarity()?;
-    loop {
-        // Waiting for telemetry is waiting: there is none, and a simulated board's time passes meanwhile.
-        board.rows(Duration::from_millis(100))?;
-        let status = board.status()?;
-        match (status.state, status.fault) {
-            (State::CheckingPolarity, _) => {}
-            (_, Some(record)) => {
-                let axis = record.axis.map_or(String::new(), |axis| format!(" (joint {axis})"));
-                return Err(Failure::impossible(format!("{}{axis}", record.fault)).remedy(record.fault.remedy()));
-            }
-            _ if status.polarity => {
-                let said = "every motor turns its joint the right way\n";
-                return answer(args.json, json!({ "polarity_checked": true }), said);
-            }
-            _ => return Err(Failure::impossible("the check was ended from outside").remedy("start it again")),
+    match board.wait_for_polarity()? {
+        PolarityOutcome::Right => {
+            answer(args.json, json!({ "polarity_checked": true }), "every motor turns its joint the right way\n")
+        }
+        PolarityOutcome::Fault(record) => {
+            let axis = record.axis.map_or(String::new(), |axis| format!(" (joint {axis})"));
+            Err(Failure::impossible(format!("{}{axis}", record.fault)).remedy(record.fault.remedy()))
+        }
+        PolarityOutcome::Stopped => {
+            Err(Failure::impossible("the check was ended from outside").remedy("start it again"))
         }
     }
 }

@@ -3,14 +3,12 @@
 use super::plan::{budget, readable, speed};
 use super::port::{Port, answer, scene_in_words};
 use clap::builder::NonEmptyStringValueParser;
-use haptic::bench::precompute::Precomputed;
 use haptic::error::Failure;
 use haptic::link::{Board, BoardError};
 use haptic::plan::plan;
 use haptic::plausible::{scene::doubts, warn};
 use haptic::scene_file::SceneFile;
 use haptic::toml_file::Document;
-use haptic_bridge::model::precomputed::{MassModelData, TableChunk};
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::refusal::Refusal;
@@ -69,29 +67,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
         );
     }
     let plan = plan(&device, &file.scene, budget, speed(args.speed, &file)?)?;
-    let scene = plan.scene.cast();
-    board.set_scene(&scene)?;
-    send(&mut board, &plan.mass)?;
+    let scene = plan.load(&mut board)?;
     let more = if args.verbose { readable(&device, &plan) } else { String::new() };
     let document = json!({
         "scene": scene, "planned": true, "model": plan.mass.name(), "terms": plan.terms.name(),
         "instructions": plan.instructions, "warnings": warnings,
     });
     answer(args.json, document, &(loaded(&name.to_string(), &board, &scene) + &more))
-}
-
-/// Sends a prepared mass matrix; the closed form is what a scene comes with.
-fn send(board: &mut Board, mass: &Precomputed) -> Result<(), Failure> {
-    if mass.data == MassModelData::Exact {
-        return Ok(());
-    }
-    let mut offset = 0_u16;
-    for values in mass.values.chunks(64) {
-        let values = values.iter().copied().collect();
-        board.send_table(&TableChunk { offset, values })?;
-        offset += 64;
-    }
-    Ok(board.set_mass_model(&mass.data)?)
 }
 
 fn loaded(file: &str, board: &Board, scene: &Scene<f32>) -> String {

@@ -7,15 +7,19 @@ use super::wire::Wire;
 use haptic_bridge::board::protocol::{self as p, Details, GainsRequest, Info, Outcome, PROTOCOL};
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::board::telemetry::{Fields, StreamRequest};
+use haptic_bridge::model::precomputed::{MassModelData, TableChunk};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::render::velocity::Estimator;
+use haptic_bridge::safety::fault::{FaultRecord, State};
 use haptic_bridge::servo::{Rules, Status};
 use postcard_rpc::Endpoint;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::time::Duration;
 
+/// Values of a table that travel in one message.
+const TABLE_PIECE: usize = 64;
 /// How long a board may take over an answer.
 const ANSWER: Duration = Duration::from_secs(2);
 /// How long it may take when it writes flash: two sector erases of 16 KB and what is written (STM32F405 data sheet).
@@ -25,6 +29,17 @@ const FLASH_ANSWER: Duration = Duration::from_secs(6);
 pub const FORCE_PATIENCE: Duration = Duration::from_millis(100);
 /// How often the host says that it is there, when it was asked to.
 const HEARTBEAT: Duration = Duration::from_millis(50);
+
+/// How a polarity check ended.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PolarityOutcome {
+    /// Every motor turns its joint the right way.
+    Right,
+    /// A fault ended it.
+    Fault(FaultRecord),
+    /// Somebody else turned the motors off.
+    Stopped,
+}
 
 /// An open board of this tool's protocol version.
 pub struct Board {
@@ -36,7 +51,7 @@ pub struct Board {
     heartbeat: bool,
     last_heartbeat: Duration,
     force_patience: Duration,
-    faults: Vec<haptic_bridge::safety::fault::FaultRecord>,
+    faults: Vec<FaultRecord>,
 }
 
 impl Board {
@@ -229,6 +244,33 @@ impl Board {
     /// From now on says several times a second that the host is there, whenever it waits for telemetry.
     pub fn keep_alive(&mut self) {
         self.heartbeat = true;
+    }
+
+    /// Waits for the end of the polarity check that [`Board::check_polarity`] started, and says how it ended.
+    pub fn wait_for_polarity(&mut self) -> Result<PolarityOutcome, BoardError> {
+        loop {
+            // Waiting for telemetry is waiting: there is none, and a simulated board's time passes meanwhile.
+            self.rows(Duration::from_millis(100))?;
+            let status = self.status()?;
+            match (status.state, status.fault) {
+                (State::CheckingPolarity, _) => {}
+                (_, Some(record)) => return Ok(PolarityOutcome::Fault(record)),
+                _ if status.polarity => return Ok(PolarityOutcome::Right),
+                _ => return Ok(PolarityOutcome::Stopped),
+            }
+        }
+    }
+
+    /// Sends a prepared mass matrix and puts it in force; motors must be off. The closed form is what a scene comes with,
+    /// so there is nothing to send of it.
+    pub fn send_mass(&mut self, mass: &MassModelData, values: &[f32]) -> Result<(), BoardError> {
+        if *mass == MassModelData::Exact {
+            return Ok(());
+        }
+        for (offset, values) in (0_u16..).step_by(TABLE_PIECE).zip(values.chunks(TABLE_PIECE)) {
+            self.send_table(&TableChunk { offset, values: values.iter().copied().collect() })?;
+        }
+        self.set_mass_model(mass)
     }
 
     /// Starts a stream of every `divider`-th step's `fields`; losses count from here.
