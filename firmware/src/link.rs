@@ -122,8 +122,8 @@ pub async fn serve(mut machine: BoardMachine, hardware: Hardware, previous: Opti
                 match after {
                     After::Nothing => {}
                     After::Stream(request, axes) => stream.start(&request, axes, &mut machine),
-                    After::BootLoader => restart(faults::reboot_to_boot_loader).await,
-                    After::Restart => restart(faults::reboot).await,
+                    After::BootLoader => restart(reset::reboot_to_boot_loader).await,
+                    After::Restart => restart(reset::reboot).await,
                 }
             }
             Either::First(Event::Disconnected) => stream.stop(),

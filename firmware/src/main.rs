@@ -13,12 +13,12 @@ mod critical;
 #[cfg(feature = "odrive-v3")]
 mod drv8301;
 mod encoder;
-mod faults;
 mod gate;
 mod index;
 mod link;
 mod machine;
 mod pwm;
+mod reset;
 mod self_test;
 mod serial;
 mod servo;
@@ -44,8 +44,8 @@ use crate::watchdog::Watchdog;
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
     This::off();
-    faults::enter_boot_loader_if_requested();
-    let start = faults::take();
+    reset::enter_boot_loader_if_requested();
+    let start = reset::take();
     critical::lower_all();
     if let Some(mut core) = cortex_m::Peripherals::take() {
         // The cycle counter times the control interrupt.
