@@ -62,10 +62,7 @@ fn every(interpolation: Interpolation, points: u8) -> Vec<f64> {
         .map(|name| {
             let device = device(name);
             let home = device.description.home.unwrap();
-            with_mechanism!(&device.mechanism, m => {
-                // A paddle has no shape to tabulate over.
-                if let AnyMechanism::Paddle(_) = device.mechanism { 0.0 } else { worst(m, &home, interpolation, points) }
-            })
+            with_mechanism!(&device.mechanism, m => worst(m, &home, interpolation, points))
         })
         .collect()
 }

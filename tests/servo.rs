@@ -154,7 +154,7 @@ fn homing_declares_the_pose_of_the_device_file() {
 
 #[test]
 fn torque_rises_from_nothing_when_armed() {
-    // Gravity compensation stands for any torque that is there from the first step on.
+    // The spring stands for any torque that is there from the first step on.
     let mut spring = scene(1, &[]);
     spring
         .springs

@@ -1,9 +1,13 @@
 //! What a board is configured to do: a device, what is rendered on it, with which mass matrix and within which limits.
 
+use crate::drive::carrier::RATE_HZ;
 use crate::model::device::Device;
 use crate::model::precomputed::MassModelData;
-use crate::render::scene::Scene;
+use crate::render::scene::{MAX_RATE_HZ, MIN_RATE_HZ, Scene};
 use crate::servo::Rules;
+
+// What a scene may ask for is what the carrier can give.
+const _: () = assert!(RATE_HZ.0 as f64 == MIN_RATE_HZ && RATE_HZ.1 as f64 == MAX_RATE_HZ);
 
 /// A whole configuration. The service makes the next one beside the one in force and swaps them once it is accepted, so
 /// a refusal leaves nothing to undo.

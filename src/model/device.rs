@@ -186,12 +186,16 @@ fn finite_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M, 
     found.iter().all(|v| v.iter().all(|x| x.is_finite())) && shaping.w_rr.is_finite()
 }
 
+/// The entries of the first N joints.
+fn head<const N: usize>(values: &[f32; MAX_JOINTS]) -> SVector<f32, N> {
+    SVector::from_fn(|i, _| values.get(i).copied().unwrap_or(0.0))
+}
+
 fn torque_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
     mechanism: &M,
     q: &[f32; MAX_JOINTS],
     force: &[f32; 3],
 ) -> [f32; MAX_JOINTS] {
-    let head = |values: &[f32; MAX_JOINTS]| SVector::from_fn(|i, _| values.get(i).copied().unwrap_or(0.0));
     let pose = shared_pose::<f32, K, M, N>(mechanism, &head(q));
     let torque = mechanism.transpose(&pose, &head(force));
     core::array::from_fn(|i| torque.get(i).copied().unwrap_or(0.0))
@@ -202,9 +206,8 @@ fn force_squared_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
     q: &[f32; MAX_JOINTS],
     torque: &[f32; MAX_JOINTS],
 ) -> f32 {
-    let head = |values: &[f32; MAX_JOINTS]| SVector::from_fn(|i, _| values.get(i).copied().unwrap_or(0.0));
     let pose = shared_pose::<f32, K, M, N>(mechanism, &head(q));
-    let torque: SVector<f32, N> = head(torque);
+    let torque = head(torque);
     (0..M::SPEC.task).fold(0.0, |sum, direction| {
         let unit = SVector::from_fn(|i, _| if i == direction { 1.0 } else { 0.0 });
         let along = mechanism.inverse(&pose, &unit).dot(&torque);
