@@ -128,7 +128,7 @@ impl BoardMachine {
             return lower_gate();
         }
         let Err(error) = self.gate.check() else { return };
-        // A fault that came between lets the drivers forget what they knew: no news.
+        // A fault that came meanwhile lowered the gate, which resets the drivers: lost registers are expected then.
         if servo::GATE_READY.load(Ordering::Relaxed) {
             defmt::error!("a gate driver is no longer as it was set: {}", error);
             let record = FaultRecord { fault: Fault::DriverReset, axis: None, value: error.value(), step: 0 };

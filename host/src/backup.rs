@@ -19,7 +19,7 @@ use std::collections::BTreeMap;
 /// Version of the file's own layout.
 pub const FORMAT: u32 = 1;
 
-/// What a backup file holds.
+/// The content of a backup file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Backup {
     /// [`FORMAT`].
@@ -82,7 +82,7 @@ pub enum BackupError {
     Damaged(&'static str, String),
 }
 
-/// What was done with one setting.
+/// The outcome for one setting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Restored {
     /// The very bytes of the backup.

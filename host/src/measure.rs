@@ -99,7 +99,7 @@ pub enum MeasureError {
         stiffness: f64,
         /// Shortest pull that counts, m.
         pull: f64,
-        /// What the motors can do at the tip, N.
+        /// The most that the motors can give at the tip, N.
         force: f64,
     },
 }
@@ -131,7 +131,7 @@ pub struct MeasurementSetup {
     pub largest_pull: f64,
 }
 
-/// What of a scene decides the range besides rate, cutoff and washout: what scene files say, with their defaults.
+/// The parts of a scene that decide the range besides rate, cutoff and washout, as scene files say them, with their defaults.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Law {
     /// Velocity estimator.

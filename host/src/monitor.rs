@@ -140,7 +140,7 @@ fn is_end(key: &KeyEvent) -> bool {
     matches!(key.code, KeyCode::Char('q')) || control && matches!(key.code, KeyCode::Char('c' | 'd'))
 }
 
-/// What a key says to the board, and what it changes on the screen.
+/// The messages to the board that a pressed key stands for; keys for the screen change `seen`.
 fn pressed(seen: &mut Seen, key: &KeyEvent) -> Vec<FromPage> {
     let far = if key.modifiers.contains(KeyModifiers::SHIFT) { 10.0 } else { 1.0 };
     let mut lead = |x: f64, y: f64| seen.lead(far * STEP * x, far * STEP * y).into_iter().collect();

@@ -20,7 +20,7 @@ pub enum Overwrite {
     Replace,
 }
 
-/// What stands where a file is to go.
+/// The kind of place that a file is written to.
 enum Place {
     /// Nothing yet, or an ordinary file that is replaced: this path, links followed.
     File(PathBuf),
@@ -36,7 +36,7 @@ pub fn check(path: &Path, overwrite: Overwrite) -> Result<(), Failure> {
     }
 }
 
-/// Refuses a folder that files are to go to later, and that is none.
+/// Refuses a path where files are to go later and that is not a folder.
 pub fn check_folder(folder: &Path) -> Result<(), Failure> {
     let why = match std::fs::metadata(folder) {
         Ok(about) if about.is_dir() => return Ok(()),

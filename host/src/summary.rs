@@ -31,7 +31,7 @@ impl Span {
     }
 }
 
-/// What a device file describes.
+/// A summary of the device that a file describes.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
     /// Where the tip can be, along each task coordinate, m: the poses reached from home.

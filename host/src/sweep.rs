@@ -19,7 +19,7 @@ const OFTEN: Duration = Duration::from_secs(2);
 /// Share of the time that may go into writing.
 const WRITING: u32 = 20;
 
-/// What is kept between runs.
+/// The state that is kept between runs.
 #[derive(Debug, Default, Deserialize, Serialize)]
 struct Checkpoint {
     /// The tool's version: another one may come to other numbers.
@@ -130,7 +130,7 @@ impl Sweep {
                 return None;
             }
             let result = work(&things[index]);
-            // What was cut short is no result.
+            // A point that was cut short is no result.
             if (self.interrupted)() {
                 return None;
             }
@@ -202,7 +202,7 @@ impl Sweep {
         state.kept.stages.entry(stage.into()).or_default().done.insert(index, text);
         if Instant::now() > state.due {
             let begun = Instant::now();
-            // What cannot be written now is told when the work is interrupted.
+            // A file that cannot be written now is told of when the work is interrupted.
             let _ = write(file, &state.kept);
             state.due = Instant::now() + OFTEN.max(begun.elapsed() * WRITING);
         }
@@ -218,7 +218,7 @@ fn write(file: &Path, kept: &Checkpoint) -> Result<(), Failure> {
     output::write(file, &serde_json::to_vec(kept).map_err(Failure::impossible)?, Overwrite::Replace)
 }
 
-/// What an earlier run has left.
+/// The state that an earlier run has left.
 fn earlier(file: &Path) -> Result<Option<Checkpoint>, Failure> {
     match crate::input::read_own(file) {
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),

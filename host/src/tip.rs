@@ -65,12 +65,12 @@ impl Tip {
 /// Joint speed, rad/s, that the boards' firmware allows until it is told otherwise.
 pub const BOARD_SPEED: f64 = 100.0;
 
-/// What each motor itself can do, N m at the joint; 0 without one.
+/// The most that each motor itself can give, N m at the joint; 0 without one.
 pub fn motor_torques(description: &Description) -> Vec<f64> {
     torques_of(description, |motor| motor.max_current)
 }
 
-/// What a current (A) in each motor makes, N m at the joint; 0 without a motor.
+/// The torque that a current (A) in each motor makes, N m at the joint; 0 without a motor.
 fn torques_of(description: &Description, current: fn(&Motor<f64>) -> f64) -> Vec<f64> {
     let motors = description.joints.iter().map(|joint| joint.motor);
     motors.map(|motor| motor.map_or(0.0, |motor| (motor.torque_constant * current(&motor)).abs())).collect()

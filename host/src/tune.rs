@@ -503,7 +503,7 @@ fn simulated(
     Ok(found)
 }
 
-/// What of a result is not in the settings that were asked for.
+/// The parts of a result that are not in the settings that were asked for.
 fn kept(found: Found) -> [f64; 3] {
     [found.settings.stiffness, found.settings.damping, found.ripple_n]
 }

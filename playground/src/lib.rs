@@ -153,7 +153,7 @@ pub extern "C" fn said() {
 /// where it should be; 2, and it is over: the buffer says why.
 #[unsafe(no_mangle)]
 pub extern "C" fn turn(milliseconds: f64) -> u32 {
-    // A time that is none is no time.
+    // A time that is not finite counts as none.
     let now = Duration::try_from_secs_f64(1e-3 * milliseconds).unwrap_or_default();
     match with(|played| played.stage.turn(now, &played.events)) {
         Some(Ok(Turn::Played)) => 1,

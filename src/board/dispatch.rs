@@ -20,7 +20,7 @@ pub trait Described: Machine {
     fn measured(&mut self) -> Measured;
 }
 
-/// What is left to do once the answer is on its way.
+/// The work that is left once the answer is on its way.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum After {
     /// Nothing.

@@ -35,7 +35,7 @@ pub const FAULT_HISTORY: usize = 16;
 /// The answer to what changes something.
 pub type Outcome = Result<(), Refusal>;
 
-/// What a board says of itself. Fields are only ever added behind a new [`PROTOCOL`] and another path.
+/// A board's description of itself. Fields are only ever added behind a new [`PROTOCOL`] and another path.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Info {
     /// [`PROTOCOL`] of the firmware.
@@ -111,7 +111,7 @@ pub type FaultList = Vec<FaultRecord, FAULT_HISTORY>;
 pub type MaybeEntry = Option<Entry>;
 /// Settings by their keys.
 pub type KeyList = Vec<Key, { Key::ALL.len() }>;
-/// What a person calls a board.
+/// A board's name, as people call it.
 pub type Name = String<32>;
 
 endpoints! {

@@ -34,7 +34,7 @@ pub enum Key {
     /// The fingerprint of a device whose polarity was checked once. Kept by boards in the field and in their backups; a
     /// check that was stored passes for none any more.
     Polarity = 5,
-    /// What the board is called.
+    /// The board's name.
     Name = 6,
 }
 

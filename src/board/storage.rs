@@ -30,7 +30,7 @@ const CATALOGUE: u8 = 0;
 /// Key of the decision: which staged entries count, by their generations; all zeros when none does. Settings have the
 /// keys between the two.
 pub(super) const DECISION: u8 = 7;
-/// What the key of a setting has when its entry stands aside.
+/// The bit that a setting's key has while its entry is staged.
 const STAGED: u8 = 8;
 const _: () = assert!(DECISION < STAGED && (DECISION as usize) < SETTINGS && 2 * SETTINGS <= KEYS);
 /// Keys up to the decision's: places in the catalogue and in the decision.
@@ -63,7 +63,7 @@ fn older(found: Generation, known: Generation) -> bool {
     known != 0 && (found == 0 || found.wrapping_sub(known) & 0x7F >= 64)
 }
 
-/// What is stored: a generation, then the entry.
+/// An entry as it is stored: its generation, then its bytes.
 struct Stamped<'a>(Generation, &'a [u8]);
 
 impl<'a> Value<'a> for Stamped<'a> {
@@ -83,7 +83,7 @@ impl<'a> Value<'a> for Stamped<'a> {
     }
 }
 
-/// What can go wrong with a setting; the chip's log names it by its number.
+/// The errors of storing a setting; the chip's log names them by their numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum StorageError {
@@ -91,9 +91,9 @@ pub enum StorageError {
     Flash = 1,
     /// The entry does not fit.
     Full = 2,
-    /// What was written does not read back: worn flash, or an emulated one.
+    /// The entry does not read back as it was written: worn flash, or an emulated one.
     NotKept = 3,
-    /// What was saved last is damaged or gone.
+    /// The entry that was saved last is damaged or gone.
     Damaged = 4,
     /// The flash failed in the middle of a decision: the next start shows the old settings or the new ones.
     Unsettled = 5,
@@ -245,7 +245,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         self.lost = 0;
         self.map.flash().writable = true;
         let result = work(self);
-        // What cannot be read makes the map forget where the rest is: find that again, without it.
+        // An entry that cannot be read makes the map forget where the rest is: find the rest again, without it.
         loop {
             let before = self.lost;
             for key in 1..DECISION {
@@ -356,7 +356,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         }
     }
 
-    /// What is staged for a setting.
+    /// The entry that is staged for a setting.
     pub fn staged(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
         let known = self.staged[place(key)];
         if known == 0 {
@@ -382,7 +382,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
             }
         }
         self.staged = [0; SETTINGS];
-        // What is decided and not yet done is done before anything else is read or written.
+        // A decision that was not carried out is carried out before anything else is read or written.
         self.recovered = false;
         if let Err(error) = self.store(DECISION, &Stamped(COUNTED, &decision)) {
             // It may be there all the same.

@@ -7,7 +7,7 @@ pub const MAX_LINKS: usize = 4;
 /// Most numbers any mechanism's geometry takes.
 pub const MAX_GEOMETRY: usize = 6;
 
-/// What a device file must hold for a mechanism.
+/// The entries that a device file must hold for a mechanism.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Spec {
     /// The name in device files.

@@ -25,7 +25,7 @@ pub struct Description {
 }
 
 impl Description {
-    /// What is on the links' side of the transmissions: the same device without its motors' inertia where there is one.
+    /// The links' side of the transmissions: the same device without its motors' inertia where there is one.
     pub fn link_side(&self) -> Self {
         let mut links = *self;
         for joint in &mut links.joints {
@@ -73,15 +73,15 @@ pub struct Joint {
     pub encoder: Option<Encoder>,
     /// The motor, when the device is to run on a board.
     pub motor: Option<Motor<f64>>,
-    /// What lies between motor and link where that is not rigid.
+    /// The transmission between motor and link, where it is not rigid.
     pub transmission: Option<Transmission>,
     /// The description vouches that nothing gives between motor and link.
     pub rigid: bool,
-    /// What dry friction is beside `coulomb`, where it is more at rest than in motion.
+    /// Dry friction beyond `coulomb`, where there is more of it at rest than in motion.
     pub friction: Option<Stribeck>,
-    /// What the motor's magnets do without current.
+    /// The cogging of the motor's magnets, without current.
     pub cogging: Option<Cogging>,
-    /// What swings on the link.
+    /// The mode that swings on the link.
     pub modes: [Option<StructuralMode>; MAX_MODES],
 }
 
@@ -92,7 +92,7 @@ pub const MAX_MODES: usize = 2;
 /// coulomb + (rest - coulomb) exp(-(speed/stribeck_speed)²). It acts where `coulomb` acts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stribeck {
-    /// What holds the joint at rest, N m; at least the Coulomb friction.
+    /// The torque that holds the joint at rest, N m; at least the Coulomb friction.
     pub rest: f64,
     /// At which speed most of the difference is gone, rad/s; positive.
     pub stribeck_speed: f64,
@@ -155,7 +155,7 @@ pub struct Transmission {
     pub stiffness: f64,
     /// N m s/rad, not negative.
     pub damping: f64,
-    /// What of the joint's inertia is on the motor's side, kg m²; positive.
+    /// The part of the joint's inertia that is on the motor's side, kg m²; positive.
     pub motor_inertia: f64,
     /// Which side the encoder is on.
     pub encoder_at: EncoderAt,

@@ -345,7 +345,7 @@ impl Receiving {
         next && offset + chunk.len() <= TABLE_VALUES && chunk.iter().all(|value| value.is_finite())
     }
 
-    /// What came so far.
+    /// The values that came so far.
     pub fn values(&self) -> &[f32] {
         &self.values
     }

@@ -58,7 +58,7 @@ pub struct Principal<T: Real, const N: usize> {
     pub basis: SMatrix<T, N, N>,
     /// k₁ ≥ k₂ ≥ … over the stiffness of the stiffest wall; zero beyond the task.
     pub stiffness: SVector<T, N>,
-    /// What of them belongs to springs and to walls without the feed-forward.
+    /// The part of them that belongs to springs and to walls without the feed-forward.
     pub plain: SVector<T, N>,
 }
 

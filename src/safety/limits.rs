@@ -33,7 +33,7 @@ pub const GENTLE_FORCE: f32 = 5.0;
 /// Tip force, N, above which nobody raises the limit of a board with real motors: each board names it.
 pub const MOST_TIP_FORCE: f32 = 100.0;
 
-/// What a backup meant whose limits had no tip force.
+/// The tip force that a backup meant whose limits name none.
 fn gentle() -> f32 {
     GENTLE_FORCE
 }
@@ -56,7 +56,7 @@ impl Default for Limits {
     }
 }
 
-/// What a number was meant to limit.
+/// The quantity that a number was meant to limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum Limit {
     /// Joint torque, N m.
@@ -82,7 +82,7 @@ pub enum Limit {
 }
 
 impl Limit {
-    /// What it is called, and its unit.
+    /// Its name and its unit.
     pub const fn words(self) -> (&'static str, &'static str) {
         match self {
             Self::Torque => ("torque", " N m"),
@@ -108,9 +108,9 @@ pub struct BadLimit {
     pub joint: Option<u8>,
     /// The number.
     pub value: f32,
-    /// What it must not be below; torque, current, speed, power and force must be above.
+    /// The least it may be; torque, current, speed, power and force must be above that.
     pub least: f32,
-    /// What it must not be above.
+    /// The most it may be.
     pub most: f32,
 }
 

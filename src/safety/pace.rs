@@ -29,7 +29,7 @@ pub struct Pace {
     elapsed: u64,
     /// The rate at the last look, Hz.
     rate: u64,
-    /// What was found last. A loop that was found wrong stays so until enough steps have shown it right: the first looks
+    /// The last finding. A loop that was found wrong stays so until enough steps have shown it right: the first looks
     /// after would tell nothing.
     found: Verdict,
 }

@@ -50,7 +50,8 @@ fn gain(text: &str) -> Result<f32, String> {
     }
 }
 
-/// What of a wall's gains is beyond the loop or the motors where the device is now, or at home before homing.
+/// Doubts about a wall's gains, more than the loop or the motors can render, where the device is now, or at home before
+/// homing.
 fn doubts(board: &mut Board, scene: &Scene<f32>, index: usize) -> Result<Vec<Warning>, Failure> {
     let (Some(device), status, details) = (board.device()?, board.status()?, board.details()?) else {
         return Ok(Vec::new());

@@ -85,7 +85,7 @@ fn placed(pose: &TaskPose, q: &[f64], normal: &DVector<f64>) -> Option<Placed> {
     })
 }
 
-/// What stands out at one pose.
+/// The directions that stand out at one pose.
 pub fn directions(description: &Description, q: &[f64], admissible: Admissible) -> Result<Directions, Failure> {
     let pose = TaskPose::at(description, q)?.regular()?.holding(admissible);
     let spec = description.kind.spec();
@@ -264,7 +264,7 @@ pub fn places(
         jobs.extend([&off as Sought<'_>, &full, &worst]);
     }
     let indices: Vec<usize> = (0..jobs.len()).collect();
-    // What is kept is the pose; the numbers come from it.
+    // Only the pose is kept; the numbers come from it.
     let first = sweep.map("places", &indices, |job| {
         Ok(best(&starts(&poses, jobs[*job]), &allowed, jobs[*job]).map(|(_, placed)| placed.q))
     })?;

@@ -149,7 +149,7 @@ fn changes(description: &Description) -> Vec<(String, Change, bool)> {
     all
 }
 
-/// What matters of a device at a pose.
+/// The quantities that matter at a pose of a device.
 fn worth(device: &Device<f64>, q: &[f64], normal: &[f64], admissible: Admissible) -> Option<Effect> {
     let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?.holding(admissible);
     let n = unit_normal(normal, pose.task, q.len()).ok()?;

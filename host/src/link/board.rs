@@ -81,11 +81,11 @@ impl Board {
         })
     }
 
-    /// What the port is called.
+    /// The port's name.
     pub fn port(&self) -> &str {
         &self.port
     }
-    /// What the board says of itself.
+    /// The board's description of itself.
     pub fn info(&self) -> &Info {
         &self.info
     }
@@ -310,7 +310,7 @@ impl Board {
         }
     }
 
-    /// What the stream has lost so far.
+    /// The losses of the stream so far.
     pub fn losses(&self) -> Losses {
         Losses { garbled: self.client.garbled() - self.garbled_before, ..self.rows.losses() }
     }

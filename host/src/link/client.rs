@@ -51,7 +51,7 @@ pub(super) fn unlike_any_before() -> u32 {
     RandomState::new().hash_one(0) as u32
 }
 
-/// What the server of a simulated board sends a second tool before it hangs up.
+/// The message that the server of a simulated board sends a second tool before it hangs up.
 pub struct Occupied;
 
 impl Topic for Occupied {
@@ -68,7 +68,7 @@ impl Client {
             deframer: Deframer::default(),
             answers: VecDeque::new(),
             topics: VecDeque::new(),
-            // What answers a tool before this one must not pass for an answer to this one.
+            // An answer to an earlier tool must not pass for an answer to this one.
             sequence: unlike_any_before() as u16,
             buffer: vec![0; 16 * 1024],
         }

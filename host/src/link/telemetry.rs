@@ -67,7 +67,7 @@ pub fn columns(fields: Fields, axes: usize) -> Vec<Column> {
     columns
 }
 
-/// What a full-speed USB serial port carries with room to spare, bytes of telemetry a second.
+/// The load that a full-speed USB serial port carries with room to spare, bytes of telemetry a second.
 const USB: f64 = 600e3;
 
 /// Rows of `fields` a second that the link to a board carries with room to spare, at most one every control step: every
@@ -97,7 +97,7 @@ pub fn fields(names: &str) -> Result<Fields, String> {
     Ok(Fields(set))
 }
 
-/// What a stream has lost.
+/// The losses of a stream.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Losses {
     /// Rows that came.

@@ -49,7 +49,7 @@ pub struct Seen {
     pub picture: Value,
     /// Why there is no board, where there is none.
     pub lost: Option<String>,
-    /// What was last refused or done, and whether it is bad.
+    /// The last thing that was refused or done, and whether it is bad.
     pub said: Option<(String, bool)>,
     again: Option<FromPage>,
     /// Wall whose gains keys turn.

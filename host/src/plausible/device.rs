@@ -20,7 +20,7 @@ const LENGTHS: (f64, f64) = (1e-3, 3.0);
 const JOINT_INERTIA: f64 = 0.2;
 /// Fewer counts per turn than degrees.
 const COUNTS: f64 = 360.0;
-/// What resistance and largest current ask of a supply, V; the boards take up to 56 V.
+/// The voltage that resistance and largest current ask of a supply, V; the boards take up to 56 V.
 const SUPPLY: f64 = 120.0;
 /// Windings of desktop motors have 0.01 to 10 mH.
 const INDUCTANCE: f64 = 0.1;
@@ -115,7 +115,7 @@ fn too_heavy(at: Key, place: &str, mass: f64, heaviest: f64) -> Doubt {
     Doubt::new(at, text)
 }
 
-/// What no body of this mass and length can have.
+/// Doubts about values that no body of this mass and length can have.
 fn of_link(link: &Link, index: usize, place: &str, longest: f64, heaviest: f64) -> Vec<Doubt> {
     let at = |name| key("link", Some(index), "", name);
     let mut doubts = Vec::new();

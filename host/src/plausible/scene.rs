@@ -198,7 +198,7 @@ pub fn at(device: &Device<f64>, scene: &Scene<f64>, index: usize, q: &[f64], del
     meets(device, scene, index, q, &normal.as_slice()[..pose.task], delay_samples)
 }
 
-/// What of a wall's gains is beyond the loop or the motors. `in_file`: the doubts have a place in a scene file.
+/// Doubts about a wall's gains: more than the loop or the motors can render. `in_file`: the doubts have a place in a scene file.
 pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> {
     let index = contact.wall;
     let doubt = |name: &'static str, text: String| Doubt {
@@ -247,7 +247,7 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> 
     doubts
 }
 
-/// What encoder steps make of a wall at this rate.
+/// A doubt about a wall that encoder steps make buzz at this rate.
 fn buzzing(scene: &Scene<f64>, contact: &Contact) -> Option<Doubt> {
     let wall = scene.walls.get(contact.wall)?;
     // The wall that cannot be had anyway has its own doubt.

@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// What an MCAP file begins with.
+/// The bytes that an MCAP file begins with.
 pub const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 /// Bytes of messages that make a chunk; `flush` ends one earlier.
 const CHUNK: usize = 512 * 1024;
@@ -204,7 +204,7 @@ impl McapRecorder {
             if self.cut {
                 let _ = self.file.set_len(self.whole).and_then(|()| self.file.seek(SeekFrom::Start(self.whole)));
             }
-            // What was cut off is missing in what would follow.
+            // The part that was cut off is missing in all that would follow.
             self.ended = true;
             return Err(error);
         }

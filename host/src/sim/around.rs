@@ -71,7 +71,7 @@ impl Around {
         Intent::Lead(self.rest)
     }
 
-    /// What the hand follows from home on, for an hour.
+    /// The path that the hand follows from home on, for an hour.
     pub fn intent(&self) -> Intent {
         let corners = self.corners().map(Into::into);
         let places = std::iter::once(self.rest).chain(corners.into_iter().cycle());

@@ -42,7 +42,7 @@ pub enum DriveModel {
     Ideal,
 }
 
-/// What a simulated board is like.
+/// The options of a simulated board.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BoardOptions {
     /// The device behind it.
@@ -145,7 +145,7 @@ impl Innards {
 
 impl Described for Innards {
     fn info(&self) -> Info {
-        // What does not fit is cut: these are short names of this tool's own.
+        // Longer text is cut; these are short names of this tool's own.
         Info {
             protocol: PROTOCOL,
             firmware: env!("CARGO_PKG_VERSION").chars().take(16).collect(),
@@ -507,7 +507,7 @@ impl SimulatedBoard {
         }
     }
 
-    /// What pressing reset does: flash stays, everything else starts anew, motors off.
+    /// Does what pressing reset does: flash stays, everything else starts anew, motors off.
     fn restart(&mut self) {
         self.innards.flash.restart();
         // RAM is not cleared, and motors do not cool by a reset.

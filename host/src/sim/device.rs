@@ -6,7 +6,7 @@ use super::motor::{MotorInput, MotorModel, PowerStage};
 use super::plant::{Load, Plant};
 use haptic_bridge::model::description::{Description, DescriptionError};
 
-/// What about a device is simulated, and how finely.
+/// The aspects of a device that are simulated, and how finely.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
     /// Viscous and Coulomb friction of the joints act.
@@ -43,7 +43,7 @@ impl Options {
     }
 }
 
-/// What somebody does for a device that its motors do not hold.
+/// The help that somebody gives a device that its motors do not hold.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Support {
     /// Nothing: what has weight falls.

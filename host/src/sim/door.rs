@@ -16,7 +16,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// What comes in through a door.
+/// An event at a door.
 pub(super) enum Event {
     Connected(Outgoing),
     Bytes(Vec<u8>),
@@ -45,7 +45,7 @@ const HANDOVER: Duration = Duration::from_millis(500);
 pub(super) const DISARM_ANSWER: Duration = Duration::from_secs(1);
 /// A door that tools come through.
 pub struct ToolListener {
-    /// What a tool writes after `--port`.
+    /// The word that a tool writes after `--port`.
     pub port: String,
     pub(super) events: Receiver<Event>,
 }

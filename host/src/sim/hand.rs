@@ -15,7 +15,7 @@ pub struct Waypoint {
     pub value: [f64; 3],
 }
 
-/// What the hand is about to do.
+/// The hand's intention.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Intent {
     /// Nothing: no hand force at all.

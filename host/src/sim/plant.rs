@@ -18,7 +18,7 @@ use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::with_mechanism;
 use nalgebra::{SMatrix, SVector};
 
-/// What acts on the device during one step; the first N (or d) entries count.
+/// The forces on the device during one step; the first N (or d) entries count.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Load {
     /// Motor torques, N m.

@@ -11,7 +11,7 @@ use serde::Serialize;
 /// How much more and less is tried to say what stops it.
 const MORE: f64 = 1.15;
 
-/// What one limit alone would allow at the damping that was found.
+/// The gains that one limit alone would allow at the damping that was found.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Limit {
     /// Which.

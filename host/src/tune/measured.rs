@@ -30,7 +30,7 @@ const PULL: f64 = 0.5e-3;
 /// How fast the tip is held between trials, Hz: softly, whatever the encoders.
 const HOLD_HZ: f64 = 40.0;
 
-/// What the board showed.
+/// The measurements of the board.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Measured {
     /// Largest stiffness that came to rest at this damping when the tip was pulled aside and let go, N/m.

@@ -44,15 +44,15 @@ pub struct FiveBar<T> {
     rod_coupling: [T; 2],
     /// γ₁ + γ₂ + handle, kg.
     tip_mass: T,
-    /// What weighs on each elbow, m_p c_p/l + m_d(1 - s), kg.
+    /// The mass that counts at each elbow, m_p c_p/l + m_d(1 - s), kg.
     pub(super) elbow_load: [T; 2],
-    /// What weighs on the tip, m_d1 s_1 + m_d2 s_2 + handle, kg.
+    /// The mass that counts at the tip, m_d1 s_1 + m_d2 s_2 + handle, kg.
     pub(super) tip_load: T,
     /// Gravity in the plane (at q₀ = 0 on a turret), m/s².
     pub(super) gravity: [T; 2],
 }
 
-/// What depends on the two angles alone.
+/// The quantities that depend on the two angles alone.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose<T: Real> {
     /// Tip, m.

@@ -38,7 +38,7 @@ pub struct FiveBarTurret<T> {
     axis_floor: T,
 }
 
-/// What depends on the three angles alone.
+/// The quantities that depend on the three angles alone.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose<T: Real> {
     /// The linkage in its plane.

@@ -43,7 +43,7 @@ pub struct Parallelogram<T> {
     axis_floor: T,
 }
 
-/// What depends on the three angles alone.
+/// The quantities that depend on the three angles alone.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose<T: Real> {
     /// Tip in the plane, m.

@@ -32,7 +32,7 @@ pub struct Serial3r<T> {
     weight: [[T; 2]; 3],
 }
 
-/// What depends on the three angles alone.
+/// The quantities that depend on the three angles alone.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose<T: Real> {
     /// Tip (m) and φ (rad).

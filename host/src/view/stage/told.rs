@@ -72,7 +72,7 @@ impl Stage {
             pages: self.hub.count(),
             recording: self.recording.as_ref().map(ActiveRecording::told),
         };
-        // Numbers that are none become null: a page leaves them out.
+        // NaN and infinities become null: a page leaves them out.
         if let Ok(text) = serde_json::to_string(&picture) {
             self.hub.to_all(|outbox| outbox.picture = Some(text.clone()));
         }
