@@ -320,3 +320,26 @@ fn a_drawing_is_not_overwritten_unasked() {
         assert_ne!(std::fs::read(&path).unwrap(), b"mine");
     }
 }
+
+#[test]
+fn a_washout_that_costs_stability_is_doubted_with_a_corner_that_does_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let device = devices().join("capstan-pantograph.toml");
+    let said = |corner: &str, feed_forward: &str| {
+        let scene = folder.path().join("scene.toml");
+        let wall = "[[wall]]\npoint = [0, 0.03]\nnormal = [0.6, 0.8]\nstiffness = 50\ndamping = 2\n";
+        let law = format!("feed_forward = \"{feed_forward}\"\nwashout_hz = {corner}\n");
+        std::fs::write(&scene, format!("rate_hz = 200\ncutoff_hz = 20\n{wall}{law}")).unwrap();
+        let (code, _, err) = haptic(&["check", device.to_str().unwrap(), scene.to_str().unwrap()]);
+        assert_eq!(code, 0, "{err}");
+        err
+    };
+    let costs = said("10", "washout");
+    assert!(costs.contains("the washout of wall 0, 10 Hz, costs more than it brings"), "{costs}");
+    let free = costs.split("a corner of ").nth(1).unwrap().split(' ').next().unwrap();
+    assert!(free.parse::<f64>().unwrap() < 10.0, "{costs}");
+    for (corner, feed_forward) in [(free, "washout"), ("10", "full"), ("10", "off")] {
+        let err = said(corner, feed_forward);
+        assert!(!err.contains("the washout of wall"), "{corner} {feed_forward}: {err}");
+    }
+}

@@ -5,8 +5,8 @@
 //! are scaled by their energy: velocities by a Cholesky factor of the mass matrix, every spring's deflection by the
 //! root of its stiffness. A lossless device is then a rotation, however far apart its frequencies lie.
 //!
-//! The wall sees the rendered position alone, x = Jr (the angles that the encoders measure). What it cannot see, and
-//! what no torque of its can move, is left out exactly: the basis of what is left is built by Arnoldi's method, which
+//! The walls see the rendered positions alone, x = Jr (the angles that the encoders measure). What they cannot see, and
+//! what no torque of theirs can move, is left out exactly: the basis of what is left is built by Arnoldi's method, which
 //! ends where the next power of the system matrix adds nothing (the staircase form; Paige, "Properties of numerical
 //! algorithms related to computing controllability", IEEE TAC 26, 1981). An undamped motion along the wall is thus
 //! never told from a stable one by its rounding.
@@ -15,6 +15,7 @@ use nalgebra::{DMatrix, DVector};
 
 use haptic_bridge::model::description::{EncoderAt, StructuralMode, Transmission};
 
+use super::flexible::Flexible;
 use super::plant::{ContinuousPlant, Lags, Linearised};
 
 /// A transmission that turns back and forth this often (rad) in one sample is rigid: what it would change is smaller by
@@ -23,6 +24,26 @@ const RIGID_PER_SAMPLE: f64 = 1e5;
 
 /// A new direction shorter than this share of the system matrix is rounding.
 const NOTHING_NEW: f64 = 1e-13;
+
+/// A device that is not rigid, and the directions along which its walls see it.
+pub(crate) struct Watched<'a> {
+    /// M of the rigid device, N x N, kg m².
+    pub mass: &'a DMatrix<f64>,
+    /// B of each joint, N m s/rad.
+    pub viscous: &'a DVector<f64>,
+    /// What is not rigid.
+    pub flexible: &'a Flexible,
+    /// Rendered directions as rows, R x N, m/rad, and as columns in the task, d x R.
+    pub rows: &'a DMatrix<f64>,
+    pub directions: &'a DMatrix<f64>,
+}
+
+/// What is left of it: ẋ = a x + b u, and the rendered positions, R rows over the states.
+pub(crate) struct Reduced {
+    pub a: DMatrix<f64>,
+    pub b: DMatrix<f64>,
+    pub seen: DMatrix<f64>,
+}
 
 /// The matrices of the device in generalised coordinates, in sample units (see [`super::plant`]): time in samples,
 /// forces in m/T². Links first, then the motors of the joints that have a transmission, then
@@ -43,9 +64,9 @@ struct Bodies {
 }
 
 impl Bodies {
-    fn new(device: &Linearised, lags: &Lags, t: f64, m: f64) -> Option<Self> {
-        let joints = device.row.len();
-        let flexible = &device.flexible;
+    fn new(device: &Watched<'_>, lags: &Lags, t: f64, m: f64) -> Option<Self> {
+        let joints = device.mass.nrows();
+        let flexible = device.flexible;
         let mut links = device.mass.clone();
         let gives = |joint: usize| flexible.transmissions.get(joint).copied().flatten();
         for joint in 0..joints {
@@ -150,14 +171,30 @@ pub(crate) fn reduce(
     sample_s: f64,
     reference_mass: f64,
 ) -> Option<ContinuousPlant> {
-    let joints = device.row.len();
+    let Linearised { mass, viscous, flexible, row, .. } = device;
+    let (rows, directions) =
+        (DMatrix::from_rows(&[row.transpose()]), DMatrix::from_columns(&[flexible.normal.clone()]));
+    let watched = Watched { mass, viscous, flexible, rows: &rows, directions: &directions };
+    let Reduced { a, b, seen } = reduce_seen(&watched, lags, inputs, sample_s, reference_mass)?;
+    Some(ContinuousPlant::of_a_flexible_device(a, b, seen.row(0).transpose()))
+}
+
+/// The same seen by walls along several directions.
+pub(crate) fn reduce_seen(
+    device: &Watched<'_>,
+    lags: &Lags,
+    inputs: &DMatrix<f64>,
+    sample_s: f64,
+    reference_mass: f64,
+) -> Option<Reduced> {
+    let (rendered, joints) = device.rows.shape();
     let bodies = Bodies::new(device, lags, sample_s, reference_mass)?;
     let (moving, springs) = (bodies.mass.nrows(), bodies.stiffness.len());
     let lagging: Vec<usize> = (0..joints).filter(|&joint| lags.rate[joint].is_some()).collect();
-    // States: scaled velocities L' v, scaled deflections, torques of the drives that lag, x where no spring holds it.
+    // States: scaled velocities L' v, scaled deflections, torques of the drives that lag, every x where no spring holds it.
     let (torques, position) = (moving + springs, moving + springs + lagging.len());
     let integrates = bodies.held.is_none();
-    let size = position + usize::from(integrates);
+    let size = position + if integrates { rendered } else { 0 };
     let (mut a, mut b) = (DMatrix::zeros(size, size), DMatrix::zeros(size, inputs.ncols()));
     let lower = bodies.mass.cholesky()?.l();
     // From generalised forces to the change of the scaled velocities, L⁻¹; its transpose gives the velocities back.
@@ -185,27 +222,30 @@ pub(crate) fn reduce(
             }
         }
     }
-    let mut seen = DVector::zeros(size);
-    if integrates {
-        for joint in 0..joints {
-            let mut row = a.view_mut((position, 0), (1, moving));
-            row += velocities.row(bodies.encoder[joint]) * device.row[joint];
+    // As columns.
+    let mut seen = DMatrix::zeros(size, rendered);
+    for k in 0..rendered {
+        if integrates {
+            for joint in 0..joints {
+                let mut row = a.view_mut((position + k, 0), (1, moving));
+                row += velocities.row(bodies.encoder[joint]) * device.rows[(k, joint)];
+            }
+            seen[(position + k, k)] = 1.0;
+            continue;
         }
-        seen[position] = 1.0;
-    } else {
         // Jr q is the tip's own displacement, which the hand's springs hold; an encoder on a motor sees the twist too.
         let held = bodies.held.unwrap_or_default();
-        for (direction, along) in device.flexible.normal.iter().enumerate() {
-            seen[moving + held + direction] += along / roots[held + direction];
+        for (direction, along) in device.directions.column(k).iter().enumerate() {
+            seen[(moving + held + direction, k)] += along / roots[held + direction];
         }
         for joint in (0..joints).filter(|&joint| bodies.encoder[joint] != joint) {
             if let Some(spring) = bodies.twist[joint] {
-                seen[moving + spring] += device.row[joint] / roots[spring];
+                seen[(moving + spring, k)] += device.rows[(k, joint)] / roots[spring];
             }
         }
     }
 
-    let basis = reached(&a.transpose(), &DMatrix::from_columns(&[seen.clone()]));
+    let basis = reached(&a.transpose(), &seen);
     let (a, b, seen) = (basis.tr_mul(&(&a * &basis)), basis.tr_mul(&b), basis.tr_mul(&seen));
     let basis = reached(&a, &b);
     let (a, b, seen) = if basis.ncols() < a.nrows() {
@@ -213,7 +253,7 @@ pub(crate) fn reduce(
     } else {
         (a, b, seen)
     };
-    Some(ContinuousPlant::of_a_flexible_device(a, b, seen))
+    Some(Reduced { a, b, seen: seen.transpose() })
 }
 
 /// An orthonormal basis of what `from` reaches under powers of `a`: span(from, a from, a² from, …).

@@ -3,7 +3,7 @@
 //! Each wall has a share of both. In the basis of the principal directions of the walls' stiffness their forces are
 //! φ_k = -κ_k (kp x_k + kd v_k) for each direction k, with κ the eigenvalues of Σ shareᵢ nᵢ nᵢᵀ; so the walls are as
 //! many feedback loops as they have directions, whatever their number. The torques of φ are those of the board's own
-//! law (docs/model.md section 2), or Jᵀ.
+//! law (docs/model.md section 2), or Jᵀ. The device has its transmissions, its modes and a hand, as one wall's has.
 //!
 //! One loop has exact crossings ([`super::boundary`]); several that are coupled by joint damping have not. Here the
 //! stable intervals of a gain are looked for on a fine grid and refined by bisection of the eigenvalues.
@@ -19,6 +19,8 @@ use haptic_bridge::model::principal::{Principal, Pull};
 use haptic_bridge::with_mechanism;
 
 use super::boundary::{Interval, SMALLEST_STIFFNESS};
+use super::flexible::{Flexible, Hand};
+use super::flexible_reduction::{Reduced, Watched, reduce_seen};
 use super::plant::{Drive, Lags};
 use super::pose::{PoseError, TaskPose, unit_normal};
 use super::sampled::{AnalysisError, Loop, Mode};
@@ -62,6 +64,8 @@ pub struct WallSet {
     shaped: DMatrix<f64>,
     /// What the feed-forward makes of the joint torques b, N x N: the torques of b and of what the walls meet of it.
     bias: DMatrix<f64>,
+    /// What is not rigid about the device, and the hand that holds it.
+    flexible: Flexible,
 }
 
 impl WallSet {
@@ -80,6 +84,12 @@ impl WallSet {
     /// The same without joint damping.
     pub fn undamped(mut self) -> Self {
         self.viscous.fill(0.0);
+        self
+    }
+
+    /// The same in a hand.
+    pub fn held(mut self, hand: Hand) -> Self {
+        self.flexible.hand = hand;
         self
     }
 
@@ -174,7 +184,18 @@ fn linearised<const N: usize, M: Mechanism<f64, N>>(
     let bias: Vec<DVector<f64>> =
         (0..N).map(|j| torque(&SVector::zeros(), Some(SVector::from_fn(|i, _| f64::from(u8::from(i == j)))))).collect();
     let mass = m.mass(&pose);
+    let joints = &description.joints[..N];
+    let tips: Vec<DVector<f64>> = (0..M::SPEC.task)
+        .map(|axis| dense(m.transpose(&pose, &SVector::from_fn(|i, _| f64::from(u8::from(i == axis))))))
+        .collect();
+    let flexible = Flexible {
+        transmissions: joints.iter().map(|joint| joint.transmission).collect(),
+        modes: (0..N).flat_map(|j| joints[j].structural_modes().map(move |mode| (j, mode))).collect(),
+        tip: DMatrix::from_columns(&tips).transpose(),
+        ..Flexible::default()
+    };
     Ok(WallSet {
+        flexible,
         mass: DMatrix::from_fn(N, N, |i, j| mass[(i, j)]),
         viscous: DVector::from_fn(N, |j, _| description.joints[j].viscous),
         first: DVector::from_fn(M::SPEC.task, |i, _| pulls.first().map_or(0.0, |pull| pull.normal[i])),
@@ -221,44 +242,30 @@ impl Loops {
         if matches!(&around.drive, Drive::Voltage(motors) if motors.len() != joints) {
             return Err(AnalysisError::Motor);
         }
-        let Lags { rate: lag, emf } = Lags::new(&around.drive, joints, t);
-        let lagging: Vec<usize> = (0..joints).filter(|j| lag[*j].is_some()).collect();
-
-        // Continuous plant per sample: joint velocities (rad per sample), lagging torques, positions (m); then, where
-        // their damping is compensated, how far the joints turn, which nothing else depends on.
         let compensated = around.damping_compensation && mode != Mode::Off;
-        let sensed = if compensated { joints } else { 0 };
-        let (torques, positions) = (joints, joints + lagging.len());
-        let plant = positions + directions;
+        if compensated && !set.flexible.is_rigid() {
+            return Err(AnalysisError::CompensatedFlexible);
+        }
+        let lags = Lags::new(&around.drive, joints, t);
+        let seen = match set.flexible.is_rigid() {
+            true => rigid(set, &lags, &inverse, t, mass, compensated),
+            false => {
+                let WallSet { mass: m, viscous, flexible, rows, directions, .. } = set;
+                let watched = Watched { mass: m, viscous, flexible, rows, directions };
+                // Torques in units of m/T² times metres.
+                let reduced = reduce_seen(&watched, &lags, &DMatrix::identity(joints, joints), t, mass);
+                let Reduced { a, b, seen } = reduced.ok_or(AnalysisError::Singular)?;
+                let turning = DMatrix::zeros(0, a.nrows());
+                Seen { a, b, positions: seen, turning }
+            }
+        };
+        // Beside the plant's states, how far the joints whose damping is compensated turn, which nothing else depends on.
+        let (plant, sensed) = (seen.a.nrows(), seen.turning.nrows());
         let all = plant + sensed;
         let mut joined = DMatrix::zeros(all + joints, all + joints);
-        for i in 0..joints {
-            for j in 0..joints {
-                let direct = if lag[j].is_none() { emf[j] } else { 0.0 };
-                joined[(i, j)] -= t * inverse[(i, j)] * (set.viscous[j] + direct);
-                // Torque in units of m/T² times metres.
-                if lag[j].is_none() {
-                    joined[(i, all + j)] = mass * inverse[(i, j)];
-                }
-            }
-            for (slot, j) in lagging.iter().enumerate() {
-                joined[(i, torques + slot)] = mass * inverse[(i, *j)];
-            }
-        }
-        for (slot, j) in lagging.iter().enumerate() {
-            let rate = lag[*j].unwrap_or_default();
-            joined[(torques + slot, torques + slot)] = -rate;
-            joined[(torques + slot, *j)] = -rate * emf[*j] * t / mass;
-            joined[(torques + slot, all + j)] = rate;
-        }
-        for k in 0..directions {
-            for j in 0..joints {
-                joined[(positions + k, j)] = set.rows[(k, j)];
-            }
-        }
-        for j in 0..sensed {
-            joined[(plant + j, j)] = 1.0;
-        }
+        joined.view_mut((0, 0), (plant, plant)).copy_from(&seen.a);
+        joined.view_mut((0, all), (plant, joints)).copy_from(&seen.b);
+        joined.view_mut((plant, 0), (sensed, plant)).copy_from(&seen.turning);
         let over = |time: f64| {
             let e = exp_minus_identity(&(&joined * time));
             (e.view((0, 0), (all, plant)).into_owned(), e.view((0, all), (all, joints)).into_owned())
@@ -333,8 +340,9 @@ impl Loops {
                 motion += &before * &last;
                 change.rows_mut(held, joints).copy_from(&(&command - &last));
             }
+            let along = &seen.positions * motion.rows(0, plant);
             for k in 0..directions {
-                change[moved + k] = motion[positions + k] - s[moved + k];
+                change[moved + k] = along[k] - s[moved + k];
             }
             for j in 0..sensed {
                 change[moved + directions + j] = motion[plant + j] - s[moved + directions + j];
@@ -348,13 +356,11 @@ impl Loops {
         let mut f = DMatrix::zeros(size, size);
         let mut velocity = DMatrix::zeros(directions, size);
         let mut position = DMatrix::zeros(directions, size);
+        position.view_mut((0, 0), (directions, plant)).copy_from(&seen.positions);
         for column in 0..size {
             let (changed, estimates) = change(&unit(size, column), &none);
             f.set_column(column, &changed);
             velocity.set_column(column, &estimates.rows(0, directions));
-        }
-        for k in 0..directions {
-            position[(k, positions + k)] = 1.0;
         }
         let mut input = DMatrix::zeros(size, directions);
         for k in 0..directions {
@@ -391,6 +397,48 @@ impl Loops {
         }
         Ok(found)
     }
+}
+
+/// The continuous plant per sample: ẋ = a x + b τ of all joint torques (m/T² times metres), the rendered positions, and the
+/// velocities of the joints whose damping is compensated, rad per sample, as rows over the states.
+struct Seen {
+    a: DMatrix<f64>,
+    b: DMatrix<f64>,
+    positions: DMatrix<f64>,
+    turning: DMatrix<f64>,
+}
+
+/// Of a rigid device that nobody holds: joint velocities (rad per sample), lagging torques, positions (m).
+fn rigid(set: &WallSet, lags: &Lags, inverse: &DMatrix<f64>, t: f64, mass: f64, compensated: bool) -> Seen {
+    let (directions, joints) = set.rows.shape();
+    let Lags { rate: lag, emf } = lags;
+    let lagging: Vec<usize> = (0..joints).filter(|j| lag[*j].is_some()).collect();
+    let (torques, positions) = (joints, joints + lagging.len());
+    let plant = positions + directions;
+    let (mut a, mut b) = (DMatrix::zeros(plant, plant), DMatrix::zeros(plant, joints));
+    for i in 0..joints {
+        for j in 0..joints {
+            let direct = if lag[j].is_none() { emf[j] } else { 0.0 };
+            a[(i, j)] -= t * inverse[(i, j)] * (set.viscous[j] + direct);
+            // Torque in units of m/T² times metres.
+            if lag[j].is_none() {
+                b[(i, j)] = mass * inverse[(i, j)];
+            }
+        }
+        for (slot, j) in lagging.iter().enumerate() {
+            a[(i, torques + slot)] = mass * inverse[(i, *j)];
+        }
+    }
+    for (slot, j) in lagging.iter().enumerate() {
+        let rate = lag[*j].unwrap_or_default();
+        a[(torques + slot, torques + slot)] = -rate;
+        a[(torques + slot, *j)] = -rate * emf[*j] * t / mass;
+        b[(torques + slot, *j)] = rate;
+    }
+    a.view_mut((positions, 0), (directions, joints)).copy_from(&set.rows);
+    let pick = |rows: usize, from: usize| DMatrix::from_fn(rows, plant, |i, j| f64::from(u8::from(j == from + i)));
+    let turning = pick(if compensated { joints } else { 0 }, 0);
+    Seen { a, b, positions: pick(directions, positions), turning }
 }
 
 /// Stable intervals of a gain on the grid, their ends bisected.

@@ -35,9 +35,8 @@ impl Limits {
             Err(AnalysisError::Unbounded) => return Ok(None),
             found => found?,
         };
-        let top = domain.boundary.iter().max_by(|a, b| a.kp.total_cmp(&b.kp));
-        let (kp_max, kd) = top.map_or((0.0, 0.0), |top| (top.kp, top.kd));
-        Ok(Some(Self { kp_max, kd, kd_max: domain.kd_max, area: domain.area }))
+        let Domain { top, .. } = domain;
+        Ok(Some(Self { kp_max: top.kp, kd: top.kd, kd_max: domain.kd_max, area: domain.area }))
     }
 }
 

@@ -238,8 +238,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
         damping_compensation: args.damping_compensation,
     };
     let (analyse, passivity) = walls(&args, &file, &q, &members, &around)?;
-    let range = analyse(args.kd.as_ref().map(|kd| kd.0.as_slice()))?;
-    warnings.extend(costly(&range).into_iter().map(|text| Doubt { key: None, text }.typed()));
+    let asked_kd = args.kd.as_ref().map(|kd| kd.0.as_slice());
+    let range = analyse(asked_kd, args.washout)?;
+    let doubts = costly(&range, args.washout, |corner| analyse(asked_kd, Some(corner)))?;
+    warnings.extend(doubts.into_iter().map(|text| Doubt { key: None, text }.typed()));
     warn(&warnings);
     let asked = (&args.ripple, &args.kd, args.washout, args.damping_ratio, &args.hand);
     let device = (file.description, args.undamped, args.feed_forward_gain, args.admissible);
@@ -255,7 +257,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         args.png.as_deref().map(|path| picture.save_png(path)).transpose()?;
     } else if pictures {
         // A picture always shows the whole boundary, whatever points were asked for.
-        let whole = if args.kd.is_some() { analyse(None)? } else { range.clone() };
+        let whole = if args.kd.is_some() { analyse(None, args.washout)? } else { range.clone() };
         let picture = draw(&Contents {
             title: format!("{}: stable walls, predicted", file.name),
             subtitle: subtitle(&args, &q, &normals, range.area_ratio),
@@ -332,8 +334,8 @@ fn estimator(args: &Args) -> Result<LinearEstimator, Failure> {
     }
 }
 
-/// What predicts the range at given dampings.
-type Analysis<'a> = Box<dyn Fn(Option<&[f64]>) -> Result<Range, AnalysisError> + 'a>;
+/// What predicts the range at given dampings, washed out at a given corner, Hz.
+type Analysis<'a> = Box<dyn Fn(Option<&[f64]>, Option<f64>) -> Result<Range, AnalysisError> + 'a>;
 
 /// The analysis of one wall, with its passive limits, or of several.
 fn walls<'a>(
@@ -354,9 +356,9 @@ fn walls<'a>(
             );
         }
         let passivity = Passivity::new(&device, &file.description, 1.0 / args.rate, around.delay_samples);
-        let analyse = move |kd: Option<&[f64]>| {
+        let analyse = move |kd: Option<&[f64]>, washout: Option<f64>| {
             let host = args.host().map(|host| host.domain(&device, around, kd)).transpose()?;
-            Ok(Range { host, ..predict(&device, around, kd, args.washout)? })
+            Ok(Range { host, ..predict(&device, around, kd, washout)? })
         };
         return Ok((Box::new(analyse), Some(passivity)));
     }
@@ -368,11 +370,7 @@ fn walls<'a>(
         let reason = format!("--feed-forward-gain {gain} with several --normal");
         return Err(Failure::wrong(reason).remedy("several walls are analysed with a gain of 1; leave it out"));
     }
-    if file.description.is_flexible() || args.hand()?.is_there() {
-        let reason = "several --normal with transmissions ([joint.transmission]) or --hand";
-        return Err(Failure::wrong(reason).remedy("analyse one wall at a time, or the rigid device by itself"));
-    }
-    let set = WallSet::at(&file.description, q, members, args.admissible)?;
+    let set = WallSet::at(&file.description, q, members, args.admissible)?.held(args.hand()?);
     let set = if args.undamped { set.undamped() } else { set };
-    Ok((Box::new(move |kd| predict_several(&set, around, kd, args.washout)), None))
+    Ok((Box::new(move |kd, washout| predict_several(&set, around, kd, washout)), None))
 }

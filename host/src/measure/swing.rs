@@ -9,7 +9,8 @@
 //! **Several modes.** A device with a transmission that gives has modes on both sides of the cutoff, and a washout one far
 //! below it. Two modes of like size make a tiny swing now and then, where the slow one turns and the fast one holds against
 //! it: so a motion has died out when half a look of swings is small, not one. Their beat hides the trend of single swings; the
-//! largest of every few then shows it. And a small fast mode that builds up hides behind a large slow one that dies out: so
+//! largest of every few, over at least three turns of the slowest, then shows it. What one of them loses faster than the other
+//! makes that trend bend as if the motion were about to stay: it is followed until it stays, or goes. And a small fast mode that builds up hides behind a large slow one that dies out: so
 //! the motion's acceleration, in which it is larger by the square of their frequencies' ratio, is judged beside it.
 //!
 //! **What encoder steps explain.** A quantiser in a stable loop can sustain a vibration. Its describing function, the share of
@@ -34,6 +35,12 @@ const LOOKS: (usize, usize) = (4, 16);
 /// Swings of which the largest counts where two modes beat: more than the shares of a beat between two modes that lie this
 /// far apart, which is farther than a wall's own mode and a cable's.
 const BEAT: usize = 6;
+/// Turns of the slowest mode that a look lasts at least which tells that a motion dies out, and that a stretch does.
+const TURNS: f64 = 3.0;
+/// Stretches of such swings of which the latest are judged at least.
+const STRETCHES: usize = 8;
+/// How many times as long as it takes to call a motion a vibration one is followed whose trend bends.
+const PATIENCE: usize = 16;
 /// Share of the swings before it that a swing has, not to be a faster mode's ripple on them.
 const RIPPLE: f64 = 0.4;
 /// Standard errors by which a slope must differ from zero to be one. Many, as encoder steps disturb neighbouring swings
@@ -79,11 +86,11 @@ impl Swing {
     /// `cutoff_hz` and whose slowest mode is expected to take about `period` (s), pulled aside by `pull` (m) at first.
     pub fn new(row_seconds: f64, cutoff_hz: f64, period: f64, quantum: f64, pull: f64) -> Self {
         let rows_a_period = 1.0 / (row_seconds * cutoff_hz);
-        let silent = (period / row_seconds).clamp(SILENT.0 * rows_a_period, SILENT.1 * rows_a_period);
+        let slowest = (period / row_seconds).min(SILENT.1 * rows_a_period);
         Self {
-            place: Trace::new(rows_a_period, silent, quantum, pull, LOOKS.0),
+            place: Trace::new(rows_a_period, slowest, quantum, pull, LOOKS.0),
             // Errors of up to half a step in three places, one of them twice; of no size to be expected.
-            bend: Trace::new(rows_a_period, silent, 4.0 * quantum, f64::INFINITY, LOOKS.1),
+            bend: Trace::new(rows_a_period, slowest, 4.0 * quantum, f64::INFINITY, LOOKS.1),
             before: [None; 2],
             told: [None; 2],
         }
@@ -121,34 +128,45 @@ struct Trace {
     pull: f64,
     /// Looks after which a motion that goes on is a vibration.
     looks: usize,
+    /// Rows that a turn of the slowest mode is expected to take.
+    slowest: f64,
     /// Rows without a turning point after which a motion is judged.
     silent: f64,
     /// The extreme since the last turning point, and whether the motion rises.
     extreme: Option<(f64, bool)>,
     turned: Option<f64>,
     swings: Vec<f64>,
+    /// The row in which each swing ended.
+    ends: Vec<usize>,
     /// Lowest and highest position since the last turning point, and the span of each swing, m.
     reach: (f64, f64),
     spans: Vec<(f64, f64)>,
+    /// The same without the slow part.
+    extent: (f64, f64),
+    extents: Vec<(f64, f64)>,
     rows: usize,
     since_turn: usize,
 }
 
 impl Trace {
-    fn new(rows_a_period: f64, silent: f64, quantum: f64, pull: f64, looks: usize) -> Self {
+    fn new(rows_a_period: f64, slowest: f64, quantum: f64, pull: f64, looks: usize) -> Self {
         Self {
             looks,
+            slowest,
             share: 1.0 - (-TAU * SLOW / rows_a_period).exp(),
             slow: None,
             noise: 1.5 * quantum,
             explained: ENCODER_STEPS * quantum,
             pull,
-            silent,
+            silent: slowest.max(SILENT.0 * rows_a_period),
             extreme: None,
             turned: None,
             swings: Vec::new(),
+            ends: Vec::new(),
             reach: NOWHERE,
             spans: Vec::new(),
+            extent: NOWHERE,
+            extents: Vec::new(),
             rows: 0,
             since_turn: 0,
         }
@@ -166,6 +184,7 @@ impl Trace {
         *second += self.share * (fast - *second);
         let fast = fast - *second;
         self.reach = (self.reach.0.min(place), self.reach.1.max(place));
+        self.extent = (self.extent.0.min(fast), self.extent.1.max(fast));
         if self.turns(fast)
             && let Some(verdict) = self.at_turn()
         {
@@ -190,7 +209,9 @@ impl Trace {
         }
         if let Some(before) = self.turned.replace(extreme) {
             self.swings.push((extreme - before).abs());
+            self.ends.push(self.rows);
             self.spans.push(std::mem::replace(&mut self.reach, NOWHERE));
+            self.extents.push(std::mem::replace(&mut self.extent, NOWHERE));
         }
         self.extreme = Some((fast, !rising));
         self.since_turn = 0;
@@ -225,20 +246,50 @@ impl Trace {
         if !seen.is_multiple_of(LOOK / 2) {
             return None;
         }
-        self.told_by(&self.swings[count - LOOK..]).or_else(|| {
-            let beats: Vec<f64> = self.swings[SETTLING..].chunks_exact(BEAT).map(largest).collect();
-            (seen / (LOOK / 2) >= self.looks).then(|| self.told_by(&beats).unwrap_or_else(|| self.lasting()))
-        })
+        // Swings that a ripple no longer cuts in pieces are larger, and the motion is not.
+        let (earlier, later) = self.extents[SETTLING..].split_at(seen + LOOK / 2);
+        let larger = across(later) > across(earlier);
+        let lasted = (self.ends[count - 1] - self.ends[count - 1 - LOOK]) as f64;
+        // A slower mode may build up under what dies out within a turn of it.
+        let told = self
+            .told_by(&self.swings[count - LOOK..], larger)
+            .filter(|told| *told != Verdict::Decays || lasted > TURNS * self.slowest);
+        let looks = seen / (LOOK / 2);
+        if told.is_some() || looks < self.looks {
+            return told;
+        }
+        let stretches = self.stretches();
+        let latest = &stretches[stretches.len() / 2..];
+        let enough = latest.len() >= STRETCHES;
+        let patient = looks < PATIENCE * self.looks;
+        if !enough && patient {
+            return None;
+        }
+        let larger = largest(&latest[latest.len() / 2..]) >= largest(&stretches);
+        // A trend that has bent, or the rise of a beat, is no size at which a motion stays.
+        self.told_by(latest, larger).or_else(|| (!patient || !is_sure(trend(latest))).then(|| self.lasting()))
     }
 
-    /// What the trend of swings tells, where it tells anything.
-    fn told_by(&self, swings: &[f64]) -> Option<Verdict> {
+    /// How far the motion reaches over every [`BEAT`] swings, or over as many more as [`TURNS`] of the slowest mode take, m.
+    fn stretches(&self) -> Vec<f64> {
+        let (mut stretches, mut first) = (Vec::new(), SETTLING);
+        for at in SETTLING..self.swings.len() {
+            let rows = self.ends[at] - self.ends[first - 1];
+            if at + 1 - first >= BEAT && rows as f64 >= TURNS * self.slowest {
+                stretches.push(across(&self.extents[first..=at]));
+                first = at + 1;
+            }
+        }
+        stretches
+    }
+
+    /// What the trend of swings tells, where it tells anything: growth only where the motion is `larger` than ever, because
+    /// what grows without being so is the beat of two modes that lie close together.
+    fn told_by(&self, swings: &[f64], larger: bool) -> Option<Verdict> {
         let (slope, error) = trend(swings);
-        let sure = slope.abs() > FLAT.max(SIGNIFICANT * error);
+        let sure = is_sure((slope, error));
         let (earlier, later) = swings.split_at(swings.len() / 2);
-        // What grows without being larger than ever is the beat of two modes that lie close together.
-        let beats = largest(later) < largest(&self.swings[SETTLING..]);
-        if sure && slope > 0.0 && !beats && self.size() > self.explained {
+        if sure && slope > 0.0 && larger && self.size() > self.explained {
             return Some(Verdict::Grows);
         }
         // What shrinks ever more slowly is about to stay.
@@ -263,8 +314,19 @@ impl Trace {
 
 const NOWHERE: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
 
+/// From the lowest to the highest of some spans; less than nothing of none.
+fn across(spans: &[(f64, f64)]) -> f64 {
+    let (low, high) = spans.iter().fold(NOWHERE, |(low, high), span| (low.min(span.0), high.max(span.1)));
+    high - low
+}
+
 fn largest(swings: &[f64]) -> f64 {
     swings.iter().copied().fold(0.0, f64::max)
+}
+
+/// Whether a slope with this standard error differs from zero.
+fn is_sure((slope, error): (f64, f64)) -> bool {
+    slope.abs() > FLAT.max(SIGNIFICANT * error)
 }
 
 /// Slope of ln(swing) over the swings, and its standard error.
@@ -291,9 +353,13 @@ mod tests {
     }
 
     fn judged_below(cutoff: f64, quantum: f64, motion: impl Fn(f64) -> f64) -> Verdict {
-        let mut swing = Swing::new(DT, cutoff, 0.0, quantum, 1e-3);
+        judged_every(DT, cutoff, 0.0, quantum, motion)
+    }
+
+    fn judged_every(dt: f64, cutoff: f64, period: f64, quantum: f64, motion: impl Fn(f64) -> f64) -> Verdict {
+        let mut swing = Swing::new(dt, cutoff, period, quantum, 1e-3);
         for k in 0..60_000 {
-            let x = motion(f64::from(k) * DT);
+            let x = motion(f64::from(k) * dt);
             let x = if quantum > 0.0 { (x / quantum).round() * quantum } else { x };
             if let Some(verdict) = swing.take(x) {
                 return verdict;
@@ -315,9 +381,21 @@ mod tests {
             [[(2.0, 46.0), (3.8, 164.2)], [(5.3, 48.5), (8.2, 165.0)], [(18.0, 58.0), (32.0, 170.0)]]
         {
             for share in [0.2, 0.35, 0.5, 0.65] {
-                let found = judged_below(100.0, 1e-7, modes(&[(1.0 - share, slow, slow_hz), (share, fast, fast_hz)]));
+                let found = judged_every(
+                    DT,
+                    100.0,
+                    1.0 / slow_hz,
+                    1e-7,
+                    modes(&[(1.0 - share, slow, slow_hz), (share, fast, fast_hz)]),
+                );
                 assert_eq!(found, Verdict::Grows, "{slow_hz} and {fast_hz} Hz, {share} of it fast");
-                let found = judged_below(100.0, 1e-7, modes(&[(1.0 - share, -slow, slow_hz), (share, -fast, fast_hz)]));
+                let found = judged_every(
+                    DT,
+                    100.0,
+                    1.0 / slow_hz,
+                    1e-7,
+                    modes(&[(1.0 - share, -slow, slow_hz), (share, -fast, fast_hz)]),
+                );
                 assert_eq!(found, Verdict::Decays, "{slow_hz} and {fast_hz} Hz, {share} of it fast");
             }
         }
@@ -326,11 +404,37 @@ mod tests {
     #[test]
     fn a_fast_mode_that_builds_up_shows_beside_a_slow_one_that_dies_out() {
         for (slow, fast) in [(-0.5, 1.0), (-4.0, 1.0), (-2.0, 5.0)] {
-            let found = judged_below(100.0, 1e-7, modes(&[(0.95, slow, 44.0), (0.05, fast, 163.0)]));
+            let found = judged_every(DT, 100.0, 1.0 / 44.0, 1e-7, modes(&[(0.95, slow, 44.0), (0.05, fast, 163.0)]));
             assert_ne!(found, Verdict::Decays, "{slow} {fast}");
         }
-        let found = judged_below(100.0, 1e-7, modes(&[(0.95, -0.5, 44.0), (0.05, -1.0, 163.0)]));
+        let found = judged_every(DT, 100.0, 1.0 / 44.0, 1e-7, modes(&[(0.95, -0.5, 44.0), (0.05, -1.0, 163.0)]));
         assert_eq!(found, Verdict::Decays);
+    }
+
+    #[test]
+    fn a_slow_swing_and_a_fast_one_on_it_that_both_die_out_are_no_vibration() {
+        // The WoodenHaptics with cables of 400 Hz at 20 kHz, a tenth below its limit: 57 Hz of the wall and 472 Hz of the
+        // cables, which die out at their own paces.
+        let at = |quantum: f64, share: f64, phase: f64, slow: f64, fast: f64| {
+            let motion = move |t: f64| {
+                let ripple = share * (fast * t).exp() * (TAU * (472.0 * t + phase)).cos();
+                1e-3 * ((slow * t).exp() * (TAU * 57.0 * t).cos() + ripple)
+            };
+            judged_every(1e-4, 500.0, 1.0 / 57.0, quantum, motion)
+        };
+        for eighths in 0..8 {
+            let phase = f64::from(eighths) / 8.0;
+            for share in [0.02, 0.05, 0.1, 0.2, 0.4, 0.8] {
+                for (slow, fast) in [(-6.0, -18.0), (-8.0, -33.0), (-8.0, -3.0), (-1.0, -33.0)] {
+                    let found = at(2e-6, share, phase, slow, fast);
+                    assert_eq!(found, Verdict::Decays, "{share} of it fast, {phase} turns, {slow} and {fast} 1/s");
+                }
+                for (slow, fast) in [(-6.0, 4.0), (1.0, -18.0), (2.0, 2.0)] {
+                    let found = at(1e-7, share, phase, slow, fast);
+                    assert_ne!(found, Verdict::Decays, "{share} of it fast, {phase} turns, {slow} and {fast} 1/s");
+                }
+            }
+        }
     }
 
     #[test]
@@ -348,7 +452,13 @@ mod tests {
     #[test]
     fn the_beat_of_two_fast_modes_is_not_growth() {
         for (a, b) in [(-3.0, -4.0), (-10.0, -20.0), (-20.0, -70.0)] {
-            let found = judged_below(100.0, 1e-7, modes(&[(0.5, -5.0, 40.0), (0.25, a, 170.0), (0.22, b, 164.0)]));
+            let found = judged_every(
+                DT,
+                100.0,
+                1.0 / 40.0,
+                1e-7,
+                modes(&[(0.5, -5.0, 40.0), (0.25, a, 170.0), (0.22, b, 164.0)]),
+            );
             assert_eq!(found, Verdict::Decays, "{a} {b}");
         }
     }

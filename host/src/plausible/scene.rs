@@ -17,7 +17,7 @@ use crate::words::{digits, with_unit};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::shape::Meaning;
-use haptic_bridge::render::scene::{Scene, Surface, Wall};
+use haptic_bridge::render::scene::{FeedForward, Scene, Surface, Wall};
 use haptic_bridge::safety::limits::GENTLE_FORCE;
 use nalgebra::{DVector, SVector};
 use serde::Serialize;
@@ -62,6 +62,7 @@ pub fn doubts(device: &Device<f64>, scene: &Scene<f64>) -> (Vec<Doubt>, Vec<Cont
                 doubts.extend(beyond(wall, &contact, true));
                 doubts.extend(too_soft(device, wall, &contact));
                 doubts.extend(buzzing(scene, &contact));
+                doubts.extend(washed_away(device, scene, &contact));
                 contacts.push(contact);
             }
             Touched::Never(nearest) => doubts.push(out_of_reach(index, &wall.surface, nearest)),
@@ -265,6 +266,38 @@ fn buzzing(scene: &Scene<f64>, contact: &Contact) -> Option<Doubt> {
         wall.damping
     );
     Some(Doubt::new(Key { table: "wall", index: Some(contact.wall), part: "", name: "damping" }, text))
+}
+
+/// Below this share of what is stable without the feed-forward a washout costs more than it brings, beyond what rounds
+/// away.
+const COSTLY: f64 = 0.99;
+/// How often a corner is halved that is looked for.
+const HALVED: usize = 10;
+
+/// A washout with which less stiffness is stable than without any feed-forward, at the wall's own damping: one whose corner
+/// is not far below what the loop does.
+fn washed_away(device: &Device<f64>, scene: &Scene<f64>, contact: &Contact) -> Option<Doubt> {
+    let wall = scene.walls.get(contact.wall)?;
+    let around = around(scene, wall, usual_delay(scene.rate_hz))?;
+    let mut linearised = Linearised::of(device, &contact.q, &contact.normal, scene.admissible).ok()?;
+    linearised.gain = scene.feed_forward_gain;
+    let stable_to = |mode| Some(stiffness_at(&linearised, &around, mode, wall.damping).ok()?.0);
+    let without = stable_to(Mode::Off)?;
+    if wall.feed_forward != FeedForward::Washout || contact.stable_to >= COSTLY * without {
+        return None;
+    }
+    let corners = (1..=HALVED).map(|halved| wall.washout_hz / f64::from(1 << halved));
+    let free = corners.into_iter().find(|hz| stable_to(Mode::Washout(*hz)).is_some_and(|kp| kp >= COSTLY * without));
+    let instead = free.map_or(String::new(), |hz| format!("a corner of {hz} Hz costs nothing; or "));
+    let text = format!(
+        "the washout of wall {}, {} Hz, costs more than it brings: {} is predicted stable with it and {} without the \
+         feed-forward; {instead}set feed_forward = \"off\"",
+        contact.wall,
+        wall.washout_hz,
+        with_unit(contact.stable_to, "N/m"),
+        with_unit(without, "N/m")
+    );
+    Some(Doubt::new(Key { table: "wall", index: Some(contact.wall), part: "", name: "washout_hz" }, text))
 }
 
 /// A ratio with two significant digits.

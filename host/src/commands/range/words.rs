@@ -84,8 +84,7 @@ pub fn readable(
     line(String::new());
     line(format!("  {:<26}{:>14}{:>14}{:>18}", "", "max kp N/m", "kd_max N s/m", "area N²s/m²"));
     let mut row = |label: &str, domain: &Domain| {
-        let top = domain.boundary.iter().map(|p| p.kp).fold(0.0, f64::max);
-        line(format!("  {label:<26}{top:>14.2}{:>14.4}{:>18.6e}", domain.kd_max, domain.area));
+        line(format!("  {label:<26}{:>14.2}{:>14.4}{:>18.6e}", domain.top.kp, domain.kd_max, domain.area));
     };
     row("no feed-forward", &range.off);
     row("feed-forward (4)", &range.full);
@@ -157,13 +156,12 @@ fn price(w_eff: f64, w_rr: f64, gain: f64) -> String {
 
 /// What rendering on the board is worth, in a sentence.
 fn on_a_computer(range: &Range, host: &HostWall) -> String {
-    let top = |domain: &Domain| domain.boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
     let by =
         format!("a computer that asks {:.0} times a second, its forces {} ms old", host.rate_hz, 1e3 * host.delay_s);
-    if top(&host.domain) == 0.0 {
+    if host.domain.top.kp == 0.0 {
         return format!("rendered by {by}: never stable");
     }
-    let times = top(&range.off) / top(&host.domain);
+    let times = range.off.top.kp / host.domain.top.kp;
     format!("rendered by {by}: the board's own wall is up to {times:.1} times as stiff")
 }
 
@@ -204,22 +202,45 @@ pub fn in_words(why: &Why) -> String {
     text
 }
 
-/// Doubts about a feed-forward that costs more than it brings: in full, and washed out.
-pub fn costly(range: &Range) -> Vec<String> {
-    let top = |domain: &Domain| domain.boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
+/// How often a corner is halved that is looked for.
+const HALVED: usize = 10;
+
+/// What is left of the area and of the stiffest wall, where less is left of either than [`COSTLY`].
+fn costs(domain: &Domain, off: &Domain) -> Option<(f64, f64)> {
+    let stiffness = domain.top.kp / off.top.kp.max(f64::MIN_POSITIVE);
+    let area = domain.area / off.area.max(f64::MIN_POSITIVE);
+    (off.area > 0.0 && (area < COSTLY || stiffness < COSTLY)).then_some((area, stiffness))
+}
+
+/// Doubts about a feed-forward that costs more than it brings: in full, and washed out at a corner (Hz). `washed` predicts
+/// the range with another corner.
+pub fn costly<E>(
+    range: &Range,
+    corner: Option<f64>,
+    washed: impl Fn(f64) -> Result<Range, E>,
+) -> Result<Vec<String>, E> {
     let doubt = |domain: &Domain, what: &str, instead: &str| {
-        let stiffness = top(domain) / top(&range.off).max(f64::MIN_POSITIVE);
-        let area = domain.area / range.off.area.max(f64::MIN_POSITIVE);
-        (range.off.area > 0.0 && (area < COSTLY || stiffness < COSTLY)).then(|| {
-            format!(
-                "{what} costs more than it brings here: the stable area becomes {area:.2} times as large and the \
-                 stiffest wall {stiffness:.2} times as stiff; {instead}"
-            )
-        })
+        let (area, stiffness) = costs(domain, &range.off)?;
+        Some(format!(
+            "{what} costs more than it brings here: the stable area becomes {area:.2} times as large and the stiffest \
+             wall {stiffness:.2} times as stiff; {instead}"
+        ))
     };
-    let washout = range.washout.as_ref().and_then(|washout| {
-        doubt(washout, "the washout", "a lower corner takes less of it (--washout), or leave the feed-forward off")
-    });
-    let full = doubt(&range.full, "the feed-forward", "leave it off at this pose and normal");
-    full.into_iter().chain(washout).collect()
+    let mut doubts: Vec<String> =
+        doubt(&range.full, "the feed-forward", "leave it off at this pose and normal").into_iter().collect();
+    let Some((washout, corner)) = range.washout.as_ref().zip(corner) else { return Ok(doubts) };
+    if costs(washout, &range.off).is_none() {
+        return Ok(doubts);
+    }
+    let mut instead = "leave the feed-forward off".to_string();
+    let mut lower = corner;
+    for _ in 0..HALVED {
+        lower /= 2.0;
+        if washed(lower)?.washout.is_some_and(|domain| costs(&domain, &range.off).is_none()) {
+            instead = format!("a corner of {lower} Hz costs nothing (--washout), or leave the feed-forward off");
+            break;
+        }
+    }
+    doubts.extend(doubt(washout, "the washout", &instead));
+    Ok(doubts)
 }
