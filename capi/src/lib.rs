@@ -8,6 +8,7 @@
 use haptic::device_file::DeviceFile;
 use haptic::link::{PortSpec, Session};
 use haptic::scene_file::SceneFile;
+use haptic::words::for_a_program;
 use haptic_bridge::board::protocol::{ForceAnswer, ForceDone, ForceRequest, HostContact};
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::State as BoardState;
@@ -24,7 +25,7 @@ pub const HB_VERSION: u32 = 1;
 pub const HB_OK: i32 = 0;
 /// It could not be done: no board, a refusal, a file that is wrong.
 pub const HB_FAILED: i32 = 1;
-/// NULL, or text that is not UTF-8.
+/// NULL, text that is not UTF-8, or a number that is none.
 pub const HB_BAD_ARGUMENT: i32 = 2;
 /// A defect of the library; the board was told to disarm.
 pub const HB_BROKEN: i32 = 3;
@@ -39,7 +40,7 @@ pub const HB_NOT_ARMED: i32 = 2;
 pub const HB_NOT_NEWER: i32 = 3;
 /// More time than hold and fade since the last call.
 pub const HB_TOO_OLD: i32 = 4;
-/// A number that cannot be used.
+/// A number that cannot be used: hb_error() says which.
 pub const HB_BAD: i32 = 5;
 
 /// hb_state.state: the motors are off.
@@ -155,12 +156,14 @@ impl From<&Request> for ForceRequest {
     }
 }
 
+const NULL: &str = "NULL";
+
 /// What a call of this library can end with, beside well.
 enum Failure {
     /// In the words of the tool.
     Words(String),
-    /// Of which argument.
-    Argument(&'static str),
+    /// Of which argument, and what it is.
+    Argument(&'static str, &'static str),
 }
 
 impl<E: std::error::Error> From<E> for Failure {
@@ -169,13 +172,23 @@ impl<E: std::error::Error> From<E> for Failure {
     }
 }
 
+/// What a program calls where a person would type a command.
+const CALLS: [(&str, &str); 6] = [
+    ("device FILE", "hb_load()"),
+    ("scene FILE", "hb_load()"),
+    ("home", "hb_home()"),
+    ("polarity", "hb_check_polarity()"),
+    ("disarm", "hb_disarm()"),
+    ("clear", "hb_clear()"),
+];
+
 thread_local! {
     static ERROR: RefCell<CString> = RefCell::default();
 }
 
 /// Keeps words for `hb_error`.
 fn say(words: &str) {
-    let text: String = words.chars().filter(|character| *character != '\0').collect();
+    let text: String = for_a_program(words, &CALLS).chars().filter(|character| *character != '\0').collect();
     ERROR.with(|error| *error.borrow_mut() = CString::new(text).unwrap_or_default());
 }
 
@@ -187,8 +200,8 @@ fn guarded<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, i32> {
             say(&words);
             Err(HB_FAILED)
         }
-        Ok(Err(Failure::Argument(which))) => {
-            say(&format!("{which} is NULL, or no UTF-8"));
+        Ok(Err(Failure::Argument(which, what))) => {
+            say(&format!("{which} is {what}"));
             Err(HB_BAD_ARGUMENT)
         }
         Err(_) => {
@@ -204,10 +217,10 @@ fn guarded<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, i32> {
 /// `text` is NULL or a string that ends with a zero.
 unsafe fn text<'a>(text: *const c_char, name: &'static str) -> Result<&'a str, Failure> {
     if text.is_null() {
-        return Err(Failure::Argument(name));
+        return Err(Failure::Argument(name, NULL));
     }
     // SAFETY: as the caller promises.
-    unsafe { CStr::from_ptr(text) }.to_str().map_err(|_| Failure::Argument(name))
+    unsafe { CStr::from_ptr(text) }.to_str().map_err(|_| Failure::Argument(name, "no UTF-8"))
 }
 
 /// Has a board's session do something; a panic in it lets go of the session, which disarms the board.
@@ -217,7 +230,7 @@ unsafe fn text<'a>(text: *const c_char, name: &'static str) -> Result<&'a str, F
 unsafe fn with(board: *const Board, work: impl FnOnce(&mut Session) -> Result<(), Failure>) -> i32 {
     let done = guarded(|| {
         // SAFETY: as the caller promises.
-        let board = unsafe { board.as_ref() }.ok_or(Failure::Argument("the board"))?;
+        let board = unsafe { board.as_ref() }.ok_or(Failure::Argument("the board", NULL))?;
         let mut held = board.0.lock().unwrap_or_else(PoisonError::into_inner);
         let mut session = held.take().ok_or_else(|| Failure::Words("the board was let go after a defect".into()))?;
         let done = work(&mut session);
@@ -233,7 +246,8 @@ pub extern "C" fn hb_version() -> u32 {
     HB_VERSION
 }
 
-/// What went wrong in the last call of this thread that failed; valid until its next call. Never NULL.
+/// What went wrong in the last call of this thread that failed, or which number of a request was HB_BAD; valid until its next
+/// call. Never NULL.
 #[unsafe(no_mangle)]
 pub extern "C" fn hb_error() -> *const c_char {
     ERROR.with(|error| error.borrow().as_ptr())
@@ -330,7 +344,8 @@ pub unsafe extern "C" fn hb_wait_for_forces(board: *const Board, seconds: f64) -
     // SAFETY: as the caller promises.
     unsafe {
         with(board, |session| {
-            let patience = Duration::try_from_secs_f64(seconds).map_err(|_| Failure::Argument("the time"))?;
+            let patience = Duration::try_from_secs_f64(seconds)
+                .map_err(|_| Failure::Argument("the time", "no number of seconds from 0 up"))?;
             session.wait_for_forces(patience);
             Ok(())
         })
@@ -345,9 +360,13 @@ pub unsafe extern "C" fn hb_exchange(board: *const Board, request: *const Reques
     // SAFETY: as the caller promises.
     unsafe {
         with(board, |session| {
-            let state = state.as_mut().ok_or(Failure::Argument("the state"))?;
+            let state = state.as_mut().ok_or(Failure::Argument("the state", NULL))?;
             let request = request.as_ref().map(ForceRequest::from).unwrap_or_default();
-            *state = State::from(&session.exchange(request)?);
+            let answer = session.exchange(request)?;
+            if let ForceDone::Bad(_) = answer.done {
+                say(&answer.done.to_string());
+            }
+            *state = State::from(&answer);
             Ok(())
         })
     }

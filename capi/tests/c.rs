@@ -1,9 +1,14 @@
 //! A program in C, compiled against the header and run with the shared library.
 
-use hapticbridge::{Request, State};
+use hapticbridge::{
+    HB_BAD, HB_BAD_ARGUMENT, HB_FAILED, HB_OK, Request, State, hb_arm, hb_close, hb_error, hb_exchange, hb_load,
+    hb_open, hb_wait_for_forces,
+};
+use std::ffi::{CStr, CString};
 use std::mem::{offset_of, size_of};
 use std::path::Path;
 use std::process::Command;
+use std::ptr::null;
 
 /// Where cargo has put the shared library: beside this test.
 fn libraries() -> std::path::PathBuf {
@@ -41,5 +46,34 @@ fn the_example_compiles_without_a_warning_and_pushes_a_simulated_board() {
     let offsets = [offset_of!(Request, damping_ns_m), offset_of!(State, force_n)];
     let expected = format!("sizes {} {} offsets {} {}", sizes[0], sizes[1], offsets[0], offsets[1]);
     assert_eq!(lines[1], expected, "header and library have the same structures");
-    assert_eq!(lines[2], "the board is NULL, or no UTF-8");
+    assert!(lines[2].starts_with("cannot connect to 127.0.0.1:1"), "{said}");
+    // A program that was linked with the library finds it by its name, wherever it lay then.
+    let dynamic = Command::new("readelf").arg("-d").arg(folder.join("libhapticbridge.so")).output().unwrap();
+    assert!(String::from_utf8_lossy(&dynamic.stdout).contains("Library soname: [libhapticbridge.so]"));
+}
+
+fn error() -> String {
+    // SAFETY: hb_error() is never NULL and ends with a zero.
+    unsafe { CStr::from_ptr(hb_error()) }.to_str().unwrap().into()
+}
+
+#[test]
+fn errors_name_functions_and_numbers() {
+    let device = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/coupled-five-bar.toml");
+    let device = CString::new(device).unwrap();
+    // SAFETY: pointers are NULL or to what they say, and the board is closed last.
+    unsafe {
+        assert_eq!((hb_arm(null()), error()), (HB_BAD_ARGUMENT, "the board is NULL".into()));
+        let board = hb_open(c"sim".as_ptr());
+        assert_eq!((hb_load(board, device.as_ptr(), null()), hb_arm(board)), (HB_OK, HB_OK), "{}", error());
+        assert_eq!(hb_load(board, device.as_ptr(), null()), HB_FAILED);
+        assert_eq!(error(), "the board refuses: the motors are armed: hb_disarm() first");
+        let mut state = State::default();
+        let absurd = Request { hold_s: 0.02, fade_s: 0.05, force_n: [f32::NAN, 0.0, 0.0], ..Request::default() };
+        assert_eq!((hb_exchange(board, &absurd, &mut state), state.done), (HB_OK, HB_BAD));
+        assert!(error().starts_with("not taken: each entry of the force must be at most"), "{}", error());
+        assert_eq!(hb_wait_for_forces(board, f64::NAN), HB_BAD_ARGUMENT);
+        assert_eq!(error(), "the time is no number of seconds from 0 up");
+        hb_close(board);
+    }
 }

@@ -7,7 +7,8 @@ use haptic::haptic_bridge::board::protocol::ForceAnswer;
 use haptic::haptic_bridge::model::device::Device as BoardDevice;
 use haptic::haptic_bridge::render::scene::Scene;
 use haptic::haptic_bridge::safety::fault::State;
-use haptic::link::{PortSpec, Session};
+use haptic::haptic_bridge::servo::host_force::MOST_FORCE;
+use haptic::link::{LinkError, PortSpec, Session};
 use haptic::vectors::padded;
 use std::time::{Duration, Instant};
 
@@ -35,6 +36,8 @@ pub struct HdDevice {
     simulated: bool,
     /// Why the motors are off was said.
     told: bool,
+    /// A force that is none was said.
+    told_absurd: bool,
 }
 
 impl HdDevice {
@@ -69,6 +72,7 @@ impl HdDevice {
             tick: Instant::now(),
             simulated: matches!(spec, PortSpec::Sim(_)),
             told: false,
+            told_absurd: false,
         })
     }
 
@@ -105,19 +109,29 @@ impl HdDevice {
         self.axes.to_chai3d(self.last.velocity.map(f64::from))
     }
 
-    /// Sends a force (N), waits for the next tick and reads how the device is then.
+    /// Sends a force (N), waits for the next tick and reads how the device is then. In the place of a force that no board
+    /// takes there is none, and it is not done.
     pub fn force(&mut self, force: [f64; 3]) -> bool {
-        let finite = force.iter().all(|newtons| newtons.is_finite());
-        let force = self.axes.to_task(if finite { force } else { [0.0; 3] });
-        let Ok(sent) = self.session.force(force.map(|newtons| newtons as f32)) else { return self.lost() };
+        let usable = force.iter().all(|newtons| newtons.abs() <= f64::from(MOST_FORCE));
+        if !usable && !self.told_absurd {
+            haptic::tell!("haptic-bridge: a force of {force:?} N is none: the motors get 0 N");
+            self.told_absurd = true;
+        }
+        let force = self.axes.to_task(if usable { force } else { [0.0; 3] });
+        let sent = match self.session.force(force.map(|newtons| newtons as f32)) {
+            Ok(sent) => sent,
+            Err(error) => return self.lost(&error),
+        };
         if sent.state == State::Fault && !self.told {
             let fault = self.session.status().ok().and_then(|status| status.fault);
             let why = fault.map_or_else(String::new, |record| format!(": {}", record.fault));
             haptic::tell!("haptic-bridge: the board has turned its motors off{why}");
             self.told = true;
         }
-        if self.simulated && self.session.rows(TICK).is_err() {
-            return self.lost();
+        if self.simulated
+            && let Err(error) = self.session.rows(TICK)
+        {
+            return self.lost(&error);
         }
         self.tick += TICK;
         let now = Instant::now();
@@ -129,14 +143,15 @@ impl HdDevice {
         match self.session.look() {
             Ok(state) => {
                 self.last = state;
-                true
+                usable
             }
-            Err(_) => self.lost(),
+            Err(error) => self.lost(&error),
         }
     }
 
-    fn lost(&mut self) -> bool {
-        if !self.told {
+    fn lost(&mut self, error: &LinkError) -> bool {
+        // After a lost frame the next force goes on.
+        if !self.told && !matches!(error, LinkError::Unanswered { .. }) {
             haptic::tell!("haptic-bridge: the board is gone");
             self.told = true;
         }

@@ -74,6 +74,15 @@ fn a_sphere_pushes_the_tip_out_at_a_thousand_ticks_a_second() {
 }
 
 #[test]
+fn a_force_that_no_board_takes_is_not_done() {
+    assert_eq!(hdPhantom::hdPhantomOpen(0), 0);
+    // SAFETY: the pointers are to numbers.
+    let set = |x: f64| unsafe { hdPhantom::hdPhantomSetForce(0, &x, &0.0, &0.0) };
+    assert_eq!([0.1, f64::NAN, 1e30, f64::INFINITY, 0.1].map(set), [0, -1, -1, -1, 0]);
+    assert_eq!(hdPhantom::hdPhantomClose(0), 0);
+}
+
+#[test]
 fn a_board_that_is_not_there_is_no_device_and_says_why() {
     let (program, folder) = prepare("none");
     for (port, axes, words) in [

@@ -8,7 +8,7 @@
 
 use crate::frame::Axes;
 use crate::link::{BoardError, Session};
-use haptic_bridge::board::protocol::ForceAnswer;
+use haptic_bridge::board::protocol::{ForceAnswer, ForceDone};
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::refusal::Refusal;
@@ -149,6 +149,9 @@ impl Inverse3 {
         let [right, away, up] = force;
         let force = self.axes.to_task([-away, right, up]);
         self.last = self.session.force(force.map(|newtons| newtons as f32))?;
+        if let ForceDone::Bad(_) = self.last.done {
+            self.tell(format!("a force of ({right:e}, {away:e}, {up:e}) N is {}", self.last.done));
+        }
         if self.armed && self.last.state != State::Armed {
             self.armed = false;
             self.tell(

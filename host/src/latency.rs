@@ -7,6 +7,9 @@ use serde::Serialize;
 /// Edges of a histogram's bins go 1, 2, 5 in every decade, from here on, s.
 const FIRST_EDGE: f64 = 1.0e-5;
 
+/// Whole control periods fall on edges, and a board tells its period in single precision.
+const HAIR: f64 = 1.0e-6;
+
 /// Times of many exchanges.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Latency {
@@ -38,7 +41,7 @@ pub struct Spread {
     pub histogram: Vec<Bin>,
 }
 
-/// A bin of a histogram: times t with from ≤ t < to, s.
+/// A bin of a histogram: times t with from < t ≤ to, s.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Bin {
     /// s
@@ -94,7 +97,7 @@ fn histogram(times: &[f64]) -> Vec<Bin> {
     let mut from = 0.0;
     let mut left = times;
     for edge in (0..).flat_map(|decade| [1.0, 2.0, 5.0].map(|step| step * FIRST_EDGE * 10.0_f64.powi(decade))) {
-        let count = left.partition_point(|time| *time < edge);
+        let count = left.partition_point(|time| *time <= edge * (1.0 + HAIR));
         if count > 0 || !bins.is_empty() {
             bins.push(Bin { from, to: edge, count });
         }
@@ -119,6 +122,9 @@ mod tests {
         assert_eq!(counts, [1, 1, 2]);
         let edges: Vec<f64> = spread.histogram.iter().map(|bin| (bin.from * 1e6).round()).collect();
         assert_eq!(edges, [20.0, 50.0, 100.0]);
+        // Two periods of 50 us on either clock.
+        let twice = |seconds: f64| Spread::of(vec![seconds]).histogram[0].to;
+        assert_eq!(twice(2.0 * f64::from(5.0e-5_f32)), twice(std::time::Duration::from_micros(100).as_secs_f64()));
         assert!(spread.histogram.windows(2).all(|pair| pair[0].to == pair[1].from));
     }
 }

@@ -7,24 +7,31 @@
 //!
 //! For each estimator at each rate and cutoff the largest stiffness over damping is a curve; at each of its dampings the
 //! wall is made softer until it keeps the ripple. Candidates whose curve lies below the best that was found are not
-//! simulated. They are looked at in rounds of a fixed size, so the answer does not depend on the number of cores. A wall with
-//! a feed-forward is looked for with the settings that do best without.
+//! simulated. They are looked at in rounds of a fixed size, so the answer does not depend on the number of cores. Around
+//! the best few the search goes on between the values of the grid.
+//!
+//! One simulated hand is easily pleased: a wall that is quiet under it may ripple five times as much under another. So the best of
+//! each estimator is pressed once more, by another hand and with everything that a board has ([`confirm`]), and made softer
+//! until it is quiet there as well.
 
 mod baseline;
+mod confirm;
 mod limits;
 mod margins;
 pub mod measured;
+mod otherwise;
 mod scene;
 
 pub use baseline::{Baseline, LEAST_RIPPLE_N, USUAL_RIPPLE_N, baseline, ripple_like};
 pub use limits::{Beside, Limit};
 pub use margins::{Margins, vertex};
+pub use otherwise::Otherwise;
 pub use scene::to_toml;
 
 use crate::analysis::control_loop::{CURRENT_LOOP_HZ, usual_delay};
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
-use crate::analysis::range::{WORTHWHILE_RATIO, boundary_of, stiffnesses};
+use crate::analysis::range::{boundary_of, stiffnesses};
 use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
 use crate::bench::estimators::{Comparison, Pressed, Shaping, pressed};
 use crate::device_file::DeviceFile;
@@ -53,19 +60,23 @@ const WINDOWS: [u32; 4] = [4, 8, 16, 32];
 /// Dampings of a curve, as shares of where it ends.
 const DAMPINGS: usize = 12;
 const SHARES: (f64, f64) = (0.03, 0.9);
-/// Stiffness is found to this ratio.
+/// Stiffness is found to this ratio, and of walls that differ by less the one without a feed-forward is taken.
 const BETTER: f64 = 1.03;
 /// Candidates whose ripple is simulated at once.
 const ROUND: usize = 8;
 /// Corners of the washout, Hz: the highest that keeps nearly all of the stiffness.
 const WASHOUTS_HZ: [f64; 5] = [20.0, 10.0, 5.0, 2.0, 1.0];
 const KEEPS: f64 = 0.98;
-/// A tip that moves through encoder steps makes a wall ripple by 1/√12 of its force in one step, whatever is done about the
-/// velocity. Walls beyond this many times the stiffness of which that alone is the ripple are not looked at: where one ripples
-/// less in the simulation, friction has locked the tip, and it will not always.
-const STEPS: f64 = 1.2;
-/// With how many settings that do well without a feed-forward the others are looked at.
-const FOLLOWED: usize = 16;
+/// From one trial at a damping to the next softer one: more softness than stiffness is lost where friction or a limit cycle
+/// makes a stiffer wall the quieter.
+const SOFTER: f64 = 1.5;
+/// Walls of one feed-forward are looked for down to this share of the stiffest that was found before, so that what it
+/// would bring can be told.
+const TOLD: f64 = 0.7;
+/// Around how many of the best settings the search goes on, and how often.
+const REFINED: usize = 3;
+const REFINEMENTS: usize = 4;
+
 /// What is asked.
 #[derive(Clone, Debug)]
 pub struct Question<'a> {
@@ -81,6 +92,8 @@ pub struct Question<'a> {
     pub margins: Margins,
     /// Largest root mean square of what the force of a wall has above 20 Hz under a hand that slides along it, N.
     pub ripple_n: f64,
+    /// The same on the simulated board, under its hand, N; `None` leaves that press out.
+    pub board_ripple_n: Option<f64>,
     /// Encoder counts into the wall at which the motors may give all that they have; more is finer.
     pub counts: f64,
     /// Speed at which the wall's damping alone may take all that the motors have, m/s.
@@ -142,11 +155,6 @@ impl Settings {
         Mode::of(self.feed_forward, self.washout_hz)
     }
 
-    /// Whether both have the same rate, estimator and cutoff.
-    fn is_like(&self, other: &Self) -> bool {
-        (self.rate_hz, self.kind, self.cutoff_hz) == (other.rate_hz, other.kind, other.cutoff_hz)
-    }
-
     /// Whether its cutoff does anything.
     #[must_use]
     pub fn has_cutoff(&self) -> bool {
@@ -176,21 +184,27 @@ pub struct Found {
     pub settings: Settings,
     /// Root mean square of what its force has above 20 Hz under a hand that slides along it, N.
     pub ripple_n: f64,
+    /// The same on the simulated board, under its hand, N; none where that was not looked at.
+    pub board_ripple_n: Option<f64>,
 }
 
 /// The answer.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Answer {
-    /// The best.
+    /// The stiffest; of those within three hundredths of it the stiffest without a feed-forward.
     pub best: Found,
-    /// What stops it.
+    /// The stiffest of all, where it is another.
+    pub passed_over: Option<Found>,
+    /// What stops it: the limit that comes first when it is made stiffer.
     pub active: &'static str,
     /// What every limit alone would allow.
     pub limits: Vec<Limit>,
     /// What is beside it: stiffer, with more damping, with less.
     pub beside: Vec<Beside>,
-    /// The best of each estimator that was simulated, the stiffest first.
+    /// The best of each estimator that was found, the stiffest first.
     pub others: Vec<Found>,
+    /// What the other feed-forwards would bring.
+    pub feed_forwards: Vec<Otherwise>,
     /// How many combinations of rate, estimator, cutoff and feed-forward there were, and of how many ripple was simulated.
     pub looked_at: (usize, usize),
 }
@@ -223,8 +237,9 @@ struct SearchContext<'a> {
     corners: [Vec<Corner>; 2],
     /// Largest stiffness (N/m) and damping (N s/m) for the motors.
     most: (f64, f64),
-    /// Stiffness (N/m) of which encoder steps alone make all of the ripple: a step in each joint is an error evenly spread over
-    /// itself, 1/√12 of it, and the joints' are independent.
+    /// Stiffness (N/m) of which encoder steps alone make all of the ripple while the tip moves evenly through them: a step in
+    /// each joint is an error evenly spread over itself, 1/√12 of it, and the joints' are independent. A rule of thumb: a tip
+    /// that follows the steps, or that friction holds between two, ripples less.
     steps: f64,
 }
 
@@ -276,12 +291,24 @@ impl<'a> SearchContext<'a> {
         })
     }
 
+    /// Whether (4) differs from Jᵀ here.
+    fn is_coupled(&self) -> bool {
+        self.nominal.w_eff().is_some_and(|w_eff| self.nominal.w_rr() / w_eff > 1.0 + 1e-3)
+    }
+
     /// What is there already, if it keeps the ripple.
     fn known(&self) -> Result<Option<Found>, Failure> {
         let Some(settings) = self.question.known.filter(|known| known.stiffness > 0.0) else { return Ok(None) };
         let ripple_n = ripple(self.question, &settings)?.ripple_n;
-        let kept = ripple_n.filter(|ripple| *ripple <= self.question.ripple_n);
-        Ok(kept.map(|ripple_n| Found { settings, ripple_n }))
+        self.kept_on_board(ripple_n.map(|ripple_n| Found { settings, ripple_n, board_ripple_n: None }))
+    }
+
+    /// A wall that keeps the ripple, if it does so on the board as well.
+    fn kept_on_board(&self, found: Option<Found>) -> Result<Option<Found>, Failure> {
+        let Some(found) = found.filter(|found| found.ripple_n <= self.question.ripple_n) else { return Ok(None) };
+        let Some(bound) = self.question.board_ripple_n else { return Ok(Some(found)) };
+        let board_ripple_n = measured::ripple(self.question, &found.settings)?;
+        Ok(board_ripple_n.is_some_and(|ripple| ripple <= bound).then_some(Found { board_ripple_n, ..found }))
     }
 
     fn corners(&self, settings: &Settings) -> &[Corner] {
@@ -309,9 +336,8 @@ impl<'a> SearchContext<'a> {
     /// Largest stiffness at each damping within margins and motors.
     fn allowed(&self, settings: &Settings, dampings: &[f64]) -> Option<Vec<f64>> {
         let around = settings.around()?;
-        let most = self.most.0.min(STEPS * self.steps);
-        let mut least: Vec<f64> =
-            dampings.iter().map(|damping| if *damping > self.most.1 { 0.0 } else { most }).collect();
+        let (most, damped) = self.most;
+        let mut least: Vec<f64> = dampings.iter().map(|damping| if *damping > damped { 0.0 } else { most }).collect();
         for corner in self.corners(settings) {
             let found =
                 stiffnesses(&corner.device, &corner.believed, &corner.around(&around), settings.mode(), dampings);
@@ -325,26 +351,27 @@ impl<'a> SearchContext<'a> {
         let settings = Settings { stiffness: three_digits(stiffness, true), damping, ..*settings };
         let Pressed { ripple_n, holds } = ripple(self.question, &settings)?;
         let found = ripple_n.filter(|ripple| holds && *ripple <= self.question.ripple_n);
-        Ok(found.map(|ripple_n| Found { settings, ripple_n }))
+        Ok(found.map(|ripple_n| Found { settings, ripple_n, board_ripple_n: None }))
     }
 
-    /// The stiffest wall of a candidate that keeps the ripple and is stiffer than `floor` (N/m): at each damping, as stiff as
-    /// margins, motors and ripple let it be. For most dampings one trial at the lowest
-    /// stiffness that would win shows that none there does.
+    /// The stiffest wall of a candidate that keeps the ripple and is stiffer than `floor` (N/m): at each damping from as stiff
+    /// as margins and motors let it be down to the first that keeps the ripple, and from there up again.
     fn best_on(&self, settings: &Settings, curve: &Curve, floor: f64) -> Result<Option<Found>, Failure> {
         let mut best: Option<Found> = None;
         for &(damping, most) in &curve.points {
             let floor = best.map_or(floor, |best| best.settings.stiffness);
             let least = if floor > 0.0 { BETTER * floor } else { most / 50.0 };
-            if most < least {
-                continue;
+            let (mut high, mut next) = (most, most);
+            let mut kept = None;
+            while kept.is_none() && high >= least {
+                let low = if next < least { least } else { next };
+                kept = self.tried(settings, low, damping)?.map(|found| (low, found));
+                if kept.is_some() || low <= least {
+                    break;
+                }
+                (high, next) = (low, low / SOFTER);
             }
-            let Some(mut found) = self.tried(settings, least, damping)? else { continue };
-            if let Some(top) = self.tried(settings, most, damping)? {
-                best = Some(top);
-                continue;
-            }
-            let (mut low, mut high) = (least, most);
+            let Some((mut low, mut found)) = kept else { continue };
             while high / low > BETTER {
                 let middle = (low * high).sqrt();
                 match self.tried(settings, middle, damping)? {
@@ -417,20 +444,15 @@ fn check(question: &Question<'_>) -> Result<(), Failure> {
 pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<Answer, Failure> {
     check(question)?;
     let context = SearchContext::new(question)?;
-    let coupled = context.nominal.w_eff().is_some_and(|w_eff| context.nominal.w_rr() / w_eff > 1.0 + 1e-3);
-    let mut best = context.known()?;
-    let mut all: Vec<Found> = best.into_iter().collect();
+    let mut all: Vec<Found> = context.known()?.into_iter().collect();
     let mut looked_at = (0, 0);
-    let mut well: Vec<Settings> = Vec::new();
     for &feed_forward in &question.feed_forwards {
-        if feed_forward != FeedForward::Off && !coupled {
+        if feed_forward != FeedForward::Off && !context.is_coupled() {
             continue;
         }
-        let mut combinations = combinations(question, feed_forward);
-        if feed_forward != FeedForward::Off && !well.is_empty() {
-            combinations.retain(|other| well.iter().any(|one| one.is_like(other)));
-        }
-        let stage = format!("walls, feed-forward {}", feed_forward.name());
+        let name = feed_forward.name();
+        let combinations = combinations(question, feed_forward);
+        let stage = format!("walls, feed-forward {name}");
         let curves = sweep.map(&stage, &combinations, |settings| Ok(context.curve(settings)))?;
         let mut candidates: Vec<(Settings, Curve)> =
             combinations.into_iter().zip(curves).filter_map(|(settings, curve)| Some((settings, curve?))).collect();
@@ -439,30 +461,16 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<Answer, Failure> {
         candidates.sort_by(|(one, a), (other, b)| {
             b.top().total_cmp(&a.top()).then_with(|| other.rate_hz.total_cmp(&one.rate_hz))
         });
-        let found = simulated(&context, &candidates, feed_forward, sweep, &mut looked_at.1)?;
-        if feed_forward == FeedForward::Off {
-            well = candidates.iter().map(|(settings, _)| *settings).collect();
-            let stiffness = |settings: &Settings| {
-                let found = found.iter().find(|found| found.settings.is_like(settings));
-                found.map_or(0.0, |found| found.settings.stiffness)
-            };
-            well.sort_by(|a, b| stiffness(b).total_cmp(&stiffness(a)));
-            well.truncate(FOLLOWED);
+        let floor = TOLD * stiffest(&all).map_or(0.0, |found| found.settings.stiffness);
+        let mut found = simulated(&context, &candidates, feed_forward, floor, sweep, &mut looked_at.1)?;
+        by_stiffness(&mut found);
+        for (place, one) in found.clone().into_iter().take(REFINED).enumerate() {
+            found.push(refined(&context, one, &format!("feed-forward {name}, {}", place + 1), sweep)?);
         }
-        let Some(stiffest) = stiffest(&found) else { continue };
-        let refined = refined(&context, stiffest, sweep)?;
         all.extend(found);
-        all.push(refined);
-        // A feed-forward has its price: it must bring more than it costs.
-        let worth = best.is_none_or(|best| {
-            let price = if feed_forward == FeedForward::Off { 1.0 } else { WORTHWHILE_RATIO };
-            refined.settings.stiffness > price * best.settings.stiffness
-        });
-        if worth {
-            best = Some(refined);
-        }
     }
-    let Some(best) = best else {
+    let all = confirm::confirmed(&context, all, sweep)?;
+    let Some((best, passed_over)) = chosen(&all) else {
         return Err(Failure::impossible(format!(
             "no wall here keeps a ripple of {} N within the margins",
             question.ripple_n
@@ -470,26 +478,46 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<Answer, Failure> {
         .remedy("allow more --ripple, or ask at another pose or normal (`haptic design`)"));
     };
     let (active, limits, beside) = limits(&context, &best)?;
-    Ok(Answer { best, active, limits, beside, others: of_each_estimator(all), looked_at })
+    let feed_forwards = otherwise::otherwise(&context, &best, &all)?;
+    Ok(Answer { best, passed_over, active, limits, beside, others: of_each_estimator(all), feed_forwards, looked_at })
 }
 
-/// The stiffest, the earlier of those that are as good as equal.
-fn stiffest(found: &[Found]) -> Option<Found> {
-    let stiffer = |other: &Found, best: &Found| other.settings.stiffness > BETTER * best.settings.stiffness;
-    found.iter().copied().reduce(|best, other| if stiffer(&other, &best) { other } else { best })
+/// The stiffest, the earlier of equals.
+fn stiffest<'a>(found: impl IntoIterator<Item = &'a Found>) -> Option<Found> {
+    let stiffer = |other: &Found, best: &Found| other.settings.stiffness > best.settings.stiffness;
+    found.into_iter().copied().reduce(|best, other| if stiffer(&other, &best) { other } else { best })
 }
 
-/// Simulates candidates from the most promising on, until none can be better than the best.
+/// The stiffest first; equals stay in their order.
+fn by_stiffness(found: &mut [Found]) {
+    found.sort_by(|a, b| b.settings.stiffness.total_cmp(&a.settings.stiffness));
+}
+
+/// What is taken, and the stiffest where it is another: a feed-forward asks for a model that is right and pushes along the
+/// wall, so one that makes no difference is left out.
+fn chosen(all: &[Found]) -> Option<(Found, Option<Found>)> {
+    let top = stiffest(all)?;
+    let plain = stiffest(all.iter().filter(|found| found.settings.feed_forward == FeedForward::Off));
+    match plain {
+        Some(plain) if plain.settings.stiffness * BETTER >= top.settings.stiffness => {
+            Some((plain, (plain != top).then_some(top)))
+        }
+        _ => Some((top, None)),
+    }
+}
+
+/// Simulates candidates from the most promising on, until none can be better than the best, or than `floor`, N/m.
 fn simulated(
     context: &SearchContext<'_>,
     candidates: &[(Settings, Curve)],
     feed_forward: FeedForward,
+    floor: f64,
     sweep: &Sweep,
     count: &mut usize,
 ) -> Result<Vec<Found>, Failure> {
     let mut found: Vec<Found> = Vec::new();
     for (round, some) in candidates.chunks(ROUND).enumerate() {
-        let best = stiffest(&found).map_or(0.0, |found| found.settings.stiffness);
+        let best = stiffest(&found).map_or(floor, |found| found.settings.stiffness.max(floor));
         if some[0].1.top() <= best {
             break;
         }
@@ -509,11 +537,11 @@ fn kept(found: Found) -> [f64; 3] {
 }
 
 fn restored(settings: &Settings, [stiffness, damping, ripple_n]: [f64; 3]) -> Found {
-    Found { settings: Settings { stiffness, damping, ..*settings }, ripple_n }
+    Found { settings: Settings { stiffness, damping, ..*settings }, ripple_n, board_ripple_n: None }
 }
 
-/// Cutoffs between those of the grid, then the highest corner of the washout that keeps the stiffness.
-fn refined(context: &SearchContext<'_>, found: Found, sweep: &Sweep) -> Result<Found, Failure> {
+/// Cutoffs and dampings between those of the grid, then the highest corner of the washout that keeps the stiffness.
+fn refined(context: &SearchContext<'_>, found: Found, stage: &str, sweep: &Sweep) -> Result<Found, Failure> {
     let better = |candidates: Vec<Settings>, floor: f64, stage: &str| -> Result<Vec<Found>, Failure> {
         let results = sweep.map(stage, &candidates, |settings| {
             let Some(curve) = context.curve(settings) else { return Ok(None) };
@@ -522,36 +550,39 @@ fn refined(context: &SearchContext<'_>, found: Found, sweep: &Sweep) -> Result<F
         let each = candidates.iter().zip(results);
         Ok(each.filter_map(|(settings, result)| Some(restored(settings, result?))).collect())
     };
-    let name = found.settings.feed_forward.name();
     let mut best = found;
-    if best.settings.has_cutoff() {
-        let near = [0.45, 0.67, 1.5, 2.2].map(|factor| three_digits(best.settings.cutoff_hz * factor, false));
-        let near = near.into_iter().filter(|hz| *hz <= 0.4 * best.settings.rate_hz);
-        let candidates = near.map(|cutoff_hz| Settings { cutoff_hz, ..best.settings }).collect();
-        let mut all = vec![best];
-        all.extend(better(candidates, best.settings.stiffness, &format!("cutoffs, feed-forward {name}"))?);
-        best = stiffest(&all).unwrap_or(best);
-    }
-    let near = [0.76, 0.87, 1.15, 1.32].map(|factor| three_digits(best.settings.damping * factor, false));
-    let results = sweep.map(&format!("dampings, feed-forward {name}"), &near, |damping| {
-        let Some(most) = context.allowed(&best.settings, &[*damping]) else { return Ok(None) };
-        let curve = Curve { points: vec![(*damping, most[0])] };
-        Ok(context.best_on(&best.settings, &curve, best.settings.stiffness)?.map(kept))
-    })?;
-    for result in results.into_iter().flatten() {
-        best = stiffest(&[best, restored(&best.settings, result)]).unwrap_or(best);
+    for round in 0..REFINEMENTS {
+        let before = best.settings.stiffness;
+        if best.settings.has_cutoff() {
+            let near = [0.45, 0.67, 1.5, 2.2].map(|factor| three_digits(best.settings.cutoff_hz * factor, false));
+            let near = near.into_iter().filter(|hz| *hz <= 0.4 * best.settings.rate_hz);
+            let candidates = near.map(|cutoff_hz| Settings { cutoff_hz, ..best.settings }).collect();
+            let there = better(candidates, before, &format!("cutoffs, {stage}, {round}"))?;
+            best = stiffest([&best].into_iter().chain(&there)).unwrap_or(best);
+        }
+        let near = [0.76, 0.87, 1.15, 1.32].map(|factor| three_digits(best.settings.damping * factor, false));
+        let results = sweep.map(&format!("dampings, {stage}, {round}"), &near, |damping| {
+            let Some(most) = context.allowed(&best.settings, &[*damping]) else { return Ok(None) };
+            let curve = Curve { points: vec![(*damping, most[0])] };
+            Ok(context.best_on(&best.settings, &curve, best.settings.stiffness)?.map(kept))
+        })?;
+        let there: Vec<Found> = results.into_iter().flatten().map(|result| restored(&best.settings, result)).collect();
+        best = stiffest([&best].into_iter().chain(&there)).unwrap_or(best);
+        if best.settings.stiffness <= BETTER * before {
+            break;
+        }
     }
     if best.settings.feed_forward == FeedForward::Washout {
         let candidates = WASHOUTS_HZ.map(|washout_hz| Settings { washout_hz, ..best.settings }).to_vec();
-        let all = better(candidates, 0.8 * best.settings.stiffness, "washouts")?;
-        let most = stiffest(&all).map_or(0.0, |found| found.settings.stiffness).max(best.settings.stiffness);
-        best = all.into_iter().find(|found| found.settings.stiffness >= KEEPS * most).unwrap_or(best);
+        let there = better(candidates, 0.8 * best.settings.stiffness, &format!("washouts, {stage}"))?;
+        let most = stiffest([&best].into_iter().chain(&there)).map_or(0.0, |found| found.settings.stiffness);
+        best = there.into_iter().find(|found| found.settings.stiffness >= KEEPS * most).unwrap_or(best);
     }
     Ok(best)
 }
 
 fn of_each_estimator(mut all: Vec<Found>) -> Vec<Found> {
-    all.sort_by(|a, b| b.settings.stiffness.total_cmp(&a.settings.stiffness));
+    by_stiffness(&mut all);
     let mut best: BTreeMap<&str, usize> = BTreeMap::new();
     for (index, found) in all.iter().enumerate() {
         best.entry(found.settings.estimator).or_insert(index);

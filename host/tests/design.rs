@@ -70,6 +70,7 @@ fn a_rotor_is_worth_what_its_formula_says() {
             assert!((gear.w_rr / squared - 1.0).abs() < 1e-9, "{name}, joint {j}: {gear:?}");
         }
         let most = buys_most(&found, |effect| effect.w_rr).unwrap();
+        assert_eq!(buys_most(&found, |effect| 1.0 + 0.005 * effect.w_rr.signum()), None);
         let sides = found.iter().flat_map(|one| [one.more, one.less]).flatten();
         assert!(sides.into_iter().all(|effect| effect.w_rr <= most.effect.w_rr));
     }
@@ -138,6 +139,28 @@ fn no_pose_of_a_blind_search_is_better_than_the_best() {
             }
         }
         assert!(tried > 300, "{name}: {tried}");
+    }
+}
+
+#[test]
+fn a_coarse_grid_finds_what_a_fine_one_does() {
+    for (name, coarse, fine) in [("coupled-five-bar", 300, 4000), ("haply-2diy", 300, 1000), ("serial-3r", 700, 1000)] {
+        let description = shipped(name).description;
+        let found = |points| places(&description, None, 0.0, 0.3, points, PHI, &Sweep::quiet()).unwrap();
+        let (coarse, fine) = (found(coarse), found(fine));
+        for found in [&coarse, &fine] {
+            let others = [&found.every_direction, &found.feed_forward_buys_most];
+            let stiffer = others.into_iter().find(|other| other.w_rr > 1.01 * found.stiffest.w_eff);
+            assert_eq!(stiffer, None, "{name}: stiffer with the feed-forward than the stiffest");
+        }
+        let ratio = |placed: &haptic::design::place::Placed| placed.w_rr / placed.w_eff;
+        for (what, one, other) in [
+            ("stiffest", coarse.stiffest.w_eff, fine.stiffest.w_eff),
+            ("every direction", coarse.every_direction.w_eff, fine.every_direction.w_eff),
+            ("buys most", ratio(&coarse.feed_forward_buys_most), ratio(&fine.feed_forward_buys_most)),
+        ] {
+            assert!((one / other - 1.0).abs() < 0.01, "{name}, {what}: {one} on a coarse grid, {other} on a fine one");
+        }
     }
 }
 

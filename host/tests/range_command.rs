@@ -29,6 +29,14 @@ fn the_document_has_the_documented_keys() {
 }
 
 #[test]
+fn a_host_that_is_too_late_is_told_in_its_own_seconds() {
+    let host = ["--host-rate", "1000", "--host-delay", "1"];
+    let failed = haptic(&[&["range", DEVICE], &POSE[..], &host].concat()).failure().get_output().stderr.clone();
+    let failed = String::from_utf8(failed).unwrap();
+    assert!(failed.contains("a force from the host may be 0 to 0.064 s old") && failed.contains("not 1 s"), "{failed}");
+}
+
+#[test]
 fn rate_and_cutoff_have_the_defaults_that_measure_range_has() {
     let pose = ["--q=0.6,0.9,-0.7", "--normal=-1,0.5", "--json"];
     let said = json(&[&["range", DEVICE], &pose[..]].concat());

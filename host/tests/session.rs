@@ -4,7 +4,7 @@ mod sim;
 
 use haptic::device_file::DeviceFile;
 use haptic::latency::measure;
-use haptic::link::{Board, FADE, FORCE_PATIENCE, HOLD, LinkError, Session, Wire};
+use haptic::link::{Board, FADE, FORCE_PATIENCE, HOLD, LinkError, Session, Wire, fields};
 use haptic::sim::{BoardOptions, Hand, HandSettings, Intent, SHIPPED_DEVICE, SharedBoard, Waypoint, ready_board};
 use haptic_bridge::board::protocol::{ForceDone, ForceRequest, HostContact};
 use haptic_bridge::render::scene::Scene;
@@ -41,13 +41,18 @@ impl Wire for Lossy {
     }
 }
 
-#[test]
-fn a_lost_frame_costs_a_force_its_patience_and_the_next_one_nothing() {
+/// A session over a wire that loses what is sent while it is told to.
+fn lossy() -> (Session, Arc<AtomicBool>) {
     let file = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
     let shared = SharedBoard::new(ready_board(&file, BoardOptions::default()).unwrap());
     let loses = Arc::new(AtomicBool::new(false));
     let wire = Lossy { wire: shared.wire(), loses: loses.clone() };
-    let mut session = Session::of(Board::over(Box::new(wire), "sim").unwrap());
+    (Session::of(Board::over(Box::new(wire), "sim").unwrap()), loses)
+}
+
+#[test]
+fn a_lost_frame_costs_a_force_its_patience_and_the_next_one_nothing() {
+    let (mut session, loses) = lossy();
     for patience in [FORCE_PATIENCE, Duration::from_millis(5)] {
         session.wait_for_forces(patience);
         loses.store(true, Ordering::Relaxed);
@@ -74,9 +79,37 @@ fn forces_that_do_not_wait_for_each_other_are_answered_in_their_order() {
             assert_eq!((answer.sequence, answer.done), (sequence, ForceDone::Taken));
         }
     }
-    // One that nobody waits for is given up.
-    let sent = session.send_force(&request(51)).unwrap();
-    assert_eq!(session.force_answer(sent).unwrap().sequence, 51);
+    // So they are where they are asked for the other way round, and those that nobody waits for are in nobody's way.
+    let sent: Vec<_> = (51..=70).map(|sequence| session.send_force(&request(sequence)).unwrap()).collect();
+    assert_eq!(session.force_answer(sent[19]).unwrap().sequence, 70);
+    assert_eq!(session.force_answer(sent[18]).unwrap().sequence, 69);
+}
+
+#[test]
+fn telemetry_that_is_read_while_forces_are_under_way_takes_none_of_their_answers() {
+    let (_shared, mut session) = armed();
+    session.start_stream(fields("tip").unwrap(), 4).unwrap();
+    for sequence in 1..=20 {
+        let request = ForceRequest { sequence, hold: 0.02, force: [0.1, 0.0, 0.0], ..ForceRequest::default() };
+        let sent = session.send_force(&request).unwrap();
+        assert!(!session.rows(Duration::from_millis(40)).unwrap().is_empty());
+        assert_eq!(session.force_answer(sent).unwrap().sequence, sequence);
+    }
+    assert_eq!(session.losses().missing, 0);
+}
+
+#[test]
+fn one_lost_among_forces_that_overtake_each_other_costs_no_wait() {
+    let (mut session, loses) = lossy();
+    let request = |sequence| ForceRequest { sequence, ..ForceRequest::default() };
+    loses.store(true, Ordering::Relaxed);
+    let lost = session.send_force(&request(1)).unwrap();
+    loses.store(false, Ordering::Relaxed);
+    let next = session.send_force(&request(2)).unwrap();
+    let began = session.now();
+    assert!(matches!(session.force_answer(lost), Err(LinkError::Unanswered { .. })));
+    assert_eq!(session.force_answer(next).unwrap().sequence, 2);
+    assert!(session.now() - began < Duration::from_millis(2), "{:?}", session.now() - began);
 }
 
 /// Lets the ramp after arming pass.

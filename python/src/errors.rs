@@ -2,6 +2,7 @@
 
 use haptic::error::{Blame, Failure};
 use haptic::link::{BoardError, LinkError as NoLink};
+use haptic::words::for_a_program;
 use pyo3::PyErr;
 use pyo3::create_exception;
 use pyo3::exceptions::PyException;
@@ -27,6 +28,16 @@ create_exception!(
 create_exception!(haptic_bridge, LinkError, HapticError, "No board can be reached, or it went away.");
 create_exception!(haptic_bridge, RefusedError, HapticError, "The board refuses.");
 
+/// What a program calls where a person would type a command.
+const CALLS: [(&str, &str); 6] = [
+    ("device FILE", "Board.load()"),
+    ("scene FILE", "Board.load()"),
+    ("home", "Board.home()"),
+    ("polarity", "Board.check_polarity()"),
+    ("disarm", "Board.disarm()"),
+    ("clear", "Board.clear()"),
+];
+
 /// Of anything that the tool ends with.
 pub fn failure(failure: impl Into<Failure>) -> PyErr {
     let failure = failure.into();
@@ -40,7 +51,7 @@ pub fn failure(failure: impl Into<Failure>) -> PyErr {
 pub fn board(error: BoardError) -> PyErr {
     match error {
         BoardError::Link(error) => link(error),
-        BoardError::Refused(_) => RefusedError::new_err(error.to_string()),
+        BoardError::Refused(_) => RefusedError::new_err(for_a_program(&error.to_string(), &CALLS)),
     }
 }
 

@@ -27,6 +27,16 @@ pub enum AnalysisError {
         /// Hz.
         board: f64,
     },
+    /// Age of a force that a program sends.
+    #[error(
+        "a force from the host may be 0 to {longest} s old when it begins to act (64 of its requests), not {delay} s"
+    )]
+    HostDelay {
+        /// s
+        delay: f64,
+        /// s
+        longest: f64,
+    },
     /// Samples of the difference.
     #[error("a difference can be taken over 1 to 64 samples, not {0}")]
     Difference(usize),

@@ -47,7 +47,8 @@ impl Host {
         let steps = (around.rate_hz / self.rate_hz).round().max(1.0) as usize;
         let late = self.delay_s * around.rate_hz / steps as f64;
         if !(0.0..=LONGEST_DELAY).contains(&late) {
-            return Err(AnalysisError::Delay(late));
+            let longest = LONGEST_DELAY * steps as f64 / around.rate_hz;
+            return Err(AnalysisError::HostDelay { delay: self.delay_s, longest });
         }
         // A hair above whole periods is rounding.
         let late = (self.delay_s * around.rate_hz - 1e-6).ceil().max(0.0) as usize;

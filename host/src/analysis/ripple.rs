@@ -330,7 +330,7 @@ impl Pressed<'_> {
 
 /// What is left of evenly spaced values beside the straight line through them: root mean square, and from the smallest to
 /// the largest.
-fn about_its_line(values: &[f64]) -> (f64, f64) {
+pub(crate) fn about_its_line(values: &[f64]) -> (f64, f64) {
     let count = values.len() as f64;
     let middle = 0.5 * (count - 1.0);
     let mean = values.iter().sum::<f64>() / count;

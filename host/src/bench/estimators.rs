@@ -11,6 +11,7 @@ use crate::analysis::control_loop::usual_delay;
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
 use crate::analysis::range::stiffness_at;
+use crate::analysis::ripple::about_its_line;
 use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
 use crate::device_file::DeviceFile;
 use crate::error::Failure;
@@ -79,7 +80,10 @@ pub struct Row {
     /// ∫ largest quiet stiffness over damping, N²s/m²: simulated, with encoder steps and friction. Sought up to 1e7 N/m and
     /// to five times the damping that is predicted stable with the Butterworth; beyond, the area is at least this.
     pub area: f64,
-    /// Root mean square of the force of the pressed wall about its mean, N; none where the tip flies off.
+    /// Root mean square of the force of the wall under a hand that presses ever harder, about its straight line, N: without
+    /// the feed-forward, and with all of it; none where the tip flies off.
+    pub press_n: [Option<f64>; 2],
+    /// The same under a hand at rest, about its mean, without the feed-forward: friction may hold the tip between two counts.
     pub ripple_n: Option<f64>,
     /// Whether the pressed wall pushed on average as hard as the hand, within a tenth.
     pub holds: bool,
@@ -126,11 +130,21 @@ enum Trial {
     /// A hand pushes steadily. Friction may then lock the tip between two encoder steps, and a wall that would rattle is
     /// quiet.
     Pressed,
+    /// A hand pushes ever harder, as in [`crate::analysis::ripple`]: friction cannot hold the tip for good.
+    PressedHarder,
     /// A hand pushes now more, now less, and slides along the wall.
     SlidAlong,
     /// The tip strikes it at this speed (m/s), without a hand.
     Struck(f64),
 }
+
+/// How much harder a hand presses, N/s, with how many ways in which encoders may stand to the pose.
+const RISE: f64 = 1.0;
+/// For how long it is waited for and looked at, s.
+const HARDER_S: (f64, f64) = (0.5, 0.3);
+const OFFSETS: usize = 4;
+/// A press below this is zero beside what a board's arithmetic and a hand are, N: such rows are equal.
+pub const RESOLUTION_N: f64 = 1e-3;
 
 /// Sliding along the wall, m/s; how the push of a hand that slides swings, as a share of it and in Hz; how long is looked,
 /// s; and from which frequency on (Hz) a force is ripple and no longer what the hand does.
@@ -193,8 +207,8 @@ pub fn fast(force: &[f64], rate_hz: f64, from: usize) -> impl Iterator<Item = f6
     all.skip(from)
 }
 
-/// Every estimator with its usual value and its longest window; where the cutoff is its bandwidth also at a quarter and
-/// a sixteenth of it, and without a low-pass where that is a choice.
+/// Every estimator with its usual value and its longest window; where the cutoff is its bandwidth also at a quarter, a
+/// sixteenth and a thirty-second of it, and without a low-pass where that is a choice.
 fn candidates(cutoff_hz: f64) -> Vec<Candidate> {
     let mut found = Vec::new();
     for (_, kind) in Estimator::ALL {
@@ -207,7 +221,7 @@ fn candidates(cutoff_hz: f64) -> Vec<Candidate> {
         for value in values {
             let kind = kind.choosing(Chosen { value, filtered: false });
             let own = spec.cutoff == CutoffMeans::Bandwidth;
-            let shares: &[f64] = if own { &[1.0, 0.25, 0.0625] } else { &[1.0] };
+            let shares: &[f64] = if own { &[1.0, 0.25, 0.0625, 0.03125] } else { &[1.0] };
             found.extend(shares.iter().map(|share| Candidate {
                 kind,
                 cutoff_hz: cutoff_hz * share,
@@ -243,8 +257,8 @@ fn around(rate_hz: f64, cutoff_hz: f64) -> Loop {
     }
 }
 
-/// Compares every estimator. Those with at least the Butterworth's area come first, by their ripple; the others follow
-/// by area. The same in any order of work: nothing is random.
+/// Compares every estimator. Those with at least the Butterworth's area come first, by their ripple under a hand that presses
+/// ever harder; the others follow by area. The same in any order of work: nothing is random.
 pub fn compare(comparison: &Comparison<'_>, sweep: &Sweep) -> Result<Vec<Row>, Failure> {
     let device = comparison.file.device().map_err(Failure::wrong)?;
     let linearised = Linearised::of(&device, comparison.q, comparison.normal, Admissible::default())?;
@@ -256,7 +270,7 @@ pub fn compare(comparison: &Comparison<'_>, sweep: &Sweep) -> Result<Vec<Row>, F
     let enough = rows.iter().find(|row| row.estimator == "butterworth").map_or(0.0, |row| row.area);
     rows.sort_by(|a, b| {
         let first = |row: &Row| row.area >= enough && row.holds;
-        let ripple = |row: &Row| row.ripple_n.unwrap_or(f64::INFINITY);
+        let ripple = |row: &Row| row.press_n[0].unwrap_or(f64::INFINITY);
         let within = |a: &Row, b: &Row| {
             if first(a) { ripple(a).total_cmp(&ripple(b)) } else { b.area.total_cmp(&a.area) }
         };
@@ -376,6 +390,7 @@ impl<'a> WallSimulation<'a> {
             value: spec.and_then(|spec| spec.key).and(candidate.kind.chosen()).map(|chosen| chosen.value),
             cutoff_hz: has_cutoff.then_some(candidate.cutoff_hz),
             area: self.area(candidate, damping)?,
+            press_n: [self.press(candidate, FeedForward::Off)?, self.press(candidate, FeedForward::Full)?],
             ripple_n,
             holds,
             delay_s: coefficients.lag(),
@@ -461,6 +476,28 @@ impl<'a> WallSimulation<'a> {
         Ok((Some(square.sqrt()), (mean / HAND.3 - 1.0).abs() < 0.1 + self.friction() / HAND.3))
     }
 
+    /// Ripple of the force under a hand that presses ever harder, N: the largest of several offsets of the encoders.
+    fn press(&self, candidate: &Candidate, feed_forward: FeedForward) -> Result<Option<f64>, Failure> {
+        let candidate = Candidate { shaping: Shaping { feed_forward, ..candidate.shaping }, ..*candidate };
+        let mut held = self.comparison.file.description;
+        held.handle_mass += HAND.0;
+        let mut most: f64 = 0.0;
+        for offset in 0..OFFSETS {
+            let shares = (0..self.encoders.len()).map(|j| (offset as f64 / OFFSETS as f64 + 0.37 * j as f64).fract());
+            let moved = self.encoders.iter().zip(shares).map(|(encoder, share)| encoder.moved(share)).collect();
+            let simulation = Self { encoders: moved, device: self.device.clone(), board: self.board.clone(), ..*self };
+            let seconds = HARDER_S.0 + HARDER_S.1;
+            let trace =
+                simulation.run(&candidate, self.comparison.wall, false, &held, Trial::PressedHarder, seconds)?;
+            if trace.lost {
+                return Ok(None);
+            }
+            most =
+                most.max(about_its_line(&trace.force[(trace.force.len() as f64 * HARDER_S.0 / seconds) as usize..]).0);
+        }
+        Ok(Some(most))
+    }
+
     /// What dry friction can hold along the normal, N.
     fn friction(&self) -> f64 {
         let joints = self.comparison.file.description.joints;
@@ -531,6 +568,7 @@ impl<'a> WallSimulation<'a> {
         match trial {
             Trial::Struck(_) => None,
             Trial::Pressed => Some((self.tip, push)),
+            Trial::PressedHarder => Some((self.tip, push + RISE * time)),
             Trial::SlidAlong => {
                 let (share, hz) = SWINGS;
                 let goal = core::array::from_fn(|i| self.tip[i] + SLIDE * time * self.across[i]);

@@ -249,7 +249,10 @@ fn readable(document: &Document, asked: bool, args: &Args) -> String {
     .iter()
     .zip(&document.buys_most)
     {
-        let Some(buys) = buys else { continue };
+        let Some(buys) = buys else {
+            line(format!("  no change of {:.0} % buys 1 % of {what}", 100.0 * CHANGE));
+            continue;
+        };
         let by = if buys.more { "more" } else { "less" };
         line(format!(
             "  buys most of {what}: {by} {} (Weff {}, Wrr {})",

@@ -2,7 +2,7 @@
 
 use super::arguments::Numbers;
 use super::continued::Continue;
-use haptic::bench::estimators::{Comparison, Row, compare, telling_wall};
+use haptic::bench::estimators::{Comparison, RESOLUTION_N, Row, compare, telling_wall};
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic_bridge::render::scene::{MAX_RATE_HZ, MIN_RATE_HZ};
@@ -12,8 +12,10 @@ use std::path::PathBuf;
 
 /// Compare velocity estimators on a device, by simulation with its encoder steps
 ///
-/// For each: the area of walls (stiffness over damping) that come to rest, the ripple of the force of a pressed wall,
-/// how late and how noisy the velocity is. Those with at least the Butterworth's area come first, by their ripple.
+/// For each: the area of walls (stiffness over damping) that come to rest, the ripple of the force of a wall under a hand
+/// that presses ever harder, without and with the feed-forward (4), and under one at rest, how late and how noisy the velocity
+/// is. Those with at least the Butterworth's area come first, by their ripple under the growing press: a hand at rest is no
+/// test, as friction may hold the tip between two counts.
 /// Takes a minute. Put the word of the first column into a scene file as `estimator`.
 #[derive(clap::Args)]
 pub struct Args {
@@ -93,27 +95,44 @@ fn readable(comparison: &Comparison<'_>, rows: &[Row]) -> String {
     let mut text = String::new();
     let _ = writeln!(
         text,
-        "{}: control at {} Hz; ripple on a wall of {:.0} N/m and {:.1} N s/m under a hand that presses with 3 N\n",
+        "{}: control at {} Hz; ripple on a wall of {:.0} N/m and {:.1} N s/m under a hand that presses with 3 N and 1 N/s more, and at rest\n",
         comparison.file.name, comparison.rate_hz, comparison.wall.0, comparison.wall.1
     );
     let _ = writeln!(
         text,
-        "  {:<22}{:>8}{:>12}{:>16}{:>12}{:>11}{:>13}",
-        "estimator", "value", "cutoff Hz", "area N²s/m²", "ripple N", "delay ms", "noise mm/s"
+        "  {:<22}{:>8}{:>11}{:>14}{:>9}{:>12}{:>10}{:>10}{:>12}",
+        "estimator",
+        "value",
+        "cutoff Hz",
+        "area N²s/m²",
+        "press N",
+        "with (4) N",
+        "at rest N",
+        "delay ms",
+        "noise mm/s"
     );
     for row in rows {
+        let newtons = |ripple: f64| format!("{ripple:.4}");
         let or_none = |value: Option<String>| value.unwrap_or_else(|| "-".into());
         let _ = writeln!(
             text,
-            "  {:<22}{:>8}{:>12}{:>16.3e}{:>12}{:>11.3}{:>13.2}{}",
+            "  {:<22}{:>8}{:>11}{:>14.3e}{:>9}{:>12}{:>10}{:>10.3}{:>12.2}{}",
             row.estimator,
             or_none(row.value.map(|value| value.to_string())),
             or_none(row.cutoff_hz.map(|hz| format!("{hz:.1}"))),
             row.area,
-            or_none(row.ripple_n.map(|ripple| format!("{ripple:.4}"))),
+            or_none(row.press_n[0].map(newtons)),
+            or_none(row.press_n[1].map(newtons)),
+            or_none(row.ripple_n.map(newtons)),
             1e3 * row.delay_s,
             1e3 * row.noise_m_s,
             if row.holds { "" } else { "  does not hold the hand" }
+        );
+    }
+    if rows.iter().all(|row| row.press_n[0].is_some_and(|press| press < RESOLUTION_N)) {
+        let _ = writeln!(
+            text,
+            "  every press is below {RESOLUTION_N} N, so this wall ranks nothing: choose a stiffer one with more damping by --wall"
         );
     }
     text

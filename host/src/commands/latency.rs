@@ -54,7 +54,7 @@ fn in_words(name: &str, spread: &Spread) -> String {
     for bin in &spread.histogram {
         // Whoever is there at all is seen.
         let length = (40 * bin.count).div_ceil(most);
-        text.push_str(&format!("  below {:>9} {:>8}  {}\n", ms(bin.to), bin.count, "#".repeat(length)));
+        text.push_str(&format!("  up to {:>9} {:>8}  {}\n", ms(bin.to), bin.count, "#".repeat(length)));
     }
     text
 }

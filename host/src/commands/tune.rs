@@ -7,13 +7,14 @@ use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::interrupt;
 use haptic::link::{Board, PortSpec};
+use haptic::measure::occasion;
 use haptic::output;
 use haptic::plausible::scene::doubts;
 use haptic::scene_file::SceneFile;
 use haptic::tune::measured::{self, Measured};
 use haptic::tune::{
-    Answer, Baseline, Found, Margins, Question, RATES_HZ, Settings, USUAL_RIPPLE_N, baseline, ripple_like, to_toml,
-    tune,
+    Answer, Baseline, Found, Margins, Otherwise, Question, RATES_HZ, Settings, USUAL_RIPPLE_N, baseline, ripple_like,
+    to_toml, tune,
 };
 use haptic::words::digits;
 use haptic_bridge::model::admissible::Admissible;
@@ -27,7 +28,7 @@ use std::path::{Path, PathBuf};
 /// Searches control rate, velocity estimator, cutoff, damping, stiffness, washout and feed-forward for the stiffest wall
 /// that stays stable within margins (a device that is not quite the one in the file), ripples little under a hand that
 /// slides along it, and asks no more of the motors than they have; says what limits it. Stability is predicted, ripple is simulated
-/// with the steps of the encoders. Takes a minute; Ctrl-C ends it, and with --continue the same command goes on from there.
+/// with the steps of the encoders, and once more on a simulated board, under another hand. Takes some minutes; Ctrl-C ends it, and with --continue the same command goes on from there.
 /// With --scene the pose, the normal and the ripple are those of a wall that is there, and both are compared.
 #[derive(clap::Args)]
 pub struct Args {
@@ -46,7 +47,7 @@ pub struct Args {
     #[arg(long, value_name = "INDEX", default_value_t = 0, requires = "scene")]
     wall: usize,
     /// Largest ripple: root mean square of what the wall's force has above 20 Hz under a hand that presses with 1.5 to 4.5 N
-    /// and slides along it at 30 mm/s, in N
+    /// and slides along it at 30 mm/s, and under the one that presses the simulated board, in N
     /// [default: 0.1, or that of the wall of --scene as it is written, and 0.002 at least]
     #[arg(long, value_name = "N")]
     ripple: Option<f64>,
@@ -102,6 +103,7 @@ struct Document<'a> {
     q: &'a [f64],
     normal: &'a [f64],
     ripple_limit_n: f64,
+    board_ripple_limit_n: Option<f64>,
     margins: Margins,
     #[serde(flatten)]
     answer: &'a Answer,
@@ -151,6 +153,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
             hand: true,
         },
         ripple_n: args.ripple.unwrap_or(USUAL_RIPPLE_N),
+        board_ripple_n: Some(args.ripple.unwrap_or(USUAL_RIPPLE_N)),
         counts: args.counts,
         speed: args.speed,
         rates_hz: if args.rates.0.is_empty() { RATES_HZ.to_vec() } else { args.rates.0.clone() },
@@ -158,12 +161,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
         known: None,
     };
     if let (None, Some(written)) = (args.ripple, &place.written) {
-        question.ripple_n = ripple_like(&question, written)?;
+        let (ripple_n, board_ripple_n) = ripple_like(&question, written)?;
+        (question.ripple_n, question.board_ripple_n) = (ripple_n, Some(board_ripple_n));
     }
     let before = place.written.map(|written| baseline(&question, &written)).transpose()?;
     question.known = before.map(|before| before.settings);
     let asked = format!(
-        "{} {:?} {:?} {:?} {:?} {:?} {} {} {} {:?} {:?} {:?}",
+        "{} {:?} {:?} {:?} {:?} {:?} {} {:?} {} {} {:?} {:?} {:?}",
         file.name,
         file.description,
         question.q,
@@ -171,6 +175,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         question.admissible,
         question.margins,
         question.ripple_n,
+        question.board_ripple_n,
         question.counts,
         question.speed,
         question.rates_hz,
@@ -214,6 +219,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         q: &question.q,
         normal: &question.normal,
         ripple_limit_n: question.ripple_n,
+        board_ripple_limit_n: question.board_ripple_n,
         margins: question.margins,
         answer: &answer,
         scene: before.as_ref(),
@@ -242,13 +248,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
 fn opened(port: &PortSpec, file: &DeviceFile) -> Result<Board, Failure> {
     let mut board = Board::open(port)?;
     let device = haptic_bridge::model::device::Device::new(&file.name, &file.description).map_err(Failure::wrong)?;
-    match board.device()? {
-        Some(held) if held == device => Ok(board),
-        held => {
-            let found = held.map_or("no device".into(), |held| format!("another {}", held.name));
-            Err(Failure::impossible(format!("the board holds {found}, the file is {}", file.name))
-                .remedy("load it with `haptic device` first"))
-        }
+    match occasion::another(&mut board, &device)? {
+        None => Ok(board),
+        Some(found) => Err(Failure::impossible(format!("the board holds {found}, the file is {}", file.name))
+            .remedy("load it with `haptic device` first")),
     }
 }
 
@@ -322,6 +325,12 @@ fn about(args: &Args, file: &DeviceFile, answer: &Answer, ripple: f64) -> Vec<St
     ]
 }
 
+/// What the two hands feel.
+fn ripples(found: &Found) -> String {
+    let board = found.board_ripple_n.map_or(String::new(), |ripple| format!(", {ripple:.4} N on the simulated board"));
+    format!("ripple {:.4} N{board}", found.ripple_n)
+}
+
 /// Settings in a line.
 fn in_words(settings: &Settings) -> String {
     let mut text = format!("{} Hz, {}", settings.rate_hz, settings.estimator);
@@ -350,14 +359,14 @@ fn readable(document: &Document<'_>) -> String {
     };
     let joined = |values: &[f64]| values.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");
     line(format!("{}: q = ({}) rad, n = ({})", document.device, joined(document.q), joined(document.normal)));
-    line(format!("  the stiffest wall        {:>10} N/m   ripple {:.4} N", best.settings.stiffness, best.ripple_n));
+    line(format!("  the stiffest wall        {:>10} N/m   {}", best.settings.stiffness, ripples(best)));
     line(format!("    {}", in_words(&best.settings)));
     if let Some(scene) = document.scene {
         let ripple =
             scene.ripple_n.map_or("none keeps margins and ripple".into(), |ripple| format!("ripple {ripple:.4} N"));
         line(format!("  the scene's settings     {:>10} N/m   {ripple}", scene.settings.stiffness));
         line(format!(
-            "    {}; {} N/m as written, {} N/m within the margins whatever it ripples",
+            "    {}; {} N/m as written, {} N/m within margins and motors whatever it ripples",
             in_words(&scene.settings),
             scene.as_written,
             scene.within_margins
@@ -365,12 +374,13 @@ fn readable(document: &Document<'_>) -> String {
     }
     if let Some(times) = document.times {
         line(format!(
-            "  {times:.2} times as stiff within the same margins and {} N of ripple",
-            digits(document.ripple_limit_n)
+            "  {times:.2} times as stiff within the same margins and {} N of ripple, {} N on the simulated board",
+            digits(document.ripple_limit_n),
+            document.board_ripple_limit_n.map_or("any".into(), digits)
         ));
     }
     line(format!(
-        "\n  limited by: {}; within a gain margin of {}, {:.1} us more delay, {:.0} % of mass, {:.0} % of each inertia, and in hands",
+        "\n  limited by: {}, which comes first when it is made stiffer; within a gain margin of {}, {:.1} us more delay, {:.0} % of mass, {:.0} % of each inertia, and in hands",
         answer.active,
         margins.gain,
         1e6 * margins.delay_s,
@@ -388,26 +398,62 @@ fn readable(document: &Document<'_>) -> String {
         let beyond = if beside.allowed { "" } else { ", beyond margins or motors" };
         line(format!("    {:>10} N/m with {} N s/m: {ripple}{beyond}", beside.stiffness, beside.damping));
     }
+    for other in &answer.feed_forwards {
+        line(otherwise(other, best, answer.passed_over.as_ref()));
+    }
     line("\n  the best of each estimator".into());
     for found in &answer.others {
-        line(format!(
-            "    {:>10} N/m  {:.4} N  {}",
-            found.settings.stiffness,
-            found.ripple_n,
-            in_words(&found.settings)
-        ));
+        line(format!("    {:>10} N/m  {}  {}", found.settings.stiffness, ripples(found), in_words(&found.settings)));
     }
     line(format!("  {} combinations, {} of them simulated", answer.looked_at.0, answer.looked_at.1));
-    let mut measured = |name: &str, measured: &Measured| {
+    let told = |name: &str, measured: &Measured| {
         let ripple = measured.ripple_n.map_or("the hand is not held".into(), |ripple| format!("ripple {ripple:.4} N"));
         let open = measured.open.as_ref().map_or(String::new(), |why| format!(" and no end was seen: {why}"));
-        line(format!("  {name}: {ripple}; struck, it comes to rest up to {:.0} N/m{open}", measured.stiffness));
+        format!("  {name}: {ripple}; struck, it comes to rest up to {:.0} N/m{open}", measured.stiffness)
     };
     if let Some(found) = document.scene_measured {
-        measured("on the simulated board, the scene's settings", found);
+        line(told("on the simulated board, the scene's settings", found));
     }
     if let Some(found) = document.measured {
-        measured("on the simulated board, these", found);
+        line(told("on the simulated board, these", found));
+    }
+    if let (Some(before), Some(found)) = (document.scene_measured, document.measured) {
+        line(price(before, found));
     }
     text
+}
+
+/// What another feed-forward would bring and cost.
+fn otherwise(other: &Otherwise, best: &Found, passed_over: Option<&Found>) -> String {
+    let mut text = format!("  feed-forward {}: ", other.feed_forward.name());
+    match &other.best {
+        Some(found) => {
+            let _ = write!(
+                text,
+                "{} N/m at most, {:.2} times, with a ripple of {:.4} N",
+                found.settings.stiffness,
+                found.settings.stiffness / best.settings.stiffness,
+                found.ripple_n
+            );
+            if passed_over == Some(found) {
+                text.push_str("; passed over, as it makes less than 3 % of difference");
+            }
+        }
+        None => text.push_str("no wall with it comes near"),
+    }
+    let ripple = other.ripple_n.map_or("flies off".into(), |ripple| format!("ripples {ripple:.4} N"));
+    let _ = write!(text, ". The wall above with it {ripple}, and up to {:.0} N/m keep the margins", other.allowed);
+    text
+}
+
+/// What a stiffer wall costs of the range in which a struck tip comes to rest.
+fn price(before: &Measured, found: &Measured) -> String {
+    let at_least = |measured: &Measured| if measured.open.is_some() { "at least " } else { "" };
+    format!(
+        "  price: at these dampings a struck tip came to rest up to {}{:.0} N/m, and now up to {}{:.0} N/m",
+        at_least(before),
+        before.stiffness,
+        at_least(found),
+        found.stiffness
+    )
 }

@@ -224,7 +224,10 @@ pub struct Buys {
     pub effect: Effect,
 }
 
-/// The changes that buy most of something.
+/// What a change must buy to be worth telling.
+const WORTH: f64 = 1.01;
+
+/// The change that buys most of something, and a hundredth of it at least.
 #[must_use]
 pub fn buys_most(all: &[Sensitivity], of: impl Fn(&Effect) -> f64) -> Option<Buys> {
     let sides = all.iter().flat_map(|one| {
@@ -232,5 +235,6 @@ pub fn buys_most(all: &[Sensitivity], of: impl Fn(&Effect) -> f64) -> Option<Buy
             |more: bool, effect: Option<Effect>| effect.map(|effect| Buys { part: one.part.clone(), more, effect });
         [side(true, one.more), side(false, one.less)].into_iter().flatten()
     });
-    sides.reduce(|best, other| if of(&other.effect) > of(&best.effect) { other } else { best })
+    let most = sides.reduce(|best, other| if of(&other.effect) > of(&best.effect) { other } else { best });
+    most.filter(|most| of(&most.effect) >= WORTH)
 }

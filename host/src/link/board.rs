@@ -183,16 +183,18 @@ impl Board {
         self.force_answer(sent)
     }
     /// Sends what [`Board::force`] sends, and does not wait: a program that sends its next request before it has this
-    /// one's answer is not slowed down by the way to the board and back. Two on their way are enough; answers come in
-    /// the order of the requests.
+    /// one's answer is not slowed down by the way to the board and back. Two on their way are enough, and more than eight
+    /// are not kept; answers come in the order of the requests. Telemetry may be read in between.
     pub fn send_force(&mut self, request: &p::ForceRequest) -> Result<Sent, LinkError> {
         self.client.send::<p::Force>(request)
     }
-    /// The answer to a [`Board::send_force`], waited for no longer than [`Board::wait_for_forces`] says.
+    /// The answer to a [`Board::send_force`], waited for no longer than [`Board::wait_for_forces`] says, and not at all where
+    /// a later one's has come.
     pub fn force_answer(&mut self, sent: Sent) -> Result<p::ForceAnswer, LinkError> {
-        let waited = self.force_patience;
-        self.client.answer::<p::Force>(sent, waited).map_err(|error| match error {
-            LinkError::Silent { .. } => LinkError::Unanswered { waited },
+        let (began, patience) = (self.now(), self.force_patience);
+        let answer = self.client.answer::<p::Force>(sent, patience);
+        answer.map_err(|error| match error {
+            LinkError::Silent { .. } => LinkError::Unanswered { waited: patience.min(self.now() - began) },
             error => error,
         })
     }

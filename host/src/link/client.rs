@@ -35,11 +35,16 @@ impl TopicFrame {
 pub struct Client {
     wire: Box<dyn Wire>,
     deframer: Deframer,
+    /// Requests that were sent, and neither answered nor given up: their number, and the key of their answer.
+    under_way: VecDeque<(VarSeq, VarKey)>,
     answers: VecDeque<Packet>,
     topics: VecDeque<TopicFrame>,
     sequence: u16,
     buffer: Vec<u8>,
 }
+
+/// How many requests may be on their way: the oldest beyond that are given up.
+const MOST_UNDER_WAY: usize = 8;
 
 /// A request on its way.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -66,6 +71,7 @@ impl Client {
         Self {
             wire,
             deframer: Deframer::default(),
+            under_way: VecDeque::new(),
             answers: VecDeque::new(),
             topics: VecDeque::new(),
             // An answer to an earlier tool must not pass for an answer to this one.
@@ -114,36 +120,52 @@ impl Client {
         let key = VarKey::Key8(E::REQ_KEY);
         let body = postcard::to_stdvec(request).map_err(|_| LinkError::Unreadable { what: E::PATH })?;
         self.wire.send(&encode(&VarHeader { key, seq_no: sent.0 }, &body)).map_err(LinkError::Lost)?;
+        self.under_way.push_back((sent.0, VarKey::Key8(E::RESP_KEY)));
+        if self.under_way.len() > MOST_UNDER_WAY {
+            let given_up = self.under_way.pop_front();
+            self.answers.retain(|frame| given_up.is_none_or(|(number, _)| frame.header.seq_no != number));
+        }
         Ok(sent)
     }
 
-    /// Waits for the answer to a request of endpoint `E`. Requests are answered in their order: those sent before it and
-    /// not waited for yet are given up.
+    /// Waits for the answer to a request of endpoint `E`. Requests are answered in their order: where one that was sent after
+    /// it is answered, its own answer was lost. Answers to others that are under way are kept.
     pub fn answer<E: Endpoint>(&mut self, sent: Sent, timeout: Duration) -> Result<E::Response, LinkError>
     where
         E::Response: DeserializeOwned,
     {
+        let answered = self.answered(sent, E::PATH, timeout);
+        self.under_way.retain(|(number, _)| *number != sent.0);
+        let frame = answered?;
+        if frame.header.key == VarKey::Key8(E::RESP_KEY) {
+            return postcard::from_bytes(&frame.body).map_err(|_| LinkError::Unreadable { what: E::PATH });
+        }
+        let error: WireError =
+            postcard::from_bytes(&frame.body).map_err(|_| LinkError::Unreadable { what: E::PATH })?;
+        Err(LinkError::Rejected { what: E::PATH, error: error.to_string() })
+    }
+
+    /// Where a request stands among those that are under way.
+    fn place(&self, number: VarSeq) -> Option<usize> {
+        self.under_way.iter().position(|(other, _)| *other == number)
+    }
+
+    /// The answer to a request, or the error in its place.
+    fn answered(&mut self, sent: Sent, path: &'static str, timeout: Duration) -> Result<Packet, LinkError> {
         let deadline = self.wire.now() + timeout;
         loop {
-            while let Some(frame) = self.answers.pop_front() {
-                // Anything else answers a request that was given up.
-                if frame.header.seq_no != sent.0 {
-                    continue;
-                }
-                if frame.header.key == VarKey::Key8(E::RESP_KEY) {
-                    return postcard::from_bytes(&frame.body).map_err(|_| LinkError::Unreadable { what: E::PATH });
-                }
-                if frame.header.key == VarKey::Key8(ERROR_KEY) {
-                    let error: WireError =
-                        postcard::from_bytes(&frame.body).map_err(|_| LinkError::Unreadable { what: E::PATH })?;
-                    return Err(LinkError::Rejected { what: E::PATH, error: error.to_string() });
-                }
+            let own = self.answers.iter().position(|frame| frame.header.seq_no == sent.0);
+            if let Some(frame) = own.and_then(|at| self.answers.remove(at)) {
+                return Ok(frame);
+            }
+            if self.answers.iter().any(|frame| self.place(frame.header.seq_no) > self.place(sent.0)) {
+                return Err(LinkError::Silent { what: path });
             }
             let left = deadline.saturating_sub(self.wire.now());
             if left.is_zero() {
-                return Err(LinkError::Silent { what: E::PATH });
+                return Err(LinkError::Silent { what: path });
             }
-            self.pump(left, &[E::RESP_KEY, ERROR_KEY])?;
+            self.pump(left)?;
         }
     }
 
@@ -158,17 +180,18 @@ impl Client {
             if left.is_zero() {
                 return Ok(None);
             }
-            self.pump(left, &[])?;
+            self.pump(left)?;
         }
     }
 
-    /// Takes in what the wire has; frames with one of the keys `answers` wait for [`Self::call`], the others are
-    /// topics.
-    fn pump(&mut self, timeout: Duration, answers: &[Key]) -> Result<(), LinkError> {
+    /// Takes in what the wire has; answers to what is under way wait for [`Self::answer`], the others are topics.
+    fn pump(&mut self, timeout: Duration) -> Result<(), LinkError> {
         let count = self.wire.receive(&mut self.buffer, timeout).map_err(LinkError::Lost)?;
-        let (waiting, topics) = (&mut self.answers, &mut self.topics);
+        let (under_way, waiting, topics) = (&self.under_way, &mut self.answers, &mut self.topics);
         self.deframer.feed(&self.buffer[..count], |frame| {
-            if answers.iter().any(|key| VarKey::Key8(*key) == frame.header.key) {
+            let VarHeader { key, seq_no } = frame.header;
+            let answers = |to: &(VarSeq, VarKey)| to.0 == seq_no && (to.1 == key || key == VarKey::Key8(ERROR_KEY));
+            if under_way.iter().any(answers) {
                 waiting.push_back(frame);
             } else {
                 let Packet { header, body } = frame;

@@ -26,6 +26,9 @@ const AROUND: (usize, usize) = (24, 48);
 /// From where a surface is seen: turned about its vertical and then tilted, rad.
 const SEEN: (f64, f64) = (-0.6, 0.45);
 
+/// The linkage where the motion takes it.
+const GHOST: Stroke<'static> = Stroke { colour: FAINT, width: 1.2, dash: "4 3" };
+
 /// Draws a device at `q` (rad) with its motion along `normal`; `None` where its linkage does not close or the pose is
 /// singular.
 pub fn draw(
@@ -106,7 +109,7 @@ fn motion(canvas: &mut Canvas, description: &Description, q: &[f64], here: &Skel
             let Some(ghost) = skeleton(description, &moved) else { continue };
             for bar in &ghost.bars {
                 let ends = [bar.from, bar.to].map(|p| frame.pixel(p.0, p.1));
-                canvas.polyline(&ends, Stroke { colour: FAINT, width: 1.2, dash: "4 3" });
+                canvas.polyline(&ends, GHOST);
             }
         }
         linkage::outline(canvas, &frame, here);
@@ -120,6 +123,7 @@ fn motion(canvas: &mut Canvas, description: &Description, q: &[f64], here: &Skel
     let entries = [
         (Mark::Line(Stroke::solid(FULL, 2.0)), "along n, with the feed-forward".to_string()),
         (Mark::Line(Stroke::solid(OFF, 2.0)), "what a push along n does without".to_string()),
+        (Mark::Line(GHOST), "the linkage moved that way and back, with it".to_string()),
     ];
     PlotArea::legend(canvas, 75.0 + SIDE, SIDE + 122.0, &entries);
 }
@@ -151,7 +155,9 @@ fn curve(canvas: &mut Canvas, at: Point, pose: &TaskPose, point: &MapPoint, n: &
         around.iter().map(|all| (value(all) * all.0.cos(), value(all) * all.0.sin())).collect()
     };
     frame.clipped(canvas, |canvas| {
-        axes_of(canvas, &|v| frame.pixel(v[0], v[1]), point, 0.98 * largest);
+        let (pixel, length) = (|v: &[f64]| frame.pixel(v[0], v[1]), 0.98 * largest);
+        axes_of(canvas, &pixel, point, length);
+        names_of_axes(canvas, &pixel, point, length);
         let coupling = polar(|(_, w_eff, w_rr)| (w_rr - w_eff).max(0.0));
         let area: Vec<Point> = coupling.iter().map(|p| frame.pixel(p.0, p.1)).collect();
         canvas.polygon(&area, WASHOUT, 0.35);
@@ -172,10 +178,17 @@ fn curve(canvas: &mut Canvas, at: Point, pose: &TaskPose, point: &MapPoint, n: &
 
 /// The axes of the tip's inertia, as lines through the middle.
 fn axes_of(canvas: &mut Canvas, pixel: &dyn Fn(&[f64]) -> Point, point: &MapPoint, length: f64) {
-    for (k, axis) in point.eigenvectors.iter().enumerate() {
+    for axis in &point.eigenvectors {
         let ends = [-length, length].map(|reach| pixel(&axis.iter().map(|v| reach * v).collect::<Vec<_>>()));
         canvas.line(ends[0], ends[1], Stroke { colour: FAINT, width: 1.0, dash: "5 4" });
-        canvas.coloured_text((ends[1].0 + 3.0, ends[1].1 - 3.0), 12.5, Anchor::Start, INK, &format!("e{}", k + 1));
+    }
+}
+
+/// Their names, beside their ends.
+fn names_of_axes(canvas: &mut Canvas, pixel: &dyn Fn(&[f64]) -> Point, point: &MapPoint, length: f64) {
+    for (k, axis) in point.eigenvectors.iter().enumerate() {
+        let end = pixel(&axis.iter().map(|v| length * v).collect::<Vec<_>>());
+        canvas.coloured_text((end.0 + 3.0, end.1 - 3.0), 12.5, Anchor::Start, INK, &format!("e{}", k + 1));
     }
 }
 
@@ -206,7 +219,8 @@ fn surface(canvas: &mut Canvas, at: Point, pose: &TaskPose, point: &MapPoint, n:
         let v = seen(v);
         (middle.0 + pixels * v.x, middle.1 - pixels * v.y)
     };
-    axes_of(canvas, &|v| pixel(&Vector3::new(v[0], v[1], v[2])), point, 1.12 * most);
+    let end = |v: &[f64]| pixel(&Vector3::new(v[0], v[1], v[2]));
+    axes_of(canvas, &end, point, 1.12 * most);
     let mut tiles = Vec::new();
     for i in 0..halves {
         for j in 0..wholes {
@@ -222,6 +236,8 @@ fn surface(canvas: &mut Canvas, at: Point, pose: &TaskPose, point: &MapPoint, n:
         canvas.polygon(corners, &scale(*share), 0.92);
         canvas.polyline(&[corners[0], corners[1], corners[2]], Stroke::solid("white", 0.3));
     }
+    // The surface may hide where an axis ends, and not what it is called.
+    names_of_axes(canvas, &end, point, 1.12 * most);
     let n = Vector3::new(n[0], n[1], n[2]);
     arrow(canvas, pixel(&Vector3::zeros()), pixel(&(n * (1.1 * most))), BOUND);
     let label = format!("coupling Wrr - Weff, up to {most:.4} kg; n in purple");

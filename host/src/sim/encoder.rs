@@ -34,6 +34,11 @@ impl EncoderModel {
         ((turns - turns.round()) * TAU * self.counts_per_rad).abs() <= 0.5
     }
 
+    /// The same with its counts moved on by a share of one.
+    pub fn moved(&self, share: f64) -> Self {
+        Self { origin: self.origin + share * self.resolution(), ..*self }
+    }
+
     /// The angle that one count stands for, rad.
     pub fn resolution(&self) -> f64 {
         1.0 / self.counts_per_rad.abs()

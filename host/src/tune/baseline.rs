@@ -1,6 +1,6 @@
 //! The wall that a scene has already, held to the margins and the ripple of the search.
 
-use super::{Found, Question, SearchContext, Settings, check, ripple, three_digits};
+use super::{Found, Question, SearchContext, Settings, check, measured, ripple, three_digits};
 use crate::error::Failure;
 use serde::Serialize;
 
@@ -25,9 +25,11 @@ pub const USUAL_RIPPLE_N: f64 = 0.1;
 /// The least ripple that is asked for where a scene's wall has less, N.
 pub const LEAST_RIPPLE_N: f64 = 0.002;
 
-/// The ripple that settings like these may have: as much as the wall as it is written, and no less than the least.
-pub fn ripple_like(question: &Question<'_>, written: &Settings) -> Result<f64, Failure> {
-    Ok(ripple(question, written)?.ripple_n.unwrap_or(USUAL_RIPPLE_N).max(LEAST_RIPPLE_N))
+/// The ripple that settings like these may have, in the search and on the simulated board: as much as the wall as it is written,
+/// and no less than the least.
+pub fn ripple_like(question: &Question<'_>, written: &Settings) -> Result<(f64, f64), Failure> {
+    let bound = |ripple_n: Option<f64>| ripple_n.unwrap_or(USUAL_RIPPLE_N).max(LEAST_RIPPLE_N);
+    Ok((bound(ripple(question, written)?.ripple_n), bound(measured::ripple(question, written)?)))
 }
 
 /// The settings of a scene's wall, as stiff as the same margins and ripple let them be.
@@ -42,9 +44,9 @@ pub fn baseline(question: &Question<'_>, written: &Settings) -> Result<Baseline,
     let at = |stiffness: f64| -> Result<Option<Found>, Failure> {
         let settings = Settings { stiffness: three_digits(stiffness, true), ..*written };
         let ripple_n = if stiffness > 0.0 { ripple(question, &settings)?.ripple_n } else { None };
-        Ok(ripple_n.map(|ripple_n| Found { settings, ripple_n }))
+        context.kept_on_board(ripple_n.map(|ripple_n| Found { settings, ripple_n, board_ripple_n: None }))
     };
-    let keeps = |found: &Option<Found>| found.is_some_and(|found| found.ripple_n <= question.ripple_n);
+    let keeps = Option::is_some;
     let mut best = at(most)?;
     if most > 0.0 && !keeps(&best) {
         // Down from there, as far as it takes, but not below what keeps it as it is written.

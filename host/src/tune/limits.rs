@@ -1,9 +1,8 @@
 //! What stops the wall that was found: what each limit alone would allow, and what lies beside it.
 
-use super::{Found, STEPS, SearchContext, Settings, ripple, three_digits};
+use super::{BETTER, Found, SearchContext, Settings, ripple, three_digits};
 use crate::analysis::error::AnalysisError;
 use crate::analysis::range::stiffnesses;
-use crate::bench::estimators::Pressed;
 use crate::error::Failure;
 use haptic_bridge::render::scene::FeedForward;
 use serde::Serialize;
@@ -11,12 +10,17 @@ use serde::Serialize;
 /// How much more and less is tried to say what stops it.
 const MORE: f64 = 1.15;
 
+/// What the second hand feels.
+const ON_BOARD: &str = "ripple on the simulated board";
+/// A limit that binds nothing, beside which the others are read.
+pub const RULE_OF_THUMB: &str = "rule of thumb, encoder steps";
+
 /// The gains that one limit alone would allow at the damping that was found.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Limit {
     /// Which.
     pub limit: &'static str,
-    /// Largest stiffness, N/m; none where it sets no bound up to four times what was found.
+    /// Largest stiffness, N/m; none where it sets no bound as far as was looked.
     pub stiffness: Option<f64>,
 }
 
@@ -58,8 +62,14 @@ pub(super) fn limits(
         limits.push(Limit { limit, stiffness: least.is_finite().then_some(least) });
     }
     limits.push(Limit { limit: "motors and encoder counts", stiffness: Some(context.most.0) });
-    limits.push(Limit { limit: "ripple of encoder steps alone", stiffness: Some(context.steps) });
-    limits.push(Limit { limit: "ripple", stiffness: rippling(context, settings)? });
+    let keeps = |stiffness: f64| Ok(context.tried(settings, stiffness, settings.damping)?.is_some());
+    limits.push(Limit { limit: "ripple", stiffness: rippling(settings, &[1.1, 1.2, 1.5, 2.0, 3.0, 4.0], &keeps)? });
+    if question.board_ripple_n.is_some() {
+        let keeps = |stiffness: f64| Ok(context.pressed_on_board(settings, stiffness)?.is_some());
+        limits.push(Limit { limit: ON_BOARD, stiffness: rippling(settings, &[1.1, 1.5], &keeps)? });
+    }
+    let active = first(&limits, settings, context.most.1);
+    limits.push(Limit { limit: RULE_OF_THUMB, stiffness: Some(context.steps) });
 
     let mut beside = Vec::new();
     for (stiffer, more) in [(MORE, 1.0), (1.0, MORE), (1.0, 1.0 / MORE)] {
@@ -69,34 +79,40 @@ pub(super) fn limits(
         let ripple_n = ripple(question, &Settings { stiffness, damping, ..*settings })?.ripple_n;
         beside.push(Beside { stiffness, damping, allowed, ripple_n });
     }
-    let most = context.allowed(settings, &[settings.damping]).map_or(0.0, |most| most[0]);
-    let active = if settings.stiffness < 0.96 * most {
-        "ripple"
-    } else if settings.stiffness >= 0.96 * context.most.0 {
-        "motors and encoder counts"
-    } else if settings.stiffness >= 0.96 * STEPS * context.steps {
-        "ripple of encoder steps alone"
-    } else if settings.damping * MORE > context.most.1 {
-        "motors and damping"
-    } else {
-        "all margins together"
-    };
     Ok((active, limits, beside))
 }
 
-/// The stiffness at which ripple alone would end this wall: up to four times its own.
-fn rippling(context: &SearchContext<'_>, settings: &Settings) -> Result<Option<f64>, Failure> {
-    let keeps = |stiffness: f64| -> Result<bool, Failure> {
-        let Pressed { ripple_n, holds } = ripple(context.question, &Settings { stiffness, ..*settings })?;
-        Ok(holds && ripple_n.is_some_and(|ripple| ripple <= context.question.ripple_n))
-    };
-    let (mut low, mut high) = (settings.stiffness, 4.0 * settings.stiffness);
-    if keeps(high)? {
-        return Ok(None);
+/// Which limit comes first when this wall is made stiffer.
+fn first(limits: &[Limit], settings: &Settings, damped: f64) -> &'static str {
+    let binding = ["ripple", ON_BOARD, "all margins together", "motors and encoder counts"];
+    let among = limits.iter().filter(|limit| binding.contains(&limit.limit));
+    let least = among.min_by(|a, b| {
+        let stiffness = |limit: &Limit| limit.stiffness.unwrap_or(f64::INFINITY);
+        stiffness(a).total_cmp(&stiffness(b))
+    });
+    let limit = least.map_or("", |limit| limit.limit);
+    // More damping would let it be stiffer, and the motors do not have it.
+    if limit == "all margins together" && settings.damping * BETTER > damped { "motors and damping" } else { limit }
+}
+
+/// The stiffness at which this wall first does not keep a ripple, as far as `factors` of its own are tried.
+fn rippling(
+    settings: &Settings,
+    factors: &[f64],
+    keeps: &dyn Fn(f64) -> Result<bool, Failure>,
+) -> Result<Option<f64>, Failure> {
+    let mut low = settings.stiffness;
+    for factor in [BETTER].iter().chain(factors) {
+        let mut high = factor * settings.stiffness;
+        if keeps(high)? {
+            low = high;
+            continue;
+        }
+        while high / low > BETTER {
+            let middle = (low * high).sqrt();
+            if keeps(middle)? { low = middle } else { high = middle }
+        }
+        return Ok(Some(low));
     }
-    for _ in 0..5 {
-        let middle = (low * high).sqrt();
-        if keeps(middle)? { low = middle } else { high = middle }
-    }
-    Ok(Some(low))
+    Ok(None)
 }

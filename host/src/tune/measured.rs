@@ -102,8 +102,8 @@ pub fn scene(question: &Question<'_>, settings: &Settings, point: &[f64]) -> Sce
     }
 }
 
-/// Ripple of the wall's force on the board, N.
-fn ripple(question: &Question<'_>, settings: &Settings) -> Result<Option<f64>, Failure> {
+/// Ripple of the wall's force on the board, N; none where the hand is not held.
+pub fn ripple(question: &Question<'_>, settings: &Settings) -> Result<Option<f64>, Failure> {
     let device = Options { start: Some(padded(&question.q)), ..Options::default() };
     let mut simulated = ready_board(question.file, BoardOptions { device, ..BoardOptions::default() })
         .map_err(|error| Failure::wrong(format!("{}: {error}", question.file.path.display())))?;

@@ -1,0 +1,90 @@
+//! The table of docs/design.md: what `haptic tune` makes of a wall of each device that ships.
+//!
+//! `UPDATE_DOCS=1 cargo test --release --locked -p haptic --test tuned_devices -- --ignored` writes it anew.
+
+use assert_cmd::Command;
+use serde_json::Value;
+use std::fmt::Write;
+
+/// Devices with a scene of one wall or more, of which the first is tuned.
+const SCENES: [(&str, &str); 9] = [
+    ("coupled-five-bar", "wall"),
+    ("fictive-five-bar-turret", "ball"),
+    ("hapkit-paddle", "wall"),
+    ("haply-2diy", "wall-stiff"),
+    ("phantom-premium-1.5", "table"),
+    ("woodenhaptics", "room"),
+    ("serial-3r", "wall"),
+    ("pantograph-mk2", "corner"),
+    ("capstan-pantograph", "wall"),
+];
+
+const HEAD: &str = "\
+| device, scene | scene, N/m | tuned, N/m | times | limited by | rule of thumb, N/m | with (4), N/m | ripple with (4), N | ripple before, after, N | on the board, N | struck tip at rest up to, before, after, N/m |
+|---|--:|--:|--:|---|--:|--:|--:|---|---|---|
+";
+
+/// What `--json` prints.
+fn tuned(device: &str, scene: &str) -> Value {
+    let device_file = format!("devices/{device}.toml");
+    let scene_file = format!("devices/scenes/{device}/{scene}.toml");
+    let said = Command::cargo_bin("haptic")
+        .unwrap()
+        .current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
+        .args(["tune", &device_file, "--scene", &scene_file, "--measure", "--json"])
+        .assert()
+        .success();
+    serde_json::from_slice(&said.get_output().stdout).unwrap()
+}
+
+fn row(device: &str, scene: &str, said: &Value) -> String {
+    let whole = |value: &Value| value.as_f64().map_or("-".into(), |value| format!("{value:.0}"));
+    let newtons = |value: &Value| value.as_f64().map_or("-".into(), |value| format!("{value:.3}"));
+    let times = |value: &Value| value.as_f64().map_or("-".into(), |value| format!("{value:.2}"));
+    let rest = |measured: &Value| {
+        let open = if measured["open"].is_null() { "" } else { "≥ " };
+        format!("{open}{}", whole(&measured["stiffness"]))
+    };
+    let washout = &said["feed_forwards"][0];
+    let rule = said["limits"].as_array().unwrap().last().unwrap();
+    format!(
+        "| {device}, {scene} | {} | {} | {} | {} | {} | {} | {} | {}, {} | {}, {} | {}, {} |",
+        whole(&said["scene"]["stiffness"]),
+        whole(&said["best"]["stiffness"]),
+        times(&said["times"]),
+        said["active"].as_str().unwrap(),
+        whole(&rule["stiffness"]),
+        whole(&washout["best"]["stiffness"]),
+        newtons(&washout["ripple_n"]),
+        newtons(&said["ripple_limit_n"]),
+        newtons(&said["best"]["ripple_n"]),
+        newtons(&said["scene_measured"]["ripple_n"]),
+        newtons(&said["measured"]["ripple_n"]),
+        rest(&said["scene_measured"]),
+        rest(&said["measured"]),
+    )
+}
+
+#[test]
+#[ignore = "minutes: it measures nine devices on simulated boards, and makes the table of docs/design.md"]
+fn the_table_is_what_the_command_finds() {
+    let mut table = String::from(HEAD);
+    for (device, scene) in SCENES {
+        let said = tuned(device, scene);
+        let best = said["best"]["stiffness"].as_f64().unwrap();
+        for other in said["others"].as_array().unwrap() {
+            assert!(other["stiffness"].as_f64().unwrap() <= 1.03 * best, "{device}: {other} beats {best} N/m");
+        }
+        let _ = writeln!(table, "{}", row(device, scene, &said));
+        println!("{}", table.lines().last().unwrap());
+    }
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/design.md");
+    let page = std::fs::read_to_string(path).unwrap();
+    let (before, rest) = page.split_once("<!-- tuned: begin -->\n").unwrap();
+    let (kept, after) = rest.split_once("<!-- tuned: end -->").unwrap();
+    if std::env::var_os("UPDATE_DOCS").is_some() {
+        std::fs::write(path, format!("{before}<!-- tuned: begin -->\n{table}<!-- tuned: end -->{after}")).unwrap();
+    } else {
+        assert_eq!(kept, table, "run UPDATE_DOCS=1 cargo test --release -p haptic --test tuned_devices -- --ignored");
+    }
+}
