@@ -32,7 +32,7 @@ struct Row {
     users: &'static [&'static str],
 }
 
-const ROWS: [Row; 10] = [
+const ROWS: [Row; 11] = [
     // One that stands in its own way, for other programs and in MuJoCo.
     Row { name: "mechanism", words: &["Parallelogram", "parallelogram"], stems: &["parallelogram"], users: &[] },
     Row { name: "straight step", words: &["StepVariant"], stems: &["plane"], users: &[] },

@@ -7,7 +7,7 @@ use haptic::haptic_bridge::board::protocol::ForceAnswer;
 use haptic::haptic_bridge::model::device::Device as BoardDevice;
 use haptic::haptic_bridge::render::scene::Scene;
 use haptic::haptic_bridge::safety::fault::State;
-use haptic::haptic_bridge::servo::host_force::MOST_FORCE;
+use haptic::haptic_bridge::servo::host_force::MOST_HELD_FORCE;
 use haptic::link::{LinkError, PortSpec, Session};
 use haptic::vectors::padded;
 use std::time::{Duration, Instant};
@@ -112,7 +112,7 @@ impl HdDevice {
     /// Sends a force (N), waits for the next tick and reads how the device is then. In the place of a force that no board
     /// takes there is none, and it is not done.
     pub fn force(&mut self, force: [f64; 3]) -> bool {
-        let usable = force.iter().all(|newtons| newtons.abs() <= f64::from(MOST_FORCE));
+        let usable = force.iter().all(|newtons| newtons.abs() <= f64::from(MOST_HELD_FORCE));
         if !usable && !self.told_absurd {
             haptic::tell!("haptic-bridge: a force of {force:?} N is none: the motors get 0 N");
             self.told_absurd = true;

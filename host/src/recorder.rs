@@ -11,6 +11,7 @@ pub mod protobuf;
 use crate::error::Failure;
 use crate::link::{Column, Losses};
 use crate::output::{self, Overwrite};
+use crate::words::counted;
 use about::About;
 use haptic_bridge::board::telemetry::Field;
 use mcap::McapRecorder;
@@ -379,11 +380,17 @@ impl Recording {
                 recording.about.push(comment.trim().into());
             } else if recording.columns.is_empty() {
                 recording.columns = line.split(',').map(Into::into).collect();
+                if recording.columns.iter().any(String::is_empty) {
+                    return Err(format!("line {} does not name the columns of a recording", line_number + 1));
+                }
             } else {
                 let row: Option<Vec<f64>> = line.split(',').map(number).collect();
                 match row {
                     Some(row) if row.len() == recording.columns.len() => recording.rows.push(row),
-                    _ => return Err(format!("line {}: not {} values", line_number + 1, recording.columns.len())),
+                    _ => {
+                        let values = counted(recording.columns.len(), "value");
+                        return Err(format!("line {}: not {values}", line_number + 1));
+                    }
                 }
             }
         }

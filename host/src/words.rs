@@ -31,6 +31,10 @@ pub fn short(value: f32) -> String {
     if digits > 12 {
         return format!("{value:.4e}");
     }
+    if value.is_finite() && value.abs() >= 1e7 {
+        let rounded: f32 = format!("{value:.4e}").parse().unwrap_or(value);
+        return format!("{rounded:e}");
+    }
     // Display gives a float the fewest digits that mean it, where a precision would write out those it does not have.
     let text = if digits == 0 { value.round().to_string() } else { format!("{value:.digits$}") };
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
@@ -56,6 +60,14 @@ pub fn counted(count: impl std::fmt::Display, noun: &str) -> String {
     let count = count.to_string();
     let plural = if count == "1" { "" } else { "s" };
     format!("{count} {noun}{plural}")
+}
+
+/// "0", "0 and 1", "0, 1 and 2".
+pub fn listed(items: &[String]) -> String {
+    match items {
+        [others @ .., before, last] => [others, &[format!("{before} and {last}")]].concat().join(", "),
+        _ => items.concat(),
+    }
 }
 
 /// A number for people: three significant digits, and a prefix where the unit takes one.
@@ -91,6 +103,18 @@ pub fn nth_step(divider: u32) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn five_digits_are_enough_at_any_size() {
+        let told = [0.0, 0.12345678, 12345.678, 1_234_567.8, 1e12, 1.2345678e9].map(short);
+        assert_eq!(told.join(", "), "0, 0.12346, 12346, 1234568, 1e12, 1.2346e9");
+    }
+
+    #[test]
+    fn things_are_listed_as_people_do() {
+        let told = |count: usize| listed(&(0..count).map(|i| i.to_string()).collect::<Vec<_>>());
+        assert_eq!([0, 1, 2, 3].map(told), ["", "0", "0 and 1", "0, 1 and 2"]);
+    }
 
     #[test]
     fn steps_are_counted_as_people_do() {

@@ -220,6 +220,9 @@ fn wrong_ports_and_gains_are_refused_by_the_command_line() {
 fn rules_are_shown_lowered_and_never_raised_above_the_boards_own() {
     let sim = Sim::start(&["--fast"]);
     sim.run(&["rules"]).success().stdout(contains("a silent host is ignored"));
+    sim.run(&["rules", "--torque", "4,0.1"])
+        .success()
+        .stderr(contains("the motor of joint 0 gives 2 N m at most, and that counts").and(contains("joint 1").not()));
     sim.run(&["rules", "--torque", "0.5,0.4", "--host", "disarm", "--passivity", "true"]).success().stdout(
         contains("torque              0.5, 0.4 N m")
             .and(contains("turns the motors off"))

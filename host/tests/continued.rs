@@ -77,6 +77,7 @@ fn a_search_for_the_best_settings() {
         admissible: Admissible::default(),
         margins: Margins::default(),
         ripple_n: 0.1,
+        board_ripple_n: Some(0.1),
         counts: 1.0,
         speed: 0.1,
         rates_hz: vec![1_000.0],

@@ -4,6 +4,7 @@ use assert_cmd::Command;
 use serde_json::Value;
 
 const DEVICE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/coupled-five-bar.toml");
+const TURRET: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/phantom-premium-1.5.toml");
 
 fn haptic(arguments: &[&str]) -> assert_cmd::assert::Assert {
     Command::cargo_bin("haptic").unwrap().args(arguments).assert()
@@ -34,6 +35,19 @@ fn every_point_agrees_with_haptic_model() {
             let (one, other) = (one.as_f64().unwrap(), other.as_f64().unwrap());
             assert!((one - other).abs() < 1e-9 * other.abs().max(1e-3), "{q}: {one} {other}");
         }
+    }
+}
+
+/// Behind its turret's axis a linkage is in another arm pose, whatever the grid.
+#[test]
+fn a_coarse_grid_steps_over_no_singularity() {
+    let map = json(&["map", TURRET, "--normal", "0,1,0", "--json"]);
+    let points = map["points"].as_array().unwrap();
+    assert!(points.len() > 300, "{}", points.len());
+    for point in points {
+        let number = |key: &str, i: usize| point[key][i].as_f64().unwrap();
+        let in_plane = number("position", 0) * number("q", 0).cos() - number("position", 2) * number("q", 0).sin();
+        assert!(in_plane > 0.0, "{point}");
     }
 }
 

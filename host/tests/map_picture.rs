@@ -226,3 +226,27 @@ fn a_paddle_shows_its_arc_and_its_inertia() {
     // 0.0008 kg m² at 70 mm.
     assert!(picture.svg().contains("163.3 g"), "{}", picture.svg());
 }
+
+#[test]
+fn no_caption_of_a_paddle_is_cut_off_with_limits_or_without() {
+    let mut paddle = shipped().into_iter().find(|file| file.name == "hapkit-paddle").unwrap();
+    for limits in [None, Some((-1.04, 1.04))] {
+        paddle.description.joints[0].limits = limits;
+        let picture =
+            haptic::plot::map::draw(&paddle.description, &paddle.name, &[1.0], Admissible::default()).unwrap();
+        let attribute = |text: &str, name: &str| -> f64 {
+            text.split_once(&format!(" {name}=\"")).unwrap().1.split('"').next().unwrap().parse().unwrap()
+        };
+        let width = attribute(picture.svg(), "width");
+        let lines = picture.svg().lines().filter(|line| line.starts_with("<text") && line.contains("\"start\""));
+        let mut seen = 0;
+        for line in lines {
+            let words = line.split_once('>').unwrap().1.trim_end_matches("</text>");
+            // Measured in the PNG: this font's letters are on average half as wide as they are high.
+            let end = attribute(line, "x") + 0.508 * attribute(line, "font-size") * words.chars().count() as f64;
+            assert!(end < width, "{words}: ends at {end:.0} of {width}");
+            seen += 1;
+        }
+        assert!(seen >= 4, "{seen}");
+    }
+}

@@ -71,8 +71,9 @@ fn a_measurement_is_reported_kept_and_continued() {
 fn what_makes_no_sense_is_refused_before_anything_moves() {
     let folder = tempfile::tempdir().unwrap();
     let progress = folder.path().join("progress.json");
-    measure(&progress, &SLOW, &["--torque-limit", "0"]).code(2);
-    measure(&progress, &SLOW, &["--pull", "50"]).code(2);
+    let one = |option: &str, other: &str| contains(format!("{option} is ")).and(contains(other.to_string()).not());
+    measure(&progress, &SLOW, &["--torque-limit", "0"]).code(2).stderr(one("--torque-limit", "--pull"));
+    measure(&progress, &SLOW, &["--pull", "20"]).code(2).stderr(one("--pull", "--torque-limit"));
     let nowhere = folder.path().join("missing").join("p.json");
     // Its first words: before "repeats" or a port.
     measure(&nowhere, &SLOW, &[]).code(1).stderr(contains("there is no such folder; make the folder first"));
@@ -195,6 +196,20 @@ fn what_only_a_simulation_can_have_is_refused_elsewhere() {
     typed(&format!("haptic measure-range {DEVICE} --port tcp:127.0.0.1:1 --normal 0,1 --frictionless"), &[])
         .code(2)
         .stderr(contains("--port sim"));
+}
+
+#[test]
+fn boundaries_far_below_those_of_theory_are_doubted() {
+    let sim = Sim::start(&["--fast", "--hand", "loop", DEVICE]);
+    let folder = tempfile::tempdir().unwrap();
+    let progress = folder.path().join("progress.json");
+    let fixed = ["measure-range", DEVICE, "--normal=0,1", "--kd=15", "--repeats=1", "--feed-forward=off", "--pull=2"];
+    let said = sim.run(&[&fixed[..], &["--json", "--progress", progress.to_str().unwrap()]].concat()).success();
+    let document: Value = serde_json::from_slice(&said.get_output().stdout).unwrap();
+    let point = &document["points"][0];
+    assert!(point["kp"].as_f64().unwrap() < 0.5 * point["theory_kp"].as_f64().unwrap(), "{point}");
+    assert!(document["warnings"][0]["text"].as_str().unwrap().contains("off at kd 15.0000"), "{document}");
+    said.stderr(contains("less than half of theory's stiffness was stable").and(contains("a hand on the device")));
 }
 
 #[test]

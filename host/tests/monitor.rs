@@ -178,6 +178,8 @@ fn a_wall_is_pressed_its_gains_are_turned_and_it_is_recorded() {
     terminal.until("the smaller screen", |text| text.contains("motors on  you") && text.contains("wall 0 (plane)"));
     terminal.resize(8, 44);
     terminal.until("a tiny screen", |text| text.contains("motors on  you") && text.contains("wall 0"));
+    terminal.resize(5, 20);
+    terminal.until("hardly any screen", |text| text.contains("motors on"));
     terminal.resize(50, 160);
     terminal.until("a large one", |text| text.contains("tip and walls") && text.contains("q: end"));
     // Letting go.

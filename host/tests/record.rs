@@ -63,6 +63,11 @@ fn both_formats_hold_every_step_and_what_the_recording_is_of() {
         for said in ["date 20", "board simulated", "device coupled-five-bar", "wall 0: plane", "scene {", "rules {"] {
             assert!(about.contains(said), "{said} in {about}");
         }
+        let rules = recording.about.iter().find_map(|line| line.strip_prefix("rules ")).unwrap();
+        let rules: serde_json::Value = serde_json::from_str(rules).unwrap();
+        for list in [&rules["limits"]["torque"], &rules["limits"]["speed"], &rules["index_period"]] {
+            assert_eq!(list.as_array().unwrap().len(), 2, "as many as there are joints: {rules}");
+        }
         assert_eq!(recording.about.last().unwrap(), "10000 rows, none lost");
         sim.run(&recorded).code(1).stderr(contains("exists").and(contains("--force")));
         let json = sim.run(&[&recorded[..], &["--force", "--json", "--rate", "100"]].concat()).success();

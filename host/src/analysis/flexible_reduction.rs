@@ -172,8 +172,8 @@ pub(crate) fn reduce(
     reference_mass: f64,
 ) -> Option<ContinuousPlant> {
     let Linearised { mass, viscous, flexible, row, .. } = device;
-    let (rows, directions) =
-        (DMatrix::from_rows(&[row.transpose()]), DMatrix::from_columns(&[flexible.normal.clone()]));
+    let rows = DMatrix::from_rows(&[row.transpose()]);
+    let directions = DMatrix::from_columns(std::slice::from_ref(&flexible.normal));
     let watched = Watched { mass, viscous, flexible, rows: &rows, directions: &directions };
     let Reduced { a, b, seen } = reduce_seen(&watched, lags, inputs, sample_s, reference_mass)?;
     Some(ContinuousPlant::of_a_flexible_device(a, b, seen.row(0).transpose()))

@@ -22,6 +22,9 @@ use crate::sweep::Sweep;
 
 /// Regular enough to walk through when flooding: the sine of the nearest singular angle.
 const WALKABLE_SINE: f64 = 0.08;
+/// Longest step while flooding, rad. A singularity is farther across than that, by [`WALKABLE_SINE`] on either side, so no step
+/// leads over one; not even where two meet and the sign of J's determinant is the same behind both.
+const STEP: f64 = 0.1;
 
 /// A normal and what it makes of the inertia.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -297,7 +300,7 @@ impl Reachable {
         self.reached[start] = true;
         while let Some(index) = waiting.pop() {
             for neighbour in self.neighbours(index) {
-                if !self.reached[neighbour] && sides[neighbour] == sides[start] {
+                if !self.reached[neighbour] && sides[neighbour] == sides[start] && self.clear(index, neighbour) {
                     self.reached[neighbour] = true;
                     waiting.push(neighbour);
                 }
@@ -330,6 +333,25 @@ impl Reachable {
     /// Whether `q` (rad) is a pose on the reached side of the singularities, and within the limits.
     pub fn walkable(&self, q: &[f64]) -> bool {
         self.side.is_some() && side(&self.device, q, WALKABLE_SINE).is_ok_and(|found| found == self.side)
+    }
+
+    /// Whether no singularity lies between two neighbours of the grid.
+    fn clear(&self, from: usize, to: usize) -> bool {
+        let (from, to) = (self.angles(from), self.angles(to));
+        let turn = std::f64::consts::TAU;
+        let way = |joint: usize| {
+            let way = to[joint] - from[joint];
+            if self.wraps[joint] { way - turn * (way / turn).round() } else { way }
+        };
+        let ways: Vec<f64> = (0..from.len()).map(way).collect();
+        let swept = ways.iter().zip(&self.axes).filter(|(_, axis)| axis.len() > 1);
+        let steps = (swept.map(|(way, _)| way.abs()).fold(0.0, f64::max) / STEP).ceil() as usize;
+        (1..steps).all(|i| {
+            let mut q: Vec<f64> =
+                from.iter().zip(&ways).map(|(from, way)| from + way * i as f64 / steps as f64).collect();
+            self.complete(&mut q);
+            self.walkable(&q)
+        })
     }
 
     /// Whether the pose of a flat index was reached.

@@ -254,8 +254,11 @@ const REMEDY: &str = "use finer encoders (--counts on --port sim), a lower --rat
                       --torque-limit, another pose or normal";
 
 fn plan(args: &Args) -> Result<Plan, Failure> {
-    if !(args.torque_limit > 0.0 && args.torque_limit.is_finite() && args.pull > 0.0 && args.pull <= 5.0) {
-        return Err(Failure::wrong("--torque-limit must be positive, and --pull from 0 to 5 mm"));
+    if !(args.torque_limit > 0.0 && args.torque_limit.is_finite()) {
+        return Err(Failure::wrong(format!("--torque-limit is {} N m, and must be positive", args.torque_limit)));
+    }
+    if !(args.pull > 0.0 && args.pull <= 5.0) {
+        return Err(Failure::wrong(format!("--pull is {} mm, and must be more than 0 and at most 5", args.pull)));
     }
     let kd = match args.kd.clone() {
         Some(Numbers(kd)) if kd.iter().any(|kd| *kd < 0.0) => {

@@ -30,7 +30,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     let unsaved = unsaved(&mut board)?;
     if !unsaved.is_empty() {
-        loses.push(format!("not saved and then forgotten: {} (`haptic save` keeps it)", unsaved.join(", ")));
+        loses.push(format!("what is not saved will be forgotten: {} (`haptic save` keeps it)", unsaved.join(", ")));
     }
     if !loses.is_empty() {
         confirm(args.yes, &loses.join("; "))?;

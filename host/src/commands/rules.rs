@@ -1,8 +1,9 @@
 //! `haptic rules`: shows or changes what the board enforces, whatever a tool asks for.
 
-use super::port::{Port, answer, counted, warn_of_weaker};
+use super::port::{Port, answer, counted, short, warn_of_weaker};
 use clap::ValueEnum;
 use haptic::error::Failure;
+use haptic_bridge::model::device::Device;
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::servo::{HostAction, Rules};
 use serde_json::json;
@@ -115,7 +116,25 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     let now = board.rules()?;
     warn_of_weaker(&before, &now);
+    if !args.torque.is_empty() {
+        device.iter().for_each(|device| tell_of_weaker_motors(device, &now.limits));
+    }
     answer(args.json, as_json(&now, joints), &in_words(&now, joints))
+}
+
+/// Says which torque limits have no effect, because the motor gives less.
+fn tell_of_weaker_motors(device: &Device<f32>, limits: &Limits) {
+    for (index, (joint, limit)) in device.joints.iter().zip(limits.torque).enumerate().take(device.axes()) {
+        let Some(motor) = joint.motor else { continue };
+        let most = motor.torque_constant * motor.max_current.min(limits.current[index]);
+        if limit > most {
+            haptic::tell!(
+                "the motor of joint {index} gives {} N m at most, and that counts: its limit of {} N m is never reached",
+                short(most),
+                short(limit)
+            );
+        }
+    }
 }
 
 /// Puts what was given, nothing or one for every joint, in its place.

@@ -16,6 +16,9 @@ use ratatui::widgets::{Axis, Block, Chart, Dataset, GraphType, Paragraph, Wrap};
 const KEYS: &str = "hold Space: motors on · x: off · arrows: lead the hand, g: let go · w: wall · k j: stiffness · l h: damping · \
                     f: feed-forward · y: go there anyway · 1 2: signals · s: time · r: record · c: clear fault · t: take command · q: end";
 
+/// Fewer columns than this do not hold a device's name and its state.
+const NARROW: u16 = 40;
+
 /// Draws everything.
 pub fn draw(frame: &mut Frame<'_>, seen: &Seen) {
     let area = frame.area();
@@ -34,7 +37,7 @@ pub fn draw(frame: &mut Frame<'_>, seen: &Seen) {
         Constraint::Length(keys_high),
     ])
     .areas(area);
-    frame.render_widget(Paragraph::new(state(seen)), head);
+    frame.render_widget(Paragraph::new(state(seen, area.width)), head);
     frame.render_widget(Paragraph::new(words(seen)).wrap(Wrap { trim: true }), said);
     frame.render_widget(Paragraph::new(told_of_gains).wrap(Wrap { trim: true }), gains);
     frame.render_widget(Paragraph::new(told(seen)).wrap(Wrap { trim: true }), below);
@@ -71,7 +74,8 @@ fn lines_of(words: &str, width: u16) -> u16 {
     lines
 }
 
-fn state(seen: &Seen) -> Line<'_> {
+/// Whether the motors are on comes first where there is no room for all.
+fn state(seen: &Seen, width: u16) -> Line<'_> {
     let device = seen.hello["device"].as_str().unwrap_or("no board yet");
     let badge = |words, colour| Span::styled(format!(" {words} "), Style::new().bg(colour).fg(Color::Black));
     let state = match (seen.lost.is_some(), seen.picture["state"].as_str()) {
@@ -87,7 +91,8 @@ fn state(seen: &Seen) -> Line<'_> {
         (_, true) => "nobody commands",
         _ => "another page commands",
     };
-    let mut spans = vec![Span::styled(device, Style::new().add_modifier(Modifier::BOLD)), " ".into(), state];
+    let device = Span::styled(device, Style::new().add_modifier(Modifier::BOLD));
+    let mut spans = if width < NARROW { vec![state, " ".into(), device] } else { vec![device, " ".into(), state] };
     spans.push(format!(" {role}").into());
     if !seen.hello["rows_hz"].is_null() {
         spans.push(format!(" · {} rows a second", number(&seen.hello["rows_hz"]).round()).into());

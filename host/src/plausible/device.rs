@@ -3,7 +3,7 @@
 use super::{Doubt, Key, turns};
 use crate::analysis::pose::TaskPose;
 use crate::vectors::padded_to;
-use crate::words::{digits, with_unit};
+use crate::words::{digits, listed, with_unit};
 use core::f64::consts::{PI, TAU};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::{Description, Joint, Link};
@@ -70,7 +70,7 @@ fn forgotten(description: &Description) -> Option<Doubt> {
         "nothing says what lies between motor and link of joint {}: predictions take it for rigid, and a cable or a belt \
          decides how stiff a wall can be; write [joint.transmission], or transmission = \"rigid\" where the motor sits on \
          the joint",
-        silent.join(" and ")
+        listed(&silent)
     );
     Some(Doubt::new(key("joint", Some(first), "", "transmission"), text))
 }

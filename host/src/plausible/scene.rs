@@ -18,6 +18,7 @@ use haptic_bridge::math::Libm;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::shape::Meaning;
 use haptic_bridge::render::scene::{FeedForward, Scene, Surface, Wall};
+use haptic_bridge::render::velocity::Estimator;
 use haptic_bridge::safety::limits::GENTLE_FORCE;
 use nalgebra::{DVector, SVector};
 use serde::Serialize;
@@ -48,6 +49,8 @@ pub struct Contact {
     pub count: f64,
     /// The largest force that one count alone makes with this wall's gains and this scene's estimator, N.
     pub step_n: f64,
+    /// What `haptic range DEVICE` takes to predict the same.
+    pub options: String,
 }
 
 /// Everything doubtful about a scene, and what each wall meets where the device touches it.
@@ -188,7 +191,29 @@ pub fn meets(
         force: force_along(device, &pose, normal),
         count,
         step_n: count * (wall.stiffness + wall.damping * around.estimator.quickest(around.rate_hz)),
+        options: options(scene, wall, q, normal, delay_samples),
     })
+}
+
+fn options(scene: &Scene<f64>, wall: &Wall<f64>, q: &[f64], normal: &[f64], delay_samples: f64) -> String {
+    let list = |values: &[f64]| values.iter().map(|value| digits(*value)).collect::<Vec<_>>().join(",");
+    let estimator = match scene.estimator {
+        Estimator::Butterworth => String::new(),
+        other => format!(" --estimator {}", other.name()),
+    };
+    let washout = match wall.feed_forward {
+        FeedForward::Washout => format!(" --washout {}", wall.washout_hz),
+        _ => String::new(),
+    };
+    format!(
+        "--q={} --normal={} --rate {} --cutoff {} --delay {}{estimator}{washout} --kd {}",
+        list(q),
+        list(normal),
+        scene.rate_hz,
+        scene.cutoff_hz,
+        digits(delay_samples),
+        digits(wall.damping)
+    )
 }
 
 /// What wall `index` of a scene meets if it is touched at a pose, wherever the wall is.
@@ -206,23 +231,24 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> 
         key: in_file.then_some(Key { table: "wall", index: Some(index), part: "", name }),
         text,
     };
-    let pose = contact.q.iter().map(|angle| format!("{angle:.2}")).collect::<Vec<_>>().join(",");
     let mut doubts = Vec::new();
     if wall.damping > contact.damping_to {
         let text = format!(
-            "the damping of wall {index}, {} N s/m, is beyond what is predicted stable: up to {} here (`haptic \
-             range` at --q {pose}); it will vibrate unless friction or a hand damps it",
+            "the damping of wall {index}, {} N s/m, is beyond what is predicted stable: up to {} here; it will vibrate \
+             unless friction or a hand damps it (`haptic range DEVICE {}`)",
             digits(wall.damping),
-            with_unit(contact.damping_to, "N s/m")
+            with_unit(contact.damping_to, "N s/m"),
+            contact.options
         );
         doubts.push(doubt("damping", text));
     } else if wall.stiffness > contact.stable_to {
         let text = format!(
-            "the stiffness of wall {index}, {}, is beyond what is predicted stable: up to {} here (`haptic range` at \
-             --q {pose}); this is {} times that, and it will vibrate unless friction or a hand damps it",
+            "the stiffness of wall {index}, {}, is beyond what is predicted stable: up to {} here; this is {} times \
+             that, and it will vibrate unless friction or a hand damps it (`haptic range DEVICE {}`)",
             with_unit(wall.stiffness, "N/m"),
             with_unit(contact.stable_to, "N/m"),
-            times(wall.stiffness / contact.stable_to.max(1e-9))
+            times(wall.stiffness / contact.stable_to.max(1e-9)),
+            contact.options
         );
         doubts.push(doubt("stiffness", text));
     }

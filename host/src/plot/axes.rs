@@ -50,7 +50,9 @@ impl Axis {
         if self.unit.is_empty() || self.unit == "kg" || self.unit == "dB" {
             return (1.0, self.unit.clone());
         }
-        let (factor, prefix) = prefixes.into_iter().find(|(f, _)| size >= 2.0 * f).unwrap_or((1e-6, "µ"));
+        // 1500 N/m reads well, 1500 mN does not.
+        let fits = |f: f64| size >= if f > 1.0 { 2.0 * f } else { f };
+        let (factor, prefix) = prefixes.into_iter().find(|(f, _)| fits(*f)).unwrap_or((1e-6, "µ"));
         (1.0 / factor, format!("{prefix}{}", self.unit))
     }
 

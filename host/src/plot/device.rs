@@ -57,6 +57,8 @@ pub fn draw(description: &Description, name: &str, q: &[f64], lines: &[String]) 
         turret_axis(canvas, &frame, description.kind);
         let mut taken: Vec<Area> = skeleton.angles.iter().map(|angle| label(&frame, angle, &skeleton).area()).collect();
         taken.extend(turret_label(&frame, description.kind));
+        let tip = frame.pixel(skeleton.tip.0, skeleton.tip.1);
+        taken.push([tip.0 - 18.0, tip.1 - 24.0, tip.0 + 18.0, tip.1 + 6.0]);
         links(canvas, &frame, &skeleton, taken);
         for (angle, colour) in skeleton.angles.iter().zip([OFF, FULL, WASHOUT]) {
             arc(canvas, &frame, angle, pixels, description, colour, &skeleton);
@@ -64,7 +66,6 @@ pub fn draw(description: &Description, name: &str, q: &[f64], lines: &[String]) 
         for base in &skeleton.base {
             linkage::base_pivot(canvas, frame.pixel(base.0, base.1));
         }
-        let tip = frame.pixel(skeleton.tip.0, skeleton.tip.1);
         linkage::tip(canvas, tip);
         let name = if skeleton.letters.is_empty() { "tip" } else { "tip P" };
         canvas.text((tip.0, tip.1 - 12.0), 12.5, Anchor::Middle, false, name);
@@ -99,25 +100,27 @@ fn notes(description: &Description) -> Vec<String> {
     let assembly =
         format!("assembly = {}: the tip P lies to the {side} of the way from C to D", description.geometry[5]);
     let beside_axis = "no ground beside joint 0's axis: joint 0 does not move a tip that is on it, a singular pose";
-    let angles = "angles count from the dashed line (zero) and grow counter-clockwise";
+    let limited = description.joints[..description.kind.spec().joints].iter().any(|joint| joint.limits.is_some());
+    let dotted = if limited { "; dotted arcs: limits" } else { "" };
+    let angles = format!("angles count from the dashed line (zero) and grow counter-clockwise{dotted}");
     match description.kind {
-        Kind::Paddle => vec![angles.into(), "the task coordinate is length × angle, along the arc".into()],
-        Kind::FiveBar => vec![angles.into(), assembly],
+        Kind::Paddle => vec![angles, "the task coordinate is length × angle, along the arc".into()],
+        Kind::FiveBar => vec![angles, assembly],
         Kind::FiveBarTurret => vec![
-            angles.into(),
+            angles,
             assembly,
             "joint 0 turns this plane about the x axis: (X, Y, Z) = (x, y cos q0, y sin q0)".into(),
             beside_axis.into(),
         ],
         Kind::Parallelogram => vec![
-            angles.into(),
+            angles,
             "joints 1 and 2 both count from the horizontal".into(),
             "joint 2 turns the crank; its angle is the forearm's".into(),
             "joint 0 turns this plane about the y axis: (X, Y, Z) = (x cos q0, y, -x sin q0)".into(),
             beside_axis.into(),
         ],
         Kind::Serial3r => vec![
-            angles.into(),
+            angles,
             "each joint counts from the link before".into(),
             "the ground is that of the last link's direction at home".into(),
         ],

@@ -85,7 +85,7 @@ pub fn chart(
         frame.y.name = "y in the linkage's plane".into();
     }
     let bottom = frame.at.1 + frame.size.1;
-    let mut canvas = Canvas::new((frame.at.0 + frame.size.0 + 130.0).max(620.0), bottom + 122.0);
+    let mut canvas = Canvas::new((frame.at.0 + frame.size.0 + 130.0).max(620.0), bottom + 138.0);
 
     let fine = cut.tiles(Fineness { side: 12.0 / pixels, least: 3.0 / pixels, step: 2.0 * top / LEVELS, top });
     frame.clipped(&mut canvas, |canvas| paint(canvas, &frame, &fine, top));
@@ -107,8 +107,13 @@ pub fn chart(
     colour_bar(&mut canvas, &frame, step, top, highest);
     key(&mut canvas, bottom + 74.0, typical, home.is_some());
     let beside = if Turret::of(description.kind).is_some() { " (joint 0's axis is one)" } else { "" };
-    let coloured = format!("coloured: where the tip gets, clear of singular poses{beside}");
-    canvas.text((frame.at.0, bottom + 112.0), 11.5, Anchor::Start, false, &coloured);
+    let coloured = [
+        format!("coloured: where the tip gets from home, clear of singular poses{beside}"),
+        "with arms bent as at home: of other arm poses with the tip in the same place nothing is shown".into(),
+    ];
+    for (i, line) in coloured.iter().enumerate() {
+        canvas.text((frame.at.0, bottom + 112.0 + 16.0 * i as f64), 11.5, Anchor::Start, false, line);
+    }
     let picture =
         canvas.finish(&title, "Coupling between rendered and admissible motion over the reachable workspace.");
     Ok(Chart { picture, frame, top })

@@ -46,22 +46,19 @@ pub fn draw(description: &Description, name: &str) -> Result<Picture, PoseError>
     frame.draw(&mut canvas, "");
     let title = format!("{name}: one joint, nothing to couple");
     canvas.text((frame.at.0, 28.0), 15.0, Anchor::Start, false, &title);
-    let weight = format!("the handle weighs Weff = Wrr = {:.1} g along its arc, everywhere", 1e3 * w_rr);
+    let weight = format!("inertia felt at the handle: Weff = Wrr = {:.1} g along its arc, everywhere", 1e3 * w_rr);
     canvas.text((frame.at.0, 48.0), 12.0, Anchor::Start, false, &weight);
-    let length = description.geometry[0];
-    let reach = match joint.limits {
-        Some((low, high)) => format!(
-            "limits {:.0} to {:.0}°: task coordinate {:.1} to {:.1} mm along the arc, home {:.1} mm",
-            low.to_degrees(),
-            high.to_degrees(),
-            1e3 * length * low,
-            1e3 * length * high,
-            1e3 * length * home
+    let length = 1e3 * description.geometry[0];
+    let (limits, along) = match joint.limits {
+        Some((low, high)) => (
+            format!("limits {:.0} to {:.0}°", low.to_degrees(), high.to_degrees()),
+            format!("{:.1} to {:.1} mm, home {:.1} mm", length * low, length * high, length * home),
         ),
-        None => format!("no joint limits; task coordinate at home {:.1} mm along the arc", 1e3 * length * home),
+        None => ("no joint limits".into(), format!("home {:.1} mm", length * home)),
     };
-    canvas.text((frame.at.0, 65.0), 12.0, Anchor::Start, false, &reach);
-    let zero = "zero angle along +x, growing counter-clockwise";
-    canvas.text((frame.at.0, 82.0), 12.0, Anchor::Start, false, zero);
+    let zero = format!("{limits}; zero angle along +x, growing counter-clockwise");
+    canvas.text((frame.at.0, 65.0), 12.0, Anchor::Start, false, &zero);
+    let task = format!("task coordinate along the arc: {along}");
+    canvas.text((frame.at.0, 82.0), 12.0, Anchor::Start, false, &task);
     Ok(canvas.finish(&title, "The arc that the handle of a device with one joint can reach."))
 }

@@ -5,6 +5,7 @@ use crate::error::Failure;
 use crate::link::Board;
 use crate::output;
 use crate::words::{nth_step, wall_in_words};
+use haptic_bridge::servo::Rules;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -50,7 +51,8 @@ impl About {
         }
         // For programs: the same and the rest, as the board holds them at the start.
         text.push_str(&format!("scene {}\n", json(&scene)?));
-        text.push_str(&format!("rules {}\n", json(&rules)?));
+        let joints = device.as_ref().map_or(details.axes.into(), |device| device.axes());
+        text.push_str(&format!("rules {}\n", json(&of_joints(&rules, joints)?)?));
         // And once more to the bit, as a backup has them: `haptic replay` computes with these.
         let mut settings = BTreeMap::new();
         settings.extend(device.and_then(|device| Some(("device", bytes_alone(SavedSetting::of(&device)?)))));
@@ -93,6 +95,18 @@ impl About {
 /// Version and bytes; what they mean stands beside them already.
 fn bytes_alone(kept: SavedSetting) -> SavedSetting {
     SavedSetting { value: None, ..kept }
+}
+
+/// Rules with one number per joint, where a board has room for more joints than a device has.
+fn of_joints(rules: &Rules, joints: usize) -> Result<serde_json::Value, Failure> {
+    let mut rules = serde_json::to_value(rules).map_err(Failure::impossible)?;
+    for list in rules["limits"].as_object_mut().into_iter().flatten().filter_map(|(_, limit)| limit.as_array_mut()) {
+        list.truncate(joints);
+    }
+    if let Some(list) = rules["index_period"].as_array_mut() {
+        list.truncate(joints);
+    }
+    Ok(rules)
 }
 
 fn json(value: &impl Serialize) -> Result<String, Failure> {

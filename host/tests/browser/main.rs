@@ -137,12 +137,21 @@ fn the_dot_is_dragged_and_stops_at_the_boundary_until_one_goes_on() {
         browser.evaluate(&tab, "$('stiffness').value === String(+view.walls[0].stiffness.toPrecision(4))"),
         true
     );
+    let top = browser.evaluate(&tab, "$('plane').getBoundingClientRect().top");
     let beyond = on_plane(&mut browser, &tab, 40.0, 23e3);
     browser.drag(&tab, to, beyond);
     browser.until(
         &tab,
         "$('notice').classList.contains('shown') && $('why').textContent.includes('predicted to be unstable')",
     );
+    assert_eq!(
+        browser.evaluate(&tab, "$('plane').getBoundingClientRect().top"),
+        top,
+        "the plane stays under the finger"
+    );
+    let in_sight = "['ff-full', 'close', 'let-go', 'off', 'key'].every(id => { const r = $(id).getBoundingClientRect(); \
+                    return $(id).contains(document.elementFromPoint(r.left + r.width / 2, r.top + r.height / 2)); })";
+    assert_eq!(browser.evaluate(&tab, in_sight), true, "what one needs then is not covered");
     assert_eq!(browser.evaluate(&tab, "view.walls[0].stiffness < 21e3"), true, "it stays on the stable side");
     browser.until(&tab, "view.again?.stiffness > 22e3");
     browser.evaluate(&tab, "$('anyway').click()");
@@ -194,6 +203,27 @@ fn the_wall_is_pressed_by_the_mouse_and_its_feed_forward_changed_under_it() {
     let before = browser.evaluate(&tab, "view.walls[0].values[1]").as_f64().unwrap();
     browser.drag(&tab, handle, (handle.0, handle.1 + 60.0));
     browser.until(&tab, &format!("view.walls[0].values[1] < {before} - 0.01"));
+    assert_eq!(browser.complaints(), [""; 0]);
+}
+
+#[test]
+fn a_single_sweep_says_that_it_waits_and_its_letters_keep_their_shape() {
+    let (_view, mut browser, tab) = opened();
+    browser.until(&tab, "view.sweep && $('phase').textContent === 'rolling'");
+    browser.evaluate(&tab, "window.rolled = view.sweep");
+    browser.evaluate(
+        &tab,
+        "$('channel-a').value = 'distance_m'; $('edge').value = 'down'; $('level').value = '0'; \
+         $('trigger').value = 'once'; $('trigger').onchange()",
+    );
+    // One that was under way comes in late.
+    browser.evaluate(&tab, "numbers(window.rolled)");
+    assert_eq!(browser.evaluate(&tab, "$('phase').textContent"), "waiting for the trigger");
+    lead_into_the_wall(&mut browser, &tab);
+    browser.until(&tab, "view.sweep && view.sweep[1] === 3 && $('phase').textContent === 'one sweep'");
+    browser.evaluate(&tab, "$('scope').style.maxHeight = '80px'");
+    browser.until(&tab, "$('scope').clientHeight === 80 && $('scope').height === Math.round(80 * devicePixelRatio)");
+    browser.space(&tab, "keyUp");
     assert_eq!(browser.complaints(), [""; 0]);
 }
 
@@ -255,6 +285,7 @@ fn the_page_fits_a_phone_a_laptop_and_a_projector() {
         ("laptop-dark", LAPTOP, 1.0, true),
         ("phone", PHONE, 2.0, false),
         ("phone-dark", PHONE, 2.0, true),
+        ("phone-turned", (PHONE.1, PHONE.0), 2.0, false),
         ("projector", PROJECTOR, 1.0, false),
     ] {
         browser.size(&tab, size, scale);

@@ -44,6 +44,8 @@ fn one_page_commands_and_the_others_watch() {
     assert_eq!(second.walls, first.walls);
     first.say(json!({"do": "give"}));
     second.until("a free board", |page| page.picture["command"].is_null());
+    first.say(json!({"do": "arm"}));
+    first.until_refused("nobody is in command: take it first");
     second.say(json!({"do": "take"}));
     first.until("the other one in command", |page| page.picture["command"] == second.you);
 }
