@@ -410,6 +410,30 @@ fn a_contact_that_jumps_tilts_appears_or_goes_makes_no_step_of_force() {
 }
 
 #[test]
+fn a_contact_that_is_renewed_while_it_fades_comes_back_without_a_step_of_force() {
+    let mut rig = armed();
+    let tip = look(&mut rig).tip;
+    let contact = |depth: f32| {
+        let point = [tip[0] + depth, tip[1], 0.0];
+        let contact = HostContact { point, normal: [1.0, 0.0, 0.0], stiffness: 1e3, damping: 0.0 };
+        ForceRequest { contact: Some(contact), hold: 0.01, fade: 0.05, ..request(0) }
+    };
+    // Held for 10 ms, then for 35 of 50 ms on its way to nothing; renewed where it is and a millimetre further.
+    for (sequence, depth) in [(1, 2.0e-3), (2, 2.0e-3), (3, 3.0e-3)] {
+        let mut before = look(&mut rig).force[0];
+        rig.servo.force(&ForceRequest { sequence, ..contact(depth) });
+        for _ in 0..(0.045 * RATE) as usize {
+            rig.step();
+            let now = look(&mut rig).force[0];
+            // 2 N in 1 ms, two steps of this rig, or 3 N in 20.
+            assert!((now - before).abs() <= 1.0 + 1.0e-3, "{sequence}: from {before} to {now} N");
+            before = now;
+        }
+        assert!((before - 0.3 * 1e3 * depth).abs() < 0.1 * 1e3 * depth, "{sequence}: {before} N");
+    }
+}
+
+#[test]
 fn a_contact_that_is_sent_again_as_it_is_goes_on_moving_to_where_it_was_going() {
     let mut rig = armed();
     let tip = look(&mut rig).tip;

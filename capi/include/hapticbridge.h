@@ -27,7 +27,7 @@
 #define HB_FAILED 1
 
 /*
- NULL, or text that is not UTF-8.
+ NULL, text that is not UTF-8, or a number that is none.
  */
 #define HB_BAD_ARGUMENT 2
 
@@ -62,7 +62,7 @@
 #define HB_TOO_OLD 4
 
 /*
- A number that cannot be used.
+ A number that cannot be used: hb_error() says which.
  */
 #define HB_BAD 5
 
@@ -193,7 +193,8 @@ extern "C" {
 uint32_t hb_version(void);
 
 /*
- What went wrong in the last call of this thread that failed; valid until its next call. Never NULL.
+ What went wrong in the last call of this thread that failed, or which number of a request was HB_BAD; valid until its next
+ call. Never NULL.
  */
 const char *hb_error(void);
 

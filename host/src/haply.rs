@@ -7,7 +7,7 @@
 //! The frame is Haply's: x to the operator's right, y away from the operator, z up, the origin at the device's base.
 
 use crate::frame::Axes;
-use crate::link::{BoardError, Session};
+use crate::link::{BoardError, Session, nothing_yet};
 use haptic_bridge::board::protocol::{ForceAnswer, ForceDone};
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::State;
@@ -397,8 +397,7 @@ fn converse(stream: TcpStream, shared: &Shared) -> tungstenite::Result<()> {
             }
             Ok(Message::Close(_)) => return Ok(()),
             Ok(_) => {}
-            Err(tungstenite::Error::Io(error))
-                if matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock) => {}
+            Err(tungstenite::Error::Io(error)) if nothing_yet(&error) => {}
             Err(error) => return Err(error),
         }
     }

@@ -24,4 +24,5 @@ pub use ports::{BoardPort, PortSpec, USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR, 
 pub(crate) use ports::{open_serial, open_tcp};
 pub use session::{FADE, HOLD, Session};
 pub use telemetry::{Column, Losses, Row, columns, fields, rows_that_fit};
+pub(crate) use wire::nothing_yet;
 pub use wire::{SerialWire, TcpWire, Wire};

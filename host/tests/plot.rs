@@ -122,7 +122,7 @@ fn the_picture_says_what_was_recorded() {
     let panels = read(&text);
     let names: Vec<&str> = panels.iter().flat_map(|panel| &panel.labels).map(String::as_str).collect();
     let expected = [
-        "time (ms)",
+        "time (s)",
         "rendered (N)",
         "penetration (mm)",
         "rendered (N)",

@@ -246,17 +246,19 @@ impl Blend {
         }
     }
 
-    /// Sends it to the host's contact, or lets it vanish where it is.
-    fn go(&mut self, contact: Option<&HostContact>) {
+    /// Sends it to the host's contact, or lets it vanish where it is, from the `share` of it that acts now: one that was about
+    /// to fade comes back evenly, too.
+    fn go(&mut self, contact: Option<&HostContact>, share: f32) {
         let now = self.now();
+        let now = PushedPlane { stiffness: now.stiffness * share, damping: now.damping * share, ..now };
         let gone = |plane: PushedPlane<f32>| PushedPlane { stiffness: 0.0, damping: 0.0, ..plane };
         let absent = |plane: &PushedPlane<f32>| plane.stiffness == 0.0 && plane.damping == 0.0;
         let to = contact.map_or(gone(self.to), HostContact::plane);
-        if to == self.to {
+        if to == self.to && share >= 1.0 {
             return;
         }
         let (least, most) = BLEND_SECONDS;
-        let moves = !absent(&now) && !absent(&to);
+        let moves = to != self.to && !absent(&now) && !absent(&to);
         self.duration = if moves { self.elapsed.clamp(least, most) } else { least };
         self.from = if absent(&now) { gone(to) } else { now };
         self.to = to;
@@ -284,8 +286,11 @@ pub(super) struct HostForce {
 impl HostForce {
     /// Takes a request that is `age` seconds old.
     fn take(&mut self, request: &ForceRequest, age: f32) {
+        // As much acts in the next step as in the last one.
+        let lease = request.lease(age);
+        let share = if self.lease < lease { self.lease / lease } else { 1.0 };
+        self.contact.go(request.contact.as_ref(), share);
         (self.request, self.age, self.acts) = (*request, age, true);
-        self.contact.go(request.contact.as_ref());
     }
 
     /// Lets a step of `period` (s) pass and returns what it pushes with in that step; `None` once it is gone.

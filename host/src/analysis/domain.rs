@@ -46,6 +46,7 @@ pub struct Domain {
     /// Damping at which kp_max reaches zero, N s/m.
     pub kd_max: f64,
     /// The largest stiffness of all dampings; where dampings were asked for, of those.
+    #[serde(skip)]
     pub top: BoundaryPoint,
     /// kp_max over damping.
     pub boundary: Vec<BoundaryPoint>,

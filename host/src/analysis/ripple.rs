@@ -233,6 +233,7 @@ impl Pressed<'_> {
         let at_rest = row * self.push_n;
         let mut waiting: VecDeque<DVector<f64>> = (0..whole as usize).map(|_| at_rest.clone()).collect();
         let (mut acting, mut torque) = (at_rest.clone(), at_rest);
+        let against = self.against(mode, &mobility, &shaped)?;
         let longest = if self.description.is_flexible() { STEP_S.1 } else { STEP_S.0 };
         let total = ((SETTLE_S + LOOK_S) * self.around.rate_hz).round() as usize;
         let settle = (SETTLE_S * self.around.rate_hz).round() as usize;
@@ -262,9 +263,9 @@ impl Pressed<'_> {
             };
             waiting.push_back(row * asked[0] + &shaped * asked[1]);
             let next = waiting.pop_front()?;
-            let push = self.push_n + RISE * n as f64 * period;
+            let push = &against * (self.push_n + RISE * n as f64 * period);
             for (torques, time) in [(acting.clone(), fraction * period), (next.clone(), (1.0 - fraction) * period)] {
-                self.advance(&mut plant, &torques, &mut torque, &lags, &weight, &tip0, push, time, longest, period);
+                self.advance(&mut plant, &torques, &mut torque, &lags, &weight, &tip0, &push, time, longest, period);
             }
             acting = next;
             let tip = plant.tip();
@@ -281,6 +282,19 @@ impl Pressed<'_> {
         Some([rms, 0.5 * force, about_its_line(&tips).1])
     }
 
+    /// What a hand presses with that keeps the tip where it is, per newton of wall, d entries: along the normal, and against
+    /// the feed-forward's steady push sideways, Λ J M⁻¹ of its torques. A hand that lets the tip be pushed aside presses
+    /// another wall: its spring alone would give way by millimetres, to where the loop's linearisation is none.
+    fn against(&self, mode: Mode, mobility: &DMatrix<f64>, shaped: &DVector<f64>) -> Option<DVector<f64>> {
+        let normal = DVector::from_column_slice(&self.normal);
+        // A washout has no steady push.
+        if mode != Mode::Full {
+            return Some(normal);
+        }
+        let tip = &self.device.flexible.tip;
+        Some((tip * mobility * tip.transpose()).cholesky()?.solve(&(tip * mobility * shaped)))
+    }
+
     /// Lets `time` (s) pass under commanded `torques`, N m beside what carries the device; `torque` is what the drives give.
     #[allow(clippy::too_many_arguments)]
     fn advance(
@@ -291,7 +305,7 @@ impl Pressed<'_> {
         lags: &Lags,
         weight: &[f64; 3],
         tip0: &[f64; 3],
-        push: f64,
+        push: &DVector<f64>,
         time: f64,
         longest: f64,
         period: f64,
@@ -320,8 +334,8 @@ impl Pressed<'_> {
                 };
                 load.torque[j] = mean + weight[j];
             }
-            for (i, n) in self.normal.iter().enumerate() {
-                load.force[i] = -push * n - self.hand.stiffness * (tip[i] - tip0[i]) - self.hand.damping * speed[i];
+            for (i, push) in push.iter().enumerate() {
+                load.force[i] = -push - self.hand.stiffness * (tip[i] - tip0[i]) - self.hand.damping * speed[i];
             }
             plant.step(&load, h);
         }

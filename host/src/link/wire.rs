@@ -22,7 +22,8 @@ const SEND_TIMEOUT: Duration = Duration::from_secs(3);
 /// Shortest timeout that the operating system is asked for: zero means "for ever" to sockets.
 const SHORTEST: Duration = Duration::from_millis(1);
 
-fn nothing_yet(error: &io::Error) -> bool {
+/// Whether a reader that waits a while has only to wait again; a signal interrupts one that has a timeout, too.
+pub(crate) fn nothing_yet(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted)
 }
 

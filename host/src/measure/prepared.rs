@@ -394,8 +394,8 @@ impl<'a> PreparedBoard<'a> {
     fn watch(&mut self, feed_forward: FeedForward, kp: f64, kd: f64, pull: f64) -> Result<Verdict, MeasureError> {
         self.test(kp, kd, feed_forward)?;
         let row_seconds = f64::from(self.divider) / self.setup.rate_hz;
-        let period = TAU * (self.heaviest / kp).sqrt();
-        let mut swing = Swing::new(row_seconds, self.setup.tempo_hz(), period, self.excitation.quantum, pull.abs());
+        let slowest = (TAU * (self.heaviest / kp).sqrt(), kd < 2.0 * (kp * self.heaviest).sqrt());
+        let mut swing = Swing::new(row_seconds, self.setup.tempo_hz(), slowest, self.excitation.quantum, pull.abs());
         let first = self.board.status()?.step;
         loop {
             for at in self.places(0.02)? {

@@ -83,14 +83,18 @@ pub struct Swing {
 
 impl Swing {
     /// Follows positions every `row_seconds`, in steps of `quantum` (m), of a loop whose velocity filter cuts off at
-    /// `cutoff_hz` and whose slowest mode is expected to take about `period` (s), pulled aside by `pull` (m) at first.
-    pub fn new(row_seconds: f64, cutoff_hz: f64, period: f64, quantum: f64, pull: f64) -> Self {
+    /// `cutoff_hz` and whose slowest mode is expected to take about `period` (s), if it swings at all, pulled aside by `pull`
+    /// (m) at first.
+    pub fn new(row_seconds: f64, cutoff_hz: f64, (period, swings): (f64, bool), quantum: f64, pull: f64) -> Self {
         let rows_a_period = 1.0 / (row_seconds * cutoff_hz);
-        let slowest = (period / row_seconds).min(SILENT.1 * rows_a_period);
+        let slowest = period / row_seconds;
+        let silent = slowest.clamp(SILENT.0 * rows_a_period, SILENT.1 * rows_a_period);
+        // What is damped beyond critical does not swing.
+        let slowest = if swings { slowest } else { 0.0 };
         Self {
-            place: Trace::new(rows_a_period, slowest, quantum, pull, LOOKS.0),
+            place: Trace::new(rows_a_period, (slowest, silent), quantum, pull, LOOKS.0),
             // Errors of up to half a step in three places, one of them twice; of no size to be expected.
-            bend: Trace::new(rows_a_period, slowest, 4.0 * quantum, f64::INFINITY, LOOKS.1),
+            bend: Trace::new(rows_a_period, (slowest, silent), 4.0 * quantum, f64::INFINITY, LOOKS.1),
             before: [None; 2],
             told: [None; 2],
         }
@@ -149,7 +153,7 @@ struct Trace {
 }
 
 impl Trace {
-    fn new(rows_a_period: f64, slowest: f64, quantum: f64, pull: f64, looks: usize) -> Self {
+    fn new(rows_a_period: f64, (slowest, silent): (f64, f64), quantum: f64, pull: f64, looks: usize) -> Self {
         Self {
             looks,
             slowest,
@@ -158,7 +162,7 @@ impl Trace {
             noise: 1.5 * quantum,
             explained: ENCODER_STEPS * quantum,
             pull,
-            silent: slowest.max(SILENT.0 * rows_a_period),
+            silent,
             extreme: None,
             turned: None,
             swings: Vec::new(),
@@ -357,7 +361,7 @@ mod tests {
     }
 
     fn judged_every(dt: f64, cutoff: f64, period: f64, quantum: f64, motion: impl Fn(f64) -> f64) -> Verdict {
-        let mut swing = Swing::new(dt, cutoff, period, quantum, 1e-3);
+        let mut swing = Swing::new(dt, cutoff, (period, true), quantum, 1e-3);
         for k in 0..60_000 {
             let x = motion(f64::from(k) * dt);
             let x = if quantum > 0.0 { (x / quantum).round() * quantum } else { x };
@@ -440,7 +444,7 @@ mod tests {
     #[test]
     fn a_fast_ripple_at_first_is_not_a_slow_mode_s_growth() {
         // A wall of 2 kN/m on the shipped Phantom with cables of 400 Hz, sampled at 5 kHz: stable up to 8.4 kN/m.
-        let mut swing = Swing::new(2e-4, 200.0, 0.03, 3e-7, 1.4e-4);
+        let mut swing = Swing::new(2e-4, 200.0, (0.03, true), 3e-7, 1.4e-4);
         let place = |t: f64| {
             let slow = 7e-5 * (-25.0 * t).exp() * (TAU * 32.5 * t).cos();
             slow + 5e-6 * (-70.0 * t).exp() * (TAU * 433.0 * t).cos()

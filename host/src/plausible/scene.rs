@@ -297,6 +297,8 @@ fn buzzing(scene: &Scene<f64>, contact: &Contact) -> Option<Doubt> {
 /// Below this share of what is stable without the feed-forward a washout costs more than it brings, beyond what rounds
 /// away.
 const COSTLY: f64 = 0.99;
+/// Share of what is stable with it from which on a wall is near enough for that to matter.
+const NEAR: f64 = 0.25;
 /// How often a corner is halved that is looked for.
 const HALVED: usize = 10;
 
@@ -309,7 +311,8 @@ fn washed_away(device: &Device<f64>, scene: &Scene<f64>, contact: &Contact) -> O
     linearised.gain = scene.feed_forward_gain;
     let stable_to = |mode| Some(stiffness_at(&linearised, &around, mode, wall.damping).ok()?.0);
     let without = stable_to(Mode::Off)?;
-    if wall.feed_forward != FeedForward::Washout || contact.stable_to >= COSTLY * without {
+    let asked_for = contact.stable_to < COSTLY * without && wall.stiffness > NEAR * contact.stable_to;
+    if wall.feed_forward != FeedForward::Washout || !asked_for {
         return None;
     }
     let corners = (1..=HALVED).map(|halved| wall.washout_hz / f64::from(1 << halved));

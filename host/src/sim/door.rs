@@ -3,7 +3,7 @@
 //! A second tool on TCP is told that the board is taken; on a pseudo-terminal a lock tells it. One that has held the board
 //! in silence gives way to it, and a request to disarm gets through in any case.
 
-use crate::link::{Deframer, Occupied, encode};
+use crate::link::{Deframer, Occupied, encode, nothing_yet};
 use haptic_bridge::board::protocol::Disarm;
 use postcard_rpc::Endpoint as _;
 use postcard_rpc::Topic;
@@ -78,7 +78,7 @@ pub fn pseudo_terminal() -> io::Result<ToolListener> {
                         return;
                     }
                 }
-                Err(error) if error.kind() == io::ErrorKind::TimedOut => {}
+                Err(error) if nothing_yet(&error) => {}
                 _ => {
                     if std::mem::take(&mut connected) && send.send(Event::Gone).is_err() {
                         return;
@@ -162,7 +162,7 @@ impl Knocking {
                 thread::sleep(pause);
                 true
             }
-            Err(error) => matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut),
+            Err(error) => nothing_yet(&error),
         }
     }
 
@@ -298,10 +298,8 @@ fn outgoing(mut sink: impl Write + Send + 'static) -> Outgoing {
                 match sink.write(rest) {
                     Ok(0) => return,
                     Ok(count) => rest = &rest[count..],
-                    Err(error) => match error.kind() {
-                        io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted => {}
-                        _ => return,
-                    },
+                    Err(error) if nothing_yet(&error) => {}
+                    Err(_) => return,
                 }
             }
         }

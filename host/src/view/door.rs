@@ -6,6 +6,7 @@
 
 use super::hub::{self, Hub, PageId};
 use super::message::FromPage;
+use crate::link::nothing_yet;
 use std::io::{self, Read, Write};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::sync::Arc;
@@ -247,10 +248,6 @@ fn converse(
         }
         socket.flush()?;
     }
-}
-
-fn nothing_yet(error: &io::Error) -> bool {
-    matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted)
 }
 
 #[cfg(test)]
