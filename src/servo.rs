@@ -70,6 +70,8 @@ pub struct Servo<P> {
     most_torque: Torques,
     most_force_squared: f32,
     period: f32,
+    /// The step since which that is the period.
+    rate_since: u32,
     host_silent: f32,
     /// For how long it may be, s: without end where nobody minds.
     host_patience: f32,
@@ -106,6 +108,7 @@ where
             fault: None,
             now: Now::default(),
             period: 1.0 / 20_000.0,
+            rate_since: 0,
             fade: fade::Fade::default(),
             cut: Some(fade::Acted::default()),
             most_torque: Torques::default(),

@@ -625,7 +625,7 @@ fn a_refused_piece_of_a_table_leaves_the_table_in_force() {
     };
     let mut service = Service::new(hardware(), Limits::default());
     service.set_device(&mut machine, device(&five_bar())).unwrap();
-    let values = [1.0e-3_f32; 3 * 4];
+    let values = [[1.0e-3_f32, 1.0e-4, 1.0e-3]; 4].concat();
     let piece = |offset, values: &[f32]| TableChunk { offset, values: values.iter().copied().collect() };
     service.receive_table(&mut machine, &piece(0, &values)).unwrap();
     let grid = Grid { interpolation: Interpolation::Bilinear, points: [2, 2], low: [0.0; 2], spacing: [0.5; 2] };
@@ -649,7 +649,7 @@ fn a_refused_piece_of_a_table_leaves_the_table_in_force() {
 /// A table is of one device's mass matrix: what was sent before another device came is nothing to it.
 #[test]
 fn a_table_that_was_sent_before_a_device_is_not_accepted_for_it() {
-    let values = [1.0e-3_f32; 3 * 4];
+    let values = [[1.0e-3_f32, 1.0e-4, 1.0e-3]; 4].concat();
     let chunk = TableChunk { offset: 0, values: values.iter().copied().collect() };
     let grid = Grid { interpolation: Interpolation::Bilinear, points: [2, 2], low: [0.0; 2], spacing: [0.5; 2] };
     let table = MassModelData::Table(grid, checksum(&values));

@@ -20,7 +20,7 @@ use crate::board::{Board, This};
 use crate::machine::BoardMachine;
 use crate::serial::{Event, Incoming, Outgoing, PACKET, Serial, UsbDriver};
 use crate::telemetry::TelemetryStream;
-use crate::{faults, supervisor};
+use crate::{reset, supervisor};
 
 bind_interrupts!(struct Irqs {
     OTG_FS => usb::InterruptHandler<USB_OTG_FS>;

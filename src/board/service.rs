@@ -211,7 +211,7 @@ impl Service {
     ) -> Result<(), Refusal> {
         must_be_off(machine)?;
         check_device::<Mc::Math>(&device)?;
-        let scene = self.configuration.scene.as_ref().filter(|scene| usize::from(scene.task) == task(&device)).cloned();
+        let scene = self.configuration.scene.as_ref().filter(|scene| fits(scene, &device)).cloned();
         let next = Configuration { device: Some(device), scene, mass, rules: self.configuration.rules };
         self.install(machine, next, false, None)?;
         self.took_device(machine)
@@ -293,7 +293,7 @@ impl Service {
             program.set_mass(mass, self.receiving.values())?;
             placed = Some((machine.place(program)?, scene.rate_hz));
         }
-        if let Some(Err(refusal)) = keys.map(|keys| machine.commit(keys)) {
+        if let Some(Err(refusal)) = keys.map(|keys| complete(machine, &next, keys)) {
             if let Some((held, _)) = placed {
                 machine.release(held);
             }
@@ -463,20 +463,8 @@ impl Service {
     /// is erased.
     pub fn save(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
         must_be_off(machine)?;
-        let _ = self.poll(machine);
         let mut keys = KeyList::new();
-        if let Some(device) = &self.configuration.device {
-            stage(machine, device, &mut keys)?;
-        }
-        if let Some(scene) = &self.configuration.scene {
-            stage(machine, scene, &mut keys)?;
-        }
-        stage(machine, &self.configuration.rules, &mut keys)?;
-        // A table is too long for a setting and not kept: a board that starts anew uses the closed form.
-        match &self.configuration.mass {
-            MassModelData::Table(..) => stage(machine, &MassModelData::Exact, &mut keys)?,
-            kept => stage(machine, kept, &mut keys)?,
-        }
+        stage_all(machine, &self.configuration, &mut keys)?;
         stage(machine, &BoardName(self.name.clone()), &mut keys)?;
         if keys.is_empty() { Ok(()) } else { machine.commit(&keys) }
     }
@@ -503,8 +491,9 @@ impl Service {
     }
 
     /// Puts the settings that were staged under these keys in force and into flash, as one change: when any of them
-    /// cannot be, none is, and no limit is ever in force with a device that it was not meant for. Settings that are not
-    /// named stay as they are, but for the mass model and the scene of another device.
+    /// cannot be, none is, and no limit is ever in force with a device that it was not meant for, nor after the next start:
+    /// settings that are not named stay as they are, but for the mass model and the scene of another device, and count in flash
+    /// as well.
     pub fn commit_entries<Mc: Machine>(&mut self, machine: &mut Mc, keys: &KeyList) -> Result<(), Refusal> {
         must_be_off(machine)?;
         let rules: Option<Rules> = self.taken(machine, keys)?;
@@ -531,7 +520,7 @@ impl Service {
                 }
                 let scene = scene.or_else(|| before.scene.clone());
                 let kept = if same_device { before.mass.clone() } else { MassModelData::Exact };
-                (scene.filter(|scene| usize::from(scene.task) == task(device)), mass.unwrap_or(kept))
+                (scene.filter(|scene| fits(scene, device)), mass.unwrap_or(kept))
             }
             None if scene.is_some() => return Err(Refusal::NoDevice),
             None => (None, before.mass.clone()),
@@ -561,6 +550,48 @@ impl Service {
 /// Refuses while the motors are on.
 pub fn must_be_off(machine: &mut impl Machine) -> Result<(), Refusal> {
     if machine.status().state.drives() { Err(Refusal::Armed) } else { Ok(()) }
+}
+
+/// Whether a scene can be felt on a device.
+fn fits(scene: &Scene<f32>, device: &Device<f32>) -> bool {
+    usize::from(scene.task) == task(device) && (scene.posture.is_none() || device.axes() > task(device))
+}
+
+/// Makes what was staged under these keys count, and with it the rest of the configuration: what flash holds of another
+/// would be in force beside it after the next start.
+fn complete(machine: &mut impl Machine, next: &Configuration, keys: &KeyList) -> Result<(), Refusal> {
+    let mut all = KeyList::new();
+    stage_all(machine, next, &mut all)?;
+    // A scene that is no more in force must not come back.
+    if let (Some(device), None) = (&next.device, &next.scene)
+        && machine.load(Key::Scene).is_some()
+    {
+        stage(machine, &nothing_to_feel(device), &mut all)?;
+    }
+    for key in keys {
+        if !all.contains(key) {
+            // There are as many places as keys.
+            let _ = all.push(*key);
+        }
+    }
+    machine.commit(&all)
+}
+
+/// Stages a configuration.
+fn stage_all(machine: &mut impl Machine, configuration: &Configuration, keys: &mut KeyList) -> Result<(), Refusal> {
+    let Configuration { device, scene, mass, rules } = configuration;
+    if let Some(device) = device {
+        stage(machine, device, keys)?;
+    }
+    if let Some(scene) = scene {
+        stage(machine, scene, keys)?;
+    }
+    stage(machine, rules, keys)?;
+    // A table is too long for a setting and not kept: a board that starts anew uses the closed form.
+    match mass {
+        MassModelData::Table(..) => stage(machine, &MassModelData::Exact, keys),
+        kept => stage(machine, kept, keys),
+    }
 }
 
 /// Stages a setting, unless flash holds this value already, and notes its key.

@@ -3,7 +3,7 @@
 //! M depends on two joint coordinates at most ([`Mechanism::shape`]), so a table is a grid over these two. It holds the
 //! distinct entries of M alone ([`Mechanism::MASS_ENTRIES`]), and has a fixed size: [`TABLE_VALUES`] numbers, under 3
 //! KB of the board's memory. Outside its grid the closed form is used, so a table is never wrong by more than its
-//! interpolation.
+//! interpolation; so it is where what stands between its points is no mass matrix.
 //!
 //! The way in is [`MassModel::new`], from what a tool sent, and the way out [`MassModel::shaping`]: nothing else knows
 //! how a matrix is prepared.
@@ -13,6 +13,7 @@
 use crate::checksum::Crc32;
 use crate::math::{Math, Real};
 use crate::model::mechanism::{Mechanism, Shaping};
+use crate::model::solve::is_positive_definite;
 use heapless::Vec;
 use nalgebra::{SMatrix, SVector};
 use postcard_schema::Schema;
@@ -190,16 +191,7 @@ impl<T: Real> Table<T> {
 
     /// M at joint coordinates; `None` outside the grid.
     fn mass<M: Mechanism<T, N>, const N: usize>(&self, shape: &[T; 2]) -> Option<SMatrix<T, N, N>> {
-        let entries = self.entries(shape, M::MASS_ENTRIES.len())?;
-        let mut mass = SMatrix::<T, N, N>::zeros();
-        for ((row, column), value) in M::MASS_ENTRIES.iter().zip(entries) {
-            for place in [(*row, *column), (*column, *row)] {
-                if let Some(entry) = mass.get_mut(place) {
-                    *entry = value;
-                }
-            }
-        }
-        Some(mass)
+        Some(of_entries::<T, M, N>(&self.entries(shape, M::MASS_ENTRIES.len())?))
     }
 
     /// The first `count` entries at joint coordinates. Not inlined: all mechanisms share it.
@@ -227,6 +219,19 @@ impl<T: Real> Table<T> {
         }
         Some(entries)
     }
+}
+
+/// M of its distinct entries.
+fn of_entries<T: Real, M: Mechanism<T, N>, const N: usize>(entries: &[T]) -> SMatrix<T, N, N> {
+    let mut mass = SMatrix::<T, N, N>::zeros();
+    for ((row, column), value) in M::MASS_ENTRIES.iter().zip(entries) {
+        for place in [(*row, *column), (*column, *row)] {
+            if let Some(entry) = mass.get_mut(place) {
+                *entry = *value;
+            }
+        }
+    }
+    mass
 }
 
 /// Weights of four neighbours at `t` in [0, 1] between the middle two (Catmull and Rom 1974, tension 1/2).
@@ -273,7 +278,10 @@ impl<T: Real, const N: usize> MassModel<T, N> {
         let mass = match self {
             Self::Exact => return mechanism.shaping(pose, n),
             Self::Frozen(mass) => *mass,
-            Self::Table(table) => table.mass::<M, N>(&mechanism.shape(q)).unwrap_or_else(|| mechanism.mass(pose)),
+            Self::Table(table) => {
+                let mass = table.mass::<M, N>(&mechanism.shape(q)).filter(is_positive_definite);
+                mass.unwrap_or_else(|| mechanism.mass(pose))
+            }
         };
         Shaping::of(&mass, mechanism.inverse(pose, n))
     }
@@ -303,10 +311,14 @@ impl<const N: usize> MassModel<f32, N> {
                     let (row, column) = if i > j { (i, j) } else { (j, i) };
                     triangle.get(row * (row + 1) / 2 + column).copied().unwrap_or(f32::NAN)
                 });
-                let usable = (0..N).all(|i| mass[(i, i)] > 0.0) && mass.iter().all(|entry| entry.is_finite());
+                let usable = mass.iter().all(|entry| entry.is_finite()) && is_positive_definite(&mass);
                 usable.then_some(Self::Frozen(mass))
             }
-            MassModelData::Table(grid, _) => Self::table::<M>(grid, values),
+            MassModelData::Table(grid, _) => {
+                let points = values.chunks_exact(M::MASS_ENTRIES.len().max(1));
+                let usable = points.map(of_entries::<f32, M, N>).all(|mass| is_positive_definite(&mass));
+                usable.then(|| Self::table::<M>(grid, values))?
+            }
         }
     }
 }

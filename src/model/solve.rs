@@ -3,6 +3,26 @@
 use crate::math::Real;
 use nalgebra::{SMatrix, SVector};
 
+/// Whether a symmetric A (N x N) is positive definite: every pivot of its LDLᵀ is, beyond what rounding makes of zero.
+pub fn is_positive_definite<T: Real, const N: usize>(a: &SMatrix<T, N, N>) -> bool {
+    let mut left = *a;
+    (0..N).all(|j| {
+        let pivot = left[(j, j)];
+        // Asked the way round that NaN fails.
+        let positive = pivot > T::EPSILON * a[(j, j)].abs();
+        if positive {
+            for i in j + 1..N {
+                let part = left[(i, j)] / pivot;
+                for k in j + 1..N {
+                    let taken = part * left[(j, k)];
+                    left[(i, k)] -= taken;
+                }
+            }
+        }
+        positive
+    })
+}
+
 /// x with A x = y for a symmetric positive definite A (N x N), by LDLᵀ without a square root. A pivot that is not
 /// positive is replaced by the smallest positive number that divides, so the result is finite wherever the input is.
 pub fn solve_symmetric<T: Real, const N: usize>(a: &SMatrix<T, N, N>, y: &SVector<T, N>) -> SVector<T, N> {

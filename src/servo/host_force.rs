@@ -238,27 +238,30 @@ impl Blend {
         let (from, to) = (&self.from, &self.to);
         let part = self.elapsed / self.duration;
         let between = |from: f32, to: f32| from + (to - from) * part;
+        let stiffness = between(from.stiffness, to.stiffness);
+        // Each plane's share in the place is its share in the stiffness: then the force is the mean of the two planes' forces, and
+        // not more than either pushes. Half the stiffness half way in could be far more.
+        let weight = if stiffness > 0.0 { part * to.stiffness / stiffness } else { part };
+        let placed = |from: f32, to: f32| from + (to - from) * weight;
         PushedPlane {
-            normal: core::array::from_fn(|i| between(from.normal[i], to.normal[i])),
-            offset: between(from.offset, to.offset),
-            stiffness: between(from.stiffness, to.stiffness),
+            normal: core::array::from_fn(|i| placed(from.normal[i], to.normal[i])),
+            offset: placed(from.offset, to.offset),
+            stiffness,
             damping: between(from.damping, to.damping),
         }
     }
 
-    /// Sends it to the host's contact, or lets it vanish where it is, from the `share` of it that acts now: one that was about
-    /// to fade comes back evenly, too.
-    fn go(&mut self, contact: Option<&HostContact>, share: f32) {
+    /// Sends it to the host's contact, or lets it vanish where it is.
+    fn go(&mut self, contact: Option<&HostContact>) {
         let now = self.now();
-        let now = PushedPlane { stiffness: now.stiffness * share, damping: now.damping * share, ..now };
         let gone = |plane: PushedPlane<f32>| PushedPlane { stiffness: 0.0, damping: 0.0, ..plane };
         let absent = |plane: &PushedPlane<f32>| plane.stiffness == 0.0 && plane.damping == 0.0;
         let to = contact.map_or(gone(self.to), HostContact::plane);
-        if to == self.to && share >= 1.0 {
+        if to == self.to {
             return;
         }
         let (least, most) = BLEND_SECONDS;
-        let moves = to != self.to && !absent(&now) && !absent(&to);
+        let moves = !absent(&now) && !absent(&to);
         self.duration = if moves { self.elapsed.clamp(least, most) } else { least };
         self.from = if absent(&now) { gone(to) } else { now };
         self.to = to;
@@ -281,16 +284,22 @@ pub(super) struct HostForce {
     /// Share of those that ramp and limits left.
     pub left: f32,
     contact: Blend,
+    /// Share of the contact that acted in the last step, and by how much it is still away from the lease since the
+    /// request before gave way, and how fast that is made good, 1/s.
+    contact_lease: f32,
+    beside: f32,
+    closing: f32,
 }
 
 impl HostForce {
     /// Takes a request that is `age` seconds old.
     fn take(&mut self, request: &ForceRequest, age: f32) {
-        // As much acts in the next step as in the last one.
-        let lease = request.lease(age);
-        let share = if self.lease < lease { self.lease / lease } else { 1.0 };
-        self.contact.go(request.contact.as_ref(), share);
+        // As much of the contact acts next as did in the last step; one that was not there comes by itself.
+        let was_there = self.acts && self.contact.now().stiffness + self.contact.now().damping > 0.0;
+        self.beside = if was_there { self.contact_lease - request.lease(age) } else { 0.0 };
+        self.closing = self.beside.abs() / BLEND_SECONDS.0;
         (self.request, self.age, self.acts) = (*request, age, true);
+        self.contact.go(request.contact.as_ref());
     }
 
     /// Lets a step of `period` (s) pass and returns what it pushes with in that step; `None` once it is gone.
@@ -305,12 +314,15 @@ impl HostForce {
         }
         self.torque = Torques(self.request.torque.map(|torque| torque * self.lease));
         self.life = self.request.hold + self.request.fade - self.age;
+        let closed = self.closing * period;
+        self.beside -= if self.beside.abs() > closed { closed.copysign(self.beside) } else { self.beside };
+        self.contact_lease = self.lease + self.beside;
         let plane = self.contact.now();
         Some(Push {
             force: self.request.force.map(|force| force * self.lease),
             plane: PushedPlane {
-                stiffness: plane.stiffness * self.lease,
-                damping: plane.damping * self.lease,
+                stiffness: plane.stiffness * self.contact_lease,
+                damping: plane.damping * self.contact_lease,
                 ..plane
             },
         })
@@ -380,7 +392,9 @@ where
             return ForceDone::NotNewer;
         }
         let age = age as f32 * self.period;
-        if request.lease(age) <= 0.0 {
+        // Steps before a change of rate took another time, which nobody counted.
+        let before = request.seen.is_some_and(|seen| (seen.wrapping_sub(self.rate_since) as i32) < 0);
+        if before || request.lease(age) <= 0.0 {
             return ForceDone::TooOld;
         }
         self.host.take(request, age);

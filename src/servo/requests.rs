@@ -173,7 +173,10 @@ where
     }
 
     fn install(&mut self, mut program: P) -> Option<P> {
-        self.period = 1.0 / program.rate_hz.max(1.0);
+        let period = 1.0 / program.rate_hz.max(1.0);
+        if period != self.period {
+            (self.period, self.rate_since) = (period, self.now.step);
+        }
         program.controller.set_passivity(self.rules.passivity);
         match &self.program {
             Some(old) if program.same_device => program.controller.set_zero(&old.controller.zero()),

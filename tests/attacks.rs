@@ -1,0 +1,297 @@
+//! Attacks that once worked: one valid request each, on the whole service or the servo.
+
+mod rig;
+use haptic_bridge::board::protocol::*;
+use haptic_bridge::board::settings::{self, Key};
+use haptic_bridge::model::precomputed::MassModelData;
+use haptic_bridge::render::scene::{FeedForward, Plane, Posture, Scene, Surface, Wall};
+use haptic_bridge::safety::fault::{Fault, State};
+use haptic_bridge::safety::limits::Limits;
+use haptic_bridge::servo::{Command, HostAction, Rules};
+use nalgebra::{Matrix2, Vector2};
+use rig::board::Board;
+use rig::{Rig, five_bar, hardware, rules, scene};
+
+// ---- 1: a mass model that is no mass turns two walls round
+#[test]
+fn a_mass_matrix_that_is_none_is_refused_or_pushes_out_of_a_corner() {
+    let device = rig::device(&five_bar());
+    for direction in 0..24 {
+        let a = direction as f32 * 0.2618;
+        let mut probe = Board::ready(false, &device, &scene(2, &[]));
+        probe.ask::<Home>(&()).unwrap().unwrap();
+        probe.tick();
+        let at = probe.machine.servo.status();
+        let walls = [a, a + 0.5].map(|a| Wall {
+            surface: Surface::Plane(Plane {
+                point: [at.tip[0] - 0.5e-3 * a.cos(), at.tip[1] - 0.5e-3 * a.sin(), 0.0],
+                normal: [a.cos(), a.sin(), 0.0],
+            }),
+            feed_forward: FeedForward::Full,
+            ..rig::wall(0.0, 1_000.0)
+        });
+        let mut board = Board::ready(false, &device, &scene(2, &walls));
+        let limits = Limits { torque: [0.3; 3], current: [3.0; 3], tip_force: 5.0, ..Limits::default() };
+        let gentle = Rules { limits, host_action: HostAction::Ignore, ..Rules::default() };
+        board.ask::<SetRules>(&gentle).unwrap().unwrap();
+        board.ask::<Home>(&()).unwrap().unwrap();
+        // Diagonal 1e-3, off it -3e-3 kg m²: determinant -8e-6.
+        let mass = MassModelData::Frozen([1e-3, -3e-3, 1e-3, 0.0, 0.0, 0.0]);
+        if board.ask::<SetMassModel>(&mass).unwrap().is_err() {
+            return;
+        }
+        board.ask::<Arm>(&()).unwrap().unwrap();
+        (0..1100).for_each(|_| board.tick());
+        // A hand leads the tip 1.5 mm into the corner.
+        let into = Vector2::new(-(a + 0.25).cos(), -(a + 0.25).sin()).map(f64::from);
+        let columns = [rig::statics::torques(&at.q, [1.0, 0.0]), rig::statics::torques(&at.q, [0.0, 1.0])];
+        let turn = Matrix2::from_columns(&columns).transpose().try_inverse().unwrap() * into * 1.5e-3;
+        for step in 0..=400 {
+            for i in 0..2 {
+                let angle = turn[i] * f64::from(step) / 400.0;
+                board.samples.counts[i] = (angle / core::f64::consts::TAU * rig::COUNTS).round() as i32;
+            }
+            board.tick();
+            if board.state() != State::Armed {
+                break;
+            }
+            let f = board.machine.servo.frame();
+            let torque = Vector2::new(f.motors.torque[0], f.motors.torque[1]).map(f64::from);
+            let force = rig::statics::worth(&f.at.q, torque);
+            assert!(
+                force.norm() < 5.05 && -force.dot(&into) > -0.1,
+                "direction {direction}: {:.2} N, {:.2} N of it into the corner; the walls ask for {:.2} N out of it",
+                force.norm(),
+                force.dot(&into),
+                f.at.walls.wall_force
+            );
+        }
+    }
+}
+
+// ---- 2, 3: flash and memory after a commit
+fn staged<S: settings::Setting>(board: &mut Board, value: &S) {
+    let entry = settings::encode(value).unwrap();
+    board.ask::<StageEntry>(&WriteEntry { key: S::KEY, entry }).unwrap().unwrap();
+}
+fn commit(board: &mut Board, keys: &[Key]) {
+    board.ask::<CommitEntries>(&keys.iter().copied().collect()).unwrap().unwrap();
+}
+fn restarted(board: &mut Board) -> Board {
+    Board::with_flash(false, core::mem::take(&mut board.machine.flash.kept))
+}
+
+#[test]
+fn limits_that_are_restored_alone_stay_with_the_device_they_came_into_force_with() {
+    let mut board = Board::ready(false, &rig::device(&five_bar()), &scene(2, &[]));
+    board
+        .ask::<SetRules>(&Rules {
+            limits: Limits { torque: [0.1; 3], tip_force: 5.0, ..Limits::default() },
+            ..Rules::default()
+        })
+        .unwrap()
+        .unwrap();
+    board.ask::<Save>(&()).unwrap().unwrap();
+    // Another device, not saved, and the limits that are meant for it.
+    board
+        .ask::<SetDevice>(&haptic_bridge::model::device::Device::new("strong", &rig::paddle()).unwrap())
+        .unwrap()
+        .unwrap();
+    staged(
+        &mut board,
+        &Rules { limits: Limits { torque: [4.9; 3], tip_force: 100.0, ..Limits::default() }, ..Rules::default() },
+    );
+    commit(&mut board, &[Key::Rules]);
+    let name = |board: &Board| board.service.device().map(|device| device.name.clone());
+    let before = (name(&board), board.service.rules().limits.torque[0]);
+    let after = restarted(&mut board);
+    assert_eq!((name(&after), after.service.rules().limits.torque[0]), before);
+}
+
+#[test]
+fn a_device_that_is_restored_alone_is_the_same_after_a_restart() {
+    let mut board = Board::ready(false, &rig::device(&five_bar()), &scene(2, &[]));
+    board.ask::<SetMassModel>(&MassModelData::Frozen([1e-3, 5e-4, 1e-3, 0.0, 0.0, 0.0])).unwrap().unwrap();
+    board.ask::<Save>(&()).unwrap().unwrap();
+    let mut other = five_bar();
+    (other.geometry[3], other.geometry[4]) = (0.11, 0.11);
+    staged(&mut board, &rig::device(&other));
+    commit(&mut board, &[Key::Device]);
+    let frozen = |board: &Board| format!("{:?}", board.service).contains("mass: Frozen");
+    assert!(!frozen(&board), "the other device begins with the closed form");
+    assert!(!frozen(&restarted(&mut board)), "and has the first device's matrix after a restart");
+}
+
+// ---- 4
+#[test]
+fn a_contact_that_is_renewed_twice_between_two_steps_comes_back_without_a_step_of_force() {
+    let mut fast = scene(2, &[]);
+    fast.rate_hz = 5_000.0;
+    let mut rig = Rig::with(&five_bar(), &fast, hardware(), rules());
+    rig.arm();
+    let tip = rig.servo.status().tip;
+    let contact =
+        HostContact { point: [tip[0] + 4.0e-3, tip[1], 0.0], normal: [1.0, 0.0, 0.0], stiffness: 1e3, damping: 0.0 };
+    let renewed =
+        |sequence| ForceRequest { sequence, contact: Some(contact), hold: 0.01, fade: 0.05, ..ForceRequest::default() };
+    rig.servo.force(&renewed(1));
+    rig.run(0.03);
+    let before = rig.servo.force(&ForceRequest::default()).force[0];
+    rig.servo.force(&renewed(2));
+    rig.servo.force(&renewed(3));
+    rig.step();
+    let now = rig.servo.force(&ForceRequest::default()).force[0];
+    assert!(now >= before && now - before <= 0.4, "from {before} to {now} N");
+}
+
+// ---- 5
+#[test]
+fn a_contact_that_is_sent_again_while_its_lease_fades_goes_on_moving_evenly() {
+    let mut fast = scene(2, &[]);
+    fast.rate_hz = 20_000.0;
+    let mut rig = Rig::with(&five_bar(), &fast, hardware(), rules());
+    rig.arm();
+    let tip = rig.servo.status().tip;
+    let plane = |sequence, depth: f32| ForceRequest {
+        sequence,
+        hold: 0.0,
+        fade: 0.2,
+        contact: Some(HostContact {
+            point: [tip[0] + depth, tip[1], 0.0],
+            normal: [1.0, 0.0, 0.0],
+            stiffness: 1e3,
+            damping: 0.0,
+        }),
+        ..ForceRequest::default()
+    };
+    rig.servo.force(&plane(1, 1.0e-3));
+    rig.run(0.01);
+    // 4 N further, 10 ms after the last move: 0.02 N a step.
+    let (mut before, mut most) = (rig.servo.force(&ForceRequest::default()).force[0], 0.0_f32);
+    for step in 0..200 {
+        if step % 10 == 0 {
+            rig.servo.force(&plane(2 + step, 5.0e-3));
+        }
+        rig.step();
+        let now = rig.servo.force(&ForceRequest::default()).force[0];
+        most = most.max((now - before).abs());
+        before = now;
+    }
+    assert!(most < 0.03, "a step of {most} N");
+}
+
+// ---- 6
+#[test]
+fn a_renewal_that_comes_late_makes_no_step_of_a_contacts_force() {
+    let mut fast = scene(2, &[]);
+    fast.rate_hz = 20_000.0;
+    let mut rig = Rig::with(&five_bar(), &fast, hardware(), rules());
+    rig.arm();
+    let tip = rig.servo.status().tip;
+    let contact =
+        HostContact { point: [tip[0] + 4.0e-3, tip[1], 0.0], normal: [1.0, 0.0, 0.0], stiffness: 1e3, damping: 0.0 };
+    let request = |sequence, seen| ForceRequest {
+        sequence,
+        seen,
+        contact: Some(contact),
+        hold: 0.01,
+        fade: 0.05,
+        ..ForceRequest::default()
+    };
+    rig.servo.force(&request(1, None));
+    rig.run(0.005);
+    let before = rig.servo.force(&ForceRequest::default()).force[0];
+    let seen = rig.servo.steps().wrapping_sub(1_000);
+    assert_eq!(rig.servo.force(&request(2, Some(seen))).done, ForceDone::Taken);
+    rig.step();
+    let now = rig.servo.force(&ForceRequest::default()).force[0];
+    assert!((now - before).abs() < 0.3, "from {before} to {now} N in 50 us");
+}
+
+// ---- 7
+#[test]
+fn on_the_way_between_two_planes_no_more_is_pushed_than_by_either() {
+    let mut fast = scene(2, &[]);
+    fast.rate_hz = 20_000.0;
+    let mut gentle = rules();
+    gentle.limits.tip_force = 5.0;
+    let mut rig = Rig::with(&five_bar(), &fast, hardware(), gentle);
+    rig.arm();
+    let tip = rig.servo.status().tip;
+    let plane = |sequence, depth: f32, stiffness| ForceRequest {
+        sequence,
+        hold: 0.1,
+        fade: 0.1,
+        contact: Some(HostContact {
+            point: [tip[0] + depth, tip[1], 0.0],
+            normal: [1.0, 0.0, 0.0],
+            stiffness,
+            damping: 0.0,
+        }),
+        ..ForceRequest::default()
+    };
+    // 1 mm out of a stiff one, then 100 mm in a soft one: 0 N, 1 N.
+    rig.servo.force(&plane(1, -1.0e-3, 1.0e4));
+    rig.run(0.02);
+    rig.servo.force(&plane(2, 0.1, 10.0));
+    let mut most = 0.0_f32;
+    let mut above = 0;
+    for _ in 0..600 {
+        rig.step();
+        let now = rig.servo.force(&ForceRequest::default()).force[0];
+        most = most.max(now);
+        above += u32::from(now > 1.05);
+    }
+    assert!(most <= 1.05, "{most} N, above 1 N for {} ms", f64::from(above) * 0.05);
+}
+
+// ---- 8
+#[test]
+fn the_age_of_a_force_counts_through_a_change_of_rate() {
+    let mut slow = scene(2, &[]);
+    (slow.rate_hz, slow.cutoff_hz) = (200.0, 20.0);
+    let mut rig = Rig::with(&five_bar(), &slow, hardware(), rules());
+    rig.arm();
+    let seen = rig.servo.steps();
+    rig.run(1.0);
+    rig.execute(Command::Disarm).unwrap();
+    let mut fast = scene(2, &[]);
+    fast.rate_hz = 20_000.0;
+    rig.load(&five_bar(), &fast, true).unwrap();
+    rig.run(0.001);
+    rig.execute(Command::Arm).unwrap();
+    let request = ForceRequest {
+        sequence: 1,
+        seen: Some(seen),
+        hold: 0.02,
+        fade: 0.02,
+        force: [1.0, 0.0, 0.0],
+        ..ForceRequest::default()
+    };
+    let answer = rig.servo.force(&request);
+    assert_eq!(answer.done, ForceDone::TooOld, "a second old, taken for {:?} s", answer.age);
+}
+
+// ---- 9
+#[test]
+fn a_device_loads_whose_present_scene_does_not_fit_it() {
+    use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY};
+    use haptic_bridge::model::description::Description;
+    let mut geometry = [0.0; MAX_GEOMETRY];
+    geometry[..3].copy_from_slice(&[0.1, 0.1, 0.05]);
+    let joints = [five_bar().joints[0]; 3];
+    let arm = Description { kind: Kind::Serial3r, geometry, joints, home: Some([0.3, 0.6, 0.5]), ..five_bar() };
+    let posture = Some(Posture { orientation: 0.5, stiffness: 0.1, damping: 0.0 });
+    let mut board = Board::ready(false, &rig::device(&arm), &Scene { posture, ..scene(2, &[]) });
+    assert_eq!(board.ask::<SetDevice>(&rig::device(&five_bar())).unwrap(), Ok(()));
+}
+
+// ---- 10
+#[test]
+fn a_fault_is_published_though_a_save_comes_before_the_next_look() {
+    let mut board = Board::ready(false, &rig::device(&five_bar()), &scene(2, &[]));
+    board.samples.fault = Some((Fault::GateDriver, None, 1.0));
+    board.tick();
+    board.ask::<Save>(&()).unwrap().unwrap();
+    assert!(board.service.poll(&mut board.machine).is_some());
+}
