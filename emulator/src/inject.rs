@@ -280,7 +280,7 @@ pub fn injection(fault: Fault) -> Injection {
             in_contact,
             |rig| {
                 let handler =
-                    firmware(rig.kind).find_ending("6faults8panicked").expect("the panic handler").address as u32;
+                    firmware(rig.kind).find_ending("5reset8panicked").expect("the panic handler").address as u32;
                 // ldr.w pc, [pc, #0], and the address.
                 run_instead(rig, SUPERVISOR, |_| vec![0xF000_F8DF, handler | 1]);
             },

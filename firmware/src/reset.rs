@@ -237,7 +237,9 @@ fn panicked(line: u32, file: u32, len: u32) -> ! {
 }
 
 /// The entry of every hard fault: gives the handler the stack pointer of the fault and a fresh stack, because an
-/// overflow may have been the cause.
+/// overflow may have been the cause. A frame with room for floating-point registers, which the core fills lazily, lies on the old
+/// one: they are let go (FPCCR.LSPACT, ARMv7-M B3.2.21), or the handler's first such instruction would fault again, and a
+/// fault in this handler is a lock-up.
 #[unsafe(naked)]
 #[unsafe(export_name = "HardFault")]
 unsafe extern "C" fn hard_fault_entry() -> ! {
@@ -245,6 +247,10 @@ unsafe extern "C" fn hard_fault_entry() -> ! {
         "mrs r0, MSP",
         "ldr r1, =_stack_start",
         "msr MSP, r1",
+        "ldr r1, =0xE000EF34",
+        "ldr r2, [r1]",
+        "bic r2, r2, #1",
+        "str r2, [r1]",
         "b {handler}",
         handler = sym hard_fault,
     )

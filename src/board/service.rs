@@ -212,8 +212,8 @@ impl Service {
         must_be_off(machine)?;
         check_device::<Mc::Math>(&device)?;
         let scene = self.configuration.scene.as_ref().filter(|scene| fits(scene, &device)).cloned();
-        let next = Configuration { device: Some(device), scene, mass, rules: self.configuration.rules };
-        self.install(machine, next, false, None)?;
+        let mut next = Configuration { device: Some(device), scene, mass, rules: self.configuration.rules };
+        self.install(machine, &mut next, false, None)?;
         self.took_device(machine)
     }
 
@@ -242,7 +242,7 @@ impl Service {
         let device = self.configuration.device.as_ref().ok_or(Refusal::NoDevice)?;
         scene.check(task(device)).map_err(Refusal::Scene)?;
         let (device, rules) = (Some(device.clone()), self.configuration.rules);
-        self.install(machine, Configuration { device, scene: Some(scene), mass, rules }, true, None)
+        self.install(machine, &mut Configuration { device, scene: Some(scene), mass, rules }, true, None)
     }
 
     /// Chooses where the step takes its mass matrix from; motors must be off. A table's values must have been sent
@@ -256,8 +256,8 @@ impl Service {
             }
         }
         let Configuration { device, scene, rules, .. } = &self.configuration;
-        let next = Configuration { device: device.clone(), scene: scene.clone(), mass, rules: *rules };
-        self.install(machine, next, true, None)
+        let mut next = Configuration { device: device.clone(), scene: scene.clone(), mass, rules: *rules };
+        self.install(machine, &mut next, true, None)
     }
 
     /// Takes a piece of a table, in order from offset 0; see [`Receiving::take`]. A table that is in use gives way to
@@ -275,25 +275,17 @@ impl Service {
         Ok(())
     }
 
-    /// Puts a configuration in force, or refuses it and leaves everything as it is. Settings that were staged under `keys`
+    /// Puts a configuration in force and leaves the one before in its place, or refuses it and leaves everything as it is. Settings that were staged under `keys`
     /// count once nothing can refuse the configuration any more.
     fn install<Mc: Machine>(
         &mut self,
         machine: &mut Mc,
-        next: Configuration,
+        next: &mut Configuration,
         same_device: bool,
         keys: Option<&KeyList>,
     ) -> Result<(), Refusal> {
-        let Configuration { device, scene, mass, rules } = &next;
-        let mut placed = None;
-        if let Some(device) = device {
-            let empty = nothing_to_feel(device);
-            let scene = scene.as_ref().unwrap_or(&empty);
-            let mut program = Program::<Mc::Math>::new(&self.hardware, &rules.limits, device, scene, same_device)?;
-            program.set_mass(mass, self.receiving.values())?;
-            placed = Some((machine.place(program)?, scene.rate_hz));
-        }
-        if let Some(Err(refusal)) = keys.map(|keys| complete(machine, &next, keys)) {
+        let placed = self.placed(machine, next, same_device)?;
+        if let Some(Err(refusal)) = keys.map(|keys| complete(machine, next, keys)) {
             if let Some((held, _)) = placed {
                 machine.release(held);
             }
@@ -308,14 +300,32 @@ impl Service {
             result?;
         }
         if keys.is_some() {
-            machine.execute(Command::Rules(*rules)).0?;
+            machine.execute(Command::Rules(next.rules)).0?;
         }
         // A scene that was taken with the motors on keeps the rate. Asked now, because a fault may have come meanwhile.
         if let Some(rate_hz) = rate_hz.filter(|_| must_be_off(machine).is_ok()) {
             machine.retime(rate_hz);
         }
-        self.configuration = next;
+        core::mem::swap(&mut self.configuration, next);
         Ok(())
+    }
+
+    /// A configuration's program where the servo can use it, and its control rate, Hz; `None` without a device. By itself, so
+    /// that nothing else stands on the stack with a program.
+    #[inline(never)]
+    fn placed<Mc: Machine>(
+        &self,
+        machine: &mut Mc,
+        next: &Configuration,
+        same_device: bool,
+    ) -> Result<Option<(Mc::Held, f32)>, Refusal> {
+        let Configuration { device, scene, mass, rules } = next;
+        let Some(device) = device else { return Ok(None) };
+        let empty = nothing_to_feel(device);
+        let scene = scene.as_ref().unwrap_or(&empty);
+        let mut program = Program::<Mc::Math>::new(&self.hardware, &rules.limits, device, scene, same_device)?;
+        program.set_mass(mass, self.receiving.values())?;
+        Ok(Some((machine.place(program)?, scene.rate_hz)))
     }
 
     /// Changes gains while the scene runs. Refused as a whole when any part of it cannot be.
@@ -496,11 +506,23 @@ impl Service {
     /// as well.
     pub fn commit_entries<Mc: Machine>(&mut self, machine: &mut Mc, keys: &KeyList) -> Result<(), Refusal> {
         must_be_off(machine)?;
+        let name: Option<BoardName> = self.taken(machine, keys)?;
+        let (mut next, same_device) = self.restored(machine, keys)?;
+        self.install(machine, &mut next, same_device, Some(keys))?;
+        if let Some(BoardName(name)) = name {
+            self.name = name;
+        }
+        if same_device { Ok(()) } else { self.took_device(machine) }
+    }
+
+    /// The configuration in force with the settings that were staged under these keys, and whether its device is the same. By
+    /// itself, so that what it decodes does not stand on the stack with what is made of it.
+    #[inline(never)]
+    fn restored<Mc: Machine>(&self, machine: &mut Mc, keys: &KeyList) -> Result<(Configuration, bool), Refusal> {
         let rules: Option<Rules> = self.taken(machine, keys)?;
         let device: Option<Device<f32>> = self.taken(machine, keys)?;
         let scene: Option<Scene<f32>> = self.taken(machine, keys)?;
         let mass: Option<MassModelData> = self.taken(machine, keys)?;
-        let name: Option<BoardName> = self.taken(machine, keys)?;
 
         let rules = rules.unwrap_or(self.configuration.rules);
         self.check_rules(&rules)?;
@@ -518,18 +540,14 @@ impl Service {
                 if let Some(scene) = &scene {
                     scene.check(task(device)).map_err(Refusal::Scene)?;
                 }
-                let scene = scene.or_else(|| before.scene.clone());
+                let scene = scene.or_else(|| before.scene.clone().filter(|scene| fits(scene, device)));
                 let kept = if same_device { before.mass.clone() } else { MassModelData::Exact };
-                (scene.filter(|scene| fits(scene, device)), mass.unwrap_or(kept))
+                (scene, mass.unwrap_or(kept))
             }
             None if scene.is_some() => return Err(Refusal::NoDevice),
             None => (None, before.mass.clone()),
         };
-        self.install(machine, Configuration { device, scene, mass, rules }, same_device, Some(keys))?;
-        if let Some(BoardName(name)) = name {
-            self.name = name;
-        }
-        if same_device { Ok(()) } else { self.took_device(machine) }
+        Ok((Configuration { device, scene, mass, rules }, same_device))
     }
 
     /// The staged value of a setting, where its key is among these.
@@ -559,6 +577,7 @@ fn fits(scene: &Scene<f32>, device: &Device<f32>) -> bool {
 
 /// Makes what was staged under these keys count, and with it the rest of the configuration: what flash holds of another
 /// would be in force beside it after the next start.
+#[inline(never)]
 fn complete(machine: &mut impl Machine, next: &Configuration, keys: &KeyList) -> Result<(), Refusal> {
     let mut all = KeyList::new();
     stage_all(machine, next, &mut all)?;
@@ -594,10 +613,17 @@ fn stage_all(machine: &mut impl Machine, configuration: &Configuration, keys: &m
     }
 }
 
+/// Whether flash holds this value. By itself, so that nothing else stands on the stack with what was read.
+#[inline(never)]
+fn is_kept(machine: &mut impl Machine, key: Key, entry: &Entry) -> bool {
+    machine.load(key).is_some_and(|old| old == *entry)
+}
+
 /// Stages a setting, unless flash holds this value already, and notes its key.
+#[inline(never)]
 fn stage<S: Setting>(machine: &mut impl Machine, value: &S, keys: &mut KeyList) -> Result<(), Refusal> {
     let entry = settings::encode(value).map_err(|_| Refusal::Flash)?;
-    if machine.load(S::KEY).is_some_and(|old| old == entry) {
+    if is_kept(machine, S::KEY, &entry) {
         return Ok(());
     }
     machine.stage(S::KEY, &entry)?;

@@ -62,12 +62,7 @@ impl Toolchain {
     /// A cargo call for the chip: `cargo SUBCOMMAND …` with the target and, where needed, the core library's source.
     pub fn cargo(self, purpose: Use) -> Command {
         let subcommand = if purpose == Use::Clippy { "clippy" } else { "rustc" };
-        let mut command = self.cargo_with(subcommand, "-Zbuild-std=core,alloc", TARGET);
-        if self == Self::Debian {
-            // Copies of memory are built for speed, as they are in a library that comes built.
-            command.arg("--config=profile.firmware.package.compiler_builtins.opt-level=3");
-        }
-        command
+        self.cargo_with(subcommand, "-Zbuild-std=core,alloc", TARGET)
     }
 
     /// A cargo call for browsers.

@@ -80,6 +80,9 @@ const MAPS: [(&str, &str); 2] = [("coupled-five-bar", "1,0"), ("phantom-premium-
 const BEGIN: &str = "<!-- impedance range: begin, written by docs/figures/src/main.rs -->";
 const END: &str = "<!-- impedance range: end -->";
 
+/// Which line is whose.
+const ORDER: &str = "In the order of the tables: the cases, the washout at 0.5, 2 and 10 Hz, what the theory leaves out from \"nothing\" to the last row.";
+
 /// Why no test types the lines.
 const DURATION: &str = "a quarter of a minute to minutes each; `cargo xtask figures` runs them all";
 
@@ -278,7 +281,7 @@ fn pictures() -> String {
 
 /// Every command line of the section.
 fn lines() -> String {
-    let mut text = format!("\n### The command lines\n\n```sh no-run: {DURATION}\n");
+    let mut text = format!("\n### The command lines\n\n{ORDER}\n\n```sh no-run: {DURATION}\n");
     for case in THEORY.iter().chain(&WASHED).chain(&WORLDS) {
         let _ = writeln!(text, "{}", line(case, &typed_file(case)));
     }

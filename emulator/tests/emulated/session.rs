@@ -111,7 +111,7 @@ fn a_backup_of_three_joints_is_put_in_force_and_leaves_stack_untouched() {
     restore(&mut rig.tool, &ready).expect("the board takes its own backup");
     let details = rig.tool.details().expect("the board answers");
     assert_eq!(details.walls, 3);
-    assert!(details.stack_free >= 8 * 1024, "{} of 48 KB were never touched", details.stack_free);
+    assert!(details.stack_free >= 8 * 1024, "{} of 52 KB were never touched", details.stack_free);
     assert!(rig.with(|stopped| stopped.resets().is_empty()), "{}", rig.post_mortem());
 }
 
