@@ -1,6 +1,6 @@
 //! What it takes to add something is what docs/architecture.md says: the places where one that is there is named are the
 //! files of its row. That a toy one works is tested in tests/mechanism.rs, tests/shape.rs, tests/estimators.rs,
-//! tests/stages.rs, tests/floors.rs (a file alone) and src/board/telemetry.rs.
+//! tests/stages.rs, src/board/telemetry.rs and host/src/commands/mod.rs.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};

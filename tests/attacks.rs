@@ -109,6 +109,18 @@ fn limits_that_are_restored_alone_stay_with_the_device_they_came_into_force_with
 }
 
 #[test]
+fn a_scene_that_is_restored_alone_has_no_mass_that_was_made_for_another_s_walls() {
+    let mut board = Board::ready(false, &rig::device(&five_bar()), &scene(2, &[]));
+    board.ask::<SetMassModel>(&MassModelData::Frozen([1e-3, 5e-4, 1e-3, 0.0, 0.0, 0.0])).unwrap().unwrap();
+    board.ask::<Save>(&()).unwrap().unwrap();
+    staged(&mut board, &scene(2, &[rig::wall(0.0, 1_000.0)]));
+    commit(&mut board, &[Key::Scene]);
+    let frozen = |board: &Board| format!("{:?}", board.service).contains("mass: Frozen");
+    assert!(!frozen(&board));
+    assert!(!frozen(&restarted(&mut board)));
+}
+
+#[test]
 fn a_device_that_is_restored_alone_is_the_same_after_a_restart() {
     let mut board = Board::ready(false, &rig::device(&five_bar()), &scene(2, &[]));
     board.ask::<SetMassModel>(&MassModelData::Frozen([1e-3, 5e-4, 1e-3, 0.0, 0.0, 0.0])).unwrap().unwrap();

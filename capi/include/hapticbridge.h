@@ -27,7 +27,7 @@
 #define HB_FAILED 1
 
 /*
- NULL, text that is not UTF-8, or a number that is none.
+ NULL, text that is not UTF-8, or a number that is not finite or out of range.
  */
 #define HB_BAD_ARGUMENT 2
 

@@ -25,7 +25,7 @@ pub const HB_VERSION: u32 = 1;
 pub const HB_OK: i32 = 0;
 /// It could not be done: no board, a refusal, a file that is wrong.
 pub const HB_FAILED: i32 = 1;
-/// NULL, text that is not UTF-8, or a number that is none.
+/// NULL, text that is not UTF-8, or a number that is not finite or out of range.
 pub const HB_BAD_ARGUMENT: i32 = 2;
 /// A defect of the library; the board was told to disarm.
 pub const HB_BROKEN: i32 = 3;

@@ -105,7 +105,7 @@ pub struct Ready {
 }
 
 /// The order in which settings go back: a device resets what belongs to the one before.
-const ORDER: [Key; 6] = [Key::Rules, Key::Device, Key::MassModel, Key::Scene, Key::Name, Key::Polarity];
+const ORDER: [Key; Key::ALL.len()] = [Key::Rules, Key::Device, Key::MassModel, Key::Scene, Key::Name, Key::Polarity];
 
 impl Backup {
     /// Reads everything that a board keeps in flash. A setting of which only damage is left is left out.

@@ -275,8 +275,8 @@ impl Service {
         Ok(())
     }
 
-    /// Puts a configuration in force and leaves the one before in its place, or refuses it and leaves everything as it is. Settings that were staged under `keys`
-    /// count once nothing can refuse the configuration any more.
+    /// Puts `next` in force and leaves the configuration before it in its place. On a refusal nothing changes. Settings that
+    /// were staged under `keys` are committed to flash after the last check that can refuse.
     fn install<Mc: Machine>(
         &mut self,
         machine: &mut Mc,
@@ -500,10 +500,9 @@ impl Service {
         machine.stage(write.key, entry)
     }
 
-    /// Puts the settings that were staged under these keys in force and into flash, as one change: when any of them
-    /// cannot be, none is, and no limit is ever in force with a device that it was not meant for, nor after the next start:
-    /// settings that are not named stay as they are, but for the mass model and the scene of another device, and count in flash
-    /// as well.
+    /// Puts the settings that were staged under these keys in force and into flash: all of them, or none. Settings that are
+    /// not named stay as they are, but another device drops the mass model and a scene that does not fit it, and another scene the
+    /// mass model. Flash then holds the same, so no limit is in force with a device that it was not meant for, nor after the next start.
     pub fn commit_entries<Mc: Machine>(&mut self, machine: &mut Mc, keys: &KeyList) -> Result<(), Refusal> {
         must_be_off(machine)?;
         let name: Option<BoardName> = self.taken(machine, keys)?;
@@ -540,8 +539,9 @@ impl Service {
                 if let Some(scene) = &scene {
                     scene.check(task(device)).map_err(Refusal::Scene)?;
                 }
+                // A prepared matrix is for the device and the walls that it was made for.
+                let kept = if same_device && scene.is_none() { before.mass.clone() } else { MassModelData::Exact };
                 let scene = scene.or_else(|| before.scene.clone().filter(|scene| fits(scene, device)));
-                let kept = if same_device { before.mass.clone() } else { MassModelData::Exact };
                 (scene, mass.unwrap_or(kept))
             }
             None if scene.is_some() => return Err(Refusal::NoDevice),

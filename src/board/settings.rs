@@ -105,7 +105,8 @@ impl Setting for MassModelData {
     const VERSION: u8 = 1;
 }
 
-/// The fingerprint of the device whose polarity has been checked.
+/// The fingerprint of a device whose polarity was checked once. Read so that old flash and backups stay valid; it vouches for
+/// nothing, as wires are changed while a board is without power.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Polarity(pub u32);
 impl Setting for Polarity {

@@ -28,16 +28,16 @@ pub const LIGHT_HAND: Hand = Hand { mass: 0.05, damping: 3.0, stiffness: 200.0 }
 /// What the hand presses with, N.
 pub const PUSH_N: f64 = 3.0;
 /// The hand presses ever harder, N/s: what friction holds only where nothing moves is no wall at rest.
-const RISE: f64 = 1.0;
+pub(crate) const RISE: f64 = 1.0;
 /// Time in which the motion settles, and in which it is looked at, s.
-const SETTLE_S: f64 = 0.5;
-const LOOK_S: f64 = 0.3;
+pub(crate) const SETTLE_S: f64 = 0.5;
+pub(crate) const LOOK_S: f64 = 0.3;
 /// Longest steps of the simulation, s: of a rigid device, and of one that gives.
 const STEP_S: (f64, f64) = (50e-6, 25e-6);
 /// A tip this far from the wall's surface is lost, m.
 const FAR_M: f64 = 0.02;
 /// How many offsets of the counts are tried.
-const OFFSETS: usize = 4;
+pub(crate) const OFFSETS: usize = 4;
 /// Walls along a line: how far below the stiffest, and how many in a decade.
 const DECADES: usize = 4;
 const PER_DECADE: usize = 5;

@@ -64,7 +64,7 @@ pub struct Without {
     pub takes_area: Shares,
 }
 
-/// A share without and with the feed-forward; none where one of the limits is none or zero.
+/// A share without and with the feed-forward; `None` where either limit is missing or zero.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Shares {
     /// Without the feed-forward.

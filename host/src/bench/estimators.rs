@@ -11,7 +11,7 @@ use crate::analysis::control_loop::usual_delay;
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
 use crate::analysis::range::stiffness_at;
-use crate::analysis::ripple::about_its_line;
+use crate::analysis::ripple::{self, LIGHT_HAND, PUSH_N, about_its_line};
 use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
 use crate::device_file::DeviceFile;
 use crate::error::Failure;
@@ -32,7 +32,7 @@ use haptic_bridge::with_mechanism;
 use serde::{Deserialize, Serialize};
 
 /// The hand that presses the wall for the ripple: mass (kg), damping (N s/m), stiffness (N/m) and push (N).
-const HAND: (f64, f64, f64, f64) = (0.05, 3.0, 200.0, 3.0);
+const HAND: (f64, f64, f64, f64) = (LIGHT_HAND.mass, LIGHT_HAND.damping, LIGHT_HAND.stiffness, PUSH_N);
 /// Time to settle before the ripple is looked at, and time in which it is, s.
 const SETTLE_S: f64 = 0.3;
 const LOOK_S: f64 = 0.3;
@@ -138,11 +138,6 @@ enum Trial {
     Struck(f64),
 }
 
-/// How much harder a hand presses, N/s, with how many ways in which encoders may stand to the pose.
-const RISE: f64 = 1.0;
-/// For how long it is waited for and looked at, s.
-const HARDER_S: (f64, f64) = (0.5, 0.3);
-const OFFSETS: usize = 4;
 /// A press below this is zero beside what a board's arithmetic and a hand are, N: such rows are equal.
 pub const RESOLUTION_N: f64 = 1e-3;
 
@@ -482,18 +477,20 @@ impl<'a> WallSimulation<'a> {
         let mut held = self.comparison.file.description;
         held.handle_mass += HAND.0;
         let mut most: f64 = 0.0;
-        for offset in 0..OFFSETS {
-            let shares = (0..self.encoders.len()).map(|j| (offset as f64 / OFFSETS as f64 + 0.37 * j as f64).fract());
+        for offset in 0..ripple::OFFSETS {
+            let shares =
+                (0..self.encoders.len()).map(|j| (offset as f64 / ripple::OFFSETS as f64 + 0.37 * j as f64).fract());
             let moved = self.encoders.iter().zip(shares).map(|(encoder, share)| encoder.moved(share)).collect();
             let simulation = Self { encoders: moved, device: self.device.clone(), board: self.board.clone(), ..*self };
-            let seconds = HARDER_S.0 + HARDER_S.1;
+            let seconds = ripple::SETTLE_S + ripple::LOOK_S;
             let trace =
                 simulation.run(&candidate, self.comparison.wall, false, &held, Trial::PressedHarder, seconds)?;
             if trace.lost {
                 return Ok(None);
             }
-            most =
-                most.max(about_its_line(&trace.force[(trace.force.len() as f64 * HARDER_S.0 / seconds) as usize..]).0);
+            most = most.max(
+                about_its_line(&trace.force[(trace.force.len() as f64 * ripple::SETTLE_S / seconds) as usize..]).0,
+            );
         }
         Ok(Some(most))
     }
@@ -568,7 +565,7 @@ impl<'a> WallSimulation<'a> {
         match trial {
             Trial::Struck(_) => None,
             Trial::Pressed => Some((self.tip, push)),
-            Trial::PressedHarder => Some((self.tip, push + RISE * time)),
+            Trial::PressedHarder => Some((self.tip, push + ripple::RISE * time)),
             Trial::SlidAlong => {
                 let (share, hz) = SWINGS;
                 let goal = core::array::from_fn(|i| self.tip[i] + SLIDE * time * self.across[i]);

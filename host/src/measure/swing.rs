@@ -9,8 +9,9 @@
 //! **Several modes.** A device with a transmission that gives has modes on both sides of the cutoff, and a washout one far
 //! below it. Two modes of like size make a tiny swing now and then, where the slow one turns and the fast one holds against
 //! it: so a motion has died out when half a look of swings is small, not one. Their beat hides the trend of single swings; the
-//! largest of every few, over at least three turns of the slowest, then shows it. What one of them loses faster than the other
-//! makes that trend bend as if the motion were about to stay: it is followed until it stays, or goes. And a small fast mode that builds up hides behind a large slow one that dies out: so
+//! largest of every few, over at least three turns of the slowest, then shows it. If one of them decays faster
+//! than the other, the trend bends as if the motion were settling at a constant size: such a motion is followed until it settles or
+//! dies out. And a small fast mode that builds up hides behind a large slow one that dies out: so
 //! the motion's acceleration, in which it is larger by the square of their frequencies' ratio, is judged beside it.
 //!
 //! **What encoder steps explain.** A quantiser in a stable loop can sustain a vibration. Its describing function, the share of
@@ -77,7 +78,7 @@ pub struct Swing {
     bend: Trace,
     /// The last two places.
     before: [Option<f64>; 2],
-    /// What is told already of the place and of the bend.
+    /// The verdicts reached so far on place and bend.
     told: [Option<Verdict>; 2],
 }
 
@@ -85,12 +86,12 @@ impl Swing {
     /// Follows positions every `row_seconds`, in steps of `quantum` (m), of a loop whose velocity filter cuts off at
     /// `cutoff_hz` and whose slowest mode is expected to take about `period` (s), if it swings at all, pulled aside by `pull`
     /// (m) at first.
-    pub fn new(row_seconds: f64, cutoff_hz: f64, (period, swings): (f64, bool), quantum: f64, pull: f64) -> Self {
+    pub fn new(row_seconds: f64, cutoff_hz: f64, (period, oscillates): (f64, bool), quantum: f64, pull: f64) -> Self {
         let rows_a_period = 1.0 / (row_seconds * cutoff_hz);
         let slowest = period / row_seconds;
         let silent = slowest.clamp(SILENT.0 * rows_a_period, SILENT.1 * rows_a_period);
         // What is damped beyond critical does not swing.
-        let slowest = if swings { slowest } else { 0.0 };
+        let slowest = if oscillates { slowest } else { 0.0 };
         Self {
             place: Trace::new(rows_a_period, (slowest, silent), quantum, pull, LOOKS.0),
             // Errors of up to half a step in three places, one of them twice; of no size to be expected.
@@ -300,7 +301,7 @@ impl Trace {
         (sure && slope < 0.0 && trend(later).0 < 0.5 * trend(earlier).0).then_some(Verdict::Decays)
     }
 
-    /// The verdict on a motion that is as it is.
+    /// The verdict on a motion whose size neither grows nor shrinks.
     fn lasting(&self) -> Verdict {
         let size = self.size();
         if size > self.explained { Verdict::Vibrates(size) } else { Verdict::Decays }
@@ -318,7 +319,7 @@ impl Trace {
 
 const NOWHERE: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
 
-/// From the lowest to the highest of some spans; less than nothing of none.
+/// From the lowest to the highest of some spans; negative infinity for no spans.
 fn across(spans: &[(f64, f64)]) -> f64 {
     let (low, high) = spans.iter().fold(NOWHERE, |(low, high), span| (low.min(span.0), high.max(span.1)));
     high - low

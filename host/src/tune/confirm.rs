@@ -6,13 +6,13 @@ use crate::sweep::Sweep;
 use std::collections::BTreeSet;
 
 /// From one press to the next softer one, and to which ratio the stiffness is found.
-const SOFTER: f64 = 1.4;
+const SOFTER_ON_BOARD: f64 = 1.4;
 const CLOSE: f64 = 1.06;
 /// No softer than this share of what was found is looked for.
 const LEAST: f64 = 0.05;
 /// How many are pressed at once, and at most.
-const ROUND: usize = 4;
-const MOST: usize = 12;
+const PRESSED_AT_ONCE: usize = 4;
+const MOST_PRESSED: usize = 12;
 
 impl SearchContext<'_> {
     /// A wall that keeps both ripples.
@@ -32,7 +32,7 @@ impl SearchContext<'_> {
             if let Some(found) = self.pressed_on_board(&found.settings, low)? {
                 break found;
             }
-            (high, low) = (low, low / SOFTER);
+            (high, low) = (low, low / SOFTER_ON_BOARD);
         };
         while high / low > CLOSE {
             let middle = (low * high).sqrt();
@@ -59,8 +59,8 @@ pub(super) fn confirmed(
         all.into_iter().partition(|found| found.board_ripple_n.is_some());
     let mut seen = BTreeSet::new();
     waiting.retain(|found| seen.insert((found.settings.estimator, found.settings.feed_forward.name())));
-    waiting.truncate(MOST);
-    for (round, some) in waiting.chunks(ROUND).enumerate() {
+    waiting.truncate(MOST_PRESSED);
+    for (round, some) in waiting.chunks(PRESSED_AT_ONCE).enumerate() {
         // What no estimator's best comes near need not be known exactly.
         let floor = super::TOLD * super::stiffest(&done).map_or(0.0, |found| found.settings.stiffness);
         let results = sweep.map(&format!("on the board, round {}", round + 1), some, |found| {
