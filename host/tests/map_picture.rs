@@ -227,6 +227,32 @@ fn a_paddle_shows_its_arc_and_its_inertia() {
     assert!(picture.svg().contains("163.3 g"), "{}", picture.svg());
 }
 
+/// Asserts that no line of text that begins at the left ends beyond the picture, and that there are so many.
+fn nothing_is_cut_off(svg: &str, least: usize) {
+    let attribute = |text: &str, name: &str| -> f64 {
+        text.split_once(&format!(" {name}=\"")).unwrap().1.split('"').next().unwrap().parse().unwrap()
+    };
+    let width = attribute(svg, "width");
+    let mut seen = 0;
+    for line in svg.lines().filter(|line| line.starts_with("<text") && line.contains("\"start\"")) {
+        let words = line.split_once('>').unwrap().1.trim_end_matches("</text>");
+        // Measured in the PNG: this font's letters are on average half as wide as they are high.
+        let end = attribute(line, "x") + 0.508 * attribute(line, "font-size") * words.chars().count() as f64;
+        assert!(end < width, "{words}: ends at {end:.0} of {width}");
+        seen += 1;
+    }
+    assert!(seen >= least, "{seen}");
+}
+
+#[test]
+fn no_caption_of_a_map_is_cut_off() {
+    for file in shipped().into_iter().filter(|file| file.name != "hapkit-paddle") {
+        let normal: Vec<f64> = (0..file.spec().task).map(|axis| f64::from(u8::from(axis == 0))).collect();
+        let picture = haptic::plot::map::draw(&file.description, &file.name, &normal, Admissible::default()).unwrap();
+        nothing_is_cut_off(picture.svg(), 4);
+    }
+}
+
 #[test]
 fn no_caption_of_a_paddle_is_cut_off_with_limits_or_without() {
     let mut paddle = shipped().into_iter().find(|file| file.name == "hapkit-paddle").unwrap();
@@ -234,19 +260,6 @@ fn no_caption_of_a_paddle_is_cut_off_with_limits_or_without() {
         paddle.description.joints[0].limits = limits;
         let picture =
             haptic::plot::map::draw(&paddle.description, &paddle.name, &[1.0], Admissible::default()).unwrap();
-        let attribute = |text: &str, name: &str| -> f64 {
-            text.split_once(&format!(" {name}=\"")).unwrap().1.split('"').next().unwrap().parse().unwrap()
-        };
-        let width = attribute(picture.svg(), "width");
-        let lines = picture.svg().lines().filter(|line| line.starts_with("<text") && line.contains("\"start\""));
-        let mut seen = 0;
-        for line in lines {
-            let words = line.split_once('>').unwrap().1.trim_end_matches("</text>");
-            // Measured in the PNG: this font's letters are on average half as wide as they are high.
-            let end = attribute(line, "x") + 0.508 * attribute(line, "font-size") * words.chars().count() as f64;
-            assert!(end < width, "{words}: ends at {end:.0} of {width}");
-            seen += 1;
-        }
-        assert!(seen >= 4, "{seen}");
+        nothing_is_cut_off(picture.svg(), 4);
     }
 }

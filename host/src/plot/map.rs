@@ -109,7 +109,7 @@ pub fn chart(
     let beside = if Turret::of(description.kind).is_some() { " (joint 0's axis is one)" } else { "" };
     let coloured = [
         format!("coloured: where the tip gets from home, clear of singular poses{beside}"),
-        "with arms bent as at home: of other arm poses with the tip in the same place nothing is shown".into(),
+        "in home's arm pose: others with the tip in the same place are not drawn".into(),
     ];
     for (i, line) in coloured.iter().enumerate() {
         canvas.text((frame.at.0, bottom + 112.0 + 16.0 * i as f64), 11.5, Anchor::Start, false, line);
