@@ -14,14 +14,14 @@ fn every_force_is_taken_and_no_period_missed_however_often_a_host_pushes() {
     let case = CASES[0];
     let mut rig = case.rig(case.rate_hz);
     for (divider, contact, ahead, least) in [
-        (0, None, 1, 2150.0),
-        (20, None, 1, 2000.0),
-        (20, Some(PLANE), 1, 1500.0),
-        (4, None, 1, 1250.0),
-        (0, None, 2, 2800.0),
-        (20, None, 2, 2600.0),
-        (20, Some(PLANE), 2, 1700.0),
-        (4, None, 2, 1450.0),
+        (0, None, 1, 2500.0),
+        (20, None, 1, 2400.0),
+        (20, Some(PLANE), 1, 1850.0),
+        (4, None, 1, 1700.0),
+        (0, None, 2, 3500.0),
+        (20, None, 2, 3300.0),
+        (20, Some(PLANE), 2, 2200.0),
+        (4, None, 2, 1950.0),
     ] {
         let found = run(&mut rig, (Fields::USUAL, divider), case.rate_hz, 60, contact, ahead);
         println!(
