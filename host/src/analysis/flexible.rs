@@ -3,7 +3,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use haptic_bridge::model::description::{StructuralMode, Transmission};
+use haptic_bridge::model::description::{Joint, StructuralMode, Transmission};
 
 /// A hand as a mass, a damper and a spring to where it wants to be, at the tip and the same in every direction.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -39,6 +39,14 @@ pub struct Flexible {
 }
 
 impl Flexible {
+    /// The same with the transmissions and the structural modes of these joints.
+    pub fn of_joints(mut self, joints: &[Joint]) -> Self {
+        self.transmissions = joints.iter().map(|joint| joint.transmission).collect();
+        let modes = joints.iter().enumerate();
+        self.modes = modes.flat_map(|(index, joint)| joint.structural_modes().map(move |mode| (index, mode))).collect();
+        self
+    }
+
     /// Whether it is all rigid, and in nobody's hand.
     pub fn is_rigid(&self) -> bool {
         !self.hand.is_there() && self.modes.is_empty() && self.transmissions.iter().all(Option::is_none)

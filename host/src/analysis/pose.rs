@@ -178,10 +178,7 @@ impl Linearised {
         let joints = description.kind.spec().joints;
         let mut seen = Self::of(&Device::new("", description)?, q, normal, admissible)?;
         if description.is_flexible() {
-            seen.flexible.transmissions = description.joints[..joints].iter().map(|joint| joint.transmission).collect();
-            let modes = description.joints[..joints].iter().enumerate();
-            seen.flexible.modes =
-                modes.flat_map(|(index, joint)| joint.structural_modes().map(move |mode| (index, mode))).collect();
+            seen.flexible = seen.flexible.of_joints(&description.joints[..joints]);
         }
         Ok(seen)
     }

@@ -15,6 +15,22 @@ use haptic_bridge::render::scene::FeedForward;
 /// Area gained by the feed-forward below which it is not worth its cost.
 pub const WORTHWHILE_RATIO: f64 = 1.05;
 
+/// Below this ratio to what is stable without it a feed-forward costs more than it brings, beyond what rounds away.
+pub const COSTLY_RATIO: f64 = 0.99;
+
+/// How often a washout's corner is halved that is looked for.
+const HALVED: i32 = 10;
+
+/// The first corner below `corner` (Hz), halved again and again, that is `free`.
+pub fn lower_corner<E>(corner: f64, free: impl Fn(f64) -> Result<bool, E>) -> Result<Option<f64>, E> {
+    for lower in (1..=HALVED).map(|halved| corner / 2.0_f64.powi(halved)) {
+        if free(lower)? {
+            return Ok(Some(lower));
+        }
+    }
+    Ok(None)
+}
+
 /// What `haptic range` answers.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Range {

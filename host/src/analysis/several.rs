@@ -184,18 +184,12 @@ fn linearised<const N: usize, M: Mechanism<f64, N>>(
     let bias: Vec<DVector<f64>> =
         (0..N).map(|j| torque(&SVector::zeros(), Some(SVector::from_fn(|i, _| f64::from(u8::from(i == j)))))).collect();
     let mass = m.mass(&pose);
-    let joints = &description.joints[..N];
     let tips: Vec<DVector<f64>> = (0..M::SPEC.task)
         .map(|axis| dense(m.transpose(&pose, &SVector::from_fn(|i, _| f64::from(u8::from(i == axis))))))
         .collect();
-    let flexible = Flexible {
-        transmissions: joints.iter().map(|joint| joint.transmission).collect(),
-        modes: (0..N).flat_map(|j| joints[j].structural_modes().map(move |mode| (j, mode))).collect(),
-        tip: DMatrix::from_columns(&tips).transpose(),
-        ..Flexible::default()
-    };
+    let flexible = Flexible { tip: DMatrix::from_columns(&tips).transpose(), ..Flexible::default() };
     Ok(WallSet {
-        flexible,
+        flexible: flexible.of_joints(&description.joints[..N]),
         mass: DMatrix::from_fn(N, N, |i, j| mass[(i, j)]),
         viscous: DVector::from_fn(N, |j, _| description.joints[j].viscous),
         first: DVector::from_fn(M::SPEC.task, |i, _| pulls.first().map_or(0.0, |pull| pull.normal[i])),

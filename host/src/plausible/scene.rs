@@ -8,7 +8,7 @@ use crate::analysis::flexible::Flexible;
 use crate::analysis::map::Reachable;
 use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
-use crate::analysis::range::stiffness_at;
+use crate::analysis::range::{COSTLY_RATIO, lower_corner, stiffness_at};
 use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
 use crate::bench::probe::on_surface;
 use crate::scene_file::place_of;
@@ -22,6 +22,7 @@ use haptic_bridge::render::velocity::Estimator;
 use haptic_bridge::safety::limits::GENTLE_FORCE;
 use nalgebra::{DVector, SVector};
 use serde::Serialize;
+use std::convert::Infallible;
 
 /// Hand speed (m/s) at which a wall's damping alone should not take all of the motors.
 const SLOW: f64 = 0.1;
@@ -294,29 +295,26 @@ fn buzzing(scene: &Scene<f64>, contact: &Contact) -> Option<Doubt> {
     Some(Doubt::new(Key { table: "wall", index: Some(contact.wall), part: "", name: "damping" }, text))
 }
 
-/// Below this share of what is stable without the feed-forward a washout costs more than it brings, beyond what rounds
-/// away.
-const COSTLY: f64 = 0.99;
 /// Share of what is stable with it from which on a wall is near enough for that to matter.
 const NEAR: f64 = 0.25;
-/// How often a corner is halved that is looked for.
-const HALVED: usize = 10;
 
 /// A washout with which less stiffness is stable than without any feed-forward, at the wall's own damping: one whose corner
 /// is not far below what the loop does.
 fn washed_away(device: &Device<f64>, scene: &Scene<f64>, contact: &Contact) -> Option<Doubt> {
     let wall = scene.walls.get(contact.wall)?;
+    if wall.feed_forward != FeedForward::Washout || wall.stiffness <= NEAR * contact.stable_to {
+        return None;
+    }
     let around = around(scene, wall, usual_delay(scene.rate_hz))?;
     let mut linearised = Linearised::of(device, &contact.q, &contact.normal, scene.admissible).ok()?;
     linearised.gain = scene.feed_forward_gain;
     let stable_to = |mode| Some(stiffness_at(&linearised, &around, mode, wall.damping).ok()?.0);
     let without = stable_to(Mode::Off)?;
-    let asked_for = contact.stable_to < COSTLY * without && wall.stiffness > NEAR * contact.stable_to;
-    if wall.feed_forward != FeedForward::Washout || !asked_for {
+    if contact.stable_to >= COSTLY_RATIO * without {
         return None;
     }
-    let corners = (1..=HALVED).map(|halved| wall.washout_hz / f64::from(1 << halved));
-    let free = corners.into_iter().find(|hz| stable_to(Mode::Washout(*hz)).is_some_and(|kp| kp >= COSTLY * without));
+    let is_free = |hz| Ok::<_, Infallible>(stable_to(Mode::Washout(hz)).is_some_and(|kp| kp >= COSTLY_RATIO * without));
+    let Ok(free) = lower_corner(wall.washout_hz, is_free);
     let instead = free.map_or(String::new(), |hz| format!("a corner of {hz} Hz costs nothing; or "));
     let text = format!(
         "the washout of wall {}, {} Hz, costs more than it brings: {} is predicted stable with it and {} without the \

@@ -5,13 +5,10 @@ use crate::commands::arguments::Numbers;
 use crate::commands::port::counted;
 use haptic::analysis::host::HostWall;
 use haptic::analysis::passivity::Passivity;
-use haptic::analysis::range::{Domain, Range, WORTHWHILE_RATIO};
+use haptic::analysis::range::{COSTLY_RATIO, Domain, Range, WORTHWHILE_RATIO, lower_corner};
 use haptic::analysis::why::{Both, Limits, Why};
 use haptic_bridge::model::description::Description;
 use std::fmt::Write;
-
-/// Below this ratio a feed-forward costs more than it brings, beyond what rounds away.
-const COSTLY: f64 = 0.99;
 
 /// Pose, walls and loop, for titles.
 pub fn subtitle(args: &Args, q: &[f64], normals: &[Vec<f64>], ratio: f64) -> [String; 2] {
@@ -202,14 +199,11 @@ pub fn in_words(why: &Why) -> String {
     text
 }
 
-/// How often a corner is halved that is looked for.
-const HALVED: usize = 10;
-
-/// What is left of the area and of the stiffest wall, where less is left of either than [`COSTLY`].
+/// What is left of the area and of the stiffest wall, where less is left of either than [`COSTLY_RATIO`].
 fn costs(domain: &Domain, off: &Domain) -> Option<(f64, f64)> {
     let stiffness = domain.top.kp / off.top.kp.max(f64::MIN_POSITIVE);
     let area = domain.area / off.area.max(f64::MIN_POSITIVE);
-    (off.area > 0.0 && (area < COSTLY || stiffness < COSTLY)).then_some((area, stiffness))
+    (off.area > 0.0 && (area < COSTLY_RATIO || stiffness < COSTLY_RATIO)).then_some((area, stiffness))
 }
 
 /// Doubts about a feed-forward that costs more than it brings: in full, and washed out at a corner (Hz). `washed` predicts
@@ -232,15 +226,10 @@ pub fn costly<E>(
     if costs(washout, &range.off).is_none() {
         return Ok(doubts);
     }
-    let mut instead = "leave the feed-forward off".to_string();
-    let mut lower = corner;
-    for _ in 0..HALVED {
-        lower /= 2.0;
-        if washed(lower)?.washout.is_some_and(|domain| costs(&domain, &range.off).is_none()) {
-            instead = format!("a corner of {lower} Hz costs nothing (--washout), or leave the feed-forward off");
-            break;
-        }
-    }
+    let is_free = |hz| Ok(washed(hz)?.washout.is_some_and(|domain| costs(&domain, &range.off).is_none()));
+    let free = lower_corner(corner, is_free)?;
+    let costless = free.map_or(String::new(), |hz| format!("a corner of {hz} Hz costs nothing (--washout), or "));
+    let instead = format!("{costless}leave the feed-forward off");
     doubts.extend(doubt(washout, "the washout", &instead));
     Ok(doubts)
 }
