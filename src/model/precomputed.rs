@@ -191,7 +191,16 @@ impl<T: Real> Table<T> {
 
     /// M at joint coordinates; `None` outside the grid.
     fn mass<M: Mechanism<T, N>, const N: usize>(&self, shape: &[T; 2]) -> Option<SMatrix<T, N, N>> {
-        Some(of_entries::<T, M, N>(&self.entries(shape, M::MASS_ENTRIES.len())?))
+        let entries = self.entries(shape, M::MASS_ENTRIES.len())?;
+        let mut mass = SMatrix::<T, N, N>::zeros();
+        for ((row, column), value) in M::MASS_ENTRIES.iter().zip(entries) {
+            for place in [(*row, *column), (*column, *row)] {
+                if let Some(entry) = mass.get_mut(place) {
+                    *entry = value;
+                }
+            }
+        }
+        Some(mass)
     }
 
     /// The first `count` entries at joint coordinates. Not inlined: all mechanisms share it.
@@ -219,20 +228,6 @@ impl<T: Real> Table<T> {
         }
         Some(entries)
     }
-}
-
-/// M of its distinct entries.
-#[inline(never)]
-fn of_entries<T: Real, M: Mechanism<T, N>, const N: usize>(entries: &[T]) -> SMatrix<T, N, N> {
-    let mut mass = SMatrix::<T, N, N>::zeros();
-    for ((row, column), value) in M::MASS_ENTRIES.iter().zip(entries) {
-        for place in [(*row, *column), (*column, *row)] {
-            if let Some(entry) = mass.get_mut(place) {
-                *entry = *value;
-            }
-        }
-    }
-    mass
 }
 
 /// Weights of four neighbours at `t` in [0, 1] between the middle two (Catmull and Rom 1974, tension 1/2).
