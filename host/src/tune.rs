@@ -11,7 +11,7 @@
 //! the best few the search goes on between the values of the grid.
 //!
 //! One simulated hand is easily pleased: a wall that is quiet under it may ripple five times as much under another. So the best of
-//! each estimator is pressed once more, by another hand and with everything that a board has ([`confirm`]), and made softer
+//! each estimator is pressed once more, by another hand and with everything that a board has (`confirm`), and made softer
 //! until it is quiet there as well.
 
 mod baseline;
