@@ -168,30 +168,12 @@ impl<T: Real, const N: usize> Inertia<T, N> {
             }
         }
         let b = b + mechanism.gravity(pose);
-        let shapings: [Shaping<T, N>; N] =
-            core::array::from_fn(|i| mechanism.shaping(pose, &split.basis.column(i).into_owned()));
-        let operational = mechanism.operational_inertia(pose);
-        let w = split.basis.tr_mul(&(operational * split.basis));
+        let mut shapings = [Shaping { e: SVector::zeros(), me: SVector::zeros(), w_rr: T::zero() }; N];
+        for (i, shaping) in shapings.iter_mut().enumerate() {
+            *shaping = mechanism.shaping(pose, &split.basis.column(i).into_owned());
+        }
+        let w = in_basis(&mechanism.operational_inertia(pose), &split.basis);
         let z = SVector::from_fn(|i, _| shapings[i].e.dot(&b));
-
-        let mass = mechanism.mass(pose);
-        let rows: [SVector<T, N>; N] = core::array::from_fn(|i| mechanism.transpose(pose, &tip.column(i).into_owned()));
-        let mut mobility = SMatrix::<T, N, N>::identity();
-        for j in 0..rank {
-            let accelerations = solve_symmetric(&mass, &rows[j]);
-            for i in 0..rank {
-                mobility[(i, j)] = rows[i].dot(&accelerations);
-            }
-        }
-        let mut w_eff = SMatrix::<T, N, N>::zeros();
-        for j in 0..rank {
-            let mut unit = SVector::<T, N>::zeros();
-            unit[j] = T::one();
-            let column = solve_symmetric(&mobility, &unit);
-            for i in 0..rank {
-                w_eff[(i, j)] = column[i];
-            }
-        }
 
         let in_span = tip.tr_mul(force);
         let torque = match walls {
@@ -204,10 +186,63 @@ impl<T: Real, const N: usize> Inertia<T, N> {
             }
         };
         let f_a = SVector::from_fn(|i, _| shapings.get(i + rank).map_or(T::zero(), |shaping| shaping.e.dot(&torque)));
-        let mut without = SVector::<T, N>::zeros();
-        for i in 0..rank {
-            without += rows[i] * in_span[i];
-        }
+        let (w_eff, without) = coupled(mechanism, pose, &tip, rank, &in_span);
         Self { split, w, z, w_eff, torque, torque_without_feed_forward: without, f_a }
     }
+}
+
+/// Bᵀ Λ B for a symmetric Λ.
+#[inline(always)]
+fn in_basis<T: Real, const N: usize>(inertia: &SMatrix<T, N, N>, basis: &SMatrix<T, N, N>) -> SMatrix<T, N, N> {
+    let mut w = SMatrix::<T, N, N>::zeros();
+    for j in 0..N {
+        let moved: SVector<T, N> = inertia * basis.column(j);
+        for i in 0..=j {
+            let entry = basis.column(i).dot(&moved);
+            w[(i, j)] = entry;
+            w[(j, i)] = entry;
+        }
+    }
+    w
+}
+
+/// What the device does without the feed-forward along the first `rank` columns of `tip`: Weff (kg) in its leading
+/// block, and Jrᵀ fr (N m) of the force `in_span` (N) along them.
+#[inline(always)]
+fn coupled<T: Real, M: Mechanism<T, N>, const N: usize>(
+    mechanism: &M,
+    pose: &M::Pose,
+    tip: &SMatrix<T, N, N>,
+    rank: usize,
+    in_span: &SVector<T, N>,
+) -> (SMatrix<T, N, N>, SVector<T, N>) {
+    let mut w_eff = SMatrix::<T, N, N>::zeros();
+    let mut torque = SVector::<T, N>::zeros();
+    if rank == 0 {
+        return (w_eff, torque);
+    }
+    let mass = mechanism.mass(pose);
+    let row = |i: usize| mechanism.transpose(pose, &tip.column(i).into_owned());
+    if rank == 1 {
+        let row = row(0);
+        w_eff[(0, 0)] = T::one() / row.dot(&solve_symmetric(&mass, &row));
+        return (w_eff, row * in_span[0]);
+    }
+    let mut mobility = SMatrix::<T, N, N>::identity();
+    for j in 0..rank {
+        torque += row(j) * in_span[j];
+        let accelerations = solve_symmetric(&mass, &row(j));
+        for i in 0..rank {
+            mobility[(i, j)] = row(i).dot(&accelerations);
+        }
+    }
+    for j in 0..rank {
+        let mut unit = SVector::<T, N>::zeros();
+        unit[j] = T::one();
+        let column = solve_symmetric(&mobility, &unit);
+        for i in 0..rank {
+            w_eff[(i, j)] = column[i];
+        }
+    }
+    (w_eff, torque)
 }

@@ -293,12 +293,22 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
 
     fn operational_inertia(&self, pose: &Pose<T>) -> Matrix3<T> {
         let plane = self.plane.operational_inertia(&pose.plane);
-        let mut turned = Matrix3::zeros();
-        turned.fixed_view_mut::<2, 2>(0, 0).copy_from(&plane);
-        turned[(2, 2)] = self.spin(pose).inertia * pose.inverse_y * pose.inverse_y;
-        let (s, c, one, zero) = (pose.sine, pose.cosine, T::one(), T::zero());
-        let frame = Matrix3::new(one, zero, zero, zero, c, -s, zero, s, c);
-        frame * turned * frame.transpose()
+        let normal = self.spin(pose).inertia * pose.inverse_y * pose.inverse_y;
+        // Turned about x: the plane's y lies along (0, cos, sin), its normal along (0, -sin, cos).
+        let (s, c) = (pose.sine, pose.cosine);
+        let (xy, yy) = (plane[(0, 1)], plane[(1, 1)]);
+        let across = (yy - normal) * (s * c);
+        Matrix3::new(
+            plane[(0, 0)],
+            xy * c,
+            xy * s,
+            xy * c,
+            yy * c * c + normal * s * s,
+            across,
+            xy * s,
+            across,
+            yy * s * s + normal * c * c,
+        )
     }
 
     fn shape(&self, q: &Vector3<T>) -> [T; 2] {

@@ -322,12 +322,21 @@ impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
             - (mixed + mixed.transpose()) * (self.coupling * pose.elbow_cosine))
             * (pose.inverse_sine * pose.inverse_sine);
         let normal = self.spin(pose).0 * pose.inverse_x * pose.inverse_x;
-        let (s, cos, one, zero) = (pose.sine, pose.cosine, T::one(), T::zero());
-        let frame = Matrix3::new(cos, zero, -s, zero, one, zero, -s, zero, -cos);
-        let mut turned = Matrix3::zeros();
-        turned.fixed_view_mut::<2, 2>(0, 0).copy_from(&plane);
-        turned[(2, 2)] = normal;
-        frame * turned * frame.transpose()
+        // Turned about the axis of the turret: the plane's x lies along (cos, 0, -sin), its normal along (-sin, 0, -cos).
+        let (s, c) = (pose.sine, pose.cosine);
+        let (xx, xy) = (plane[(0, 0)], plane[(0, 1)]);
+        let across = (normal - xx) * (s * c);
+        Matrix3::new(
+            xx * c * c + normal * s * s,
+            xy * c,
+            across,
+            xy * c,
+            plane[(1, 1)],
+            -xy * s,
+            across,
+            -xy * s,
+            xx * s * s + normal * c * c,
+        )
     }
 
     fn shape(&self, q: &Vector3<T>) -> [T; 2] {
