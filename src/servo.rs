@@ -24,6 +24,7 @@ use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::render::found::Asked;
+use crate::render::scene::DEFAULT_RATE_HZ;
 use crate::safety::fault::{Fault, FaultRecord, State};
 use crate::servo::frame::{Now, Outputs, Samples, StepRecord};
 use crate::servo::joints::{Counts, Currents, Duties, Torques};
@@ -107,7 +108,7 @@ where
             polarity: polarity::PolarityCheck::default(),
             fault: None,
             now: Now::default(),
-            period: 1.0 / 20_000.0,
+            period: 1.0 / DEFAULT_RATE_HZ as f32,
             rate_since: 0,
             fade: fade::Fade::default(),
             cut: Some(fade::Acted::default()),

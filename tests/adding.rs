@@ -1,6 +1,5 @@
 //! What it takes to add something is what docs/architecture.md says: the places where one that is there is named are the
-//! files of its row. That a toy one works is tested in tests/mechanism.rs, tests/shape.rs, tests/estimators.rs,
-//! tests/stages.rs, src/board/telemetry.rs and host/src/commands/mod.rs.
+//! files of its row; where a test can add one, the row names the test that adds a toy.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -30,35 +29,70 @@ struct Row {
     stems: &'static [&'static str],
     /// Files that use them, and would do without.
     users: &'static [&'static str],
+    /// The file whose test adds a toy, and the test.
+    toy: Option<(&'static str, &'static str)>,
 }
 
 const ROWS: [Row; 11] = [
     // One that stands in its own way, for other programs and in MuJoCo.
-    Row { name: "mechanism", words: &["Parallelogram", "parallelogram"], stems: &["parallelogram"], users: &[] },
-    Row { name: "straight step", words: &["StepVariant"], stems: &["plane"], users: &[] },
-    Row { name: "wall shape", words: &["Cylinder", "cylinder"], stems: &["cylinder"], users: &[] },
+    Row {
+        name: "mechanism",
+        words: &["Parallelogram", "parallelogram"],
+        stems: &["parallelogram"],
+        users: &[],
+        toy: Some(("tests/mechanism.rs", "a_toy_mechanism_is_one_impl_and_renders_walls_with_the_feed_forward")),
+    },
+    Row { name: "straight step", words: &["StepVariant"], stems: &["plane"], users: &[], toy: None },
+    Row {
+        name: "wall shape",
+        words: &["Cylinder", "cylinder"],
+        stems: &["cylinder"],
+        users: &[],
+        toy: Some(("tests/shape.rs", "a_toy_shape_is_one_impl")),
+    },
     Row {
         name: "telemetry signal",
         words: &["RenderedForce", "rendered_force"],
         stems: &[],
         users: &["host/src/sim/held.rs", "host/src/view/picture.rs"],
+        toy: Some(("src/board/telemetry.rs", "a_toy_signal_is_one_line")),
     },
-    Row { name: "signal of the walls", words: &["PassivityDamping", "passivity_damping"], stems: &[], users: &[] },
-    Row { name: "fault", words: &["IndexMismatch"], stems: &[], users: &[] },
+    Row {
+        name: "signal of the walls",
+        words: &["PassivityDamping", "passivity_damping"],
+        stems: &[],
+        users: &[],
+        toy: Some(("src/board/telemetry.rs", "a_toy_signal_is_one_line")),
+    },
+    Row {
+        name: "fault",
+        words: &["IndexMismatch"],
+        stems: &[],
+        users: &[],
+        toy: Some(("src/safety/fault.rs", "a_toy_fault_is_one_line")),
+    },
     // One that is not linear, and one that is.
     Row {
         name: "velocity estimator",
         words: &["Levant", "levant", "AlphaBeta", "alpha_beta", "alpha-beta"],
         stems: &["levant", "alpha_beta"],
         users: &[],
+        toy: Some(("tests/estimators.rs", "a_toy_estimator_is_one_impl")),
     },
     Row {
         name: "request",
         words: &["SetName", "set_name"],
         stems: &[],
         users: &["host/src/commands/name.rs", "emulator/src/inject.rs"],
+        toy: Some(("src/board/dispatch.rs", "a_toy_request_is_a_line_and_an_arm")),
     },
-    Row { name: "command", words: &["Completions", "completions"], stems: &["completions"], users: &[] },
+    Row {
+        name: "command",
+        words: &["Completions", "completions"],
+        stems: &["completions"],
+        users: &[],
+        toy: Some(("host/src/commands/mod.rs", "a_toy_command_is_a_file_and_a_line")),
+    },
     Row {
         name: "board",
         words: &["HBridgeF405", "h_bridge_f405", "h-bridge-f405", "flash-h-bridge-f405"],
@@ -71,8 +105,18 @@ const ROWS: [Row; 11] = [
             "emulator/src/range.rs",
             "host/src/commands/report.rs",
         ],
+        toy: None,
     },
-    Row { name: "motor stage", words: &["brushed"], stems: &["brushed"], users: &["host/src/sim/board.rs"] },
+    Row {
+        name: "motor stage",
+        words: &["brushed"],
+        stems: &["brushed"],
+        users: &["host/src/sim/board.rs"],
+        toy: Some((
+            "tests/stages.rs",
+            "an_amplifier_gets_the_current_of_the_walls_torque_and_nothing_once_the_motors_are_off",
+        )),
+    },
 ];
 
 /// What its files end with.
@@ -118,11 +162,17 @@ fn named_in(words: &[&str]) -> BTreeSet<String> {
     named.map(inside).collect()
 }
 
+/// A row of the table in docs/architecture.md.
+fn line(row: &str) -> String {
+    let text = read(&root().join("docs/architecture.md"));
+    let table = text.split("## Adding things").nth(1).expect("the section");
+    let line = table.lines().find(|line| line.starts_with(&format!("| {row} |")));
+    line.unwrap_or_else(|| panic!("no {row}")).into()
+}
+
 /// The files of a row of the table, with each of `stems` where it says NAME.
 fn told(row: &str, stems: &[&str]) -> BTreeSet<String> {
-    let text = read(&root().join("docs/architecture.md"));
-    let table = text.split("## Adding things").nth(1).expect("the section").to_string();
-    let line = table.lines().find(|line| line.starts_with(&format!("| {row} |"))).unwrap_or_else(|| panic!("no {row}"));
+    let line = line(row);
     let part = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);
     let words = line.split(|c: char| !part(c)).filter(|word| word.contains('/'));
     let files =
@@ -140,7 +190,7 @@ fn told(row: &str, stems: &[&str]) -> BTreeSet<String> {
 
 #[test]
 fn the_places_where_one_that_is_there_is_named_are_the_files_of_its_row() {
-    for Row { name, words, stems, users } in ROWS {
+    for Row { name, words, stems, users, .. } in ROWS {
         let told = told(name, stems);
         assert!(told.iter().all(|file| root().join(file).exists()), "{name}: {told:?}");
         let mut named = named_in(words);
@@ -151,6 +201,22 @@ fn the_places_where_one_that_is_there_is_named_are_the_files_of_its_row() {
         let own = |file: &&String| stems.iter().any(|stem| file.ends_with(&format!("/{stem}.rs")));
         named.extend(told.iter().filter(own).cloned());
         assert_eq!(named, told, "{name}: where {words:?} stands is not what the row says");
+    }
+}
+
+#[test]
+fn a_row_names_the_test_that_adds_a_toy_or_says_that_none_does() {
+    for Row { name, toy, .. } in ROWS {
+        let line = line(name);
+        let told = line.trim_end_matches('|').rsplit('|').next().expect("a last column").trim();
+        match toy {
+            Some((file, test)) => {
+                assert!(told.starts_with(file), "{name}: {told}");
+                let source = read(&root().join(file));
+                assert!(source.contains(&format!("fn {test}()")), "{name}: {file} has no {test}");
+            }
+            None => assert!(told.starts_with("none: "), "{name}: {told}"),
+        }
     }
 }
 

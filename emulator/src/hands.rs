@@ -26,6 +26,12 @@ pub fn carry(device: &mut SimulatedDevice) {
     device.set_hand(Hand::new(HandSettings::default(), Intent::Push(weight), device.tip(), device.time()));
 }
 
+/// A relaxed hand at rest: it gives way a little.
+pub fn grip(device: &mut SimulatedDevice) {
+    let here = vec![Waypoint { time: 0.0, value: device.tip() }];
+    device.set_hand(Hand::new(HandSettings::default(), Intent::Follow(here), device.tip(), device.time()));
+}
+
 /// A firm hand that moves the tip to and fro by `reach` (m) for `seconds`.
 pub fn wander(device: &mut SimulatedDevice, reach: f64, seconds: f64) {
     let tip = device.tip();

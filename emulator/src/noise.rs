@@ -10,7 +10,7 @@ use haptic::sim::MotorInput;
 use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
-use haptic_bridge::safety::fault::{Fault, State};
+use haptic_bridge::safety::fault::Fault;
 
 use crate::boards::BoardKind;
 use crate::rig::Rig;
@@ -190,7 +190,7 @@ pub fn run(seed: u32, seconds: u64, mut told: impl FnMut(u64)) -> (Rig, Noise) {
     let faults = rig.tool.faults().expect("the board answers");
     noise.faults = faults.iter().filter(|record| record.fault != Fault::NotFinite).count();
     let state = rig.tool.status().expect("the board answers").state;
-    noise.driven += u64::from(!matches!(state, State::Disarmed | State::Fault));
+    noise.driven += u64::from(state.drives());
     // A request with a changed byte may have been a sound one that lowers a limit.
     rig.tool.set_rules(&rules).expect("rules change");
     (rig, noise)

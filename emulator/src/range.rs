@@ -2,9 +2,11 @@
 //! through the protocol, beside what the sampled-data theory of `haptic range` says with the delay that the board
 //! reports.
 //!
-//! The device is the shipped coupled-five-bar without friction and with fine encoders, at a pose and along the normal
-//! where its coupling is worst, no hand on it. Motors, current sensors and the board's current loops are there.
+//! The rigid device is the shipped coupled-five-bar without friction and with fine encoders, at a pose and along the normal
+//! where its coupling is worst, no hand on it. Other shipped devices stand at their homes with a cable at every joint.
+//! Motors, current sensors and the board's current loops are there.
 
+use std::f64::consts::TAU;
 use std::fmt::Write as _;
 
 use haptic::analysis::map;
@@ -26,8 +28,9 @@ use haptic_bridge::model::motor::Motor;
 use haptic_bridge::render::scene::FeedForward;
 
 use crate::boards::BoardKind;
-use crate::hands::carry;
+use crate::hands::{carry, grip, hold};
 use crate::rig::{Rig, device_file};
+use crate::run::MILLISECOND;
 
 /// Where the wall is touched, rad: the pose of the figures in docs/results.md.
 pub const POSE: [f64; 3] = [2.6, 1.75, 0.0];
@@ -45,24 +48,59 @@ const MOTOR: Motor<f64> = Motor {
 };
 /// What 12 A make, N m.
 const TORQUE_LIMIT: f64 = 0.4;
+/// What 10 A make, N m, which the board lets flow for ever. Held too quickly, a tip on cables buzzes until it is held more
+/// softly; at more than that its motors would spend their thermal budget before, which is not what is measured.
+const LASTING_TORQUE: f64 = 0.33;
+/// Most current of motors on the odrive-v3, A. Its shunts show steps of 10 mA and zeros as much off, which on motors of 2 or 3 A
+/// push a device without friction away.
+const SHUNT_CURRENT: f64 = 10.0;
 /// Its half bridges cost no dead time, which acts on a small swing as friction does.
 const BOARD: BoardKind = BoardKind::HBridgeF405;
 
-/// A cable at each joint, against whose motor it is this stiff (Hz) and so much damped (share of the critical).
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Cable {
-    /// Frequency of the motor on the cable, Hz.
-    pub hz: f64,
-    /// Share of critical damping.
-    pub damped: f64,
-}
-
-/// The cables of docs/results/complete.md.
-pub const CABLE: Cable = Cable { hz: 400.0, damped: 0.05 };
+/// Frequency of each joint's cable against its motor, Hz, and its share of critical damping: docs/results/complete.md.
+const CABLE: (f64, f64) = (400.0, 0.05);
+/// A turret's own body is on the link's side: the motor has this share of its inertia.
+const TURRET_MOTOR: f64 = 0.3;
+/// Encoders of devices with cables, which feel even small steps at high rates.
+const CABLE_COUNTS_PER_TURN: f64 = (1 << 22) as f64;
 /// Where the walls with cables are measured: this share of the way to where the range ends.
 const CABLE_SHARE: f64 = 0.35;
 /// Of the washout, Hz.
 const WASHOUT_HZ: f64 = 2.0;
+
+/// A device on the bench, and the wall before it.
+#[derive(Clone, Debug)]
+pub struct Bench {
+    /// The board that drives it.
+    pub board: BoardKind,
+    /// The device.
+    pub file: DeviceFile,
+    /// The wall's unit normal.
+    pub normal: Vec<f64>,
+    /// The most torque that the measurement asks for, N m.
+    torque_limit: f64,
+}
+
+impl Bench {
+    /// Where the wall is touched, rad.
+    fn pose(&self) -> [f64; 3] {
+        self.file.description.home.expect("a device with a home")
+    }
+
+    /// Whether cables give at its joints.
+    fn gives(&self) -> bool {
+        self.file.description.joints.iter().any(|joint| joint.transmission.is_some())
+    }
+}
+
+/// The boards and shipped devices that are measured with cables.
+pub const CABLED: [(&str, BoardKind); 5] = [
+    ("coupled-five-bar", BOARD),
+    ("capstan-pantograph", BOARD),
+    ("capstan-pantograph", BoardKind::OdriveV3),
+    ("phantom-premium-1.5", BOARD),
+    ("woodenhaptics", BOARD),
+];
 
 /// Control rate and the cutoff of the velocity filter, Hz.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -85,13 +123,13 @@ pub const CABLE_RATES: [Rate; 3] = [
 /// --drive current`, Hz.
 const CURRENT_BANDWIDTH: f64 = 6400.0;
 
-/// The device on the bench, rigid or with cables.
+/// The coupled-five-bar, rigid.
 ///
 /// # Panics
 ///
 /// When the shipped file is gone.
 #[must_use]
-pub fn device(cable: Option<Cable>) -> DeviceFile {
+pub fn rigid() -> Bench {
     let mut file = device_file("coupled-five-bar");
     file.description.home = Some(POSE);
     for joint in &mut file.description.joints[..2] {
@@ -101,25 +139,65 @@ pub fn device(cable: Option<Cable>) -> DeviceFile {
             encoder.counts_per_turn = COUNTS_PER_TURN;
         }
         joint.motor = Some(MOTOR);
-        joint.transmission = cable.map(|Cable { hz, damped }| {
-            let stiffness = joint.inertia * (core::f64::consts::TAU * hz).powi(2);
-            let damping = 2.0 * damped * (stiffness * joint.inertia).sqrt();
-            Transmission { stiffness, damping, motor_inertia: joint.inertia, encoder_at: EncoderAt::Motor }
-        });
     }
-    file
+    // The unit normal of the largest Wrr/Weff at the pose.
+    let any = unit_normal(&[1.0, 0.0], 2, 2).expect("a unit vector");
+    let point = map::at_holding(&file.description, &POSE[..2], &any, Admissible::default());
+    let normal = point.expect("a sound device").expect("a regular pose").worst_ratio.normal;
+    Bench { board: BOARD, file, normal, torque_limit: TORQUE_LIMIT }
 }
 
-/// The unit normal of the largest Wrr/Weff at the pose.
+/// A motor that makes the same torque at the same voltage of [`SHUNT_CURRENT`].
+fn larger(motor: &Motor<f64>) -> Motor<f64> {
+    let share = motor.max_current / SHUNT_CURRENT;
+    Motor {
+        torque_constant: share * motor.torque_constant,
+        back_emf: share * motor.back_emf,
+        resistance: share * motor.resistance,
+        inductance: share * motor.inductance,
+        max_current: SHUNT_CURRENT,
+        ..*motor
+    }
+}
+
+/// A device of [`CABLED`] with a cable at every joint and without dry friction, as in docs/results/complete.md; its motors have a
+/// back-EMF or next to none.
 ///
 /// # Panics
 ///
-/// When the pose is singular.
+/// When the shipped file is gone.
 #[must_use]
-pub fn normal() -> Vec<f64> {
-    let any = unit_normal(&[1.0, 0.0], 2, 2).expect("a unit vector");
-    let point = map::at_holding(&device(None).description, &POSE[..2], &any, Admissible::default());
-    point.expect("a sound device").expect("a regular pose").worst_ratio.normal
+pub fn cabled((name, board): (&str, BoardKind), back_emf: bool) -> Bench {
+    let mut bench = if name == "coupled-five-bar" {
+        Bench { torque_limit: LASTING_TORQUE, ..rigid() }
+    } else {
+        let mut file = device_file(name);
+        let normal = [0.6, 0.8, 0.0][..file.spec().task].to_vec();
+        // On either board the same motors.
+        let planar = normal.len() == 2;
+        for joint in &mut file.description.joints {
+            joint.coulomb = 0.0;
+            if let Some(motor) = joint.motor.as_mut().filter(|_| planar) {
+                *motor = larger(motor);
+            }
+            if let Some(encoder) = &mut joint.encoder {
+                encoder.counts_per_turn = CABLE_COUNTS_PER_TURN;
+            }
+        }
+        Bench { board, file, normal, torque_limit: 1.0 }
+    };
+    let (hz, damped) = CABLE;
+    let joints = bench.file.spec().joints;
+    for (index, joint) in bench.file.description.joints[..joints].iter_mut().enumerate() {
+        let motor_inertia = if joints == 3 && index == 0 { TURRET_MOTOR * joint.inertia } else { joint.inertia };
+        let stiffness = motor_inertia * (TAU * hz).powi(2);
+        let damping = 2.0 * damped * (stiffness * motor_inertia).sqrt();
+        joint.transmission = Some(Transmission { stiffness, damping, motor_inertia, encoder_at: EncoderAt::Motor });
+        if let Some(motor) = joint.motor.as_mut().filter(|_| !back_emf) {
+            motor.back_emf = 1e-6;
+        }
+    }
+    bench
 }
 
 /// The board with the device at its connectors, homed at the pose, its polarity checked, and a hand that holds it
@@ -129,22 +207,33 @@ pub fn normal() -> Vec<f64> {
 ///
 /// When the board refuses anything.
 #[must_use]
-pub fn bench(cable: Option<Cable>) -> Rig {
-    let mut rig = Rig::with_file(BOARD, device(cable), |options| {
-        options.friction = false;
-        options.substep = 25e-6;
-        options.start = Some(POSE);
+pub fn rig(bench: &Bench) -> Rig {
+    let mut rig = Rig::with_file(bench.board, bench.file.clone(), |options| {
+        options.substep = if bench.gives() { 5e-6 } else { 25e-6 };
+        options.start = bench.file.description.home;
     });
-    // A loose hand on it for the polarity check: what nothing brakes never comes to rest between two joints.
-    rig.with_simulated(carry);
-    rig.prepare("");
+    if bench.file.description.gravity == [0.0; 3] {
+        // A loose hand on it for the polarity check: what nothing brakes never comes to rest between two joints. A device
+        // that would fall has one already.
+        rig.with_simulated(carry);
+    }
+    // What the zeros of shunts are off by would push a device without friction away under a loose hand.
+    let hand = if bench.board == BoardKind::OdriveV3 { grip } else { carry };
+    rig.prepare_in("", hand);
+    // Back to where the polarity check began.
+    let pose = bench.pose();
+    rig.with_simulated(move |device| {
+        device.place(pose);
+        hold(device);
+    });
+    rig.run(300 * MILLISECOND);
     let mut rules = rig.tool.rules().expect("the board answers");
     rules.limits.current = [12.0; 3];
     rig.tool.set_rules(&rules).expect("limits are raised while disarmed");
     rig
 }
 
-/// Measures on `rig`, whose device has these cables: `job` is handed a bench whose device is free, the wall's motors alone
+/// Measures on `rig`, which has the device of `bench`: `job` is handed a bench whose device is free, the wall's motors alone
 /// holding it.
 ///
 /// # Errors
@@ -152,26 +241,26 @@ pub fn bench(cable: Option<Cable>) -> Rig {
 /// What ends a measurement early.
 pub fn on<T>(
     rig: &mut Rig,
-    cable: Option<Cable>,
+    bench: &Bench,
     rate: Rate,
     job: impl FnOnce(&mut PreparedBoard<'_>) -> Result<T, MeasureError>,
 ) -> Result<T, MeasureError> {
     let setup = MeasurementSetup {
-        walls: vec![Member::new(normal(), 1.0)],
+        walls: vec![Member::new(bench.normal.clone(), 1.0)],
         rate_hz: rate.rate_hz,
         cutoff_hz: rate.cutoff_hz,
         washout_hz: WASHOUT_HZ,
-        torque_limit: TORQUE_LIMIT,
+        torque_limit: bench.torque_limit,
         largest_pull: 1e-3,
         law: Law::default(),
     };
-    let (file, shared) = (device(cable), rig.shared.clone());
-    let mut bench = PreparedBoard::new(&mut rig.tool, &file, setup, &|| false)?;
-    shared.board().with(|bench| {
-        bench.hardware().plant.device().expect("a simulated device").set_hand(Hand::none());
+    let shared = rig.shared.clone();
+    let mut prepared = PreparedBoard::new(&mut rig.tool, &bench.file, setup, &|| false)?;
+    shared.board().with(|stopped| {
+        stopped.hardware().plant.device().expect("a simulated device").set_hand(Hand::none());
     });
-    let outcome = job(&mut bench)?;
-    bench.finish()?;
+    let outcome = job(&mut prepared)?;
+    prepared.finish()?;
     Ok(outcome)
 }
 
@@ -182,7 +271,7 @@ pub fn on<T>(
 ///
 /// When the theory refuses the loop.
 #[must_use]
-pub fn predicted(cable: Option<Cable>, rate: Rate, delay_samples: f64, kd: Option<&[f64]>) -> Range {
+pub fn predicted(bench: &Bench, rate: Rate, delay_samples: f64, kd: Option<&[f64]>) -> Range {
     let around = Loop {
         rate_hz: rate.rate_hz,
         delay_samples,
@@ -190,8 +279,9 @@ pub fn predicted(cable: Option<Cable>, rate: Rate, delay_samples: f64, kd: Optio
         drive: Drive::Current { bandwidth_hz: CURRENT_BANDWIDTH },
         damping_compensation: false,
     };
-    let linear = Linearised::at(&device(cable).description, &POSE[..2], &normal()).expect("a regular pose");
-    let washout = cable.map(|_| WASHOUT_HZ);
+    let linear = Linearised::at(&bench.file.description, &bench.pose()[..bench.file.spec().joints], &bench.normal)
+        .expect("a regular pose");
+    let washout = bench.gives().then_some(WASHOUT_HZ);
     predict(&linear, &around, kd, washout).expect("the loop can be analysed")
 }
 
@@ -218,12 +308,13 @@ pub fn delay_samples(rig: &mut Rig, rate: Rate) -> f64 {
 ///
 /// What ends a measurement early.
 pub fn whole(rate: Rate, mode: FeedForward, mut told: impl FnMut(usize)) -> Result<(Progress, f64), MeasureError> {
-    let mut rig = bench(None);
+    let bench = rigid();
+    let mut rig = rig(&bench);
     let delay = delay_samples(&mut rig, rate);
     let plan = Plan { modes: vec![mode], kd: None, points: POINTS, repeats: REPEATS };
     let mut progress = Progress::new("the emulated chip");
-    on(&mut rig, None, rate, |bench| {
-        campaign::run(bench, &plan, &mut progress, |_, done| {
+    on(&mut rig, &bench, rate, |prepared| {
+        campaign::run(prepared, &plan, &mut progress, |_, done| {
             told(done);
             Ok(())
         })
@@ -231,36 +322,58 @@ pub fn whole(rate: Rate, mode: FeedForward, mut told: impl FnMut(usize)) -> Resu
     Ok((progress, delay))
 }
 
-/// A wall's largest stable stiffness with cables at `rate`, for one damping and each feed-forward: rows of the table in
-/// docs/results/complete.md.
+/// Shares of the predicted stiffness at which a wall must be stable before the boundary is looked for beside the prediction.
+const BELOW: [f64; 2] = [0.4, 0.7];
+
+/// The head of the table that [`with_cables`] fills.
+pub const CABLE_HEAD: &str = "| device | board | rate, cutoff | delay, samples | kd, N s/m | feed-forward | measured, N/m | predicted, N/m | off by |\n\
+     |---|---|---|---|---|---|---|---|---|";
+
+/// The largest stable stiffness of walls before a device of [`CABLED`] at `rate`, for one damping and each feed-forward.
+/// `told` hears every row of the table in docs/results/complete.md.
 ///
 /// # Errors
 ///
 /// What ends a measurement early.
-pub fn with_cables(rate: Rate) -> Result<String, MeasureError> {
-    let cable = Some(CABLE);
-    let mut rig = bench(cable);
+pub fn with_cables(
+    device: (&str, BoardKind),
+    rate: Rate,
+    back_emf: bool,
+    mut told: impl FnMut(&str),
+) -> Result<(), MeasureError> {
+    let bench = cabled(device, back_emf);
+    let mut rig = rig(&bench);
     let delay = delay_samples(&mut rig, rate);
-    let range = predicted(cable, rate, delay, None);
-    let kd = CABLE_SHARE * range.off.kd_max.min(range.full.kd_max);
-    let theory = predicted(cable, rate, delay, Some(&[kd]));
-    let modes = vec![FeedForward::Off, FeedForward::Full, FeedForward::Washout];
-    let plan = Plan { modes: modes.clone(), kd: Some(vec![kd]), points: 1, repeats: 1 };
-    let mut progress = Progress::new("the emulated chip, with cables");
-    on(&mut rig, cable, rate, |bench| campaign::run(bench, &plan, &mut progress, |_, _| Ok(())))?;
-    let mut rows = String::new();
-    for mode in modes {
-        let predicted = theory.of(mode).boundary.first().map_or(f64::NAN, |point| point.kp);
-        let found = progress.of(mode).first().map_or(f64::NAN, |point| point.median());
-        let Rate { rate_hz, cutoff_hz } = rate;
-        let apart = 100.0 * (found / predicted - 1.0);
-        let _ = writeln!(
-            rows,
-            "| {rate_hz}, {cutoff_hz} Hz | {kd:.3} | {} | {found:.0} | {predicted:.0} | {apart:+.1} % |",
-            mode.name()
-        );
-    }
-    Ok(rows)
+    let range = predicted(&bench, rate, delay, None);
+    // In three digits, as the tables have it.
+    let kd = format!("{:.2e}", CABLE_SHARE * range.off.kd_max.min(range.full.kd_max));
+    let kd: f64 = kd.parse().expect("a number");
+    on(&mut rig, &bench, rate, |prepared| {
+        for mode in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
+            let expected = predicted(&bench, rate, delay, Some(&[kd])).of(mode).boundary[0].kp;
+            // A search from far below takes three times as long.
+            let mut guess = Some(expected);
+            for share in BELOW {
+                if prepared.oscillates(mode, share * expected, kd, 1.0)? {
+                    guess = None;
+                }
+            }
+            let found = prepared.boundary(mode, kd, 0, guess)?.gain;
+            // The walls that hold the tip make the step longer, and its duties may be late for it.
+            let delay = f64::from(prepared.board().details()?.delay_samples);
+            let expected = predicted(&bench, rate, delay, Some(&[kd])).of(mode).boundary[0].kp;
+            let (name, board) = device;
+            let Rate { rate_hz, cutoff_hz } = rate;
+            let without = if back_emf { "" } else { ", no back-EMF" };
+            let apart = 100.0 * (found / expected - 1.0);
+            told(&format!(
+                "| {name} | {} | {rate_hz}, {cutoff_hz} Hz{without} | {delay:.3} | {kd} | {} | {found:.0} | {expected:.0} | {apart:+.1} % |",
+                board.name(),
+                mode.name()
+            ));
+        }
+        Ok(())
+    })
 }
 
 /// ∫ kp dkd of medians at the middles of even cells, N² s/m².
@@ -288,13 +401,14 @@ pub fn introduction(occasion: &str) -> String {
 /// The part of docs/results.md for a whole measurement at `rate`, and its picture.
 #[must_use]
 pub fn section(rate: Rate, progress: &Progress, delay: f64) -> (String, Picture) {
-    let range = predicted(None, rate, delay, None);
+    let bench = rigid();
+    let range = predicted(&bench, rate, delay, None);
     let mut rows = String::new();
     let mut furthest: f64 = 0.0;
     for mode in [FeedForward::Off, FeedForward::Full] {
         let points = progress.of(mode);
         let kd: Vec<f64> = points.iter().map(|point| point.kd).collect();
-        let at = predicted(None, rate, delay, Some(&kd));
+        let at = predicted(&bench, rate, delay, Some(&kd));
         let top = range.of(mode).boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
         for (point, theory) in points.iter().zip(&at.of(mode).boundary) {
             let (low, high) = point.bounds();

@@ -4,8 +4,8 @@
 //! unchanged to a board of the same version; a board whose firmware keeps the setting in another version gets the
 //! value, encoded anew. Nothing is sent before the whole file has been understood.
 
+use crate::digits::shortest;
 use crate::link::{Board, BoardError};
-use crate::precision::shortest;
 use haptic_bridge::board::protocol::KeyList;
 use haptic_bridge::board::settings::{BoardName, Damage, Entry, Key, Polarity, Setting, decode, encode};
 use haptic_bridge::model::device::Device;

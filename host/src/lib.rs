@@ -54,6 +54,7 @@ pub mod demo;
 #[cfg(feature = "tool")]
 pub mod design;
 pub mod device_file;
+pub mod digits;
 pub mod error;
 pub mod file_error;
 pub mod frame;
@@ -74,7 +75,6 @@ pub mod output;
 pub mod plan;
 pub mod plausible;
 pub mod plot;
-pub mod precision;
 pub mod recorder;
 pub mod replay;
 pub mod scene_file;

@@ -27,16 +27,14 @@ use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::scene::shape::{Meaning, SHAPE_VALUES, ShapeSpec};
 use haptic_bridge::render::scene::{
-    Admissible, FeedForward, MAX_FEED_FORWARD_GAIN, MAX_RATE_HZ, MAX_SPRINGS, MAX_WALLS, MIN_RATE_HZ, Posture, Scene,
-    SceneError, Spring, Surface, VelocityTerms, Wall,
+    Admissible, DEFAULT_RATE_HZ, FeedForward, MAX_FEED_FORWARD_GAIN, MAX_RATE_HZ, MAX_SPRINGS, MAX_WALLS, MIN_RATE_HZ,
+    Posture, Scene, SceneError, Spring, Surface, VelocityTerms, Wall,
 };
 use haptic_bridge::render::velocity::{Chosen, CutoffMeans, Estimator};
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 use std::path::{Path, PathBuf};
 
-/// Default control rate, Hz.
-pub const DEFAULT_RATE_HZ: f64 = 20_000.0;
 /// Default cutoff, Hz, at rates of ten times that and more; below, a tenth of the rate (the paper's 20 Hz at 200 Hz).
 pub const DEFAULT_CUTOFF_HZ: f64 = 500.0;
 /// Default corner of the washout, Hz: keeps 99 % of the gained stable area at 20 kHz (docs/model.md section 3).

@@ -103,6 +103,15 @@ fn encode(header: &VarHeader, message: &impl Serialize, out: &mut [u8]) -> Optio
     Some(head + body)
 }
 
+/// Answers with the arm of the endpoint that is asked for; goes on where there is none.
+macro_rules! serve {
+    ($request:ident, $out:ident; $($Endpoint:ident: |$message:pat_param| $work:expr;)*) => {
+        $(if $request.is::<$Endpoint>() {
+            return $request.serve::<$Endpoint>($out, |$message| $work);
+        })*
+    };
+}
+
 fn route<M: Described>(
     service: &mut Service,
     machine: &mut M,
@@ -114,14 +123,7 @@ fn route<M: Described>(
     if matches!(request.header.key, VarKey::Key1(_) | VarKey::Key2(_)) {
         return request.fail(WireError::KeyTooSmall, out);
     }
-    macro_rules! serve {
-        ($($Endpoint:ident: |$message:pat_param| $work:expr;)*) => {
-            $(if request.is::<$Endpoint>() {
-                return request.serve::<$Endpoint>(out, |$message| $work);
-            })*
-        };
-    }
-    serve! {
+    serve! { request, out;
         Force: |force| machine.force(&force);
         GetStatus: |()| machine.status();
         Heartbeat: |()| service.heartbeat(machine);
@@ -164,4 +166,43 @@ fn route<M: Described>(
         };
     }
     request.fail(WireError::UnknownKey, out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{ERROR_KEY, Request, VarHeader, VarKey, VarSeq, WireError};
+    use postcard_rpc::{Endpoint, endpoints};
+
+    endpoints! {
+        list = TOYS;
+        | EndpointTy | RequestTy | ResponseTy | Path         |
+        | ---------- | --------- | ---------- | ----         |
+        | Double     | u32       | u32        | "toy/double" |
+        | Unserved   | u32       | u32        | "toy/none"   |
+    }
+
+    fn route(request: &Request, out: &mut [u8]) -> Option<usize> {
+        serve! { request, out;
+            Double: |number| 2 * number;
+        }
+        request.fail(WireError::UnknownKey, out)
+    }
+
+    /// Sends a number to an endpoint; the key of the answer, and its number if it is one.
+    fn asked<E: Endpoint>(number: u32) -> (VarKey, Option<u32>) {
+        let (mut body, mut out) = ([0; 8], [0; 64]);
+        let body = postcard::to_slice(&number, &mut body).unwrap();
+        let header = VarHeader { key: VarKey::Key8(E::REQ_KEY), seq_no: VarSeq::Seq2(5) };
+        let length = route(&Request { header, body }, &mut out).unwrap();
+        let (header, body) = VarHeader::take_from_slice(&out[..length]).unwrap();
+        assert_eq!(header.seq_no, VarSeq::Seq2(5));
+        (header.key, postcard::from_bytes(body).ok())
+    }
+
+    #[test]
+    fn a_toy_request_is_a_line_and_an_arm() {
+        assert!(TOYS.endpoints.iter().any(|(path, ..)| *path == "toy/double"));
+        assert_eq!(asked::<Double>(21), (VarKey::Key8(Double::RESP_KEY), Some(42)));
+        assert_eq!(asked::<Unserved>(21).0, VarKey::Key8(ERROR_KEY));
+    }
 }

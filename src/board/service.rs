@@ -10,7 +10,7 @@ use crate::board::settings::{self, BoardName, Damage, Entry, Key, Polarity, Sett
 use crate::math::Math;
 use crate::model::device::Device;
 use crate::model::precomputed::{MassModelData, Receiving, TableChunk};
-use crate::render::scene::{FeedForward, Scene, SceneError};
+use crate::render::scene::{DEFAULT_RATE_HZ, FeedForward, Scene, SceneError};
 use crate::render::velocity::{Coefficients, Washout};
 use crate::safety::fault::FaultRecord;
 use crate::safety::limits::{BadLimit, GENTLE_FORCE, Limit, Limits};
@@ -173,7 +173,7 @@ impl Service {
             carrier_hz,
             delay_samples,
             device: device.as_ref().map(|device| device.name.clone()),
-            rate_hz: scene.as_ref().map_or(20_000.0, |scene| scene.rate_hz),
+            rate_hz: scene.as_ref().map_or(DEFAULT_RATE_HZ as f32, |scene| scene.rate_hz),
             walls: scene.as_ref().map_or(0, |scene| scene.walls.len() as u8),
             unsensed,
             damage: self.damage.clone(),

@@ -269,7 +269,7 @@ impl Packer {
 #[cfg(test)]
 mod tests {
     use super::Fields;
-    use crate::render::found::At;
+    use crate::render::found::{At, AtWalls};
     use crate::servo::frame::{Motors, StepRecord};
     use crate::servo::joints::Torques;
     use heapless::Vec;
@@ -277,20 +277,25 @@ mod tests {
     fields! {
         Height = 3, "height", "m", false, |frame, _i| frame.at.tip[1], "How high the tip is";
         Doubled = 5, "doubled", "N m", true, |frame, i| 2.0 * frame.motors.torque[i], "Twice the torque";
+        Depth = 6, "depth", "m", false, |frame, _i| -frame.at.walls.distance, "Depth in the deepest wall";
     }
 
     /// Everything that is told of a signal follows from its line.
     #[test]
     fn a_toy_signal_is_one_line() {
-        let at = At { tip: [0.1, 0.2, 0.3], ..At::default() };
+        let walls = AtWalls { distance: -0.5, ..AtWalls::default() };
+        let at = At { tip: [0.1, 0.2, 0.3], walls, ..At::default() };
         let motors = Motors { torque: Torques([1.0, 2.0, 3.0]), ..Motors::default() };
         let frame = StepRecord { at, motors, ..StepRecord::default() };
         let told = |field: &Field| (field.bit(), field.name(), field.unit(), field.is_vector(), field.meaning());
-        let told_of_all =
-            [(8, "height", "m", false, "How high the tip is"), (32, "doubled", "N m", true, "Twice the torque")];
+        let told_of_all = [
+            (8, "height", "m", false, "How high the tip is"),
+            (32, "doubled", "N m", true, "Twice the torque"),
+            (64, "depth", "m", false, "Depth in the deepest wall"),
+        ];
         assert!(Field::ALL.iter().map(told).eq(told_of_all));
         let mut row = Vec::<f32, 8>::new();
-        Field::each(Fields(8 | 32), 2, &frame, |number| row.push(number).unwrap());
-        assert_eq!(row[..], [0.2, 2.0, 4.0]);
+        Field::each(Fields(8 | 32 | 64), 2, &frame, |number| row.push(number).unwrap());
+        assert_eq!(row[..], [0.2, 2.0, 4.0, 0.5]);
     }
 }

@@ -189,6 +189,10 @@ macro_rules! define {
 
 crate::mechanisms!(define);
 
+/// Poses whose rods are closer to one line than this sine are treated as singular; the same for elbows. Beyond it the
+/// reciprocals are clamped so that every number stays finite.
+const SINE_FLOOR: f64 = 1.0e-6;
+
 /// `1 / x`, with |x| kept at or above `floor` so that the result is always finite for finite `x`.
 #[inline(always)]
 pub(crate) fn reciprocal<T: Real>(x: T, floor: T) -> T {

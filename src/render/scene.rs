@@ -201,6 +201,8 @@ pub struct Scene<T> {
     pub posture: Option<Posture<T>>,
 }
 
+/// Control rate where none is named, Hz.
+pub const DEFAULT_RATE_HZ: f64 = 20_000.0;
 /// Slowest control rate, Hz.
 pub const MIN_RATE_HZ: f64 = 200.0;
 /// Fastest control rate, Hz.
@@ -265,11 +267,11 @@ impl core::fmt::Display for SceneError {
 impl core::error::Error for SceneError {}
 
 impl<T: Real> Default for Scene<T> {
-    /// Nothing to touch, at 20 kHz with a 500 Hz cutoff, holding the device's own weight.
+    /// Nothing to touch, at [`DEFAULT_RATE_HZ`] with a 500 Hz cutoff, holding the device's own weight.
     fn default() -> Self {
         Self {
             task: 0,
-            rate_hz: T::from_f64(20_000.0),
+            rate_hz: T::from_f64(DEFAULT_RATE_HZ),
             cutoff_hz: T::from_f64(500.0),
             estimator: Estimator::Butterworth,
             gravity_compensation: true,

@@ -195,3 +195,27 @@ pub struct FaultRecord {
     /// Control steps since boot.
     pub step: u32,
 }
+
+#[cfg(test)]
+mod tests {
+    use postcard_schema::Schema;
+    use serde::{Deserialize, Serialize};
+
+    faults! {
+        /// The handle was let go of; value: seconds.
+        LetGo = 3, "the handle was let go of", "hold it, then `haptic clear`";
+        /// The handle is hot; value: kelvin.
+        HotHandle = 7, "the handle is hot", "let it cool";
+    }
+
+    /// Everything that is told of a fault follows from its line.
+    #[test]
+    fn a_toy_fault_is_one_line() {
+        let told = |fault: &Fault| (fault.code(), fault.name(), fault.what(), fault.remedy());
+        let told_of_all = [
+            (3, "LetGo", "the handle was let go of", "hold it, then `haptic clear`"),
+            (7, "HotHandle", "the handle is hot", "let it cool"),
+        ];
+        assert!(Fault::ALL.iter().map(told).eq(told_of_all));
+    }
+}

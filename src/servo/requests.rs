@@ -154,8 +154,7 @@ where
 
     /// A program may come while armed only if it is of the same device and rate and its walls are not touched.
     fn accepts(&self, program: &mut P) -> Result<(), Refusal> {
-        let off = matches!(self.state, State::Disarmed | State::Fault);
-        if off {
+        if !self.state.drives() {
             return Ok(());
         }
         let Some(old) = &self.program else { return Err(Refusal::NoDevice) };
@@ -212,8 +211,7 @@ where
     }
 
     fn set_rules(&mut self, rules: Rules) -> Result<(), Refusal> {
-        let off = matches!(self.state, State::Disarmed | State::Fault);
-        if !off && !rules.no_looser_than(&self.rules) {
+        if self.state.drives() && !rules.no_looser_than(&self.rules) {
             return Err(Refusal::Armed);
         }
         self.rules = rules;

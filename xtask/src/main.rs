@@ -125,6 +125,13 @@ enum Command {
         /// Instead print what it is with cables at the joints (docs/results/complete.md)
         #[arg(value_parser = PossibleValuesParser::new(["cables"]))]
         part: Option<String>,
+        /// With cables: only this device
+        device: Option<String>,
+        /// With cables: only at this control rate, Hz
+        rate: Option<String>,
+        /// With cables: the motors without back-EMF
+        #[arg(value_parser = PossibleValuesParser::new(["no-emf"]))]
+        motors: Option<String>,
     },
     /// Bring every fault about on the emulated board, into docs/results/faults.md (an hour)
     Faults {
@@ -178,7 +185,10 @@ fn run(command: Command, install: bool) -> Result<()> {
         Command::Fmt => format::check(),
         Command::Soak(options) => soak::run(&options, install),
         Command::Figures { cases } => report::figures(&cases),
-        Command::Range { part } => tests::measure("range", part.as_slice(), install),
+        Command::Range { part, device, rate, motors } => {
+            let asked: Vec<String> = [part, device, rate, motors].into_iter().flatten().collect();
+            tests::measure("range", &asked, install)
+        }
         Command::Faults { faults } => tests::measure("faults", &faults, install),
         Command::Board { rest } => tests::play(&rest, install),
     }

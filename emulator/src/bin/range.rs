@@ -1,6 +1,7 @@
 //! `range`: measures the whole range of stable walls on the emulated chip, without and with the feed-forward, and
 //! writes its section of docs/results.md and its pictures. `cargo xtask range` calls it; it takes some ten minutes.
-//! `range cables` prints the rows of docs/results/complete.md instead.
+//! `range cables [DEVICE [RATE [no-emf]]]` prints the rows of docs/results/complete.md instead, of every device at every rate
+//! or of those named, with the motors' back-EMF or without.
 //!
 //! Exit code 1: it could not be measured or written.
 
@@ -9,15 +10,17 @@ use std::process::ExitCode;
 
 use haptic::measure::progress::Progress;
 use haptic_bridge::render::scene::FeedForward;
-use virtual_board::range::{self, CABLE_RATES, POINTS, RATES, REPEATS, Rate, introduction, section, whole};
+use virtual_board::range::{
+    CABLE_HEAD, CABLE_RATES, CABLED, POINTS, RATES, REPEATS, Rate, introduction, section, whole, with_cables,
+};
 
 /// Where the section begins and ends.
 const BEGIN: &str = "<!-- range on the chip: begin, written by cargo xtask range -->\n";
 const END: &str = "<!-- range on the chip: end -->";
 
 fn main() -> ExitCode {
-    let cables = std::env::args().nth(1).is_some_and(|part| part == "cables");
-    match if cables { with_cables() } else { run() } {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    match if arguments.is_empty() { run() } else { cables(&arguments[1..]) } {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("range: {error}");
@@ -46,12 +49,22 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Prints what is measured with cables at the joints, rate by rate.
-fn with_cables() -> Result<(), Box<dyn std::error::Error>> {
-    println!("| rate, cutoff | kd, N s/m | feed-forward | measured, N/m | predicted, N/m | off by |");
-    println!("|---|---|---|---|---|---|");
-    for rate in CABLE_RATES {
-        print!("{}", range::with_cables(rate)?);
+/// Prints what is measured with cables at the joints, row by row; `only` a device, at a rate, without back-EMF.
+fn cables(only: &[String]) -> Result<(), Box<dyn std::error::Error>> {
+    let asked = |nth: usize, name: &str| only.get(nth).is_none_or(|wanted| wanted == name);
+    let devices: Vec<_> = CABLED.into_iter().filter(|(name, _)| asked(0, name)).collect();
+    let rates: Vec<_> = CABLE_RATES.into_iter().filter(|rate| asked(1, &rate.rate_hz.to_string())).collect();
+    if devices.is_empty() || rates.is_empty() {
+        let names = CABLED.map(|(name, _)| name).join(", ");
+        let rates = CABLE_RATES.map(|rate| rate.rate_hz.to_string()).join(", ");
+        return Err(format!("the devices are {names}, the rates {rates} Hz").into());
+    }
+    let back_emf = only.get(2).is_none_or(|word| word != "no-emf");
+    println!("{CABLE_HEAD}");
+    for rate in rates {
+        for &device in &devices {
+            with_cables(device, rate, back_emf, |row| println!("{row}"))?;
+        }
     }
     Ok(())
 }

@@ -2,7 +2,7 @@
 //! feed-forward enlarges it. docs/results.md holds the whole measurement, see `cargo xtask range`.
 
 use haptic_bridge::render::scene::FeedForward;
-use virtual_board::range::{RATES, bench, delay_samples, on, predicted};
+use virtual_board::range::{RATES, delay_samples, on, predicted, rig, rigid};
 
 /// How far the boundary may lie from the theory's: where the interrupt falls against the carrier differs from image to
 /// image, and with the feed-forward one point of one image was found between 5 and 7 % below.
@@ -11,16 +11,17 @@ const AGREEMENT: f64 = 0.07;
 const SHARES: [f64; 3] = [0.2, 0.4, 0.6];
 
 fn lies_where_theory_says(feed_forward: FeedForward) {
-    let mut rig = bench(None);
+    let bench = rigid();
+    let mut rig = rig(&bench);
     let delay = delay_samples(&mut rig, RATES[0]);
-    let end = predicted(None, RATES[0], delay, None).of(feed_forward).kd_max;
+    let end = predicted(&bench, RATES[0], delay, None).of(feed_forward).kd_max;
     let kd = SHARES.map(|share| share * end);
-    let theory = predicted(None, RATES[0], delay, Some(&kd));
-    on(&mut rig, None, RATES[0], |bench| {
+    let theory = predicted(&bench, RATES[0], delay, Some(&kd));
+    on(&mut rig, &bench, RATES[0], |prepared| {
         for point in &theory.of(feed_forward).boundary {
             for strength in [1.0, 0.7] {
-                let below = bench.oscillates(feed_forward, point.kp * (1.0 - AGREEMENT), point.kd, strength)?;
-                let above = bench.oscillates(feed_forward, point.kp * (1.0 + AGREEMENT), point.kd, strength)?;
+                let below = prepared.oscillates(feed_forward, point.kp * (1.0 - AGREEMENT), point.kd, strength)?;
+                let above = prepared.oscillates(feed_forward, point.kp * (1.0 + AGREEMENT), point.kd, strength)?;
                 assert_eq!((below, above), (false, true), "{feed_forward:?}, {point:?}");
             }
         }

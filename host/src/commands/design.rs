@@ -13,7 +13,7 @@ use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::plot::coupling::draw;
 use haptic_bridge::model::admissible::Admissible;
-use haptic_bridge::render::scene::{MAX_RATE_HZ, MIN_RATE_HZ};
+use haptic_bridge::render::scene::{DEFAULT_RATE_HZ, MAX_RATE_HZ, MIN_RATE_HZ};
 use serde::Serialize;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -45,7 +45,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     points: u32,
     /// Control rate in Hz of the walls that are predicted
-    #[arg(long, value_name = "HZ", default_value_t = 20_000.0)]
+    #[arg(long, value_name = "HZ", default_value_t = DEFAULT_RATE_HZ)]
     rate: f64,
     /// Cutoff in Hz of their velocity filter
     #[arg(long, value_name = "HZ", default_value_t = 500.0)]

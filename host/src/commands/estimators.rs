@@ -5,7 +5,7 @@ use super::continued::Continue;
 use haptic::bench::estimators::{Comparison, RESOLUTION_N, Row, compare, telling_wall};
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
-use haptic_bridge::render::scene::{MAX_RATE_HZ, MIN_RATE_HZ};
+use haptic_bridge::render::scene::{DEFAULT_RATE_HZ, MAX_RATE_HZ, MIN_RATE_HZ};
 use serde_json::json;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -28,7 +28,7 @@ pub struct Args {
     #[arg(long, value_name = "X,Y,..", required = true, allow_hyphen_values = true)]
     normal: Numbers,
     /// Control rate in Hz
-    #[arg(long, value_name = "HZ", default_value_t = 20_000.0)]
+    #[arg(long, value_name = "HZ", default_value_t = DEFAULT_RATE_HZ)]
     rate: f64,
     /// Cutoff in Hz [default: 500, or a tenth of the rate where that is less]
     #[arg(long, value_name = "HZ")]

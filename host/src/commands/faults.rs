@@ -1,8 +1,8 @@
 //! `haptic faults`: what went wrong since the board started, in plain words.
 
 use super::port::{Port, fault_in_words};
+use haptic::digits::print_json;
 use haptic::error::{Failure, print};
-use haptic::precision::print_json;
 use serde_json::json;
 
 /// List the faults since the board started, each with its remedy

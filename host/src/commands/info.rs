@@ -1,8 +1,8 @@
 //! `haptic info`: what a board is, what it has loaded, and how it is.
 
 use super::port::{Port, fault_in_words, numbers, scene_in_words, state_in_words, wall_in_words};
+use haptic::digits::print_json;
 use haptic::error::{Failure, print};
-use haptic::precision::print_json;
 use haptic_bridge::safety::fault::Fault;
 use serde_json::json;
 

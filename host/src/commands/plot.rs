@@ -2,9 +2,9 @@
 
 use super::force::Force;
 use super::port::counted;
+use haptic::digits::print_json;
 use haptic::error::{Failure, print};
 use haptic::plot::signals::{Found, Request, View, draw, panels};
-use haptic::precision::print_json;
 use haptic::recorder::Recording;
 use haptic::words::short;
 use std::path::PathBuf;

@@ -1,8 +1,8 @@
 //! `--port`, which every command that talks to a board takes, and how they talk about what they found.
 
+use haptic::digits::print_json;
 use haptic::error::{Failure, print};
 use haptic::link::{Board, PortSpec};
-use haptic::precision::print_json;
 pub use haptic::words::counted;
 pub use haptic::words::{feed_forward_in_words, short, wall_in_words};
 use haptic_bridge::render::scene::Scene;

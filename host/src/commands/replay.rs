@@ -1,8 +1,8 @@
 //! `haptic replay`: a recording's counts into the simulated board's control code, torques beside torques.
 
 use super::port::counted;
+use haptic::digits::print_json;
 use haptic::error::{Failure, print};
-use haptic::precision::print_json;
 use haptic::recorder::Recording;
 use haptic::replay::{Difference, replay};
 use std::path::PathBuf;

@@ -10,7 +10,7 @@ use haptic::error::{Failure, print};
 use haptic::output;
 use haptic::plausible::scene::doubts;
 use haptic::scene_file::SceneFile;
-use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::render::scene::{DEFAULT_RATE_HZ, FeedForward};
 use serde::{Deserialize, Serialize};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -143,7 +143,7 @@ fn subject(args: &Args, file: &DeviceFile) -> Result<Subject, Failure> {
     Ok(Subject {
         q: list(&q),
         normal: list(&normal),
-        rate: list(&[scene.as_ref().map_or(20_000.0, |scene| scene.rate_hz)]),
+        rate: list(&[scene.as_ref().map_or(DEFAULT_RATE_HZ, |scene| scene.rate_hz)]),
         cutoff: list(&[scene.as_ref().map_or(500.0, |scene| scene.cutoff_hz)]),
         washout: wall
             .filter(|wall| wall.feed_forward == FeedForward::Washout)

@@ -361,7 +361,7 @@ impl SimulatedBoard {
         if wanted != now {
             self.device.set_support(wanted);
         }
-        let off = matches!(state, State::Disarmed | State::Fault);
+        let off = !state.drives();
         if (now, wanted) == (Support::Carried, Support::Held) && off {
             // The check has moved it, and homing again would take that for home.
             self.carried_back = Some((self.device.q(), time));

@@ -9,9 +9,9 @@ use crate::device_file::DeviceFile;
 use crate::error::Failure;
 use crate::link::{Board, LinkError};
 use crate::plausible::scene::around;
-use crate::scene_file::{DEFAULT_CUTOFF_HZ, DEFAULT_RATE_HZ, DEFAULT_WASHOUT_HZ};
+use crate::scene_file::{DEFAULT_CUTOFF_HZ, DEFAULT_WASHOUT_HZ};
 use crate::sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, ready_board};
-use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::render::scene::{DEFAULT_RATE_HZ, FeedForward, Plane, Scene, Surface, Wall};
 use haptic_bridge::safety::refusal::Refusal;
 
 /// How far in front of the tip the wall stands that is there when no scene was named, m.

@@ -11,7 +11,7 @@
 //! (com at the fraction s of the rod: α = m(1-s)² + I/r², β = m s(1-s) - I/r², γ = m s² + I/r²), so no distal angle is
 //! ever computed, and inertial forces need only the accelerations of elbow and tip.
 
-use super::{Mechanism, Regularity, Shaping, reciprocal};
+use super::{Mechanism, Regularity, SINE_FLOOR, Shaping, reciprocal};
 use crate::math::{Math, Real, cast};
 use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
@@ -76,10 +76,6 @@ pub struct Pose<T: Real> {
 fn left<T: Real>(v: &Vector2<T>) -> Vector2<T> {
     Vector2::new(-v[1], v[0])
 }
-
-/// Poses whose rods are closer to one line than this sine are treated as singular; the same for elbows. Beyond it the
-/// reciprocals are clamped so that every number stays finite.
-pub(super) const SINE_FLOOR: f64 = 1.0e-6;
 
 impl<T: Real> FiveBar<T> {
     /// The same in another precision.

@@ -10,8 +10,8 @@
 //! J₀ = I₀ + a₁ y_C² + a₂ y_D² + 2 y_P(b₁ y_C + b₂ y_D) + c y_P². Half its gradient times q̇₀² are the centrifugal
 //! forces on elbows and tip.
 
-use super::five_bar::{self, FiveBar, SINE_FLOOR};
-use super::{Mechanism, Regularity, Shaping, reciprocal};
+use super::five_bar::{self, FiveBar};
+use super::{Mechanism, Regularity, SINE_FLOOR, Shaping, reciprocal};
 use crate::math::{Math, Real, cast};
 use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};

@@ -11,8 +11,7 @@
 //! Sine and cosine are taken of q₁ and δ, and those of q₂ follow by the addition theorem: sin δ, by which J⁻¹ divides,
 //! then keeps all its digits when the arm is nearly stretched.
 
-use super::five_bar::SINE_FLOOR;
-use super::{Mechanism, Regularity, Shaping, reciprocal};
+use super::{Mechanism, Regularity, SINE_FLOOR, Shaping, reciprocal};
 use crate::math::{Math, Real, cast};
 use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};

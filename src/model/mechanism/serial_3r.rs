@@ -8,8 +8,7 @@
 //! The mass matrix in absolute rates has constants on its diagonal and a constant times the cosine of the angle between
 //! the two links off it (less the reflected rotor between neighbours); torques go back by sums, τᵢ = Σ_{j≥i} of them.
 
-use super::five_bar::SINE_FLOOR;
-use super::{Mechanism, Regularity, Shaping, reciprocal};
+use super::{Mechanism, Regularity, SINE_FLOOR, Shaping, reciprocal};
 use crate::math::{Math, Real, cast};
 use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
