@@ -276,3 +276,49 @@ fn an_import_that_runs_up_or_across_is_found() {
     assert_eq!(wrong("servo/watch.rs", "use crate::safety::fault::Fault;\ncrate::mechanisms!(define);"), 0);
     assert_eq!(wrong("model/device.rs", "// see crate::servo::Servo"), 0);
 }
+
+/// The files below host/src that write whole command lines for people.
+const WRITERS: [&str; 2] = ["demo.rs", "plausible/scene.rs"];
+
+/// The texts in a source that name an option of a command line; comments and tests aside.
+fn options(tokens: TokenStream) -> Vec<String> {
+    let tokens: Vec<TokenTree> = tokens.into_iter().collect();
+    let of_a_comment = |at: usize| at >= 2 && tokens[at - 2].to_string() == "doc";
+    let named = |text: &str| text.split("--").skip(1).any(|rest| rest.starts_with(|c: char| c.is_ascii_lowercase()));
+    let found = tokens.iter().enumerate().flat_map(|(at, token)| match token {
+        TokenTree::Group(group) => options(group.stream()),
+        TokenTree::Literal(text) if !of_a_comment(at) && named(&text.to_string()) => vec![text.to_string()],
+        _ => Vec::new(),
+    });
+    found.collect()
+}
+
+fn product(text: &str) -> TokenStream {
+    text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default().parse().expect("a source that compiles")
+}
+
+#[test]
+fn the_tools_library_names_no_option_of_the_tool() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("host/src");
+    let mut found = Vec::new();
+    sources(&root, &mut found);
+    let (mut read, mut wrong) = (0, Vec::new());
+    for path in &found {
+        let inside = path.strip_prefix(&root).expect("below the folder").to_str().expect("a plain name");
+        if inside.starts_with("commands/") || ["main.rs", "cli.rs"].contains(&inside) || WRITERS.contains(&inside) {
+            continue;
+        }
+        read += 1;
+        let text = std::fs::read_to_string(path).expect("a readable source");
+        wrong.extend(options(product(&text)).into_iter().map(|text| format!("{inside}: {text}")));
+    }
+    assert!(read > 100, "only {read} sources");
+    assert_eq!(wrong, Vec::<String>::new(), "main.rs says by which option a `Choice` is made");
+}
+
+#[test]
+fn an_option_in_a_text_is_found() {
+    let text =
+        "/// By `--q`.\nfn f() { g(\"another with --q\"); }\n#[cfg(test)]\nmod tests { const T: &str = \"--p\"; }";
+    assert_eq!(options(product(text)), ["\"another with --q\""]);
+}

@@ -14,29 +14,64 @@ pub enum Blame {
     Request,
 }
 
+/// What a user may choose otherwise to get further; a program knows under which name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Choice {
+    /// The joint angles of the pose.
+    Pose,
+    /// How clear of singularities a pose must be.
+    Clearance,
+    /// How large the wall is.
+    Patch,
+    /// The ripple that a wall may have.
+    Ripple,
+    /// Whether files are overwritten.
+    Overwriting,
+    /// Which board.
+    Board,
+    /// Where results are kept between runs.
+    Kept,
+    /// Which of a recording's signals are drawn.
+    Shown,
+    /// What a recording holds.
+    Fields,
+}
+
 /// A command that did not do what was asked, on one line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Failure {
     blame: Blame,
     reason: String,
     remedy: Option<String>,
+    choice: Option<Choice>,
 }
 
 impl Failure {
     /// It could not be done (exit code 1).
     pub fn impossible(reason: impl fmt::Display) -> Self {
-        Self { blame: Blame::World, reason: reason.to_string(), remedy: None }
+        Self { blame: Blame::World, reason: reason.to_string(), remedy: None, choice: None }
     }
 
     /// The command or a file is wrong (exit code 2).
     pub fn wrong(reason: impl fmt::Display) -> Self {
-        Self { blame: Blame::Request, reason: reason.to_string(), remedy: None }
+        Self { blame: Blame::Request, reason: reason.to_string(), remedy: None, choice: None }
     }
 
     /// Adds what the user can do about it.
     pub fn remedy(mut self, remedy: impl fmt::Display) -> Self {
         self.remedy = Some(remedy.to_string());
         self
+    }
+
+    /// Adds what the user may choose otherwise for the remedy.
+    pub fn choose(mut self, choice: Choice) -> Self {
+        self.choice = Some(choice);
+        self
+    }
+
+    /// What the user may choose otherwise.
+    pub fn choice(&self) -> Option<Choice> {
+        self.choice
     }
 
     /// Whose fault it was.

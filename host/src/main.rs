@@ -6,13 +6,32 @@
 mod cli;
 mod commands;
 
+use haptic::error::Choice;
 use std::process::ExitCode;
+
+/// The option by which a choice is made.
+fn option(choice: Choice) -> &'static str {
+    match choice {
+        Choice::Pose => "--q",
+        Choice::Clearance => "--clear",
+        Choice::Patch => "--patch",
+        Choice::Ripple => "--ripple",
+        Choice::Overwriting => "--force",
+        Choice::Board => "--port or HAPTIC_PORT",
+        Choice::Kept => "--continue",
+        Choice::Shown => "--show",
+        Choice::Fields => "--fields",
+    }
+}
 
 fn main() -> ExitCode {
     match commands::run(cli::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            haptic::tell!("error: {failure}");
+            match failure.choice().map(option) {
+                Some(option) => haptic::tell!("error: {failure} ({option})"),
+                None => haptic::tell!("error: {failure}"),
+            }
             failure.exit_code()
         }
     }

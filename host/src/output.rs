@@ -4,7 +4,7 @@
 //! there before. Links are followed. What is no ordinary file (a device node, a pipe) is written through and stays
 //! what it is.
 
-use crate::error::Failure;
+use crate::error::{Choice, Failure};
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -125,7 +125,9 @@ fn place(path: &Path, overwrite: Overwrite) -> Result<Place, Failure> {
         Ok(about) if !about.is_file() => Ok(Place::Special),
         Ok(_) if overwrite == Overwrite::Never => {
             let reason = format!("{shown} exists, and is not overwritten");
-            Err(Failure::impossible(reason).remedy("choose another name, or say --force"))
+            Err(Failure::impossible(reason)
+                .remedy("choose another name, or allow it to be overwritten")
+                .choose(Choice::Overwriting))
         }
         Ok(_) => std::fs::canonicalize(path).map(Place::File).map_err(|error| refused(path, &error)),
         Err(_) => {
@@ -224,7 +226,7 @@ mod tests {
         let path = folder.path().join("a.txt");
         write(&path, b"one", Overwrite::Never).unwrap();
         let refused = write(&path, b"two", Overwrite::Never).unwrap_err().to_string();
-        assert!(refused.contains("a.txt exists") && refused.contains("--force"), "{refused}");
+        assert!(refused.contains("a.txt exists") && refused.contains("overwritten"), "{refused}");
         assert!(check(&path, Overwrite::Never).is_err() && open(&path, Overwrite::Never).is_err());
         assert_eq!(std::fs::read(&path).unwrap(), b"one");
         write(&path, b"two", Overwrite::Replace).unwrap();

@@ -6,7 +6,7 @@
 //! row, which fades within the first rows.
 
 use crate::backup::SavedSetting;
-use crate::error::Failure;
+use crate::error::{Choice, Failure};
 use crate::recorder::{Recording, STATES};
 use crate::words::counted;
 use haptic_bridge::board::settings::Setting;
@@ -87,7 +87,8 @@ impl Columns {
         let column = |name: String| {
             recording.column(&name).ok_or_else(|| {
                 Failure::wrong(format!("the recording has no column {name}, which a replay needs"))
-                    .remedy("record with haptic record, or with --fields q,torque,counts,state")
+                    .remedy("record q, torque, counts and state, as haptic record does")
+                    .choose(Choice::Fields)
             })
         };
         let each = |name: &str, unit: &str| {
@@ -122,13 +123,14 @@ pub fn replay(recording: &Recording) -> Result<Replayed, Failure> {
         return Err(Failure::wrong(format!(
             "the recording holds one control step in {every}, and a replay needs every one"
         ))
-        .remedy("record at the control rate: haptic record does where the link carries it, with fewer --fields"));
+        .remedy("record at the control rate: haptic record does where the link carries it, with fewer fields")
+        .choose(Choice::Fields));
     }
     if drives(first[columns.state] as usize) {
         return Err(Failure::wrong(
             "the motors are on in the first row: what the control step remembered is not known",
         )
-        .remedy("begin to record before arming; haptic record --arm does"));
+        .remedy("begin to record before arming, as haptic record does where it arms itself"));
     }
 
     let hardware = Hardware {

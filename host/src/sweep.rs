@@ -3,7 +3,7 @@
 //! Results are in the order of the things whoever was first, and what was kept is what would be computed again, to the
 //! bit. So an answer is the same on any number of cores, in any order, with any number of interruptions.
 
-use crate::error::Failure;
+use crate::error::{Choice, Failure};
 use crate::output::{self, Overwrite};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -88,7 +88,7 @@ impl Sweep {
                         found.command,
                         found.version
                     );
-                    return Err(Failure::wrong(reason).remedy("name another file with --continue, or delete this one"));
+                    return Err(Failure::wrong(reason).remedy("delete it, or name another file").choose(Choice::Kept));
                 }
             }
             // A place that cannot be written is told before the work, not after it.
@@ -157,11 +157,10 @@ impl Sweep {
         let failure =
             Failure::impossible(format!("interrupted with {} of {} done ({stage})", found.len(), things.len()));
         Err(match &self.file {
-            Some(file) => {
-                failure.remedy(format!("the same command goes on from there, with --continue {}", file.display()))
-            }
-            None => failure.remedy("with --continue FILE the same command would go on from there"),
-        })
+            Some(file) => failure.remedy(format!("the same command goes on from there, out of {}", file.display())),
+            None => failure.remedy("with a file that keeps results the same command would go on from there"),
+        }
+        .choose(Choice::Kept))
     }
 
     /// The answer is there, and told: nothing is kept any more.
@@ -195,7 +194,8 @@ impl Sweep {
         let back = postcard::take_from_bytes::<R>(&bytes).ok().filter(|(_, rest)| rest.is_empty());
         if back.and_then(|(back, _)| postcard::to_allocvec(&back).ok()).as_ref() != Some(&bytes) {
             return Err(Failure::impossible(format!("a result of \"{stage}\" cannot be kept as it is"))
-                .remedy("leave --continue out, and report this"));
+                .remedy("keep no results, and report this")
+                .choose(Choice::Kept));
         }
         let text = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
         let mut state = self.lock();
@@ -228,8 +228,9 @@ fn earlier(file: &Path) -> Result<Option<Checkpoint>, Failure> {
 }
 
 fn damaged(file: &Path, why: &dyn std::fmt::Display) -> Failure {
-    Failure::wrong(format!("{} is not what --continue keeps: {why}", file.display()))
-        .remedy("name another file with --continue")
+    Failure::wrong(format!("{} is not what a search keeps: {why}", file.display()))
+        .remedy("name another file")
+        .choose(Choice::Kept)
 }
 
 /// A result from its hex; none from text that is not one.
@@ -290,7 +291,7 @@ mod tests {
             })
         };
         let failure = run(&case.sweep("question", 50).unwrap()).unwrap_err().to_string();
-        assert!(failure.contains("of 200 done (stage)") && failure.contains("with --continue "), "{failure}");
+        assert!(failure.contains("of 200 done (stage)") && failure.contains("out of "), "{failure}");
         let before = case.worked.load(Ordering::SeqCst);
         assert!(before < 60, "{before} were begun after the interruption");
         let again = case.sweep("question", usize::MAX).unwrap();
@@ -325,7 +326,7 @@ mod tests {
         std::fs::write(case.file(), format!("{}07{}", &text[..hex + 3], &text[hex + 5..])).unwrap();
         assert!(others(200).unwrap_err().to_string().contains("is of another kind"));
         std::fs::write(case.file(), &text[..text.len() / 2]).unwrap();
-        assert!(case.sweep("two", usize::MAX).err().unwrap().to_string().contains("is not what --continue keeps"));
+        assert!(case.sweep("two", usize::MAX).err().unwrap().to_string().contains("is not what a search keeps"));
         let nowhere = case.folder.path().join("no/kept.json");
         let refused = Sweep::new("tune", "", Some(&nowhere), || false).err().unwrap().to_string();
         assert!(refused.contains("make the folder first"), "{refused}");

@@ -35,7 +35,7 @@ use crate::analysis::range::{boundary_of, stiffnesses};
 use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
 use crate::bench::estimators::{Comparison, Pressed, Shaping, pressed};
 use crate::device_file::DeviceFile;
-use crate::error::Failure;
+use crate::error::{Choice, Failure};
 use crate::plausible::device::force_along;
 use crate::sweep::Sweep;
 use crate::vectors::padded_to;
@@ -435,7 +435,7 @@ fn check(question: &Question<'_>) -> Result<(), Failure> {
     }
     let sizes = [question.ripple_n, question.counts, question.speed];
     if sizes.iter().any(|size| !(size.is_finite() && *size > 0.0)) {
-        return Err(Failure::wrong("--ripple, --counts and --speed must be positive"));
+        return Err(Failure::wrong("ripple, counts and speed must be positive"));
     }
     question.margins.check()
 }
@@ -475,7 +475,8 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<Answer, Failure> {
             "no wall here keeps a ripple of {} N within the margins",
             question.ripple_n
         ))
-        .remedy("allow more --ripple, or ask at another pose or normal (`haptic design`)"));
+        .remedy("ask at another pose or normal (`haptic design`), or allow more")
+        .choose(Choice::Ripple));
     };
     let (active, limits, beside) = limits(&context, &best)?;
     let feed_forwards = otherwise::otherwise(&context, &best, &all)?;

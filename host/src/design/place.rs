@@ -3,7 +3,7 @@
 use super::{clearance, lumped, reaching, task_position, within_limits};
 use crate::analysis::map::{MapPoint, Reachable, along, at_holding};
 use crate::analysis::pose::{TaskPose, unit_normal};
-use crate::error::Failure;
+use crate::error::{Choice, Failure};
 use crate::sim::Random;
 use crate::sweep::Sweep;
 use haptic_bridge::model::admissible::Admissible;
@@ -89,7 +89,7 @@ pub fn directions(description: &Description, q: &[f64], admissible: Admissible) 
     let spec = description.kind.spec();
     let any = unit_normal(&[1.0, 0.0, 0.0][..spec.task], spec.task, spec.joints)?;
     let point = at_holding(description, q, &any, admissible)?;
-    let singular = || Failure::impossible("this pose is singular").remedy("choose another with --q");
+    let singular = || Failure::impossible("this pose is singular").remedy("choose another").choose(Choice::Pose);
     let point: MapPoint = point.ok_or_else(singular)?;
     let along = |normal: &[f64]| -> Result<Placed, Failure> {
         let normal = unit_normal(normal, spec.task, spec.joints)?;
@@ -229,7 +229,8 @@ pub fn places(
     let poses: Vec<Vec<f64>> = all.into_iter().filter(|q| at(q).is_some()).collect();
     if poses.is_empty() {
         return Err(Failure::impossible(format!("no pose is as clear of singularities as a sine of {clear}"))
-            .remedy("ask for less with --clear"));
+            .remedy("ask for less")
+            .choose(Choice::Clearance));
     }
     let point = |q: &[f64]| {
         let any = unit_normal(&[1.0, 0.0, 0.0][..spec.task], spec.task, spec.joints).ok()?;
@@ -294,7 +295,7 @@ pub fn places(
         Ok(start.and_then(|(_, start)| climbed(start, FINE, &allowed, sought)).map(|(_, placed)| placed.q))
     })?;
     let again = |index: usize| -> Result<Placed, Failure> {
-        let nowhere = || Failure::impossible("the wall fits nowhere").remedy("make it smaller with --patch");
+        let nowhere = || Failure::impossible("the wall fits nowhere").remedy("make it smaller").choose(Choice::Patch);
         let q = found[index].clone().ok_or_else(nowhere)?;
         jobs[index](&q).map(|(_, placed)| placed).ok_or_else(nowhere)
     };

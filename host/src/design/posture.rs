@@ -7,7 +7,7 @@
 use super::{clearance, lumped, reaching, task_position, within_limits};
 use crate::analysis::map::along;
 use crate::analysis::pose::{TaskPose, unit_normal};
-use crate::error::Failure;
+use crate::error::{Choice, Failure};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
@@ -72,7 +72,7 @@ pub fn postures(
     let n = unit_normal(normal, spec.task, spec.joints)?;
     let start = TaskPose::of(&device.mechanism, q)?.regular()?;
     let here = posture(&device, q, &n, admissible)
-        .ok_or_else(|| Failure::impossible("this pose is singular").remedy("choose another with --q"))?;
+        .ok_or_else(|| Failure::impossible("this pose is singular").remedy("choose another").choose(Choice::Pose))?;
     let mut all = vec![here.clone()];
     for way in [STEP, -STEP] {
         let mut at = q.to_vec();

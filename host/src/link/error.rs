@@ -1,6 +1,6 @@
 //! What can go wrong between the tool and a board, each with what to do about it.
 
-use crate::error::Failure;
+use crate::error::{Choice, Failure};
 use haptic_bridge::safety::refusal::Refusal;
 use std::io;
 
@@ -37,7 +37,7 @@ pub enum LinkError {
     #[error("no permission to open {0}; add yourself to its group: sudo usermod -aG dialout $USER, then log in again")]
     Forbidden(String),
     /// A TCP connection was not made.
-    #[error("cannot connect to {address}: {error}; is `haptic sim --tcp` running there?")]
+    #[error("cannot connect to {address}: {error}; is a board served there?")]
     NotListening {
         /// Where.
         address: String,
@@ -114,9 +114,7 @@ impl From<LinkError> for Failure {
     fn from(error: LinkError) -> Self {
         match error {
             LinkError::CannotSimulate(_) => Self::wrong(error),
-            LinkError::NoBoard { .. } | LinkError::SeveralBoards(_) => {
-                Self::impossible(error).remedy("--port and HAPTIC_PORT take it")
-            }
+            LinkError::NoBoard { .. } | LinkError::SeveralBoards(_) => Self::impossible(error).choose(Choice::Board),
             _ => Self::impossible(error),
         }
     }

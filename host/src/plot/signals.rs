@@ -8,7 +8,7 @@ use super::axes::{Axis, Mark, PlotArea};
 use super::canvas::{Anchor, Canvas, Stroke};
 use super::colour::{BOUND, FULL, INK, OFF, WASHOUT};
 use crate::analysis::amplitudes::{SpectralLine, spectrum};
-use crate::error::Failure;
+use crate::error::{Choice, Failure};
 use crate::link::columns;
 use crate::recorder::Recording;
 use crate::words::{counted, with_unit};
@@ -127,7 +127,7 @@ impl<'a> Rows<'a> {
             let span = recording.rows.first().zip(recording.rows.last());
             let span = span.map_or("no rows".into(), |(a, b)| format!("rows from {} to {} s", a[time], b[time]));
             return Err(Failure::wrong(format!("{} to draw; the recording has {span}", counted(rows.len(), "row")))
-                .remedy("change --from and --to, or record more"));
+                .remedy("draw a longer time, or record more"));
         }
         // A restarted board counts from 0 again; what lies between is not known.
         let apart = |i: usize| rows[i + 1][step] - rows[i][step];
@@ -336,7 +336,8 @@ fn amplitudes(
         let values: Vec<f64> = rows.rows[stretch.clone()].iter().map(|row| row[column]).collect();
         let lines = spectrum(&values, rows.rate_hz).ok_or_else(|| {
             Failure::wrong(format!("{} without a gap are too few for a spectrum", counted(values.len(), "row")))
-                .remedy("record longer, or leave the spectrum out with --show")
+                .remedy("record longer, or leave the spectrum out")
+                .choose(Choice::Shown)
         })?;
         let fast = lines.iter().filter(|line| line.frequency >= SLOW_HZ);
         let top = fast.max_by(|a, b| a.amplitude.total_cmp(&b.amplitude));
