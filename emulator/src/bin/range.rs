@@ -60,13 +60,18 @@ fn cables(only: &[String]) -> Result<(), Box<dyn std::error::Error>> {
         return Err(format!("the devices are {names}, the rates {rates} Hz").into());
     }
     let back_emf = only.get(2).is_none_or(|word| word != "no-emf");
+    let mut failed = Vec::new();
     println!("{CABLE_HEAD}");
     for rate in rates {
         for &device in &devices {
-            with_cables(device, rate, back_emf, |row| println!("{row}"))?;
+            // What one device faults with leaves the others to be measured.
+            if let Err(error) = with_cables(device, rate, back_emf, |row| println!("{row}")) {
+                let (name, board) = device;
+                failed.push(format!("{name} on {} at {} Hz: {error}", board.name(), rate.rate_hz));
+            }
         }
     }
-    Ok(())
+    if failed.is_empty() { Ok(()) } else { Err(failed.join("\n").into()) }
 }
 
 /// Both feed-forwards at `rate`, each on a board of its own, and the delay that the board reports.
