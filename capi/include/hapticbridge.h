@@ -220,7 +220,8 @@ int32_t hb_load(const hb_board *board, const char *device_file, const char *scen
 int32_t hb_home(const hb_board *board);
 
 /*
- Starts the polarity check, which moves each joint a little.
+ Checks that every motor turns its joint the way its encoder counts, which moves each joint a little; returns when that
+ is known, HB_OK only where all of them do.
  */
 int32_t hb_check_polarity(const hb_board *board);
 

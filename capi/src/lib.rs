@@ -308,11 +308,19 @@ pub unsafe extern "C" fn hb_home(board: *const Board) -> i32 {
     unsafe { with(board, |session| Ok(session.home()?)) }
 }
 
-/// Starts the polarity check, which moves each joint a little.
+/// Checks that every motor turns its joint the way its encoder counts, which moves each joint a little; returns when that
+/// is known, HB_OK only where all of them do.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_check_polarity(board: *const Board) -> i32 {
+    let check = |session: &mut Session| {
+        session.check_polarity()?;
+        match session.wait_for_polarity()?.trouble() {
+            None => Ok(()),
+            Some((what, remedy)) => Err(Failure::Words(format!("{what}: {remedy}"))),
+        }
+    };
     // SAFETY: as the caller promises.
-    unsafe { with(board, |session| Ok(session.check_polarity()?)) }
+    unsafe { with(board, check) }
 }
 
 /// Motors on; torque ramps up over half a second. hb_exchange() must then be called at least as often as the board's rules

@@ -1,8 +1,8 @@
 //! A program in C, compiled against the header and run with the shared library.
 
 use hapticbridge::{
-    HB_BAD, HB_BAD_ARGUMENT, HB_FAILED, HB_OK, Request, State, hb_arm, hb_close, hb_error, hb_exchange, hb_load,
-    hb_open, hb_wait_for_forces,
+    HB_BAD, HB_BAD_ARGUMENT, HB_FAILED, HB_OK, Request, State, hb_arm, hb_check_polarity, hb_close, hb_error,
+    hb_exchange, hb_home, hb_load, hb_open, hb_wait_for_forces,
 };
 use std::ffi::{CStr, CString};
 use std::mem::{offset_of, size_of};
@@ -65,7 +65,9 @@ fn errors_name_functions_and_numbers() {
     unsafe {
         assert_eq!((hb_arm(null()), error()), (HB_BAD_ARGUMENT, "the board is NULL".into()));
         let board = hb_open(c"sim".as_ptr());
-        assert_eq!((hb_load(board, device.as_ptr(), null()), hb_arm(board)), (HB_OK, HB_OK), "{}", error());
+        assert_eq!((hb_load(board, device.as_ptr(), null()), hb_home(board)), (HB_OK, HB_OK), "{}", error());
+        // The check is over when the call returns: a board that still checks would refuse to arm.
+        assert_eq!((hb_check_polarity(board), hb_arm(board)), (HB_OK, HB_OK), "{}", error());
         assert_eq!(hb_load(board, device.as_ptr(), null()), HB_FAILED);
         assert_eq!(error(), "the board refuses: the motors are armed: hb_disarm() first");
         let mut state = State::default();

@@ -226,9 +226,17 @@ impl Board {
         self.with(py, |held| held.session.home())
     }
 
-    /// Starts the polarity check, which moves each joint a little.
+    /// Checks that every motor turns its joint the way its encoder counts, which moves each joint a little; returns when that
+    /// is known. Raises RefusedError where one does not, or where the check was ended before.
     fn check_polarity(&self, py: Python<'_>) -> PyResult<()> {
-        self.with(py, |held| held.session.check_polarity())
+        let outcome = self.with(py, |held| {
+            held.session.check_polarity()?;
+            held.session.wait_for_polarity()
+        })?;
+        match outcome.trouble() {
+            None => Ok(()),
+            Some((what, remedy)) => Err(errors::refused(&format!("{what}: {remedy}"))),
+        }
     }
 
     /// Motors on; torque ramps up over half a second. The board must then hear from this program as often as its rules ask.

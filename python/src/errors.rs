@@ -51,8 +51,13 @@ pub fn failure(failure: impl Into<Failure>) -> PyErr {
 pub fn board(error: BoardError) -> PyErr {
     match error {
         BoardError::Link(error) => link(error),
-        BoardError::Refused(_) => RefusedError::new_err(for_a_program(&error.to_string(), &CALLS)),
+        BoardError::Refused(_) => refused(&error.to_string()),
     }
+}
+
+/// Of what a board does not do.
+pub fn refused(words: &str) -> PyErr {
+    RefusedError::new_err(for_a_program(words, &CALLS))
 }
 
 /// Of the way to one.

@@ -68,6 +68,15 @@ def test_a_contact_stops_the_tip_where_its_stiffness_says(five_bar):
         np.testing.assert_allclose(state.tip[0] - place[0], 1.0 / 2000.0, rtol=0.05)
 
 
+def test_a_polarity_check_is_over_when_it_returns(five_bar):
+    with hb.Simulation(five_bar).board() as board:
+        board.home()
+        board.check_polarity()
+        assert board.state == "Disarmed"
+        board.arm()
+        assert board.state == "Armed"
+
+
 def test_what_a_board_refuses_is_an_exception_in_its_words(five_bar, devices):
     simulation = hb.Simulation(five_bar, strict=True)
     with simulation.board() as board, pytest.raises(hb.RefusedError, match="the board refuses"):

@@ -2,7 +2,6 @@
 
 use super::port::{Port, answer, confirm};
 use haptic::error::Failure;
-use haptic::link::PolarityOutcome;
 use serde_json::json;
 
 /// Check that every motor turns its joint the way its encoder counts (moves the device)
@@ -30,16 +29,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     board.keep_alive();
     board.check_polarity()?;
-    match board.wait_for_polarity()? {
-        PolarityOutcome::Right => {
-            answer(args.json, json!({ "polarity_checked": true }), "every motor turns its joint the right way\n")
-        }
-        PolarityOutcome::Fault(record) => {
-            let axis = record.axis.map_or(String::new(), |axis| format!(" (joint {axis})"));
-            Err(Failure::impossible(format!("{}{axis}", record.fault)).remedy(record.fault.remedy()))
-        }
-        PolarityOutcome::Stopped => {
-            Err(Failure::impossible("the check was ended from outside").remedy("start it again"))
-        }
+    match board.wait_for_polarity()?.trouble() {
+        None => answer(args.json, json!({ "polarity_checked": true }), "every motor turns its joint the right way\n"),
+        Some((what, remedy)) => Err(Failure::impossible(what).remedy(remedy)),
     }
 }

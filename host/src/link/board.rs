@@ -41,6 +41,21 @@ pub enum PolarityOutcome {
     Stopped,
 }
 
+impl PolarityOutcome {
+    /// What ended the check before it passed, and what to do.
+    #[must_use]
+    pub fn trouble(&self) -> Option<(String, &'static str)> {
+        match self {
+            Self::Right => None,
+            Self::Fault(record) => {
+                let axis = record.axis.map_or(String::new(), |axis| format!(" (joint {axis})"));
+                Some((format!("{}{axis}", record.fault), record.fault.remedy()))
+            }
+            Self::Stopped => Some(("the check was ended from outside".into(), "start it again")),
+        }
+    }
+}
+
 /// An open board of this tool's protocol version.
 pub struct Board {
     client: Client,
