@@ -61,8 +61,9 @@ const BOARD: BoardKind = BoardKind::HBridgeF405;
 const CABLE: (f64, f64) = (400.0, 0.05);
 /// A turret's own body is on the link's side: the motor has this share of its inertia.
 const TURRET_MOTOR: f64 = 0.3;
-/// Encoders of devices with cables, which feel even small steps at high rates.
-const CABLE_COUNTS_PER_TURN: f64 = (1 << 22) as f64;
+/// Of the spatial devices with cables: their longer arms make more of a step, and slower swings, whose edges come in time. The
+/// emulated encoders show one edge every 250 ns.
+const SPATIAL_COUNTS_PER_TURN: f64 = (1 << 22) as f64;
 /// Where the walls with cables are measured: this share of the way to where the range ends.
 const CABLE_SHARE: f64 = 0.35;
 /// Of the washout, Hz.
@@ -181,7 +182,7 @@ pub fn cabled((name, board): (&str, BoardKind), back_emf: bool) -> Bench {
                 *motor = larger(motor);
             }
             if let Some(encoder) = &mut joint.encoder {
-                encoder.counts_per_turn = CABLE_COUNTS_PER_TURN;
+                encoder.counts_per_turn = if planar { COUNTS_PER_TURN } else { SPATIAL_COUNTS_PER_TURN };
             }
         }
         Bench { board, file, normal, torque_limit: 1.0 }
