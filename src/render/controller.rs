@@ -391,12 +391,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         qd: &SVector<T, N>,
         only: &Active<T, N>,
     ) -> SVector<T, N> {
-        let shaping = match &self.mass {
-            MassModel::Exact => self.mechanism.shaping(pose, &only.normal),
-            MassModel::Frozen(mass) => Shaping::of(mass, self.mechanism.inverse(pose, &only.normal)),
-            mass @ MassModel::Table(..) => mass.shaping(&self.mechanism, q, pose, &only.normal),
-        };
-        let shaping = self.held(shaping, pose);
+        let shaping = self.held(self.mass.shaping_inline(&self.mechanism, q, pose, &only.normal), pose);
         if !self.biased {
             return shaping.me * (only.shaped / shaping.w_rr);
         }

@@ -9,8 +9,9 @@ use haptic::demo::{Demo, Inertia};
 use haptic::error::{Failure, print};
 use haptic::output;
 use haptic_bridge::render::scene::FeedForward;
+use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
-use std::io::{IsTerminal, Write};
+use std::io::IsTerminal;
 use std::path::PathBuf;
 
 /// Let a simulated hand press on a wall, without and with the feed-forward, and see what it buys
@@ -32,37 +33,40 @@ pub struct Args {
     json: bool,
 }
 
+/// Steps of the bar in a part of the work.
+const PART: u64 = 100;
+
 /// A bar on standard error, where there is somebody to see it.
 struct Bar {
-    shown: bool,
-    parts: f64,
-    part: f64,
+    bar: Option<ProgressBar>,
+    /// The parts that are done.
+    done: u64,
 }
 
 impl Bar {
-    fn new(parts: u8) -> Self {
-        Self { shown: std::io::stderr().is_terminal(), parts: f64::from(parts), part: 0.0 }
+    fn new(parts: u64) -> Self {
+        let bar = std::io::stderr().is_terminal().then(|| ProgressBar::new(parts * PART));
+        if let (Some(bar), Ok(style)) = (&bar, ProgressStyle::with_template("{bar:32} {percent:3} %  {msg}")) {
+            bar.set_style(style);
+        }
+        Self { bar, done: 0 }
     }
 
-    fn show(&self, share: f64, doing: &str) {
-        const WIDTH: usize = 32;
-        if !self.shown {
-            return;
+    /// This share of the present part is done.
+    fn show(&self, share: f64, doing: &'static str) {
+        if let Some(bar) = &self.bar {
+            bar.set_message(doing);
+            bar.set_position(self.done * PART + (share * PART as f64) as u64);
         }
-        let done = ((self.part + share) / self.parts).clamp(0.0, 1.0);
-        let filled = (done * WIDTH as f64) as usize;
-        let (full, empty) = ("█".repeat(filled), "░".repeat(WIDTH - filled));
-        haptic::error::say(format_args!("\r{full}{empty} {:3.0} %  {doing:<52}", 100.0 * done));
-        let _ = std::io::stderr().flush();
     }
 
     fn next(&mut self) {
-        self.part += 1.0;
+        self.done += 1;
     }
 
     fn finish(&self) {
-        if self.shown {
-            haptic::error::say(format_args!("\r{:100}\r", ""));
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
         }
     }
 }
@@ -83,7 +87,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     args.force.pictures(args.svg.as_ref(), None)?;
     let demo = Demo::shipped(args.seed)?;
     let mut bar = Bar::new(4);
-    let mut crossing = |feed_forward, what: &str| {
+    let mut crossing = |feed_forward, what: &'static str| {
         let done = cross(&demo, feed_forward, &mut |share| bar.show(share, what));
         bar.next();
         done
@@ -92,7 +96,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         crossing(FeedForward::Off, "the hand crosses the wall without feed-forward")?,
         crossing(FeedForward::Washout, "the hand crosses the wall with feed-forward")?,
     ];
-    let mut search = |feed_forward, what: &str| {
+    let mut search = |feed_forward, what: &'static str| {
         bar.show(0.0, what);
         let found = limit(&demo, feed_forward);
         bar.next();
