@@ -222,19 +222,21 @@ fn coupled<T: Real, M: Mechanism<T, N>, const N: usize>(
         return (w_eff, torque);
     }
     let mass = mechanism.mass(pose);
-    let row = |i: usize| mechanism.transpose(pose, &tip.column(i).into_owned());
-    if rank == 1 {
-        let row = row(0);
-        w_eff[(0, 0)] = T::one() / row.dot(&solve_symmetric(&mass, &row));
-        return (w_eff, row * in_span[0]);
+    let mut rows = [SVector::<T, N>::zeros(); N];
+    for i in 0..rank {
+        rows[i] = mechanism.transpose(pose, &tip.column(i).into_owned());
+        torque += rows[i] * in_span[i];
     }
     let mut mobility = SMatrix::<T, N, N>::identity();
     for j in 0..rank {
-        torque += row(j) * in_span[j];
-        let accelerations = solve_symmetric(&mass, &row(j));
+        let accelerations = solve_symmetric(&mass, &rows[j]);
         for i in 0..rank {
-            mobility[(i, j)] = row(i).dot(&accelerations);
+            mobility[(i, j)] = rows[i].dot(&accelerations);
         }
+    }
+    if rank == 1 {
+        w_eff[(0, 0)] = T::one() / mobility[(0, 0)];
+        return (w_eff, torque);
     }
     for j in 0..rank {
         let mut unit = SVector::<T, N>::zeros();
