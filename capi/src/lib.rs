@@ -314,10 +314,7 @@ pub unsafe extern "C" fn hb_home(board: *const Board) -> i32 {
 pub unsafe extern "C" fn hb_check_polarity(board: *const Board) -> i32 {
     let check = |session: &mut Session| {
         session.check_polarity()?;
-        match session.wait_for_polarity()?.trouble() {
-            None => Ok(()),
-            Some((what, remedy)) => Err(Failure::Words(format!("{what}: {remedy}"))),
-        }
+        Ok(session.wait_for_polarity()?.passed()?)
     };
     // SAFETY: as the caller promises.
     unsafe { with(board, check) }

@@ -233,10 +233,7 @@ impl Board {
             held.session.check_polarity()?;
             held.session.wait_for_polarity()
         })?;
-        match outcome.trouble() {
-            None => Ok(()),
-            Some((what, remedy)) => Err(errors::refused(&format!("{what}: {remedy}"))),
-        }
+        outcome.passed().map_err(|failure| errors::refused(&failure.to_string()))
     }
 
     /// Motors on; torque ramps up over half a second. The board must then hear from this program as often as its rules ask.

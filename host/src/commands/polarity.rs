@@ -29,8 +29,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     board.keep_alive();
     board.check_polarity()?;
-    match board.wait_for_polarity()?.trouble() {
-        None => answer(args.json, json!({ "polarity_checked": true }), "every motor turns its joint the right way\n"),
-        Some((what, remedy)) => Err(Failure::impossible(what).remedy(remedy)),
-    }
+    board.wait_for_polarity()?.passed()?;
+    answer(args.json, json!({ "polarity_checked": true }), "every motor turns its joint the right way\n")
 }

@@ -4,6 +4,7 @@ use super::client::{Client, Sent, unlike_any_before};
 use super::error::{BoardError, LinkError};
 use super::telemetry::{Losses, Row, Rows};
 use super::wire::Wire;
+use crate::error::Failure;
 use haptic_bridge::board::protocol::{self as p, Details, GainsRequest, Info, Outcome, PROTOCOL};
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::board::telemetry::{Fields, StreamRequest};
@@ -42,16 +43,15 @@ pub enum PolarityOutcome {
 }
 
 impl PolarityOutcome {
-    /// What ended the check before it passed, and what to do.
-    #[must_use]
-    pub fn trouble(&self) -> Option<(String, &'static str)> {
+    /// Nothing more where it passed; else what ended it before.
+    pub fn passed(self) -> Result<(), Failure> {
         match self {
-            Self::Right => None,
+            Self::Right => Ok(()),
             Self::Fault(record) => {
                 let axis = record.axis.map_or(String::new(), |axis| format!(" (joint {axis})"));
-                Some((format!("{}{axis}", record.fault), record.fault.remedy()))
+                Err(Failure::impossible(format!("{}{axis}", record.fault)).remedy(record.fault.remedy()))
             }
-            Self::Stopped => Some(("the check was ended from outside".into(), "start it again")),
+            Self::Stopped => Err(Failure::impossible("the check was ended from outside").remedy("start it again")),
         }
     }
 }
