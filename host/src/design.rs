@@ -18,7 +18,7 @@ use crate::analysis::plant::{Drive, Linearised};
 use crate::analysis::pose::TaskPose;
 use crate::analysis::range::domain;
 use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
-use crate::error::Failure;
+use crate::error::{Choice, Failure};
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use nalgebra::{DMatrix, DVector};
@@ -81,6 +81,11 @@ pub fn reaching(device: &Device<f64>, from: &[f64], place: &DVector<f64>) -> Opt
     }
     let pose = TaskPose::of(&device.mechanism, &q).ok()?;
     ((place - task_position(&pose, &q)).norm() < 1e-9).then_some(q)
+}
+
+/// Of a pose where a question about a direction has no answer.
+pub fn singular() -> Failure {
+    Failure::impossible("this pose is singular").remedy("choose another").choose(Choice::Pose)
 }
 
 /// A device that is analysed, not sent.

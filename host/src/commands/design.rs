@@ -8,7 +8,7 @@ use haptic::analysis::range::WORTHWHILE_RATIO;
 use haptic::design::place::{Directions, Placed, Places, directions, places};
 use haptic::design::posture::{Posture, Postures, postures};
 use haptic::design::sensitivity::{Buys, CHANGE, Effect, Sensitivity, buys_most, sensitivities};
-use haptic::design::stiffness_per_kilogram;
+use haptic::design::{singular, stiffness_per_kilogram};
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::plot::coupling::draw;
@@ -121,8 +121,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let sensitivities = sensitivities(description, &q, &normal, args.admissible)?;
     let pose = TaskPose::at(description, &q)?.regular()?.holding(args.admissible);
     let unit = haptic::analysis::pose::unit_normal(&normal, spec.task, spec.joints)?;
-    let (w_eff, w_rr) = haptic::analysis::map::along(&pose, &unit)
-        .ok_or_else(|| Failure::impossible("this pose is singular").remedy("choose another with --q"))?;
+    let (w_eff, w_rr) = haptic::analysis::map::along(&pose, &unit).ok_or_else(singular)?;
     let document = Document {
         here: Placed {
             q: q.clone(),

@@ -1,6 +1,6 @@
 //! Directions at a pose, and places in the workspace.
 
-use super::{clearance, lumped, reaching, task_position, within_limits};
+use super::{clearance, lumped, reaching, singular, task_position, within_limits};
 use crate::analysis::map::{MapPoint, Reachable, along, at_holding};
 use crate::analysis::pose::{TaskPose, unit_normal};
 use crate::error::{Choice, Failure};
@@ -89,7 +89,6 @@ pub fn directions(description: &Description, q: &[f64], admissible: Admissible) 
     let spec = description.kind.spec();
     let any = unit_normal(&[1.0, 0.0, 0.0][..spec.task], spec.task, spec.joints)?;
     let point = at_holding(description, q, &any, admissible)?;
-    let singular = || Failure::impossible("this pose is singular").remedy("choose another").choose(Choice::Pose);
     let point: MapPoint = point.ok_or_else(singular)?;
     let along = |normal: &[f64]| -> Result<Placed, Failure> {
         let normal = unit_normal(normal, spec.task, spec.joints)?;

@@ -4,10 +4,10 @@
 //! until a joint limit or a singularity is near, or it is back. Weff belongs to the posture. Wrr belongs also to what is
 //! held ([`Admissible`]), and grows without bound where that cannot be held; how near to there is what `clear` says.
 
-use super::{clearance, lumped, reaching, task_position, within_limits};
+use super::{clearance, lumped, reaching, singular, task_position, within_limits};
 use crate::analysis::map::along;
 use crate::analysis::pose::{TaskPose, unit_normal};
-use crate::error::{Choice, Failure};
+use crate::error::Failure;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
@@ -71,8 +71,7 @@ pub fn postures(
     let device = lumped(description)?;
     let n = unit_normal(normal, spec.task, spec.joints)?;
     let start = TaskPose::of(&device.mechanism, q)?.regular()?;
-    let here = posture(&device, q, &n, admissible)
-        .ok_or_else(|| Failure::impossible("this pose is singular").remedy("choose another").choose(Choice::Pose))?;
+    let here = posture(&device, q, &n, admissible).ok_or_else(singular)?;
     let mut all = vec![here.clone()];
     for way in [STEP, -STEP] {
         let mut at = q.to_vec();

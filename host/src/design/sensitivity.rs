@@ -1,9 +1,9 @@
 //! What each number of a device is worth to one wall: the same tip position, with one of them a tenth larger or smaller.
 
-use super::{lumped, reaching, task_position};
+use super::{lumped, reaching, singular, task_position};
 use crate::analysis::map::along;
 use crate::analysis::pose::{TaskPose, unit_normal};
-use crate::error::{Choice, Failure};
+use crate::error::Failure;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Description;
@@ -187,7 +187,6 @@ pub fn sensitivities(
     admissible: Admissible,
 ) -> Result<Vec<Sensitivity>, Failure> {
     let device = lumped(description)?;
-    let singular = || Failure::impossible("this pose is singular").remedy("choose another").choose(Choice::Pose);
     let before = worth(&device, q, normal, admissible).ok_or_else(singular)?;
     let place = task_position(&TaskPose::of(&device.mechanism, q)?, q);
     let changed = |change: &Change, factor: f64| -> Option<Effect> {
