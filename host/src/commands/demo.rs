@@ -11,7 +11,6 @@ use haptic::output;
 use haptic_bridge::render::scene::FeedForward;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
-use std::io::IsTerminal;
 use std::path::PathBuf;
 
 /// Let a simulated hand press on a wall, without and with the feed-forward, and see what it buys
@@ -36,17 +35,17 @@ pub struct Args {
 /// Steps of the bar in a part of the work.
 const PART: u64 = 100;
 
-/// A bar on standard error, where there is somebody to see it.
+/// A bar on standard error, which draws itself only where there is somebody to see it.
 struct Bar {
-    bar: Option<ProgressBar>,
+    bar: ProgressBar,
     /// The parts that are done.
     done: u64,
 }
 
 impl Bar {
     fn new(parts: u64) -> Self {
-        let bar = std::io::stderr().is_terminal().then(|| ProgressBar::new(parts * PART));
-        if let (Some(bar), Ok(style)) = (&bar, ProgressStyle::with_template("{bar:32} {percent:3} %  {msg}")) {
+        let bar = ProgressBar::new(parts * PART);
+        if let Ok(style) = ProgressStyle::with_template("{bar:32} {percent:3} %  {msg}") {
             bar.set_style(style);
         }
         Self { bar, done: 0 }
@@ -54,10 +53,8 @@ impl Bar {
 
     /// This share of the present part is done.
     fn show(&self, share: f64, doing: &'static str) {
-        if let Some(bar) = &self.bar {
-            bar.set_message(doing);
-            bar.set_position(self.done * PART + (share * PART as f64) as u64);
-        }
+        self.bar.set_message(doing);
+        self.bar.set_position(self.done * PART + (share * PART as f64) as u64);
     }
 
     fn next(&mut self) {
@@ -65,9 +62,7 @@ impl Bar {
     }
 
     fn finish(&self) {
-        if let Some(bar) = &self.bar {
-            bar.finish_and_clear();
-        }
+        self.bar.finish_and_clear();
     }
 }
 
