@@ -1,5 +1,5 @@
-//! A hand presses into a wall: `cargo run --example press_a_wall`. Board, device and hand are simulated; to a real board
-//! a program talks in the same way, opened by `Board::open(&"SERIAL_NUMBER".parse()?)`.
+//! A hand presses into a wall: `cargo run --example press_a_wall`. Board, device and hand are simulated; to a real
+//! board a program talks in the same way, opened by `Board::open(&"SERIAL_NUMBER".parse()?)`.
 
 use haptic::device_file::DeviceFile;
 use haptic::haptic_bridge::board::telemetry::Field;

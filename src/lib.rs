@@ -18,8 +18,9 @@
 //! ```
 //!
 //! Everything around that path configures it or watches it ([`board`]). The modules are floors, and imports go down
-//! only: [`board`] → [`servo`] → [`safety`] → [`drive`], [`render`] → [`model`] → [`math`]. Nothing here knows a chip,
-//! a host or a file: the firmware and the tool (`host`) bring those.
+//! only: [`board`] → [`servo`] → [`safety`] → [`drive`], [`render`] → [`model`] → [`math`], [`checksum`]. Nothing here
+//! knows a chip or a computer, its files or its ports: the firmware and the tool (`host`) bring those. Only what a board
+//! says to people, its refusals and remedies, names the tool's commands.
 //!
 //! The code is generic over the float and its trigonometry ([`math`]): the board runs `f32`, the analysis runs the same
 //! lines in `f64`, and the difference between the two is how error is measured. All quantities are in SI units.
@@ -38,6 +39,7 @@ pub mod model {
     pub mod inertia;
     pub mod mechanism;
     pub mod motor;
+    pub(crate) mod padding;
     pub mod precomputed;
     pub mod principal;
     pub mod solve;
@@ -53,6 +55,7 @@ pub mod render {
 
 /// From joint torques to duties.
 pub mod drive {
+    pub(crate) mod bits;
     pub mod brushed;
     pub mod carrier;
     pub mod heat;
@@ -73,6 +76,7 @@ pub mod servo;
 pub mod board {
     pub mod configuration;
     pub mod dispatch;
+    pub mod framing;
     pub mod protocol;
     pub mod service;
     pub mod settings;

@@ -19,18 +19,20 @@ mod rules;
 mod saturation;
 mod watch;
 
+use crate::drive::brushed::Axis;
 use crate::drive::heat::Heat;
-use crate::drive::stage::Stage;
-use crate::math::Math;
+use crate::drive::stage::{Stage, Supply};
+use crate::math::{Math, limited};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::render::found::Asked;
 use crate::render::scene::DEFAULT_RATE_HZ;
 use crate::safety::fault::{Fault, FaultRecord, State};
 use crate::servo::frame::{Now, Outputs, Samples, StepRecord};
-use crate::servo::joints::{Counts, Currents, Duties, Torques};
+use crate::servo::joints::{Counts, Currents, Torques};
 use crate::servo::program::Hardware;
 use crate::servo::program::Program;
 use core::ops::DerefMut;
+use crest::Joint;
 pub use crest::SPEED_HZ;
 pub use requests::{Command, REST_SPEED, Reply, Status};
 pub use rules::{HostAction, Rules};
@@ -38,59 +40,63 @@ pub use rules::{HostAction, Rules};
 /// Seconds over which torque ramps up after arming.
 pub const ARM_SECONDS: f32 = 0.5;
 
-/// `$body` compiled for each number of joints that a device may have, with J for that number: it has neither loops nor
-/// indices to check.
-macro_rules! for_joints {
-    ($joints:expr, $J:ident => $body:expr) => {
-        match $joints {
-            0 => for_joints!(@ 0, $J => $body),
-            1 => for_joints!(@ 1, $J => $body),
-            2 => for_joints!(@ 2, $J => $body),
-            _ => for_joints!(@ MAX_JOINTS, $J => $body),
-        }
-    };
-    (@ $joints:expr, $J:ident => $body:expr) => {{
-        const $J: usize = $joints;
-        $body
-    }};
-}
-use for_joints;
-
-/// The board's control loop. In this order in memory: what every step needs lies within the 1 KB that the FPU's loads reach.
+/// The board's control loop. In this order in memory: what every crest needs lies within the 1 KB that the FPU's loads
+/// reach.
 #[derive(Debug)]
 #[repr(C)]
-pub struct Servo<P> {
+pub struct Servo<P, S = Axis> {
     state: State,
     homed: bool,
     polarity_known: bool,
+    /// Joints of the loaded device, and whether its weight is carried.
+    count: u8,
+    weighs: bool,
+    /// The same while the motors are on and every joint has a range: a crest then takes one pass. Else 0.
+    usual: u8,
+    /// Whether the scene has faded in and no pulse is to be looked at.
+    in_force: bool,
+    /// Negative unless it is so and the last step commanded all that was asked.
+    steady: i32,
     program: Option<P>,
-    now: Now,
-    hardware: Hardware,
     crests: crest::Crests,
-    /// What each joint may be asked for, N m, and the square of what all of it may be at the tip, N².
-    most_torque: Torques,
+    /// Bus voltage of the drives since the last valley, V; 0 where there were none.
+    supplied: f32,
+    /// The step after which the host has been silent for too long.
+    host_expected: u32,
+    /// What each joint may be asked for and needs no clamp, N m, and the square of what all of it may be at the tip, N².
+    fitting: [f32; MAX_JOINTS],
     most_force_squared: f32,
+    now: Now,
+    joints: [Joint<S>; MAX_JOINTS],
+    /// What each joint may be asked for, N m.
+    most_torque: Torques,
+    hardware: Hardware,
     period: f32,
     /// The step since which that is the period.
     rate_since: u32,
-    host_silent: f32,
-    /// For how long it may be, s: without end where nobody minds.
-    host_patience: f32,
+    /// The step at which the host was heard the last time.
+    host_heard: u32,
     rules: Rules,
     host: host_force::HostForce,
     /// What acted before the present scene, while it fades out.
     fade: fade::Fade,
-    /// What the last step commanded, where that is not all of what was asked.
-    cut: Option<fade::Acted>,
-    budgets: budgets::Budgets,
+    /// What a step commanded that was not all of what was asked, and which one.
+    cut: fade::Acted,
+    cut_at: u32,
+    /// The joint whose turn it is at the next valley.
+    turn: usize,
+    /// How many joints are not yet held to the rules, see [`Servo::settle_next`].
+    unsettled: u8,
     /// What heat the motors hold, whatever device is loaded.
     heat: [Heat; MAX_JOINTS],
     first_index: [Option<i32>; MAX_JOINTS],
+    /// Where index pulses were seen since the last step.
+    marks: Option<[Option<i32>; MAX_JOINTS]>,
     polarity: polarity::PolarityCheck,
     fault: Option<FaultRecord>,
 }
 
-impl<P, K, S> Servo<P>
+impl<P, K, S> Servo<P, S>
 where
     P: DerefMut<Target = Program<K, S>>,
     K: Math<f32>,
@@ -105,21 +111,32 @@ where
             state: State::Disarmed,
             homed: false,
             polarity_known: false,
+            count: 0,
+            weighs: false,
+            usual: 0,
+            in_force: false,
+            steady: -1,
+            marks: None,
             polarity: polarity::PolarityCheck::default(),
             fault: None,
             now: Now::default(),
+            joints: [Joint::default(); MAX_JOINTS],
             period: 1.0 / DEFAULT_RATE_HZ as f32,
             rate_since: 0,
             fade: fade::Fade::default(),
-            cut: Some(fade::Acted::default()),
+            cut: fade::Acted::default(),
+            cut_at: 0,
             most_torque: Torques::default(),
+            fitting: [0.0; MAX_JOINTS],
             most_force_squared: 0.0,
-            host_silent: 0.0,
-            host_patience: 0.0,
+            supplied: 0.0,
+            host_heard: 0,
+            host_expected: 0,
             first_index: [None; MAX_JOINTS],
             crests: crest::Crests::default(),
             host: host_force::HostForce::default(),
-            budgets: budgets::Budgets::default(),
+            turn: 0,
+            unsettled: 0,
             heat: [Heat::default(); MAX_JOINTS],
         }
     }
@@ -146,18 +163,12 @@ where
         self.now.step
     }
 
-    /// For how long no heartbeat has come, s, counted from the start, a change of rules or arming.
-    pub fn host_silent(&self) -> f32 {
-        self.host_silent
-    }
-
     /// Control rate of the loaded program, Hz.
     pub fn rate_hz(&self) -> Option<f32> {
         self.program.as_ref().map(|program| program.rate_hz)
     }
 
     /// One control period: [`Servo::render`], then [`Servo::act`].
-    #[inline(always)]
     pub fn control(&mut self, samples: &Samples) -> Outputs {
         self.render(&samples.counts);
         self.act(samples)
@@ -167,33 +178,36 @@ where
     /// go on as they are, and so does what they are held to.
     #[inline(always)]
     pub fn render(&mut self, counts: &Counts) {
-        self.push();
-        let Some(program) = self.program.as_mut() else { return };
-        program.controller.step(counts, &self.now.motors.torque, &mut self.now.found);
-        self.pull();
+        if self.host.acts {
+            self.render_pushed(counts);
+        } else {
+            self.render_scene(counts);
+        }
+    }
+
+    /// What the scene alone asks.
+    #[inline(always)]
+    fn render_scene(&mut self, counts: &Counts) {
+        if let Some(program) = self.program.as_mut() {
+            program.controller.step(counts, &self.now.motors.torque, &mut self.now.found);
+        }
     }
 
     /// The rest of it: watches, and sets what each motor shall do of what was rendered for the same counts.
-    #[inline(always)]
     pub fn act(&mut self, samples: &Samples) -> Outputs {
-        for_joints!(self.joints(), J => self.act_of::<J>(samples))
+        self.step(&self.known(samples));
+        if !self.hardware.bridge.current_sensed {
+            self.now.motors.current = Currents(self.joints.each_ref().map(|joint| joint.stage.asked()));
+        }
+        self.outputs()
     }
 
-    /// [`Servo::act`] of J joints.
-    #[inline(always)]
-    fn act_of<const J: usize>(&mut self, samples: &Samples) -> Outputs {
-        self.now.step = self.now.step.wrapping_add(1);
-        self.now.motors.bus_voltage = if self.hardware.bus_sensed { samples.bus_voltage } else { 0.0 };
-        if let Some((fault, axis, value)) = samples.fault {
-            self.trip(fault, axis, value);
-        }
-        self.host_silent += self.period;
-        if self.program.is_some() {
-            self.watch::<J>(samples);
-            self.drive::<J>();
-        }
-        self.now.counts = samples.counts;
-        self.outputs()
+    /// Index pulses were seen since the last step, of these encoders at these counts, late by at most what each joint moved
+    /// in it. Call before [`Servo::act`] or [`compiled::crest`].
+    pub fn mark(&mut self, marks: [Option<i32>; MAX_JOINTS]) {
+        self.marks = Some(marks);
+        self.in_force = false;
+        self.steady = -1;
     }
 
     /// What the bridges may do.
@@ -204,41 +218,47 @@ where
 
     /// Joints of the loaded program, at most [`MAX_JOINTS`].
     #[inline(always)]
-    fn joints(&self) -> usize {
-        self.program.as_ref().map_or(0, |program| program.joints.min(MAX_JOINTS))
+    fn count(&self) -> usize {
+        self.count.into()
     }
 
     /// What each motor's legs do over the next carrier period, from the bus voltage (V) and what was sampled of each motor:
     /// for brushed motors currents (A) to duties, signed, ±[`MAX_DUTY`](crate::drive::stage::MAX_DUTY). No voltage unless
     /// armed. `late` is whether they apply from the next crest on instead of the next valley, see [`Stage::drive`].
-    #[inline(always)]
     pub fn duties(
         &mut self,
         bus_voltage: f32,
         samples: &[S::Sample; MAX_JOINTS],
         late: bool,
     ) -> [S::Drive; MAX_JOINTS] {
-        for_joints!(self.joints(), J => self.duties_of::<J>(bus_voltage, samples, late))
+        let mut drives = [S::Drive::default(); MAX_JOINTS];
+        self.drive(bus_voltage, samples, late, &|drive| drive, &mut drives);
+        drives
     }
 
-    /// [`Servo::duties`] of J joints.
-    #[inline(always)]
-    fn duties_of<const J: usize>(
+    /// Puts what the legs of all axes do next `into` `legs`. False where the motors are off.
+    #[inline(never)]
+    fn drive<L>(
         &mut self,
         bus_voltage: f32,
         samples: &[S::Sample; MAX_JOINTS],
         late: bool,
-    ) -> [S::Drive; MAX_JOINTS] {
-        let mut drives = [S::Drive::default(); MAX_JOINTS];
-        if self.state.drives()
-            && let Some(program) = self.program.as_mut()
-        {
-            for ((drive, axis), sample) in drives.iter_mut().zip(&mut program.axes).zip(samples).take(J) {
-                *drive = axis.drive(bus_voltage, *sample, late);
-            }
+        into: &impl Fn(S::Drive) -> L,
+        legs: &mut [L; MAX_JOINTS],
+    ) -> bool {
+        let (supply, active, joints) = (Supply::of(bus_voltage), self.state.drives(), self.count());
+        let usable = supply.is_usable();
+        self.supplied = if usable { bus_voltage } else { 0.0 };
+        let motors = self.joints.iter_mut().zip(self.now.motors.duty.iter_mut()).zip(samples).zip(legs);
+        for (i, (((joint, duty), sample), legs)) in motors.enumerate() {
+            let drive = match active && i < joints {
+                true if usable => crest::drive_one(joint, &supply, *sample, late),
+                true => joint.stage.drive(&supply, *sample, joint.speed(), late),
+                false => S::Drive::default(),
+            };
+            (*duty, *legs) = (S::duty(drive), into(drive));
         }
-        self.now.motors.duty = Duties(drives.map(S::duty));
-        drives
+        active
     }
 
     /// Latches the first fault and turns the motors off.
@@ -254,22 +274,67 @@ where
         }
         self.off();
         self.state = State::Fault;
+        self.see_what_is_usual();
     }
 
     fn off(&mut self) {
         self.let_go();
         self.fade = fade::Fade::default();
-        self.cut = Some(fade::Acted::default());
+        self.cut = fade::Acted::default();
+        self.cut_at = self.now.step;
         self.now.motors.torque = Torques::default();
         self.now.motors.current = Currents::default();
-        if let Some(program) = self.program.as_mut() {
-            program.axes.iter_mut().for_each(S::rest);
+        for joint in &mut self.joints {
+            joint.stage.rest();
         }
     }
 
-    /// Sets each motor's current from the step's torques.
+    /// What every control step begins with: it is counted.
     #[inline(always)]
-    fn drive<const J: usize>(&mut self) {
+    fn begin_step(&mut self) {
+        self.now.step = self.now.step.wrapping_add(1);
+    }
+
+    /// Notes what a control step saw, for all that looks at it later.
+    #[inline(always)]
+    fn note(&mut self, seen: &Samples) {
+        self.now.noted = self.now.step;
+        self.now.motors.bus_voltage = seen.bus_voltage;
+        self.now.motors.current = seen.currents;
+        self.now.counts = seen.counts;
+        if let Some(program) = self.program.as_ref() {
+            program.controller.angles(&seen.counts, &mut self.now.found);
+        }
+    }
+
+    /// Notes what the last control step saw where it has not: a usual step leaves that to the valley.
+    #[inline(always)]
+    fn note_late(&mut self, seen: &Samples) {
+        if self.now.noted != self.now.step {
+            self.note(seen);
+        }
+    }
+
+    /// A control step in any state.
+    fn step(&mut self, seen: &Samples) {
+        self.begin_step();
+        if self.program.is_some() {
+            self.step_otherwise(seen);
+        } else {
+            self.note(seen);
+        }
+    }
+
+    /// The rest of a control step that is not the usual one.
+    #[cold]
+    #[inline(never)]
+    fn step_otherwise(&mut self, seen: &Samples) {
+        let before = self.now.counts;
+        self.note(seen);
+        // Most steps that are not usual are well all the same: torque ramps up, or a limit cuts it.
+        if self.marks.is_some() || self.watch_all() < 0 {
+            self.find(&before);
+        }
         match self.state {
             State::Armed if self.fade.ramp < 1.0 => {
                 let (faded, wanted) = self.fade_in();
@@ -277,73 +342,105 @@ where
             }
             State::Armed => {
                 self.fade.share = 1.0;
-                if self.fits::<J>() {
-                    self.command_all::<J>();
-                } else {
-                    let asked = self.now.found.asked;
-                    self.command(&asked, &asked.total);
-                }
+                let asked = self.now.found.asked;
+                self.command(&asked, &asked.total);
             }
             State::CheckingPolarity => {
-                self.check_polarity();
+                let torque = self.check_polarity();
                 if self.state == State::CheckingPolarity {
-                    let torque = *self.now.motors.torque;
-                    self.command(&Asked { total: torque, gravity: torque, ..Asked::default() }, &torque);
+                    self.command_test(&torque);
                 }
                 self.now.motors.rendered_force = 0.0;
             }
-            State::Disarmed | State::Fault => {
-                self.now.motors.torque = Torques::default();
-                self.now.motors.rendered_force = 0.0;
-                self.now.motors.limited = 0;
-            }
+            State::Disarmed | State::Fault => self.ask_nothing(),
         }
+        self.see_what_is_usual();
+    }
+
+    fn ask_nothing(&mut self) {
+        let motors = &mut self.now.motors;
+        (motors.torque, motors.rendered_force, motors.limited) = (Torques::default(), 0.0, 0);
+    }
+
+    /// Sees what is usual from now on.
+    fn see_what_is_usual(&mut self) {
+        let limited = self.joints.iter().take(self.count()).all(Joint::is_limited);
+        self.usual = if self.state.drives() && limited { self.count } else { 0 };
+        let faded_in = self.fade.ramp >= 1.0 && self.fade.share >= 1.0;
+        self.in_force = self.state == State::Armed && faded_in && self.marks.is_none();
+        self.see_what_is_cut();
+    }
+
+    /// The same where only what the limits leave may have changed.
+    #[inline(always)]
+    fn see_what_is_cut(&mut self) {
+        self.steady = if self.in_force && self.now.motors.limited == 0 { 0 } else { -1 };
+    }
+
+    /// Whether the last step commanded something else than all that was asked.
+    fn was_cut(&self) -> bool {
+        self.cut_at == self.now.step
     }
 
     /// Commands all that is asked, which fits.
     #[inline(always)]
     fn command_all<const J: usize>(&mut self) {
-        self.cut = None;
-        if self.host.acts {
-            self.host.left = 1.0;
-        }
-        let Some(program) = self.program.as_mut() else { return };
         let (motors, found) = (&mut self.now.motors, &self.now.found);
         motors.rendered_force = found.at.walls.wall_force;
-        motors.limited = 0;
-        for (i, axis) in program.axes.iter_mut().enumerate().take(J) {
-            let current = axis.command(found.asked.total[i]);
-            motors.torque[i] = axis.torque_of(current);
-            if !self.hardware.bridge.current_sensed {
-                motors.current[i] = current;
-            }
+        for (i, joint) in self.joints.iter_mut().enumerate().take(J) {
+            joint.stage.command_within(found.asked.total[i]);
+            motors.torque[i] = found.asked.total[i];
         }
     }
 
+    /// Commands the torques of a polarity check within limits.
+    fn command_test(&mut self, torque: &Torques) {
+        let joints = self.count();
+        for (i, joint) in self.joints.iter_mut().enumerate().take(joints) {
+            let torque = limited(torque[i], self.most_torque[i]);
+            joint.stage.command(torque);
+            self.now.motors.torque[i] = limited(torque, joint.stage.max_torque());
+        }
+        self.now.motors.limited = 0;
+    }
+
+    /// Commands what the limits leave of all that a scene in force asks of J joints.
+    #[inline(always)]
+    fn command_what_fits<const J: usize>(&mut self) {
+        let asked = self.now.found.asked;
+        self.command_of::<J>(&asked, &asked.total);
+        self.see_what_is_cut();
+    }
+
     /// Commands the torques asked for within limits, and records which are not what was `wanted`.
-    #[inline(never)]
     fn command(&mut self, asked: &Asked<f32>, wanted: &[f32; MAX_JOINTS]) {
-        let joints = self.joints();
-        let left = asked.within(&self.most_torque, self.rules.limits.tip_force, joints);
+        match self.count() {
+            2 => self.command_of::<2>(asked, wanted),
+            3 => self.command_of::<3>(asked, wanted),
+            _ => self.command_of::<1>(asked, wanted),
+        }
+    }
+
+    /// [`Servo::command`] of J joints.
+    #[inline(always)]
+    fn command_of<const J: usize>(&mut self, asked: &Asked<f32>, wanted: &[f32; MAX_JOINTS]) {
+        let left = asked.within::<J>(&self.most_torque, self.rules.limits.tip_force);
         let rendered = Torques(asked.rendered.map(|r| left.share * r));
-        self.cut = Some(fade::Acted { gravity: left.gravity, rendered, share: left.share });
+        self.cut = fade::Acted { gravity: left.gravity, rendered, share: left.share };
+        self.cut_at = self.now.step;
         if self.host.acts {
             self.host.left = left.share * self.fade.share;
         }
-        let Some(program) = self.program.as_mut() else { return };
         let motors = &mut self.now.motors;
         motors.limited = 0;
-        for (i, axis) in program.axes.iter_mut().enumerate().take(joints) {
-            let current = axis.command(left.torque[i]);
-            motors.torque[i] = axis.torque_of(current);
+        for (i, joint) in self.joints.iter_mut().enumerate().take(J) {
+            joint.stage.command(left.torque[i]);
+            motors.torque[i] = limited(left.torque[i], joint.stage.max_torque());
             // Another torque than was asked, by more than its way through a current rounds; also where that is no number.
             let kept = (wanted[i] - motors.torque[i]).abs() <= 1.0e-5 * wanted[i].abs();
             motors.limited |= u8::from(!kept) << i;
-            if !self.hardware.bridge.current_sensed {
-                motors.current[i] = current;
-            }
         }
-        self.now.motors.rendered_force = self.rendered();
+        self.now.motors.rendered_force = self.rendered_of::<J>();
     }
 
     /// The force (N) that the torques commanded leave of what the walls asked for.
@@ -351,10 +448,11 @@ where
     /// A tip that only moves along the deepest wall's normal n, by one unit, moves the joints by E = J⁻¹ n. By virtual
     /// work a joint torque τ therefore is worth E·τ along n (τ = Jᵀ F gives E·τ = n·F), and so the torque that limits
     /// took off is worth E·(asked - left). Weight and springs drop out of the difference.
-    fn rendered(&self) -> f32 {
+    #[inline(always)]
+    fn rendered_of<const J: usize>(&self) -> f32 {
         let Now { motors, found, .. } = &self.now;
         let mut force = found.at.walls.wall_force;
-        for (i, asked) in found.asked.total.iter().enumerate().take(self.joints()) {
+        for (i, asked) in found.asked.total.iter().enumerate().take(J) {
             force -= found.motion[i] * (asked - motors.torque[i]);
         }
         force

@@ -1,5 +1,5 @@
-//! What it takes to add something is what docs/architecture.md says: the places where one that is there is named are the
-//! files of its row; where a test can add one, the row names the test that adds a toy.
+//! What it takes to add something is what docs/architecture.md says: the places where one that is there is named are
+//! the files of its row; where a test can add one, the row names the test that adds a toy.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -42,7 +42,13 @@ const ROWS: [Row; 11] = [
         users: &[],
         toy: Some(("tests/mechanism.rs", "a_toy_mechanism_is_one_impl_and_renders_walls_with_the_feed_forward")),
     },
-    Row { name: "straight step", words: &["StepVariant"], stems: &["plane"], users: &[], toy: None },
+    Row {
+        name: "straight step",
+        words: &["StepVariant", "render_wall", "render_round", "render_several"],
+        stems: &["wall", "round", "several"],
+        users: &[],
+        toy: None,
+    },
     Row {
         name: "wall shape",
         words: &["Cylinder", "cylinder"],
@@ -95,17 +101,29 @@ const ROWS: [Row; 11] = [
     },
     Row {
         name: "board",
-        words: &["HBridgeF405", "h_bridge_f405", "h-bridge-f405", "flash-h-bridge-f405"],
-        stems: &["h_bridge_f405"],
+        words: &[
+            "HBridgeF405",
+            "h_bridge_f405",
+            "h-bridge-f405",
+            "flash-h-bridge-f405",
+            "OdriveV3",
+            "odrive_v3",
+            "odrive-v3",
+            "flash-odrive-v3",
+        ],
+        stems: &["h_bridge_f405", "odrive_v3"],
         users: &[
-            // What runs on either.
+            // What runs on one of them.
             "emulator/src/bin/board.rs",
+            "emulator/src/campaign.rs",
             "emulator/src/cases.rs",
             "emulator/src/inject.rs",
+            "emulator/src/noise.rs",
             "emulator/src/range.rs",
+            "emulator/src/soak.rs",
             "host/src/commands/report.rs",
         ],
-        toy: None,
+        toy: Some(("emulator/tests/emulated/toy.rs", "a_toy_board_is_one_file_and_renders_a_wall")),
     },
     Row {
         name: "motor stage",

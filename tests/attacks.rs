@@ -302,7 +302,7 @@ fn a_device_loads_whose_present_scene_does_not_fit_it() {
 #[test]
 fn a_fault_is_published_though_a_save_comes_before_the_next_look() {
     let mut board = Board::ready(false, &rig::device(&five_bar()), &scene(2, &[]));
-    board.samples.fault = Some((Fault::GateDriver, None, 1.0));
+    board.told = Some((Fault::GateDriver, None, 1.0));
     board.tick();
     board.ask::<Save>(&()).unwrap().unwrap();
     assert!(board.service.poll(&mut board.machine).is_some());

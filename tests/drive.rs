@@ -1,7 +1,7 @@
 //! The drive makes the current that the torque needs, within duties that the bridge can stand.
 
 use haptic_bridge::drive::brushed::{Axis, UNKNOWN_WINDING};
-use haptic_bridge::drive::stage::{Bridge, MAX_DUTY, Stage};
+use haptic_bridge::drive::stage::{Bridge, Duty, MAX_DUTY, Stage, Supply};
 use haptic_bridge::model::motor::Motor;
 
 const CARRIER: f32 = 20_000.0;
@@ -26,6 +26,8 @@ fn bridge(current_sensed: bool) -> Bridge {
 struct Winding {
     motor: Motor<f32>,
     speed: f32,
+    /// What the drive is told of it, rad/s.
+    seen_speed: f32,
     dead_time: f32,
     current: f32,
     /// What stands across it.
@@ -34,7 +36,7 @@ struct Winding {
 
 impl Winding {
     fn new(motor: Motor<f32>, speed: f32) -> Self {
-        Self { motor, speed, dead_time: bridge(true).dead_time, current: 0.0, duty: 0.0 }
+        Self { motor, speed, seen_speed: 0.0, dead_time: bridge(true).dead_time, current: 0.0, duty: 0.0 }
     }
 
     /// Applies a duty for a share of a carrier period.
@@ -62,7 +64,8 @@ impl Winding {
     ) {
         for period in 0..periods {
             let late = late(period);
-            let next = axis.drive(BUS, self.current, late);
+            let next = f32::from(axis.drive(&Supply::of(BUS), self.current, self.seen_speed, late));
+            axis.settle(BUS, self.seen_speed, self.seen_speed);
             self.apply(self.duty, 0.5);
             seen(period, self.current);
             self.duty = if late { self.duty } else { next };
@@ -74,8 +77,7 @@ impl Winding {
 
 fn settled(motor: &Motor<f32>, sensed: bool, torque: f32, speed: f32, seconds: f32) -> (f32, Axis) {
     let mut axis = Axis::new(motor, &bridge(sensed), 10.0);
-    let mut winding = Winding::new(*motor, speed);
-    axis.follow(speed, speed);
+    let mut winding = Winding { seen_speed: speed, ..Winding::new(*motor, speed) };
     axis.command(torque);
     winding.run(&mut axis, (seconds * CARRIER) as usize, |_, _| {});
     (winding.current, axis)
@@ -171,8 +173,8 @@ fn no_pattern_of_late_duties_makes_an_over_current_of_a_motor_like_its_file() {
                 let mut winding = Winding::new(file, 0.0);
                 for nth in 0..200_usize {
                     winding.speed = 60.0 * (nth as f32 * 0.05).sin();
+                    winding.seen_speed = winding.speed;
                     axis.command(if nth.is_multiple_of(2) { 0.2 } else { -0.2 });
-                    axis.follow(winding.speed, winding.speed);
                     winding.run_late(&mut axis, every, |period| late(nth * every + period), |_, _| {});
                     let case = format!("{name}, {resistance} ohm, {inductance} H, every {every}, reversal {nth}");
                     assert!(winding.current.abs() < 1.5 * limit + 1.0, "{case}: {} A", winding.current);
@@ -272,19 +274,25 @@ fn without_a_current_sensor_the_voltage_makes_the_current() {
     }
 }
 
+/// The current that a torque asks for, A.
+fn asked(axis: &mut Axis, torque: f32) -> f32 {
+    axis.command(torque);
+    axis.asked()
+}
+
 #[test]
 fn torque_beyond_the_current_limit_is_not_made() {
     let mut axis = Axis::new(&motor(), &bridge(true), 3.0);
-    assert_eq!(axis.command(99.0), 3.0);
-    assert_eq!(axis.command(-99.0), -3.0);
+    assert_eq!(asked(&mut axis, 99.0), 3.0);
+    assert_eq!(asked(&mut axis, -99.0), -3.0);
     let mut axis = Axis::new(&motor(), &bridge(true), 99.0);
-    assert_eq!(axis.command(99.0), 4.0, "the motor's own limit");
+    assert_eq!(asked(&mut axis, 99.0), 4.0, "the motor's own limit");
     axis.limit(1.0);
-    assert_eq!(axis.command(99.0), 1.0);
+    assert_eq!(asked(&mut axis, 99.0), 1.0);
     axis.limit(99.0);
-    assert_eq!(axis.command(99.0), 4.0);
+    assert_eq!(asked(&mut axis, 99.0), 4.0);
     axis.limit(-1.0);
-    assert_eq!(axis.command(99.0), 0.0);
+    assert_eq!(asked(&mut axis, 99.0), 0.0);
 }
 
 #[test]
@@ -292,21 +300,19 @@ fn a_motor_without_a_torque_constant_gets_no_current() {
     let mut dead = motor();
     dead.torque_constant = 0.0;
     let mut axis = Axis::new(&dead, &bridge(true), 10.0);
-    assert_eq!(axis.command(1.0), 0.0);
+    assert_eq!(asked(&mut axis, 1.0), 0.0);
     axis.limit(10.0);
-    assert_eq!(axis.command(1.0), 0.0);
+    assert_eq!(asked(&mut axis, 1.0), 0.0);
 }
 
 #[test]
 fn the_integrator_does_not_wind_up_against_a_voltage_that_is_not_there() {
     // 4 A need 6 V and 480 rad/s make 24 V: far beyond the bus. Once the motor slows the current is right within 2 ms.
     let mut axis = Axis::new(&motor(), &bridge(true), 10.0);
-    let mut winding = Winding::new(motor(), 480.0);
-    axis.follow(winding.speed, winding.speed);
+    let mut winding = Winding { seen_speed: 480.0, ..Winding::new(motor(), 480.0) };
     axis.command(0.2);
     winding.run(&mut axis, 20_000, |_, _| {});
-    winding.speed = 0.0;
-    axis.follow(winding.speed, winding.speed);
+    (winding.speed, winding.seen_speed) = (0.0, 0.0);
     axis.command(0.2);
     winding.run(&mut axis, 40, |_, _| {});
     assert!((winding.current - 4.0).abs() < 0.05, "{}", winding.current);
@@ -336,10 +342,9 @@ fn whatever_comes_in_each_leg_stays_between_4_and_96_percent() {
                 for bus in WILD {
                     for current in WILD {
                         let mut axis = Axis::new(&motor(), &bridge(sensed), 10.0);
-                        axis.follow(speed, speed);
                         axis.command(torque);
                         for late in [false, true, true, false] {
-                            let duty = axis.drive(bus, current, late);
+                            let duty = f32::from(axis.drive(&Supply::of(bus), current, speed, late));
                             let legs = [0.5 + 0.5 * duty, 0.5 - 0.5 * duty];
                             let inside = legs.iter().all(|leg| (0.039_999..=0.960_001).contains(leg));
                             assert!(inside, "{torque} {speed} {bus} {current}: {duty}");
@@ -365,10 +370,9 @@ fn a_motor_made_of_wild_numbers_still_gets_a_duty_within_bounds() {
                     verified: true,
                 };
                 let mut axis = Axis::new(&wild, &bridge(true), c);
-                axis.follow(1.0, 1.0);
                 axis.command(1.0);
                 for late in [false, true, true, false] {
-                    let duty = axis.drive(BUS, 0.5, late);
+                    let duty = f32::from(axis.drive(&Supply::of(BUS), 0.5, 1.0, late));
                     assert!(duty.abs() <= MAX_DUTY, "{a} {b} {c}: {duty}");
                 }
             }
@@ -382,11 +386,9 @@ fn wild_numbers_are_forgotten_as_soon_as_they_are_gone() {
         for speed in WILD {
             for bus in WILD {
                 let mut axis = Axis::new(&motor(), &bridge(true), 10.0);
-                axis.follow(speed, speed);
                 axis.command(torque);
-                let drives = [true, false, true].map(|late| axis.drive(bus, torque, late));
-                assert!(drives.iter().all(|duty| duty.abs() <= MAX_DUTY));
-                axis.follow(0.0, 0.0);
+                let drives = [true, false, true].map(|late| axis.drive(&Supply::of(bus), torque, speed, late));
+                assert!(drives.iter().all(|duty| f32::from(*duty).abs() <= MAX_DUTY));
                 axis.command(0.1);
                 let mut winding = Winding::new(motor(), 0.0);
                 winding.run(&mut axis, 400, |_, _| {});
@@ -401,8 +403,21 @@ fn without_supply_there_is_no_duty() {
     let mut axis = Axis::new(&motor(), &bridge(true), 10.0);
     axis.command(0.1);
     for bus in [0.0, 0.5, -24.0, f32::NAN] {
-        assert_eq!(axis.drive(bus, 0.0, false), 0.0);
+        assert_eq!(axis.drive(&Supply::of(bus), 0.0, 0.0, false), Duty::default());
     }
+}
+
+/// Between two steps nothing commands a torque anew, at 200 Hz for a hundred crests.
+#[test]
+fn a_current_limit_that_is_lowered_acts_at_the_next_crest_without_a_step() {
+    let motor = Motor { max_current: 20.0, ..motor() };
+    let mut axis = Axis::new(&motor, &bridge(true), 20.0);
+    axis.command(axis.torque_of(10.0));
+    axis.limit(6.0);
+    assert_eq!(axis.asked(), 6.0);
+    axis.command(axis.torque_of(-10.0));
+    axis.limit(5.0);
+    assert_eq!(axis.asked(), -5.0);
 }
 
 /// A limit that is lowered while the device is loaded makes the motor's model as strict as a device loaded under it.

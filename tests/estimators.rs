@@ -3,7 +3,7 @@
 
 mod rig;
 
-use haptic_bridge::math::{Libm, Math, Minimax, Real};
+use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::model::mechanism::AnyMechanism;
 use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::{FeedForward, Scene, SceneError};
@@ -11,6 +11,7 @@ use haptic_bridge::render::velocity::{
     AdaptiveWindow, AlphaBeta, Chosen, Coefficients, CutoffMeans, Difference, Estimator, EstimatorSpec, JointEstimator,
     JointVelocity, Levant, Predicted, Seen,
 };
+use haptic_bridge::servo::compiled::BoardMath;
 
 const RATE: f64 = 20_000.0;
 const PLAIN: Chosen = Chosen { value: 0, filtered: false };
@@ -120,8 +121,8 @@ fn the_adaptive_window_is_the_longest_whose_line_passes_within_a_count_of_every_
 
 #[test]
 fn the_alpha_beta_filter_is_a_critically_damped_low_pass() {
-    // Eliminating the position from x̂' = x̂ + v + α e, v' = v + β e: v[n] = (2 - α - β) v[n-1] - (1 - α) v[n-2] + β m[n],
-    // with both poles at p for α = 1 - p² and β = (1 - p)².
+    // Eliminating the position from x̂' = x̂ + v + α e, v' = v + β e: v[n] = (2 - α - β) v[n-1] - (1 - α) v[n-2] + β
+    // m[n], with both poles at p for α = 1 - p² and β = (1 - p)².
     let g = warped(300.0);
     let p = (1.0 - g) / (1.0 + g);
     let beta = (1.0 - p) * (1.0 - p);
@@ -233,7 +234,7 @@ fn every_estimator_finds_the_speed_of_an_encoder_of_20000_counts_at_20_khz_in_si
         for n in 1..=periods {
             let moved = (speed * f64::from(n)).floor() - (speed * f64::from(n - 1)).floor();
             let seen32 = Seen { moved: moved as f32, pushed: 0.0, unit: unit as f32 };
-            let v = f64::from(on_board.step::<Minimax>(&board, &seen32, 0.0));
+            let v = f64::from(on_board.step::<BoardMath>(&board, &seen32, 0.0));
             let exact = in_double.step::<Libm>(&double, &Seen { moved, pushed: 0.0, unit }, 0.0);
             if n > periods - 1_000 {
                 mean += v / 1_000.0;
@@ -242,7 +243,8 @@ fn every_estimator_finds_the_speed_of_an_encoder_of_20000_counts_at_20_khz_in_si
         }
         // Levant's swings about the speed, by 1 % of it here (found 2026-11).
         assert!((mean / speed - 1.0).abs() < 1e-2, "{name}: {mean} is not {speed}");
-        // Of a count per period. Levant's switches, so its swing about the speed has another phase in another precision.
+        // Of a count per period. Levant's switches, so its swing about the speed has another phase in another
+        // precision.
         assert!(apart < 1e-4 || *name == "levant", "{name}: {apart:e} apart");
     }
 }
@@ -256,7 +258,7 @@ fn nothing_that_is_fed_makes_an_estimator_panic() {
             let mut joint = JointVelocity::default();
             for moved in [0.0, 1.0, -4.3e9, f32::NAN, f32::INFINITY, 1.0, 2.0] {
                 for unit in [0.0, -1.0, f32::NAN] {
-                    joint.step::<Minimax>(&coefficients, &Seen { moved, pushed: moved, unit }, moved);
+                    joint.step::<BoardMath>(&coefficients, &Seen { moved, pushed: moved, unit }, moved);
                 }
             }
         }
@@ -278,7 +280,8 @@ fn the_velocity_at_a_wall_is_that_of_the_tip() {
     let AnyMechanism::FiveBar(mechanism) = device.mechanism else { panic!("a five-bar") };
     let scale = device.joints[0].radians_per_count;
     for (name, kind) in Estimator::ALL {
-        let mut controller: Controller<f32, _, Minimax, 2> = Controller::new(mechanism, &device, &wall(*kind)).unwrap();
+        let mut controller: Controller<f32, _, BoardMath, 2> =
+            Controller::new(mechanism, &device, &wall(*kind)).unwrap();
         // Joint 0 turns by a count a step.
         let rate = scale * RATE as f32;
         let mut last = None;
@@ -304,7 +307,7 @@ fn another_estimator_goes_on_from_the_velocity_that_was() {
     let AnyMechanism::FiveBar(mechanism) = device.mechanism else { panic!("a five-bar") };
     for (from, first) in Estimator::ALL {
         for (to, second) in Estimator::ALL {
-            let mut controller: Controller<f32, _, Minimax, 2> =
+            let mut controller: Controller<f32, _, BoardMath, 2> =
                 Controller::new(mechanism, &device, &wall(*first)).unwrap();
             let mut speeds = Vec::new();
             for n in 0..600 {

@@ -1,5 +1,5 @@
-//! A scene that replaces another while the motors are on: what acted before fades out without a step, and is held to the
-//! tip's limit wherever the tip goes meanwhile.
+//! A scene that replaces another while the motors are on: what acted before fades out without a step, and is held to
+//! the tip's limit wherever the tip goes meanwhile.
 
 mod rig;
 

@@ -3,12 +3,13 @@
 //! force.
 
 use haptic::device_file::DeviceFile;
-use haptic_bridge::math::{Libm, Math, Minimax, Real};
+use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::model::description::{Description, Encoder};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::{Cylinder, FeedForward, Plane, Scene, Sphere, Surface, Wall};
+use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
@@ -265,7 +266,7 @@ where
     let three = |v: &SVector<f64, N>| core::array::from_fn(|i| if i < A::SPEC.task { v[i] as f32 } else { 0.0 });
     let mut plane = wall(Surface::Plane(Plane { point: three(&tip), normal: three(n) }), feed_forward);
     plane.bilateral = false;
-    let mut controller = controller::<f32, Minimax, B, N>(board, device, &[plane]);
+    let mut controller = controller::<f32, BoardMath, B, N>(board, device, &[plane]);
     let mut step = controller.step(&counts(q));
     for _ in 0..(seconds * RATE) as u32 {
         step = controller.step(&counts(q));
@@ -313,7 +314,7 @@ fn shaken<M: Mechanism<f32, N>, const N: usize>(m: M, device: &Description) {
     let home = device.home.expect("shipped devices have a home");
     let home = SVector::<f64, N>::from_fn(|i, _| home[i]);
     let task = M::SPEC.task;
-    let tip = m.tip(&m.pose::<Minimax>(&home.map(|x| x as f32)));
+    let tip = m.tip(&m.pose::<BoardMath>(&home.map(|x| x as f32)));
     let normal = match task {
         1 => [1.0, 0.0, 0.0],
         2 => [0.8, 0.6, 0.0],
@@ -324,7 +325,7 @@ fn shaken<M: Mechanism<f32, N>, const N: usize>(m: M, device: &Description) {
         let mut wall = wall(Surface::Plane(Plane { point: at, normal }), feed_forward);
         wall.damping = 50.0;
         wall.bilateral = false;
-        let mut controller = controller::<f32, Minimax, M, N>(m, device, &[wall]);
+        let mut controller = controller::<f32, BoardMath, M, N>(m, device, &[wall]);
         let (mut touched, mut leaving) = (false, false);
         for k in 0..4_000 {
             let t = f64::from(k) / RATE;

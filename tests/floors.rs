@@ -277,6 +277,32 @@ fn an_import_that_runs_up_or_across_is_found() {
     assert_eq!(wrong("model/device.rs", "// see crate::servo::Servo"), 0);
 }
 
+/// What the library, which boards share, must not know by name.
+const FOREIGN: [&str; 6] = ["odrive", "h-bridge", "stm32", "f405", "cortex", "embassy"];
+
+/// Which of these words stand in a source, comments aside.
+fn foreign(text: &str) -> Vec<&'static str> {
+    let code: String = text.lines().map(|line| line.split("//").next().unwrap_or_default().to_lowercase()).collect();
+    let code = code.replace('_', "-");
+    FOREIGN.into_iter().filter(|word| code.contains(word)).collect()
+}
+
+#[test]
+fn the_library_names_no_board_and_no_chip() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let mut found = Vec::new();
+    sources(&root, &mut found);
+    assert!(found.len() > 60, "only {} sources", found.len());
+    for path in &found {
+        let words = foreign(&std::fs::read_to_string(path).expect("a readable source"));
+        assert!(words.is_empty(), "{}: {words:?}", path.display());
+    }
+    assert_eq!(
+        foreign("const NAME: &str = \"ODrive\"; // stm32\nfn h_bridge_f405() {}"),
+        ["odrive", "h-bridge", "f405"]
+    );
+}
+
 /// The files below host/src that write whole command lines for people.
 const WRITERS: [&str; 2] = ["demo.rs", "plausible/scene.rs"];
 

@@ -1,7 +1,7 @@
 //! Every fault turns the motors off within one control period, stays latched, and clears.
 //!
 //! Faults that the control step finds are provoked by what it is shown (counts, currents, voltages, time); those that
-//! hardware or another part of the firmware finds reach the step as `Samples::fault` and are provoked on the emulated
+//! hardware or another part of the firmware finds reach the servo as `Servo::trip` and are provoked on the emulated
 //! chip by the tests of emulator/. A fault that is neither does not compile here.
 
 mod rig;
@@ -60,10 +60,10 @@ fn origin(fault: Fault) -> Origin {
         }),
         Fault::IndexMismatch => Step(|| {
             let mut rig = Rig::armed_with(|rules| rules.index_period[0] = 60_000);
-            rig.samples.index[0] = Some(1_000);
+            rig.marks = Some([Some(1_000), None, None]);
             rig.step();
             assert_eq!(rig.fault(), None, "the first index is where it is");
-            rig.samples.index[0] = Some(1_012);
+            rig.marks = Some([Some(1_012), None, None]);
             rig
         }),
         Fault::JointLimit => Step(|| {
@@ -263,7 +263,7 @@ fn an_index_may_come_late_by_what_the_joint_moved_and_is_learned_only_at_rest() 
             for seen in [None, Some(index)] {
                 counts += moved;
                 rig.samples.counts[0] = counts;
-                rig.samples.index[0] = seen;
+                rig.marks = seen.map(|count| [Some(count), None, None]);
                 rig.step();
             }
         }
@@ -311,7 +311,7 @@ fn provoked(fault: Fault) -> Rig {
         }
         Origin::Told => {
             let mut rig = Rig::armed();
-            rig.samples.fault = Some((fault, None, 1.0));
+            rig.told = Some((fault, None, 1.0));
             rig.step();
             rig
         }
@@ -362,7 +362,7 @@ fn a_fault_stays_when_its_cause_is_gone_and_the_first_one_is_told() {
         rig.shown_current = None;
         rig.samples.bus_voltage = 24.0;
         rig.settle();
-        rig.samples.fault = Some((Fault::SensorStale, None, 7.0));
+        rig.told = Some((Fault::SensorStale, None, 7.0));
         rig.step();
         assert!(rig.motors_off() && rig.state() == State::Fault, "{}", fault.name());
         let told = rig.servo.status().fault;
@@ -382,7 +382,6 @@ fn clearing_ends_every_fault_and_leaves_the_motors_off() {
         let mut rig = provoked(*fault);
         rig.shown_current = None;
         rig.samples.bus_voltage = 24.0;
-        rig.samples.fault = None;
         rig.execute(Command::Clear).unwrap();
         rig.settle();
         assert_eq!((rig.state(), rig.fault()), (State::Disarmed, None), "{}", fault.name());

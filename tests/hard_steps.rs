@@ -5,12 +5,15 @@
 mod page;
 mod rig;
 
-use haptic_bridge::math::{Libm, Minimax};
+use haptic_bridge::drive::stage::MAX_DUTY;
+use haptic_bridge::math::Libm;
+use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism};
 use haptic_bridge::render::controller::{Controller, FULL_REGULARITY, NO_REGULARITY, PARALLEL_REGULARITY, Step};
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::servo::Command;
+use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::servo::joints::Counts;
 use haptic_bridge::servo::program::Program;
 use nalgebra::{SVector, Vector2, Vector3};
@@ -20,7 +23,7 @@ use rig::Rig;
 
 const COUNTS_PER_TURN: i32 = 1_048_576;
 
-type Board = Controller<f32, FiveBar<f32>, Minimax, 2>;
+type Board = Controller<f32, FiveBar<f32>, BoardMath, 2>;
 
 /// A Haply that presses into a wall with its tip, all terms on; the pose it starts from.
 fn haply(feed_forward: FeedForward) -> (Board, Vector2<f64>) {
@@ -109,38 +112,42 @@ fn ten_hours_at_1_khz_leave_no_trace() {
     assert!(worst <= 1e-6 * largest, "{worst} of {largest}");
 }
 
-/// Steps a device with a constant force of about 1 N on its tip along a path of joint angles; each step's outcome.
+/// Steps a device with a constant force of about 1 N on its tip along a path of joint angles; each step's outcome, and the
+/// sine that its feed-forward goes by.
 fn along<M: Mechanism<f32, N>, const N: usize>(
     mechanism: M,
-    file: &str,
+    device: &Description,
     normal: [f64; 3],
     path: impl Iterator<Item = SVector<f64, N>>,
-) -> Vec<Step<f32, N>> {
+) -> Vec<(Step<f32, N>, f32)> {
     // A wall of 1 N/m whose surface is a metre away: inside it the force hardly changes.
     let task = M::SPEC.task;
     let scene = scene(task, normal, normal, 1.0, 0.0, FeedForward::Full);
-    let mut controller = controller::<f32, Minimax, M, N>(mechanism, &encoded(&shipped(file)), &scene);
-    path.map(|q| controller.step(&counts(&q))).collect()
+    let mut controller = controller::<f32, BoardMath, M, N>(mechanism, device, &scene);
+    path.map(|q| {
+        let step = controller.step(&counts(&q));
+        let regularity = mechanism.regularity(&mechanism.pose::<BoardMath>(&step.q));
+        (step, regularity.serial.min(regularity.parallel / PARALLEL_REGULARITY as f32))
+    })
+    .collect()
 }
 
 /// The share of the feed-forward falls from 1 to 0 as the sine does, between its documented edges, and the torque
 /// changes little from step to step.
-fn assert_fades<const N: usize>(what: &str, steps: &[Step<f32, N>]) {
-    let largest = steps.iter().fold(0.0_f32, |most, step| most.max(step.torque.amax()));
-    let judged =
-        |step: &Step<f32, N>| step.regularity.serial.min(step.regularity.parallel / PARALLEL_REGULARITY as f32);
-    for step in steps {
-        let sine = judged(step);
+fn assert_fades<const N: usize>(what: &str, steps: &[(Step<f32, N>, f32)]) {
+    let largest = steps.iter().fold(0.0_f32, |most, (step, _)| most.max(step.torque.amax()));
+    for (step, sine) in steps {
         assert!(step.torque.iter().all(|t| t.is_finite()), "{what}: {step:?}");
-        assert!(sine < FULL_REGULARITY as f32 || step.shaping == 1.0, "{what} at {sine}: {}", step.shaping);
-        assert!(sine > NO_REGULARITY as f32 || step.shaping == 0.0, "{what} at {sine}: {}", step.shaping);
+        assert!(*sine < FULL_REGULARITY as f32 || step.shaping == 1.0, "{what} at {sine}: {}", step.shaping);
+        assert!(*sine > NO_REGULARITY as f32 || step.shaping == 0.0, "{what} at {sine}: {}", step.shaping);
     }
-    assert_eq!(steps[0].shaping, 1.0, "{what}");
-    assert_eq!(steps[steps.len() - 1].shaping, 0.0, "{what}");
+    assert_eq!(steps[0].0.shaping, 1.0, "{what}");
+    assert_eq!(steps[steps.len() - 1].0.shaping, 0.0, "{what}");
     for pair in steps.windows(2).skip(200) {
-        let jump = (pair[1].torque - pair[0].torque).amax();
-        assert!(jump < 0.02 * largest, "{what} at a sine of {}: {jump} of {largest}", judged(&pair[1]));
-        assert!((pair[1].shaping - pair[0].shaping).abs() < 0.01, "{what}");
+        let ((before, _), (after, sine)) = (&pair[0], &pair[1]);
+        let jump = (after.torque - before.torque).amax();
+        assert!(jump < 0.02 * largest, "{what} at a sine of {sine}: {jump} of {largest}");
+        assert!((after.shaping - before.shaping).abs() < 0.01, "{what}");
     }
 }
 
@@ -157,10 +164,10 @@ fn board(file: &str) -> AnyMechanism<f32> {
 fn near_an_elbow_singularity_the_feed_forward_fades_and_the_torque_never_jumps() {
     let AnyMechanism::Parallelogram(phantom) = board("phantom-premium-1.5") else { panic!("a parallelogram") };
     let folding = path(Vector3::new(0.3, 0.9, -0.3), Vector3::new(0.3, 0.9, 0.895));
-    assert_fades("parallelogram", &along(phantom, "phantom-premium-1.5", [0.6, 0.8, 0.0], folding));
+    assert_fades("parallelogram", &along(phantom, &encoded(&shipped("phantom-premium-1.5")), [0.6, 0.8, 0.0], folding));
     let AnyMechanism::Serial3r(arm) = board("serial-3r") else { panic!("a serial arm") };
     let stretching = path(Vector3::new(0.5, 0.8, 0.7), Vector3::new(0.5, 0.005, 0.7));
-    assert_fades("serial-3r", &along(arm, "serial-3r", [0.6, 0.8, 0.0], stretching));
+    assert_fades("serial-3r", &along(arm, &encoded(&shipped("serial-3r")), [0.6, 0.8, 0.0], stretching));
 }
 
 #[test]
@@ -168,7 +175,7 @@ fn on_the_turrets_axis_the_feed_forward_fades_and_the_torque_never_jumps() {
     let AnyMechanism::Parallelogram(phantom) = board("phantom-premium-1.5") else { panic!("a parallelogram") };
     // With both angles past the vertical by the same amount the tip comes over the axis.
     let over = path(Vector3::new(0.3, 1.2, 0.3), Vector3::new(0.3, 2.1, 0.905));
-    assert_fades("axis", &along(phantom, "phantom-premium-1.5", [0.6, 0.0, 0.8], over));
+    assert_fades("axis", &along(phantom, &encoded(&shipped("phantom-premium-1.5")), [0.6, 0.0, 0.8], over));
 }
 
 #[test]
@@ -178,10 +185,7 @@ fn near_a_parallel_singularity_the_feed_forward_fades_and_the_torque_never_jumps
     let Ok(AnyMechanism::FiveBar(wide)) = AnyMechanism::<f32>::new(&device) else { panic!("a five-bar") };
     // Both arms swing outwards until the rods are almost in line: base + 2 l cos = 2 r.
     let outwards = path(Vector2::new(2.0, 1.141_592_65), Vector2::new(2.497_592_65, 0.644));
-    let scene = scene(2, [0.6, 0.8, 0.0], [0.6, 0.8, 0.0], 1.0, 0.0, FeedForward::Full);
-    let mut controller = controller::<f32, Minimax, _, 2>(wide, &device, &scene);
-    let steps: Vec<Step<f32, 2>> = outwards.map(|q| controller.step(&counts(&q))).collect();
-    assert_fades("rods", &steps);
+    assert_fades("rods", &along(wide, &device, [0.6, 0.8, 0.0], outwards));
 }
 
 #[test]
@@ -205,7 +209,7 @@ fn every_pose_of_every_shipped_device_gives_finite_torques() {
         let device = encoded(&shipped(file));
         let n = three(&SVector::<f64, N>::from_element(1.0 / (M::SPEC.task as f64).sqrt()), M::SPEC.task);
         let scene = scene(M::SPEC.task, n, n, 1e6, 100.0, FeedForward::Full);
-        let mut controller = controller::<f32, Minimax, M, N>(mechanism, &device, &scene);
+        let mut controller = controller::<f32, BoardMath, M, N>(mechanism, &device, &scene);
         // Right angles, straight lines and closures that cannot be, singular ones among them to the last bit.
         let angles: Vec<i32> = (0..16).map(|k| k * (COUNTS_PER_TURN / 16)).collect();
         for k in 0..16_usize.pow(N as u32) {
@@ -237,11 +241,11 @@ fn measurements_that_are_no_numbers_never_reach_a_duty() {
                 0 => rig.samples.bus_voltage = poison,
                 1 => rig.shown_current = Some(poison),
                 2 => rig.resistance = poison,
-                _ => rig.samples.fault = Some((haptic_bridge::safety::fault::Fault::GateDriver, None, poison)),
+                _ => rig.told = Some((haptic_bridge::safety::fault::Fault::GateDriver, None, poison)),
             }
             for _ in 0..50 {
                 rig.step();
-                assert!(rig.duties.iter().all(|duty| duty.abs() <= 0.96), "{poison}: {:?}", rig.duties);
+                assert!(rig.duties.iter().all(|duty| duty.abs() <= MAX_DUTY), "{poison}: {:?}", rig.duties);
             }
             let frame = rig.servo.frame();
             assert!(frame.motors.torque.iter().all(|t| t.is_finite()), "{poison}: {frame:?}");
@@ -280,7 +284,7 @@ fn a_device_with_any_number_spoilt_is_refused_or_never_spoils_a_duty() {
             for k in 0..200 {
                 rig.samples.counts = Counts([40 * (k % 50), -30 * (k % 50), 0]);
                 rig.step();
-                assert!(rig.duties.iter().all(|duty| duty.abs() <= 0.96), "byte {place}: {:?}", rig.duties);
+                assert!(rig.duties.iter().all(|duty| duty.abs() <= MAX_DUTY), "byte {place}: {:?}", rig.duties);
             }
         }
     }

@@ -2,12 +2,13 @@
 
 mod rig;
 
-use haptic_bridge::math::{Math, Minimax, Real};
+use haptic_bridge::math::{Angle, Math, Real};
 use haptic_bridge::model::catalogue::Spec;
 use haptic_bridge::model::description::{Description, DescriptionError};
 use haptic_bridge::model::mechanism::{Mechanism, Regularity};
 use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::servo::compiled::BoardMath;
 use nalgebra::{SMatrix, SVector};
 
 /// Two crossed slides on screws: the tip's x and y are two angles, each times a lead.
@@ -30,8 +31,8 @@ impl<T: Real> Mechanism<T, 2> for Gantry<T> {
         let inertia = |i: usize| T::from_f64(description.joints[i].inertia);
         Ok(Self { lead: [T::from_f64(x), T::from_f64(y)], inertia: [inertia(0), inertia(1)] })
     }
-    fn pose<K: Math<T>>(&self, q: &SVector<T, 2>) -> [T; 2] {
-        [self.lead[0] * q[0], self.lead[1] * q[1]]
+    fn pose_at<K: Math<T>>(&self, q: &[Angle<T>; 2]) -> [T; 2] {
+        [self.lead[0] * q[0].radians, self.lead[1] * q[1].radians]
     }
     fn tip(&self, pose: &[T; 2]) -> SVector<T, 2> {
         SVector::from(*pose)
@@ -76,7 +77,7 @@ fn a_toy_mechanism_is_one_impl_and_renders_walls_with_the_feed_forward() {
     for feed_forward in [FeedForward::Off, FeedForward::Full] {
         wall.feed_forward = feed_forward;
         let scene = rig::scene(2, &[wall]);
-        let mut controller: Controller<f32, _, Minimax, 2> =
+        let mut controller: Controller<f32, _, BoardMath, 2> =
             Controller::new(gantry, &device, &scene).expect("a sound scene");
         let counts = (-0.2 / device.joints[0].radians_per_count) as i32;
         controller.step(&[counts, 0]);
@@ -84,7 +85,8 @@ fn a_toy_mechanism_is_one_impl_and_renders_walls_with_the_feed_forward() {
         let x = f32::from(counts as i16) * device.joints[0].radians_per_count * 0.01;
         let force = -k * n[0] * x;
         assert!((step.wall_force / force - 1.0).abs() < 1e-3, "{} is not {force} N", step.wall_force);
-        // Jᵀ n f, or M E f/Wrr with E = J⁻¹ n: inertias of 1 and 0.75 kg at the tip, Wrr = 0.36 + 0.64 x 0.75 = 0.84 kg.
+        // Jᵀ n f, or M E f/Wrr with E = J⁻¹ n: inertias of 1 and 0.75 kg at the tip, Wrr = 0.36 + 0.64 x 0.75 = 0.84
+        // kg.
         let expected = match feed_forward {
             FeedForward::Off => [0.01 * n[0] * force, 0.02 * n[1] * force],
             _ => [0.01 * n[0] * force / 0.84, 0.02 * 0.75 * n[1] * force / 0.84],

@@ -7,11 +7,13 @@ mod common;
 
 use common::bodies::{derivative, dynamics, place};
 use common::{Draw, NUMBERS, determinant, device, inverse};
-use haptic_bridge::math::{Libm, Minimax};
+use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Description;
-use haptic_bridge::model::inertia::shaped_torque;
+use haptic_bridge::model::inertia::Inertia;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism, Regularity};
+use haptic_bridge::model::principal::Pull;
+use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::with_mechanism;
 use nalgebra::{SMatrix, SVector};
 use proptest::prelude::*;
@@ -189,6 +191,51 @@ fn kernels_are_the_matrices_they_stand_for<M: Mechanism<f64, N>, const N: usize>
     Ok(())
 }
 
+/// What the paper's equations (1) to (4) say of one wall in matrices, against all that [`Inertia`] holds.
+fn inertia_is_what_the_paper_says<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+    let (m, pose, qd) = (&case.m, case.pose(), &case.qd);
+    let (jacobian, mass) = (m.jacobian(&pose), m.mass(&pose));
+    let force = 2.5;
+    let wall = Pull { normal: case.n, across: false, stiffness: 1.0, feed_forward: true };
+    let found = Inertia::new::<Libm, M>(m, &pose, qd, &[wall], &(case.n * force));
+    let basis = found.split.basis;
+    same("n", &basis.column(0).into_owned(), &case.n, 1e-15, 0.0)?;
+    same("Bᵀ B", &basis.tr_mul(&basis), &SMatrix::identity(), 1e-15, 0.0)?;
+    prop_assert!(N == 1 || determinant(&basis) > 0.0, "{basis}");
+    let (t, t_rate) = (basis.tr_mul(&jacobian), basis.tr_mul(&m.jacobian_rate(&pose, qd)));
+    let t_inverse = inverse(&t);
+    let w = t_inverse.tr_mul(&(mass * t_inverse));
+    same("W", &found.w, &w, 1e-9, 0.0)?;
+    let z = t_inverse.tr_mul(&(m.coriolis(&pose, qd) + m.gravity(&pose))) - w * (t_rate * qd);
+    same("z", &found.z, &z, 1e-8, 1e-3)?;
+    let row = jacobian.tr_mul(&case.n);
+    let w_eff = 1.0 / row.dot(&(inverse(&mass) * row));
+    same("Weff", &[[found.w_eff[(0, 0)]]].into(), &[[w_eff]].into(), 1e-9, 0.0)?;
+    prop_assert_eq!(found.w_eff.sum(), found.w_eff[(0, 0)]);
+    let mut forces = SVector::<f64, N>::zeros();
+    forces[0] = force;
+    for i in 1..N {
+        forces[i] = w[(i, 0)] / w[(0, 0)] * (force - z[0]) + z[i];
+    }
+    let f_a = SVector::<f64, N>::from_fn(|i, _| if i + 1 < N { forces[i + 1] } else { 0.0 });
+    same("f_a", &found.f_a, &f_a, 1e-8, forces.amax())?;
+    same("τ", &found.torque, &t.tr_mul(&forces), 1e-8, 0.0)?;
+    same("τ without", &found.torque_without_feed_forward, &(row * force), 1e-10, 0.0)
+}
+
+/// The same of walls along the axes with the first joint at 0: across the plane of a turret's arms, which then do not
+/// move.
+fn inertia_is_what_the_paper_says_along_the_axes<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+    let mut q = case.q;
+    q[0] = 0.0;
+    let Regularity { serial, parallel } = case.m.regularity(&case.m.pose::<Libm>(&q));
+    for axis in (0..M::SPEC.task).filter(|_| serial.min(parallel) > REGULAR) {
+        let n = SVector::from_fn(|i, _| if i == axis { 1.0 } else { 0.0 });
+        inertia_is_what_the_paper_says(&Case { q, n, ..*case })?;
+    }
+    Ok(())
+}
+
 fn effective_inertia_is_at_most_what_is_rendered<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
     let (m, pose) = (&case.m, case.pose());
     let row = m.transpose(&pose, &case.n);
@@ -205,7 +252,7 @@ fn with_feed_forward_the_tip_leaves_along_the_normal<M: Mechanism<f64, N>, const
     let b = m.velocity_torque(&pose, qd) + m.gravity(&pose);
     let shaping = m.shaping(&pose, n);
     let force = case.v[0];
-    let torque = shaped_torque(&shaping, force, &b);
+    let torque = shaping.torque(force, &b, &b);
     let bias = m.coriolis(&pose, qd) + m.gravity(&pose);
     let qdd = inverse(&m.mass(&pose)) * (torque - bias);
     let acceleration = m.jacobian(&pose) * qdd + m.jacobian_rate(&pose, qd) * qd;
@@ -218,7 +265,7 @@ fn torque_does_not_depend_on_the_admissible_directions<M: Mechanism<f64, N>, con
 ) -> Outcome {
     let (m, pose, qd, n) = (&case.m, case.pose(), &case.qd, &case.n);
     let b = m.velocity_torque(&pose, qd) + m.gravity(&pose);
-    let torque = shaped_torque(&m.shaping(&pose, n), case.v[0], &b);
+    let torque = m.shaping(&pose, n).torque(case.v[0], &b, &b);
     // Equation (4) to the letter, with directions across n that are neither orthogonal to each other nor of unit
     // length.
     let mut directions = SMatrix::<f64, N, N>::identity();
@@ -252,6 +299,8 @@ fn every_property<M: Mechanism<f64, N>, const N: usize>(m: M, device: Descriptio
     coriolis_forces_do_no_work_beyond_the_rate_of_m(&case)?;
     free_motion_keeps_its_energy(&case)?;
     kernels_are_the_matrices_they_stand_for(&case)?;
+    inertia_is_what_the_paper_says(&case)?;
+    inertia_is_what_the_paper_says_along_the_axes(&case)?;
     effective_inertia_is_at_most_what_is_rendered(&case)?;
     with_feed_forward_the_tip_leaves_along_the_normal(&case)?;
     torque_does_not_depend_on_the_admissible_directions(&case)
@@ -267,13 +316,13 @@ where
     let f32s = |v: &SVector<f64, N>| v.map(|x| x as f32);
     let f64s = |v: &SVector<f32, N>| v.map(f64::from);
     let (q, qd, n) = (f32s(&case.q), f32s(&case.qd), f32s(&case.n));
-    let pose = board.pose::<Minimax>(&q);
+    let pose = board.pose::<BoardMath>(&q);
     let b = board.velocity_torque(&pose, &qd) + board.gravity(&pose);
-    let torque = shaped_torque(&board.shaping(&pose, &n), 3.0, &b);
+    let torque = board.shaping(&pose, &n).torque(3.0, &b, &b);
     let (q, qd, n) = (f64s(&q), f64s(&qd), f64s(&n));
     let pose = exact.pose::<Libm>(&q);
     let b = exact.velocity_torque(&pose, &qd) + exact.gravity(&pose);
-    let expected = shaped_torque(&exact.shaping(&pose, &n), 3.0, &b);
+    let expected = exact.shaping(&pose, &n).torque(3.0, &b, &b);
     (f64s(&torque) - expected).amax() / expected.amax()
 }
 

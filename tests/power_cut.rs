@@ -463,8 +463,8 @@ fn after_the_start_reading_takes_no_search_and_no_write_whatever_the_flash_holds
     }
 }
 
-/// What went bad since the start is not mended by a reader either: neither entries nor sectors that end before they begin,
-/// which a start would erase.
+/// What went bad since the start is not mended by a reader either: neither entries nor sectors that end before they
+/// begin, which a start would erase.
 #[test]
 fn a_flash_that_goes_bad_while_the_board_runs_is_not_mended_by_reading_it() {
     let mut buffer = [0; LONGEST_STORED];

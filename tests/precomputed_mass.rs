@@ -2,11 +2,12 @@
 //! for.
 
 use haptic::device_file::DeviceFile;
-use haptic_bridge::math::{Libm, Minimax};
+use haptic_bridge::math::Libm;
 use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism};
 use haptic_bridge::model::precomputed::{
     Grid, Interpolation, MassModel, MassModelData, Receiving, TABLE_VALUES, checksum, tabulate,
 };
+use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
@@ -197,11 +198,11 @@ fn the_boards_precision_costs_a_table_nothing() {
     let AnyMechanism::FiveBar(exact) = device.mechanism else { panic!() };
     let grid = Grid::<f32>::new(Interpolation::Bicubic, [15, 15], [2.0, 0.5], [2.6, 1.1], 3).unwrap();
     let mut values = vec![0.0; grid.values(3)];
-    tabulate::<f32, Minimax, _, 2>(&m, &grid, |index, value| values[index] = value);
+    tabulate::<f32, BoardMath, _, 2>(&m, &grid, |index, value| values[index] = value);
     let table = MassModel::table::<FiveBar<f32>>(&grid, &values).unwrap();
     for (a, b) in [(2.1, 0.6), (2.33, 0.87), (2.59, 1.09)] {
         let q = SVector::from([a as f32, b as f32]);
-        let found = table.shaping(&m, &q, &m.pose::<Minimax>(&q), &SVector::from([0.6, 0.8])).me;
+        let found = table.shaping(&m, &q, &m.pose::<BoardMath>(&q), &SVector::from([0.6, 0.8])).me;
         let q = SVector::from([a, b]);
         let right = exact.shaping(&exact.pose::<Libm>(&q), &SVector::from([0.6, 0.8])).me;
         let error = (found.map(f64::from) - right).amax() / right.amax();

@@ -23,7 +23,7 @@ fn a_wall_within_the_motors_means_is_rendered_as_asked() {
     let frame = pressed(0.002).servo.frame();
     assert!((frame.at.walls.wall_force - 2.0).abs() < 0.02, "{frame:?}");
     assert!((frame.motors.rendered_force - frame.at.walls.wall_force).abs() < 1e-5, "{frame:?}");
-    assert_eq!(frame.saturation(0), 0.0);
+    assert_eq!(frame.saturation(0), 0);
 }
 
 #[test]
@@ -31,8 +31,8 @@ fn a_wall_beyond_the_motors_means_is_recorded_as_what_they_can() {
     let frame = pressed(0.008).servo.frame();
     assert!((frame.at.walls.wall_force - 8.0).abs() < 0.02, "asked for: {frame:?}");
     assert!((frame.motors.rendered_force - 3.0).abs() < 1e-4, "0.3 N m at 0.1 m: {frame:?}");
-    assert_eq!(frame.saturation(0), 1.0, "and the motor is marked");
-    assert_eq!((frame.saturation(1), frame.saturation(2)), (0.0, 0.0), "no other is");
+    assert_eq!(frame.saturation(0), 1, "and the motor is marked");
+    assert_eq!((frame.saturation(1), frame.saturation(2)), (0, 0), "no other is");
 }
 
 #[test]
@@ -43,7 +43,7 @@ fn a_force_beyond_the_limit_of_the_tip_is_marked_too() {
     rig.step();
     let frame = rig.servo.frame();
     assert!((frame.motors.rendered_force - 1.0).abs() < 1e-3, "{frame:?}");
-    assert_eq!((frame.saturation(0), frame.saturation(1)), (1.0, 0.0), "{frame:?}");
+    assert_eq!((frame.saturation(0), frame.saturation(1)), (1, 0), "{frame:?}");
 }
 
 #[test]
@@ -119,11 +119,11 @@ fn on_two_joints_it_is_the_force_that_the_recorded_torques_hold() {
             let expected = held([angle(0), angle(1)], n, torque);
             let got = f64::from(frame.motors.rendered_force);
             if frame.motors.rendered_force < 0.999 * frame.at.walls.wall_force {
-                assert_eq!((frame.saturation(0), frame.saturation(1)), (1.0, 1.0), "one factor cuts both: {frame:?}");
+                assert_eq!((frame.saturation(0), frame.saturation(1)), (1, 1), "one factor cuts both: {frame:?}");
             }
             // 1e-4: f32 in the step (2e-5 of the torque), and the differences' own 1e-7.
             assert!((got - expected).abs() < 1e-4 * (1.0 + expected.abs()), "{got} for {expected}: {frame:?}");
-            if frame.saturation(0) + frame.saturation(1) > 0.0 {
+            if frame.saturation(0) + frame.saturation(1) > 0 {
                 saturated += 1;
                 // The feed-forward is cut before the force is.
                 let cut = frame.motors.rendered_force < 0.999 * frame.at.walls.wall_force;
@@ -137,14 +137,14 @@ fn on_two_joints_it_is_the_force_that_the_recorded_torques_hold() {
 #[test]
 fn a_duty_at_its_end_is_marked_by_itself() {
     let mut rig = pressed(0.001);
-    assert_eq!(rig.servo.frame().saturation(0), 0.0);
+    assert_eq!(rig.servo.frame().saturation(0), 0);
     // 2 N more within one step: a winding of 1 mH would need 44 V for that in a carrier period.
     let gains = Gains { wall: 0, stiffness: 2_900.0, damping: 0.0, feed_forward: FeedForward::Off, washout_hz: 2.0 };
     rig.execute(Command::Gains(gains, Washout::new(2.0, RATE).unwrap())).unwrap();
     rig.servo.control(&rig.samples);
     rig.servo.duties(24.0, &rig.samples.currents, false);
     let frame = rig.servo.frame();
-    assert_eq!(frame.saturation(0), 2.0, "{frame:?}");
+    assert_eq!(frame.saturation(0), 2, "{frame:?}");
     let motors = Motors { limited: 0b101, ..frame.motors };
-    assert_eq!(StepRecord { motors, ..frame }.saturation(0), 3.0);
+    assert_eq!(StepRecord { motors, ..frame }.saturation(0), 3);
 }

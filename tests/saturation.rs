@@ -8,7 +8,8 @@ use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::Limits;
 
-/// A wall through the pose `q` of a shipped device, and its limits: of the joints' torques in N m, of the tip's force in N.
+/// A wall through the pose `q` of a shipped device, and its limits: of the joints' torques in N m, of the tip's force
+/// in N.
 struct Case {
     device: &'static str,
     q: [f64; 3],

@@ -6,25 +6,23 @@
 
 mod rig;
 
-use haptic::sim::SettingsFlash;
 use haptic_bridge::board::protocol::*;
-use haptic_bridge::board::service::Service;
 use haptic_bridge::board::settings::{self, BoardName, Key};
 use haptic_bridge::board::telemetry::{Fields, StreamRequest};
-use haptic_bridge::math::Minimax;
 use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModelData, checksum};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::{BadLimit, Limit, Limits};
 use haptic_bridge::safety::refusal::Refusal;
+use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::servo::program::Program;
-use haptic_bridge::servo::{Command, Rules, Servo};
+use haptic_bridge::servo::{Command, Rules};
 use postcard_rpc::Endpoint;
 use postcard_rpc::header::VarHeader;
 use postcard_rpc::standard_icd::WireError;
-use rig::board::{Board, Machinery, frame};
-use rig::{device, five_bar, hardware};
+use rig::board::{Board, frame};
+use rig::{device, five_bar};
 
 /// The states a board can be in, as a tool meets them.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -56,7 +54,7 @@ fn board(now: Now) -> Board {
     match now {
         Now::Armed => board.ask::<Arm>(&()).unwrap().unwrap(),
         Now::Checking => board.ask::<CheckPolarity>(&()).unwrap().unwrap(),
-        Now::Faulty => board.samples.fault = Some((Fault::GateDriver, None, 1.0)),
+        Now::Faulty => board.told = Some((Fault::GateDriver, None, 1.0)),
         _ => {}
     }
     board.tick();
@@ -212,7 +210,7 @@ fn what_only_asks_is_answered_in_every_state_and_changes_none() {
 /// A board readies its gate drivers only for what the servo will not refuse, so it asks before.
 #[test]
 fn whether_it_may_be_armed_is_answered_as_arming_is_and_changes_nothing() {
-    type Commands = [fn() -> Command<Box<Program<Minimax>>>; 2];
+    type Commands = [fn() -> Command<Box<Program<BoardMath>>>; 2];
     let pairs: [Commands; 2] =
         [[|| Command::MayArm, || Command::Arm], [|| Command::MayCheckPolarity, || Command::CheckPolarity]];
     for (now, [may, does]) in STATES.into_iter().flat_map(|now| pairs.map(|pair| (now, pair))) {
@@ -391,10 +389,10 @@ fn what_is_no_request_is_answered_with_the_reason_or_not_at_all() {
 fn a_flash_that_fails_is_reported_and_leaves_what_is_in_force() {
     let mut board = board(Now::Ready);
     let before = configuration(&mut board);
-    board.machine.flash_broken = true;
+    board.machine.flash.broken = true;
     assert_eq!(board.ask::<Save>(&()).unwrap(), Err(Refusal::Flash));
     assert_eq!(configuration(&mut board), before);
-    board.machine.flash_broken = false;
+    board.machine.flash.broken = false;
     assert_eq!(board.ask::<Save>(&()).unwrap(), Ok(()));
     assert!(board.machine.flash.kept.len() >= 4);
 }
@@ -537,9 +535,8 @@ fn a_polarity_check_that_failed_is_not_undone_by_an_older_one_that_passed() {
 #[test]
 fn a_fault_is_news_once_even_if_its_value_is_no_number() {
     let mut board = board(Now::Ready);
-    board.samples.fault = Some((Fault::NotFinite, None, f32::NAN));
+    board.told = Some((Fault::NotFinite, None, f32::NAN));
     board.tick();
-    board.samples.fault = None;
     let news = (0..5).filter(|_| board.service.poll(&mut board.machine).is_some()).count();
     assert_eq!((news, board.service.faults().len()), (1, 1));
 }
@@ -560,7 +557,7 @@ fn a_restore_is_one_change_or_none() {
         board.ask::<Save>(&()).unwrap().unwrap();
         staged(&mut board, &wild).unwrap();
         staged(&mut board, &heavier()).unwrap();
-        board.machine.flash_broken = broken;
+        board.machine.flash.broken = broken;
         board
     };
     let both: KeyList = [Key::Rules, Key::Device].into_iter().collect();
@@ -617,13 +614,7 @@ fn a_refusal_for_a_fault_says_once_that_it_is_to_be_cleared() {
 
 #[test]
 fn a_refused_piece_of_a_table_leaves_the_table_in_force() {
-    let mut machine = Machinery {
-        servo: Servo::new(hardware(), Rules::default()),
-        flash: SettingsFlash::default(),
-        flash_broken: false,
-        retimed: vec![],
-    };
-    let mut service = Service::new(hardware(), Limits::default());
+    let Board { mut machine, mut service, .. } = Board::new(false);
     service.set_device(&mut machine, device(&five_bar())).unwrap();
     let values = [[1.0e-3_f32, 1.0e-4, 1.0e-3]; 4].concat();
     let piece = |offset, values: &[f32]| TableChunk { offset, values: values.iter().copied().collect() };
@@ -632,17 +623,17 @@ fn a_refused_piece_of_a_table_leaves_the_table_in_force() {
     let table = MassModelData::Table(grid, checksum(&values));
     service.set_mass_model(&mut machine, table.clone()).unwrap();
     // Every program tells the machine its carrier.
-    let installed = machine.retimed.len();
+    let installed = machine.retimed;
     for bad in [piece(7, &[1.0]), piece(0, &[f32::NAN]), piece(0, &[f32::INFINITY; 12])] {
         let refused = service.receive_table(&mut machine, &bad);
         assert_eq!(refused, Err(Refusal::BadTable), "{bad:?}");
-        assert_eq!(machine.retimed.len(), installed, "{bad:?} put another mass model in force");
+        assert_eq!(machine.retimed, installed, "{bad:?} put another mass model in force");
         assert_eq!(
             service.set_mass_model(&mut machine, table.clone()),
             Ok(()),
             "{bad:?} made what came before incomplete"
         );
-        machine.retimed.truncate(installed);
+        machine.retimed = installed;
     }
 }
 

@@ -3,6 +3,7 @@
 mod rig;
 
 use core::f64::consts::TAU;
+use haptic_bridge::drive::stage::Duty;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::render::velocity::Washout;
@@ -410,7 +411,7 @@ fn disarming_acts_before_the_next_duty() {
     rig.turn(0, -0.15, 1.0);
     assert!(rig.duties[0] != 0.0);
     rig.execute(Command::Disarm).unwrap();
-    assert_eq!(rig.servo.duties(24.0, &[0.0; 3], false), [0.0; 3]);
+    assert_eq!(rig.servo.duties(24.0, &[0.0; 3], false), [Duty::default(); 3]);
     rig.step();
     assert!(rig.motors_off());
     assert_eq!(rig.state(), State::Disarmed);
@@ -422,7 +423,7 @@ fn a_fault_from_outside_acts_before_the_next_duty() {
     rig.arm();
     rig.turn(0, -0.15, 1.0);
     rig.execute(Command::Fault(FaultRecord { fault: Fault::BreakInput, axis: None, value: 0.0, step: 0 })).unwrap();
-    assert_eq!(rig.servo.duties(24.0, &[0.0; 3], false), [0.0; 3]);
+    assert_eq!(rig.servo.duties(24.0, &[0.0; 3], false), [Duty::default(); 3]);
     assert_eq!(rig.state(), State::Fault);
 }
 

@@ -3,11 +3,12 @@
 
 mod rig;
 
-use haptic_bridge::drive::stage::{Bridge, Stage};
-use haptic_bridge::math::{Math, Minimax};
+use haptic_bridge::drive::stage::{Bridge, Stage, Supply};
+use haptic_bridge::math::Math;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::motor::Motor;
 use haptic_bridge::safety::fault::{Fault, State};
+use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::Currents;
 use haptic_bridge::servo::program::Program;
@@ -46,12 +47,13 @@ impl Stage for SetPoint {
     fn torque_of(&self, current: f32) -> f32 {
         current * self.torque_constant
     }
-    fn command(&mut self, torque: f32) -> f32 {
-        self.target = (torque / self.torque_constant).clamp(-self.max_current, self.max_current);
+    fn asked(&self) -> f32 {
         self.target
     }
-    fn follow(&mut self, _: f32, _: f32) {}
-    fn drive(&mut self, _: f32, (): (), _: bool) -> f32 {
+    fn command(&mut self, torque: f32) {
+        self.target = (torque / self.torque_constant).clamp(-self.max_current, self.max_current);
+    }
+    fn drive(&mut self, _: &Supply, (): (), _: f32, _: bool) -> f32 {
         self.target / self.full_scale
     }
     fn duty(drive: f32) -> f32 {
@@ -98,17 +100,19 @@ impl Stage for FieldOriented {
     fn torque_of(&self, current: f32) -> f32 {
         self.set_point.torque_of(current)
     }
-    fn command(&mut self, torque: f32) -> f32 {
-        self.set_point.command(torque)
+    fn asked(&self) -> f32 {
+        self.set_point.asked()
     }
-    fn follow(&mut self, _: f32, _: f32) {}
-    fn drive(&mut self, bus_voltage: f32, seen: Phases, _: bool) -> [f32; 3] {
-        let (sin, cos) = Minimax::sin_cos(seen.angle);
+    fn command(&mut self, torque: f32) {
+        self.set_point.command(torque);
+    }
+    fn drive(&mut self, supply: &Supply, seen: Phases, _: f32, _: bool) -> [f32; 3] {
+        let (sin, cos) = BoardMath::sin_cos(seen.angle);
         let [a, b] = seen.currents;
         // Clarke and Park, amplitudes kept.
         let beta = (a + 2.0 * b) / 3.0_f32.sqrt();
         let (direct, across) = (cos * a + sin * beta, cos * beta - sin * a);
-        let loop_of = |target: f32, is: f32| self.resistance * (target + (target - is)) / bus_voltage;
+        let loop_of = |target: f32, is: f32| self.resistance * (target + (target - is)) * supply.inverse;
         let (direct, across) = (loop_of(0.0, direct), loop_of(self.set_point.target, across));
         let (alpha, beta) = (cos * direct - sin * across, sin * direct + cos * across);
         let half = 0.5 * 3.0_f32.sqrt() * beta;
@@ -127,7 +131,7 @@ impl Stage for FieldOriented {
 
 /// A paddle on motors of a kind, armed, its tip 1 cm deep in a wall.
 struct Pressed<S: Stage> {
-    servo: Servo<Box<Program<Minimax, S>>>,
+    servo: Servo<Box<Program<BoardMath, S>>, S>,
     samples: Samples,
 }
 
@@ -152,7 +156,7 @@ impl<S: Stage> Pressed<S> {
         rig
     }
 
-    fn execute(&mut self, command: Command<Box<Program<Minimax, S>>>) {
+    fn execute(&mut self, command: Command<Box<Program<BoardMath, S>>>) {
         assert_eq!(self.servo.execute(command).0, Ok(()));
     }
 

@@ -1,22 +1,28 @@
-//! Straight steps against the general one: the same numbers, bit for bit, whatever the device, the scene and the motion.
+//! Straight steps against the general one, whatever the device, the scene and the motion: the same numbers bit for bit, but
+//! for torques, which a straight step may put together in another order: those within a few roundings of their parts.
 
 mod common;
 
 use common::{Draw, NUMBERS, device};
-use haptic_bridge::math::{Libm, Math, Minimax, Real};
+use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Encoder;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::Mechanism;
-use haptic_bridge::render::controller::{Controller, Gains, Push, Step};
-use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
+use haptic_bridge::render::controller::{Controller, Gains, Push, PushedPlane, Step};
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Sphere, Spring, Surface, VelocityTerms, Wall};
 use haptic_bridge::render::velocity::{Estimator, Washout};
+use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::with_mechanism;
+use nalgebra::SVector;
 
-const CASES: usize = 60;
+const CASES: usize = 200;
 const STEPS: usize = 100;
 const COUNTS_PER_TURN: f64 = 20_000.0;
 const RATE: f64 = 20_000.0;
+
+/// What the host pushes with in each direction, N.
+const PUSH: f64 = 0.3;
 
 /// Numbers in [0, 1), the same at every run (Knuth's 64-bit linear congruence, the upper half).
 struct Stream(u64);
@@ -35,46 +41,156 @@ impl Stream {
 /// How often something happened that a straight step does by a way of its own.
 #[derive(Default, Debug)]
 struct Seen {
+    empty: usize,
     free: usize,
-    touched: usize,
+    one: usize,
+    several: usize,
+    round: usize,
+    spring: usize,
+    /// Steps of one round wall whose velocity terms follow its normal.
+    turning: usize,
+    /// Touched walls that act together with springs, and with the host's plane.
+    beside_spring: usize,
+    beside_plane: usize,
     faded: usize,
     off: usize,
     damped: usize,
     owed: usize,
+    /// Steps of scenes that have a straight one.
+    straight: usize,
+    /// Most roundings that torques were apart.
+    apart: f64,
 }
 
-/// One plane near `place`, with everything drawn that its straight step knows.
+/// No wall, one or several near `place`, flat or round, with everything drawn that straight steps know, and some that they
+/// leave to the general one.
 fn scene<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> Scene<T> {
-    let direction: [f64; 3] = draw.list(-1.0, 1.0);
-    let direction: [f64; 3] = core::array::from_fn(|i| if i < task { direction[i] } else { 0.0 });
-    let length = direction.iter().map(|x| x * x).sum::<f64>().sqrt().max(1.0e-3);
-    let normal = direction.map(|x| x / length);
-    let depth = draw.within(-0.01, 0.02);
-    let point = core::array::from_fn(|i| if i < task { place[i] + depth * normal[i] } else { 0.0 });
-    let mut of = |several: usize| (draw.within(0.0, several as f64) as usize).min(several - 1);
-    let feed_forward = [FeedForward::Off, FeedForward::Full, FeedForward::Washout][of(3)];
-    let velocity_terms = [VelocityTerms::Off, VelocityTerms::Paper, VelocityTerms::Rendered][of(3)];
-    let estimator = [Estimator::Butterworth, Estimator::FirstOrder, Estimator::BackwardDifference][of(3)];
-    let (bilateral, gravity_compensation) = (of(4) == 0, of(2) == 0);
+    let of = |draw: &mut Draw<'_>, several: usize| (draw.within(0.0, several as f64) as usize).min(several - 1);
     let mut scene = Scene::<f64> {
         task: task as u8,
         rate_hz: RATE,
-        velocity_terms,
-        estimator,
-        gravity_compensation,
+        velocity_terms: [VelocityTerms::Off, VelocityTerms::Paper, VelocityTerms::Rendered][of(draw, 3)],
+        estimator: [Estimator::Butterworth, Estimator::FirstOrder, Estimator::BackwardDifference][of(draw, 3)],
+        gravity_compensation: of(draw, 2) == 0,
         ..Scene::default()
     };
-    let wall = Wall {
-        surface: Surface::Plane(Plane { point, normal }),
-        stiffness: draw.order(10.0, 5000.0),
-        damping: draw.within(0.0, 5.0),
-        feed_forward,
-        washout_hz: draw.order(0.2, 50.0),
-        damping_compensation: false,
-        bilateral,
-    };
-    scene.walls.push(wall).expect("room for a wall");
+    let [first, flat, spring] = [of(draw, 4), of(draw, 2), of(draw, 6)];
+    // At times two facets of nearly one wall, at times the same one twice.
+    let nearly = [0.0, 0.01, 1.0, 1.0][of(draw, 4)];
+    let mut before: Option<[f64; 3]> = None;
+    for _ in 0..[0, 1, 2, 3][first] {
+        let direction: [f64; 3] = draw.list(-1.0, 1.0);
+        let direction: [f64; 3] = core::array::from_fn(|i| {
+            let base = before.map_or(0.0, |before| before[i] * (1.0 - nearly));
+            if i < task { base + direction[i] * before.map_or(1.0, |_| nearly) } else { 0.0 }
+        });
+        before = Some(direction);
+        let length = direction.iter().map(|x| x * x).sum::<f64>().sqrt().max(1.0e-3);
+        let normal = direction.map(|x| x / length);
+        let depth = draw.within(-0.01, 0.02);
+        let on_it = |away: f64| core::array::from_fn(|i| if i < task { place[i] + away * normal[i] } else { 0.0 });
+        let radius = draw.order(0.02, 1.0);
+        let surface = match (flat, of(draw, 3)) {
+            (0, 0) => Surface::Sphere(Sphere { center: on_it(depth - radius), radius, inside: false }),
+            (0, 1) => Surface::Sphere(Sphere { center: on_it(depth + radius), radius, inside: true }),
+            _ => Surface::Plane(Plane { point: on_it(depth), normal }),
+        };
+        let wall = Wall {
+            surface,
+            stiffness: draw.order(10.0, 5000.0),
+            damping: draw.within(0.0, 5.0),
+            feed_forward: [FeedForward::Off, FeedForward::Full, FeedForward::Washout][of(draw, 3)],
+            washout_hz: draw.order(0.2, 50.0),
+            damping_compensation: of(draw, 5) == 0,
+            bilateral: of(draw, 4) == 0,
+        };
+        scene.walls.push(wall).expect("room for a wall");
+    }
+    if spring == 0 {
+        scene.field_damping = 0.3;
+    }
+    // None, one or two, to points and to lines; at times one that only damps.
+    for _ in 0..[1, 2, 0, 0, 1, 0][spring] {
+        let away = draw.within(-0.02, 0.02);
+        let point = core::array::from_fn(|i| place.get(i).map_or(0.0, |x| if i < task { x + away } else { 0.0 }));
+        let (turn, to_line) = (draw.within(0.0, core::f64::consts::TAU), of(draw, 2) == 0 && task > 1);
+        let direction = if to_line { [turn.cos(), turn.sin(), 0.0] } else { [0.0; 3] };
+        let stiffness = draw.order(5.0, 2000.0) * [0.0, 1.0, 1.0, 1.0][of(draw, 4)];
+        scene.springs.push(Spring { point, direction, stiffness, damping: 0.5 }).expect("room for a spring");
+    }
     scene.cast()
+}
+
+/// A plane of the host's near `place`, at times one that only damps.
+fn pushed_plane<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> PushedPlane<T> {
+    let direction: [f64; 3] = draw.list(-1.0, 1.0);
+    let length = direction.iter().take(task).map(|x| x * x).sum::<f64>().sqrt().max(1.0e-3);
+    // Half way between two others it is shorter than 1.
+    let size = draw.within(0.5, 1.0) / length;
+    let normal: [f64; 3] = core::array::from_fn(|i| if i < task { direction[i] * size } else { 0.0 });
+    let at = normal.iter().zip(place).map(|(n, x)| n * x).sum::<f64>() + draw.within(-0.01, 0.02);
+    let stiffness = if draw.within(0.0, 1.0) < 0.2 { 0.0 } else { draw.order(10.0, 2000.0) };
+    let [offset, stiffness, damping] = [at, stiffness, draw.within(0.0, 2.0)].map(T::from_f64);
+    PushedPlane { normal: normal.map(T::from_f64), offset, stiffness, damping }
+}
+
+/// How large the forces beside walls are, one by one (N), and how much the normals' turning accelerates the tip, m/s².
+fn besides<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
+    mechanism: &M,
+    scene: &Scene<T>,
+    push: Option<&Push<T>>,
+    step: &Step<T, N>,
+) -> (f64, f64) {
+    let tip: Vec<f64> = step.tip.iter().take(M::SPEC.task).map(|x| x.to_f64()).collect();
+    let speed = mechanism.velocity(&mechanism.pose::<K>(&step.q), &step.qd).map(|v| v.to_f64()).norm();
+    let away = |point: &[T; 3]| tip.iter().zip(point).map(|(x, at)| (x - at.to_f64()).powi(2)).sum::<f64>().sqrt();
+    let springs = scene
+        .springs
+        .iter()
+        .map(|spring| spring.stiffness.to_f64() * away(&spring.point) + spring.damping.to_f64() * speed);
+    let plane = push.map_or(0.0, |Push { plane, .. }| {
+        let reached = away(&[T::zero(); 3]) + plane.offset.to_f64().abs();
+        plane.stiffness.to_f64() * reached + plane.damping.to_f64() * speed
+    });
+    let bends = scene.walls.iter().map(|wall| match wall.surface {
+        Surface::Sphere(Sphere { center, .. }) => speed * speed / away(&center),
+        _ => 0.0,
+    });
+    (springs.sum::<f64>() + plane + scene.field_damping.to_f64() * speed, bends.sum())
+}
+
+/// How many roundings of the size of a torque's parts it may be off by: some forty operations lie between the parts
+/// and the torque of one wall, and twice as many where several act (at most 6 seen).
+const ROUNDINGS: f64 = 16.0;
+
+/// How many roundings torques and forces are apart.
+fn roundings<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
+    mechanism: &M,
+    fast: &Step<T, N>,
+    slow: &Step<T, N>,
+    (beside, bent): (f64, f64),
+) -> f64 {
+    let pose = mechanism.pose::<K>(&slow.q);
+    let largest = |v: &SVector<T, N>| v.iter().fold(0.0_f64, |most, x| most.max(x.to_f64().abs()));
+    // What goes through Jᵀ in each direction may be much larger than what comes out of it together; and so may what the
+    // inertia takes in each direction.
+    let (mut through, mut shaped, mut weighs) = (0.0, 0.0, 0.0);
+    for i in 0..M::SPEC.task {
+        let mut unit = SVector::<T, N>::zeros();
+        unit[i] = T::one();
+        through += largest(&mechanism.transpose(&pose, &unit));
+        let shaping = mechanism.shaping(&pose, &unit);
+        shaped += largest(&shaping.me) / shaping.w_rr.to_f64();
+        weighs += largest(&shaping.me);
+    }
+    let force =
+        beside + slow.force_squared.to_f64().max(0.0).sqrt() + slow.wall_force.to_f64().abs() + 3.0_f64.sqrt() * PUSH;
+    let moving = largest(&mechanism.velocity_torque(&pose, &slow.qd));
+    let parts = largest(&slow.gravity) + (through + shaped) * force + moving + weighs * bent;
+    let apart = largest(&(fast.torque - slow.torque)).max(largest(&(fast.rendered - slow.rendered)));
+    let unit = T::EPSILON.to_f64();
+    let of_force = (fast.force_squared - slow.force_squared).abs().to_f64();
+    (apart / (unit * parts)).max(of_force / (unit * force * force))
 }
 
 fn wander<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
@@ -86,7 +202,7 @@ fn wander<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
     let numbers = stream.list();
     let mut draw = Draw::new(&numbers);
     let mut counts: [f64; N] = draw.list(-0.5 * COUNTS_PER_TURN, 0.5 * COUNTS_PER_TURN);
-    let q = nalgebra::SVector::from_fn(|i, _| T::from_f64(counts[i] / COUNTS_PER_TURN * core::f64::consts::TAU));
+    let q = SVector::from_fn(|i, _| T::from_f64(counts[i] / COUNTS_PER_TURN * core::f64::consts::TAU));
     let tip = mechanism.tip(&mechanism.pose::<K>(&q));
     let place: Vec<f64> = tip.iter().map(|x| x.to_f64()).collect();
     let scene = scene::<T>(&mut draw, &place, M::SPEC.task);
@@ -95,10 +211,12 @@ fn wander<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
     straight.set_passivity(passivity);
     let mut general = straight.clone();
     let pace = draw.order(0.1, 60.0);
+    let plane = pushed_plane::<T>(&mut draw, &place, M::SPEC.task);
+    let plane = if draw.within(0.0, 1.0) < 0.5 { plane } else { PushedPlane::default() };
+    let mut push = None;
     let mut going: [f64; N] = draw.list(-1.0, 1.0);
     for nth in 0..STEPS {
-        if nth == STEPS / 2 {
-            let wall = scene.walls[0];
+        if let (true, Some(wall)) = (nth == STEPS / 2, scene.walls.first()) {
             let (feed_forward, washout_hz) = (FeedForward::Washout, wall.washout_hz);
             let half = T::from_f64(0.5);
             let gains =
@@ -108,11 +226,10 @@ fn wander<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
             general.set_gains(&gains, &washout);
         }
         if nth % (STEPS / 4) == 0 {
-            // The host pushes for a quarter of the way, off and on.
-            let push = Push { force: [T::from_f64(0.3); 3], ..Push::default() };
-            let push = (nth / (STEPS / 4) % 2 == 1).then_some(&push);
-            straight.set_push(push);
-            general.set_push(push);
+            // The host pushes for a quarter of the way, off and on, at times with a plane.
+            push = (nth / (STEPS / 4) % 2 == 1).then_some(Push { force: [T::from_f64(PUSH); 3], plane });
+            straight.set_push(push.as_ref());
+            general.set_push(push.as_ref());
         }
         for (count, going) in counts.iter_mut().zip(&mut going) {
             *going = 0.95 * *going + 0.1 * (stream.next() - 0.5);
@@ -120,20 +237,40 @@ fn wander<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
         }
         let at = counts.map(|count| count as i32);
         let (fast, slow): (Step<T, N>, Step<T, N>) = (straight.step(&at), general.step_generally(&at));
+        let beside = besides::<T, M, K, N>(mechanism, &scene, push.as_ref(), &slow);
+        let apart = roundings::<T, M, K, N>(mechanism, &fast, &slow, beside);
+        assert!(apart <= ROUNDINGS, "{}: {apart} roundings at {at:?} of {scene:?}", M::SPEC.name);
+        seen.apart = seen.apart.max(apart);
+        // Where several walls' forces add up, the order is another, too.
+        let fast = Step { torque: slow.torque, rendered: slow.rendered, force_squared: slow.force_squared, ..fast };
         assert_eq!(fast, slow, "{} at {at:?} of {scene:?}", M::SPEC.name);
-        let Some(wall) = scene.walls.first() else { continue };
+        let variant = format!("{straight:?}");
+        seen.straight +=
+            usize::from(["variant: Wall", "variant: Round", "variant: Several"].iter().any(|it| variant.contains(it)));
+        let round = |wall: &Wall<T>| matches!(wall.surface, Surface::Sphere(_));
+        seen.empty += usize::from(scene.walls.is_empty());
         seen.free += usize::from(slow.contacts == 0);
-        seen.touched += usize::from(slow.contacts > 0);
+        seen.one += usize::from(slow.contacts == 1);
+        seen.several += usize::from(slow.contacts > 1);
+        seen.round += usize::from(slow.contacts > 0 && scene.walls.iter().all(round));
+        seen.spring += usize::from(!scene.springs.is_empty());
+        let shaped = slow.contacts > 0
+            && scene.walls.iter().any(|wall| wall.feed_forward != FeedForward::Off)
+            && variant.contains("variant: Several");
+        seen.turning += usize::from(slow.contacts > 0 && variant.contains("variant: Round"));
+        seen.beside_spring += usize::from(shaped && scene.springs.iter().any(|spring| spring.stiffness > T::zero()));
+        seen.beside_plane += usize::from(shaped && push.is_some_and(|push| push.plane.stiffness > T::zero()));
         seen.faded += usize::from(slow.shaping > T::zero() && slow.shaping < T::one());
         seen.off += usize::from(slow.shaping == T::zero());
         seen.damped += usize::from(slow.passivity_damping > T::zero());
-        seen.owed += usize::from(slow.energy < T::zero() && !wall.bilateral);
+        seen.owed += usize::from(slow.energy < T::zero() && scene.walls.iter().all(|wall| !wall.bilateral));
     }
-    assert_eq!(format!("{straight:?}"), format!("{general:?}"), "{}: what is remembered", M::SPEC.name);
+    let memory = |controller: &Controller<T, M, K, N>| format!("{controller:?}");
+    assert_eq!(memory(&straight), memory(&general), "{}: what is remembered", M::SPEC.name);
 }
 
 #[test]
-fn a_straight_step_is_the_general_one_to_the_bit() {
+fn a_straight_step_is_the_general_one_but_for_roundings() {
     let mut stream = Stream(7);
     for (kind, fade_reached) in [
         (Kind::Paddle, false),
@@ -143,7 +280,8 @@ fn a_straight_step_is_the_general_one_to_the_bit() {
         (Kind::Serial3r, true),
     ] {
         let mut seen = Seen::default();
-        for _ in 0..CASES {
+        // Two joints have steps of their own.
+        for _ in 0..if kind == Kind::FiveBar { 4 * CASES } else { CASES } {
             let numbers = stream.list();
             let mut description = device(kind, &mut Draw::new(&numbers));
             for joint in &mut description.joints {
@@ -151,11 +289,15 @@ fn a_straight_step_is_the_general_one_to_the_bit() {
             }
             let Ok(single) = Device::<f32>::new("drawn", &description) else { continue };
             let Ok(double) = Device::<f64>::new("drawn", &description) else { continue };
-            with_mechanism!(&single.mechanism, m => wander::<f32, _, Minimax, _>(m, &single, &mut stream, &mut seen));
+            with_mechanism!(&single.mechanism, m => wander::<f32, _, BoardMath, _>(m, &single, &mut stream, &mut seen));
             with_mechanism!(&double.mechanism, m => wander::<f64, _, Libm, _>(m, &double, &mut stream, &mut seen));
         }
-        let ways = [seen.free, seen.touched, seen.damped, seen.owed];
-        assert!(ways.iter().all(|times| *times > 20), "{kind:?}: {seen:?}");
+        println!("{kind:?}: {seen:?}");
+        let ways = [seen.empty, seen.free, seen.one, seen.several, seen.round, seen.spring, seen.damped, seen.owed];
+        assert!(ways.iter().all(|times| *times > 100), "{kind:?}: {seen:?}");
+        let planar = [seen.turning, seen.beside_spring, seen.beside_plane];
+        assert!(kind != Kind::FiveBar || planar.iter().all(|times| *times > 100), "{kind:?}: {seen:?}");
+        assert!(seen.straight > 2000, "{kind:?}: {seen:?}");
         assert!(!fade_reached || (seen.faded > 10 && seen.off > 10), "{kind:?}: {seen:?}");
     }
 }

@@ -1,11 +1,12 @@
 //! Telemetry tells every step it holds, and what it does not hold can be counted exactly.
 
-use haptic_bridge::board::telemetry::{BATCH_VALUES, Batch, Field, Fields, Packer, StreamRequest};
+use haptic_bridge::board::telemetry::{BATCH_BYTES, Batch, Field, Fields, Frames, Packer, StreamRequest};
 use haptic_bridge::render::found::{At, AtWalls};
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::servo::frame::StepRecord;
 use haptic_bridge::servo::joints::Counts;
 use proptest::prelude::*;
+use std::collections::VecDeque;
 
 fn frame(step: u32) -> StepRecord {
     StepRecord {
@@ -18,11 +19,11 @@ fn frame(step: u32) -> StepRecord {
 }
 
 fn width(batch: &Batch) -> usize {
-    Fields(batch.fields).width(usize::from(batch.axes))
+    Fields(batch.fields).bytes(usize::from(batch.axes))
 }
 
 fn rows(batch: &Batch) -> impl Iterator<Item = u32> + '_ {
-    (0..batch.values.len() / width(batch)).map(|row| batch.first_step.wrapping_add(row as u32 * batch.divider))
+    (0..batch.rows.len() / width(batch)).map(|row| batch.first_step.wrapping_add(row as u32 * batch.divider))
 }
 
 fn packer(fields: Fields, divider: u32, axes: usize) -> Packer {
@@ -37,11 +38,26 @@ fn a_row_holds_its_fields_in_their_order() {
     assert!(packer.push(&frame(9), 0).is_none());
     let batch = packer.flush().unwrap().clone();
     assert_eq!(batch.stream, 41, "whose rows these are");
-    assert_eq!((batch.first_step, batch.axes, width(&batch)), (9, 2, 5));
-    assert_eq!(batch.values[..2], [9.0, 0.5]);
-    assert_eq!(batch.values[2].to_bits() as i32, -7);
-    assert_eq!(batch.values[3].to_bits() as i32, 16_777_217, "more than a float could hold");
-    assert_eq!(batch.values[4], 1.0 + 32.0);
+    assert_eq!((batch.first_step, batch.axes, width(&batch)), (9, 2, 4 + 4 + 4 + 4 + 1));
+    // IEEE 754: 9 = 1.125 * 2^3, 0.5 = 1 * 2^-1.
+    assert_eq!(batch.rows[..8], [0, 0, 0x10, 0x41, 0, 0, 0, 0x3F]);
+    assert_eq!(batch.rows[8..12], [0xF9, 0xFF, 0xFF, 0xFF], "-7");
+    assert_eq!(batch.rows[12..16], [1, 0, 0, 1], "16777217, more than a float could hold");
+    assert_eq!(batch.rows[16..], [0x21], "armed, two walls");
+}
+
+/// What a reader takes apart one by one is written at once: the bytes are the same.
+#[test]
+fn a_batch_is_what_postcard_says() {
+    let mut packer = packer(Fields::USUAL, 1, 2);
+    packer.push(&frame(9), 3);
+    let batch = packer.flush().unwrap();
+    assert_eq!(batch.rows.len(), 39, "nine floats and three bytes");
+    let mut bytes = [0; 100];
+    let written = postcard::to_slice(batch, &mut bytes).unwrap();
+    assert_eq!(written[..2], [41, 0], "stream and number");
+    assert_eq!(written[written.len() - 40], 39, "so many bytes follow");
+    assert_eq!(&postcard::from_bytes::<Batch>(written).unwrap(), batch);
 }
 
 #[test]
@@ -65,8 +81,8 @@ fn a_full_batch_leaves_at_once_and_nothing_is_cut_off() {
                 break batch;
             }
         };
-        assert_eq!(batch.values.len() % width(&batch), 0, "whole rows");
-        assert!(batch.values.len() + width(&batch) > BATCH_VALUES, "as many as fit");
+        assert_eq!(batch.rows.len() % width(&batch), 0, "whole rows");
+        assert!(batch.rows.len() + width(&batch) > BATCH_BYTES, "as many as fit");
         assert_eq!(rows(&batch).last(), Some(step));
     }
 }
@@ -77,7 +93,7 @@ fn fields_that_do_not_exist_are_not_sent() {
     packer.push(&frame(1), 0);
     let batch = packer.flush().unwrap().clone();
     assert_eq!((Fields(batch.fields), batch.axes), (Fields::ALL, 3));
-    assert_eq!(batch.values.len(), width(&batch));
+    assert_eq!(batch.rows.len(), width(&batch));
 }
 
 proptest! {
@@ -113,15 +129,15 @@ proptest! {
         if let Some(batch) = packer.flush() {
             send(batch, false);
         }
-        let received: usize = arrived.iter().map(|batch| batch.values.len() / width(batch)).sum();
+        let received: usize = arrived.iter().map(|batch| batch.rows.len() / width(batch)).sum();
         prop_assert_eq!(received + lost_on_link, sent);
         prop_assert_eq!(sent + dropped as usize, fate.len());
         // What a reader can tell: rows are where they say they are, and batches that the link lost leave a gap.
         for batch in &arrived {
             if Fields(fields).has(Field::Angle) {
-                for (row, step) in (0..).zip(0..batch.values.len() / width(batch)) {
+                for (row, step) in (0..).zip(0..batch.rows.len() / width(batch)) {
                     let expected = batch.first_step.wrapping_add(row * divider);
-                    prop_assert_eq!(batch.values[step * width(batch)], expected as f32);
+                    prop_assert_eq!(&batch.rows[step * width(batch)..][..4], (expected as f32).to_le_bytes());
                 }
             }
         }
@@ -135,22 +151,31 @@ proptest! {
     }
 }
 
+/// Frames on their way to a task.
+struct Waiting(VecDeque<StepRecord>);
+
+impl Frames for Waiting {
+    fn first(&self) -> Option<&StepRecord> {
+        self.0.front()
+    }
+
+    fn drop_first(&mut self) {
+        self.0.pop_front();
+    }
+}
+
 #[test]
 fn what_waits_in_a_queue_leaves_in_order_and_the_rest_when_it_is_late() {
     let mut packer = packer(Fields(Field::Angle.bit()), 2, 1);
-    let mut queue = heapless::spsc::Queue::<StepRecord, 512>::new();
-    let (mut producer, mut consumer) = queue.split();
-    for step in 0..500 {
-        producer.enqueue(frame(step)).unwrap();
-    }
-    let full = packer.drain(&mut consumer, 7, false).expect("250 rows are more than a batch").clone();
-    assert_eq!((full.number, full.first_step, full.values.len(), full.dropped), (0, 0, BATCH_VALUES, 7));
-    assert!(packer.drain(&mut consumer, 7, false).is_none());
-    assert_eq!(consumer.len(), 0);
-    let rest = packer.drain(&mut consumer, 7, true).expect("late").clone();
-    assert_eq!((rest.number, rest.first_step), (1, 2 * BATCH_VALUES as u32));
-    assert!(rows(&full).chain(rows(&rest)).eq((0..500).step_by(2)));
-    assert!(packer.drain(&mut consumer, 7, true).is_none());
+    let mut waiting = Waiting((0..400).map(frame).collect());
+    let full = packer.drain(&mut waiting, 7, false).expect("200 rows are more than a batch").clone();
+    assert_eq!((full.number, full.first_step, full.rows.len(), full.dropped), (0, 0, BATCH_BYTES, 7));
+    assert!(packer.drain(&mut waiting, 7, false).is_none());
+    assert!(waiting.0.is_empty());
+    let rest = packer.drain(&mut waiting, 7, true).expect("late").clone();
+    assert_eq!((rest.number, rest.first_step), (1, 2 * BATCH_BYTES as u32 / 4));
+    assert!(rows(&full).chain(rows(&rest)).eq((0..400).step_by(2)));
+    assert!(packer.drain(&mut waiting, 7, true).is_none());
 }
 
 #[test]

@@ -46,7 +46,7 @@ fn single_precision_keeps_the_gain_at_a_thousandth_of_the_rate() {
 fn a_ramp_has_its_slope_as_velocity_under_every_estimator() {
     for kind in [Estimator::Butterworth, Estimator::FirstOrder, Estimator::BackwardDifference] {
         let coefficients = Coefficients::<f64>::new(kind, 1000.0, 50.0).unwrap();
-        let mut velocity = Velocity::default();
+        let mut velocity = Velocity::resting_at(3.0);
         let last = (0..2000).map(|step| velocity.step(&coefficients, 3.0 + 0.25e-3 * f64::from(step))).last().unwrap();
         assert!((last - 0.25).abs() < 1e-9, "{kind:?}: {last}");
     }
@@ -73,9 +73,9 @@ fn a_velocity_that_grows_steadily_is_known_as_late_as_said() {
 }
 
 #[test]
-fn the_first_sample_is_not_a_motion() {
+fn where_it_begins_is_not_a_motion() {
     let coefficients = Coefficients::<f32>::new(Estimator::BackwardDifference, 1000.0, 50.0).unwrap();
-    let mut velocity = Velocity::default();
+    let mut velocity = Velocity::resting_at(0.4);
     assert_eq!(velocity.step(&coefficients, 0.4), 0.0);
 }
 

@@ -67,7 +67,8 @@ struct Outcome {
     /// Weff and Wrr with φ held, kg.
     w_eff: f64,
     w_rr: f64,
-    /// (eₖ or the row of φ)·q̈ for every coordinate that can be held, rad/s², and the torque along the null motion, N m.
+    /// (eₖ or the row of φ)·q̈ for every coordinate that can be held, rad/s², and the torque along the null motion, N
+    /// m.
     held: [f64; 4],
     null_torque: f64,
 }

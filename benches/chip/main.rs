@@ -2,8 +2,8 @@
 //!
 //! Nothing but the core runs: no board, no clock set-up, no interrupt. `cargo xtask bench` builds it, has it counted on
 //! the emulated chip and keeps the figures in benches/counts.json. A variant's name is
-//! `mechanism/trigonometry/mass model/terms`, and that of another velocity estimator ends with its name; each is called at several poses with the tip inside the walls, after a
-//! few steps of motion.
+//! `mechanism/trigonometry/mass model/terms`, and that of another velocity estimator ends with its name; each is called
+//! at several poses with the tip inside the walls, after a few steps of motion.
 #![no_std]
 #![no_main]
 
@@ -12,14 +12,15 @@ mod devices;
 use core::hint::black_box;
 use core::panic::PanicInfo;
 use core::ptr::{addr_of_mut, write_volatile};
-use haptic_bridge::math::{Libm, Math, Micromath, Minimax};
+use haptic_bridge::math::{Libm, Math, Micromath, Minimax, Tabulated};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModel, TABLE_VALUES, tabulate};
 use haptic_bridge::render::controller::Controller;
-use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Sphere, Surface, VelocityTerms, Wall};
+use haptic_bridge::render::found::Found;
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Sphere, Spring, Surface, VelocityTerms, Wall};
 use haptic_bridge::render::velocity::{Chosen, Estimator, LONGEST_WINDOW};
 use haptic_bridge::with_mechanism;
 use heapless::{String, Vec};
@@ -67,6 +68,10 @@ enum Walls {
     /// Two planes across each other, both touched.
     Two,
     Ball,
+    /// No wall, but a spring.
+    Spring,
+    /// A plane, and a spring beside it.
+    OneAndSpring,
 }
 
 /// The terms, by name: what stands in the scene, whether it is shaped, whether with velocity terms.
@@ -82,6 +87,9 @@ const TERMS: &[(&str, Walls, FeedForward, VelocityTerms)] = &[
     ("edge, washout+z", Walls::Two, FeedForward::Washout, VelocityTerms::Rendered),
     ("ball, washout", Walls::Ball, FeedForward::Washout, VelocityTerms::Off),
     ("ball, washout+z", Walls::Ball, FeedForward::Washout, VelocityTerms::Rendered),
+    ("spring", Walls::Spring, FeedForward::Off, VelocityTerms::Off),
+    ("spring beside, none", Walls::OneAndSpring, FeedForward::Off, VelocityTerms::Off),
+    ("spring beside, washout", Walls::OneAndSpring, FeedForward::Washout, VelocityTerms::Off),
 ];
 /// A table's points along each coordinate, and how far it reaches from home, rad.
 const POINTS: u8 = 10;
@@ -117,6 +125,7 @@ extern "C" fn all() -> ! {
 #[inline(never)]
 fn every_math(device: &Device<f32>, description: &Description) {
     with_mechanism!(&device.mechanism, mechanism => {
+        variants::<_, Tabulated, _>(mechanism, device, description);
         variants::<_, Minimax, _>(mechanism, device, description);
         variants::<_, Micromath, _>(mechanism, device, description);
         variants::<_, Libm, _>(mechanism, device, description);
@@ -142,7 +151,7 @@ fn variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
         let interpolation = if kind == "bilinear" { Interpolation::Bilinear } else { Interpolation::Bicubic };
         let Some(grid) = grid(interpolation) else { panic!() };
         let mut values = Vec::<f32, TABLE_VALUES>::new();
-        tabulate::<f32, K, M, N>(mechanism, &grid, |_, value| drop(values.push(value)));
+        tabulate::<f32, K, M, N>(mechanism, &grid, |_, value| _ = values.push(value));
         let mass = match kind {
             "exact" => MassModel::Exact,
             "frozen" => MassModel::Frozen(mechanism.mass(&pose)),
@@ -151,7 +160,7 @@ fn variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
         for (term, walls, feed_forward, velocity_terms) in TERMS {
             // What else a scene may hold is counted with the board's own functions alone, and all but a ball with the
             // closed form alone.
-            let shipped = K::NAME == Minimax::NAME && (kind == "exact" || *walls == Walls::Ball);
+            let shipped = K::NAME == Tabulated::NAME && (kind == "exact" || *walls == Walls::Ball);
             if *walls != Walls::One && !shipped {
                 continue;
             }
@@ -160,7 +169,7 @@ fn variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
         }
     }
     // Estimators of the wall's velocity, with the board's own functions: their windows as long as they can be.
-    if K::NAME == Minimax::NAME {
+    if K::NAME == Tabulated::NAME {
         for (estimator, usual) in Estimator::ALL {
             let longest = |chosen| match usual.spec().and_then(|spec| spec.key).filter(|key| key.unit == "samples") {
                 Some(key) => Chosen { value: key.range.1, ..chosen },
@@ -208,6 +217,8 @@ fn step_at<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     let mut counts: [i32; N] =
         core::array::from_fn(|i| ((home[i] as f32 + offset[i]) / device.joints[i].radians_per_count) as i32);
     let controller = black_box(controller);
+    controller.forget();
+    let mut found = Found::default();
     for step in 0..=run_up {
         for (i, count) in counts.iter_mut().enumerate() {
             *count += 1 + i as i32;
@@ -217,21 +228,21 @@ fn step_at<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
         if counted {
             bench_begin();
         }
-        control::<M, K, N>(controller, counts);
+        control::<M, K, N>(controller, counts, black_box(&mut found));
         if counted {
             bench_end();
         }
     }
 }
 
-/// The control step with nothing but its torque kept, out of line as the interrupt has it.
+/// The control step, which leaves what it finds where the servo and telemetry read it, out of line as the interrupt has it.
 #[inline(never)]
 fn control<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     controller: &mut Controller<f32, M, K, N>,
     counts: &[i32; N],
+    found: &mut Found<f32>,
 ) {
-    let torque = controller.step(counts).torque;
-    black_box(&torque);
+    controller.render(counts, &[0.0; MAX_JOINTS], found);
 }
 
 /// A scene whose walls are far enough out that every pose is inside them.
@@ -251,8 +262,8 @@ fn scene<M: Mechanism<f32, N>, const N: usize>(
         |direction: &[f32; 3]| core::array::from_fn(|i| if i < task { tip[i.min(N - 1)] + direction[i] } else { 0.0 });
     let plane = |direction: &[f32; 3]| Surface::Plane(Plane { point: at(direction), normal: *direction });
     let surfaces = match walls {
-        Walls::None => [None, None],
-        Walls::One => [Some(plane(&directions[0])), None],
+        Walls::None | Walls::Spring => [None, None],
+        Walls::One | Walls::OneAndSpring => [Some(plane(&directions[0])), None],
         Walls::Two => [Some(plane(&directions[0])), Some(plane(&directions[1]))],
         Walls::Ball => {
             let ball = Sphere { center: at(&directions[0]), radius: 2.0, inside: false };
@@ -260,16 +271,21 @@ fn scene<M: Mechanism<f32, N>, const N: usize>(
         }
     };
     let mut scene = Scene { task: task as u8, velocity_terms, ..Scene::default() };
-    for surface in surfaces.into_iter().flatten() {
+    // Walls of different stiffness: where two are alike there is nothing to shape.
+    for (surface, stiffness) in surfaces.into_iter().flatten().zip([1000.0, 500.0]) {
         let _ = scene.walls.push(Wall {
             surface,
-            stiffness: 1000.0,
+            stiffness,
             damping: 2.0,
             feed_forward,
             washout_hz: 2.0,
             damping_compensation: false,
             bilateral: false,
         });
+    }
+    if matches!(walls, Walls::Spring | Walls::OneAndSpring) {
+        let spring = Spring { point: at(&[0.01, 0.0, 0.0]), direction: [0.0; 3], stiffness: 200.0, damping: 1.0 };
+        let _ = scene.springs.push(spring);
     }
     scene
 }

@@ -193,8 +193,8 @@ extern "C" {
 uint32_t hb_version(void);
 
 /*
- What went wrong in the last call of this thread that failed, or which number of a request was HB_BAD; valid until its next
- call. Never NULL.
+ What went wrong in the last call of this thread that failed, or which number of a request was HB_BAD; valid until
+ its next call. Never NULL.
  */
 const char *hb_error(void);
 
@@ -220,14 +220,14 @@ int32_t hb_load(const hb_board *board, const char *device_file, const char *scen
 int32_t hb_home(const hb_board *board);
 
 /*
- Checks that every motor turns its joint the way its encoder counts, which moves each joint a little; returns when that
- is known, HB_OK only where all of them do.
+ Checks that every motor turns its joint the way its encoder counts, which moves each joint a little; returns when
+ that is known, HB_OK only where all of them do.
  */
 int32_t hb_check_polarity(const hb_board *board);
 
 /*
- Motors on; torque ramps up over half a second. hb_exchange() must then be called at least as often as the board's rules
- ask for a sign of the host.
+ Motors on; torque ramps up over half a second. hb_exchange() must then be called at least as often as the board's
+ rules ask for a sign of the host.
  */
 int32_t hb_arm(const hb_board *board);
 
@@ -242,8 +242,8 @@ int32_t hb_disarm(const hb_board *board);
 int32_t hb_clear(const hb_board *board);
 
 /*
- For how long hb_exchange() waits for its answer, s; 0.1 unless this says otherwise. A program whose loop has less time
- asks for less: a lost frame then costs it no more.
+ For how long hb_exchange() waits for its answer, s; 0.1 unless this says otherwise. A program whose loop has less
+ time asks for less: a lost frame then costs it no more.
  */
 int32_t hb_wait_for_forces(const hb_board *board, double seconds);
 

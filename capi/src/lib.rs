@@ -1,5 +1,5 @@
-//! haptic-bridge boards for programs in C. `include/hapticbridge.h` is made of this file by cbindgen, documentation and all:
-//! `UPDATE_DOCS=1 cargo test -p haptic-capi --test header`.
+//! haptic-bridge boards for programs in C. `include/hapticbridge.h` is made of this file by cbindgen, documentation and
+//! all: `UPDATE_DOCS=1 cargo test -p haptic-capi --test header`.
 //!
 //! Nothing unwinds across the border: a panic becomes [`HB_BROKEN`], and dropping a session disarms its board.
 
@@ -246,8 +246,8 @@ pub extern "C" fn hb_version() -> u32 {
     HB_VERSION
 }
 
-/// What went wrong in the last call of this thread that failed, or which number of a request was HB_BAD; valid until its next
-/// call. Never NULL.
+/// What went wrong in the last call of this thread that failed, or which number of a request was HB_BAD; valid until
+/// its next call. Never NULL.
 #[unsafe(no_mangle)]
 pub extern "C" fn hb_error() -> *const c_char {
     ERROR.with(|error| error.borrow().as_ptr())
@@ -308,8 +308,8 @@ pub unsafe extern "C" fn hb_home(board: *const Board) -> i32 {
     unsafe { with(board, |session| Ok(session.home()?)) }
 }
 
-/// Checks that every motor turns its joint the way its encoder counts, which moves each joint a little; returns when that
-/// is known, HB_OK only where all of them do.
+/// Checks that every motor turns its joint the way its encoder counts, which moves each joint a little; returns when
+/// that is known, HB_OK only where all of them do.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_check_polarity(board: *const Board) -> i32 {
     let check = |session: &mut Session| {
@@ -320,8 +320,8 @@ pub unsafe extern "C" fn hb_check_polarity(board: *const Board) -> i32 {
     unsafe { with(board, check) }
 }
 
-/// Motors on; torque ramps up over half a second. hb_exchange() must then be called at least as often as the board's rules
-/// ask for a sign of the host.
+/// Motors on; torque ramps up over half a second. hb_exchange() must then be called at least as often as the board's
+/// rules ask for a sign of the host.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_arm(board: *const Board) -> i32 {
     // SAFETY: as the caller promises.
@@ -342,8 +342,8 @@ pub unsafe extern "C" fn hb_clear(board: *const Board) -> i32 {
     unsafe { with(board, |session| Ok(session.clear()?)) }
 }
 
-/// For how long hb_exchange() waits for its answer, s; 0.1 unless this says otherwise. A program whose loop has less time
-/// asks for less: a lost frame then costs it no more.
+/// For how long hb_exchange() waits for its answer, s; 0.1 unless this says otherwise. A program whose loop has less
+/// time asks for less: a lost frame then costs it no more.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_wait_for_forces(board: *const Board, seconds: f64) -> i32 {
     // SAFETY: as the caller promises.

@@ -109,8 +109,8 @@ impl HdDevice {
         self.axes.to_chai3d(self.last.velocity.map(f64::from))
     }
 
-    /// Sends a force (N), waits for the next tick and reads how the device is then. In the place of a force that no board
-    /// takes there is none, and it is not done.
+    /// Sends a force (N), waits for the next tick and reads how the device is then. A force that no board accepts is
+    /// replaced by none, and the call reports failure.
     pub fn force(&mut self, force: [f64; 3]) -> bool {
         let usable = force.iter().all(|newtons| newtons.abs() <= f64::from(MOST_HELD_FORCE));
         if !usable && !self.told_absurd {
@@ -161,7 +161,8 @@ impl HdDevice {
     }
 }
 
-/// The tip at home (without a home, `here`), and how far the tip goes from there in the direction where that is least, m.
+/// The tip at home (without a home, `here`), and how far the tip goes from there in the direction where that is least,
+/// m.
 fn workspace(device: &BoardDevice<f64>, here: [f64; 3]) -> ([f64; 3], f64) {
     let task = device.mechanism.kind().spec().task;
     let tip = |q: &[f64]| TaskPose::of(&device.mechanism, q).map(|pose| pose.position);

@@ -1,8 +1,8 @@
-//! haptic-bridge boards for programs made with CHAI3D 3.3, which need not be changed or built anew: the 14 functions that
-//! its `CPhantomDevices.cpp` looks up in `libhdPhantom.so`, with its units, axes and order (docs/chai3d.md).
+//! haptic-bridge boards for programs made with CHAI3D 3.3, which need not be changed or built anew: the 14 functions
+//! that its `CPhantomDevices.cpp` looks up in `libhdPhantom.so`, with its units, axes and order (docs/chai3d.md).
 //!
-//! HAPTIC_PORT says which board; without it there is a simulated one. Functions return 0, or -1 where they could not; words
-//! go to standard error. Nothing unwinds across the border, and the motors go off when the program ends.
+//! HAPTIC_PORT says which board; without it there is a simulated one. Functions return 0, or -1 where they could not;
+//! words go to standard error. Nothing unwinds across the border, and the motors go off when the program ends.
 
 #![allow(non_snake_case, reason = "CHAI3D's names")]
 
@@ -49,8 +49,8 @@ fn with(id: c_int, work: impl FnOnce(&mut HdDevice) -> bool) -> c_int {
     if done.unwrap_or(false) { DONE } else { FAILED }
 }
 
-/// Motors off when the program ends, also where it closes nothing. A program that is killed leaves it to the board's watch of
-/// its host.
+/// Motors off when the program ends, also where it closes nothing. A program that is killed leaves it to the board's
+/// watch of its host.
 extern "C" fn at_the_end() {
     let _ = catch_unwind(|| {
         if let Ok(mut found) = FOUND.try_lock() {

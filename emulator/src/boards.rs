@@ -48,6 +48,8 @@ pub struct MotorWires {
 /// A board.
 #[derive(Clone, Copy, Debug)]
 pub struct Wiring {
+    /// What it calls itself, and what its image is built as.
+    pub name: &'static str,
     /// The encoders, one per axis.
     pub encoders: &'static [EncoderWires],
     /// The motors, one per axis.
@@ -80,6 +82,7 @@ const SHUNT: f64 = 500e-6;
 const HALL: f64 = 0.185 * 0.66;
 
 static ODRIVE_V3: Wiring = Wiring {
+    name: BoardKind::OdriveV3.name(),
     encoders: &[
         EncoderWires { timer: 3, pins: [Pin('B', 4), Pin('B', 5)], function: 2, index: Pin('C', 9) },
         EncoderWires { timer: 4, pins: [Pin('B', 6), Pin('B', 7)], function: 2, index: Pin('C', 15) },
@@ -112,6 +115,7 @@ static ODRIVE_V3: Wiring = Wiring {
 };
 
 static H_BRIDGE_F405: Wiring = Wiring {
+    name: BoardKind::HBridgeF405.name(),
     encoders: &[
         EncoderWires { timer: 2, pins: [Pin('A', 15), Pin('B', 3)], function: 1, index: Pin('C', 7) },
         EncoderWires { timer: 3, pins: [Pin('B', 4), Pin('B', 5)], function: 2, index: Pin('C', 8) },
@@ -146,5 +150,11 @@ impl Wiring {
             BoardKind::OdriveV3 => &ODRIVE_V3,
             BoardKind::HBridgeF405 => &H_BRIDGE_F405,
         }
+    }
+}
+
+impl From<BoardKind> for &'static Wiring {
+    fn from(kind: BoardKind) -> Self {
+        Wiring::of(kind)
     }
 }

@@ -67,7 +67,7 @@ impl Broken {
             if let Some(from) = self.backward_from[axis] {
                 *count = 2 * from - *count;
             }
-            *count += if nth % 2 == 0 { self.shake[axis] } else { 0 };
+            *count += if nth.is_multiple_of(2) { self.shake[axis] } else { 0 };
         }
         counts
     }

@@ -31,7 +31,7 @@ pub struct Case {
     pub what: &'static str,
     /// Breaks it, with the tip in a wall.
     pub cause: fn(&mut Hardware),
-    /// Whether it has to be seen: what need not stands in the table with what it does.
+    /// Whether the board has to notice it. What it may miss is listed with its effect.
     pub seen: bool,
 }
 
@@ -52,8 +52,8 @@ pub const CASES: &[Case] = &[
         seen: false,
     },
     Case { what: "one of two shunts 4 A too high", cause: |board| extra(board, 1, 4.0), seen: true },
-    // The 0.4 A of this contact, doubled by a loop that sees half of it, are less than what two sound sensors may differ
-    // by; in a contact of 2.5 N it is seen (src/inject.rs, CurrentSensor).
+    // The 0.4 A of this contact, doubled by a loop that sees half of it, are less than what two sound sensors may
+    // differ by; in a contact of 2.5 N it is seen (src/inject.rs, CurrentSensor).
     Case { what: "one of two shunts shows nothing", cause: |board| shunts(board, 1, 0.0), seen: false },
     Case { what: "a winding open", cause: |board| board.broken.open[0] = true, seen: true },
     Case { what: "a bridge stuck at 40 %", cause: |board| board.broken.stuck_on[0] = Some(0.4), seen: true },
@@ -275,8 +275,8 @@ pub fn table() -> String {
         "{HEADING}\n\
          A pantograph-mk2 held against a wall by 0.8 N, its motors allowed 3 A; each thing broken at ten instants of the\n\
          control period (emulator/src/campaign.rs), in the first motor or encoder. A hand that moves pulls along the wall as hard\n\
-         as into it. The worst of the ten: time until the gate drivers are disabled, the true current of a winding, speed of a\n\
-         joint and way of the tip until then, or within 300 ms where nobody saw it.\n\n\
+         as into it. The worst of the ten: time until the gate drivers are disabled, looked at every 25 us, the true current\n\
+         of a winding, speed of a joint and way of the tip until then, or within 300 ms where nobody saw it.\n\n\
          | broken | control rate, Hz | seen by | off after, ms | current, A | speed, rad/s | way, mm |\n\
          |---|--:|---|--:|--:|--:|--:|\n",
     );

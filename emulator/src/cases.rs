@@ -1,63 +1,126 @@
-//! Devices in contact whose control interrupt is measured, and put under load.
+//! Devices in scenes whose control interrupt is measured, and put under load.
 
 use crate::boards::BoardKind;
 use crate::contact::WallAt;
 use crate::rig::Rig;
 
-/// A device in contact on a board, every wall with the feed-forward in full, telemetry of every step streaming.
+/// What a device meets. A wall has the feed-forward in full unless it says otherwise.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Meets {
+    /// Nothing.
+    Nothing,
+    /// A spring and a damping field.
+    Spring,
+    /// One flat wall.
+    Wall,
+    /// The same without the feed-forward.
+    WallOff,
+    /// The same with a feed-forward that is washed out.
+    WallWashed,
+    /// One round wall.
+    Ball,
+    /// A flat wall and a spring.
+    WallAndSpring,
+    /// Two flat walls.
+    Corner,
+}
+
+impl Meets {
+    /// Its name in a table.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Nothing => "nothing",
+            Self::Spring => "a spring and a field",
+            Self::Wall => "a wall",
+            Self::WallOff => "a wall without feed-forward",
+            Self::WallWashed => "a wall, washed out",
+            Self::Ball => "a round wall",
+            Self::WallAndSpring => "a wall and a spring",
+            Self::Corner => "a corner",
+        }
+    }
+
+    /// The walls.
+    fn walls(self) -> Vec<WallAt> {
+        let one = WallAt::facing([0.0, -1.0, 0.0]);
+        match self {
+            Self::Nothing | Self::Spring => vec![],
+            Self::Wall | Self::WallAndSpring => vec![one],
+            Self::WallOff => vec![WallAt { feed_forward: "off", ..one }],
+            Self::WallWashed => vec![WallAt { feed_forward: "washout", ..one }],
+            Self::Ball => vec![WallAt { radius: Some(0.03), ..one }],
+            Self::Corner => {
+                let other = WallAt::facing([-1.0, 0.0, 0.0]);
+                // Where both are as stiff there is nothing to shape.
+                vec![one, WallAt { stiffness: 0.5 * other.stiffness, ..other }]
+            }
+        }
+    }
+
+    /// How many walls it touches.
+    #[must_use]
+    pub fn contacts(self) -> usize {
+        self.walls().len()
+    }
+}
+
+/// A device in a scene on a board, pushed into what it meets, telemetry of every step streaming.
 #[derive(Clone, Copy, Debug)]
 pub struct Case {
     /// The board.
     pub board: BoardKind,
     /// The device file.
     pub device: &'static str,
-    /// How many walls.
-    pub walls: usize,
+    /// The scene.
+    pub meets: Meets,
     /// Control rate, Hz.
     pub rate_hz: u32,
-    /// The most instructions that the product aims at, where it aims at any.
-    pub target: Option<u64>,
+    /// The most instructions that a step is meant to take on average.
+    pub target: u64,
 }
 
-/// What is measured and kept.
+const fn case(board: BoardKind, device: &'static str, meets: Meets, target: u64) -> Case {
+    Case { board, device, meets, rate_hz: 20_000, target }
+}
+
+/// What is measured stage by stage, and kept.
 pub const CASES: [Case; 5] = [
-    Case { board: BoardKind::OdriveV3, device: "pantograph-mk2", walls: 1, rate_hz: 20_000, target: Some(800) },
-    Case { board: BoardKind::OdriveV3, device: "pantograph-mk2", walls: 2, rate_hz: 20_000, target: None },
-    Case {
-        board: BoardKind::HBridgeF405,
-        device: "phantom-premium-1.5",
-        walls: 1,
-        rate_hz: 20_000,
-        target: Some(1150),
-    },
-    Case { board: BoardKind::HBridgeF405, device: "woodenhaptics", walls: 1, rate_hz: 20_000, target: Some(1150) },
-    Case {
-        board: BoardKind::HBridgeF405,
-        device: "fictive-five-bar-turret",
-        walls: 1,
-        rate_hz: 20_000,
-        target: Some(1150),
-    },
+    case(BoardKind::OdriveV3, "pantograph-mk2", Meets::Wall, 800),
+    case(BoardKind::OdriveV3, "pantograph-mk2", Meets::Corner, 1200),
+    case(BoardKind::HBridgeF405, "phantom-premium-1.5", Meets::Wall, 1150),
+    case(BoardKind::HBridgeF405, "woodenhaptics", Meets::Wall, 1150),
+    case(BoardKind::HBridgeF405, "fictive-five-bar-turret", Meets::Wall, 1150),
+];
+
+/// Every other kind of scene, on a five-bar.
+pub const SCENES: [Case; 6] = [
+    case(BoardKind::OdriveV3, "pantograph-mk2", Meets::Nothing, 880),
+    case(BoardKind::OdriveV3, "pantograph-mk2", Meets::Spring, 880),
+    case(BoardKind::OdriveV3, "pantograph-mk2", Meets::WallOff, 880),
+    case(BoardKind::OdriveV3, "pantograph-mk2", Meets::WallWashed, 880),
+    case(BoardKind::OdriveV3, "pantograph-mk2", Meets::Ball, 880),
+    case(BoardKind::OdriveV3, "pantograph-mk2", Meets::WallAndSpring, 880),
 ];
 
 impl Case {
     /// Its name in the table.
     #[must_use]
     pub fn name(&self) -> String {
-        let walls = if self.walls == 1 { "a wall" } else { "a corner" };
-        format!("{}, {}, {walls}, {} kHz", self.board.name(), self.device, self.rate_hz / 1000)
+        format!("{}, {}, {}, {} kHz", self.board.name(), self.device, self.meets.name(), self.rate_hz / 1000)
     }
 
-    /// A rig in contact with the walls of this case at `rate_hz`.
+    /// A rig in contact with what this case meets at `rate_hz`.
     ///
     /// # Panics
     ///
     /// When the board refuses anything.
     #[must_use]
     pub fn rig(&self, rate_hz: u32) -> Rig {
-        let normals = [[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]];
-        let walls: Vec<WallAt> = normals.into_iter().take(self.walls).map(WallAt::facing).collect();
-        let head = format!("rate_hz = {rate_hz}\ngravity_compensation = true\n");
-        Rig::in_contact(self.board, self.device, &head, &walls, 0.8)
+        let mut head = format!("rate_hz = {rate_hz}\ngravity_compensation = true\n");
+        if matches!(self.meets, Meets::Spring | Meets::WallAndSpring) {
+            head += "[[spring]]\npoint = [0.0, 0.1]\nstiffness = 50.0\ndamping = 0.5\n[[field]]\ndamping = 0.5\n";
+        }
+        Rig::in_contact(self.board, self.device, &head, &self.meets.walls(), 0.8)
     }
 }

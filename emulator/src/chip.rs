@@ -144,16 +144,16 @@ impl Chip {
         }
     }
 
-    /// The crystal stops. Answers whether the clock security system was on, which flags it and goes on with the chip's own
-    /// oscillator (RM0090 section 7.2.7); its wire to the core's non-maskable interrupt is not modelled.
+    /// The crystal stops. Answers whether the clock security system was on, which flags it and goes on with the chip's
+    /// own oscillator (RM0090 section 7.2.7); its wire to the core's non-maskable interrupt is not modelled.
     pub fn stop_crystal(&mut self, at: VirtualNanos) -> bool {
         self.part.drive_clocks(at, |clocks, registers, context| clocks.fail_hse(registers, context));
         self.register("RCC", map::rcc::INTERRUPTS) & map::rcc::CLOCK_FAILED != 0
     }
 
-    /// Gives the chip so many millivolts. Answers whether its supply monitor asks for its interrupt: the monitor's output
-    /// has risen on line 16, where rising edges and requests are let through (RM0090 sections 5.2.2 and 12.2.5). No model
-    /// of rigless joins the two.
+    /// Gives the chip so many millivolts. Answers whether its supply monitor asks for its interrupt: the monitor's
+    /// output has risen on line 16, where rising edges and requests are let through (RM0090 sections 5.2.2 and 12.2.5).
+    /// No model of rigless joins the two.
     ///
     /// # Panics
     ///

@@ -6,16 +6,18 @@ use haptic::device_file::DeviceFile;
 use haptic::sim::{SimulatedDevice, Support};
 use haptic_bridge::board::telemetry::{Field, Fields};
 
-use crate::boards::BoardKind;
+use crate::boards::Wiring;
 use crate::hands::{carry, hold, push};
 use crate::rig::Rig;
 use crate::run::{MILLISECOND, SECOND};
 
-/// A plane before the tip, by where the tip starts.
+/// A wall before the tip, by where the tip starts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WallAt {
     /// Unit normal, pointing to the free side.
     pub normal: [f64; 3],
+    /// Radius of a ball, m; a plane without.
+    pub radius: Option<f64>,
     /// From the tip to the wall at the start, m.
     pub gap: f64,
     /// N/m
@@ -30,7 +32,7 @@ impl WallAt {
     /// A wall of 500 N/m with the feed-forward in full, 3 mm from the tip.
     #[must_use]
     pub fn facing(normal: [f64; 3]) -> Self {
-        Self { normal, gap: 0.003, stiffness: 500.0, damping: 1.0, feed_forward: "full" }
+        Self { normal, radius: None, gap: 0.003, stiffness: 500.0, damping: 1.0, feed_forward: "full" }
     }
 }
 
@@ -40,15 +42,14 @@ pub fn scene(head: &str, tip: [f64; 3], task: usize, walls: &[WallAt]) -> String
     let list = |values: [f64; 3]| values.iter().take(task).map(|x| format!("{x:?}")).collect::<Vec<_>>().join(", ");
     let mut text = head.to_owned();
     for wall in walls {
-        let point = std::array::from_fn(|i| tip[i] - wall.gap * wall.normal[i]);
-        text += &format!(
-            "[[wall]]\npoint = [{}]\nnormal = [{}]\nstiffness = {:?}\ndamping = {:?}\nfeed_forward = \"{}\"\n",
-            list(point),
-            list(wall.normal),
-            wall.stiffness,
-            wall.damping,
-            wall.feed_forward
-        );
+        let behind = wall.gap + wall.radius.unwrap_or(0.0);
+        let point = list(std::array::from_fn(|i| tip[i] - behind * wall.normal[i]));
+        text += &match wall.radius {
+            Some(radius) => format!("[[wall]]\nshape = \"sphere\"\npoint = [{point}]\nradius = {radius:?}\n"),
+            None => format!("[[wall]]\npoint = [{point}]\nnormal = [{}]\n", list(wall.normal)),
+        };
+        let WallAt { stiffness, damping, feed_forward, .. } = wall;
+        text += &format!("stiffness = {stiffness:?}\ndamping = {damping:?}\nfeed_forward = \"{feed_forward}\"\n");
     }
     text
 }
@@ -61,7 +62,13 @@ impl Rig {
     ///
     /// When the board refuses anything.
     #[must_use]
-    pub fn in_contact(kind: BoardKind, name: &str, head: &str, walls: &[WallAt], newtons: f64) -> Self {
+    pub fn in_contact(
+        kind: impl Into<&'static Wiring>,
+        name: &str,
+        head: &str,
+        walls: &[WallAt],
+        newtons: f64,
+    ) -> Self {
         let mut rig = Self::with_device(kind, name, |_| ());
         rig.arm_before(head, walls);
         let force = std::array::from_fn(|i| walls.iter().map(|wall| -newtons * wall.normal[i]).sum());

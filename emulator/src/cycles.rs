@@ -1,12 +1,13 @@
-//! An estimate, no measurement, of the cycles that a path of instructions takes on a Cortex-M4F that runs from the flash of
-//! an STM32F405 at 168 MHz.
+//! An estimate, no measurement, of the cycles that a path of instructions takes on a Cortex-M4F that runs from the
+//! flash of an STM32F405 at 168 MHz.
 //!
-//! The core: the tables of instruction timings of ARM's Cortex-M4 technical reference manual (r0p1, sections 3.3 and 7.2.3).
-//! A load after a load is pipelined, a taken branch refills the pipeline in two cycles of the one to three that the manual
-//! gives, a skipped instruction is taken for an executed one. The flash: five wait states for each line of sixteen bytes,
-//! and what hides them (RM0090 sections 3.5.1 and 3.5.2): a cache of 64 lines of instructions, one of 8 lines of constants, and the
-//! line after the present one fetched ahead; a fetch under way is waited for before another begins. The caches are empty
-//! at the first instruction. SRAM and registers answer at once; what DMA and USB take from the buses is not in it.
+//! The core: the tables of instruction timings of ARM's Cortex-M4 technical reference manual (r0p1, sections 3.3 and
+//! 7.2.3). A load after a load is pipelined, a taken branch refills the pipeline in two cycles of the one to three that
+//! the manual gives, a skipped instruction is taken for an executed one. The flash: five wait states for each line of
+//! sixteen bytes, and what hides them (RM0090 sections 3.5.1 and 3.5.2): a cache of 64 lines of instructions, one of 8
+//! lines of constants, and the line after the present one fetched ahead; a fetch under way is waited for before another
+//! begins. The caches are empty at the first instruction. SRAM and registers answer at once; what DMA and USB take from
+//! the buses is not in it.
 
 use std::collections::VecDeque;
 

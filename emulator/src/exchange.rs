@@ -1,7 +1,7 @@
 //! A host that pushes through a board as fast as the board answers: how many exchanges a second of the chip's time.
 //!
-//! The bus is the one of usb.rs: full speed, each packet 13 bytes longer than what it carries, no frame boundaries and no
-//! other device, a packet begun as soon as the chip offers or takes it. A computer that answers at once is looked at
+//! The bus is the one of usb.rs: full speed, each packet 13 bytes longer than what it carries, no frame boundaries and
+//! no other device, a packet begun as soon as the chip offers or takes it. A computer that answers at once is looked at
 //! every [`LOOK`]; a real one adds what its own USB and scheduler take.
 
 use std::collections::VecDeque;
@@ -12,8 +12,10 @@ use haptic_bridge::board::protocol::{ForceDone, ForceRequest, HostContact};
 use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::safety::fault::State;
 
-use crate::rig::Rig;
+use crate::image::CONTROL_INTERRUPT;
+use crate::rig::{Rig, firmware};
 use crate::run::{MICROSECOND, MILLISECOND};
+use crate::trace::Code;
 
 /// How long after an answer's last byte the next request begins, at most, ns.
 pub const LOOK: u64 = 5 * MICROSECOND;
@@ -55,13 +57,59 @@ pub fn run(
     contact: Option<HostContact>,
     ahead: usize,
 ) -> Exchanges {
+    start(rig, (fields, divider));
+    let (before, began) = (rig.steps(), rig.now());
+    let (mut times, not_taken) = push(rig, milliseconds, contact, ahead);
+    let (after, ended) = (rig.steps(), rig.now());
+    let losses = rig.tool.losses();
+    rig.tool.stop_stream().expect("the stream stops");
+    let (details, status) = (rig.tool.details().expect("it answers"), rig.tool.status().expect("it answers"));
+    let seconds = |nanoseconds: u64| nanoseconds as f64 * 1e-9;
+    let count = times.len();
+    times.sort_unstable();
+    Exchanges {
+        per_second: count as f64 / seconds(ended - began),
+        median: seconds(times[count / 2]),
+        longest: seconds(times[count - 1]),
+        not_taken,
+        steps: after.wrapping_sub(before),
+        periods: ((ended - began) * u64::from(rate_hz) / 1_000_000_000) as u32,
+        overruns: details.overruns,
+        losses,
+        armed: status.state == State::Armed && status.fault.is_none(),
+    }
+}
+
+/// Where the instructions of an exchange go, with `ahead` of them on their way at most and no telemetry.
+///
+/// # Panics
+///
+/// When the link breaks, or the image has no control interrupt or no debug information.
+pub fn shares(rig: &mut Rig, milliseconds: u64, ahead: usize) -> Vec<(&'static str, f64)> {
+    start(rig, (Fields::USUAL, 0));
+    let image = firmware(rig.kind);
+    let entry = image.symbol(CONTROL_INTERRUPT).unwrap_or_else(|error| panic!("{error}")).address;
+    let code = Code::of(image).expect("an image with code");
+    let watched = code.clone();
+    rig.with(move |bench| bench.tally(&watched, entry));
+    let (times, _) = push(rig, milliseconds, None, ahead);
+    let tally = rig.with(move |bench| bench.take_tally(&code)).expect("a tally was begun");
+    tally.shares(image).into_iter().map(|(name, count)| (name, count as f64 / times.len() as f64)).collect()
+}
+
+/// A computer that looks often, and the stream that it asks for.
+fn start(rig: &mut Rig, (fields, divider): (Fields, u32)) {
     rig.tool = Board::over(rig.shared.wire_looking_every(LOOK), "virtual").expect("the board answers");
     if divider > 0 {
         rig.tool.start_stream(fields, divider).expect("a stream starts");
     }
     rig.run(5 * MILLISECOND);
     rig.tool.rows(Duration::ZERO).expect("the link holds");
-    let (before, began) = (rig.steps(), rig.now());
+}
+
+/// Pushes: how long each exchange took, ns, and how many were not taken.
+fn push(rig: &mut Rig, milliseconds: u64, contact: Option<HostContact>, ahead: usize) -> (Vec<u64>, usize) {
+    let began = rig.now();
     let end = began + milliseconds * MILLISECOND;
     let (mut times, mut seen, mut not_taken) = (Vec::new(), None, 0);
     let (mut under_way, mut asked) = (VecDeque::new(), 0);
@@ -91,22 +139,5 @@ pub fn run(
         times.push(rig.now() - began);
         rig.tool.rows(Duration::ZERO).expect("the link holds");
     }
-    let (after, ended) = (rig.steps(), rig.now());
-    let losses = rig.tool.losses();
-    rig.tool.stop_stream().expect("the stream stops");
-    let (details, status) = (rig.tool.details().expect("it answers"), rig.tool.status().expect("it answers"));
-    let seconds = |nanoseconds: u64| nanoseconds as f64 * 1e-9;
-    let count = times.len();
-    times.sort_unstable();
-    Exchanges {
-        per_second: count as f64 / seconds(ended - began),
-        median: seconds(times[count / 2]),
-        longest: seconds(times[count - 1]),
-        not_taken,
-        steps: after.wrapping_sub(before),
-        periods: ((ended - began) * u64::from(rate_hz) / 1_000_000_000) as u32,
-        overruns: details.overruns,
-        losses,
-        armed: status.state == State::Armed && status.fault.is_none(),
-    }
+    (times, not_taken)
 }

@@ -20,7 +20,7 @@ use rigless::soc::stm32f427::peripherals::spi::Select;
 use rigless::soc::stm32f427::peripherals::tim::Channel;
 use rigless::time::VirtualNanos;
 
-use crate::boards::{BoardKind, EncoderWires, HalfBridge, MotorWires, Pin, Wiring};
+use crate::boards::{EncoderWires, HalfBridge, MotorWires, Pin, Wiring};
 use crate::broken::{Broken, Peaks};
 use crate::chip::Chip;
 use crate::chip::trigger::{REFERENCE_UV, Span};
@@ -124,9 +124,10 @@ impl Hardware {
     /// # Errors
     ///
     /// A wrong description of the part, which is a bug here.
-    pub fn new(kind: BoardKind, plant: Box<dyn Plant>) -> Result<Self, rigless::soc::Error> {
-        let mut hardware = Self { wiring: Some(Wiring::of(kind)), plant, ..Self::bare()? };
-        for select in Wiring::of(kind).drivers {
+    pub fn new(wiring: impl Into<&'static Wiring>, plant: Box<dyn Plant>) -> Result<Self, rigless::soc::Error> {
+        let wiring = wiring.into();
+        let mut hardware = Self { wiring: Some(wiring), plant, ..Self::bare()? };
+        for select in wiring.drivers {
             let (port, pin) = place(*select);
             let select = Select { port: PORT_NAMES[port], pin, active: Level::Low };
             hardware.chip.spi[SPI3].attach_selected(Drv8301::default(), select);
@@ -149,7 +150,8 @@ impl Hardware {
         self.drives
     }
 
-    /// Whether no bridge drives its motor at this instant: no timer's main output is enabled, and the enable line is low.
+    /// Whether no bridge drives its motor at this instant: no timer's main output is enabled, and the enable line is
+    /// low.
     pub fn bridges_float(&mut self) -> bool {
         let driven =
             ["TIM1", "TIM8"].iter().any(|timer| self.chip.register(timer, BREAK_AND_DEAD_TIME) & MAIN_OUTPUT != 0);

@@ -8,13 +8,14 @@ use std::process::{Command, Stdio};
 
 use object::{Object, ObjectSection, ObjectSymbol, SectionKind, SymbolKind};
 
-use crate::boards::BoardKind;
-
 /// The flash sectors that memory.x keeps for the settings.
 pub const SETTINGS: Range<u64> = 0x0800_4000..0x0800_C000;
 
 /// The flash sectors that the code is in, as far as images go.
 pub const CODE: Range<u64> = 0x0800_C000..0x0804_C000;
+
+/// The handler that the vector table names for the control interrupt.
+pub const CONTROL_INTERRUPT: &str = "TIM1_UP_TIM10";
 
 /// A firmware image as a build leaves it, never changed on its way into the emulator.
 #[derive(Clone, Debug)]
@@ -87,14 +88,13 @@ impl Firmware {
         Ok(Self { path, symbols, text, bytes })
     }
 
-    /// The release image of `board`, as `cargo xtask fw` leaves it; an up-to-date one is not built again. With
-    /// `HAPTIC_FIRMWARE_DIR` set, the image is taken from that directory.
+    /// The release image of the board called `name`, as `cargo xtask fw` leaves it; an up-to-date one is not built
+    /// again. With `HAPTIC_FIRMWARE_DIR` set, the image is taken from that directory.
     ///
     /// # Errors
     ///
     /// An image that cannot be built or read.
-    pub fn of(board: BoardKind) -> Result<Self, Error> {
-        let name = board.name();
+    pub fn of(name: &str) -> Result<Self, Error> {
         if let Some(directory) = std::env::var_os("HAPTIC_FIRMWARE_DIR") {
             return Self::read(Path::new(&directory).join(format!("haptic-bridge-firmware-{name}.elf")));
         }
@@ -146,7 +146,7 @@ impl Firmware {
         self.symbols.get(name).copied()
     }
 
-    /// The one symbol whose name ends with `ending`: a static of the firmware by its mangled path, `5servo5STEPS`.
+    /// The one symbol whose name ends with `ending`: a static of the firmware by its mangled path, `5servo7CONTROL`.
     #[must_use]
     pub fn find_ending(&self, ending: &str) -> Option<Symbol> {
         // A static that the compiler took apart has the number of the part behind its name.

@@ -27,6 +27,7 @@ pub mod range;
 pub mod rig;
 pub mod rtt;
 pub mod run;
+pub mod shares;
 pub mod soak;
 pub mod stages;
 pub mod timing;

@@ -2,9 +2,9 @@
 //! through the protocol, beside what the sampled-data theory of `haptic range` says with the delay that the board
 //! reports.
 //!
-//! The rigid device is the shipped coupled-five-bar without friction and with fine encoders, at a pose and along the normal
-//! where its coupling is worst, no hand on it. Other shipped devices stand at their homes with a cable at every joint.
-//! Motors, current sensors and the board's current loops are there.
+//! The rigid device is the shipped coupled-five-bar without friction and with fine encoders, at a pose and along the
+//! normal where its coupling is worst, no hand on it. Other shipped devices stand at their homes with a cable at every
+//! joint. Motors, current sensors and the board's current loops are there.
 
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
@@ -48,11 +48,11 @@ const MOTOR: Motor<f64> = Motor {
 };
 /// What 12 A make, N m.
 const TORQUE_LIMIT: f64 = 0.4;
-/// What 10 A make, N m, which the board lets flow for ever. Held too quickly, a tip on cables buzzes until it is held more
-/// softly; at more than that its motors would spend their thermal budget before, which is not what is measured.
+/// What 10 A make, N m, which the board lets flow for ever. Held too quickly, a tip on cables buzzes until it is held
+/// more softly; at more than that its motors would spend their thermal budget before, which is not what is measured.
 const LASTING_TORQUE: f64 = 0.33;
-/// Most current of motors on the odrive-v3, A. Its shunts show steps of 10 mA and zeros as much off, which on motors of 2 or 3 A
-/// push a device without friction away.
+/// Most current of motors on the odrive-v3, A. Its shunts show steps of 10 mA and zeros as much off, which on motors of
+/// 2 or 3 A push a device without friction away.
 const SHUNT_CURRENT: f64 = 10.0;
 /// Its half bridges cost no dead time, which acts on a small swing as friction does.
 const BOARD: BoardKind = BoardKind::HBridgeF405;
@@ -61,8 +61,8 @@ const BOARD: BoardKind = BoardKind::HBridgeF405;
 const CABLE: (f64, f64) = (400.0, 0.05);
 /// A turret's own body is on the link's side: the motor has this share of its inertia.
 const TURRET_MOTOR: f64 = 0.3;
-/// Of the spatial devices with cables: their longer arms make more of a step, and slower swings, whose edges come in time. The
-/// emulated encoders show one edge every 250 ns.
+/// Of the spatial devices with cables: their longer arms make more of a step, and slower swings, whose edges come in
+/// time. The emulated encoders show one edge every 250 ns.
 const SPATIAL_COUNTS_PER_TURN: f64 = (1 << 22) as f64;
 /// Where the walls with cables are measured: this share of the way to where the range ends.
 const CABLE_SHARE: f64 = 0.35;
@@ -161,8 +161,8 @@ fn larger(motor: &Motor<f64>) -> Motor<f64> {
     }
 }
 
-/// A device of [`CABLED`] with a cable at every joint and without dry friction, as in docs/results/complete.md; its motors have a
-/// back-EMF or next to none.
+/// A device of [`CABLED`] with a cable at every joint and without dry friction, as in docs/results/complete.md; its
+/// motors have a back-EMF or next to none.
 ///
 /// # Panics
 ///
@@ -214,8 +214,8 @@ pub fn rig(bench: &Bench) -> Rig {
         options.start = bench.file.description.home;
     });
     if bench.file.description.gravity == [0.0; 3] {
-        // A loose hand on it for the polarity check: what nothing brakes never comes to rest between two joints. A device
-        // that would fall has one already.
+        // A loose hand on it for the polarity check: what nothing brakes never comes to rest between two joints. A
+        // device that would fall has one already.
         rig.with_simulated(carry);
     }
     // What the zeros of shunts are off by would push a device without friction away under a loose hand.
@@ -234,8 +234,8 @@ pub fn rig(bench: &Bench) -> Rig {
     rig
 }
 
-/// Measures on `rig`, which has the device of `bench`: `job` is handed a bench whose device is free, the wall's motors alone
-/// holding it.
+/// Measures on `rig`, which has the device of `bench`: `job` is handed a bench whose device is free, the wall's motors
+/// alone holding it.
 ///
 /// # Errors
 ///
@@ -323,15 +323,16 @@ pub fn whole(rate: Rate, mode: FeedForward, mut told: impl FnMut(usize)) -> Resu
     Ok((progress, delay))
 }
 
-/// Shares of the predicted stiffness at which a wall must be stable before the boundary is looked for beside the prediction.
+/// Shares of the predicted stiffness at which a wall must be stable before the boundary is looked for beside the
+/// prediction.
 const BELOW: [f64; 2] = [0.4, 0.7];
 
 /// The head of the table that [`with_cables`] fills.
 pub const CABLE_HEAD: &str = "| device | board | rate, cutoff | delay, samples | kd, N s/m | feed-forward | measured, N/m | predicted, N/m | off by |\n\
      |---|---|---|---|---|---|---|---|---|";
 
-/// The largest stable stiffness of walls before a device of [`CABLED`] at `rate`, for one damping and each feed-forward.
-/// `told` hears every row of the table in docs/results/complete.md.
+/// The largest stable stiffness of walls before a device of [`CABLED`] at `rate`, for one damping and each
+/// feed-forward. `told` hears every row of the table in docs/results/complete.md.
 ///
 /// # Errors
 ///

@@ -8,11 +8,12 @@ use haptic_bridge::model::device::Device as DeviceData;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
 use haptic_bridge::servo::{HostAction, Rules};
+use std::collections::BTreeMap;
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
+use std::sync::{Mutex, PoisonError};
 
-use crate::boards::{BoardKind, Wiring};
+use crate::boards::Wiring;
 use crate::hands::hold;
 use crate::hardware::Hardware;
 use crate::image::Firmware;
@@ -26,9 +27,13 @@ use crate::wire::Shared;
 /// # Panics
 ///
 /// When it cannot be built; the reason is printed.
-pub fn firmware(board: BoardKind) -> &'static Firmware {
-    static IMAGES: [OnceLock<Firmware>; 2] = [OnceLock::new(), OnceLock::new()];
-    IMAGES[board as usize].get_or_init(|| Firmware::of(board).unwrap_or_else(|error| panic!("{error}")))
+pub fn firmware(board: impl Into<&'static Wiring>) -> &'static Firmware {
+    static IMAGES: Mutex<BTreeMap<&str, &Firmware>> = Mutex::new(BTreeMap::new());
+    let name = board.into().name;
+    let mut images = IMAGES.lock().unwrap_or_else(PoisonError::into_inner);
+    images
+        .entry(name)
+        .or_insert_with(|| Box::leak(Box::new(Firmware::of(name).unwrap_or_else(|error| panic!("{error}")))))
 }
 
 /// The device files that ship.
@@ -59,7 +64,7 @@ pub fn device_file(name: &str) -> DeviceFile {
 /// A board, and the tool connected to it.
 pub struct Rig {
     /// The kind of board.
-    pub kind: BoardKind,
+    pub kind: &'static Wiring,
     /// The board.
     pub shared: Shared,
     /// The tool's client.
@@ -75,8 +80,8 @@ impl Rig {
     ///
     /// When the firmware does not come up on USB within two virtual seconds.
     #[must_use]
-    pub fn empty(kind: BoardKind) -> Self {
-        Self::with_plant(kind, Box::new(Dummy::default()), None)
+    pub fn empty(kind: impl Into<&'static Wiring>) -> Self {
+        Self::with_plant(kind.into(), Box::new(Dummy::default()), None)
     }
 
     /// Boots `kind` with the device of the shipped file `name`, simulated with `change`d options.
@@ -85,7 +90,7 @@ impl Rig {
     ///
     /// When there is no such device, or the firmware does not come up.
     #[must_use]
-    pub fn with_device(kind: BoardKind, name: &str, change: impl FnOnce(&mut Options)) -> Self {
+    pub fn with_device(kind: impl Into<&'static Wiring>, name: &str, change: impl FnOnce(&mut Options)) -> Self {
         Self::with_file(kind, device_file(name), change)
     }
 
@@ -95,9 +100,9 @@ impl Rig {
     ///
     /// When the device cannot be simulated, or the firmware does not come up.
     #[must_use]
-    pub fn with_file(kind: BoardKind, file: DeviceFile, change: impl FnOnce(&mut Options)) -> Self {
-        let wiring = Wiring::of(kind);
-        let bridge = PowerStage { bus_voltage: wiring.bus_voltage, dead_time: wiring.dead_time, carrier_hz: 20_000.0 };
+    pub fn with_file(kind: impl Into<&'static Wiring>, file: DeviceFile, change: impl FnOnce(&mut Options)) -> Self {
+        let kind = kind.into();
+        let bridge = PowerStage { bus_voltage: kind.bus_voltage, dead_time: kind.dead_time, carrier_hz: 20_000.0 };
         let mut options = Options { bridge, ..Options::default() };
         change(&mut options);
         let mut device = SimulatedDevice::new(&file.description, &options).unwrap_or_else(|error| panic!("{error}"));
@@ -107,7 +112,7 @@ impl Rig {
         Self::with_plant(kind, Box::new(device), Some(file))
     }
 
-    fn with_plant(kind: BoardKind, plant: Box<dyn Plant>, file: Option<DeviceFile>) -> Self {
+    fn with_plant(kind: &'static Wiring, plant: Box<dyn Plant>, file: Option<DeviceFile>) -> Self {
         let hardware = Hardware::new(kind, plant).expect("the board's description is sound");
         let mut board = VirtualBoard::start(firmware(kind), hardware).unwrap_or_else(|error| panic!("{error}"));
         assert!(board.run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready()), "no USB after two seconds");
@@ -256,7 +261,8 @@ impl Rig {
     /// When the image keeps no such count.
     #[must_use]
     pub fn steps(&self) -> u32 {
-        let address = firmware(self.kind).find_ending("5servo5STEPS").expect("the count of steps").address;
+        // The first of what it shares.
+        let address = firmware(self.kind).find_ending("5servo7CONTROL").expect("the count of steps").address;
         self.with(move |stopped| stopped.word(address)).expect("RAM")
     }
 }

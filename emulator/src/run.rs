@@ -17,6 +17,7 @@ use rigless::time::VirtualNanos;
 use crate::hardware::Hardware;
 use crate::image::{self, Firmware};
 use crate::rtt::Rtt;
+use crate::shares::Tally;
 use crate::trace::{Code, Run, Tracer};
 use crate::usb;
 
@@ -65,6 +66,7 @@ pub struct StoppedBoard<'a> {
     /// Instructions executed since power-on.
     pub instructions: u64,
     tracer: &'a mut Option<Tracer>,
+    tally: &'a mut Option<Tally>,
     rtt: &'a mut Rtt,
 }
 
@@ -150,6 +152,18 @@ impl StoppedBoard<'_> {
         self.tracer.take().map(Tracer::finish).unwrap_or_default()
     }
 
+    /// Starts counting every instruction beside the control interrupt that starts at `entry`. As slow as a trace.
+    pub fn tally(&mut self, code: &Code, entry: u64) {
+        code.addresses().for_each(|address| self.session.watch(Watch::Instruction(address)));
+        *self.tally = Some(Tally::new(code.clone(), entry as u32));
+    }
+
+    /// Ends what [`StoppedBoard::tally`] began.
+    pub fn take_tally(&mut self, code: &Code) -> Option<Tally> {
+        code.addresses().for_each(|address| self.session.unwatch(Watch::Instruction(address)));
+        self.tally.take()
+    }
+
     /// Takes the raw log the firmware wrote since the last call (RTT up-channel 0), as a probe would.
     pub fn take_log(&mut self) -> Vec<u8> {
         self.rtt.drain(self.memory);
@@ -219,7 +233,7 @@ impl VirtualBoard {
         let rtt = Rtt::new(firmware.find("_SEGGER_RTT").map(|symbol| symbol.address));
         let (commands, orders) = channel();
         let (answers, replies) = channel();
-        let runner = Runner { orders, answers, until: 0, waiting: false, tracer: None, rtt };
+        let runner = Runner { orders, answers, until: 0, waiting: false, tracer: None, tally: None, rtt };
         let thread = std::thread::spawn(move || {
             emulator::run(session, &Start::new(&[image]), runner).map(|_| ()).map_err(|error| error.to_string())
         });
@@ -321,6 +335,7 @@ struct Runner {
     until: u64,
     waiting: bool,
     tracer: Option<Tracer>,
+    tally: Option<Tally>,
     rtt: Rtt,
 }
 
@@ -334,9 +349,9 @@ impl Runner {
         loop {
             match self.orders.recv().ok()? {
                 Command::With(job) => {
-                    let Self { tracer, rtt, .. } = self;
+                    let Self { tracer, tally, rtt, .. } = self;
                     let (at, instructions) = (stop.at.0, stop.instruction_count);
-                    job(&mut StoppedBoard { session, memory, at, instructions, tracer, rtt });
+                    job(&mut StoppedBoard { session, memory, at, instructions, tracer, tally, rtt });
                     self.answers.send(Reply::Done).ok()?;
                 }
                 Command::RunUntil(until) => {
@@ -356,8 +371,9 @@ impl Runner {
 
 impl Driver<Hardware> for Runner {
     fn on_settled(&mut self, _: &mut Session<Hardware>, _: &mut dyn emulator::Host, settled: Settled) {
-        if let (Settled::Hit(hit), Some(tracer)) = (settled, &mut self.tracer) {
-            tracer.feed(&hit);
+        if let Settled::Hit(hit) = settled {
+            self.tracer.iter_mut().for_each(|tracer| tracer.feed(&hit));
+            self.tally.iter_mut().for_each(|tally| tally.feed(&hit));
         }
     }
 

@@ -39,7 +39,7 @@ type Touch = [f64; 2];
 pub fn contact(seconds: u64, mut told: impl FnMut(u64)) -> String {
     let mut rig = Rig::with_file(BoardKind::OdriveV3, device_file("pantograph-mk2"), |options| options.substep = 25e-6);
     let normal = [0.0, -1.0, 0.0];
-    let wall = WallAt { gap: 0.005, stiffness: 800.0, damping: 4.0, feed_forward: "washout", normal };
+    let wall = WallAt { gap: 0.005, stiffness: 800.0, damping: 4.0, feed_forward: "washout", ..WallAt::facing(normal) };
     rig.arm_before(&format!("rate_hz = {RATE}\ncutoff_hz = 100\n"), &[wall]);
     let half = f64::from(CYCLE) / 2.0;
     let turns = 2 * (seconds / u64::from(CYCLE) + 4);

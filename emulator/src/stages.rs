@@ -5,7 +5,7 @@
 //! that names none (memory copies, outlined sequences, iterators) belongs to the stage of whoever called it.
 
 use std::borrow::Cow;
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 
 use addr2line::Context;
 use addr2line::gimli::{Dwarf, EndianSlice, LittleEndian};
@@ -17,53 +17,171 @@ use crate::trace::{Code, Move, Run, Walker};
 /// The stage that runs only where a task asked for something.
 pub const REQUEST: &str = "a request";
 
-/// The stage that every step goes through and no valley.
-pub const SAMPLING: &str = "waiting for the converters";
+/// The stage that every crest goes through and no valley.
+pub const ENCODERS: &str = "encoders";
 
-/// The stages of a run, in the order in which it goes through them, and the functions each consists of: parts of
+/// The stage that takes time and does nothing.
+pub const WAITING: &str = "waiting for the converters";
+
+/// The stages of a run, in the order in which it goes through them, and the functions each consists of: the ends of
 /// their paths without generic arguments.
 pub const STAGES: &[(&str, &[&str])] = &[
-    ("entry, exit, overrun check", &["::TIM1_UP_TIM10", "Step::keep_time"]),
-    (SAMPLING, &["adc::wait"]),
-    ("currents and bus voltage", &["Pins::analog", "Zeros::less"]),
-    ("order of a crest", &["Step::crest"]),
+    ("entry, exit, overrun check", &["TIM1_UP_TIM10", "Step::keep_time", "Step::note_time"]),
+    (ENCODERS, &["Pins::follow", "encoder::follow", "Pins::marked", "Pins::marks", "Step::mark"]),
+    (WAITING, &["adc::wait"]),
+    ("currents and bus voltage", &["Step::sample", "Step::await_samples", "Pins::sampled", "Pins::sample"]),
+    ("fault lines", &["Pins::fault", "Step::trip_driving"]),
+    (
+        "order of a crest",
+        &[
+            "Step::crest",
+            "Step::crest_before_step",
+            "Step::crest_between",
+            "Step::is_late",
+            "Step::crest_late",
+            "Step::write_late",
+            "Step::write",
+            "Step::see_whether_missed",
+            "Step::miss",
+        ],
+    ),
     (REQUEST, &["Step::take"]),
-    ("encoders", &["Pins::counts", "Encoder::read", "Pins::index"]),
-    ("samples, fault lines", &["Step::hardware_fault"]),
-    ("servo", &["Servo::render", "compiled::render", "Servo::act_of", "compiled::judge"]),
-    ("step: angles, speeds", &["Encoders::angles", "Encoders::velocities"]),
-    ("step: pose, tip", &["mechanism::shared_pose", "::pose", "::tip", "::regularity"]),
+    (
+        "servo",
+        &[
+            "Servo::render",
+            "Servo::render_scene",
+            "Servo::render_pushed",
+            "AnyController::step",
+            "Controller::render",
+            "Controller::render_otherwise",
+            "compiled::render",
+            "compiled::crest",
+            "compiled::crest_of_one",
+            "compiled::crest_of_two",
+            "compiled::crest_of_three",
+            "compiled::crest_generally",
+            "Servo::crest_of",
+            "Servo::crest_generally",
+            "Servo::go_on",
+            "Servo::begin_step",
+            "Servo::step",
+            "Servo::step_otherwise",
+            "Servo::see_what_is_usual",
+        ],
+    ),
+    ("step: angles, speeds", &["Encoders::angles", "Encoders::velocities", "Controller::observe"]),
+    (
+        "step: pose, tip, weight",
+        &[
+            "Controller::start",
+            "Controller::keep",
+            "Controller::total",
+            "straight::add_guided",
+            "Controller::begin_anew",
+            "Controller::weigh",
+            "mechanism::shared_pose",
+            "::pose_at",
+            "::regular_pose",
+            "::regularity",
+            "::tip",
+        ],
+    ),
     (
         "step: walls",
         &[
-            "Controller::step",
-            "Controller::step_generally",
-            "Controller::step_at_a_plane",
+            "Controller::render_wall",
+            "Controller::render_round",
+            "Controller::render_lone",
+            "Controller::render_several",
+            "Controller::render_generally",
+            "Controller::anywhere",
+            "Controller::untouched",
+            "Controller::guide",
+            "Controller::guide_beside",
+            "Controller::plain",
+            "Surface::bent_contact",
+            "Controller::add",
+            "Running::pass",
             "Running::press",
-            "AnyController::step",
+            "Surface::contact",
+            "Surface::curved_contact",
             "Walls::touch",
         ],
     ),
     (
         "step: feed-forward",
         &[
-            "Controller::shaped_by_one",
-            "Controller::shaped_by_several",
+            "several::stiffest",
+            "Controller::shaped",
+            "Controller::shaped_rarely",
+            "Controller::shaped_round",
+            "Controller::shaped_otherwise",
+            "Controller::certain",
+            "round::turning",
+            "Controller::feed_forward",
             "Controller::bias",
             "Controller::known",
-            "inertia::shaped_torque_beside",
+            "Encoders::certain",
+            "Encoders::surely_known",
+            "Together::new",
+            "Principal::new",
+            "::shaped",
+            "::shaped_turning",
             "::shaping",
             "::velocity_torque",
         ],
     ),
-    ("limits, at every crest", &["compiled::guard", "Servo::guard", "Servo::guard_of", "::follow"]),
-    ("guard", &["Servo::watch", "Servo::watch_budgets", "Servo::find", "Servo::index_agrees"]),
-    ("drive: torque to current", &["Servo::drive"]),
+    ("limits, at every crest", &["Servo::look_of", "Servo::look", "Servo::find_at_crest"]),
+    ("guard", &["Servo::watch", "Servo::find"]),
+    (
+        "drive: torque to current",
+        &[
+            "Servo::fits",
+            "Servo::command_all",
+            "Servo::command_what_fits",
+            "Servo::command",
+            "Servo::command_of",
+            "Servo::fade_in",
+        ],
+    ),
     ("bridges", &["Step::connect"]),
-    ("current loops", &["compiled::legs", "compiled::legs_of", "Servo::duties", "Servo::duties_of"]),
+    (
+        "current loops",
+        &[
+            "::drive_easily",
+            "Servo::drive_all",
+            "Servo::drive_unusually",
+            "Servo::drive_rest",
+            "crest::drive_one",
+            "Axis::hardly",
+            "Servo::drive",
+            "Ticks::legs",
+            "Supply::of",
+        ],
+    ),
     ("duties to the timers", &["Pins::write"]),
-    ("telemetry", &["Step::record", "compiled::record"]),
+    ("valley: order, converters", &["Step::valley", "Pins::forget", "Pins::learn"]),
+    (
+        "valley: what the step saw, telemetry",
+        &[
+            "Step::record",
+            "Frames::push",
+            "compiled::note",
+            "Servo::note",
+            "Servo::note_late",
+            "AnyController::angles",
+            "Controller::angles",
+        ],
+    ),
+    (
+        "valley: models of the motors, heat, stalls",
+        &["compiled::sum_up", "Servo::sum_up_of", "Servo::doubt", "Servo::spent", "::settle", "Servo::outputs"],
+    ),
 ];
+
+/// What the stages that run at a valley begin with.
+pub const AT_VALLEYS: &str = "valley: ";
 
 type Reader<'a> = EndianSlice<'a, LittleEndian>;
 
@@ -109,6 +227,16 @@ impl<'a> Stages<'a> {
         });
         self.known.insert(address, stage);
         stage
+    }
+
+    /// Functions of the library and the firmware that `run` executes and no stage names: their instructions count for
+    /// whoever called them.
+    #[must_use]
+    pub fn unnamed(&mut self, run: &Run) -> BTreeSet<String> {
+        let places: BTreeSet<u32> = run.path.iter().copied().collect();
+        let unnamed: Vec<u32> = places.into_iter().filter(|at| self.own(*at).is_none()).collect();
+        let outermost = unnamed.into_iter().filter_map(|at| self.functions(at).pop());
+        outermost.filter(|function| function.starts_with("haptic_bridge")).collect()
     }
 
     /// The stage of each instruction of `run`, by its place in [`STAGES`].
@@ -162,7 +290,33 @@ fn plain(name: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::plain;
+    use super::{STAGES, plain};
+    use std::path::Path;
+
+    /// All sources below a folder, one after another.
+    fn sources(folder: &Path) -> String {
+        let entries =
+            std::fs::read_dir(folder).expect("a readable folder").map(|entry| entry.expect("an entry").path());
+        entries
+            .map(|path| match path.extension() {
+                _ if path.is_dir() => sources(&path),
+                Some(end) if end == "rs" => std::fs::read_to_string(&path).expect("a readable source"),
+                _ => String::new(),
+            })
+            .collect()
+    }
+
+    #[test]
+    fn every_function_that_a_stage_names_is_there() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        let text = sources(&root.join("src")) + &sources(&root.join("firmware/src"));
+        assert!(text.len() > 500_000, "only {} bytes of sources", text.len());
+        for part in STAGES.iter().flat_map(|(_, parts)| *parts) {
+            let name = part.rsplit("::").next().unwrap_or_default();
+            let there = ["(", "<"].iter().any(|next| text.contains(&format!("fn {name}{next}")));
+            assert!(there, "{part}: no function is called that");
+        }
+    }
 
     #[test]
     fn paths_lose_their_generic_arguments() {

@@ -38,8 +38,8 @@ impl Shared {
         self.wire_looking_every(LOOK)
     }
 
-    /// A wire to its USB port for a computer that looks so often, in ns, whether something came: its answer to what came
-    /// is up to that late.
+    /// A wire to its USB port for a computer that looks so often, in ns, whether something came: its answer to what
+    /// came is up to that late.
     #[must_use]
     pub fn wire_looking_every(&self, look: u64) -> Box<dyn Wire> {
         Box::new(UsbWire { shared: self.clone(), waiting: Vec::new(), look })

@@ -6,6 +6,7 @@
 
 use embassy_stm32::gpio::Flex;
 use embassy_stm32::pac;
+use embassy_stm32::pac::adc::regs::Sr;
 use embassy_stm32::pac::adc::{Adc, vals};
 
 /// Counts of a full-scale reading.
@@ -51,21 +52,20 @@ pub fn configure(adc: Adc, channels: &[u8]) {
     });
 }
 
-/// Waits for the sequence that the crest started, and clears its flag for the next; false when it does not come within
-/// about 10 us (a converter that is not triggered).
-#[inline]
-pub fn wait(adc: Adc) -> bool {
-    for _ in 0..200 {
-        if adc.sr().read().jeoc() {
-            forget(adc);
-            return true;
-        }
-    }
-    false
+/// Whether both have finished the sequence that the crest started.
+#[inline(always)]
+pub fn finished(one: Adc, other: Adc) -> bool {
+    Sr(one.sr().read().0 & other.sr().read().0).jeoc()
 }
 
-/// Forgets a sequence that nobody has waited for: the next wait is for the next one.
-#[inline]
+/// Waits until both have, false when they do not within about 10 us (a converter that is not triggered).
+#[inline(never)]
+pub fn wait(one: Adc, other: Adc) -> bool {
+    (0..200).any(|_| finished(one, other))
+}
+
+/// Forgets the sequence before, so that what is waited for next is the next one: at every valley.
+#[inline(always)]
 pub fn forget(adc: Adc) {
     adc.sr().write(|w| {
         // Flags are cleared by writing 0; writing 1 leaves them.
@@ -76,7 +76,8 @@ pub fn forget(adc: Adc) {
 }
 
 /// Result of a rank, 0..4095.
-#[inline]
-pub fn result(adc: Adc, rank: usize) -> u16 {
-    adc.jdr(rank).read().jdata()
+#[inline(always)]
+pub fn result(adc: Adc, rank: usize) -> i32 {
+    // The register's upper half reads as 0 (RM0090 13.13.14).
+    adc.jdr(rank).read().0 as i32
 }

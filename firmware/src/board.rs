@@ -1,19 +1,24 @@
 //! What a board is ([`Board`]), and which one this image is for ([`This`]): one file per board, one Cargo feature each.
 
-#[cfg(all(feature = "odrive-v3", feature = "h-bridge-f405"))]
-compile_error!("choose one board: `odrive-v3` or `h-bridge-f405`, not both");
-#[cfg(not(any(feature = "odrive-v3", feature = "h-bridge-f405")))]
+// Two features name `This` twice, which no image compiles with.
+#[cfg(not(any(feature = "odrive-v3", feature = "h-bridge-f405", feature = "toy-board")))]
 compile_error!("choose a board: `--features odrive-v3` or `--features h-bridge-f405`");
 
-#[cfg(all(feature = "h-bridge-f405", not(feature = "odrive-v3")))]
+#[cfg(feature = "h-bridge-f405")]
 mod h_bridge_f405;
-#[cfg(all(feature = "h-bridge-f405", not(feature = "odrive-v3")))]
+#[cfg(feature = "h-bridge-f405")]
 pub use h_bridge_f405::HBridgeF405 as This;
 
 #[cfg(feature = "odrive-v3")]
 mod odrive_v3;
 #[cfg(feature = "odrive-v3")]
 pub use odrive_v3::OdriveV3 as This;
+
+#[cfg(feature = "toy-board")]
+#[path = "../../emulator/tests/emulated/toy_board.rs"]
+mod toy_board;
+#[cfg(feature = "toy-board")]
+pub use toy_board::ToyBoard as This;
 
 use embassy_stm32::peripherals::{FLASH, IWDG, PA11, PA12, USB_OTG_FS};
 use embassy_stm32::{Peri, Peripherals};
@@ -37,6 +42,8 @@ pub trait Board {
     const BRIDGE: Bridge;
     /// What nobody can raise over USB.
     const LIMITS: Limits;
+    /// What it is when the power stage reports a fault.
+    const POWER_FAULT: Fault;
     /// Faults that it has no means to see.
     const UNSENSED: &'static [Fault];
     /// What the control interrupt owns.
@@ -53,19 +60,28 @@ pub trait Board {
 
 /// What the control interrupt owns of a board: encoders, conversions, bridges. Every function is bounded in time.
 pub trait Io {
-    /// Encoder counts since power-on, one per axis.
-    fn counts(&mut self) -> Counts;
+    /// Brings encoder counts up to date, one per axis; they were 0 at power-on.
+    fn follow(&mut self, counts: &mut Counts);
 
-    /// The counts last read, of encoders whose index pulse was seen since the last call.
-    fn index(&mut self) -> [Option<i32>; MAX_JOINTS];
+    /// Whether index pulses were seen since [`Io::marks`].
+    fn marked(&self) -> bool;
 
-    /// Forgets conversions that nobody has waited for. Between two crests, so that what is waited for at the next one is
-    /// that one's: a flag left over once would make every reading after it a crest old, or torn between two.
+    /// The counts of encoders whose index pulse was seen since the last call.
+    fn marks(&mut self, counts: &Counts) -> [Option<i32>; MAX_JOINTS];
+
+    /// Forgets conversions. Between two crests, so that what is waited for at the next one is that one's: a flag left over
+    /// once would make every reading after it a crest old, or torn between two.
     fn forget(&mut self);
 
-    /// Puts the readings that the crest started into `seen`: bus voltage, currents, and what two sensors of one differ by.
-    /// False when the conversions did not come.
-    fn analog(&mut self, seen: &mut Samples) -> bool;
+    /// Whether the conversions that the crest started have finished, and whether they do when they are waited for.
+    fn sampled(&self) -> bool;
+    fn await_samples(&self) -> bool;
+
+    /// Puts their readings into `seen`: bus voltage, currents, and what two sensors of one differ by.
+    fn sample(&mut self, seen: &mut Samples);
+
+    /// Takes these readings for the sensors' zeros, where a task waits for that. While the bridges are off.
+    fn learn(&mut self);
 
     /// Compare values of each axis's two legs, applied at the next valley.
     fn write(&mut self, legs: &[[u16; 2]; MAX_JOINTS]);
@@ -73,8 +89,8 @@ pub trait Io {
     /// Connects the bridges to the carrier, or lets them float. Off also drops the gate drivers or the enable line.
     fn drive(&mut self, on: bool);
 
-    /// What the power stage reports; only true to be asked while it is up.
-    fn fault(&self) -> Option<Fault>;
+    /// Whether the power stage reports a fault; only true to be asked while it is up.
+    fn fault(&self) -> bool;
 
     /// The carrier in use.
     fn carrier(&self) -> &Carrier;

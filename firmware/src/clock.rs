@@ -18,8 +18,8 @@ pub const TIMER_HZ: u32 = 168_000_000;
 /// The supply monitor's line of the interrupt controller.
 const SUPPLY_LINE: usize = 16;
 
-/// What the chip calls itself (RM0090 section 38.6.1), but for its first revision, A (errata sheet ES0182, "MCU device ID
-/// is incorrect").
+/// What the chip calls itself (RM0090 section 38.6.1), but for its first revision, A (errata sheet ES0182, "MCU device
+/// ID is incorrect").
 const NOT_REVISION_A: u16 = 0x413;
 
 /// Highest level of the supply monitor: 2.9 V (STM32F405 datasheet, table 19).
@@ -41,7 +41,8 @@ fn monitor_supply() {
     });
 }
 
-/// The brown-out level in the option bytes, 0 (off) to 3 (2.7 V), which the firmware only reads (RM0090 section 3.9.10).
+/// The brown-out level in the option bytes, 0 (off) to 3 (2.7 V), which the firmware only reads (RM0090 section
+/// 3.9.10).
 pub fn brown_out_level() -> u8 {
     3 - pac::FLASH.optcr().read().bor_lev()
 }
@@ -78,8 +79,8 @@ pub fn start() -> Peripherals {
 }
 
 /// Hides most of the flash's five wait states: 64 lines of instructions, 8 of data, and the next line fetched ahead
-/// (RM0090 section 3.5.2). A reset leaves all of it off, and so does embassy; the control interrupt would then take twice
-/// the time. Fetching ahead does not work in revision A.
+/// (RM0090 section 3.5.2). A reset leaves all of it off, and so does embassy; the control interrupt would then take
+/// twice the time. Fetching ahead does not work in revision A.
 fn accelerate() {
     let prefetch = pac::DBGMCU.idcode().read().dev_id() == NOT_REVISION_A;
     let control = pac::FLASH.acr();
@@ -99,8 +100,8 @@ fn accelerate() {
     });
 }
 
-/// Empties the cache of constants: after a sector was erased, which it knows nothing of (RM0090 section 3.5.2). embassy's
-/// driver does so on chips with two banks alone.
+/// Empties the cache of constants: after a sector was erased, which it knows nothing of (RM0090 section 3.5.2).
+/// embassy's driver does so on chips with two banks alone.
 pub fn forget_constants() {
     let control = pac::FLASH.acr();
     control.modify(|w| w.set_dcen(false));

@@ -1,9 +1,9 @@
 //! Critical sections that never delay the control interrupt.
 //!
 //! The usual implementation masks every interrupt. This one raises `BASEPRI` instead, which masks all of them but those
-//! of priority 0, and priority 0 belongs to the control interrupt ([`CONTROL`]) and to a falling supply's, which ends in
-//! a reset. The price: the control interrupt must not touch anything that a critical section protects. It uses atomics
-//! and single-producer single-consumer queues only, and never logs.
+//! of priority 0, and priority 0 belongs to the control interrupt ([`CONTROL`]) and to a falling supply's, which ends
+//! in a reset. The price: the control interrupt must not touch anything that a critical section protects. It uses
+//! atomics, a ring with one writer and one reader, and requests that it takes one at a time; it never logs.
 
 use cortex_m::register::{basepri, basepri_max};
 use embassy_stm32::interrupt::Priority;

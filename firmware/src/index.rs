@@ -7,6 +7,8 @@
 
 use embassy_stm32::pac;
 use embassy_stm32::pac::exti::regs::Lines;
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::servo::joints::Counts;
 
 /// Latches rising edges at these pins of port C, pulled up as the encoders' channels are.
 pub fn latch(lines: u32) {
@@ -24,11 +26,21 @@ pub fn latch(lines: u32) {
 /// The lines of pins; the others are not index pulses.
 const PINS: u32 = 0xFFFF;
 
-/// The lines that saw a pulse since the last call.
+/// The lines that saw a pulse since [`take`].
 #[inline(always)]
-pub fn take() -> u32 {
-    let seen = pac::EXTI.pr(0).read().0 & PINS;
+pub fn seen() -> u32 {
+    pac::EXTI.pr(0).read().0 & PINS
+}
+
+/// The counts of encoders whose line saw a pulse since the last call; `lines` are theirs.
+#[cold]
+pub fn take(lines: &[u32], counts: &Counts) -> [Option<i32>; MAX_JOINTS] {
+    let seen = seen();
     // A flag is cleared by writing 1.
     pac::EXTI.pr(0).write_value(Lines(seen));
-    seen
+    let mut marks = [None; MAX_JOINTS];
+    for ((mark, line), count) in marks.iter_mut().zip(lines).zip(counts.iter()) {
+        *mark = (seen & line != 0).then_some(*count);
+    }
+    marks
 }

@@ -9,7 +9,7 @@ use embassy_time::{Duration, Instant, Timer};
 use embassy_usb::class::cdc_acm::{CdcAcmClass, State};
 use embassy_usb::{Builder, UsbDevice};
 use haptic_bridge::board::dispatch::{self, After};
-use haptic_bridge::board::protocol::{FaultSeen, MAX_FRAME};
+use haptic_bridge::board::protocol::FaultSeen;
 use haptic_bridge::board::service::{Machine as _, Service};
 use haptic_bridge::safety::fault::FaultRecord;
 use haptic_bridge::servo::Command;
@@ -18,12 +18,12 @@ use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::board::{Board, This};
 use crate::machine::BoardMachine;
-use crate::serial::{Event, Incoming, Outgoing, PACKET, Serial, UsbDriver};
+use crate::serial::{Aligned, Event, HandOver, Incoming, Outgoing, PACKET, Serial, UsbDriver};
 use crate::telemetry::TelemetryStream;
 use crate::{reset, supervisor};
 
 bind_interrupts!(struct Irqs {
-    OTG_FS => usb::InterruptHandler<USB_OTG_FS>;
+    OTG_FS => usb::InterruptHandler<USB_OTG_FS>, HandOver;
 });
 
 // The tool looks for these (host/src/link/ports.rs); a test on the emulated chip holds the two together.
@@ -39,7 +39,7 @@ pub fn device(
     (peripheral, dp, dm): (Peri<'static, USB_OTG_FS>, Peri<'static, PA12>, Peri<'static, PA11>),
     serial_number: &'static str,
 ) -> (UsbDevice<'static, UsbDriver>, Serial) {
-    static OUT: ConstStaticCell<[u8; 256]> = ConstStaticCell::new([0; 256]);
+    static OUT: ConstStaticCell<Aligned<256>> = ConstStaticCell::new(Aligned([0; 256]));
     static CONFIG: ConstStaticCell<[u8; 128]> = ConstStaticCell::new([0; 128]);
     static BOS: ConstStaticCell<[u8; 16]> = ConstStaticCell::new([0; 16]);
     static CONTROL: ConstStaticCell<[u8; 64]> = ConstStaticCell::new([0; 64]);
@@ -48,7 +48,7 @@ pub fn device(
     let mut hardware = usb::Config::default();
     // PA9, where the bus voltage would be sensed, is a gate signal on these boards.
     hardware.vbus_detection = false;
-    let driver = Driver::new_fs(peripheral, Irqs, dp, dm, OUT.take(), hardware);
+    let driver = Driver::new_fs(peripheral, Irqs, dp, dm, &mut OUT.take().0, hardware);
 
     let mut config = embassy_usb::Config::new(USB_VENDOR, USB_PRODUCT);
     config.manufacturer = Some(This::NAME);
@@ -84,14 +84,12 @@ pub async fn usb(mut device: UsbDevice<'static, UsbDriver>) -> ! {
 /// How often the servo is looked at for new faults.
 const WATCH: Duration = Duration::from_millis(20);
 
-/// How often the telemetry queue is emptied: it holds 3 ms of frames at 20 kHz.
+/// How often the telemetry queue is emptied: it holds 5 ms of frames at 20 kHz.
 const DRAIN: Duration = Duration::from_millis(1);
 
 /// Answers the host, sends telemetry and new faults. `previous` is how the last run ended, if that was a fault.
 #[embassy_executor::task]
 pub async fn serve(mut machine: BoardMachine, hardware: Hardware, previous: Option<FaultRecord>, serial: Serial) -> ! {
-    static FRAME: ConstStaticCell<[u8; MAX_FRAME]> = ConstStaticCell::new([0; MAX_FRAME]);
-    let frame = FRAME.take();
     let (sender, receiver) = serial.split();
     let (mut outgoing, mut incoming) = (Outgoing::new(sender), Incoming::new(receiver));
     let mut service = Service::new(hardware, This::LIMITS);
@@ -105,8 +103,8 @@ pub async fn serve(mut machine: BoardMachine, hardware: Hardware, previous: Opti
     let mut more = false;
     loop {
         supervisor::alive(supervisor::Task::Link);
-        // One request or one batch a turn: the other tasks come in between, also where requests or rows come faster than
-        // they leave, and nothing else here would ever wait.
+        // One request or one batch a turn: the other tasks come in between, also where requests or rows come faster
+        // than they leave, and nothing else here would ever wait.
         yield_now().await;
         let wake = match (more, stream.runs()) {
             (true, _) => Instant::now(),
@@ -115,9 +113,9 @@ pub async fn serve(mut machine: BoardMachine, hardware: Hardware, previous: Opti
         };
         match select(incoming.next(), Timer::at(wake)).await {
             Either::First(Event::Frame(request)) => {
-                let (answer, after) = dispatch::answer(&mut service, &mut machine, request, frame);
-                if let Some(answer) = answer {
-                    outgoing.send(answer).await;
+                let (answer, after) = dispatch::answer(&mut service, &mut machine, request, outgoing.place());
+                if let Some(length) = answer.map(<[u8]>::len) {
+                    outgoing.send(length).await;
                 }
                 match after {
                     After::Nothing => {}
@@ -126,25 +124,29 @@ pub async fn serve(mut machine: BoardMachine, hardware: Hardware, previous: Opti
                     After::Restart => restart(reset::reboot).await,
                 }
             }
-            Either::First(Event::Disconnected) => stream.stop(),
+            Either::First(Event::Disconnected) => {
+                stream.stop();
+                outgoing.forget();
+            }
             Either::Second(()) => {}
         }
         more = false;
         if let Some(batch) = stream.batch(&mut machine) {
             more = true;
-            if let Some(message) = dispatch::telemetry(sequence, batch, frame) {
+            if let Some(length) = dispatch::telemetry(sequence, batch, outgoing.place()).map(<[u8]>::len) {
                 sequence = sequence.wrapping_add(1);
-                outgoing.send(message).await;
+                outgoing.send(length).await;
             }
         }
         if Instant::now() >= watch {
             watch = Instant::now() + WATCH;
             machine.watch_gate();
             if let Some(record) = service.poll(&mut machine)
-                && let Some(message) = dispatch::publish::<FaultSeen>(sequence, &record, frame)
+                && let Some(length) =
+                    dispatch::publish::<FaultSeen>(sequence, &record, outgoing.place()).map(<[u8]>::len)
             {
                 sequence = sequence.wrapping_add(1);
-                outgoing.send(message).await;
+                outgoing.send(length).await;
             }
         }
     }

@@ -12,18 +12,17 @@ use haptic_bridge::drive::carrier::Carrier;
 use haptic_bridge::safety::fault::{Fault, FaultRecord};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::compiled::{BoardMath, BoardProgram};
-use haptic_bridge::servo::frame::StepRecord;
 use haptic_bridge::servo::program::Program;
 use haptic_bridge::servo::{Command, Reply, Status};
-use heapless::spsc::{Consumer, Producer};
 use heapless::{String, Vec};
 use static_cell::StaticCell;
 
 use crate::board::{Board, This};
 use crate::clock::TIMER_HZ;
+use crate::frames::FrameReader;
 use crate::gate::Gate;
 use crate::self_test;
-use crate::servo::{self, Answer, Request};
+use crate::servo::{self, Request, Requests};
 use crate::stack;
 use crate::storage::Storage;
 use crate::supervisor;
@@ -34,10 +33,9 @@ const PROGRAMS: usize = 2;
 
 /// What the tasks own of the board.
 pub struct BoardMachine {
-    requests: Producer<'static, Request>,
-    answers: Consumer<'static, Answer>,
+    requests: Requests,
     /// Frames of the telemetry stream.
-    pub frames: Consumer<'static, StepRecord>,
+    pub frames: FrameReader,
     gate: <This as Board>::Gate,
     storage: Storage,
     serial: &'static str,
@@ -49,7 +47,7 @@ pub struct BoardMachine {
 impl BoardMachine {
     /// Call once.
     pub fn new(
-        link: servo::ServoQueues,
+        ends: servo::Ends,
         gate: <This as Board>::Gate,
         storage: Storage,
         serial: &'static str,
@@ -57,9 +55,8 @@ impl BoardMachine {
     ) -> Self {
         static BUFFERS: [StaticCell<Program<BoardMath>>; PROGRAMS] = [const { StaticCell::new() }; PROGRAMS];
         Self {
-            requests: link.requests,
-            answers: link.answers,
-            frames: link.frames,
+            requests: ends.requests,
+            frames: ends.frames,
             gate,
             storage,
             serial,
@@ -69,19 +66,8 @@ impl BoardMachine {
         }
     }
 
-    /// Hands a request to the control interrupt and waits for its answer: at most one carrier period, 50 us. An
-    /// interrupt that does not answer has stopped, and then the watchdog ends the wait.
-    fn ask(&mut self, request: Request) -> Answer {
-        let _ = self.requests.enqueue(request);
-        loop {
-            if let Some(answer) = self.answers.dequeue() {
-                return answer;
-            }
-        }
-    }
-
-    /// Starts the service from the settings. From then on reading one takes neither a search, for which no watchdog waits
-    /// while the motors are on, nor a write.
+    /// Starts the service from the settings. From then on reading one takes neither a search, for which no watchdog
+    /// waits while the motors are on, nor a write.
     pub fn boot(&mut self, service: &mut Service) {
         while_flash_stalls(|| {
             self.storage.start();
@@ -100,19 +86,19 @@ impl BoardMachine {
     /// Readies the gate drivers; a driver that does not answer latches a fault.
     fn raise_gate(&mut self) -> Result<(), Refusal> {
         if let Some(record) = self_test::failed() {
-            let _ = self.ask(Request::Command(Command::Fault(record)));
+            let _ = self.requests.ask(Request::Command(Command::Fault(record)));
             return Err(Refusal::Faulted(record.fault));
         }
-        // With the motors off nobody vouches for what an earlier arming left up.
+        // An earlier arming may have left the drivers up; nobody has watched them since the motors went off.
         lower_gate();
         let raised = self.gate.raise();
-        servo::GATE_READY.store(raised.is_ok(), Ordering::Relaxed);
+        servo::shared().gate_ready.store(raised.is_ok(), Ordering::Relaxed);
         match raised {
             Ok(()) => Ok(()),
             Err(error) => {
                 defmt::error!("the gate drivers cannot be readied: {}", error);
                 let record = FaultRecord { fault: error.fault(), axis: None, value: error.value(), step: 0 };
-                let _ = self.ask(Request::Command(Command::Fault(record)));
+                let _ = self.requests.ask(Request::Command(Command::Fault(record)));
                 Err(Refusal::Faulted(error.fault()))
             }
         }
@@ -120,7 +106,7 @@ impl BoardMachine {
 
     /// Looks whether the gate drivers still are as they were set, while they are up: call a few times a second.
     pub fn watch_gate(&mut self) {
-        if !servo::GATE_READY.load(Ordering::Relaxed) {
+        if !servo::shared().gate_ready.load(Ordering::Relaxed) {
             return;
         }
         // What ended before the control interrupt had connected the bridges left the drivers up.
@@ -129,10 +115,10 @@ impl BoardMachine {
         }
         let Err(error) = self.gate.check() else { return };
         // A fault that came meanwhile lowered the gate, which resets the drivers: lost registers are expected then.
-        if servo::GATE_READY.load(Ordering::Relaxed) {
+        if servo::shared().gate_ready.load(Ordering::Relaxed) {
             defmt::error!("a gate driver is no longer as it was set: {}", error);
             let record = FaultRecord { fault: Fault::DriverReset, axis: None, value: error.value(), step: 0 };
-            let _ = self.ask(Request::Command(Command::Fault(record)));
+            let _ = self.requests.ask(Request::Command(Command::Fault(record)));
         }
     }
 }
@@ -150,15 +136,16 @@ impl Machine for BoardMachine {
         };
         let powers_up = question.is_some();
         if let Some(question) = question {
-            // What would be refused is no reason to power the gate drivers, or to latch a fault where they have no supply.
-            let refused = self.ask(Request::Command(question)).reply.0;
+            // Asked first: a request that will be refused must not power the gate drivers, or latch a fault where they
+            // have no supply.
+            let refused = self.requests.ask(Request::Command(question)).reply.0;
             // With the motors on it is refused, and also if a check of polarity ended since: its gate is about to fall.
             let refused = if status.state.drives() { refused.and(Err(Refusal::Armed)) } else { refused };
             if let Err(refusal) = refused.and_then(|()| self.raise_gate()) {
                 return (Err(refusal), None);
             }
         }
-        let reply = self.ask(Request::Command(command)).reply;
+        let reply = self.requests.ask(Request::Command(command)).reply;
         if powers_up && reply.0.is_err() {
             lower_gate();
         }
@@ -166,16 +153,11 @@ impl Machine for BoardMachine {
     }
 
     fn status(&mut self) -> Status {
-        self.ask(Request::Status).status
+        self.requests.ask(Request::Status).status
     }
 
     fn force(&mut self, request: &ForceRequest) -> ForceAnswer {
-        loop {
-            // The interrupt answers each request in kind.
-            if let Some(answer) = self.ask(Request::Force(*request)).force {
-                return answer;
-            }
-        }
+        self.requests.ask_force(request)
     }
 
     fn place(&mut self, program: Program<BoardMath>) -> Result<BoardProgram, Refusal> {
@@ -197,7 +179,7 @@ impl Machine for BoardMachine {
     fn retime(&mut self, rate_hz: f32) {
         let carrier = Carrier::for_rate(TIMER_HZ, rate_hz);
         if carrier != self.carrier {
-            let _ = self.ask(Request::Retime(carrier));
+            let _ = self.requests.ask(Request::Retime(carrier));
             self.carrier = carrier;
             supervisor::expect(carrier.rate_hz());
         }
@@ -239,14 +221,14 @@ impl Described for BoardMachine {
 
     fn measured(&mut self) -> Measured {
         // A few late steps (a new program, a change of gains) are no delay; many are.
-        let late = servo::LATE_SHARE.load(Ordering::Relaxed) > servo::WHOLE / 4;
+        let late = supervisor::late_share() > 0.25;
         let delay = self.carrier.delay_samples();
         Measured {
             carrier_hz: self.carrier.carrier_hz(),
             delay_samples: if late { 2.0 * delay } else { delay },
             unsensed: This::UNSENSED.iter().map(|fault| fault.code()).collect(),
-            overruns: servo::OVERRUNS.load(Ordering::Relaxed),
-            longest_cycles: servo::LONGEST_CYCLES.load(Ordering::Relaxed),
+            overruns: servo::shared().overruns.load(Ordering::Relaxed),
+            longest_cycles: servo::shared().longest_cycles.load(Ordering::Relaxed),
             stack_free: stack::never_used(),
         }
     }
@@ -254,15 +236,15 @@ impl Described for BoardMachine {
 
 /// Runs what may write flash, which stalls the program: the watchdog and the count of late steps know.
 fn while_flash_stalls<R>(work: impl FnOnce() -> R) -> R {
-    servo::STALL_EXPECTED.store(true, Ordering::Relaxed);
+    servo::shared().stall_expected.store(true, Ordering::Relaxed);
     let result = watchdog::patient(work);
-    servo::STALL_EXPECTED.store(false, Ordering::Relaxed);
+    servo::shared().stall_expected.store(false, Ordering::Relaxed);
     result
 }
 
 /// Lets the power stage go, while the motors are off: nothing but a task switches them on.
 fn lower_gate() {
-    servo::GATE_READY.store(false, Ordering::Relaxed);
+    servo::shared().gate_ready.store(false, Ordering::Relaxed);
     This::off();
 }
 

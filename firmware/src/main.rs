@@ -10,9 +10,10 @@ mod adc;
 mod board;
 mod clock;
 mod critical;
-#[cfg(feature = "odrive-v3")]
+#[allow(dead_code, reason = "not every board has these gate drivers")]
 mod drv8301;
 mod encoder;
+mod frames;
 mod gate;
 mod index;
 mod link;

@@ -1,6 +1,6 @@
-//! When nothing can go on: a panic, a hard fault, a dead crystal or a falling supply turns the bridges off before anything
-//! else, writes down why in memory that survives a reset, and resets. The next start reports it ([`Previous`]). A
-//! request for the USB boot loader travels the same way.
+//! When nothing can go on: a panic, a hard fault, a dead crystal or a falling supply turns the bridges off before
+//! anything else, writes down why in memory that survives a reset, and resets. The next start reports it
+//! ([`Previous`]). A request for the USB boot loader travels the same way.
 
 use core::mem::MaybeUninit;
 use core::panic::PanicInfo;
@@ -237,9 +237,9 @@ fn panicked(line: u32, file: u32, len: u32) -> ! {
 }
 
 /// The entry of every hard fault: gives the handler the stack pointer of the fault and a fresh stack, because an
-/// overflow may have been the cause. A frame with room for floating-point registers, which the core fills lazily, lies on the old
-/// one: they are let go (FPCCR.LSPACT, ARMv7-M B3.2.21), or the handler's first such instruction would fault again, and a
-/// fault in this handler is a lock-up.
+/// overflow may have been the cause. A frame with room for floating-point registers, which the core fills lazily, lies
+/// on the old one: they are let go (FPCCR.LSPACT, ARMv7-M B3.2.21), or the handler's first such instruction would fault
+/// again, and a fault in this handler is a lock-up.
 #[unsafe(naked)]
 #[unsafe(export_name = "HardFault")]
 unsafe extern "C" fn hard_fault_entry() -> ! {
@@ -276,8 +276,8 @@ extern "C" fn hard_fault(frame: *const u32) -> ! {
     write_down_and_reset(if inside { 2 } else { 4 }, pc, lr, (0, 0))
 }
 
-/// The clock security system: the crystal is dead, and core and carriers go on at 16 MHz from the chip's own oscillator.
-/// A start without a crystal waits for it, with the bridges off.
+/// The clock security system: the crystal is dead, and core and carriers go on at 16 MHz from the chip's own
+/// oscillator. A start without a crystal waits for it, with the bridges off.
 #[cortex_m_rt::exception]
 unsafe fn NonMaskableInt() -> ! {
     gone(5, 0)

@@ -17,8 +17,8 @@ static RAM_FAILED: AtomicU32 = AtomicU32::new(0);
 /// The image is as it was built.
 static IMAGE_SOUND: AtomicBool = AtomicBool::new(false);
 
-// The RAM test: march C- over stack and statics, word by word, with all bits 0 and all bits 1 (van de Goor 1993):
-// write 0; up: read 0, write 1; up: read 1, write 0; down: read 0, write 1; down: read 1, write 0; read 0. It finds bits that
+// The RAM test: march C- over stack and statics, word by word, with all bits 0 and all bits 1 (van de Goor 1993): write
+// 0; up: read 0, write 1; up: read 1, write 0; down: read 0, write 1; down: read 1, write 0; read 0. It finds bits that
 // are stuck, do not change, or change with another word, and addresses that are taken for each other; not bits of one
 // word that change together. Start-up calls it with the stack still empty and before any static has its value, so it is
 // assembly, uses registers alone, and leaves out what lives through a reset (.uninit). 30 ms at the 16 MHz of a start.

@@ -1,37 +1,38 @@
 //! The control interrupt: at the crest of the carrier it samples, steps and writes the duties that apply at the next
 //! valley.
 //!
-//! It runs at every update of TIM1, crests and valleys. At a valley it sums up what takes long to do harm, and takes at
-//! most one request from the tasks, so that neither lengthens a step. At every crest it holds what it sees to the limits and runs the current
-//! loops; at every k-th crest (k = [`Carrier::divider`]) it runs the library's control step. Everything it shares with tasks is an atomic or a
-//! single-producer single-consumer queue, so nothing here waits and nothing is torn; a full queue drops and counts.
+//! It runs at every update of TIM1, crests and valleys. At a valley it notes what the step before saw, sums up what takes
+//! long to do harm, and takes at most one request from the tasks, so that none of it lengthens a step. At every crest it
+//! holds what it sees to the limits and runs the current loops; at every k-th crest (k = [`Carrier::divider`]) it runs the
+//! library's control step. All that it shares with tasks are atomics, a ring of frames and one exchange, so nothing here
+//! waits and nothing is torn; a full queue drops and counts.
 //!
 //! Time bound: a step that reaches past the following crest is counted, and turns the motors off if they are on
 //! ([`Fault::ControlOverrun`]). One that only reaches past the valley applies half a carrier period later than usual,
 //! which the current loops are told.
 
 use core::cell::UnsafeCell;
-use core::sync::atomic::{AtomicBool, AtomicI32, AtomicU32, Ordering};
+use core::mem::MaybeUninit;
+use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, Ordering};
 
 use cortex_m::peripheral::DWT;
 use embassy_stm32::interrupt;
 use embassy_stm32::interrupt::InterruptExt;
 use embassy_stm32::pac;
 use embassy_stm32::pac::timer::vals::Dir;
-use haptic_bridge::drive::carrier::Carrier;
+use haptic_bridge::drive::carrier::{Carrier, Ticks};
 use haptic_bridge::drive::heat::Heat;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::servo::compiled::{self, BoardProgram, BoardServo};
-use haptic_bridge::servo::frame::{Samples, StepRecord};
+use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::host_force::{ForceAnswer, ForceRequest};
 use haptic_bridge::servo::program::Hardware;
 use haptic_bridge::servo::{Command, Reply, Rules, Status};
-use heapless::spsc::{Consumer, Producer, Queue};
-use static_cell::StaticCell;
 
 use crate::board::{Board, Io as _, This};
 use crate::critical;
+use crate::frames::{FrameReader, Frames};
 use crate::warmth;
 
 /// What tasks ask of the control interrupt, one at a time.
@@ -40,10 +41,14 @@ pub enum Request {
     Command(Command<BoardProgram>),
     /// Only the status.
     Status,
-    /// What the host asks the motors for.
-    Force(ForceRequest),
     /// Another carrier; motors off.
     Retime(Carrier),
+    /// The rest of a command that has been obeyed: of new rules, valley by valley, and the answer.
+    Settle,
+    /// The rest of a command that brings a program: it was accepted.
+    Install(BoardProgram),
+    /// Nothing: it has been taken.
+    None,
 }
 
 /// What came of it.
@@ -52,303 +57,629 @@ pub struct Answer {
     pub reply: Reply<BoardProgram>,
     /// The servo's state after it.
     pub status: Status,
-    /// Of a [`Request::Force`].
-    pub force: Option<ForceAnswer>,
 }
 
-/// Most requests and answers under way.
-const REQUESTS: usize = 2;
+/// A request and its answer, both with the task that asks: it waits.
+enum Exchange<'t> {
+    /// What tasks ask.
+    Request(Request, &'t mut Option<Answer>),
+    /// What the host asks the motors for, thousands of times a second.
+    Force(&'t ForceRequest, &'t mut Option<ForceAnswer>),
+}
 
-/// Frames of telemetry on their way to the link: 5 ms at 20 kHz.
-const FRAMES: usize = 100;
+/// The tasks' end of the requests.
+pub struct Requests(());
 
-/// The tasks' ends of the queues.
-pub struct ServoQueues {
-    /// Requests to the control interrupt.
-    pub requests: Producer<'static, Request>,
-    /// Its answers, one each.
-    pub answers: Consumer<'static, Answer>,
+impl Requests {
+    /// Hands a request to the control interrupt and waits for its answer: at most one carrier period, 50 us; one more for a
+    /// command, and another for each joint where rules change.
+    pub fn ask(&mut self, request: Request) -> Answer {
+        let mut answer = None;
+        self.exchange(&UnsafeCell::new(Exchange::Request(request, &mut answer)));
+        // The interrupt answers whatever it takes.
+        answer.unwrap_or_else(|| cortex_m::peripheral::SCB::sys_reset())
+    }
+
+    /// The same, of what the host asks the motors for.
+    pub fn ask_force(&mut self, request: &ForceRequest) -> ForceAnswer {
+        let mut answer = None;
+        self.exchange(&UnsafeCell::new(Exchange::Force(request, &mut answer)));
+        answer.unwrap_or_else(|| cortex_m::peripheral::SCB::sys_reset())
+    }
+
+    /// Hands an exchange over and waits until the interrupt has let go of it, which is why the interrupt may take what is
+    /// borrowed there for `'static`. One that does not has stopped, and then the watchdog ends the wait.
+    #[inline(always)]
+    fn exchange(&mut self, exchange: &UnsafeCell<Exchange>) {
+        CONTROL.asked.store(exchange.get().cast(), Ordering::Release);
+        while !CONTROL.asked.load(Ordering::Acquire).is_null() {}
+    }
+}
+
+/// The tasks' ends.
+pub struct Ends {
+    /// Of the requests.
+    pub requests: Requests,
     /// Frames of the telemetry stream.
-    pub frames: Consumer<'static, StepRecord>,
+    pub frames: FrameReader,
 }
 
-/// Control steps since the start, wrapping.
-pub static STEPS: AtomicU32 = AtomicU32::new(0);
-/// Every how many control steps a frame is wanted; 0 for none.
-pub static STREAM_DIVIDER: AtomicU32 = AtomicU32::new(0);
-/// Frames that found the queue full since the stream started.
-pub static FRAMES_DROPPED: AtomicU32 = AtomicU32::new(0);
-/// Steps that reached past the next crest.
-pub static OVERRUNS: AtomicU32 = AtomicU32::new(0);
-/// The share of steps whose duties apply half a carrier period later than usual, over some [`LATE_WINDOW`] steps, in
-/// parts of [`WHOLE`].
-pub static LATE_SHARE: AtomicI32 = AtomicI32::new(0);
-/// All of it.
-pub const WHOLE: i32 = 1 << 24;
-/// Steps over which that share is taken: a fifth of a second at 20 kHz.
-const LATE_WINDOW: i32 = 4096;
-/// Longest run of the interrupt at a crest, core cycles.
-pub static LONGEST_CYCLES: AtomicU32 = AtomicU32::new(0);
-/// The gate drivers are up and set: the bridges may be connected, and while they are not, no current flows.
-pub static GATE_READY: AtomicBool = AtomicBool::new(false);
-/// A flash operation is about to stall the program: missed crests are no overruns.
-pub static STALL_EXPECTED: AtomicBool = AtomicBool::new(false);
+/// Numbers that the control interrupt and tasks show each other. The steps come first: the emulator's tests read them.
+#[repr(C)]
+pub struct Shared {
+    /// Control steps since the start, wrapping.
+    pub steps: AtomicU32,
+    /// Those of them whose duties applied half a carrier period later than usual.
+    pub late_steps: AtomicU32,
+    /// Every how many control steps a frame is wanted; 0 for none.
+    pub stream_divider: AtomicU32,
+    /// Frames that found no place since the stream started.
+    pub frames_dropped: AtomicU32,
+    /// Steps that reached past the next crest.
+    pub overruns: AtomicU32,
+    /// The longest time from a crest to the end of its interrupt, core cycles, and how much it left until the valley.
+    pub longest_cycles: AtomicU32,
+    least_left: AtomicU32,
+    /// The gate drivers are up and set: the bridges may be connected, and while they are not, no current flows.
+    pub gate_ready: AtomicBool,
+    /// A flash operation is about to stall the program: missed crests are no overruns.
+    pub stall_expected: AtomicBool,
+}
 
-/// In this order in memory: what the FPU loads lies within the 1 KB that its loads reach.
+/// The control interrupt's own. In this order in memory: what the FPU loads lies within the 1 KB that its loads reach.
 #[repr(C)]
 struct Step {
     io: <This as Board>::Io,
     /// What was sampled at the last crest.
     seen: Samples,
+    /// Compare values of the legs.
     legs: [[u16; 2]; MAX_JOINTS],
-    /// Crests until the next control step.
-    countdown: u16,
+    ticks: Ticks,
+    /// What there is to do at crests before the next control step: how many have none, and what the last step left over,
+    /// see [`OVERRAN`]. And the same right after a step.
+    before_step: u32,
+    after_step: u32,
+    /// The core's cycle count at the last valley.
+    valley_at: u32,
     /// Crests for which duties are late yet, and whether those worked out last wait for the valley.
     late: u8,
     pending: bool,
-    /// The bridges are connected to the carrier.
+    /// The bridges are connected to the carrier; and, while they are to be, for how many valleys they have not been.
     driving: bool,
-    /// The last step overran.
-    overrun: bool,
+    unconnected: u8,
     servo: BoardServo,
-    requests: Consumer<'static, Request>,
-    answers: Producer<'static, Answer>,
-    frames: Producer<'static, StepRecord>,
 }
 
-/// A value that start-up hands to the control interrupt for good.
-struct Owned<T>(UnsafeCell<Option<T>>);
+/// All of it, at one address.
+#[repr(C)]
+struct Control {
+    shared: Shared,
+    /// Start-up hands it to the interrupt for good.
+    step: UnsafeCell<MaybeUninit<Step>>,
+    /// What a task asks, until it is answered.
+    asked: AtomicPtr<Exchange<'static>>,
+    frames: Frames,
+}
 
-// SAFETY: written once by `start` before the interrupt is enabled, and touched by nothing but the interrupt from then
-// on.
-unsafe impl<T> Sync for Owned<T> {}
+// SAFETY: `step` is written once by `start` before the interrupt is enabled, and touched by nothing but the interrupt from
+// then on.
+unsafe impl Sync for Control {}
 
-static STEP: Owned<Step> = Owned(UnsafeCell::new(None));
+static CONTROL: Control = Control {
+    shared: Shared {
+        steps: AtomicU32::new(0),
+        late_steps: AtomicU32::new(0),
+        stream_divider: AtomicU32::new(0),
+        frames_dropped: AtomicU32::new(0),
+        overruns: AtomicU32::new(0),
+        longest_cycles: AtomicU32::new(0),
+        least_left: AtomicU32::new(0),
+        gate_ready: AtomicBool::new(false),
+        stall_expected: AtomicBool::new(false),
+    },
+    step: UnsafeCell::new(MaybeUninit::uninit()),
+    asked: AtomicPtr::new(core::ptr::null_mut()),
+    frames: Frames::new(),
+};
+
+/// What the control interrupt shows, and is shown.
+pub fn shared() -> &'static Shared {
+    &CONTROL.shared
+}
+
+/// One more; the control interrupt alone writes it.
+fn count(number: &AtomicU32) {
+    number.store(number.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
+}
 
 /// Gives the board to the control interrupt and starts the carrier; `heat` is what the run before left of it in the
 /// motors. Call once.
-pub fn start(mut io: <This as Board>::Io, hardware: Hardware, rules: Rules, heat: [Heat; MAX_JOINTS]) -> ServoQueues {
-    static REQUEST_QUEUE: StaticCell<Queue<Request, REQUESTS>> = StaticCell::new();
-    static ANSWER_QUEUE: StaticCell<Queue<Answer, REQUESTS>> = StaticCell::new();
-    static FRAME_QUEUE: StaticCell<Queue<StepRecord, FRAMES>> = StaticCell::new();
-    let (to_servo, requests) = REQUEST_QUEUE.init(Queue::new()).split();
-    let (answers, from_servo) = ANSWER_QUEUE.init(Queue::new()).split();
-    let (frames, from_steps) = FRAME_QUEUE.init(Queue::new()).split();
-
+pub fn start(mut io: <This as Board>::Io, hardware: Hardware, rules: Rules, heat: [Heat; MAX_JOINTS]) -> Ends {
     io.start();
     let mut servo = BoardServo::new(hardware, rules);
     servo.start_heat(heat);
     let step = Step {
-        io,
+        ticks: io.carrier().ticks(),
         servo,
-        requests,
-        answers,
-        frames,
-        countdown: 1,
+        after_step: after_step(io.carrier()),
+        before_step: 0,
+        valley_at: DWT::cycle_count(),
         seen: Samples::default(),
         late: 0,
         pending: false,
         legs: [[0; 2]; MAX_JOINTS],
         driving: false,
-        overrun: false,
+        unconnected: 0,
+        io,
     };
+    CONTROL.shared.least_left.store(u32::MAX, Ordering::Relaxed);
     // SAFETY: the interrupt is not enabled yet.
-    unsafe { *STEP.0.get() = Some(step) };
+    unsafe { (*CONTROL.step.get()).write(step) };
     interrupt::TIM1_UP_TIM10.set_priority(critical::CONTROL);
     pac::TIM1.sr().write(|w| w.0 = 0);
     pac::TIM1.dier().modify(|w| w.set_uie(true));
     // SAFETY: the state it needs is in place.
     unsafe { interrupt::TIM1_UP_TIM10.enable() };
-    ServoQueues { requests: to_servo, answers: from_servo, frames: from_steps }
+    Ends { requests: Requests(()), frames: FrameReader::new(&CONTROL.frames) }
 }
 
 #[interrupt]
 fn TIM1_UP_TIM10() {
-    let began = DWT::cycle_count();
     pac::TIM1.sr().write(|w| {
         w.0 = !0;
         w.set_uif(false);
     });
-    let valley = past_valley();
-    // SAFETY: this interrupt is the only user since `start` enabled it, and it does not preempt itself.
-    let Some(step) = (unsafe { (*STEP.0.get()).as_mut() }) else { return };
-    if valley {
-        step.io.forget();
-        // The duties of the last step have just been taken over, or are late and come next.
-        if core::mem::take(&mut step.pending) {
-            step.io.write(&step.legs);
-        }
-        if !compiled::sum_up(&mut step.servo, &step.seen).bridges {
-            step.connect(false);
-        }
-        if let Some(request) = step.requests.dequeue() {
-            step.take(request);
-        }
+    // SAFETY: `start` has written it before it enabled this interrupt, which is its only user since and does not preempt
+    // itself.
+    let step = unsafe { (*CONTROL.step.get()).assume_init_mut() };
+    if past_valley() {
+        step.valley();
     } else {
-        step.crest(began);
-        step.keep_time(DWT::cycle_count().wrapping_sub(began));
+        step.crest();
     }
 }
 
 impl Step {
-    /// Everything there is to do at a crest, whose interrupt `began` at that cycle.
+    /// Everything there is to do at a crest.
     #[inline(always)]
-    fn crest(&mut self, began: u32) {
-        self.seen.counts = self.io.counts();
-        self.countdown -= 1;
-        let steps = self.countdown == 0;
-        // Of no interest while the motors are off.
-        let mut overran = core::mem::take(&mut self.overrun) && self.driving;
-        if steps {
-            // Right behind the counts that they belong to.
-            self.seen.index = self.io.index();
+    fn crest(&mut self) {
+        if self.before_step != 0 && self.crest_before_step() {
+            return;
         }
-        if steps && !overran {
-            compiled::render(&mut self.servo, &self.seen.counts);
-            // What the converters have by now may belong to the next crest.
-            overran = self.driving && self.outlasted(DWT::cycle_count().wrapping_sub(began));
+        self.io.follow(&mut self.seen.counts);
+        // Right behind the counts that they belong to.
+        if self.io.marked() {
+            self.mark();
         }
-        if overran {
-            self.servo.trip(Fault::ControlOverrun, None, OVERRUNS.load(Ordering::Relaxed).wrapping_add(1) as f32);
+        compiled::render(&mut self.servo, &self.seen.counts);
+        if passed_an_extreme() {
+            self.see_whether_missed();
         }
         // The converters have worked meanwhile.
-        let fresh = self.io.analog(&mut self.seen);
-        if let Some((fault, axis, value)) = self.hardware_fault(fresh) {
-            self.servo.trip(fault, axis, value);
+        self.sample();
+        if self.is_late() {
+            self.crest_late();
+        } else {
+            let drives = compiled::crest(&mut self.servo, &self.seen, &self.ticks, &mut self.legs);
+            self.write(drives);
         }
-        let outputs = compiled::judge(&mut self.servo, &self.seen, steps);
-        if steps {
-            self.countdown = self.io.carrier().divider;
+        // What nobody waits for is left to the valley.
+        self.before_step = self.after_step;
+        self.keep_time();
+    }
+
+    /// Does what is left over from the last step, and everything there is to do at a crest that has no step. Whether this
+    /// was such a one.
+    #[cold]
+    #[inline(never)]
+    fn crest_before_step(&mut self) -> bool {
+        if self.before_step & UNCONNECTED != 0 {
+            self.before_step &= !UNCONNECTED;
+            let top = u32::from(self.io.carrier().top);
+            if self.may_connect() && pac::TIM1.cnt().read().0 > top.saturating_sub(EXTREME_CYCLES) {
+                self.connect();
+            }
         }
-        // At every crest: current loops that ran while their bridges float would wind up.
-        self.connect(outputs.bridges);
-        self.late = if too_late() { LATE_CRESTS } else { self.late.saturating_sub(1) };
-        let late = self.late > 0;
-        compiled::legs(&mut self.servo, &self.seen, late, self.io.carrier(), &mut self.legs);
-        self.pending = late && !past_valley();
+        if self.before_step & (UNRECORDED | BETWEEN) != 0 {
+            self.valley_missed();
+        }
+        if self.before_step & OVERRAN != 0 {
+            if self.driving {
+                self.miss();
+                self.float();
+            } else if self.servo.status().state.drives() {
+                self.wait_on();
+            }
+        }
+        self.before_step &= !(OVERRAN | BETWEEN);
+        let between = self.before_step > 0;
+        if between {
+            self.before_step = (self.before_step - 1) | BETWEEN;
+            self.crest_between();
+        }
+        between
+    }
+
+    /// Everything there is to do at a crest between two control steps.
+    fn crest_between(&mut self) {
+        self.io.follow(&mut self.seen.counts);
+        self.sample();
+        self.seen.late = self.is_late();
+        let drives = compiled::crest_generally(&mut self.servo, &self.seen, false, &self.ticks, &mut self.legs);
+        if self.seen.late {
+            self.write_late(drives);
+            self.seen.late = false;
+        } else {
+            self.write(drives);
+        }
+        self.keep_time();
+    }
+
+    /// Takes what the crest started to sample, and sees that it is well with the power stage.
+    #[inline(always)]
+    fn sample(&mut self) {
+        if !self.io.sampled() {
+            self.await_samples();
+        }
+        self.io.sample(&mut self.seen);
+        if self.io.fault() {
+            self.trip_driving(This::POWER_FAULT);
+        }
+    }
+
+    /// Has the legs take their duties, and the bridges drive or not.
+    #[inline(always)]
+    fn write(&mut self, drives: bool) {
+        self.io.write(&self.legs);
+        if self.driving && !drives {
+            self.float();
+        }
+    }
+
+    /// The rest of a crest with a control step whose duties are late.
+    #[cold]
+    #[inline(never)]
+    fn crest_late(&mut self) {
+        self.seen.late = true;
+        let drives = compiled::crest(&mut self.servo, &self.seen, &self.ticks, &mut self.legs);
+        self.write_late(drives);
+        self.seen.late = false;
+        count(&CONTROL.shared.late_steps);
+    }
+
+    /// As [`Step::write`] where the duties are late: they wait for the valley, if that is yet to come.
+    fn write_late(&mut self, drives: bool) {
+        if self.driving && !drives {
+            self.float();
+        }
+        self.pending = !past_valley();
         if !self.pending {
             self.io.write(&self.legs);
         }
-        if !late && past_valley() {
-            // The duties took longer than they were given, and come too late after all.
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn mark(&mut self) {
+        self.servo.mark(self.io.marks(&self.seen.counts));
+    }
+
+    /// Whether the duties to be worked out now are late: whether the next valley is too near, or has just been, for them to
+    /// apply from it on, or was for one of the crests before this.
+    #[inline(always)]
+    fn is_late(&mut self) -> bool {
+        // Core and timer count at the same frequency, and the timer down to its valley and up from it.
+        if pac::TIM1.cnt().read().0 < LEGS_CYCLES {
             self.late = LATE_CRESTS;
+        } else if self.late > 0 {
+            self.late -= 1;
         }
-        // What the motors do not wait for.
-        if steps {
-            let share = LATE_SHARE.load(Ordering::Relaxed);
-            let now = if self.late > 0 { WHOLE } else { 0 };
-            LATE_SHARE.store(share + (now - share) / LATE_WINDOW, Ordering::Relaxed);
-            self.record();
-            STEPS.store(self.servo.steps(), Ordering::Relaxed);
+        self.late > 0
+    }
+
+    /// A step overran. Of no interest while the motors are off.
+    fn miss(&mut self) {
+        let overruns = CONTROL.shared.overruns.load(Ordering::Relaxed).wrapping_add(1);
+        self.servo.trip(Fault::ControlOverrun, None, overruns as f32);
+    }
+
+    /// This step is past its valley: its duties are late, and what the converters have may belong to the next crest.
+    #[cold]
+    #[inline(never)]
+    fn see_whether_missed(&mut self) {
+        self.late = LATE_CRESTS;
+        if self.driving && self.outlasts() {
+            self.miss();
         }
     }
 
-    /// Carries out one request and answers it. Not inlined: it is rare, and would only lengthen the way to the step.
-    /// The queue of answers has room: there is one answer to a request, and one request at a time.
+    /// Waits for the converters, which have not finished yet.
+    #[cold]
     #[inline(never)]
-    fn take(&mut self, request: Request) {
-        let mut force = None;
-        let reply = match request {
-            Request::Command(command) => self.servo.execute(command),
-            Request::Status => (Ok(()), None),
-            Request::Force(request) => {
-                force = Some(self.servo.force(&request));
-                (Ok(()), None)
+    fn await_samples(&mut self) {
+        if !self.io.await_samples() {
+            self.trip_driving(Fault::SensorStale);
+        }
+    }
+
+    /// What is a fault while the motors are on.
+    #[cold]
+    #[inline(never)]
+    fn trip_driving(&mut self, fault: Fault) {
+        if self.driving {
+            self.servo.trip(fault, None, 0.0);
+        }
+    }
+
+    /// Everything there is to do at a valley.
+    #[inline(always)]
+    fn valley(&mut self) {
+        self.valley_at = DWT::cycle_count();
+        if !self.driving {
+            self.valley_at_rest();
+        }
+        self.io.forget();
+        // The duties of the last step have just been taken over, or are late and come next.
+        if self.pending {
+            self.pending = false;
+            self.io.write(&self.legs);
+        }
+        if self.before_step & UNRECORDED != 0 {
+            self.record();
+        } else {
+            self.see_whether_between();
+        }
+        let drives = compiled::sum_up(&mut self.servo, &self.seen).bridges;
+        if !drives && self.driving {
+            self.float();
+        }
+        let asked = CONTROL.asked.load(Ordering::Acquire);
+        if !asked.is_null() {
+            // SAFETY: `Requests::exchange` has put it there, and keeps it, with what it borrows, until it is null again. There
+            // is one `Requests`, which can be in but one exchange.
+            if self.take(unsafe { &mut *asked }) {
+                CONTROL.asked.store(core::ptr::null_mut(), Ordering::Release);
             }
+            if self.driving && self.since_valley() > 2 * u32::from(self.io.carrier().top) {
+                self.crest_missed();
+            }
+        }
+    }
+
+    /// Sees whether there was a crest without a step before this valley. Where there was none at all, it came and went while
+    /// the core did something else.
+    #[cold]
+    #[inline(never)]
+    fn see_whether_between(&mut self) {
+        if self.before_step & BETWEEN == 0 && self.driving {
+            self.crest_missed();
+        }
+        self.before_step &= !BETWEEN;
+    }
+
+    /// A crest came and went.
+    #[cold]
+    #[inline(never)]
+    fn crest_missed(&mut self) {
+        count(&CONTROL.shared.overruns);
+        self.miss();
+        self.float();
+    }
+
+    /// No valley has come since the last crest: it came and went while the core did something else, and crests may have.
+    fn valley_missed(&mut self) {
+        if self.before_step & UNRECORDED != 0 {
+            self.record();
+        }
+        if self.before_step & OVERRAN == 0 && self.driving {
+            self.before_step |= OVERRAN;
+            count(&CONTROL.shared.overruns);
+        }
+    }
+
+    /// What a valley has to do first while the bridges float: they begin to drive at an extreme of the carrier, here or, where
+    /// this interrupt is late, at the next crest. Between two extremes a bridge whose ends follow one channel and its
+    /// complement would give its motor the rest of half a period, whole amperes of it.
+    #[cold]
+    #[inline(never)]
+    fn valley_at_rest(&mut self) {
+        if !self.may_connect() {
+            if !self.servo.status().state.drives() {
+                self.unconnected = 0;
+            }
+            if self.io.sampled() {
+                self.io.learn();
+            }
+        } else if pac::TIM1.cnt().read().0 < EXTREME_CYCLES {
+            self.connect();
+        } else {
+            self.before_step |= UNCONNECTED;
+            self.wait_on();
+        }
+    }
+
+    /// The bridges are to drive, and cannot yet because this interrupt was late. Where it always is, nobody waits forever.
+    fn wait_on(&mut self) {
+        self.unconnected = self.unconnected.saturating_add(1);
+        if self.unconnected > LATE_CRESTS {
+            self.miss();
+        }
+    }
+
+    /// Whether the bridges are to drive, and can.
+    fn may_connect(&self) -> bool {
+        self.servo.status().state.drives() && CONTROL.shared.gate_ready.load(Ordering::Relaxed)
+    }
+
+    /// Connects the bridges to the carrier.
+    fn connect(&mut self) {
+        self.io.drive(true);
+        self.driving = true;
+        // What a step took while they floated is of no interest.
+        self.before_step &= !OVERRAN;
+    }
+
+    /// Carries out one request and answers it; false where there is more to do of it at the next valley. Not inlined: it is
+    /// rare, and would only lengthen the way to the step.
+    #[inline(never)]
+    fn take(&mut self, exchange: &mut Exchange) -> bool {
+        let (request, answer) = match exchange {
+            Exchange::Force(request, answer) => {
+                **answer = Some(self.servo.force(request));
+                return true;
+            }
+            Exchange::Request(request, answer) => (request, answer),
+        };
+        let (mut reply, mut more) = ((Ok(()), None), false);
+        match request {
+            Request::None | Request::Status => {}
+            Request::Command(Command::Program(_)) => {
+                if let Request::Command(Command::Program(mut program)) = core::mem::replace(request, Request::None) {
+                    match self.servo.accepts(&mut program) {
+                        Ok(()) => (*request, more) = (Request::Install(program), true),
+                        Err(refusal) => reply = (Err(refusal), Some(program)),
+                    }
+                }
+            }
+            Request::Install(_) => {
+                if let Request::Install(program) = core::mem::replace(request, Request::None) {
+                    reply.1 = self.servo.install(program);
+                }
+            }
+            Request::Command(command) => {
+                reply.0 = self.servo.obey(command);
+                if reply.0.is_ok() {
+                    (*request, more) = (Request::Settle, true);
+                }
+            }
+            Request::Settle => more = self.servo.settle_next(),
             Request::Retime(carrier) => {
                 if !self.driving {
-                    self.io.set_carrier(carrier);
-                    self.countdown = 1;
+                    self.io.set_carrier(*carrier);
+                    self.ticks = carrier.ticks();
+                    (self.after_step, self.before_step) = (after_step(carrier), 0);
+                    let longest = CONTROL.shared.longest_cycles.load(Ordering::Relaxed);
+                    CONTROL.shared.least_left.store(u32::from(carrier.top).saturating_sub(longest), Ordering::Relaxed);
                 }
-                (Ok(()), None)
             }
-        };
-        // A few times a second, what a reset must not cool is put where it stays.
-        warmth::keep(self.servo.heat());
+        }
+        if matches!(request, Request::Status) {
+            // Some fifty times a second, what a reset must not cool is put where it stays.
+            warmth::keep(self.servo.heat());
+        }
         let status = self.servo.status();
-        if !status.state.drives() {
-            self.connect(false);
+        if !status.state.drives() && self.driving {
+            self.float();
         }
-        let _ = self.answers.enqueue(Answer { reply, status, force });
+        if more {
+            return false;
+        }
+        **answer = Some(Answer { reply, status });
+        true
     }
 
-    /// Connects the bridges or lets them float. Floating drops the gate drivers as well; connecting needs them ready.
-    #[inline(always)]
-    fn connect(&mut self, on: bool) {
-        match (on, self.driving) {
-            (true, false) if GATE_READY.load(Ordering::Relaxed) => {
-                self.io.drive(true);
-                self.driving = true;
-            }
-            (false, true) => {
-                self.io.drive(false);
-                GATE_READY.store(false, Ordering::Relaxed);
-                self.driving = false;
-            }
-            _ => {}
-        }
+    /// Lets bridges that drive float, and drops the gate drivers as well.
+    #[cold]
+    #[inline(never)]
+    fn float(&mut self) {
+        self.io.drive(false);
+        CONTROL.shared.gate_ready.store(false, Ordering::Relaxed);
+        self.driving = false;
     }
 
-    /// What hardware or time say is wrong; only of interest while the motors are on.
-    #[inline(always)]
-    fn hardware_fault(&mut self, fresh: bool) -> Option<(Fault, Option<u8>, f32)> {
-        if !self.driving {
-            return None;
-        }
-        if !fresh {
-            return Some((Fault::SensorStale, None, 0.0));
-        }
-        self.io.fault().map(|fault| (fault, None, 0.0))
-    }
-
-    #[inline(always)]
+    /// Notes and hands on what the last step left.
+    #[inline(never)]
     fn record(&mut self) {
-        let wanted = self.servo.steps().checked_rem(STREAM_DIVIDER.load(Ordering::Relaxed)) == Some(0);
-        if wanted && !compiled::record(&self.servo, &mut self.frames) {
-            // This interrupt is the only writer while a stream runs.
-            FRAMES_DROPPED.store(FRAMES_DROPPED.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
+        self.before_step &= !UNRECORDED;
+        let steps = self.servo.steps();
+        CONTROL.shared.steps.store(steps, Ordering::Relaxed);
+        let wanted = steps.checked_rem(CONTROL.shared.stream_divider.load(Ordering::Relaxed)) == Some(0);
+        let pushed = wanted && CONTROL.frames.push(|place| compiled::note(&mut self.servo, &self.seen, Some(place)));
+        if !pushed {
+            compiled::note(&mut self.servo, &self.seen, None);
+            if wanted {
+                // This interrupt is the only writer while a stream runs.
+                count(&CONTROL.shared.frames_dropped);
+            }
         }
     }
 
-    /// Counts runs that took too long: past the next crest.
+    /// Sees to crests that took the longest so far, or reached past the valley.
     #[inline(always)]
-    fn keep_time(&mut self, cycles: u32) {
-        if STALL_EXPECTED.load(Ordering::Relaxed) {
+    fn keep_time(&mut self) {
+        if passed_an_extreme() || pac::TIM1.cnt().read().0 < CONTROL.shared.least_left.load(Ordering::Relaxed) {
+            self.note_time();
+        }
+    }
+
+    /// Notes how long this crest takes, that duties came too late where it is past the valley, and counts it where it is
+    /// past the next crest.
+    #[cold]
+    #[inline(never)]
+    fn note_time(&mut self) {
+        if passed_an_extreme() {
+            self.late = LATE_CRESTS;
+        }
+        let Shared { stall_expected, longest_cycles, least_left, overruns, .. } = &CONTROL.shared;
+        if stall_expected.load(Ordering::Relaxed) {
             return;
         }
-        if cycles > LONGEST_CYCLES.load(Ordering::Relaxed) {
-            LONGEST_CYCLES.store(cycles, Ordering::Relaxed);
+        let top = u32::from(self.io.carrier().top);
+        let cycles = self.since_valley().saturating_sub(top);
+        if cycles > longest_cycles.load(Ordering::Relaxed) {
+            longest_cycles.store(cycles, Ordering::Relaxed);
+            least_left.store(top.saturating_sub(cycles), Ordering::Relaxed);
         }
-        if self.outlasted(cycles) {
-            self.overrun = true;
-            OVERRUNS.store(OVERRUNS.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
+        if passed_an_extreme() && self.outlasts() {
+            self.before_step |= OVERRAN;
+            count(overruns);
         }
     }
 
-    /// Whether a run of so many core cycles reaches past the crest after the one where it began.
-    #[inline(always)]
-    fn outlasted(&self, cycles: u32) -> bool {
-        let crest_passed = pac::TIM1.sr().read().uif() && !past_valley();
-        // Core and timer count at the same frequency.
-        crest_passed || cycles > 2 * u32::from(self.io.carrier().top)
+    /// Core cycles since the last valley. Core and timer count at the same frequency.
+    fn since_valley(&self) -> u32 {
+        DWT::cycle_count().wrapping_sub(self.valley_at)
     }
+
+    /// Whether what is past its valley is past the next crest, too.
+    fn outlasts(&self) -> bool {
+        !past_valley() || self.since_valley() > 3 * u32::from(self.io.carrier().top)
+    }
+}
+
+/// What is left over from a crest, beside crests: that it had no step, that bridges are to drive and do not yet, that its
+/// step overran, and that nobody knows of it yet.
+const BETWEEN: u32 = 1 << 28;
+const UNCONNECTED: u32 = 1 << 29;
+const OVERRAN: u32 = 1 << 30;
+const UNRECORDED: u32 = 1 << 31;
+
+/// What there is to do right after a step.
+fn after_step(carrier: &Carrier) -> u32 {
+    UNRECORDED | (u32::from(carrier.divider) - 1)
 }
 
 /// Crests for which duties stay late after a step that came too late for its valley: a duty in time before a late one
 /// acts for half a carrier period too long, and where some steps are late, most will be.
 const LATE_CRESTS: u8 = 64;
 
-/// Core cycles from here until duties are written: the current loops of two motors take some 230 instructions, those of
-/// three 310 (docs/results/timing.md), at up to 2.4 cycles each.
-const LEGS_CYCLES: u16 = 192 * (This::AXES as u16 + 1);
+/// Core cycles from here until duties are written: limits, torques and current loops of two motors take up to 350
+/// instructions where something is unusual, those of three 460, at up to 2.4 cycles each.
+const LEGS_CYCLES: u32 = 288 * (This::AXES as u32 + 1);
 
-/// Whether the carrier has passed its valley since the crest.
-fn past_valley() -> bool {
-    pac::TIM1.cr1().read().dir() == Dir::UP
+/// Core cycles after a crest or a valley, 1.5 us, up to which the bridges may begin to drive: twice what the interrupt is
+/// estimated to take to get there (emulator/src/cycles.rs, with a cold flash). Each microsecond is worth 0.24 A to a motor
+/// of 0.1 mH at 24 V.
+const EXTREME_CYCLES: u32 = 252;
+
+/// Whether the carrier has passed a crest or a valley since this interrupt began.
+#[inline(always)]
+fn passed_an_extreme() -> bool {
+    pac::TIM1.sr().read().uif()
 }
 
-/// Whether the next valley is too near, or past, for duties worked out now to apply from it on.
-fn too_late() -> bool {
-    // Core and timer count at the same frequency, and the timer down to its valley.
-    past_valley() || pac::TIM1.cnt().read().cnt() < LEGS_CYCLES
+/// Whether the carrier has passed its valley since the crest.
+#[inline(always)]
+fn past_valley() -> bool {
+    pac::TIM1.cr1().read().dir() == Dir::UP
 }

@@ -37,6 +37,24 @@ pub fn expect(rate_hz: f32) {
     RATE_HZ.store(rate_hz as u32 + 1, Ordering::Relaxed);
 }
 
+/// The share of control steps whose duties applied half a carrier period later than usual, as bits of an `f32`.
+static LATE_SHARE: AtomicU32 = AtomicU32::new(0);
+
+/// Steps over which that share is taken: a fifth of a second at 20 kHz.
+const LATE_WINDOW: f32 = 4096.0;
+
+/// That share, of late.
+pub fn late_share() -> f32 {
+    f32::from_bits(LATE_SHARE.load(Ordering::Relaxed))
+}
+
+/// Takes so many `steps` into it, of which so many were `late`.
+fn note_late(late: u32, steps: u32) {
+    let weight = (steps as f32 / LATE_WINDOW).min(1.0);
+    let share = if steps > 0 { late as f32 / steps as f32 } else { 0.0 };
+    LATE_SHARE.store((late_share() + (share - late_share()) * weight).to_bits(), Ordering::Relaxed);
+}
+
 /// A task's sign of life, to be given at least every second.
 pub fn alive(task: Task) {
     LAST_HEARD_MS[task as usize].store(now_ms(), Ordering::Relaxed);
@@ -50,7 +68,8 @@ fn now_ms() -> u32 {
 #[embassy_executor::task]
 pub async fn supervise(mut watchdog: Watchdog) -> ! {
     let mut ticker = Ticker::every(PERIOD);
-    let mut steps = servo::STEPS.load(Ordering::Relaxed);
+    let mut steps = servo::shared().steps.load(Ordering::Relaxed);
+    let mut late_steps = servo::shared().late_steps.load(Ordering::Relaxed);
     let mut pace = Pace::new(RATE_HZ.load(Ordering::Relaxed));
     let mut looked = Instant::now();
     let mut stalls = watchdog::stalls();
@@ -60,12 +79,15 @@ pub async fn supervise(mut watchdog: Watchdog) -> ! {
     }
     loop {
         ticker.next().await;
-        let before = core::mem::replace(&mut steps, servo::STEPS.load(Ordering::Relaxed));
+        let before = core::mem::replace(&mut steps, servo::shared().steps.load(Ordering::Relaxed));
+        let late_before = core::mem::replace(&mut late_steps, servo::shared().late_steps.load(Ordering::Relaxed));
+        note_late(late_steps.wrapping_sub(late_before), steps.wrapping_sub(before));
         let elapsed = core::mem::replace(&mut looked, Instant::now()).elapsed().as_micros();
         // While flash is written no step is taken. With the motors off a scene that the chip cannot keep up with is no
-        // reason to start anew with the same scene; a power stage that has only just come up is judged at the next look.
+        // reason to start anew with the same scene; a power stage that has only just come up is judged at the next
+        // look.
         let stalled = core::mem::replace(&mut stalls, watchdog::stalls()) != stalls;
-        let up_before = core::mem::replace(&mut up, servo::GATE_READY.load(Ordering::Relaxed));
+        let up_before = core::mem::replace(&mut up, servo::shared().gate_ready.load(Ordering::Relaxed));
         let excused = stalled || !(up && up_before);
         let verdict = pace.look(steps.wrapping_sub(before), elapsed, RATE_HZ.load(Ordering::Relaxed), excused);
         let now = now_ms();

@@ -3,13 +3,13 @@
 use core::sync::atomic::Ordering;
 
 use embassy_time::{Duration, Instant};
-use haptic_bridge::board::telemetry::{Batch, Packer, StreamRequest};
+use haptic_bridge::board::telemetry::{Batch, Frames as _, Packer, StreamRequest};
 
 use crate::machine::BoardMachine;
 use crate::servo;
 
 /// Longest time that a row waits for its batch to fill.
-const PATIENCE: Duration = Duration::from_millis(40);
+const PATIENCE: Duration = Duration::from_millis(5);
 
 /// A stream as one tool asked for it.
 #[derive(Default)]
@@ -22,16 +22,18 @@ impl TelemetryStream {
     /// Starts a stream for a device of `axes` joints, or stops it when the request's divider is 0.
     pub fn start(&mut self, request: &StreamRequest, axes: usize, machine: &mut BoardMachine) {
         self.stop();
-        while machine.frames.dequeue().is_some() {}
+        while machine.frames.first().is_some() {
+            machine.frames.drop_first();
+        }
         self.packer.start(request, axes);
-        servo::FRAMES_DROPPED.store(0, Ordering::Relaxed);
-        servo::STREAM_DIVIDER.store(request.divider, Ordering::Relaxed);
+        servo::shared().frames_dropped.store(0, Ordering::Relaxed);
+        servo::shared().stream_divider.store(request.divider, Ordering::Relaxed);
         self.last = (request.divider > 0).then(Instant::now);
     }
 
     /// Ends it.
     pub fn stop(&mut self) {
-        servo::STREAM_DIVIDER.store(0, Ordering::Relaxed);
+        servo::shared().stream_divider.store(0, Ordering::Relaxed);
         self.packer.stop();
         self.last = None;
     }
@@ -44,7 +46,7 @@ impl TelemetryStream {
     /// Packs what frames there are; a batch that is full or has waited long enough.
     pub fn batch(&mut self, machine: &mut BoardMachine) -> Option<&Batch> {
         let late = Instant::now().saturating_duration_since(self.last?) > PATIENCE;
-        let dropped = servo::FRAMES_DROPPED.load(Ordering::Relaxed);
+        let dropped = servo::shared().frames_dropped.load(Ordering::Relaxed);
         let batch = self.packer.drain(&mut machine.frames, dropped, late)?;
         self.last = Some(Instant::now());
         Some(batch)

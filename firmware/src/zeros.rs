@@ -21,7 +21,7 @@ pub enum Zeroing {
     /// Takes them for zeros.
     Learn,
     /// Looks what is left of them beyond the zeros.
-    #[cfg_attr(not(feature = "odrive-v3"), expect(dead_code, reason = "only an amplifier can be shorted"))]
+    #[allow(dead_code, reason = "only an amplifier can be shorted, and not every board has one")]
     Check,
 }
 
@@ -40,26 +40,22 @@ impl<const N: usize> Zeros<N> {
         Self([adc::FULL_SCALE / 2.0; N], [0.0; N])
     }
 
-    /// Whether readings are for [`Zeros::take`].
-    #[inline(always)]
-    pub fn wanted() -> bool {
-        ZEROING.load(Ordering::Relaxed) != Zeroing::No as u8
+    /// Each sensor's zero, counts.
+    pub fn get(&self) -> &[f32; N] {
+        &self.0
     }
 
-    /// A sensor's reading less its zero, counts.
-    #[inline(always)]
-    pub fn less(&self, sensor: usize, raw: u16) -> f32 {
-        f32::from(raw) - self.0[sensor]
-    }
-
-    /// Takes readings while the bridges are off for zeros, or sees what they are beyond them.
-    #[cold]
+    /// Takes readings while the bridges are off for zeros, or sees what they are beyond them, where a task waits for that.
     #[inline(never)]
-    pub fn take(&mut self, raw: [u16; N]) {
-        let learn = ZEROING.load(Ordering::Relaxed) == Zeroing::Learn as u8;
+    pub fn take(&mut self, raw: [i32; N]) {
+        let how = ZEROING.load(Ordering::Relaxed);
+        if how == Zeroing::No as u8 {
+            return;
+        }
+        let learn = how == Zeroing::Learn as u8;
         let mut worst = 0.0_f32;
         for ((raw, zero), beyond) in raw.into_iter().zip(&mut self.0).zip(&mut self.1) {
-            let left = f32::from(raw) - *zero;
+            let left = raw as f32 - *zero;
             if learn {
                 *zero += left * ZERO_WEIGHT;
                 *beyond = 0.0;

@@ -20,8 +20,11 @@ mod shipped;
 use libfuzzer_sys::fuzz_target;
 use std::sync::OnceLock;
 
-/// Every target: its name, which is also that of its seeds' directory, and its function.
-const TARGETS: [(&str, fn(&[u8])); 8] = [
+/// What is done with wild bytes.
+type Target = fn(&[u8]);
+
+/// Every target by its name, which is also that of its seeds' directory.
+const TARGETS: [(&str, Target); 8] = [
     ("bytes", requests::bytes),
     ("requests", |data| {
         requests::requests(data);
@@ -35,7 +38,7 @@ const TARGETS: [(&str, fn(&[u8])); 8] = [
 ];
 
 fuzz_target!(|data: &[u8]| {
-    static RUN: OnceLock<fn(&[u8])> = OnceLock::new();
+    static RUN: OnceLock<Target> = OnceLock::new();
     let run = RUN.get_or_init(|| {
         let name = std::env::var("HAPTIC_FUZZ").expect("HAPTIC_FUZZ names a target");
         TARGETS.iter().find(|(known, _)| *known == name).expect("a target of that name").1

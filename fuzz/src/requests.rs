@@ -4,6 +4,7 @@
 use crate::board::{Board, frame};
 use crate::shipped::shipped;
 use haptic::link::Deframer;
+use haptic_bridge::board::framing::Decoder;
 use haptic_bridge::board::protocol::*;
 use haptic_bridge::board::settings::{BoardName, Key, Polarity, encode};
 use haptic_bridge::board::telemetry::{Fields, StreamRequest};
@@ -17,26 +18,40 @@ use serde::Serialize;
 /// Control periods that one input may take, so that long inputs stay fast.
 const MOST_TICKS: u32 = 2_000;
 
-/// Bytes as they come: a board with a device behind its deframer. The first byte chooses the device.
+/// Bytes as they come: a board with a device behind its decoder, and the tool's, which finds the same frames. The first
+/// byte chooses the device.
 pub fn bytes(data: &[u8]) {
     let [which, data @ ..] = data else { return };
     let mut board = a_board(*which);
-    let mut deframer = Deframer::default();
+    let (mut decoder, mut deframer) = (Decoder::default(), Deframer::default());
     for packet in data.chunks(64) {
-        let mut frames = Vec::new();
-        deframer.feed_plain(packet, |frame| frames.push(frame.to_vec()));
-        for frame in frames {
-            board.answer(&frame);
+        let mut frames = found(&mut decoder, packet);
+        for frame in &frames {
+            board.answer(frame);
             board.tick();
         }
+        // Frames a few bytes too long are the tool's to take or not.
+        frames.retain(|frame| frame.len() <= MAX_FRAME - 8);
+        deframer.feed_plain(packet, |frame| assert!(frame.len() > MAX_FRAME - 8 || frame == frames.remove(0)));
+        assert!(frames.is_empty(), "the tool finds what the board does: {frames:?}");
     }
     // Whatever came before: after a zero the next request is understood.
-    let mut understood = false;
-    deframer.feed_plain(&[0], |_| ());
-    deframer.feed_plain(&haptic::link::envelope(&frame(GetStatus::REQ_KEY, &[])), |frame| {
-        understood = board.answer(frame).is_some();
-    });
-    assert!(understood, "the board still answers");
+    found(&mut decoder, &[0]);
+    let asked = found(&mut decoder, &haptic::link::envelope(&frame(GetStatus::REQ_KEY, &[])));
+    assert!(matches!(&asked[..], [frame] if board.answer(frame).is_some()), "the board still answers");
+}
+
+/// The frames that a packet completes.
+fn found(decoder: &mut Decoder, mut packet: &[u8]) -> Vec<Vec<u8>> {
+    let mut frames = Vec::new();
+    while !packet.is_empty() {
+        let (taken, completed) = decoder.take(packet);
+        if completed {
+            frames.push(decoder.frame().to_vec());
+        }
+        packet = &packet[taken..];
+    }
+    frames
 }
 
 /// A script: each step is an operation and what it needs, read from the input until that ends. Returns how many of them
@@ -95,13 +110,14 @@ fn step(board: &mut Board, input: &mut Input) -> u32 {
         }
         4 => {
             let fault = Fault::ALL[usize::from(input.byte()) % Fault::ALL.len()];
-            board.samples.fault = Some((fault, Some(input.byte()), 1.0));
+            board.told = Some((fault, Some(input.byte()), 1.0));
             board.tick();
             assert!(!board.bridges, "bridges drive after {fault:?}");
             1
         }
         5 => {
-            board.samples.index[usize::from(input.byte()) % MAX_JOINTS] = Some(i32::from(input.byte()));
+            let marks = board.marks.get_or_insert_default();
+            marks[usize::from(input.byte()) % MAX_JOINTS] = Some(i32::from(input.byte()));
             board.tick();
             1
         }
@@ -110,7 +126,7 @@ fn step(board: &mut Board, input: &mut Input) -> u32 {
             0
         }
         7 => {
-            board.machine.flash_broken = input.byte() & 1 == 1;
+            board.machine.flash.broken = input.byte() & 1 == 1;
             0
         }
         _ => spin(board, usize::from(input.byte())),

@@ -7,10 +7,10 @@ use haptic::bench::error::{Law, Terms, torque};
 use haptic::bench::precompute::{Precomputed, frozen, most_points, range, table};
 use haptic::bench::probe::{HAND_SPEED, workspace};
 use haptic::bench::report::devices;
-use haptic_bridge::math::Minimax;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::model::precomputed::{Interpolation, MassModel};
 use haptic_bridge::render::scene::Scene;
+use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::with_mechanism;
 use std::hint::black_box;
 
@@ -28,7 +28,7 @@ fn torques<M: Mechanism<f32, N>, const N: usize>(
         criterion.bench_function(&name, |bench| {
             bench.iter(|| {
                 let probe = next.next().expect("a cycle does not end");
-                torque::<f32, Minimax, M, N>(mechanism, &mass, terms, law, black_box(probe))
+                torque::<f32, BoardMath, M, N>(mechanism, &mass, terms, law, black_box(probe))
             });
         });
     }

@@ -13,7 +13,8 @@
 //! - [`passivity`]: the classical bounds of walls that no hand can make oscillate
 //! - [`plant`]: the device linearised at a pose, its joint damping and its drives, in continuous time
 //! - [`sampled`]: zero-order hold, fractional delay, velocity estimator and feed-forward around it, in delta form
-//! - [`spectrum`]: the small dense linear algebra this needs (matrix exponential, resolvent, growth), with its own eigenvalue iteration
+//! - [`spectrum`]: the small dense linear algebra this needs (matrix exponential, resolvent, growth), with its own
+//!   eigenvalue iteration
 //! - [`boundary`]: the stiffness at which a mode leaves the unit circle, and every other stable interval
 //! - [`pose`]: from a device description and joint angles to the matrices all of this works on
 //! - [`domain`]: boundary, area and islands of one device with one feed-forward

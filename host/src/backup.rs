@@ -182,8 +182,8 @@ pub fn restore(board: &mut Board, ready: &[Ready]) -> Result<(), BoardError> {
     board.commit_entries(&keys)
 }
 
-/// What a board holds that a restart would take from it, by name: a device, a scene or a name other than what was saved,
-/// and rules other than those saved, where any were.
+/// What a board holds that a restart would take from it, by name: a device, a scene or a name other than what was
+/// saved, and rules other than those saved, where any were.
 pub fn unsaved(board: &mut Board) -> Result<Vec<&'static str>, BoardError> {
     fn differs<S: Setting + PartialEq>(board: &mut Board, now: &S) -> Result<bool, BoardError> {
         let saved = board.read_entry(S::KEY)?.and_then(|entry| decode::<S>(&entry).ok());

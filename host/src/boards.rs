@@ -15,7 +15,7 @@ impl BoardKind {
 
     /// What it calls itself, and what its image is built as.
     #[must_use]
-    pub fn name(self) -> &'static str {
+    pub const fn name(self) -> &'static str {
         match self {
             Self::OdriveV3 => "odrive-v3",
             Self::HBridgeF405 => "h-bridge-f405",

@@ -25,8 +25,8 @@ pub fn read(words: Vec<OsString>) -> Result<Command, clap::Error> {
     Ok(Cli::from_arg_matches(&matches)?.command)
 }
 
-/// No tip to pass an option that a command has not got as a value, which it would then take for the name of a file; and the
-/// option where a file to write stands without it.
+/// No tip to pass an option that a command has not got as a value, which it would then take for the name of a file; and
+/// the option where a file to write stands without it.
 fn without_wrong_tip(mut error: clap::Error, asked: &str) -> clap::Error {
     if error.kind() != clap::error::ErrorKind::UnknownArgument {
         return error;
@@ -47,7 +47,7 @@ fn without_wrong_tip(mut error: clap::Error, asked: &str) -> clap::Error {
     error
 }
 
-/// Where a number could not be read, what would be one, in the place of what the parser stumbled over.
+/// Where a number could not be read, says what to type in the place of the parser's own message.
 fn what_to_type(error: clap::Error) -> clap::Error {
     let stumbled = error.source();
     let wanted = match stumbled.and_then(|source| source.downcast_ref::<ParseIntError>()).map(ParseIntError::kind) {

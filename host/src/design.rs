@@ -1,13 +1,13 @@
-//! Where and how a device renders walls best: directions at a pose, places in the workspace, what each link, rotor and gear
-//! is worth, and the posture of a redundant arm.
+//! Where and how a device renders walls best: directions at a pose, places in the workspace, what each link, rotor and
+//! gear is worth, and the posture of a redundant arm.
 //!
 //! Everything here rests on one law of docs/model.md: without joint damping the stable boundary of a loop is that of a
-//! single mass, so the stiffest wall is in proportion to the inertia that it meets, Weff without the feed-forward and Wrr
-//! with it. What it leaves out (joint damping, friction, transmissions, the force that the motors have) is for `haptic range`
-//! and `haptic tune` at the pose that was chosen.
+//! single mass, so the stiffest wall is in proportion to the inertia that it meets, Weff without the feed-forward and
+//! Wrr with it. What it leaves out (joint damping, friction, transmissions, the force that the motors have) is for
+//! `haptic range` and `haptic tune` at the pose that was chosen.
 //!
-//! Inertia grows without bound towards a singular pose along the direction that is lost there. So the best place lies at
-//! the edge of what is allowed, which is said: poses nearer to a singularity than a given sine are left out.
+//! Inertia grows without bound towards a singular pose along the direction that is lost there. So the best place lies
+//! at the edge of what is allowed, which is said: poses nearer to a singularity than a given sine are left out.
 
 pub mod place;
 pub mod posture;
@@ -15,13 +15,16 @@ pub mod sensitivity;
 
 use crate::analysis::control_loop::usual_delay;
 use crate::analysis::plant::{Drive, Linearised};
-use crate::analysis::pose::TaskPose;
+use crate::analysis::pose::{TaskPose, angles, regular};
 use crate::analysis::range::domain;
 use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
 use crate::error::{Choice, Failure};
+use haptic_bridge::math::FineTable;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
-use nalgebra::{DMatrix, DVector};
+use haptic_bridge::model::mechanism::Mechanism;
+use haptic_bridge::with_mechanism;
+use nalgebra::{DMatrix, DVector, SVector};
 
 /// The largest stiffness (N/m) of an undamped kilogram in the loop of a board at this rate and cutoff, of all dampings.
 pub fn stiffness_per_kilogram(rate_hz: f64, cutoff_hz: f64) -> Result<f64, Failure> {
@@ -63,24 +66,30 @@ fn task_position(pose: &TaskPose, q: &[f64]) -> DVector<f64> {
     DVector::from_fn(q.len(), |i, _| pose.position.get(i).copied().unwrap_or_else(|| q.iter().sum()))
 }
 
-/// Joint angles near `from` (rad) that bring a device to a task position (tip in m, then φ): Newton's method. `None` where
-/// that is out of reach.
+/// Joint angles near `from` (rad) that bring a device to a task position (tip in m, then φ): Newton's method. `None`
+/// where that is out of reach.
 #[must_use]
 pub fn reaching(device: &Device<f64>, from: &[f64], place: &DVector<f64>) -> Option<Vec<f64>> {
-    let mut q = from.to_vec();
+    with_mechanism!(&device.mechanism, m => newton(m, from, place))
+}
+
+fn newton<M: Mechanism<f64, N>, const N: usize>(m: &M, from: &[f64], place: &DVector<f64>) -> Option<Vec<f64>> {
+    angles(from, N).ok()?;
+    let place = SVector::<f64, N>::from_fn(|i, _| place[i]);
+    let mut q = SVector::<f64, N>::from_column_slice(from);
     for _ in 0..40 {
-        let pose = TaskPose::of(&device.mechanism, &q).ok()?.regular().ok()?;
-        let off = place - task_position(&pose, &q);
+        let pose = m.pose::<FineTable>(&q);
+        regular(&m.regularity(&pose)).ok()?;
+        let off = place - m.tip(&pose);
         if off.norm() < 1e-12 {
-            return Some(q);
+            return Some(q.as_slice().to_vec());
         }
-        let step = &pose.inverse * off;
+        let step = m.inverse(&pose, &off);
         // Long steps overshoot near the edge of the reach.
-        let shorter = (0.2 / step.amax().max(1e-300)).min(1.0);
-        q.iter_mut().zip(step.iter()).for_each(|(q, step)| *q += shorter * step);
+        q += step * (0.2 / step.amax().max(1e-300)).min(1.0);
     }
-    let pose = TaskPose::of(&device.mechanism, &q).ok()?;
-    ((place - task_position(&pose, &q)).norm() < 1e-9).then_some(q)
+    let there = m.tip(&m.pose::<FineTable>(&q));
+    ((place - there).norm() < 1e-9).then(|| q.as_slice().to_vec())
 }
 
 /// Of a pose where a question about a direction has no answer.

@@ -5,7 +5,7 @@
 
 use crate::toml_file::{Document, FileError, Must, Problem, Table};
 use crate::vectors::padded;
-use haptic_bridge::math::{Libm, Minimax, Real};
+use haptic_bridge::math::{Libm, Real};
 use haptic_bridge::model::catalogue::{Kind, Spec};
 use haptic_bridge::model::catalogue::{MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
 use haptic_bridge::model::description::{
@@ -15,6 +15,7 @@ use haptic_bridge::model::description::{
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::model::motor::Motor;
+use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 use std::path::{Path, PathBuf};
@@ -135,7 +136,7 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>), F
         return Err(top.tables("joint")?[joint].error_at("mode", impossible(reason, remedy)));
     }
     let at = home.unwrap_or_default().map(|angle| angle as f32);
-    if !AnyMechanism::<f32>::new(&description).is_ok_and(|board| board.is_finite_at::<Minimax>(&at)) {
+    if !AnyMechanism::<f32>::new(&description).is_ok_and(|board| board.is_finite_at::<BoardMath>(&at)) {
         let reason = "some number is so large that the device overflows the board's 32-bit floats";
         return Err(top.error_here(impossible(reason, "check the numbers and their units (SI: m, kg, s)")));
     }

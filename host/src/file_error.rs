@@ -16,7 +16,8 @@ pub struct FileError {
     pub problem: Box<Problem>,
 }
 
-/// Everything a file can be refused for. `place` is the table, such as `[geometry]` or `[[link]] 1 (proximal-2)`: counted from 0.
+/// Everything a file can be refused for. `place` is the table, such as `[geometry]` or `[[link]] 1 (proximal-2)`:
+/// counted from 0.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Problem {
     /// The file cannot be read at all.

@@ -1,5 +1,5 @@
-//! From a device's task frame to the operator's, in which other people's programs compute: CHAI3D's has x towards the operator,
-//! y to the right and z up.
+//! From a device's task frame to the operator's, in which other people's programs compute: CHAI3D's has x towards the
+//! operator, y to the right and z up.
 
 use haptic_bridge::model::catalogue::Kind;
 use std::str::FromStr;
@@ -9,7 +9,8 @@ use std::str::FromStr;
 pub struct Axes(pub [Option<(usize, f64)>; 3]);
 
 impl Axes {
-    /// Those of a mechanism as it usually stands; a planar device that has weight stands upright, another lies on the table.
+    /// Those of a mechanism as it usually stands; a planar device that has weight stands upright, another lies on the
+    /// table.
     pub fn of(kind: Kind, weight: bool) -> Self {
         let (x, y, z) = (Some((0, 1.0)), Some((1, 1.0)), Some((2, 1.0)));
         let back = |axis: Option<(usize, f64)>| axis.map(|(index, sign)| (index, -sign));

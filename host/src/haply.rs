@@ -1,8 +1,9 @@
-//! A board as a device of Haply's: the JSON over WebSocket that programs speak with Haply's inverse service (`haptic serve
-//! --haply`, docs/haply.md).
+//! A board as a device of Haply's: the JSON over WebSocket that programs speak with Haply's inverse service
+//! (`haptic serve --haply`, docs/haply.md).
 //!
-//! Lock-step, as the service does it: the first frame tells everything, and then each message of the program is answered with
-//! one frame of how the device is. Forces come in both of the service's spellings, `values` (3.1) and `vector` (3.5).
+//! Lock-step, as the service does it: the first frame tells everything, and then each message of the program is
+//! answered with one frame of how the device is. Forces come in both of the service's spellings, `values` (3.1) and
+//! `vector` (3.5).
 //!
 //! The frame is Haply's: x to the operator's right, y away from the operator, z up, the origin at the device's base.
 
@@ -40,16 +41,16 @@ const MOST_AT_ONCE: Duration = Duration::from_millis(100);
 /// What a program asks for with one message.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Wish {
-    /// Force, N, in Haply's axes; none where it asks for none or says not to execute it.
+    /// Force, N, in Haply's axes; `None` if there is none or it is marked as not to be executed.
     pub force: Option<[f64; 3]>,
-    /// It wants to be told everything once more.
+    /// It asks for the full state once.
     pub full: bool,
     /// Commands that a board has nothing for.
     pub others: Vec<String>,
 }
 
 impl Wish {
-    /// Reads a message for the device of this id; what is for other devices is none of ours.
+    /// Reads a message for the device with this id; anything for other devices is ignored.
     pub fn parse(text: &str, id: &str) -> Result<Self, String> {
         let message: Value = serde_json::from_str(text).map_err(|error| format!("not JSON: {error}"))?;
         let mut wish = Self { full: !message["session"]["force_render_full_state"].is_null(), ..Self::default() };
@@ -263,8 +264,8 @@ impl HaplyListener {
         Ok(format!("ws://localhost:{}", self.0.local_addr()?.port()))
     }
 
-    /// Serves a device until `stop`, or until its board is gone, which is the error. One program at a time uses the device;
-    /// anybody on this computer may ask what it is.
+    /// Serves a device until `stop`, or until its board is gone, which is the error. One program at a time uses the
+    /// device; anybody on this computer may ask what it is.
     pub fn serve(&self, device: Inverse3, stop: &AtomicBool) -> Result<(), BoardError> {
         let shared = Arc::new(Shared {
             device: Mutex::new(device),

@@ -10,8 +10,8 @@ static WATCHED: OnceLock<()> = OnceLock::new();
 #[derive(Clone, Copy, Debug)]
 pub struct Interrupt(());
 
-/// From now on Ctrl-C (and a polite kill) sets the flag instead of ending the process. Where the system does not
-/// allow that, the process ends as it would have.
+/// From now on Ctrl-C (and a polite kill) sets the flag instead of ending the process. Where the system does not allow
+/// that, Ctrl-C ends the process as before.
 pub fn watch() -> Interrupt {
     WATCHED.get_or_init(|| {
         let _ = ctrlc::set_handler(|| INTERRUPTED.store(true, Ordering::SeqCst));

@@ -8,17 +8,18 @@ use serde::Serialize;
 const FIRST_EDGE: f64 = 1.0e-5;
 
 /// Whole control periods fall on edges, and a board tells its period in single precision.
-const HAIR: f64 = 1.0e-6;
+const EDGE_TOLERANCE: f64 = 1.0e-6;
 
 /// Times of many exchanges.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Latency {
     /// Exchanges in a second of the wire's clock.
     pub per_second: f64,
-    /// From a request's first byte to its answer's last, on the computer's clock (on a simulated board's in this process).
+    /// From a request's first byte to its answer's last, on the computer's clock (on a simulated board's in this
+    /// process).
     pub round_trip: Spread,
-    /// From the state that an answer tells to the board taking the request that follows on it, on the board's clock: how
-    /// old what a program computes is when it begins to act.
+    /// From the state that an answer tells to the board taking the request that follows on it, on the board's clock:
+    /// how old what a program computes is when it begins to act.
     pub age: Spread,
 }
 
@@ -52,8 +53,8 @@ pub struct Bin {
     pub count: usize,
 }
 
-/// Exchanges so many requests (at least 2) that ask nothing of the motors, as fast as the board answers; `stop` is asked
-/// before each.
+/// Exchanges so many requests (at least 2) that ask nothing of the motors, as fast as the board answers; `stop` is
+/// asked before each.
 pub fn measure(board: &mut Board, exchanges: usize, stop: impl Fn() -> bool) -> Result<Latency, LinkError> {
     let (mut round_trips, mut ages) = (Vec::new(), Vec::new());
     let began = board.now();
@@ -97,7 +98,7 @@ fn histogram(times: &[f64]) -> Vec<Bin> {
     let mut from = 0.0;
     let mut left = times;
     for edge in (0..).flat_map(|decade| [1.0, 2.0, 5.0].map(|step| step * FIRST_EDGE * 10.0_f64.powi(decade))) {
-        let count = left.partition_point(|time| *time <= edge * (1.0 + HAIR));
+        let count = left.partition_point(|time| *time <= edge * (1.0 + EDGE_TOLERANCE));
         if count > 0 || !bins.is_empty() {
             bins.push(Bin { from, to: edge, count });
         }

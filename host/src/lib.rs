@@ -35,9 +35,8 @@
 //! | record, and play a recording once more | [`recorder`], [`replay`] |
 //! | show a device in the browser, in a terminal | [`view`], [`monitor`] |
 //!
-//! What a program does not need it can leave out: with `default-features = false` there is neither the command line nor PNG (feature
-//! `png`) nor HTTP and WebSocket (`serve`: the door of
-//! [`view`], [`haply`]).
+//! What a program does not need it can leave out: with `default-features = false` there is neither the command line nor
+//! PNG (feature `png`) nor HTTP and WebSocket (`serve`: the door of [`view`], [`haply`]).
 //!
 //! The programs in `examples/` press a wall, follow telemetry, push and predict a range in about twenty lines each.
 //! [`haptic_bridge`] is the code that runs on the board itself; its types (scenes, gains, faults) are those used here.

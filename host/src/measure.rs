@@ -3,18 +3,18 @@
 //! Everything goes through the protocol, so the board may be simulated, emulated or real, and the theory is not asked:
 //! what counts is whether the telemetry of the wall's motion dies out, builds up or goes on ([`swing`]).
 //!
-//! One bilateral wall, or a set of them in given parts of one stiffness and damping, is tested at the place where the tip is
-//! held. Holding is done by walls too, because gains change at once and a new scene fades in over half a second: one wall
-//! along the direction of the pull and one across it for every other direction (`measure/walls.rs`). A trial pulls the tip
-//! aside by a small distance, lets it swing back, and hands it over to the tested gains. The holding walls are soft springs
-//! chosen from the inertia at the pose and the filter's cutoff, and made softer until the tip rests: a cable that gives may
-//! leave less damping than a rigid device stands, whatever its file says of it.
+//! One bilateral wall, or a set of them in given parts of one stiffness and damping, is tested at the place where the
+//! tip is held. Holding is done by walls too, because gains change at once and a new scene fades in over half a second:
+//! one wall along the direction of the pull and one across it for every other direction (`measure/walls.rs`). A trial
+//! pulls the tip aside by a small distance, lets it swing back, and hands it over to the tested gains. The holding
+//! walls are soft springs chosen from the inertia at the pose and the filter's cutoff, and made softer until the tip
+//! rests: a cable that gives may leave less damping than a rigid device stands, whatever its file says of it.
 //!
-//! One wall is pulled along its normal. A set is pulled, and watched, half way between the stiffest motion that it allows
-//! without the feed-forward and the one with it: a direction that shows either.
+//! One wall is pulled along its normal. A set is pulled, and watched, half way between the stiffest motion that it
+//! allows without the feed-forward and the one with it: a direction that shows either.
 //!
-//! A pull must be longer than what encoder steps explain ([`excitation`]); where the motors cannot even make the force of
-//! the smallest such pull, nothing can be told, and nothing is reported.
+//! A pull must be longer than what encoder steps explain ([`excitation`]); where the motors cannot even make the force
+//! of the smallest such pull, nothing can be told, and nothing is reported.
 
 pub mod before;
 pub mod campaign;
@@ -131,7 +131,8 @@ pub struct MeasurementSetup {
     pub largest_pull: f64,
 }
 
-/// The parts of a scene that decide the range besides rate, cutoff and washout, as scene files say them, with their defaults.
+/// The parts of a scene that decide the range besides rate, cutoff and washout, as scene files say them, with their
+/// defaults.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Law {
     /// Velocity estimator.
@@ -156,8 +157,8 @@ impl Default for Law {
 }
 
 impl MeasurementSetup {
-    /// How fast the device is held and its motion judged, Hz: the low-pass's cutoff. The cutoff of an estimator that watches
-    /// joints is not how fast the loop is, and theirs may be fast.
+    /// How fast the device is held and its motion judged, Hz: the low-pass's cutoff. The cutoff of an estimator that
+    /// watches joints is not how fast the loop is, and theirs may be fast.
     #[must_use]
     pub fn tempo_hz(&self) -> f64 {
         let own = if self.law.estimator.spec().is_some() { (0.1 * self.rate_hz).min(500.0) } else { self.cutoff_hz };

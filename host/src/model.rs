@@ -1,14 +1,15 @@
 //! The paper's quantities of a device at one configuration, as `haptic model` prints them (docs/model.md section 5).
 //!
-//! The numbers come from the shared library: in double precision with `libm`, or in single precision with the very
-//! mechanism, trigonometry and inertia code that the board runs.
+//! The numbers come from the shared library: in double precision, or in single precision with the mechanism and the
+//! trigonometry that the board runs.
 
 use crate::device_file::DeviceFile;
-use haptic_bridge::math::{Libm, Math, Minimax, Real};
+use haptic_bridge::math::{FineTable, Math, Real};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::inertia::Inertia;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::model::principal::{Principal, Pull};
+use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::with_mechanism;
 use nalgebra::{DMatrix, SMatrix, SVector};
 use serde::{Deserialize, Serialize};
@@ -209,7 +210,7 @@ pub fn evaluate_holding(
     with_mechanism!(&device.mechanism, m => regular(m, q))?;
     let report = match precision {
         Precision::F64 => {
-            with_mechanism!(&device.mechanism, m => report::<f64, Libm, _, _>(m, q, qd, walls, admissible))
+            with_mechanism!(&device.mechanism, m => report::<f64, FineTable, _, _>(m, q, qd, walls, admissible))
         }
         Precision::F32 => {
             // The controller hands the step angles within a turn, where the board's trigonometry is accurate.
@@ -218,7 +219,7 @@ pub fn evaluate_holding(
                 |angle: &f64| if device.spec().periodic { angle - turn * (angle / turn).round() } else { *angle };
             let q: Vec<f64> = q.iter().map(wrap).collect();
             let mechanism = AnyMechanism::<f32>::new(&device.description).map_err(|_| ModelError::NotFinite)?;
-            with_mechanism!(&mechanism, m => report::<f32, Minimax, _, _>(m, &q, qd, walls, admissible))
+            with_mechanism!(&mechanism, m => report::<f32, BoardMath, _, _>(m, &q, qd, walls, admissible))
         }
     };
     if report.is_finite() { Ok(report) } else { Err(ModelError::NotFinite) }
@@ -226,7 +227,7 @@ pub fn evaluate_holding(
 
 /// An error that names the singularity at `q`, if there is one.
 fn regular<const N: usize, M: Mechanism<f64, N>>(mechanism: &M, q: &[f64]) -> Result<(), ModelError> {
-    let pose = mechanism.pose::<Libm>(&vector_of(q));
+    let pose = mechanism.pose::<FineTable>(&vector_of(q));
     let regularity = mechanism.regularity(&pose);
     if regularity.parallel == 0.0 {
         return Err(ModelError::CannotClose);

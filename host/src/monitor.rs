@@ -1,9 +1,10 @@
-//! The page of `haptic view` in a terminal (`haptic monitor`, docs/monitor.md): what is seen of a board ([`seen`]), put on
-//! the screen ([`screen`]), and what keys say to it.
+//! The page of `haptic view` in a terminal (`haptic monitor`, docs/monitor.md): what is seen of a board ([`seen`]), put
+//! on the screen ([`screen`]), and what keys say to it.
 //!
-//! It is one more page of the stage ([`crate::view::stage`]), in this process: everything that moves a board goes through
-//! the same messages, with the same questions and the same dead man's key. A terminal does not tell when a key is let go,
-//! but repeats one that is held: Space switches the motors on once it repeats, and they go off when it no longer does.
+//! It is one more page of the stage ([`crate::view::stage`]), in this process: everything that moves a board goes
+//! through the same messages, with the same questions and the same dead man's key. A terminal does not tell when a key
+//! is let go, but repeats one that is held: Space switches the motors on once it repeats, and they go off when it no
+//! longer does.
 
 pub mod screen;
 pub mod seen;
@@ -179,7 +180,7 @@ mod tests {
     fn only_a_key_that_repeats_arms_and_one_that_stops_lets_go() {
         let (mut held, began) = (Held::default(), Instant::now());
         let at = |ms: u64| began + Duration::from_millis(ms);
-        assert_eq!(held.press(at(0)), None, "one press is none that is held");
+        assert_eq!(held.press(at(0)), None, "one press alone does not hold");
         assert_eq!(held.wait(at(500)), None);
         assert_eq!(held.press(at(600)), Some(FromPage::Arm {}));
         assert_eq!(held.press(at(640)), Some(FromPage::Hold {}));
@@ -187,6 +188,6 @@ mod tests {
         assert_eq!(held.wait(at(1041)), Some(FromPage::Release {}));
         assert_eq!(held.wait(at(5000)), None);
         assert_eq!(held.press(at(5000)), None, "and it begins anew");
-        assert_eq!(held.press(at(6001)), None, "two presses that are far apart are none that is held");
+        assert_eq!(held.press(at(6001)), None, "two presses far apart do not hold");
     }
 }

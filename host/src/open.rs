@@ -1,5 +1,5 @@
-//! What `--port` means, opened: a board on a wire, or a simulated one in this process. It lies above both, so that the link
-//! knows nothing of simulations, whose boards speak through it.
+//! What `--port` means, opened: a board on a wire, or a simulated one in this process. It lies above both, so that the
+//! link knows nothing of simulations, whose boards speak through it.
 
 use crate::device_file::DeviceFile;
 use crate::link::{Board, LinkError, PortSpec, Wire, open_serial, open_tcp};

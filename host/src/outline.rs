@@ -1,11 +1,11 @@
-//! What a drawing in the plane of x and y shows of a wall: the one place that knows it of every shape, for the page and for
-//! the terminal.
+//! What a drawing in the plane of x and y shows of a wall: the one place that knows it of every shape, for the page and
+//! for the terminal.
 
 use haptic_bridge::render::scene::Surface;
 use serde::{Deserialize, Serialize};
 
 /// A direction this close to square on the plane, or along it, is so: its sine.
-const SQUARE: f64 = 1e-3;
+const SQUARE_SINE: f64 = 1e-3;
 
 /// The section of a wall's surface.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -29,19 +29,19 @@ pub enum Outline {
     },
 }
 
-/// The outline of a surface; `None` where it is neither line nor circle, which is then to be said: a cylinder that lies
-/// askew, a plane that faces whoever looks.
+/// The outline of a surface; `None` if that is neither a line nor a circle, as of an oblique cylinder or of a plane
+/// seen face on: callers have to say so.
 pub fn outline(surface: &Surface<f64>) -> Option<Outline> {
     let flat = |point: [f64; 3]| [point[0], point[1]];
     match surface {
         Surface::Plane(plane) => {
             let normal = flat(plane.normal);
-            (normal[0].hypot(normal[1]) > SQUARE).then(|| Outline::Line { at: flat(plane.point), normal })
+            (normal[0].hypot(normal[1]) > SQUARE_SINE).then(|| Outline::Line { at: flat(plane.point), normal })
         }
         Surface::Sphere(ball) => {
             Some(Outline::Circle { at: flat(ball.center), radius: ball.radius, inside: ball.inside })
         }
-        Surface::Cylinder(rod) => (rod.axis[0].hypot(rod.axis[1]) < SQUARE).then(|| Outline::Circle {
+        Surface::Cylinder(rod) => (rod.axis[0].hypot(rod.axis[1]) < SQUARE_SINE).then(|| Outline::Circle {
             at: flat(rod.point),
             radius: rod.radius,
             inside: rod.inside,

@@ -1,8 +1,7 @@
-//! Files that the tool writes: never one in another's place unasked, never half a one.
+//! Files that the tool writes: it never replaces a file unasked and never leaves half of one.
 //!
-//! A document is written beside its place and then put there whole, so a full disk or a killed tool leaves what was
-//! there before. Links are followed. What is no ordinary file (a device node, a pipe) is written through and stays
-//! what it is.
+//! A document is written to a temporary file beside its place and then moved there, so a full disk or a killed tool
+//! leaves the old file as it was. Links are followed. A device node or a pipe is written to directly.
 
 use crate::error::{Choice, Failure};
 use std::fs::{File, OpenOptions};

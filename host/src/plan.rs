@@ -2,12 +2,13 @@
 //!
 //! The planner looks at where the scene's walls can be touched, with which normals, how hard the motors can push there
 //! and how fast a hand can move; it tries every mass model with and without velocity terms from the cheapest on, in the
-//! board's own precision, and takes the first whose error stays inside [`MARGIN`] of the budget. Where the board lets its
-//! velocity terms fade no choice brings them back: what stays there is told, and not held against the budget. What it
-//! decides is a scene (with `velocity_terms` and `feed_forward` set) and a mass model, and the board runs exactly that.
+//! board's own precision, and takes the first whose error stays inside [`MARGIN`] of the budget. Where the board lets
+//! its velocity terms fade no choice brings them back: what stays there is told, and not held against the budget. What
+//! it decides is a scene (with `velocity_terms` and `feed_forward` set) and a mass model, and the board runs exactly
+//! that.
 
 use crate::bench::counts;
-use crate::bench::error::{Errors, Found, Law, Terms, Trigonometry, errors};
+use crate::bench::error::{Errors, Found, Law, Terms, Trigonometry, Way, errors};
 use crate::bench::precompute::{Precomputed, frozen, most_points, range, table};
 use crate::bench::probe::{Probe, on_surface};
 use crate::error::Failure;
@@ -22,13 +23,13 @@ pub const MARGIN: f64 = 0.6;
 /// The budget when nothing is said, percent.
 pub const DEFAULT_PERCENT: f64 = 1.0;
 /// Trigonometry of the firmware.
-const SHIPPED: &str = "minimax";
+const SHIPPED: &str = "table";
 
 /// How much error a plan may leave.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Budget {
-    /// Percent of what the motors give at the same pose: of the worst joint's torque, and so of the largest force at the
-    /// tip in the direction of the error.
+    /// Percent of what the motors give at the same pose: of the worst joint's torque, and so of the largest force at
+    /// the tip in the direction of the error.
     Percent(f64),
     /// What the duty's resolution hides anyway.
     OneDutyStep,
@@ -55,7 +56,7 @@ pub struct Candidate {
     pub instructions: u32,
     /// Its error, with what fades whatever is chosen.
     pub errors: Errors,
-    /// What of the error another choice could take away.
+    /// The part of the error that another choice could take away.
     #[serde(skip)]
     pub given: Errors,
     /// That as a share of the budget.
@@ -155,7 +156,8 @@ fn plan_on(
     let mut candidates: Vec<Candidate> = Vec::new();
     let mut chosen = None;
     for (instructions, terms, mass) in ways {
-        let Found { whole: errors, given } = errors(device, &probes, &mass, terms, Trigonometry::Minimax, law)?;
+        let way = Way { model: &mass, terms, trigonometry: Trigonometry::Tabulated, law };
+        let Found { whole: errors, given } = errors(device, &probes, &way);
         let used = budget.used(&given);
         candidates.push(Candidate { model: mass.name(), terms: terms.name(), instructions, errors, given, used });
         if chosen.is_none() && used <= MARGIN {

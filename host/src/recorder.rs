@@ -1,8 +1,8 @@
 //! Recordings: telemetry rows in a file that is whole at every moment, CSV or MCAP ([`mcap`]) by its ending.
 //!
-//! Rows of a CSV file reach the file in blocks of whole lines. What does not fit onto a disk that is full is taken back to the last
-//! whole line, and the rows that are there are counted. A file whose writer was killed in the middle of a block is
-//! still read up to its last whole line.
+//! Rows of a CSV file reach the file in blocks of whole lines. What does not fit onto a disk that is full is taken back
+//! to the last whole line, and the rows that are there are counted. A file whose writer was killed in the middle of a
+//! block is still read up to its last whole line.
 
 pub mod about;
 pub mod mcap;
@@ -95,7 +95,8 @@ pub enum RecordError {
 }
 
 impl Recorder {
-    /// Creates the file (`-`: standard output) and writes `about` as comment lines (`# …`) and the names of the columns.
+    /// Creates the file (`-`: standard output) and writes `about` as comment lines (`# …`) and the names of the
+    /// columns.
     pub fn create(path: &Path, about: &str, columns: &[String], overwrite: Overwrite) -> Result<Self, Failure> {
         let sink = if path == Path::new("-") {
             Sink::StandardOutput

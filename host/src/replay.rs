@@ -11,11 +11,11 @@ use crate::recorder::{Recording, STATES};
 use crate::words::counted;
 use haptic_bridge::board::settings::Setting;
 use haptic_bridge::drive::stage::Bridge;
-use haptic_bridge::math::Minimax;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::State;
+use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::Counts;
 use haptic_bridge::servo::program::{Hardware, Program};
@@ -140,7 +140,7 @@ pub fn replay(recording: &Recording) -> Result<Replayed, Failure> {
         bridge: Bridge { carrier_hz: 20e3, dead_time: 0.0, bandwidth_hz: 1e3, current_sensed: false },
         timer_hz: crate::sim::TIMER_HZ,
     };
-    let mut servo = Servo::<Box<Program<Minimax>>>::new(hardware, rules);
+    let mut servo = Servo::<Box<Program<BoardMath>>>::new(hardware, rules);
     let program = Program::new(&hardware, &rules.limits, &device, &scene, false).map_err(Failure::wrong)?;
     servo.execute(Command::Program(Box::new(program))).0.map_err(Failure::wrong)?;
 
@@ -211,7 +211,7 @@ fn drives(recorded: usize) -> bool {
 
 /// Brings the servo into the state that the row was recorded in.
 fn follow(
-    servo: &mut Servo<Box<Program<Minimax>>>,
+    servo: &mut Servo<Box<Program<BoardMath>>>,
     recorded: usize,
 ) -> Result<(), haptic_bridge::safety::refusal::Refusal> {
     let now = servo.frame().state;

@@ -119,7 +119,7 @@ fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
     top.refuse_unknown_keys(&[&every[..], own.as_slice()].concat())?;
     let rate_hz = top.number("rate_hz", Must::BePositive)?.unwrap_or(DEFAULT_RATE_HZ);
     if !(MIN_RATE_HZ..=MAX_RATE_HZ).contains(&rate_hz) {
-        return Err(out_of_range(top, "rate_hz", rate_hz, "from 200 to 50000 Hz"));
+        return Err(out_of_range(top, "rate_hz", rate_hz, &format!("from {MIN_RATE_HZ} to {MAX_RATE_HZ} Hz")));
     }
     let cutoff_hz = top.number("cutoff_hz", Must::BePositive)?.unwrap_or(DEFAULT_CUTOFF_HZ.min(0.1 * rate_hz));
     below_half_the_rate(top, "cutoff_hz", cutoff_hz, rate_hz)?;
@@ -158,7 +158,8 @@ fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
     Ok(scene)
 }
 
-/// The estimator with the value of its own key, and a low-pass behind it if it is one that has one for a cutoff.
+/// The estimator with the value of its own key and, if it is of a kind that a low-pass may follow and there is a
+/// cutoff, with that low-pass.
 fn chosen(top: &Table<'_>, estimator: Estimator) -> Result<Estimator, FileError> {
     let (Some(spec), Some(usual)) = (estimator.spec(), estimator.chosen()) else { return Ok(estimator) };
     let mut value = usual.value;
@@ -180,7 +181,7 @@ fn chosen(top: &Table<'_>, estimator: Estimator) -> Result<Estimator, FileError>
 fn feed_forward_gain(top: &Table<'_>) -> Result<f64, FileError> {
     let gain = top.number("feed_forward_gain", Must::NotBeNegative)?.unwrap_or(1.0);
     if gain > MAX_FEED_FORWARD_GAIN {
-        return Err(out_of_range(top, "feed_forward_gain", gain, "from 0 to 3"));
+        return Err(out_of_range(top, "feed_forward_gain", gain, &format!("from 0 to {MAX_FEED_FORWARD_GAIN}")));
     }
     Ok(gain)
 }

@@ -49,8 +49,8 @@ pub struct Summary {
     pub w_eff: Option<Span>,
 }
 
-/// How far the tip goes along a task coordinate: from the grid's farthest poses on, to where limits or a singularity end
-/// the way.
+/// How far the tip goes along a task coordinate: from the grid's farthest poses on, to where limits or a singularity
+/// end the way.
 fn reach(device: &Device<f64>, points: &[MapPoint], axis: usize) -> Result<Option<Span>, PoseError> {
     let place = |point: &&MapPoint| point.position[axis];
     let farthest = |sign: f64| {

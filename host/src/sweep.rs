@@ -14,10 +14,10 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-/// How often what is done is written down: what a crash may cost.
-const OFTEN: Duration = Duration::from_secs(2);
-/// Share of the time that may go into writing.
-const WRITING: u32 = 20;
+/// Results are written down this often, so a crash costs no more than that,
+const WRITE_INTERVAL: Duration = Duration::from_secs(2);
+/// but after a pause of at least this many times as long as the last writing took.
+const LEAST_PAUSE: u32 = 20;
 
 /// The state that is kept between runs.
 #[derive(Debug, Default, Deserialize, Serialize)]
@@ -62,8 +62,8 @@ struct State {
 }
 
 impl Sweep {
-    /// Keeps results in `file`, where one is given, and begins with those of an earlier run of the same `command` with the
-    /// same `question`, which is everything that decides the results; a file with those of another one is refused.
+    /// Keeps results in `file`, where one is given, and begins with those of an earlier run of the same `command` with
+    /// the same `question`, which is everything that decides the results; a file with those of another one is refused.
     /// Once `interrupted` says so, the work ends in order.
     pub fn new(
         command: &str,
@@ -95,7 +95,7 @@ impl Sweep {
             write(path, &kept)?;
         }
         let shown = std::io::stderr().is_terminal();
-        let state = Mutex::new(State { kept, due: Instant::now() + OFTEN });
+        let state = Mutex::new(State { kept, due: Instant::now() + WRITE_INTERVAL });
         Ok(Self { interrupted: Box::new(interrupted), file: file.map(Path::to_path_buf), shown, state })
     }
 
@@ -204,7 +204,7 @@ impl Sweep {
             let begun = Instant::now();
             // A file that cannot be written now is told of when the work is interrupted.
             let _ = write(file, &state.kept);
-            state.due = Instant::now() + OFTEN.max(begun.elapsed() * WRITING);
+            state.due = Instant::now() + WRITE_INTERVAL.max(begun.elapsed() * LEAST_PAUSE);
         }
         Ok(())
     }

@@ -1,18 +1,18 @@
-//! The settings that render the stiffest wall on a device: rate, velocity estimator, cutoff, damping, stiffness, washout
-//! and feed-forward, within margins, a ripple and what the motors have.
+//! The settings that render the stiffest wall on a device: rate, velocity estimator, cutoff, damping, stiffness,
+//! washout and feed-forward, within margins, a ripple and what the motors have.
 //!
-//! Stability is that of the exact sampled loop ([`crate::analysis`]), for a device that is not quite the one in the file
-//! ([`Margins`]). Ripple is what encoder steps make of a pressed wall, by simulation ([`ripple`]): the analysis is linear
-//! and knows no steps. Levant's differentiator has no linear loop, so it is not searched.
+//! Stability is that of the exact sampled loop ([`crate::analysis`]), for a device that is not quite the one in the
+//! file ([`Margins`]). Ripple is what encoder steps make of a pressed wall, by simulation ([`ripple`]): the analysis is
+//! linear and knows no steps. Levant's differentiator has no linear loop, so it is not searched.
 //!
-//! For each estimator at each rate and cutoff the largest stiffness over damping is a curve; at each of its dampings the
-//! wall is made softer until it keeps the ripple. Candidates whose curve lies below the best that was found are not
-//! simulated. They are looked at in rounds of a fixed size, so the answer does not depend on the number of cores. Around
-//! the best few the search goes on between the values of the grid.
+//! For each estimator at each rate and cutoff the largest stiffness over damping is a curve; at each of its dampings
+//! the wall is made softer until it keeps the ripple. Candidates whose curve lies below the best that was found are not
+//! simulated. They are looked at in rounds of a fixed size, so the answer does not depend on the number of cores.
+//! Around the best few the search goes on between the values of the grid.
 //!
-//! One simulated hand is easily pleased: a wall that is quiet under it may ripple five times as much under another. So the best of
-//! each estimator is pressed once more, by another hand and with everything that a board has (`confirm`), and made softer
-//! until it is quiet there as well.
+//! One simulated hand is easily pleased: a wall that is quiet under it may ripple five times as much under another. So
+//! the best of each estimator is pressed once more, by another hand and with everything that a board has (`confirm`),
+//! and made softer until it is quiet there as well.
 
 mod baseline;
 mod confirm;
@@ -47,8 +47,8 @@ use margins::Corner;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// The highest rate at which a board was seen to miss no period in contact, Hz (docs/results/timing.md): of the emulated
-/// chip, with the shipped estimator.
+/// The highest rate at which a board was seen to miss no period in contact, Hz (docs/results/timing.md): of the
+/// emulated chip, with the shipped estimator.
 pub const FASTEST_HZ: f64 = 30_000.0;
 /// Rates that are searched where none are named, Hz.
 pub const RATES_HZ: [f64; 4] = [1_000.0, 5_000.0, 10_000.0, 20_000.0];
@@ -61,18 +61,18 @@ const WINDOWS: [u32; 4] = [4, 8, 16, 32];
 const DAMPINGS: usize = 12;
 const SHARES: (f64, f64) = (0.03, 0.9);
 /// Stiffness is found to this ratio, and of walls that differ by less the one without a feed-forward is taken.
-const BETTER: f64 = 1.03;
+const STIFFNESS_RATIO: f64 = 1.03;
 /// Candidates whose ripple is simulated at once.
 const ROUND: usize = 8;
 /// Corners of the washout, Hz: the highest that keeps nearly all of the stiffness.
 const WASHOUTS_HZ: [f64; 5] = [20.0, 10.0, 5.0, 2.0, 1.0];
 const KEEPS: f64 = 0.98;
-/// From one trial at a damping to the next softer one: more softness than stiffness is lost where friction or a limit cycle
-/// makes a stiffer wall the quieter.
+/// From one trial at a damping to the next softer one: more softness than stiffness is lost where friction or a limit
+/// cycle makes a stiffer wall the quieter.
 const SOFTER: f64 = 1.5;
-/// Walls of one feed-forward are looked for down to this share of the stiffest that was found before, so that what it
-/// would bring can be told.
-const TOLD: f64 = 0.7;
+/// With another feed-forward the search goes down to this share of the stiffest wall so far, so that there is a result
+/// to compare.
+const COMPARED_SHARE: f64 = 0.7;
 /// Around how many of the best settings the search goes on, and how often.
 const REFINED: usize = 3;
 const REFINEMENTS: usize = 4;
@@ -182,7 +182,7 @@ pub struct Found {
     /// The settings.
     #[serde(flatten)]
     pub settings: Settings,
-    /// Root mean square of what its force has above 20 Hz under a hand that slides along it, N.
+    /// Root mean square of its force above 20 Hz under a hand that slides along it, N.
     pub ripple_n: f64,
     /// The same on the simulated board, under its hand, N; none where that was not looked at.
     pub board_ripple_n: Option<f64>,
@@ -205,7 +205,8 @@ pub struct Answer {
     pub others: Vec<Found>,
     /// What the other feed-forwards would bring.
     pub feed_forwards: Vec<Otherwise>,
-    /// How many combinations of rate, estimator, cutoff and feed-forward there were, and of how many ripple was simulated.
+    /// How many combinations of rate, estimator, cutoff and feed-forward there were, and of how many ripple was
+    /// simulated.
     pub looked_at: (usize, usize),
 }
 
@@ -237,9 +238,9 @@ struct SearchContext<'a> {
     corners: [Vec<Corner>; 2],
     /// Largest stiffness (N/m) and damping (N s/m) for the motors.
     most: (f64, f64),
-    /// Stiffness (N/m) of which encoder steps alone make all of the ripple while the tip moves evenly through them: a step in
-    /// each joint is an error evenly spread over itself, 1/√12 of it, and the joints' are independent. A rule of thumb: a tip
-    /// that follows the steps, or that friction holds between two, ripples less.
+    /// Stiffness (N/m) of which encoder steps alone make all of the ripple while the tip moves evenly through them: a
+    /// step in each joint is an error evenly spread over itself, 1/√12 of it, and the joints' are independent. A rule
+    /// of thumb: a tip that follows the steps, or that friction holds between two, ripples less.
     steps: f64,
 }
 
@@ -354,13 +355,13 @@ impl<'a> SearchContext<'a> {
         Ok(found.map(|ripple_n| Found { settings, ripple_n, board_ripple_n: None }))
     }
 
-    /// The stiffest wall of a candidate that keeps the ripple and is stiffer than `floor` (N/m): at each damping from as stiff
-    /// as margins and motors let it be down to the first that keeps the ripple, and from there up again.
+    /// The stiffest wall of a candidate that keeps the ripple and is stiffer than `floor` (N/m): at each damping from
+    /// as stiff as margins and motors let it be down to the first that keeps the ripple, and from there up again.
     fn best_on(&self, settings: &Settings, curve: &Curve, floor: f64) -> Result<Option<Found>, Failure> {
         let mut best: Option<Found> = None;
         for &(damping, most) in &curve.points {
             let floor = best.map_or(floor, |best| best.settings.stiffness);
-            let least = if floor > 0.0 { BETTER * floor } else { most / 50.0 };
+            let least = if floor > 0.0 { STIFFNESS_RATIO * floor } else { most / 50.0 };
             let (mut high, mut next) = (most, most);
             let mut kept = None;
             while kept.is_none() && high >= least {
@@ -372,7 +373,7 @@ impl<'a> SearchContext<'a> {
                 (high, next) = (low, low / SOFTER);
             }
             let Some((mut low, mut found)) = kept else { continue };
-            while high / low > BETTER {
+            while high / low > STIFFNESS_RATIO {
                 let middle = (low * high).sqrt();
                 match self.tried(settings, middle, damping)? {
                     Some(stiffer) => (low, found) = (middle, stiffer),
@@ -461,7 +462,7 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<Answer, Failure> {
         candidates.sort_by(|(one, a), (other, b)| {
             b.top().total_cmp(&a.top()).then_with(|| other.rate_hz.total_cmp(&one.rate_hz))
         });
-        let floor = TOLD * stiffest(&all).map_or(0.0, |found| found.settings.stiffness);
+        let floor = COMPARED_SHARE * stiffest(&all).map_or(0.0, |found| found.settings.stiffness);
         let mut found = simulated(&context, &candidates, feed_forward, floor, sweep, &mut looked_at.1)?;
         by_stiffness(&mut found);
         for (place, one) in found.clone().into_iter().take(REFINED).enumerate() {
@@ -494,13 +495,13 @@ fn by_stiffness(found: &mut [Found]) {
     found.sort_by(|a, b| b.settings.stiffness.total_cmp(&a.settings.stiffness));
 }
 
-/// What is taken, and the stiffest where it is another: a feed-forward asks for a model that is right and pushes along the
-/// wall, so one that makes no difference is left out.
+/// What is taken, and the stiffest where it is another: a feed-forward asks for a model that is right and pushes along
+/// the wall, so one that makes no difference is left out.
 fn chosen(all: &[Found]) -> Option<(Found, Option<Found>)> {
     let top = stiffest(all)?;
     let plain = stiffest(all.iter().filter(|found| found.settings.feed_forward == FeedForward::Off));
     match plain {
-        Some(plain) if plain.settings.stiffness * BETTER >= top.settings.stiffness => {
+        Some(plain) if plain.settings.stiffness * STIFFNESS_RATIO >= top.settings.stiffness => {
             Some((plain, (plain != top).then_some(top)))
         }
         _ => Some((top, None)),
@@ -569,7 +570,7 @@ fn refined(context: &SearchContext<'_>, found: Found, stage: &str, sweep: &Sweep
         })?;
         let there: Vec<Found> = results.into_iter().flatten().map(|result| restored(&best.settings, result)).collect();
         best = stiffest([&best].into_iter().chain(&there)).unwrap_or(best);
-        if best.settings.stiffness <= BETTER * before {
+        if best.settings.stiffness <= STIFFNESS_RATIO * before {
             break;
         }
     }

@@ -2,7 +2,8 @@
 
 use haptic_bridge::render::scene::{FeedForward, Wall};
 
-/// What a board or this library says, for people who call functions: `calls` names the function for each command of the tool.
+/// What a board or this library says, for people who call functions: `calls` names the function for each command of the
+/// tool.
 pub fn for_a_program(text: &str, calls: &[(&str, &str)]) -> String {
     calls.iter().fold(text.into(), |text, (command, call)| text.replace(&format!("`haptic {command}`"), call))
 }

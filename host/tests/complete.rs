@@ -48,8 +48,8 @@ const REAL: &[&str] = &["--counts", "4194304"];
 const IDEAL: &[&str] = &["--ideal-drive", "--counts", "67108864"];
 /// The same without back-EMF, which the board gives back from a speed that its filter makes late.
 const NO_EMF: &[&str] = &["--counts", "4194304", "--no-emf"];
-/// What the drive misses of the first-order lag that stands for it, %: without the feed-forward on this device at 20 kHz
-/// (docs/results/complete.md). With [`NO_EMF`] and [`IDEAL`] it is as near as all others.
+/// What the drive misses of the first-order lag that stands for it, %: without the feed-forward on this device at 20
+/// kHz (docs/results/complete.md). With [`NO_EMF`] and [`IDEAL`] it is as near as all others.
 const MISSED: (&str, u32, f64) = ("capstan-pantograph", 20_000, 16.0);
 
 fn measured(
@@ -103,8 +103,9 @@ fn a_pantograph_with_cables_is_as_stiff_as_predicted() {
     }
 }
 
-/// Largest stable stiffness of the pantograph with soft cables at kd 5.41 N s/m, N/m: eigenvalues of a loop that was written
-/// apart from this code, from the five-bar's geometry on, at 400 stiffnesses up to 20 kN/m. Nothing above is stable again.
+/// Largest stable stiffness of the pantograph with soft cables at kd 5.41 N s/m, N/m: eigenvalues of a loop that was
+/// written apart from this code, from the five-bar's geometry on, at 400 stiffnesses up to 20 kN/m. Nothing above is
+/// stable again.
 const APART: [(&str, f64); 3] = [("off", 5715.25), ("full", 10022.44), ("washout", 271.97)];
 
 #[test]
@@ -160,8 +161,8 @@ fn three_devices_at_three_rates() {
     assert!(far.is_empty(), "{far:#?}");
 }
 
-/// What is left out above: a mode of 900 Hz with a tenth of each joint's inertia, friction half as much again at rest, and cogging of
-/// a tenth of the friction.
+/// What is left out above: a mode of 900 Hz with a tenth of each joint's inertia, friction half as much again at rest,
+/// and cogging of a tenth of the friction.
 fn with_everything(soft: &str) -> String {
     let value = |block: &str, key: &str| {
         let line =

@@ -1,4 +1,5 @@
-//! Whatever works for long can be interrupted at any place, goes on from its file, and comes to the same answer to the bit.
+//! Whatever works for long can be interrupted at any place, goes on from its file, and comes to the same answer to the
+//! bit.
 
 mod sim;
 

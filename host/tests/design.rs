@@ -210,7 +210,8 @@ fn the_best_posture_is_that_of_a_scan_over_all_orientations() {
     ] {
         assert!((one / other - 1.0).abs() < 0.02, "{one} kg, and the scan has {other} kg");
     }
-    // Another's sweep at this tip, in coarser steps: 0.0487 to 0.1139 kg, and 0.117 to 0.506 kg up to a sine of its own.
+    // Another's sweep at this tip, in coarser steps: 0.0487 to 0.1139 kg, and 0.117 to 0.506 kg up to a sine of its
+    // own.
     assert!((heavy / 0.1139 - 1.0).abs() < 0.01 && (light / 0.0487 - 1.0).abs() < 0.04, "{heavy} {light}");
     assert!((loose / 0.117 - 1.0).abs() < 0.01 && (held / 0.506 - 1.0).abs() < 0.06, "{held} {loose}");
     assert_eq!(postures(&shipped("haply-2diy").description, &[2.3, 0.84], &n, clear, PHI), Ok(None));

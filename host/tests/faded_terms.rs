@@ -1,6 +1,6 @@
 //! What the board leaves out where its velocity terms fade is told as an error.
 
-use haptic::bench::error::{Law, Terms, Trigonometry, errors, parts};
+use haptic::bench::error::{Law, Terms, Trigonometry, Way, errors, parts};
 use haptic::bench::precompute::Precomputed;
 use haptic::bench::probe::Probe;
 use haptic::device_file::DeviceFile;
@@ -162,11 +162,12 @@ fn what_fades_is_an_error() {
         assert!((0..2).all(|i| b[i].abs() < motor(i).torque_constant * motor(i).max_current), "{name}: {b}");
         for rate in RATES {
             let law = law(&device, VelocityTerms::Rendered, rate);
-            let (exact, z) = (Precomputed::default(), Terms::FeedForwardZ);
-            let found = errors(&device, &probes, &exact, z, Trigonometry::Minimax, law).unwrap();
+            let model = &Precomputed::default();
+            let way = Way { model, terms: Terms::FeedForwardZ, trigonometry: Trigonometry::Tabulated, law };
+            let found = errors(&device, &probes, &way);
             assert!((found.whole.force.max / left - 1.0).abs() < 1e-3, "{name} {rate:?}: {found:?}, left {left} N");
             assert!(found.given.force.max < 1e-3, "no choice brings it back: {name} {rate:?}: {found:?}");
-            let parts = parts(&device, &probes, &exact, z, Trigonometry::Minimax, law).unwrap();
+            let parts = parts(&device, &probes, &way);
             assert!((parts.dropped / left - 1.0).abs() < 1e-3, "{name} {rate:?}: {parts:?}, left {left} N");
         }
     }
@@ -230,8 +231,8 @@ fn the_papers_law_is_held_against_itself() {
         // Without what single counts cost.
         let law = Law { one_count: [0.0; 3], ..law(&device, terms, RATES[1]) };
         let found = |terms| {
-            let found = errors(&device, &probes, &Precomputed::default(), terms, Trigonometry::Minimax, law);
-            found.unwrap().whole.force.max
+            let way = Way { model: &Precomputed::default(), terms, trigonometry: Trigonometry::Tabulated, law };
+            errors(&device, &probes, &way).whole.force.max
         };
         let left = links.at_the_tip(&q, &added).norm();
         assert!((found(Terms::FeedForward) / left - 1.0).abs() < 1e-3, "{terms:?}: {left} N");

@@ -1,5 +1,5 @@
-//! `haptic serve --haply` as programs made for Haply's service see it: frames with the keys that its official client needs, in
-//! lock-step, forces in both spellings.
+//! `haptic serve --haply` as programs made for Haply's service see it: frames with the keys that its official client
+//! needs, in lock-step, forces in both spellings.
 
 mod sim;
 

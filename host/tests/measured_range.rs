@@ -93,7 +93,8 @@ fn an_interrupted_measurement_leaves_the_motors_off() {
 }
 
 /// The Phantom that ships at home, without friction, at 5 kHz, 200 Hz and kd 20, its encoders `finer` than the file's.
-/// Theory and an independent simulation say that walls are stable up to 27.6 kN/m without the feed-forward and 32.0 with.
+/// Theory and an independent simulation say that walls are stable up to 27.6 kN/m without the feed-forward and 32.0
+/// with.
 fn phantom(feed_forward: FeedForward, finer: f64) -> Result<Boundary, MeasureError> {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/phantom-premium-1.5.toml");
     let mut file = DeviceFile::load(path).unwrap();
@@ -121,8 +122,8 @@ fn encoders_too_coarse_for_the_motors_are_said_to_be_and_nothing_is_made_up() {
     }
 }
 
-/// Four times finer, six steps at the boundary are still three quarters of what the motors have: swings that build up soon
-/// go on as a vibration within the torque limit. What encoder steps explain may take 3.6 % off, see `swing`.
+/// Four times finer, six steps at the boundary are still three quarters of what the motors have: swings that build up
+/// soon go on as a vibration within the torque limit. What encoder steps explain may take 3.6 % off, see `swing`.
 #[test]
 fn a_vibration_that_the_motors_bound_is_not_taken_for_one_that_decays() {
     for (feed_forward, theory) in PHANTOM {
@@ -139,8 +140,9 @@ fn with_fine_encoders_the_boundary_is_the_one_that_two_others_found() {
     }
 }
 
-/// The Phantom that ships with a cable of 400 Hz at every joint, at home, at 5 kHz, 200 Hz and kd 3.26: walls are stable up to
-/// 8406 N/m, by eigenvalues that were computed apart from this code. A hold as quick as a rigid device stands is not.
+/// The Phantom that ships with a cable of 400 Hz at every joint, at home, at 5 kHz, 200 Hz and kd 3.26: walls are
+/// stable up to 8406 N/m, by eigenvalues that were computed apart from this code. A hold as quick as a rigid device
+/// stands is not.
 #[test]
 fn a_device_is_held_as_softly_as_its_cables_ask() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/phantom-premium-1.5.toml");

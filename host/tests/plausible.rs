@@ -219,7 +219,8 @@ fn reach_and_force_are_the_exact_ones_however_coarse_the_grid() {
     }
 }
 
-/// "up to X N" of the sentence about motors is the largest of "by direction" wherever joints and directions are as many.
+/// "up to X N" of the sentence about motors is the largest of "by direction" wherever joints and directions are as
+/// many.
 #[test]
 fn both_largest_forces_are_the_same_number() {
     for name in ["phantom-premium-1.5", "haply-2diy", "coupled-five-bar", "capstan-pantograph", "woodenhaptics"] {

@@ -1,5 +1,5 @@
-//! `haptic plot`: what is drawn is what was recorded. A recording of known functions is drawn, and the picture is read back
-//! by its own ticks and labels, without the code that drew it.
+//! `haptic plot`: what is drawn is what was recorded. A recording of known functions is drawn, and the picture is read
+//! back by its own ticks and labels, without the code that drew it.
 
 use assert_cmd::Command;
 use haptic::plot::axes::{Axis, Mark, PlotArea};

@@ -1,5 +1,6 @@
-//! What others measured and rigid theory with perfect sensors misses: how little a higher rate brings, and what it costs
-//! (docs/published.md). Orders and trends are held, not the factors: nobody has published the devices' friction and cables.
+//! What others measured and rigid theory with perfect sensors misses: how little a higher rate brings, and what it
+//! costs (docs/published.md). Orders and trends are held, not the factors: nobody has published the devices' friction
+//! and cables.
 
 use haptic::analysis::flexible::Hand;
 use haptic::analysis::plant::{Drive, Linearised};

@@ -32,8 +32,8 @@ fn boundary(estimator: LinearEstimator, damping: &[f64]) -> Result<Vec<f64>, Ana
 
 #[test]
 fn with_a_predicted_velocity_the_loop_is_that_of_an_exact_one_at_every_cutoff() {
-    // x' = x + v + u/2, v' = v + u, u = -a x - b v: z² - (2 - a/2 - b) z + 1 - b + a/2, stable for a < 2b, b < 2. By the
-    // separation principle the observer's poles come on top.
+    // x' = x + v + u/2, v' = v + u, u = -a x - b v: z² - (2 - a/2 - b) z + 1 - b + a/2, stable for a < 2b, b < 2. By
+    // the separation principle the observer's poles come on top.
     let damping = [0.05, 0.4, 1.0, 1.9];
     for cutoff in [1.0, 20.0, 200.0] {
         let found = boundary(LinearEstimator::Predicted(cutoff), &damping).unwrap();

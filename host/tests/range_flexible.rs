@@ -104,7 +104,8 @@ fn an_infinite_stiffness_is_rigid() {
 
 #[test]
 fn what_the_loop_neither_sees_nor_moves_does_not_count() {
-    // Two joints that do not know each other, without any loss: a soft one that the wall does not see beside a rigid one.
+    // Two joints that do not know each other, without any loss: a soft one that the wall does not see beside a rigid
+    // one.
     let mut device = rigid();
     device.mass = DMatrix::from_diagonal(&DVector::from_vec(vec![3.0e-4, 1.1e-4]));
     device.viscous.fill(0.0);

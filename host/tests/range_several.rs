@@ -1,6 +1,6 @@
-//! `haptic range` of several walls: one wall given twice is the wall (the independent domains hold it), sets of walls end
-//! where loops built here from M, J and the torques of `haptic model` end, and `haptic measure-range` finds the same sets
-//! to end there.
+//! `haptic range` of several walls: one wall given twice is the wall (the independent domains hold it), sets of walls
+//! end where loops built here from M, J and the torques of `haptic model` end, and `haptic measure-range` finds the
+//! same sets to end there.
 
 mod domains;
 

@@ -29,8 +29,8 @@ fn around() -> Loop {
     }
 }
 
-/// A shipped device; with cables of so many Hz against each joint's motor, of which a third joint's and more have all of
-/// the inertia and a turret three tenths.
+/// A shipped device; with cables of so many Hz against each joint's motor, of which a third joint's and more have all
+/// of the inertia and a turret three tenths.
 fn device(name: &str, hz: Option<f64>) -> DeviceFile {
     let path = format!("{}/../devices/{name}.toml", env!("CARGO_MANIFEST_DIR"));
     let mut file = DeviceFile::load(path).unwrap();

@@ -1,4 +1,5 @@
-//! `haptic replay`: the control code does from a recording's counts what it did, to the bit, and says where it does not.
+//! `haptic replay`: the control code does from a recording's counts what it did, to the bit, and says where it does
+//! not.
 
 mod sim;
 

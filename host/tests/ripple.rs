@@ -1,5 +1,5 @@
-//! What encoder steps make of a pressed wall: against what was computed apart from this project's code, against the board's
-//! own control step, and by its limits.
+//! What encoder steps make of a pressed wall: against what was computed apart from this project's code, against the
+//! board's own control step, and by its limits.
 
 use assert_cmd::Command;
 use haptic::analysis::plant::{Drive, Linearised};
@@ -38,8 +38,8 @@ fn pressed<T>(around: &Loop, counts: Option<f64>, work: impl FnOnce(&Pressed<'_>
 }
 
 /// Rate, cutoff, stiffness, damping; root mean square without and with the feed-forward, N, by a program that shares no
-/// code with this one: the linearised five-bar with dry friction in steps of 20 us, the largest of four offsets of the counts,
-/// and a hand that presses against the tip force of the wall, M E Wrr⁻¹ brought to the tip by J⁻ᵀ.
+/// code with this one: the linearised five-bar with dry friction in steps of 20 us, the largest of four offsets of the
+/// counts, and a hand that presses against the tip force of the wall, M E Wrr⁻¹ brought to the tip by J⁻ᵀ.
 const APART: [(f64, f64, f64, f64, f64, f64); 4] = [
     (1_000.0, 100.0, 15_000.0, 40.0, 0.419, 0.292),
     (5_000.0, 200.0, 20_000.0, 60.0, 1.011, 0.684),

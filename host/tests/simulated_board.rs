@@ -322,8 +322,8 @@ fn the_energy_that_a_wall_gives_out_is_seen_in_telemetry_and_damped_where_the_ru
     let (given_out, damping, damped) = unstable_contact(true);
     assert!(given_out < -1e-3, "the wall gave out {given_out} J");
     assert!(damping > 1.0, "{damping} N s/m");
-    // It takes the edge off, a tenth to a fifth of the speed (rounding decides which way such a wall swings), and does not
-    // make it stable: docs/safety.md.
+    // It takes the edge off, a tenth to a fifth of the speed (rounding decides which way such a wall swings), and does
+    // not make it stable: docs/safety.md.
     let left = damped / free;
     assert!((0.75..0.95).contains(&left), "{damped} m/s with damping, {free} m/s without");
 }

@@ -78,7 +78,8 @@ fn velocity_terms_do_not_act_on_single_counts() {
     assert!(seen >= 9 * 8, "{seen}");
 }
 
-/// The mean torques (N m) of the velocity terms over the periods of the last count while a five-bar's joints turn evenly.
+/// The mean torques (N m) of the velocity terms over the periods of the last count while a five-bar's joints turn
+/// evenly.
 fn of_turning(counts_per_turn: f64, speed: f64) -> SVector<f64, 2> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices/coupled-five-bar.toml");
     let mut known = DeviceFile::load(folder).unwrap().description;

@@ -1,12 +1,13 @@
-//! What long sweeps cost: the tables of docs/results.md, in seconds of one core, which other work on the computer hardly
-//! changes.
+//! What long sweeps cost: the tables of docs/results.md, in seconds of one core, which other work on the computer
+//! hardly changes.
 //!
 //! `cargo test --release --locked -p haptic --test sweep_costs -- --ignored --nocapture` prints them.
 #![cfg(target_os = "linux")]
 
 use assert_cmd::Command;
 
-/// Seconds of one core that the children of this process have used so far: clock ticks, which Linux shows as hundredths.
+/// Seconds of one core that the children of this process have used so far: clock ticks, which Linux shows as
+/// hundredths.
 fn used() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap();
     // Behind the name, which may have blanks: user and system time of children are fields 16 and 17 of all.

@@ -30,8 +30,8 @@ fn around(rate_hz: f64) -> Loop {
     }
 }
 
-/// With torque t f on an undamped device, t what a controller with another mass matrix makes of (4), the tip's acceleration
-/// along n is Jr M⁻¹ t f: the loop is that of a mass 1/(Jr M⁻¹ t).
+/// With torque t f on an undamped device, t what a controller with another mass matrix makes of (4), the tip's
+/// acceleration along n is Jr M⁻¹ t f: the loop is that of a mass 1/(Jr M⁻¹ t).
 #[test]
 fn a_controller_that_is_wrong_about_the_inertia_meets_the_mass_that_its_torque_makes() {
     let file = shipped("coupled-five-bar");
@@ -156,8 +156,8 @@ fn no_wall_of_a_plain_scan_is_much_stiffer() {
     assert!(tried > 10, "{tried}");
 }
 
-/// What encoder steps alone make of the force of a tip that moves evenly through them, kp √(Σ step²/12), is a rule of thumb; what
-/// binds is what the hands feel, and no wall is missed that the rule lets through.
+/// What encoder steps alone make of the force of a tip that moves evenly through them, kp √(Σ step²/12), is a rule of
+/// thumb; what binds is what the hands feel, and no wall is missed that the rule lets through.
 #[test]
 fn the_answer_is_the_stiffest_of_all_and_names_what_ends_it() {
     let file = shipped("haply-2diy");
@@ -170,7 +170,8 @@ fn the_answer_is_the_stiffest_of_all_and_names_what_ends_it() {
     let steps: f64 = (0..2).map(|i| (device.row[i] * std::f64::consts::TAU / 10_752.0).powi(2) / 12.0).sum();
     let limit = |name: &str| found.limits.iter().find(|limit| limit.limit == name).unwrap().stiffness;
     assert!((limit("rule of thumb, encoder steps").unwrap() * steps.sqrt() / 0.1 - 1.0).abs() < 1e-9);
-    // The limit that is named is the one that ends it: at the stiffness that was found, within the step of the last search.
+    // The limit that is named is the one that ends it: at the stiffness that was found, within the step of the last
+    // search.
     let active = limit(found.active).unwrap() / found.best.settings.stiffness;
     assert!((1.0..1.1).contains(&active), "{} at {active} times", found.active);
     for limit in &found.limits {

@@ -1,5 +1,5 @@
-//! A redundant device meets its wall by what it holds, and every command says the same of it; a gain of the feed-forward
-//! does what it costs.
+//! A redundant device meets its wall by what it holds, and every command says the same of it; a gain of the
+//! feed-forward does what it costs.
 
 mod sim;
 

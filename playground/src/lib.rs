@@ -1,13 +1,13 @@
-//! The page of `haptic view` as a file that needs no tool: the library, compiled to WebAssembly, behind the page in a worker
-//! of the browser. `cargo xtask playground` puts page, worker (src/worker.js), what carries messages between the two
-//! (src/page.js) and this together.
+//! The page of `haptic view` as a file that needs no tool: the library, compiled to WebAssembly, behind the page in a
+//! worker of the browser. `cargo xtask playground` puts page, worker (src/worker.js), what carries messages between the
+//! two (src/page.js) and this together.
 //!
-//! The same stage stands behind the page that the tool has: simulated board, boundary, oscilloscope, the rule of the key.
-//! A browser gives it neither threads nor a clock; it says what time it is at each [`turn`]. Ports and recordings are
-//! left out.
+//! The same stage stands behind the page that the tool has: simulated board, boundary, oscilloscope, the rule of the
+//! key. A browser gives it neither threads nor a clock; it says what time it is at each [`turn`]. Ports and recordings
+//! are left out.
 //!
-//! Numbers are all that can be handed over, so text and bytes lie in one buffer: who calls [`room`] writes it, everything
-//! else leaves its answer there.
+//! Numbers are all that can be handed over, so text and bytes lie in one buffer: who calls [`room`] writes it,
+//! everything else leaves its answer there.
 
 use haptic::device_file::DeviceFile;
 use haptic::error::Failure;

@@ -20,8 +20,8 @@ use std::time::Duration;
 /// How long one wait for telemetry is before Ctrl-C is looked for, s.
 const LOOK: f64 = 0.1;
 
-/// How the device is, in the answer to a request (docs/host-force.md). Arrays have three entries, 0 where the device has
-/// none.
+/// How the device is, in the answer to a request (docs/host-force.md). Arrays have three entries, 0 where the device
+/// has none.
 #[pyclass(frozen, module = "haptic_bridge")]
 pub struct State(ForceAnswer);
 
@@ -108,8 +108,8 @@ struct Held {
 /// A board while this program holds it.
 ///
 /// Board(port): a serial port or serial number, "tcp:HOST:PORT", "sim" or "sim:DEVICE.toml"; without one the only board
-/// connected. Use it in a `with` block: the motors go off at its end, however it ends, and when the board is let go of. Calls
-/// from several threads wait for each other; none holds the interpreter's lock while it waits for the board.
+/// connected. Use it in a `with` block: the motors go off at its end, however it ends, and when the board is let go of.
+/// Calls from several threads wait for each other; none holds the interpreter's lock while it waits for the board.
 #[pyclass(frozen, module = "haptic_bridge")]
 pub struct Board(Mutex<Option<Held>>);
 
@@ -226,8 +226,8 @@ impl Board {
         self.with(py, |held| held.session.home())
     }
 
-    /// Checks that every motor turns its joint the way its encoder counts, which moves each joint a little; returns when that
-    /// is known. Raises RefusedError where one does not, or where the check was ended before.
+    /// Checks that every motor turns its joint the way its encoder counts, which moves each joint a little; returns
+    /// when that is known. Raises RefusedError where one does not, or where the check was ended before.
     fn check_polarity(&self, py: Python<'_>) -> PyResult<()> {
         let outcome = self.with(py, |held| {
             held.session.check_polarity()?;
@@ -236,7 +236,8 @@ impl Board {
         outcome.passed().map_err(|failure| errors::refused(&failure.to_string()))
     }
 
-    /// Motors on; torque ramps up over half a second. The board must then hear from this program as often as its rules ask.
+    /// Motors on; torque ramps up over half a second. The board must then hear from this program as often as its rules
+    /// ask.
     fn arm(&self, py: Python<'_>) -> PyResult<()> {
         self.with(py, |held| held.session.arm())
     }
@@ -265,8 +266,8 @@ impl Board {
         there.map_err(|walls| RequestError::new_err(format!("the scene has {walls} walls, so there is no wall {wall}")))
     }
 
-    /// For how long look, force and torque wait for their answer, s; 0.1 unless this says otherwise. Where it does not come
-    /// they raise, and the next one goes on.
+    /// For how long look, force and torque wait for their answer, s; 0.1 unless this says otherwise. Where it does not
+    /// come they raise, and the next one goes on.
     fn wait_for_forces(&self, py: Python<'_>, seconds: f64) -> PyResult<()> {
         let patience = Duration::try_from_secs_f64(seconds)
             .map_err(|_| PyValueError::new_err(format!("a time is no less than 0 s, not {seconds}")))?;
@@ -281,11 +282,12 @@ impl Board {
         self.exchanged(py, ForceRequest::default())
     }
 
-    /// Pushes with a force (N) at the tip, up to 3 entries in the task frame, in the place of what was asked for before.
+    /// Pushes with a force (N) at the tip, up to 3 entries in the task frame, in the place of what was asked for
+    /// before.
     ///
-    /// hold_s: how long it acts in full, fade_s: in how long it then fades to nothing, 0 to 0.2 s each. contact: (point (m),
-    /// unit normal, stiffness (N/m), damping (N s/m)) of a plane that the board renders at its own rate. A force that was not
-    /// taken raises nothing: State.done says why.
+    /// hold_s: how long it acts in full, fade_s: in how long it then fades to nothing, 0 to 0.2 s each. contact: (point
+    /// (m), unit normal, stiffness (N/m), damping (N s/m)) of a plane that the board renders at its own rate. A force
+    /// that was not taken raises nothing: State.done says why.
     #[pyo3(signature = (force, *, contact = None, hold_s = link::HOLD, fade_s = link::FADE))]
     fn force(
         &self,
@@ -309,15 +311,16 @@ impl Board {
         self.exchanged(py, ForceRequest { hold: hold_s, fade: fade_s, force, contact, ..ForceRequest::default() })
     }
 
-    /// Pushes with torques (N m) at the joints, in the place of what was asked for before; hold_s and fade_s as of force.
+    /// Pushes with torques (N m) at the joints, in the place of what was asked for before; hold_s and fade_s as of
+    /// force.
     #[pyo3(signature = (torque, *, hold_s = link::HOLD, fade_s = link::FADE))]
     fn torque(&self, py: Python<'_>, torque: Vec<f64>, hold_s: f32, fade_s: f32) -> PyResult<State> {
         let torque = vector("the torques", &torque)?;
         self.exchanged(py, ForceRequest { hold: hold_s, fade: fade_s, torque, ..ForceRequest::default() })
     }
 
-    /// Starts a stream of every `divider`-th control period's fields (names of docs/telemetry.md with commas between, or
-    /// "usual", "all"). Returns the names of the columns that `rows` will have.
+    /// Starts a stream of every `divider`-th control period's fields (names of docs/telemetry.md with commas between,
+    /// or "usual", "all"). Returns the names of the columns that `rows` will have.
     #[pyo3(signature = (fields = "usual", divider = 1))]
     fn start_stream(&self, py: Python<'_>, fields: &str, divider: u32) -> PyResult<Vec<String>> {
         let fields = link::fields(fields).map_err(RequestError::new_err)?;

@@ -67,8 +67,9 @@ impl<T> Columns<'_, '_, T> {
 
 /// A device, read from a device file (docs/model.md section 4) and found sound.
 ///
-/// N joints, d task dimensions; SI units, angles in rad. Poses are arrays of shape (..., N): one pose (N,) or any number of
-/// them; results have the same leading shape. The interpreter's lock is released while they are computed, on all cores.
+/// N joints, d task dimensions; SI units, angles in rad. Poses are arrays of shape (..., N): one pose (N,) or any
+/// number of them; results have the same leading shape. The interpreter's lock is released while they are computed, on
+/// all cores.
 #[pyclass(name = "Device", frozen, module = "haptic_bridge")]
 pub struct PyDevice {
     pub file: DeviceFile,
@@ -132,11 +133,11 @@ impl PyDevice {
     /// The model at poses, as `haptic model` prints it.
     ///
     /// q: (..., N) rad. qd: (..., N) rad/s, zero by default. With a wall's normal (d,) or (..., d), any length, and its
-    /// force in N there is what equation (4) is made of as well. precision "f32" runs the very code that a board runs.
+    /// force in N there is what equation (4) is made of as well. precision "f32" has a board's mechanism and sines.
     ///
-    /// Returns a dict of arrays: position (..., d) m, jacobian (..., d, N) m/rad, mass (..., N, N) kg m², bias (..., N) N m:
-    /// c + g; condition_jacobian, condition_mass (...). With a normal: w_rr, w_eff, coupling (...) kg, w_ra (..., N-1),
-    /// w_aa (..., N-1, N-1), z_r (...) N, z_a, f_a (..., N-1), torque, torque_without_feed_forward (..., N) N m.
+    /// Returns a dict of arrays: position (..., d) m, jacobian (..., d, N) m/rad, mass (..., N, N) kg m², bias (..., N)
+    /// N m: c + g; condition_jacobian, condition_mass (...). With a normal: w_rr, w_eff, coupling (...) kg, w_ra (...,
+    /// N-1), w_aa (..., N-1, N-1), z_r (...) N, z_a, f_a (..., N-1), torque, torque_without_feed_forward (..., N) N m.
     ///
     /// A singular pose raises ImpossibleError, or has NaN with singular="nan".
     #[pyo3(signature = (q, *, qd = None, normal = None, force = 0.0, precision = "f64", admissible = "orientation", singular = "raise"))]
@@ -203,16 +204,17 @@ impl PyDevice {
         Ok(columns.into)
     }
 
-    /// Which walls are stable at poses, as `haptic range` predicts it (rates and cutoffs in Hz, delay in control samples).
+    /// Which walls are stable at poses, as `haptic range` predicts it (rates and cutoffs in Hz, delay in control
+    /// samples).
     ///
-    /// q: (..., N) rad; normal: (d,) or (..., d). kd: the dampings (N s/m) at which the boundary is wanted, k of them; by
-    /// default k is 200, even ones up to kd_max. estimator: butterworth, first-order, backward-difference, alpha-beta or
-    /// predicted. drive: ideal, voltage or current. hand: (kg, N s/m, N/m). host_rate_hz and host_delay_s (s, by default one
-    /// request's time) analyse the wall rendered by a program on a computer as well.
+    /// q: (..., N) rad; normal: (d,) or (..., d). kd: the dampings (N s/m) at which the boundary is wanted, k of them;
+    /// by default k is 200, even ones up to kd_max. estimator: butterworth, first-order, backward-difference,
+    /// alpha-beta or predicted. drive: ideal, voltage or current. hand: (kg, N s/m, N/m). host_rate_hz and host_delay_s
+    /// (s, by default one request's time) analyse the wall rendered by a program on a computer as well.
     ///
-    /// Returns a dict: w_eff, w_rr (...) kg, area_ratio (...), and for each of "off", "full", "washout" (with washout_hz) and
-    /// "host" a dict of area (...) N² s/m², kd_max (...) N s/m, kd and kp (..., k) in N s/m and N/m. Stable islands above
-    /// the boundary are not in it.
+    /// Returns a dict: w_eff, w_rr (...) kg, area_ratio (...), and for each of "off", "full", "washout" (with
+    /// washout_hz) and "host" a dict of area (...) N² s/m², kd_max (...) N s/m, kd and kp (..., k) in N s/m and N/m.
+    /// Stable islands above the boundary are not in it.
     ///
     /// A singular pose raises ImpossibleError, or has NaN with singular="nan".
     #[pyo3(signature = (
@@ -330,7 +332,8 @@ impl PyDevice {
         Ok(columns.into)
     }
 
-    /// Inertia over the reachable workspace, as `haptic map` prints it: about `points` grid poses, M of which are reached.
+    /// Inertia over the reachable workspace, as `haptic map` prints it: about `points` grid poses, M of which are
+    /// reached.
     ///
     /// Returns a dict of arrays: q (M, N) rad, position (M, d) m, w_eff, w_rr, coupling (M,) kg along the normal (d,),
     /// condition_jacobian, condition_mass (M,), worst_ratio (M,), worst_ratio_normal (M, d), worst_coupling (M,) kg,

@@ -46,29 +46,33 @@ struct Measured {
 
 /// Measures on a board which walls stay stable, as `haptic measure-range` does it; moves the motors.
 ///
-/// For every damping the stiffness is raised until the telemetry shows a motion that builds up or goes on as a vibration; it is
-/// taken back at once, and the boundary bisected. The theory is not consulted. What the board held before (scene, rules) is put
-/// back. Take the hand off the device. Ctrl-C turns the motors off, and so does any exception.
+/// For every damping the stiffness is raised until the telemetry shows a motion that builds up or goes on as a
+/// vibration; it is taken back at once, and the boundary bisected. The theory is not consulted. What the board held
+/// before (scene, rules) is put back. Take the hand off the device. Ctrl-C turns the motors off, and so does any
+/// exception.
 ///
 /// Without a board the device is simulated in this process, as fast as the computer can, with: q, shape (N,) rad, where
-/// it stands (default: its home); friction "all", "viscous", "coulomb" or "none"; ideal_drive, whose torques act at once; counts per
-/// turn of every encoder (default: the device file's); grip, a relaxed hand at the tip. A board is measured where and as it is: it must
-/// hold this device, and a real one needs yes=True, which says that you know that it will move.
+/// it stands (default: its home); friction "all", "viscous", "coulomb" or "none"; ideal_drive, whose torques act at
+/// once; counts per turn of every encoder (default: the device file's); grip, a relaxed hand at the tip. A board is
+/// measured where and as it is: it must hold this device, and a real one needs yes=True, which says that you know that
+/// it will move.
 ///
-/// normal: (d,), a wall where the tip is; or (W, d), walls that act together in the parts share, shape (W,) (default: equal ones),
-/// those listed in no_feed_forward (counted from 0) without it; stiffness and damping are then the totals. feed_forward: "both"
-/// (off and full), "all" (washout as well), "off", "full" or "washout". kd: the dampings, N s/m (default: `points` even ones up to
-/// where the range ends). torque_limit_nm: largest joint torque, N m; pull_m: farthest the tip is pulled aside, m.
+/// normal: (d,), a wall where the tip is; or (W, d), walls that act together in the parts share, shape (W,) (default:
+/// equal ones), those listed in no_feed_forward (counted from 0) without it; stiffness and damping are then the totals.
+/// feed_forward: "both" (off and full), "all" (washout as well), "off", "full" or "washout". kd: the dampings, N s/m
+/// (default: `points` even ones up to where the range ends). torque_limit_nm: largest joint torque, N m; pull_m:
+/// farthest the tip is pulled aside, m.
 ///
-/// progress: a file that is written after every repeat; the same call with it goes on where the last one was interrupted. told:
-/// called with (repeats done, repeats in all); it must leave the board alone.
+/// progress: a file that is written after every repeat; the same call with it goes on where the last one was
+/// interrupted. told: called with (repeats done, repeats in all); it must leave the board alone.
 ///
 /// Returns a dict: q (N,) rad; encoder_step_m; loop, the keywords with which Device.range predicts the same, as in
-/// device.range(found["q"], normal, kd=found["off"]["kd"], **found["loop"]); and for each of "off", "full", "washout" that was measured
-/// a dict over its k dampings, ascending: kd (k,) N s/m; kp (k,) N/m, the median of the repeats (k, R), R the most that any damping
-/// has; low, high (k,) their bounds; vibration_m (k,), from peak to peak just beyond, NaN where the motion grew; stable_up_to (k,) N/m and
-/// why (k texts, None without) where nothing more could be told, and kp may be NaN; kd_max, where the range ends, NaN unless
-/// that was measured, and kd_max_open, why it was not found, or None.
+/// device.range(found["q"], normal, kd=found["off"]["kd"], **found["loop"]); and for each of "off", "full", "washout"
+/// that was measured a dict over its k dampings, ascending: kd (k,) N s/m; kp (k,) N/m, the median of the repeats (k,
+/// R), R the most that any damping has; low, high (k,) their bounds; vibration_m (k,), from peak to peak just beyond,
+/// NaN where the motion grew; stable_up_to (k,) N/m and why (k texts, None without) where nothing more could be told,
+/// and kp may be NaN; kd_max, where the range ends, NaN unless that was measured, and kd_max_open, why it was not
+/// found, or None.
 ///
 /// Raises ImpossibleError where nothing could be told at all, LinkError, RefusedError.
 #[pyfunction]

@@ -10,9 +10,9 @@ use std::path::PathBuf;
 
 /// Rows of telemetry with names.
 ///
-/// `recording["tip_x_m"]` is one column, shape (rows,); `recording.data` all of them, shape (rows, columns). Column names end
-/// with their unit; `step` counts control periods since the board started. A state is 0 disarmed, 1 armed, 2 checking
-/// polarity, 3 fault.
+/// `recording["tip_x_m"]` is one column, shape (rows,); `recording.data` all of them, shape (rows, columns). Column
+/// names end with their unit; `step` counts control periods since the board started. A state is 0 disarmed, 1 armed, 2
+/// checking polarity, 3 fault.
 #[pyclass(frozen, module = "haptic_bridge")]
 pub struct Recording {
     pub columns: Vec<String>,

@@ -13,9 +13,9 @@ use pyo3::prelude::*;
 
 /// A simulated board with a device on it: the firmware's code around a simulated linkage, motors and encoders.
 ///
-/// Simulation(device, scene=None, *, ideal=False, friction=True, strict=False): no scene is free space; ideal motors make the commanded torque at
-/// once; a strict board asks for homing, the polarity check and verified motors, as a real one does. Time passes only in
-/// `run`, `drive` and while a Board of it waits for an answer.
+/// Simulation(device, scene=None, *, ideal=False, friction=True, strict=False): no scene is free space; ideal motors
+/// make the commanded torque at once; a strict board asks for homing, the polarity check and verified motors, as a real
+/// one does. Time passes only in `run`, `drive` and while a Board of it waits for an answer.
 #[pyclass(frozen, module = "haptic_bridge")]
 pub struct Simulation {
     shared: SharedBoard,
@@ -57,8 +57,9 @@ impl Simulation {
         py.detach(|| self.shared.lock().run(seconds));
     }
 
-    /// Runs one control period with the device at rest at q (N,) rad, and returns the motors' torques, N m, shape (N,): the
-    /// board's code in somebody else's world. Its encoders round q to their steps; its velocities are those it estimates.
+    /// Runs one control period with the device at rest at q (N,) rad, and returns the motors' torques, N m, shape (N,):
+    /// the board's code in somebody else's world. Its encoders round q to their steps; its velocities are those it
+    /// estimates.
     fn drive<'py>(&self, py: Python<'py>, q: Vec<f64>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         let q = self.angles(&q)?;
         let torque = py.detach(|| {
@@ -77,8 +78,8 @@ impl Simulation {
         Ok(())
     }
 
-    /// Takes the tip in a hand that goes through waypoints [(seconds from now, x, y, ..), ...], in m, in smooth strokes;
-    /// with push=True they are forces in N. An empty list lets go.
+    /// Takes the tip in a hand that goes through waypoints [(seconds from now, x, y, ..), ...], in m, in smooth
+    /// strokes; with push=True they are forces in N. An empty list lets go.
     #[pyo3(signature = (waypoints, *, push = false))]
     fn hand(&self, waypoints: Vec<Vec<f64>>, push: bool) -> PyResult<()> {
         let point = |numbers: Vec<f64>| match numbers.split_first() {

@@ -29,13 +29,13 @@ pub enum After {
     Stream(StreamRequest, usize),
     /// Enter the boot loader.
     BootLoader,
-    /// Start anew.
+    /// Restart.
     Restart,
 }
 
 /// Answers the request in `frame` (without COBS), writing a frame into `out` (at least [`MAX_FRAME`] bytes).
 ///
-/// Returns the answer, `None` for what is no frame at all, and what is left to do.
+/// Returns the answer (`None` if `frame` is not a frame at all) and what the caller still has to do.
 pub fn answer<'o, M: Described>(
     service: &mut Service,
     machine: &mut M,
@@ -91,9 +91,31 @@ impl Request<'_> {
         }
     }
 
+    /// The same of what the host asks the motors for, thousands of times a second.
+    fn serve_force(&self, out: &mut [u8], work: impl FnOnce(&ForceRequest) -> ForceAnswer) -> Option<usize> {
+        let Some(request) = &read_force(self.body) else { return self.fail(WireError::DeserFailed, out) };
+        let header = VarHeader { key: VarKey::Key8(Force::RESP_KEY), seq_no: self.header.seq_no };
+        write_force(&header, &work(request), out)
+    }
+
     fn fail(&self, error: WireError, out: &mut [u8]) -> Option<usize> {
         encode(&VarHeader { key: VarKey::Key8(ERROR_KEY), seq_no: self.header.seq_no }, &error, out)
     }
+}
+
+// What is generic is compiled where it is used, on a board for size; these are compiled here, for speed.
+
+#[inline(never)]
+fn read_force(body: &[u8]) -> Option<ForceRequest> {
+    match postcard::take_from_bytes(body) {
+        Ok((request, [])) => Some(request),
+        _ => None,
+    }
+}
+
+#[inline(never)]
+fn write_force(header: &VarHeader, answer: &ForceAnswer, out: &mut [u8]) -> Option<usize> {
+    encode(header, answer, out)
 }
 
 fn encode(header: &VarHeader, message: &impl Serialize, out: &mut [u8]) -> Option<usize> {
@@ -123,8 +145,10 @@ fn route<M: Described>(
     if matches!(request.header.key, VarKey::Key1(_) | VarKey::Key2(_)) {
         return request.fail(WireError::KeyTooSmall, out);
     }
+    if request.is::<Force>() {
+        return request.serve_force(out, |force| machine.force(force));
+    }
     serve! { request, out;
-        Force: |force| machine.force(&force);
         GetStatus: |()| machine.status();
         Heartbeat: |()| service.heartbeat(machine);
         Arm: |()| service.arm(machine);

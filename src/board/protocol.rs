@@ -24,9 +24,9 @@ use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 /// Version of this table. Raised by any change to it.
-pub const PROTOCOL: u16 = 7;
+pub const PROTOCOL: u16 = 8;
 
-/// Largest COBS frame on the link, bytes.
+/// Longest frame on the link, bytes, before what COBS adds.
 pub const MAX_FRAME: usize = 1536;
 
 /// Most faults the board remembers since it started.

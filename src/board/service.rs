@@ -133,7 +133,7 @@ impl Service {
         if let Some(device) = self.read::<Device<f32>>(machine)
             && self.set_device_and_mass(machine, device.clone(), mass.clone()).is_err()
         {
-            // A mass model that does not fit is no reason to be without a device.
+            // Where only the mass model does not fit, the device is loaded without it.
             let key = if modelled && self.set_device(machine, device).is_ok() { Key::MassModel } else { Key::Device };
             let _ = self.damage.push((key, Damage::Corrupt));
         }
@@ -198,7 +198,8 @@ impl Service {
         &self.configuration.rules
     }
 
-    /// Loads a device: motors must be off; homing, scene (unless it fits) and mass model start anew.
+    /// Loads a device. The motors must be off. Homing and the mass model are forgotten, and so is a scene that does not
+    /// fit.
     pub fn set_device(&mut self, machine: &mut impl Machine, device: Device<f32>) -> Result<(), Refusal> {
         self.set_device_and_mass(machine, device, MassModelData::Exact)
     }
@@ -275,8 +276,8 @@ impl Service {
         Ok(())
     }
 
-    /// Puts `next` in force and leaves the configuration before it in its place. On a refusal nothing changes. Settings that
-    /// were staged under `keys` are committed to flash after the last check that can refuse.
+    /// Puts `next` in force and leaves the configuration before it in its place. On a refusal nothing changes. Settings
+    /// that were staged under `keys` are committed to flash after the last check that can refuse.
     fn install<Mc: Machine>(
         &mut self,
         machine: &mut Mc,
@@ -310,8 +311,8 @@ impl Service {
         Ok(())
     }
 
-    /// A configuration's program where the servo can use it, and its control rate, Hz; `None` without a device. By itself, so
-    /// that nothing else stands on the stack with a program.
+    /// A configuration's program where the servo can use it, and its control rate, Hz; `None` without a device. By
+    /// itself, so that nothing else stands on the stack with a program.
     #[inline(never)]
     fn placed<Mc: Machine>(
         &self,
@@ -383,8 +384,7 @@ impl Service {
     }
 
     fn check_rules(&self, rules: &Rules) -> Result<(), Refusal> {
-        // A silence is summed up in single steps, which beyond a minute are too small for an f32 to take in.
-        let (least, most) = (0.01, 60.0);
+        let (least, most) = Rules::HOST_SECONDS;
         let silence = BadLimit { limit: Limit::HostSeconds, joint: None, value: rules.host_seconds, least, most };
         let period = (0..).zip(&rules.index_period).find(|(_, period)| **period < 0).map(|(joint, period)| BadLimit {
             limit: Limit::IndexPeriod,
@@ -500,9 +500,10 @@ impl Service {
         machine.stage(write.key, entry)
     }
 
-    /// Puts the settings that were staged under these keys in force and into flash: all of them, or none. Settings that are
-    /// not named stay as they are, but another device drops the mass model and a scene that does not fit it, and another scene the
-    /// mass model. Flash then holds the same, so no limit is in force with a device that it was not meant for, nor after the next start.
+    /// Puts the settings that were staged under these keys in force and into flash: all of them, or none. Settings that
+    /// are not named stay as they are, but another device drops the mass model and a scene that does not fit it, and
+    /// another scene the mass model. Flash then holds the same, so no limit is in force with a device that it was not
+    /// meant for, nor after the next start.
     pub fn commit_entries<Mc: Machine>(&mut self, machine: &mut Mc, keys: &KeyList) -> Result<(), Refusal> {
         must_be_off(machine)?;
         let name: Option<BoardName> = self.taken(machine, keys)?;
@@ -514,8 +515,8 @@ impl Service {
         if same_device { Ok(()) } else { self.took_device(machine) }
     }
 
-    /// The configuration in force with the settings that were staged under these keys, and whether its device is the same. By
-    /// itself, so that what it decodes does not stand on the stack with what is made of it.
+    /// The configuration in force with the settings that were staged under these keys, and whether its device is the
+    /// same. A function of its own, so that the decoded settings have left the stack when they are put in force.
     #[inline(never)]
     fn restored<Mc: Machine>(&self, machine: &mut Mc, keys: &KeyList) -> Result<(Configuration, bool), Refusal> {
         let rules: Option<Rules> = self.taken(machine, keys)?;
@@ -613,7 +614,7 @@ fn stage_all(machine: &mut impl Machine, configuration: &Configuration, keys: &m
     }
 }
 
-/// Whether flash holds this value. By itself, so that nothing else stands on the stack with what was read.
+/// Whether flash holds this value. A function of its own, so that the entry is on the stack only while it is compared.
 #[inline(never)]
 fn is_kept(machine: &mut impl Machine, key: Key, entry: &Entry) -> bool {
     machine.load(key).is_some_and(|old| old == *entry)

@@ -31,8 +31,8 @@ pub enum Key {
     Rules = 3,
     /// The mass model.
     MassModel = 4,
-    /// The fingerprint of a device whose polarity was checked once. Kept by boards in the field and in their backups; a
-    /// check that was stored passes for none any more.
+    /// The fingerprint of a device whose polarity was checked once. Boards in the field and their backups hold it; it
+    /// does not count as a check any longer.
     Polarity = 5,
     /// The board's name.
     Name = 6,
@@ -71,8 +71,8 @@ pub trait Setting: Serialize + DeserializeOwned {
     const KEY: Key;
     /// Version of its encoding; raised whenever its fields change.
     const VERSION: u8;
-    /// Earlier versions that differ by lacking bytes: the version, where the bytes belong (counted from the value's first
-    /// byte, or `END`), and what the later fields were before there were any.
+    /// Earlier versions that differ by lacking bytes: the version, where the bytes belong (counted from the value's
+    /// first byte, or `END`), and what the later fields were before there were any.
     const SHORTER: &'static [(u8, usize, &'static [u8])] = &[];
 }
 
@@ -86,8 +86,8 @@ impl Setting for Device<f32> {
 }
 impl Setting for Scene<f32> {
     const KEY: Key = Key::Scene;
-    /// 2: a feed-forward gain, and what a redundant device holds; `velocity_terms` is no flag any more. 3: estimators that
-    /// watch joints, with their choices. 4: a posture.
+    /// 2: a feed-forward gain, and what a redundant device holds; `velocity_terms` is no longer a flag. 3: estimators
+    /// that watch joints, with their choices. 4: a posture.
     const VERSION: u8 = 4;
     /// A gain of 1, the orientation and no posture; the estimators of before are what they were.
     const SHORTER: &'static [(u8, usize, &'static [u8])] =
@@ -105,8 +105,8 @@ impl Setting for MassModelData {
     const VERSION: u8 = 1;
 }
 
-/// The fingerprint of a device whose polarity was checked once. Read so that old flash and backups stay valid; it vouches for
-/// nothing, as wires are changed while a board is without power.
+/// The fingerprint of a device whose polarity was checked once. Read so that old flash and backups stay valid; it
+/// vouches for nothing, as wires are changed while a board is without power.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Polarity(pub u32);
 impl Setting for Polarity {

@@ -136,7 +136,8 @@ fn finish<T>(work: impl Future<Output = T>) -> T {
 /// Where the newest entries are: looking through a full sector takes the chip milliseconds for every entry.
 type Known = Cache<Uncached, Uncached, ArrayKeyPointers<u8, KEYS>, u8>;
 
-/// A flash that is written only where somebody means it: what reads would otherwise erase and write to mend what it finds.
+/// A flash that is written only where somebody means it: what reads would otherwise erase and write to mend what it
+/// finds.
 struct Locked<F> {
     flash: F,
     writable: bool,
@@ -224,9 +225,9 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         }
     }
 
-    /// Mends what a power cut left behind and finds every setting, so that [`Storage::read`] neither writes nor searches
-    /// from then on. May erase a sector and look through both many times, so it is called at the start, before anything
-    /// else, where nothing waits for it.
+    /// Mends what a power cut left behind and finds every setting, so that [`Storage::read`] neither writes nor
+    /// searches from then on. May erase a sector and look through both many times, so it is called at the start, before
+    /// anything else, where nothing waits for it.
     pub fn start(&mut self) {
         let _ = self.while_writable(|_| Ok(()));
     }
@@ -236,8 +237,8 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         &mut self.map.flash().flash
     }
 
-    /// Does what may write, and then finds everything anew: writing moves entries, and a flash that fails loses track of
-    /// all of them.
+    /// Does what may write, and then finds everything anew: writing moves entries, and a flash that fails loses track
+    /// of all of them.
     fn while_writable<T>(
         &mut self,
         work: impl FnOnce(&mut Self) -> Result<T, StorageError>,
@@ -366,8 +367,8 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     }
 
     /// Puts what was staged for these settings in their places, all of them or, when the power goes, none. Errors:
-    /// [`StorageError::NotKept`] when one was not staged since the start, [`StorageError::Unsettled`] when the flash goes on
-    /// failing; after any other nothing has changed.
+    /// [`StorageError::NotKept`] when one was not staged since the start, [`StorageError::Unsettled`] when the flash
+    /// goes on failing; after any other nothing has changed.
     pub fn commit(&mut self, keys: &[u8]) -> Result<(), StorageError> {
         self.while_writable(|storage| storage.decide(keys))
     }
@@ -408,8 +409,8 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         Ok(())
     }
 
-    /// Puts a staged entry of this generation in its setting's place. When it is damaged meanwhile, the setting is:
-    /// what was there before is not what was decided.
+    /// Puts a staged entry of this generation in its setting's place. If the staged entry has been damaged since, the
+    /// setting counts as damaged: the change was decided, so its earlier value no longer counts.
     #[inline(never)]
     fn settle(&mut self, key: u8, generation: Generation) -> Result<(), StorageError> {
         let mut copy = [0; LONGEST_STORED / 2];

@@ -1,22 +1,61 @@
 //! Telemetry: which numbers of a step travel, and how they are packed into batches.
 //!
-//! A batch holds consecutive kept steps (every `divider`-th) of the chosen fields as `f32`; a gap starts a new batch,
-//! so a reader knows the step of every row and counts losses exactly: missing steps, and the board's own count of what
-//! it had to drop. Every batch carries the number that the tool gave its stream: what a killed tool left on the link is
-//! told from what the next one asked for.
+//! A batch holds consecutive kept steps (every `divider`-th) of the chosen fields, each number in as many bytes as it
+//! needs; a gap starts a new batch, so a reader knows the step of every row and counts losses exactly: missing steps, and
+//! the board's own count of what it had to drop. Every batch carries the number that the tool gave its stream: what a
+//! killed tool left on the link is told from what the next one asked for.
 
 use crate::model::catalogue::MAX_JOINTS;
+use crate::render::scene::MAX_WALLS;
 use crate::servo::frame::StepRecord;
 use heapless::Vec;
-use heapless::spsc::Consumer;
 use postcard_schema::Schema;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer};
 
-/// Most numbers in a batch.
-pub const BATCH_VALUES: usize = 220;
+/// Most bytes of rows in a batch. Shorter batches cost bytes, longer ones keep answers waiting: twelve packets of USB,
+/// 0.6 ms.
+pub const BATCH_BYTES: usize = 728;
+
+/// How a number travels: in so many bytes, the least significant first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A float, 4.
+    Float,
+    /// A signed integer, 4.
+    Integer,
+    /// A small whole number, 1.
+    Byte,
+}
+
+impl Kind {
+    /// How many.
+    pub const fn bytes(self) -> usize {
+        match self {
+            Self::Float | Self::Integer => 4,
+            Self::Byte => 1,
+        }
+    }
+}
+
+/// A type of numbers that can travel.
+trait Number {
+    const KIND: Kind;
+}
+
+impl Number for f32 {
+    const KIND: Kind = Kind::Float;
+}
+
+impl Number for i32 {
+    const KIND: Kind = Kind::Integer;
+}
+
+impl Number for u8 {
+    const KIND: Kind = Kind::Byte;
+}
 
 macro_rules! fields {
-    ($($Name:ident = $bit:literal, $name:literal, $unit:literal, $vector:literal, |$frame:ident, $i:ident| $value:expr, $meaning:literal;)*) => {
+    ($($Name:ident = $bit:literal, $name:literal, $unit:literal, $vector:literal, |$frame:ident, $i:ident| $value:expr => $Type:ty, $meaning:literal;)*) => {
         /// A number, or one number an axis, of a telemetry row.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum Field { $(#[doc = $meaning] $Name,)* }
@@ -45,12 +84,17 @@ macro_rules! fields {
             pub const fn is_vector(self) -> bool {
                 match self { $(Field::$Name => $vector,)* }
             }
-            /// Hands on the numbers of the `wanted` fields of a device of `axes` joints, in their order.
+            /// How its numbers travel.
+            pub const fn kind(self) -> Kind {
+                match self { $(Field::$Name => <$Type as Number>::KIND,)* }
+            }
+            /// Hands on the bytes of the `wanted` fields' numbers of a device of `axes` joints, in their order.
             #[inline(always)]
-            fn each(wanted: Fields, axes: usize, frame: &StepRecord, mut number: impl FnMut(f32)) {
+            fn each(wanted: Fields, axes: usize, frame: &StepRecord, mut number: impl FnMut(&[u8])) {
                 $(if wanted.0 & Field::$Name.bit() != 0 {
                     for i in 0..if $vector { axes.min($crate::model::catalogue::MAX_JOINTS) } else { 1 } {
-                        number((|$frame: &StepRecord, $i: usize| -> f32 { $value })(frame, i));
+                        let value: $Type = (|$frame: &StepRecord, $i: usize| $value)(frame, i);
+                        number(&value.to_le_bytes());
                     }
                 })*
             }
@@ -59,41 +103,40 @@ macro_rules! fields {
 }
 
 fields! {
-    Angle = 0, "q", "rad", true, |frame, i| frame.at.q[i],
+    Angle = 0, "q", "rad", true, |frame, i| frame.at.q[i] => f32,
         "Joint angles";
-    Speed = 1, "qd", "rad/s", true, |frame, i| frame.at.qd[i],
+    Speed = 1, "qd", "rad/s", true, |frame, i| frame.at.qd[i] => f32,
         "Joint velocities, filtered as the scene says";
-    Tip = 2, "tip", "m", true, |frame, i| frame.at.tip[i],
+    Tip = 2, "tip", "m", true, |frame, i| frame.at.tip[i] => f32,
         "Tip in the task frame; on a redundant arm the last is its orientation in rad";
-    Torque = 3, "torque", "N m", true, |frame, i| frame.motors.torque[i],
+    Torque = 3, "torque", "N m", true, |frame, i| frame.motors.torque[i] => f32,
         "Joint torques commanded, after all limits; 0 with the motors off";
-    Current = 4, "current", "A", true, |frame, i| frame.motors.current[i],
+    Current = 4, "current", "A", true, |frame, i| frame.motors.current[i] => f32,
         "Motor currents: measured, or those commanded where the board senses none";
-    Duty = 5, "duty", "", true, |frame, i| frame.motors.duty[i],
+    Duty = 5, "duty", "", true, |frame, i| frame.motors.duty[i] => f32,
         "Bridge duties of the carrier period after the step, as a signed share of the bus voltage";
-    Distance = 6, "distance", "m", false, |frame, _i| frame.at.walls.distance,
+    Distance = 6, "distance", "m", false, |frame, _i| frame.at.walls.distance => f32,
         "Distance of the tip to the deepest wall, negative inside it; 0 without walls";
-    NormalVelocity = 7, "velocity", "m/s", false, |frame, _i| frame.at.walls.normal_velocity,
+    NormalVelocity = 7, "velocity", "m/s", false, |frame, _i| frame.at.walls.normal_velocity => f32,
         "Filtered tip velocity along the normal of the deepest wall, positive out of it";
-    WallForce = 8, "force", "N", false, |frame, _i| frame.at.walls.wall_force,
+    WallForce = 8, "force", "N", false, |frame, _i| frame.at.walls.wall_force => f32,
         "Force that the walls ask for, summed over the walls touched: no motor has been asked yet";
-    RenderedForce = 15, "rendered", "N", false, |frame, _i| frame.motors.rendered_force,
+    RenderedForce = 15, "rendered", "N", false, |frame, _i| frame.motors.rendered_force => f32,
         "What the limits leave of that force: force less what ramp and the limits of tip force, torque and current took off along the normal of the deepest wall; 0 unless armed";
-    Saturated = 16, "saturated", "", true, |frame, i| frame.saturation(i),
+    Saturated = 16, "saturated", "", true, |frame, i| frame.saturation(i) => u8,
         "Which motors could not do what was asked: 0 none, 1 a limit of torque, current or tip force left another torque than was asked, 2 its duty is at the end of what the bus gives, 3 both";
-    Shaping = 9, "shaping", "", false, |frame, _i| frame.at.walls.shaping,
+    Shaping = 9, "shaping", "", false, |frame, _i| frame.at.walls.shaping => f32,
         "Share of the feed-forward that acts, 1 away from singular poses";
-    Energy = 10, "energy", "J", false, |frame, _i| frame.at.walls.energy,
+    Energy = 10, "energy", "J", false, |frame, _i| frame.at.walls.energy => f32,
         "Energy that the touched walls have taken up since contact began; negative: given out";
-    PassivityDamping = 11, "passivity", "N s/m", false, |frame, _i| frame.at.walls.passivity_damping,
+    PassivityDamping = 11, "passivity", "N s/m", false, |frame, _i| frame.at.walls.passivity_damping => f32,
         "Damping that the passivity controller added";
-    BusVoltage = 12, "bus", "V", false, |frame, _i| frame.motors.bus_voltage,
+    BusVoltage = 12, "bus", "V", false, |frame, _i| frame.motors.bus_voltage => f32,
         "Bus voltage; 0 where it is not sensed";
-    // The bits of a 32-bit integer in the place of a float, so that none is lost.
-    Counts = 13, "counts", "", true, |frame, i| f32::from_bits(frame.counts[i] as u32),
+    Counts = 13, "counts", "", true, |frame, i| frame.counts[i] => i32,
         "Encoder counts, 32 bits, wrapping, before homing";
     // 0 disarmed, 1 armed, 2 checking polarity, 3 fault; plus 16 for every wall touched.
-    State = 14, "state", "", false, |frame, _i| f32::from(frame.state as u8) + 16.0 * f32::from(frame.at.walls.contacts),
+    State = 14, "state", "", false, |frame, _i| frame.state as u8 | frame.at.walls.contacts << 4 => u8,
         "The board's state as a word, and beside it (`contacts`) how many walls are touched";
 }
 
@@ -121,12 +164,22 @@ impl Fields {
         self.0 & field.bit() != 0
     }
 
-    /// Numbers in one row for a device of `axes` joints.
-    pub fn width(self, axes: usize) -> usize {
-        let numbers = |field: &Field| if field.is_vector() { axes } else { 1 };
-        Field::ALL.iter().filter(|field| self.has(**field)).map(numbers).sum()
+    /// Bytes in one row for a device of `axes` joints.
+    pub const fn bytes(self, axes: usize) -> usize {
+        let (mut sum, mut i) = (0, 0);
+        while i < Field::ALL.len() {
+            let field = Field::ALL[i];
+            if self.has(field) {
+                sum += field.kind().bytes() * if field.is_vector() { axes } else { 1 };
+            }
+            i += 1;
+        }
+        sum
     }
 }
+
+const _: () =
+    assert!(Fields::ALL.bytes(MAX_JOINTS) <= BATCH_BYTES && MAX_WALLS < 16, "a row fits, and its byte of state");
 
 /// The bits of all fields.
 const fn every_bit() -> u32 {
@@ -166,8 +219,22 @@ pub struct Batch {
     pub axes: u8,
     /// Bits of [`Fields`].
     pub fields: u32,
-    /// The rows, one after another, each in the order of [`Field::ALL`].
-    pub values: Vec<f32, BATCH_VALUES>,
+    /// The rows, one after another, each in the order of [`Field::ALL`], each number as its [`Field::kind`] says.
+    #[serde(serialize_with = "at_once")]
+    pub rows: Vec<u8, BATCH_BYTES>,
+}
+
+/// Writes bytes as postcard writes a sequence of them, but not one by one.
+fn at_once<S: Serializer>(bytes: &Vec<u8, BATCH_BYTES>, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_bytes(bytes)
+}
+
+/// Where frames wait to be packed, the oldest first.
+pub trait Frames {
+    /// The oldest.
+    fn first(&self) -> Option<&StepRecord>;
+    /// Drops it.
+    fn drop_first(&mut self);
 }
 
 /// Packs frames into batches: one is filled while the other is on its way.
@@ -176,6 +243,7 @@ pub struct Packer {
     batches: [Batch; 2],
     filling: usize,
     sent: u32,
+    /// Bytes of a row.
     width: usize,
 }
 
@@ -189,16 +257,16 @@ impl Packer {
             batch.divider = request.divider;
             batch.fields = fields;
             batch.axes = axes as u8;
-            batch.values.clear();
+            batch.rows.clear();
         }
         self.sent = 0;
-        self.width = Fields(fields).width(axes);
+        self.width = Fields(fields).bytes(axes);
     }
 
     /// Ends it.
     pub fn stop(&mut self) {
         self.width = 0;
-        self.batches.iter_mut().for_each(|batch| batch.values.clear());
+        self.batches.iter_mut().for_each(|batch| batch.rows.clear());
     }
 
     /// Whether a stream is on and wants this step.
@@ -211,22 +279,22 @@ impl Packer {
     /// frame does not continue the one under way, or fills it.
     pub fn push(&mut self, frame: &StepRecord, dropped: u32) -> Option<&Batch> {
         let batch = &self.batches[self.filling & 1];
-        let rows = batch.values.len().checked_div(self.width).unwrap_or(0) as u32;
+        let rows = batch.rows.len().checked_div(self.width).unwrap_or(0) as u32;
         let due = batch.first_step.wrapping_add(rows.wrapping_mul(batch.divider));
         let mut full = None;
         if rows > 0 && frame.step != due {
             full = Some(self.turn());
         }
         let batch = &mut self.batches[self.filling & 1];
-        if batch.values.is_empty() {
+        if batch.rows.is_empty() {
             batch.first_step = frame.step;
         }
         batch.dropped = dropped;
-        let (fields, values) = (Fields(batch.fields), &mut batch.values);
+        let (fields, bytes) = (Fields(batch.fields), &mut batch.rows);
         Field::each(fields, batch.axes.into(), frame, |number| {
-            let _ = values.push(number);
+            let _ = bytes.extend_from_slice(number);
         });
-        if full.is_none() && batch.values.len() + self.width > BATCH_VALUES {
+        if full.is_none() && batch.rows.len() + self.width > BATCH_BYTES {
             full = Some(self.turn());
         }
         full.map(|full| &self.batches[full & 1])
@@ -234,11 +302,11 @@ impl Packer {
 
     /// Packs what frames wait in a queue, up to the first full batch, which is returned; the batch under way instead,
     /// if none is full and rows have waited too long (`late`).
-    pub fn drain(&mut self, frames: &mut Consumer<'_, StepRecord>, dropped: u32, late: bool) -> Option<&Batch> {
+    pub fn drain(&mut self, frames: &mut impl Frames, dropped: u32, late: bool) -> Option<&Batch> {
         let mut full = false;
-        while !full && let Some(frame) = frames.peek() {
+        while !full && let Some(frame) = frames.first() {
             full = self.wants(frame.step) && self.push(frame, dropped).is_some();
-            let _ = frames.dequeue();
+            frames.drop_first();
         }
         if late && !full {
             return self.flush();
@@ -248,7 +316,7 @@ impl Packer {
 
     /// The batch under way, if it holds any row: call when the stream is slow, so that rows do not wait.
     pub fn flush(&mut self) -> Option<&Batch> {
-        if self.batches[self.filling & 1].values.is_empty() {
+        if self.batches[self.filling & 1].rows.is_empty() {
             return None;
         }
         let full = self.turn();
@@ -261,23 +329,23 @@ impl Packer {
         self.batches[full].number = self.sent;
         self.sent = self.sent.wrapping_add(1);
         self.filling = full ^ 1;
-        self.batches[full ^ 1].values.clear();
+        self.batches[full ^ 1].rows.clear();
         full
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::Fields;
+    use super::{Fields, Kind, Number};
     use crate::render::found::{At, AtWalls};
     use crate::servo::frame::{Motors, StepRecord};
     use crate::servo::joints::Torques;
     use heapless::Vec;
 
     fields! {
-        Height = 3, "height", "m", false, |frame, _i| frame.at.tip[1], "How high the tip is";
-        Doubled = 5, "doubled", "N m", true, |frame, i| 2.0 * frame.motors.torque[i], "Twice the torque";
-        Depth = 6, "depth", "m", false, |frame, _i| -frame.at.walls.distance, "Depth in the deepest wall";
+        Height = 3, "height", "m", false, |frame, _i| frame.at.tip[1] => f32, "How high the tip is";
+        Doubled = 5, "doubled", "N m", true, |frame, i| (2.0 * frame.motors.torque[i]) as u8 => u8, "Twice the torque";
+        Depth = 6, "depth", "mm", false, |frame, _i| (-1000.0 * frame.at.walls.distance) as i32 => i32, "Depth in the deepest wall";
     }
 
     /// Everything that is told of a signal follows from its line.
@@ -287,15 +355,17 @@ mod tests {
         let at = At { tip: [0.1, 0.2, 0.3], walls, ..At::default() };
         let motors = Motors { torque: Torques([1.0, 2.0, 3.0]), ..Motors::default() };
         let frame = StepRecord { at, motors, ..StepRecord::default() };
-        let told = |field: &Field| (field.bit(), field.name(), field.unit(), field.is_vector(), field.meaning());
+        let told =
+            |field: &Field| (field.bit(), field.name(), field.unit(), field.is_vector(), field.kind(), field.meaning());
         let told_of_all = [
-            (8, "height", "m", false, "How high the tip is"),
-            (32, "doubled", "N m", true, "Twice the torque"),
-            (64, "depth", "m", false, "Depth in the deepest wall"),
+            (8, "height", "m", false, Kind::Float, "How high the tip is"),
+            (32, "doubled", "N m", true, Kind::Byte, "Twice the torque"),
+            (64, "depth", "mm", false, Kind::Integer, "Depth in the deepest wall"),
         ];
         assert!(Field::ALL.iter().map(told).eq(told_of_all));
-        let mut row = Vec::<f32, 8>::new();
-        Field::each(Fields(8 | 32 | 64), 2, &frame, |number| row.push(number).unwrap());
-        assert_eq!(row[..], [0.2, 2.0, 4.0, 0.5]);
+        let mut row = Vec::<u8, 16>::new();
+        Field::each(Fields(8 | 32 | 64), 2, &frame, |number| row.extend_from_slice(number).unwrap());
+        // 0.2 is 0x3E4CCCCD (IEEE 754), 500 is 0x1F4.
+        assert_eq!(row[..], [0xCD, 0xCC, 0x4C, 0x3E, 2, 4, 0xF4, 1, 0, 0]);
     }
 }

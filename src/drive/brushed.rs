@@ -7,23 +7,30 @@
 //!
 //! Limits (torque, current, voltage, duty) are enforced here and nowhere else. The duty returned is signed, -1..1 of
 //! the bus voltage across the motor; legs run at ½ ± duty/2.
+//!
+//! A duty that applies in time, to a current that is where it should be and a voltage that is there, is a few
+//! multiplications and additions ([`Stage::drive_easily`]); what any other one takes is in `Axis::hardly`, which gives the
+//! same numbers where both may.
 
-use super::stage::{Bridge, MAX_DUTY, Stage};
+use super::bits::left;
+use super::stage::{Bridge, Duty, MAX_DUTY, Stage, Supply};
 use crate::math::limited;
 use crate::model::motor::Motor;
 
 /// [`MAX_DUTY`] less what rounding may add.
 const USABLE_DUTY: f32 = MAX_DUTY * (1.0 - 2.0 * f32::EPSILON);
 
-/// Bus voltages that are believed, V.
-const MIN_VOLTAGE: f32 = 1.0;
-const MAX_VOLTAGE: f32 = 1.0e3;
-
 /// Share of the loop's bandwidth where the device file leaves the inductance at 0. The motor may have one all the same:
 /// the whole voltage of the target is applied at once, so its current rises with L/R and overshoots by what the loop
 /// has integrated meanwhile, with the boards' 1 kHz by 7 % at L/R = 0.3 ms, 14 % at 0.8 ms and 16 % at 1 ms
 /// (tests/drive.rs).
 pub const UNKNOWN_WINDING: f32 = 0.05;
+
+/// What a current may overshoot to: a multiple of its limit, and more, A.
+const OVERSHOOT: f32 = 1.3;
+const OVERSHOOT_FLOOR: f32 = 0.6;
+/// What rounding may take off the room that a change has.
+const EASILY: f32 = 1.0 - 8.0 * f32::EPSILON;
 
 /// The current below which dead-time compensation fades, A: its sign is noise around zero.
 const DEAD_TIME_KNEE: f32 = 0.1;
@@ -47,59 +54,55 @@ const LAG_DOUBT: f32 = 1.3;
 /// When a duty acts, as shares of currents: of what it changes the current by within a carrier period, if it acts so long.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Timing {
-    /// Of the duty before it, what that one adds to the current it was to reach before this one acts.
-    before: f32,
     /// What it makes until the next sample and until the next valley.
     sample: f32,
     valley: f32,
-    /// What it would make in the carrier period after that valley.
-    after: f32,
     /// The part of a change that is asked for so that one half a period longer than it is meant to be makes all of it.
     part: f32,
 }
 
-impl Timing {
-    /// In time and late, where `left` is what is left of a free current after half a carrier period. With constant voltage
-    /// a current nears its end as left^(2t): within half a period it makes (1 - left)/(1 - left²) of what it makes in one.
-    fn of(left: f32) -> [Self; 2] {
-        let half = 1.0 / (1.0 + left);
-        [
-            Self { before: 0.0, sample: half, valley: 1.0, after: left * left, part: 1.0 / (1.0 + half * left * left) },
-            Self { before: half, sample: 0.0, valley: half, after: left, part: 1.0 },
-        ]
-    }
-}
-
-/// One motor's drive: constants made when a device is loaded, and the loop's integrator.
+/// One motor's drive: constants made when a device is loaded, and the loop's integrator. In this order in memory: what
+/// every carrier period needs comes first.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(C)]
 pub struct Axis {
     amps_per_torque: f32,
+    back_emf: f32,
+    dead_time_share: f32,
+    /// What the controller asked for, A.
+    target: f32,
+    /// The current that the next sample should show, and the one that the duties so far lead to at the next valley, A.
+    expected: f32,
+    reached: f32,
+    /// By what the last sample was below what was expected, A.
+    error: f32,
+    /// Voltage the integrator holds, V.
+    integrator: f32,
+    proportional: f32,
+    integral: f32,
+    resistance: f32,
+    /// Voltage that changes the current by 1 A within a carrier period, V/A.
+    surge: f32,
+    /// A change that can never be too large for a duty in time, A.
+    easy: f32,
+    /// When a duty in time acts, see [`Timing::sample`].
+    half: f32,
+    /// When a duty acts: in time, and late; and what is left of a free current after half a carrier period.
+    timing: [Timing; 2],
+    kept: f32,
+    /// A/V, the inverse of `surge`.
+    reach: f32,
     torque_per_amp: f32,
     /// What the motor itself stands, A; nothing where it has no torque constant.
     motor_current: f32,
     max_current: f32,
     /// What a current may overshoot to, A.
     most: f32,
-    resistance: f32,
-    back_emf: f32,
-    /// Voltage that changes the current by 1 A within a carrier period, V/A, and its inverse.
-    surge: f32,
-    reach: f32,
-    /// When a duty acts: in time, and late.
-    timing: [Timing; 2],
-    proportional: f32,
-    integral: f32,
-    dead_time_share: f32,
-    /// Voltage the integrator holds, V.
-    integrator: f32,
-    /// The current that the duties so far lead to at the next valley, what it would change by in another carrier period of
-    /// the same duty, and the current that the next sample should show, A.
-    reached: f32,
-    carry: f32,
-    expected: f32,
-    /// Mean of what samples were below that, A, and the weight of one.
+    /// Mean of what samples were below what was expected, A, and the weight of one.
     missing: f32,
     error_weight: f32,
+    /// Voltage that the speed at the last sample needed may be off by, V.
+    emf_doubt: f32,
     /// The largest current reached of late, A: what the integrator holds for a hot winding outlasts it.
     recent: f32,
     /// What a sound motor may differ by from its model at rest without current, V.
@@ -109,18 +112,69 @@ pub struct Axis {
     lag_resistance: f32,
     /// What each ampere of the largest current of late adds: a winding that is hot, Ω.
     doubt_resistance: f32,
-    /// What the controller asked for, A.
-    target: f32,
-    /// Voltage that the present speed needs, V, and what that may be off by.
-    emf: f32,
-    emf_doubt: f32,
-    /// Duty that makes up for the dead time.
-    regained: f32,
+}
+
+impl Axis {
+    /// Sets when a duty acts, where `kept` is what is left of a free current after half a carrier period. With constant
+    /// voltage a current nears its end as kept^(2t): within half a period it makes (1 - kept)/(1 - kept²) of what it makes
+    /// in one.
+    fn time(&mut self, kept: f32) {
+        let half = 1.0 / (1.0 + kept);
+        self.timing = [
+            Timing { sample: half, valley: 1.0, part: 1.0 / (1.0 + half * kept * kept) },
+            Timing { sample: 0.0, valley: half, part: 1.0 },
+        ];
+        (self.kept, self.half) = (kept, half);
+    }
+
+    /// Duty that makes up for the dead time: both legs lose it against the current. It fades where the current's sign is
+    /// unsure.
+    #[inline(always)]
+    fn regained(&self) -> f32 {
+        self.dead_time_share * (self.target / (self.target.abs() + DEAD_TIME_KNEE))
+    }
+
+    /// Voltage, V, that keeps the current where it begins, and takes out what the last sample was off by.
+    #[inline(always)]
+    fn hold(&self, begin: f32, error: f32, speed: f32) -> f32 {
+        self.integrator + self.back_emf * speed + self.proportional * error + self.resistance * begin
+    }
+
+    /// [`Stage::drive`] at any time and at any limit, where the supply is usable.
+    #[inline(never)]
+    fn hardly(&mut self, supply: &Supply, current: f32, speed: f32, late: bool) -> f32 {
+        let timing = self.timing[usize::from(late)];
+        let error = self.expected - current;
+        // Where it begins: until a late one acts, the duty before it goes on.
+        let begin = if late { self.reached + self.kept * (self.reached - self.expected) } else { self.reached };
+        // Should the next duty be late, this one makes more of it: no more than is short of an over-current.
+        let (up, down) = ((self.most - begin) * timing.part, (self.most + begin) * -timing.part);
+        let wanted = self.target - begin;
+        let mut rise = if wanted > up { up } else { wanted };
+        rise = if rise < down { down } else { rise };
+        let (hold, regained) = (self.hold(begin, error, speed), self.regained());
+        let mut duty = regained + supply.inverse * (hold + self.surge * rise);
+        // Not further into a voltage that is not there.
+        let integrates = if duty.abs() <= USABLE_DUTY {
+            true
+        } else {
+            duty = limited(duty, USABLE_DUTY);
+            rise = limited(((duty - regained) * supply.volts - hold) * self.reach, 2.0 * self.most);
+            duty * error < 0.0
+        };
+        self.expected = begin + timing.sample * rise;
+        self.reached = self.target - (wanted - timing.valley * rise);
+        self.error = error;
+        if integrates {
+            self.integrator += self.integral * error;
+        }
+        duty
+    }
 }
 
 impl Stage for Axis {
     type Sample = f32;
-    type Drive = f32;
+    type Drive = Duty;
 
     /// A motor without a torque constant gets no current.
     fn new(motor: &Motor<f32>, bridge: &Bridge, max_current: f32) -> Self {
@@ -147,22 +201,26 @@ impl Stage for Axis {
             back_emf: motor.back_emf,
             surge,
             reach: if surge > 0.0 { 1.0 / surge } else { 0.0 },
-            timing: Timing::of(1.0 / (1.0 + 0.5 * fade * growth(0.5 * fade))),
             proportional: bandwidth * inductance,
             integral: bandwidth * motor.resistance / carrier_hz,
             dead_time_share: 2.0 * bridge.dead_time * bridge.carrier_hz,
+            least_doubt: if bridge.current_sensed { VOLTAGE_DOUBT } else { f32::INFINITY },
+            lag_resistance: if inductance > 0.0 { 0.0 } else { LAG_DOUBT * motor.resistance },
+            error_weight: if inductance > 0.0 { ERROR_WEIGHT } else { SLOW_ERROR_WEIGHT },
             ..Self::default()
         };
-        axis.least_doubt = if bridge.current_sensed { VOLTAGE_DOUBT } else { f32::INFINITY };
-        axis.lag_resistance = if inductance > 0.0 { 0.0 } else { LAG_DOUBT * motor.resistance };
+        axis.time(1.0 / (1.0 + 0.5 * fade * growth(0.5 * fade)));
         axis.limit(max_current);
-        axis.error_weight = if inductance > 0.0 { ERROR_WEIGHT } else { SLOW_ERROR_WEIGHT };
         axis
     }
 
     fn limit(&mut self, max_current: f32) {
         self.max_current = self.motor_current.min(max_current).max(0.0);
-        self.most = 1.3 * self.max_current + 0.6;
+        // What was commanded acts until the next step.
+        self.target = limited(self.target, self.max_current);
+        self.most = OVERSHOOT * self.max_current + OVERSHOOT_FLOOR;
+        // From wherever the limit lets a current be to wherever it lets it go.
+        self.easy = EASILY * ((self.most - self.max_current) * self.timing[0].part).max(0.0);
         self.doubt = self.least_doubt + self.lag_resistance * self.max_current;
     }
 
@@ -179,69 +237,64 @@ impl Stage for Axis {
         current * self.torque_per_amp
     }
 
-    #[inline(always)]
-    fn command(&mut self, torque: f32) -> f32 {
-        self.target = limited(torque * self.amps_per_torque, self.max_current);
-        // Both legs lose dead time against the current: give it back, fading where the current's sign is unsure.
-        self.regained = self.dead_time_share * (self.target / (self.target.abs() + DEAD_TIME_KNEE));
+    fn asked(&self) -> f32 {
         self.target
     }
 
     #[inline(always)]
-    fn follow(&mut self, speed: f32, raw: f32) {
-        self.emf = self.back_emf * speed;
-        // A speed that jumps is ahead of its filter.
-        self.emf_doubt = EMF_DOUBT * self.emf.abs() + (self.back_emf * raw - self.emf).abs();
+    fn command(&mut self, torque: f32) {
+        self.target = limited(torque * self.amps_per_torque, self.max_current);
     }
 
-    /// The duty for the next carrier period from the bus voltage (V) and the measured current (A, of no effect
-    /// where none is sensed). Zero when the bus voltage is not usable.
     #[inline(always)]
-    fn drive(&mut self, bus_voltage: f32, current: f32, late: bool) -> f32 {
-        if !usable(bus_voltage) {
+    fn command_within(&mut self, torque: f32) {
+        self.target = torque * self.amps_per_torque;
+    }
+
+    /// The duty for the next carrier period from the supply and the measured current (A, of no effect where none is
+    /// sensed). Zero when the bus voltage is not usable.
+    fn drive(&mut self, supply: &Supply, current: f32, speed: f32, late: bool) -> Duty {
+        if !supply.is_usable() {
             self.integrator = 0.0;
-            return 0.0;
+            return Duty::default();
         }
+        Duty(self.hardly(supply, current, speed, late))
+    }
+
+    /// What acts late makes no more of a change than was asked for, so that the voltage alone can be too small for it.
+    #[inline(always)]
+    fn drive_easily(&mut self, supply: &Supply, current: f32, speed: f32, late: bool) -> Option<Duty> {
+        let begin = if late { self.reached + self.kept * (self.reached - self.expected) } else { self.reached };
         let error = self.expected - current;
-        self.missing += self.error_weight * (error - self.missing);
-        // Where it begins, and what that current needs to stay, as the motor and the bridge really are.
-        let timing = self.timing[usize::from(late)];
-        let begin = self.reached + timing.before * self.carry;
-        let hold = self.emf
-            + self.resistance * begin
-            + self.regained * bus_voltage
-            + self.proportional * error
-            + self.integrator;
-        // Should the next duty be late, this one makes more of it: no more than is short of an over-current.
-        let (up, down) = ((self.most - begin) * timing.part, (self.most + begin) * -timing.part);
-        let mut rise = self.target - begin;
-        rise = if rise > up { up } else { rise };
-        rise = if rise < down { down } else { rise };
-        let mut voltage = hold + self.surge * rise;
-        let available = USABLE_DUTY * bus_voltage;
-        // Not further into a voltage that is not there.
-        let integrates = if voltage.abs() <= available {
-            true
+        let rise = self.target - begin;
+        let duty = self.regained() + supply.inverse * (self.hold(begin, error, speed) + self.surge * rise);
+        let room = left(self.target, self.most) | left(begin, f32::MAX);
+        if if late { room } else { left(rise, self.easy) } | left(duty, USABLE_DUTY) < 0 {
+            return None;
+        }
+        (self.expected, self.reached) = if late {
+            (begin + self.timing[1].sample * rise, self.target - (rise - self.timing[1].valley * rise))
         } else {
-            voltage = limited(voltage, available);
-            rise = limited((voltage - hold) * self.reach, 2.0 * self.most);
-            voltage * error < 0.0
+            (begin + self.half * rise, self.target)
         };
-        self.expected = begin + timing.sample * rise;
-        self.reached = begin + timing.valley * rise;
-        self.carry = timing.after * rise;
+        self.error = error;
+        self.integrator += self.integral * error;
+        Some(Duty(duty))
+    }
+
+    #[inline(always)]
+    fn settle(&mut self, bus_voltage: f32, speed: f32, raw: f32) {
+        self.integrator = limited(self.integrator, USABLE_DUTY * bus_voltage);
+        self.missing += self.error_weight * (self.error - self.missing);
         let (reached, fading) = (self.reached.abs(), RECENT * self.recent);
         self.recent = if reached > fading { reached } else { fading };
-        if integrates {
-            self.integrator = limited(self.integrator + self.integral * error, available);
-        }
-        // One division for all motors: the compiler takes it out of the caller's loop.
-        voltage * (1.0 / bus_voltage)
+        // A speed that jumps is ahead of its filter.
+        self.emf_doubt = (EMF_DOUBT * speed.abs() + (raw - speed).abs()) * self.back_emf.abs();
     }
 
     #[inline(always)]
-    fn duty(drive: f32) -> f32 {
-        drive
+    fn duty(drive: Duty) -> f32 {
+        drive.0
     }
 
     /// The loop's integrator is what such a motor would not need; where the bus leaves it no room, a current that
@@ -263,18 +316,17 @@ impl Stage for Axis {
     fn rest(&mut self) {
         self.integrator = 0.0;
         self.reached = 0.0;
-        self.carry = 0.0;
         self.expected = 0.0;
+        self.error = 0.0;
         self.missing = 0.0;
         self.recent = 0.0;
         self.target = 0.0;
-        self.emf = 0.0;
-        self.regained = 0.0;
+        self.emf_doubt = 0.0;
     }
 
     fn inherit(&mut self, other: &Self) {
-        let Self { integrator, reached, carry, expected, missing, recent, target, .. } = *other;
-        *self = Self { integrator, reached, carry, expected, missing, recent, target, ..*self };
+        let Self { integrator, reached, expected, error, missing, recent, target, .. } = *other;
+        *self = Self { integrator, reached, expected, error, missing, recent, target, ..*self };
     }
 
     /// What is left of the voltage without the resistance's part is back-EMF, less what a winding half as resistive again
@@ -293,11 +345,4 @@ impl Stage for Axis {
 /// divided by it hardly counts. Infinite for infinity.
 fn growth(x: f32) -> f32 {
     (2..=9).rev().fold(1.0, |sum, n| 1.0 + x / n as f32 * sum)
-}
-
-/// Whether a bus voltage (V) can be believed. Bit patterns of positive floats are ordered as the floats are, so a single
-/// comparison suffices, and NaN, infinity and negative numbers fail it.
-#[inline(always)]
-fn usable(bus_voltage: f32) -> bool {
-    bus_voltage.to_bits().wrapping_sub(MIN_VOLTAGE.to_bits()) <= MAX_VOLTAGE.to_bits() - MIN_VOLTAGE.to_bits()
 }

@@ -4,7 +4,7 @@
 //! The carrier is centre-aligned: a timer counts up to a crest and back down to a valley. Encoders and currents are
 //! sampled at the crest, and a duty written then applies at the next valley, half a carrier period later.
 
-use crate::math::limited;
+use super::stage::Duty;
 
 /// Slowest carrier, Hz: above what people hear.
 pub const CARRIER_MIN_HZ: u32 = 20_000;
@@ -47,21 +47,44 @@ impl Carrier {
         self.carrier_hz() / f32::from(self.divider)
     }
 
-    /// Compare values of a bridge's two legs for a duty of -1 to 1; a NaN or infinite duty counts as 0. One leg is as far
-    /// above the middle as the other is below, so a duty of 0 is no voltage, to the tick.
-    #[inline(always)]
-    pub fn legs(&self, duty: f32) -> [u16; 2] {
-        const OFFSET: u32 = 1 << 15;
-        let middle = u32::from(self.top).div_ceil(2);
-        // The offset makes truncation round, below zero as above.
-        let away = limited(duty, 1.0) * (0.5 * f32::from(self.top)) + (OFFSET as f32 + 0.5);
-        let away = (away as u32).wrapping_sub(OFFSET);
-        [middle.wrapping_add(away) as u16, middle.wrapping_sub(away) as u16]
+    /// What duties are in its ticks.
+    pub fn ticks(&self) -> Ticks {
+        Ticks::of(self.top)
     }
 
     /// Delay from sampling to the duty that answers it, in control samples: half a carrier period.
     pub fn delay_samples(&self) -> f32 {
         0.5 / f32::from(self.divider)
+    }
+}
+
+/// A carrier's duties as compare values.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ticks {
+    /// Ticks from the middle to either end.
+    half: f32,
+    /// Compare values of two legs at the middle, one in each half, as they are for [`Ticks::OFFSET`] ticks from it.
+    middle: u32,
+}
+
+impl Ticks {
+    /// What is added to the ticks from the middle, so that truncation rounds, below zero as above.
+    const OFFSET: u32 = 1 << 15;
+
+    fn of(top: u16) -> Self {
+        let middle = u32::from(top).div_ceil(2);
+        let [one, other] = [middle.wrapping_sub(Self::OFFSET), middle.wrapping_add(Self::OFFSET)];
+        Self { half: 0.5 * f32::from(top), middle: one.wrapping_add(other << 16) }
+    }
+
+    /// Compare values of a bridge's two legs for a duty. One leg is as far above the middle as the other is below, so a
+    /// duty of 0 is no voltage, to the tick.
+    #[inline(always)]
+    pub fn legs(&self, duty: Duty) -> [u16; 2] {
+        let away = (Self::OFFSET as f32 + 0.5 + f32::from(duty) * self.half) as u32;
+        // Both at once: what one half gains the other loses.
+        let both = self.middle.wrapping_add(away.wrapping_sub(away << 16));
+        [both as u16, (both >> 16) as u16]
     }
 }
 
@@ -93,17 +116,20 @@ mod tests {
 
     #[test]
     fn legs_stand_apart_by_the_duty_and_together_for_nonsense() {
-        let carrier = Carrier { top: 4200, divider: 1, timer_hz: TIMER_HZ };
-        for (duty, legs) in [(0.0, [2100, 2100]), (0.5, [3150, 1050]), (-1.0, [0, 4200]), (9.0, [4200, 0])] {
-            assert_eq!(carrier.legs(duty), legs, "{duty}");
+        let legs_of = |top: u16, share: f32| {
+            let carrier = Carrier { top, divider: 1, timer_hz: TIMER_HZ };
+            carrier.ticks().legs(Duty::nearest(share))
+        };
+        // 0.92 of 2100 ticks is the most.
+        for (share, legs) in [(0.0, [2100, 2100]), (0.5, [3150, 1050]), (-1.0, [168, 4032]), (9.0, [4032, 168])] {
+            assert_eq!(legs_of(4200, share), legs, "{share}");
         }
         // An odd top has no tick in its middle: the legs still stand at the same one, and as far from it either way.
-        let odd = Carrier { top: 1681, divider: 1, timer_hz: TIMER_HZ };
-        for (duty, legs) in [(0.0, [841, 841]), (0.5, [1261, 421]), (-0.5, [421, 1261])] {
-            assert_eq!(odd.legs(duty), legs, "{duty}");
+        for (share, legs) in [(0.0, [841, 841]), (0.5, [1261, 421]), (-0.5, [421, 1261])] {
+            assert_eq!(legs_of(1681, share), legs, "{share}");
         }
         for nonsense in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
-            assert_eq!(carrier.legs(nonsense), [2100, 2100]);
+            assert_eq!(legs_of(4200, nonsense), [2100, 2100]);
         }
     }
 

@@ -4,6 +4,8 @@
 //! field-oriented motor with a sample for each phase and a duty for each leg, is another one: the servo holds its limits,
 //! its watch and its thermal budget to whatever stands here (tests/stages.rs has a toy of each).
 
+use super::bits::left_between;
+use crate::math::limited;
 use crate::model::motor::Motor;
 use core::fmt::Debug;
 use postcard_schema::Schema;
@@ -24,6 +26,50 @@ pub struct Bridge {
     pub bandwidth_hz: f32,
     /// Whether the motors' currents are measured.
     pub current_sensed: bool,
+}
+
+/// What stands across a motor, as a signed share of the bus voltage: never more than [`MAX_DUTY`], and always a number.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Duty(pub(super) f32);
+
+impl Duty {
+    /// The nearest to a share; none for what is not finite.
+    pub fn nearest(share: f32) -> Self {
+        Self(limited(share, MAX_DUTY))
+    }
+}
+
+impl From<Duty> for f32 {
+    #[inline(always)]
+    fn from(duty: Duty) -> Self {
+        duty.0
+    }
+}
+
+/// Bus voltages that are believed, V.
+pub const BUS_VOLTAGE: (f32, f32) = (1.0, 1.0e3);
+
+/// What feeds all motors in a carrier period.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Supply {
+    /// Bus voltage, V.
+    pub volts: f32,
+    /// What a volt is of it, 1/V.
+    pub inverse: f32,
+}
+
+impl Supply {
+    /// That of a bus voltage, V.
+    #[inline(always)]
+    pub fn of(volts: f32) -> Self {
+        Self { volts, inverse: 1.0 / volts }
+    }
+
+    /// Whether its voltage can be believed.
+    #[inline(always)]
+    pub(crate) fn is_usable(&self) -> bool {
+        left_between(self.volts, BUS_VOLTAGE) >= 0
+    }
 }
 
 /// One motor behind its power stage.
@@ -48,17 +94,33 @@ pub trait Stage: Copy + Debug + Default {
     /// The torque (N m) that a current (A) makes.
     fn torque_of(&self, current: f32) -> f32;
 
-    /// Takes the joint torque (N m) of this control step and returns the current that will be asked for (A), after the
-    /// limit. What is not finite asks for nothing.
-    fn command(&mut self, torque: f32) -> f32;
+    /// The current that is asked for, A.
+    fn asked(&self) -> f32;
 
-    /// Takes the joint's speed (rad/s) of this carrier period: filtered, and as it is.
-    fn follow(&mut self, speed: f32, raw: f32);
+    /// Takes the joint torque (N m) of this control step and asks for its current, after the limit. What is not finite
+    /// asks for nothing.
+    fn command(&mut self, torque: f32);
 
-    /// What the legs do over the next carrier period, from the bus voltage (V) and what was sampled. Call once a carrier
-    /// period. The period begins at the valley half a period after the sample or, where that is too soon (`late`), at the
-    /// crest after it, and lasts until the next drive applies.
-    fn drive(&mut self, bus_voltage: f32, sample: Self::Sample, late: bool) -> Self::Drive;
+    /// [`Stage::command`] of a torque that is some roundings within [`Stage::max_torque`].
+    #[inline(always)]
+    fn command_within(&mut self, torque: f32) {
+        self.command(torque);
+    }
+
+    /// What the legs do over the next carrier period, from the supply, what was sampled and the joint's filtered speed
+    /// (rad/s). Call once a carrier period. The period begins at the valley half a period after the sample or, where that is
+    /// too soon (`late`), at the crest after it, and lasts until the next drive applies.
+    fn drive(&mut self, supply: &Supply, sample: Self::Sample, speed: f32, late: bool) -> Self::Drive;
+
+    /// [`Stage::drive`] with a usable supply, where that is soon done; else `None`, and nothing is changed.
+    #[inline(always)]
+    fn drive_easily(&mut self, supply: &Supply, sample: Self::Sample, speed: f32, late: bool) -> Option<Self::Drive> {
+        Some(self.drive(supply, sample, speed, late))
+    }
+
+    /// Sums up what the last drive from this bus voltage (V) showed, at this speed of the joint (rad/s), filtered and as it
+    /// is. Call at the valley after it.
+    fn settle(&mut self, _bus_voltage: f32, _speed: f32, _raw: f32) {}
 
     /// The share of the bus voltage that stands across the motor then, signed: for telemetry.
     fn duty(drive: Self::Drive) -> f32;

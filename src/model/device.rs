@@ -1,10 +1,11 @@
 //! A device as the board knows it: lumped mechanism, encoders, motors, limits. Plain data, ready to use.
 
-use crate::math::{Math, Real, cast};
+use crate::math::{Angle, Math, Real, cast};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::description::{Description, DescriptionError};
 use crate::model::mechanism::{AnyMechanism, Mechanism, shared_pose};
 use crate::model::motor::Motor;
+use crate::model::padding::{head, padded};
 use crate::model::precomputed::MassModel;
 use heapless::String;
 use nalgebra::SVector;
@@ -125,13 +126,13 @@ const MOST_TURNS: f64 = 1_048_576.0;
 
 /// The whole number of counts p after which q whole turns are over, where p/q are these counts per turn: the first
 /// convergent of their continued fraction that is the same f64, or the last that fits. Then p/q is so near that the
-/// counter's whole range is off by less than one count (from 2048 counts per turn on). 0 when there is none.
+/// counter's whole range is off by less than one count (from 2048 counts per turn on). 0 when no such number fits.
 fn repeats_after(counts_per_turn: f64) -> i32 {
     let (mut counts, mut turns) = (1.0, 0.0);
     let (mut counts_before, mut turns_before) = (0.0, 1.0);
     let mut rest = counts_per_turn;
     loop {
-        // Truncates; what is no number becomes 0.
+        // Truncates; NaN becomes 0.
         let whole = rest as i64 as f64;
         let next = (whole * counts + counts_before, whole * turns + turns_before);
         if !(next.0 <= f64::from(i32::MAX) && next.1 <= MOST_TURNS && rest > 0.0) {
@@ -156,11 +157,10 @@ macro_rules! define {
                 }
             }
 
-            /// |J⁻ᵀ τ|², N²: the square of the force at the tip that joint torques τ (N m) are worth at `q` (rad). Along each
-            /// task direction that is, by virtual work, what they do on the joints while the tip moves there by a unit.
-            pub fn force_squared<K: Math<f32>>(&self, q: &[f32; MAX_JOINTS], torque: &[f32; MAX_JOINTS]) -> f32 {
+            /// What joint torques are worth at the tip at `q` (rad).
+            pub fn leverage<K: Math<f32>>(&self, q: &[f32; MAX_JOINTS]) -> Leverage {
                 match self {
-                    $(Self::$Variant(mechanism) => force_squared_at::<K, _, $n>(mechanism, q, torque),)*
+                    $(Self::$Variant(mechanism) => leverage_at::<K, _, $n>(mechanism, q),)*
                 }
             }
 
@@ -176,19 +176,18 @@ macro_rules! define {
 crate::mechanisms!(define);
 
 fn finite_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M, q: &[f32; MAX_JOINTS]) -> bool {
-    let q = SVector::from_fn(|i, _| q.get(i).copied().unwrap_or(0.0));
-    let pose = shared_pose::<f32, K, M, N>(mechanism, &q);
+    let pose = shared_pose::<f32, K, M, N>(mechanism, &angles(q));
     // A direction in which every coefficient of the mass matrix counts, through the copy of this code that is there
     // anyway.
     let askew = SVector::from_fn(|i, _| 0.5 + 0.1 * i as f32);
-    let shaping = MassModel::Exact.shaping(mechanism, &q, &pose, &askew);
+    let shaping = MassModel::Exact.shaping(mechanism, &head(q).into(), &pose, &askew);
     let found = [mechanism.tip(&pose), mechanism.gravity(&pose), shaping.e, shaping.me];
     found.iter().all(|v| v.iter().all(|x| x.is_finite())) && shaping.w_rr.is_finite()
 }
 
-/// The entries of the first N joints.
-fn head<const N: usize>(values: &[f32; MAX_JOINTS]) -> SVector<f32, N> {
-    SVector::from_fn(|i, _| values.get(i).copied().unwrap_or(0.0))
+/// Joint angles given in rad.
+fn angles<const N: usize>(q: &[f32; MAX_JOINTS]) -> [Angle<f32>; N] {
+    head(q).map(Angle::of_radians)
 }
 
 fn torque_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
@@ -196,23 +195,35 @@ fn torque_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
     q: &[f32; MAX_JOINTS],
     force: &[f32; 3],
 ) -> [f32; MAX_JOINTS] {
-    let pose = shared_pose::<f32, K, M, N>(mechanism, &head(q));
-    let torque = mechanism.transpose(&pose, &head(force));
-    core::array::from_fn(|i| torque.get(i).copied().unwrap_or(0.0))
+    let pose = shared_pose::<f32, K, M, N>(mechanism, &angles(q));
+    let torque = mechanism.transpose(&pose, &head(force).into());
+    padded(&torque.data.0[0])
 }
 
-fn force_squared_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
-    mechanism: &M,
-    q: &[f32; MAX_JOINTS],
-    torque: &[f32; MAX_JOINTS],
-) -> f32 {
-    let pose = shared_pose::<f32, K, M, N>(mechanism, &head(q));
-    let torque = head(torque);
-    (0..M::SPEC.task).fold(0.0, |sum, direction| {
+/// J⁻¹ at a pose, rad/m: a row for each task direction, zeros beyond the task.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Leverage([[f32; MAX_JOINTS]; 3]);
+
+impl Leverage {
+    /// |J⁻ᵀ τ|², N²: the square of the force at the tip that joint torques τ (N m) are worth. Along each task direction
+    /// that is, by virtual work, what they do on the joints while the tip moves there by a unit.
+    pub fn force_squared(&self, torque: &[f32; MAX_JOINTS]) -> f32 {
+        self.0.iter().fold(0.0, |sum, joints| {
+            let along: f32 = joints.iter().zip(torque).map(|(joint, torque)| joint * torque).sum();
+            sum + along * along
+        })
+    }
+}
+
+#[inline(never)]
+fn leverage_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M, q: &[f32; MAX_JOINTS]) -> Leverage {
+    let pose = shared_pose::<f32, K, M, N>(mechanism, &angles(q));
+    let mut rows = [[0.0; MAX_JOINTS]; 3];
+    for (direction, row) in rows.iter_mut().enumerate().take(M::SPEC.task) {
         let unit = SVector::from_fn(|i, _| if i == direction { 1.0 } else { 0.0 });
-        let along = mechanism.inverse(&pose, &unit).dot(&torque);
-        sum + along * along
-    })
+        *row = padded(&mechanism.inverse(&pose, &unit).data.0[0]);
+    }
+    Leverage(rows)
 }
 
 /// The angle of count 0 that is nearest to `offset` and has `home` on a whole count (all in rad), so that the pose that

@@ -5,12 +5,12 @@
 //! with E = J⁻¹ Q (Q an orthonormal basis of the rendered directions) and b = c + g - M T⁻¹Ṫ q̇,
 //! Wrr = Eᵀ M E, zr = Eᵀ b and **τ = M E Wrr⁻¹ (fr - Eᵀ b) + b**.
 //!
-//! [`shaped_torque`] is that line, the one the board runs for a wall ([`crate::model::principal`] for several); [`Split`]
+//! [`Shaping::torque`] is that line for a wall ([`crate::model::principal`] for several); [`Split`]
 //! and [`Inertia`] hold the paper's own quantities for the analysis.
 
 use crate::math::{Math, Real};
 use crate::model::admissible::Admissible;
-use crate::model::mechanism::{Mechanism, Shaping};
+use crate::model::mechanism::{Mechanism, Shaping, WallTerms, in_basis};
 use crate::model::principal::{Principal, Pull};
 use crate::model::solve::solve_symmetric;
 use nalgebra::{SMatrix, SVector};
@@ -33,21 +33,31 @@ impl<T: Real, const N: usize> Split<T, N> {
     ///
     /// It is completed in the plane by (-n_y, n_x), in space by the normalised part of e_k across n (k the smallest
     /// |n_k|) and its cross product; coordinates beyond the task are admissible as they stand.
+    #[inline(always)]
     pub fn new<K: Math<T>>(normal: &SVector<T, N>, task: usize) -> Self {
-        let normal = &(normal / K::sqrt(normal.dot(normal)));
+        let n = normal;
         let mut basis = SMatrix::<T, N, N>::identity();
-        basis.set_column(0, normal);
+        basis.set_column(0, n);
         if task == 2 && N >= 2 {
-            basis[(0, 1)] = -normal[1];
-            basis[(1, 1)] = normal[0];
+            basis[(0, 1)] = -n[1];
+            basis[(1, 1)] = n[0];
         } else if task == 3 && N >= 3 {
-            let smallest = (1..3).fold(0, |k, i| if normal[i].abs() < normal[k].abs() { i } else { k });
-            let mut across = SVector::<T, N>::zeros();
-            across[smallest] = T::one();
-            across -= normal * normal[smallest];
-            across /= K::sqrt(across.dot(&across));
-            basis.set_column(1, &across);
-            basis.set_column(2, &cross(normal, &across));
+            // e_k less its part along n, over its length s = √(n_i² + n_j²), and n x that; i and j follow k around.
+            let mut complete = |k: usize, i: usize, j: usize| {
+                let s = K::sqrt(n[i] * n[i] + n[j] * n[j]);
+                let inverse = T::one() / s;
+                let (n_i, n_j) = (n[i] * inverse, n[j] * inverse);
+                (basis[(k, 1)], basis[(i, 1)], basis[(j, 1)]) = (s, -n[k] * n_i, -n[k] * n_j);
+                (basis[(k, 2)], basis[(i, 2)], basis[(j, 2)]) = (T::zero(), n_j, -n_i);
+            };
+            let [x, y, z] = [n[0].abs(), n[1].abs(), n[2].abs()];
+            if x <= y && x <= z {
+                complete(0, 1, 2);
+            } else if y <= z {
+                complete(1, 2, 0);
+            } else {
+                complete(2, 0, 1);
+            }
         }
         Self { basis, rendered: 1 }
     }
@@ -65,36 +75,6 @@ impl<T: Real, const N: usize> Split<T, N> {
             }
         }
     }
-}
-
-/// Cross product in the first three coordinates (zero where there are fewer).
-fn cross<T: Real, const N: usize>(a: &SVector<T, N>, b: &SVector<T, N>) -> SVector<T, N> {
-    let mut product = SVector::<T, N>::zeros();
-    if N >= 3 {
-        product[0] = a[1] * b[2] - a[2] * b[1];
-        product[1] = a[2] * b[0] - a[0] * b[2];
-        product[2] = a[0] * b[1] - a[1] * b[0];
-    }
-    product
-}
-
-/// The joint torques (N m) that render the task force `force` (N) with the paper's feed-forward in one direction:
-/// τ = M E Wrr⁻¹ (n·f - Eᵀ b) + b.
-#[inline(always)]
-pub fn shaped_torque<T: Real, const N: usize>(shaping: &Shaping<T, N>, force: T, b: &SVector<T, N>) -> SVector<T, N> {
-    shaped_torque_beside(shaping, force, b, b)
-}
-
-/// As [`shaped_torque`], with the rendered part of `met` alone left for the wall to meet: `b` itself by the paper's (4),
-/// zero where the wall's force is rendered whatever moves: τ = M E Wrr⁻¹ (n·f - Eᵀ met) + b.
-#[inline(always)]
-pub fn shaped_torque_beside<T: Real, const N: usize>(
-    shaping: &Shaping<T, N>,
-    force: T,
-    b: &SVector<T, N>,
-    met: &SVector<T, N>,
-) -> SVector<T, N> {
-    shaping.me * ((force - shaping.e.dot(met)) / shaping.w_rr) + b
 }
 
 /// How the task frame turns under curved walls: κ (m/s²) such that T⁻¹Ṫ q̇ = J⁻¹(J̇ q̇ + κ), for one rendered
@@ -130,6 +110,7 @@ pub struct Inertia<T: Real, const N: usize> {
 impl<T: Real, const N: usize> Inertia<T, N> {
     /// Everything equation (4) says of a mechanism in `pose` at joint velocities `qd` (rad/s), against plane walls
     /// whose forces add up to `force` (N, a task vector).
+    #[inline(always)]
     pub fn new<K: Math<T>, M: Mechanism<T, N>>(
         mechanism: &M,
         pose: &M::Pose,
@@ -142,7 +123,52 @@ impl<T: Real, const N: usize> Inertia<T, N> {
 
     /// As [`Inertia::new`], a redundant device holding `admissible` instead of φ. The basis then holds the null motion
     /// that goes with each tip direction.
+    #[inline(always)]
     pub fn holding<K: Math<T>, M: Mechanism<T, N>>(
+        mechanism: &M,
+        pose: &M::Pose,
+        qd: &SVector<T, N>,
+        walls: &[Pull<T, N>],
+        force: &SVector<T, N>,
+        admissible: Admissible,
+    ) -> Self {
+        match walls {
+            [only] if M::SPEC.task == N || admissible == Admissible::Orientation => {
+                Self::of_one::<K, M>(mechanism, pose, qd, only, force)
+            }
+            _ => Self::in_general::<K, M>(mechanism, pose, qd, walls, force, admissible),
+        }
+    }
+
+    /// Of one wall, a redundant device holding φ: the usual case, from terms that the mechanisms have in closed form.
+    #[inline(always)]
+    fn of_one<K: Math<T>, M: Mechanism<T, N>>(
+        mechanism: &M,
+        pose: &M::Pose,
+        qd: &SVector<T, N>,
+        wall: &Pull<T, N>,
+        force: &SVector<T, N>,
+    ) -> Self {
+        let split = Split::new::<K>(&wall.normal, M::SPEC.task);
+        let WallTerms { e, me, w, b, row, w_eff } = mechanism.wall_terms(pose, &split.basis, qd);
+        let along = split.basis.column(0).dot(force);
+        let z = e.tr_mul(&b);
+        let torque = me * ((along - z[0]) * (T::one() / w[(0, 0)])) + b;
+        let f_a = SVector::from_fn(|i, _| if i + 1 < N { e.column(i + 1).dot(&torque) } else { T::zero() });
+        Self {
+            split,
+            w,
+            z,
+            w_eff: SMatrix::from_fn(|i, j| if i == 0 && j == 0 { w_eff } else { T::zero() }),
+            torque,
+            torque_without_feed_forward: row * along,
+            f_a,
+        }
+    }
+
+    /// Of any walls, a redundant device holding anything.
+    #[inline(never)]
+    fn in_general<K: Math<T>, M: Mechanism<T, N>>(
         mechanism: &M,
         pose: &M::Pose,
         qd: &SVector<T, N>,
@@ -178,7 +204,7 @@ impl<T: Real, const N: usize> Inertia<T, N> {
         let in_span = tip.tr_mul(force);
         let torque = match walls {
             [] => b,
-            [_] => shaped_torque(&shapings[0], in_span[0], &b),
+            [_] => shapings[0].torque(in_span[0], &b, &b),
             several => {
                 let principal = Principal::new::<K>(several, M::SPEC.task);
                 let (shaped, plain) = principal.shaped(&shapings, force, T::one(), |_| Some((b, b)));
@@ -189,21 +215,6 @@ impl<T: Real, const N: usize> Inertia<T, N> {
         let (w_eff, without) = coupled(mechanism, pose, &tip, rank, &in_span);
         Self { split, w, z, w_eff, torque, torque_without_feed_forward: without, f_a }
     }
-}
-
-/// Bᵀ Λ B for a symmetric Λ.
-#[inline(always)]
-fn in_basis<T: Real, const N: usize>(inertia: &SMatrix<T, N, N>, basis: &SMatrix<T, N, N>) -> SMatrix<T, N, N> {
-    let mut w = SMatrix::<T, N, N>::zeros();
-    for j in 0..N {
-        let moved: SVector<T, N> = inertia * basis.column(j);
-        for i in 0..=j {
-            let entry = basis.column(i).dot(&moved);
-            w[(i, j)] = entry;
-            w[(j, i)] = entry;
-        }
-    }
-    w
 }
 
 /// What the device does without the feed-forward along the first `rank` columns of `tip`: Weff (kg) in its leading

@@ -15,10 +15,11 @@ mod paddle;
 mod parallelogram;
 mod serial_3r;
 
-use crate::math::{Math, Real};
+use crate::math::{Angle, Math, Real};
 use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
-use nalgebra::{SMatrix, SVector};
+use crate::model::solve::quotient;
+use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 /// How far a pose is from the nearest singularity, each a dimensionless sine in [0, 1] (0 = singular).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -40,12 +41,86 @@ pub struct Shaping<T: Real, const N: usize> {
     pub w_rr: T,
 }
 
+/// What equation (4) is made of for one wall, in N directions of which the first is its normal: the analysis' own
+/// kernel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WallTerms<T: Real, const N: usize> {
+    /// E = T⁻¹: joint velocities per unit velocity along each direction, a column each, rad/m.
+    pub e: SMatrix<T, N, N>,
+    /// M E of the normal, kg m.
+    pub me: SVector<T, N>,
+    /// W = Eᵀ M E, kg.
+    pub w: SMatrix<T, N, N>,
+    /// b = c + g - M T⁻¹ Ṫ q̇, N m.
+    pub b: SVector<T, N>,
+    /// Jᵀ n, m.
+    pub row: SVector<T, N>,
+    /// Weff = 1/(nᵀ J M⁻¹ Jᵀ n), kg.
+    pub w_eff: T,
+}
+
+/// The symmetric matrix with this upper triangle.
+#[inline(always)]
+fn symmetric<T: Real, const N: usize>(upper: impl Fn(usize, usize) -> T) -> SMatrix<T, N, N> {
+    let mut matrix = SMatrix::zeros();
+    for j in 0..N {
+        for i in 0..=j {
+            let entry = upper(i, j);
+            matrix[(i, j)] = entry;
+            matrix[(j, i)] = entry;
+        }
+    }
+    matrix
+}
+
+/// 1/(yᵀ M⁻¹ y): what is felt of the inertia M along y.
+#[inline(always)]
+fn effective<T: Real, const N: usize>(mass: &SMatrix<T, N, N>, y: &SVector<T, N>) -> T {
+    let (above, below) = quotient(mass, y);
+    below / above
+}
+
+/// The same of arms with the inertia `arms` on a turret with the inertia `turret` beside them, y the `lever` and `y`.
+#[inline(always)]
+fn effective_turned<T: Real>(turret: T, lever: T, arms: &Matrix2<T>, y: &Vector2<T>) -> T {
+    // Of a wall across the arms' plane y is zero, and what is felt is the turret alone.
+    let (above, below) = quotient(arms, y);
+    turret * below / (lever * lever * below + turret * above)
+}
+
+/// Bᵀ Λ B for a symmetric Λ.
+#[inline(always)]
+pub(crate) fn in_basis<T: Real, const N: usize>(
+    inertia: &SMatrix<T, N, N>,
+    basis: &SMatrix<T, N, N>,
+) -> SMatrix<T, N, N> {
+    let moved = inertia * basis;
+    symmetric(|i, j| basis.column(i).dot(&moved.column(j)))
+}
+
+/// What equation (4) makes of one wall.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shaped<T: Real, const N: usize> {
+    /// E = J⁻¹ n, rad/m.
+    pub e: SVector<T, N>,
+    /// N m
+    pub torque: SVector<T, N>,
+}
+
 impl<T: Real, const N: usize> Shaping<T, N> {
     /// What the joint velocities `e` (rad/m) weigh with a mass matrix (N x N, kg m²).
     #[inline(always)]
     pub fn of(mass: &SMatrix<T, N, N>, e: SVector<T, N>) -> Self {
         let me = mass * e;
         Self { e, me, w_rr: e.dot(&me) }
+    }
+
+    /// The joint torques (N m) that render the force `force` (N) along n by equation (4): τ = M E Wrr⁻¹ (f - Eᵀ met) + b.
+    /// `met` is the part of b (N m) that the wall meets: all of it by the paper, none where the force is rendered
+    /// whatever moves.
+    #[inline(always)]
+    pub fn torque(&self, force: T, b: &SVector<T, N>, met: &SVector<T, N>) -> SVector<T, N> {
+        self.me * ((force - self.e.dot(met)) / self.w_rr) + b
     }
 }
 
@@ -63,8 +138,21 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
     /// Lumped coefficients from a description. Errors say what about it cannot be.
     fn new(description: &Description) -> Result<Self, DescriptionError>;
 
-    /// Everything that depends on the joint angles `q` (rad) alone.
-    fn pose<K: Math<T>>(&self, q: &SVector<T, N>) -> Self::Pose;
+    /// Everything that depends on the joint angles alone.
+    fn pose_at<K: Math<T>>(&self, angles: &[Angle<T>; N]) -> Self::Pose;
+    /// The same of joint angles `q` in rad.
+    #[inline(always)]
+    fn pose<K: Math<T>>(&self, q: &SVector<T, N>) -> Self::Pose {
+        self.pose_at::<K>(&core::array::from_fn(|i| Angle::of_radians(q[i])))
+    }
+    /// [`Mechanism::pose_at`] of a pose that is at least as regular as `least`, positive sines; nothing of any other, so that
+    /// no clamp is needed on the way.
+    #[inline(always)]
+    fn regular_pose<K: Math<T>>(&self, angles: &[Angle<T>; N], least: &Regularity<T>) -> Option<Self::Pose> {
+        let pose = self.pose_at::<K>(angles);
+        let found = self.regularity(&pose);
+        (found.serial >= least.serial && found.parallel >= least.parallel).then_some(pose)
+    }
     /// Task position: tip in metres (then φ in rad on the redundant arm).
     fn tip(&self, pose: &Self::Pose) -> SVector<T, N>;
     /// Distance from singularities.
@@ -109,6 +197,45 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
     fn velocity_torque(&self, pose: &Self::Pose, qd: &SVector<T, N>) -> SVector<T, N> {
         let bent = self.inverse(pose, &(self.jacobian_rate(pose, qd) * qd));
         self.coriolis(pose, qd) - self.mass(pose) * bent
+    }
+    /// Equation (4) for one wall of unit normal `n`, whose force `force` (N) is rendered whatever moves: E = J⁻¹ n (rad/m) and
+    /// the joint torques τ = M E Wrr⁻¹ f + b, N m, b zero without joint velocities `qd` (rad/s). The tip then accelerates by
+    /// f/Wrr along n and not at all across it: one pass of inverse dynamics, where a mechanism has it in closed form.
+    #[inline(always)]
+    fn shaped(&self, pose: &Self::Pose, n: &SVector<T, N>, force: T, qd: Option<&SVector<T, N>>) -> Shaped<T, N> {
+        let shaping = self.shaping(pose, n);
+        let torque = shaping.me * (force / shaping.w_rr);
+        Shaped { e: shaping.e, torque: qd.map_or(torque, |qd| torque + self.velocity_torque(pose, qd)) }
+    }
+    /// [`Mechanism::shaped`] for a wall whose normal turns, so that the tip accelerates by `turning` (m/s²) besides: -κ of
+    /// [`frame_rate`](crate::model::inertia::frame_rate).
+    #[inline(always)]
+    fn shaped_turning(
+        &self,
+        pose: &Self::Pose,
+        n: &SVector<T, N>,
+        force: T,
+        qd: &SVector<T, N>,
+        turning: &SVector<T, N>,
+    ) -> Shaped<T, N> {
+        let Shaping { e, w_rr, .. } = self.shaping(pose, n);
+        let accelerated = self.shaping(pose, &(n * (force / w_rr) + turning)).me;
+        Shaped { e, torque: self.velocity_torque(pose, qd) + accelerated }
+    }
+    /// What equation (4) is made of for one wall at joint velocities `qd` (rad/s). The columns of `basis` are
+    /// orthonormal: the wall's normal, the directions across it, and on the redundant arm φ, which it holds.
+    #[inline(always)]
+    fn wall_terms(&self, pose: &Self::Pose, basis: &SMatrix<T, N, N>, qd: &SVector<T, N>) -> WallTerms<T, N> {
+        let n = basis.column(0).into_owned();
+        let row = self.transpose(pose, &n);
+        WallTerms {
+            e: self.jacobian_inverse(pose) * basis,
+            me: self.shaping(pose, &n).me,
+            w: in_basis(&self.operational_inertia(pose), basis),
+            b: self.velocity_torque(pose, qd) + self.gravity(pose),
+            row,
+            w_eff: effective(&self.mass(pose), &row),
+        }
     }
     /// Λ = J⁻ᵀ M J⁻¹ (N x N): the inertia in task coordinates.
     fn operational_inertia(&self, pose: &Self::Pose) -> SMatrix<T, N, N> {
@@ -203,12 +330,12 @@ pub(crate) fn reciprocal<T: Real>(x: T, floor: T) -> T {
     if x < T::zero() { -limit } else { limit }
 }
 
-/// [`Mechanism::pose`], compiled once for each mechanism: a call costs little beside it, and a copy at every use would
+/// [`Mechanism::pose_at`], compiled once for each mechanism: a call costs little beside it, and a copy at every use would
 /// come out of the 256 KB that an image may fill.
 #[inline(never)]
 pub(crate) fn shared_pose<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     mechanism: &M,
-    q: &SVector<T, N>,
+    angles: &[Angle<T>; N],
 ) -> M::Pose {
-    mechanism.pose::<K>(q)
+    mechanism.pose_at::<K>(angles)
 }

@@ -261,22 +261,6 @@ impl<T: Real, const N: usize> MassModel<T, N> {
         fits.then(|| Self::Table(Table::new(grid, values)))
     }
 
-    /// [`MassModel::shaping`] for one wall, the commonest scene: nothing is called but for a table.
-    #[inline(always)]
-    pub fn shaping_inline<M: Mechanism<T, N>>(
-        &self,
-        mechanism: &M,
-        q: &SVector<T, N>,
-        pose: &M::Pose,
-        n: &SVector<T, N>,
-    ) -> Shaping<T, N> {
-        match self {
-            Self::Exact => mechanism.shaping(pose, n),
-            Self::Frozen(mass) => Shaping::of(mass, mechanism.inverse(pose, n)),
-            Self::Table(..) => self.shaping(mechanism, q, pose, n),
-        }
-    }
-
     /// What a unit tip motion along `n` takes and weighs. Shared by single walls and corners: a call costs little
     /// beside it, and a second copy for every mechanism would come out of the 256 KB that an image may fill.
     #[inline(never)]

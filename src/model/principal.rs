@@ -20,10 +20,15 @@ use nalgebra::{SMatrix, SVector};
 /// after four.
 const SWEEPS: usize = 6;
 
+/// By how much the square of a normal's length may be off without a root taken: a scene's are unit to within this. A plane
+/// that the host pushes half way from one place to another has a shorter one.
+const UNIT: f64 = 1.0e-5;
+
 /// One wall or spring as far as its stiffness decides what is rendered.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pull<T: Real, const N: usize> {
-    /// A wall's unit normal, a spring's line; zeros beyond the task dimension.
+    /// A wall's normal, of unit length or the host's plane's, which may be shorter; a spring's line. Zeros beyond the task
+    /// dimension.
     pub normal: SVector<T, N>,
     /// Whether it is stiff in all directions across `normal` instead of along it; every direction is across a normal of
     /// length zero.
@@ -66,51 +71,44 @@ impl<T: Real, const N: usize> Principal<T, N> {
     /// The principal directions of these walls in a task of `task` dimensions. Walls of no stiffness at all count
     /// alike.
     ///
-    /// One-sided Jacobi rotations: K itself, in which the stiffness of a soft wall beside a stiff one would drown in
-    /// rounding, is never formed.
+    /// Jacobi rotations of K in a frame that begins with the stiffest wall's normal: there that wall is one entry alone, and
+    /// a soft wall beside it does not drown in its rounding. Two walls take one rotation.
     #[inline(never)]
     pub fn new<K: Math<T>>(pulls: &[Pull<T, N>], task: usize) -> Self {
         let largest = pulls.iter().fold(T::zero(), |most, pull| pull.stiffness.greater(most));
-        // Less than this is none, so that its inverse is a number.
+        // A smaller one counts as zero: its inverse would overflow.
         let inverse = (largest > T::EPSILON * T::EPSILON).then(|| T::one() / largest);
         let weight = |pull: &Pull<T, N>| inverse.map_or(T::one(), |inverse| pull.stiffness * inverse);
-        let mut axes: [SVector<T, N>; N] = core::array::from_fn(|i| unit(i));
+        let task = task.min(N);
+        let mut axes = frame::<T, K, N>(pulls, weight, task);
+        let mut k = SMatrix::<T, N, N>::zeros();
+        for pull in pulls {
+            let weight = weight(pull);
+            for i in 0..task {
+                for j in 0..=i {
+                    k[(i, j)] += weight * pull.between(&axes[i], &axes[j]);
+                }
+            }
+        }
         for _ in 0..SWEEPS {
             let mut turned = false;
             for a in 0..N {
-                for b in a + 1..N.min(task) {
-                    let (mut aa, mut bb, mut ab) = (T::zero(), T::zero(), T::zero());
-                    for pull in pulls {
-                        let k = weight(pull);
-                        aa += k * pull.between(&axes[a], &axes[a]);
-                        bb += k * pull.between(&axes[b], &axes[b]);
-                        ab += k * pull.between(&axes[a], &axes[b]);
-                    }
-                    if let Some((cosine, sine)) = rotation::<T, K>(aa, bb, ab) {
-                        let (old_a, old_b) = (axes[a], axes[b]);
-                        axes[a] = old_a * cosine + old_b * sine;
-                        axes[b] = old_b * cosine - old_a * sine;
-                        turned = true;
-                    }
+                for b in (a + 1..N).filter(|b| *b < task) {
+                    turned |= turn::<T, K, N>(&mut axes, &mut k, a, b, task);
                 }
             }
             if !turned || task < 3 {
                 break;
             }
         }
-        let mut basis = SMatrix::<T, N, N>::zeros();
         let (mut stiffness, mut plain) = (SVector::<T, N>::zeros(), SVector::<T, N>::zeros());
-        for i in 0..N {
-            basis.set_column(i, &axes[i]);
-            if i < task {
-                for pull in pulls {
-                    let part = weight(pull) * pull.between(&axes[i], &axes[i]);
-                    stiffness[i] += part;
-                    plain[i] += if pull.feed_forward { T::zero() } else { part };
-                }
+        for (i, axis) in axes.iter().enumerate().take(task) {
+            stiffness[i] = k[(i, i)];
+            for pull in pulls.iter().filter(|pull| !pull.feed_forward) {
+                plain[i] += weight(pull) * pull.between(axis, axis);
             }
         }
-        Self { basis, stiffness, plain }
+        Self { basis: SMatrix::from_columns(&axes), stiffness, plain }
     }
 
     /// Column `i` of the basis; zero beyond it, so that asking cannot panic.
@@ -146,7 +144,7 @@ impl<T: Real, const N: usize> Principal<T, N> {
     /// `part` of its share.
     ///
     /// `shapings` are those of the columns of the basis; `bias` says b of a level and what of it the walls shall meet
-    /// (N m, see [`crate::model::inertia::shaped_torque_beside`]).
+    /// (N m, see [`Shaping::torque`]).
     /// Returns the joint torques of all levels (N m) and what of the force is left for Jᵀ (N).
     #[inline(always)]
     pub fn shaped(
@@ -197,21 +195,110 @@ fn unit<T: Real, const N: usize>(i: usize) -> SVector<T, N> {
     SVector::from_fn(|row, _| if row == i { T::one() } else { T::zero() })
 }
 
-/// Cosine and sine of the rotation that makes [aa ab; ab bb] diagonal with the larger entry first; none where it is
-/// that already, to rounding.
-fn rotation<T: Real, K: Math<T>>(aa: T, bb: T, ab: T) -> Option<(T, T)> {
+/// An orthonormal frame of the first `task` coordinates, the others as they are: first the normal of the wall of the largest
+/// weight, then what the wall has across it that has most there.
+fn frame<T: Real, K: Math<T>, const N: usize>(
+    pulls: &[Pull<T, N>],
+    weight: impl Fn(&Pull<T, N>) -> T,
+    task: usize,
+) -> [SVector<T, N>; N] {
+    let mut axes: [SVector<T, N>; N] = core::array::from_fn(|i| unit(i));
+    let walls = || pulls.iter().filter(|pull| !pull.across);
+    let mut most = T::zero();
+    for pull in walls() {
+        // In the very middle of a ball it has none.
+        let size = weight(pull) * pull.normal.dot(&pull.normal);
+        if size > most {
+            (most, axes[0]) = (size, pull.normal);
+        }
+    }
+    let squared = axes[0].dot(&axes[0]);
+    if (squared - T::one()).abs() > T::from_f64(UNIT) {
+        axes[0] /= K::sqrt(squared);
+    }
+    if task == 2 && N >= 2 {
+        (axes[1][0], axes[1][1]) = (-axes[0][1], axes[0][0]);
+    } else if task == 3 && N >= 3 {
+        let (mut most, mut second) = (T::zero(), None);
+        for pull in walls() {
+            let part = pull.normal - axes[0] * axes[0].dot(&pull.normal);
+            let size = part.dot(&part);
+            // What is left of the same normal twice is rounding, and shows no direction.
+            if size > T::EPSILON && weight(pull) * size > most {
+                (most, second) = (weight(pull) * size, Some(part / K::sqrt(size)));
+            }
+        }
+        axes[1] = match second {
+            // Once more: of a short part much is rounding, and the frame is to stand square.
+            Some(part) => {
+                let part = part - axes[0] * axes[0].dot(&part);
+                part / K::sqrt(part.dot(&part))
+            }
+            None => across::<T, K, N>(&axes[0]),
+        };
+        axes[2] = cross(&axes[0], &axes[1]);
+    }
+    axes
+}
+
+/// A unit vector across the unit vector `n` in space: the normalised part across it of the axis that has least along it, the
+/// first on ties.
+fn across<T: Real, K: Math<T>, const N: usize>(n: &SVector<T, N>) -> SVector<T, N> {
+    let least = (1..N.min(3)).fold(0, |least, i| if n[i].abs() < n[least].abs() { i } else { least });
+    let part = unit::<T, N>(least) - n * n[least];
+    part / K::sqrt(part.dot(&part))
+}
+
+/// Cross product in the first three coordinates (zero where there are fewer).
+fn cross<T: Real, const N: usize>(a: &SVector<T, N>, b: &SVector<T, N>) -> SVector<T, N> {
+    let mut product = SVector::<T, N>::zeros();
+    if N >= 3 {
+        product[0] = a[1] * b[2] - a[2] * b[1];
+        product[1] = a[2] * b[0] - a[0] * b[2];
+        product[2] = a[0] * b[1] - a[1] * b[0];
+    }
+    product
+}
+
+/// Turns axes `a` < `b` so that the lower triangle `k` of K in these axes has nothing left between them and the larger entry
+/// first; false where it is that already, to rounding.
+fn turn<T: Real, K: Math<T>, const N: usize>(
+    axes: &mut [SVector<T, N>; N],
+    k: &mut SMatrix<T, N, N>,
+    a: usize,
+    b: usize,
+    task: usize,
+) -> bool {
+    let (aa, bb, ab) = (k[(a, a)], k[(b, b)], k[(b, a)]);
     let difference = aa - bb;
-    if ab * ab <= T::EPSILON * T::EPSILON * aa * bb && difference >= T::zero() {
-        return None;
+    // By less than an epsilon no axis would be another.
+    let small = ab.abs() <= T::EPSILON * difference || ab * ab <= T::EPSILON * T::EPSILON * aa * bb;
+    if small && difference >= T::zero() {
+        return false;
     }
     let half = T::from_f64(0.5);
     let long = K::sqrt(difference * difference + (ab + ab) * (ab + ab));
     if long <= T::zero() {
-        return None;
+        return false;
     }
     // Half of the angle whose cosine is difference/long, from its larger part.
     let larger = K::sqrt(half + half * difference.abs() / long);
     let smaller = ab.abs() / (long * larger);
     let (cosine, sine) = if difference >= T::zero() { (larger, smaller) } else { (smaller, larger) };
-    Some((cosine, if ab < T::zero() { -sine } else { sine }))
+    let sine = if ab < T::zero() { -sine } else { sine };
+    // What the stiffer gains the softer loses.
+    let gained = ab.abs() * smaller / larger;
+    k[(a, a)] = aa.greater(bb) + gained;
+    k[(b, b)] = (aa.lesser(bb) - gained).greater(T::zero());
+    k[(b, a)] = T::zero();
+    for other in (0..N).filter(|other| *other < task && *other != a && *other != b) {
+        let (to_a, to_b) = ((other.max(a), other.min(a)), (other.max(b), other.min(b)));
+        let (old_a, old_b) = (k[to_a], k[to_b]);
+        k[to_a] = old_a * cosine + old_b * sine;
+        k[to_b] = old_b * cosine - old_a * sine;
+    }
+    let (old_a, old_b) = (axes[a], axes[b]);
+    axes[a] = old_a * cosine + old_b * sine;
+    axes[b] = old_b * cosine - old_a * sine;
+    true
 }

@@ -35,7 +35,7 @@ pub fn solve_symmetric<T: Real, const N: usize>(a: &SMatrix<T, N, N>, y: &SVecto
         for k in 0..j {
             pivot -= l[(j, k)] * l[(j, k)] * d[k];
         }
-        d[j] = pivot.greater(T::EPSILON * T::EPSILON * T::EPSILON * a[(j, j)].abs().greater(T::EPSILON));
+        d[j] = positive(pivot, a[(j, j)]);
         for i in j + 1..N {
             let mut entry = a[(i, j)];
             for k in 0..j {
@@ -58,4 +58,38 @@ pub fn solve_symmetric<T: Real, const N: usize>(a: &SMatrix<T, N, N>, y: &SVecto
         }
     }
     x
+}
+
+/// yᵀ A⁻¹ y for a symmetric positive definite A (N x N), N > 0, as a numerator and a denominator that is positive: the
+/// forward half of [`solve_symmetric`], its last division left to the caller.
+#[inline(always)]
+pub fn quotient<T: Real, const N: usize>(a: &SMatrix<T, N, N>, y: &SVector<T, N>) -> (T, T) {
+    let (mut left, mut x) = (*a, *y);
+    let (mut above, mut below) = (T::zero(), T::one());
+    for j in 0..N {
+        let pivot = positive(left[(j, j)], a[(j, j)]);
+        if j + 1 == N {
+            (above, below) = (above * pivot + x[j] * x[j], pivot);
+            break;
+        }
+        let inverse = T::one() / pivot;
+        above += x[j] * x[j] * inverse;
+        for i in j + 1..N {
+            let part = left[(i, j)] * inverse;
+            for k in j + 1..=i {
+                let taken = part * left[(k, j)];
+                left[(i, k)] -= taken;
+            }
+            let taken = part * x[j];
+            x[i] -= taken;
+        }
+    }
+    (above, below)
+}
+
+/// `pivot`, what is left of the diagonal entry `of`, or the smallest positive number that divides where rounding left
+/// less.
+#[inline(always)]
+fn positive<T: Real>(pivot: T, of: T) -> T {
+    pivot.greater(T::EPSILON * T::EPSILON * T::EPSILON * of.abs().greater(T::EPSILON))
 }

@@ -1,17 +1,17 @@
 //! One control step: encoder counts in, joint torques out.
 //!
 //! [`Controller::step_generally`] is the whole of it, in the order the data flows:
-//! counts → angles → pose → contacts → wall forces → the feed-forward → torques. It owns no hardware, allocates
+//! counts → angles → pose → contacts → wall forces → the feed-forward → torques
+//! (`anywhere`, or a straight step for one shape of scene). It owns no hardware, allocates
 //! nothing, and cannot panic: every index is bounded by a constant, every division is by something clamped. It is
 //! generic over the float and the trigonometry, so the board's f32 step and the analysis' f64 are the same code.
 //!
 //! "Model only what a scene needs": a scene without feed-forward computes no mass matrix, one without velocity terms no
 //! Coriolis forces, one without springs no tip velocity; the choices are made once, in [`Controller::new`].
 
-use crate::math::{Math, Real};
+use crate::math::{Angle, Math, Real};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::device::Device;
-use crate::model::inertia::shaped_torque_beside;
 use crate::model::mechanism::{Mechanism, Regularity, Shaping, shared_pose};
 use crate::model::precomputed::MassModel;
 use crate::model::principal::Principal;
@@ -30,7 +30,7 @@ use postcard_schema::Schema;
 pub use push::{Push, PushedPlane};
 use serde::{Deserialize, Serialize};
 use straight::StepVariant;
-use walls::{Acting, Active, Walls};
+use walls::{Acting, Active, Together, Walls};
 pub use walls::{TOUCH_DEPTH, TOUCH_SHARE};
 
 mod encoders;
@@ -38,6 +38,7 @@ mod guidance;
 mod observers;
 mod posture;
 mod push;
+mod stiffness;
 mod straight;
 mod walls;
 
@@ -99,14 +100,14 @@ pub struct Step<T: Real, const N: usize> {
     /// See [`Found`].
     pub motion: SVector<T, N>,
     /// See [`Found`].
-    pub regularity: Regularity<T>,
+    pub parallel: T,
     /// What it found at the walls.
     pub walls: AtWalls<T>,
 }
 
 impl<T: Real, const N: usize> Step<T, N> {
     fn of(found: &Found<T>) -> Self {
-        let Found { at, asked, motion, regularity } = found;
+        let Found { at, asked, motion, parallel, .. } = found;
         let first = |values: &[T; MAX_JOINTS]| SVector::from_fn(|i, _| values[i]);
         Self {
             q: first(&at.q),
@@ -117,7 +118,7 @@ impl<T: Real, const N: usize> Step<T, N> {
             rendered: first(&asked.rendered),
             force_squared: asked.force_squared,
             motion: first(motion),
-            regularity: *regularity,
+            parallel: *parallel,
             walls: at.walls,
         }
     }
@@ -142,6 +143,10 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     gravity: bool,
     /// b of the shaped torque is not zero.
     biased: bool,
+    /// It is c - M J⁻¹ J̇ q̇ and nothing else, and no wall meets any of it.
+    usual_terms: bool,
+    /// The same, and what the turning of normals adds to it.
+    turning_terms: bool,
     mechanism: M,
     coefficients: Coefficients<T>,
     encoders: Encoders<T, N>,
@@ -155,6 +160,19 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     guidance: Guidance<T>,
     mass: MassModel<T, N>,
     math: PhantomData<K>,
+}
+
+/// What every step begins with.
+#[derive(Clone, Copy, Debug)]
+struct Begun<'a, T: Real, P, const N: usize> {
+    /// Joint angles, whole turns taken off.
+    angles: [Angle<T>; N],
+    /// Filtered joint velocities, rad/s.
+    qd: SVector<T, N>,
+    pose: &'a P,
+    /// The tip's own coordinates, m; zero beyond the task.
+    place: SVector<T, N>,
+    regularity: Regularity<T>,
 }
 
 /// The part of a scene that is the same for every mechanism.
@@ -186,8 +204,11 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             return Err(SceneError::Posture);
         }
         let biased = scene.velocity_terms != VelocityTerms::Off || walls.damped;
+        // What is rendered whatever moves; along a line no normal turns.
+        let rendered = scene.velocity_terms == VelocityTerms::Rendered && !walls.damped;
+        let turns = walls.curved && M::SPEC.task > 1;
         let moving = biased || guidance.any || scene.posture.is_some();
-        let mut controller = Self {
+        Ok(Self {
             mechanism,
             mass: MassModel::Exact,
             observers: Observers::new(device, &coefficients),
@@ -202,94 +223,167 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             admissible: scene.admissible,
             posture: scene.posture,
             biased,
-            variant: StepVariant::General,
+            usual_terms: rendered && !turns,
+            turning_terms: rendered && turns,
+            variant: StepVariant::Anew,
             math: PhantomData,
-        };
-        controller.variant = StepVariant::of(&mut controller);
-        Ok(controller)
+        })
     }
 
     /// Takes the mass matrix from `mass` from now on instead of the mechanism's closed form.
     pub fn set_mass(&mut self, mass: MassModel<T, N>) {
         self.mass = mass;
-        self.variant = StepVariant::of(self);
+        self.choose();
     }
 
     /// One control step for these encoder counts. Call at the control rate.
     pub fn step(&mut self, counts: &[i32; N]) -> Step<T, N> {
+        self.step_after(&[T::zero(); MAX_JOINTS], counts)
+    }
+
+    /// [`Controller::step`] where the motors gave these torques since the last one (N m), which an estimator that predicts
+    /// wants to know.
+    pub fn step_after(&mut self, acted: &[T; MAX_JOINTS], counts: &[i32; N]) -> Step<T, N> {
         let mut found = Found::default();
-        self.render(counts, &mut found);
+        self.render(counts, acted, &mut found);
+        self.angles(counts, &mut found);
         Step::of(&found)
     }
 
     /// As [`Controller::step`] for any scene, the slow way: what every straight step is held to.
     pub fn step_generally(&mut self, counts: &[i32; N]) -> Step<T, N> {
         let mut found = Found::default();
+        if self.variant == StepVariant::Anew {
+            self.begin_anew(counts, &mut found);
+        }
         self.render_generally(counts, &mut found);
+        self.angles(counts, &mut found);
         Step::of(&found)
     }
 
-    /// [`Controller::step`] where what it finds is kept: writes the first N entries of every vector of `found`.
+    /// [`Controller::step`] where what it finds is kept: writes the first N entries of every vector of `found` but the joint
+    /// angles, which are worked out only where somebody looks ([`Controller::angles`]). `acted`: what the motors gave since
+    /// the last step (N m), which is what was asked less what limits took.
     #[inline(always)]
-    pub(crate) fn render(&mut self, counts: &[i32; N], found: &mut Found<T>) {
-        // A host may add a plane of its own at any time.
-        let straight = self.variant == StepVariant::Plane && !self.guidance.any;
-        if !(straight && self.render_a_plane(counts, found)) {
-            self.render_generally(counts, found);
+    pub fn render(&mut self, counts: &[i32; N], acted: &[T; MAX_JOINTS], found: &mut Found<T>) {
+        match self.variant {
+            StepVariant::Wall => self.render_wall(counts, found),
+            StepVariant::Round if N == 2 => self.render_round(counts, found),
+            StepVariant::Several if N == 2 => self.render_several(counts, found),
+            _ => self.render_otherwise(counts, acted, found),
         }
     }
 
-    /// [`Controller::step_generally`] where what it finds is kept.
+    /// [`Controller::render`] where no straight step is ready.
+    #[inline(never)]
+    fn render_otherwise(&mut self, counts: &[i32; N], acted: &[T; MAX_JOINTS], found: &mut Found<T>) {
+        // Only an estimator that predicts wants to know.
+        if self.coefficients.at_joints() {
+            self.observers.acting = SVector::from_fn(|i, _| acted[i.min(MAX_JOINTS - 1)]);
+        }
+        if self.variant == StepVariant::Anew {
+            self.begin_anew(counts, found);
+        }
+        match self.variant {
+            StepVariant::Wall => self.render_wall(counts, found),
+            StepVariant::Round if N == 2 => self.render_round(counts, found),
+            StepVariant::Several if N == 2 => self.render_several(counts, found),
+            _ => self.render_generally(counts, found),
+        }
+    }
+
+    /// Writes the joint angles (rad) of these counts.
     #[inline(always)]
+    pub fn angles(&self, counts: &[i32; N], found: &mut Found<T>) {
+        put(&self.encoders.angles(counts).0, &mut found.at.q);
+    }
+
+    /// Lets the estimators begin where these counts are.
+    fn begin_anew(&mut self, counts: &[i32; N], found: &mut Found<T>) {
+        clear::<T, N>(&mut found.asked.gravity);
+        self.encoders.begin(counts);
+        let (_, angles) = self.encoders.angles(counts);
+        let pose = shared_pose::<T, K, M, N>(&self.mechanism, &angles);
+        self.walls.begin::<K, N>(&task_part::<T, M, N>(&self.mechanism.tip(&pose)));
+        self.variant = StepVariant::of(self);
+    }
+
+    /// [`Controller::step_generally`] where what it finds is kept.
+    #[inline(never)]
     pub(crate) fn render_generally(&mut self, counts: &[i32; N], found: &mut Found<T>) {
-        let (q, turned) = self.encoders.angles(counts);
-        let mut qd = self.encoders.velocities(&self.coefficients, counts);
-        let pose = self.mechanism.pose::<K>(&turned);
+        let (_, angles) = self.encoders.angles(counts);
+        let pose = shared_pose::<T, K, M, N>(&self.mechanism, &angles);
         let tip = self.mechanism.tip(&pose);
-        let place = task_part::<T, M, N>(&tip);
         let regularity = self.mechanism.regularity(&pose);
+        let qd = self.encoders.velocities(counts, |filter, raw| filter.step(&self.coefficients, raw));
+        Self::keep(&qd, &tip, found);
+        found.parallel = regularity.parallel;
+        let mut begun = Begun { angles, qd, pose: &pose, place: task_part::<T, M, N>(&tip), regularity };
+        let (mut torque, rendered, force) = self.anywhere(&mut begun, counts, found);
+        let asked = &mut found.asked;
+        torque += self.weigh(&pose, asked);
+        put(&rendered, &mut asked.rendered);
+        asked.force_squared = force.dot(&force);
+        if self.guidance.pushed {
+            torque += self.add(&pose, &force, &self.guidance.pushing(), asked);
+        }
+        put(&torque, &mut asked.total);
+    }
+
+    /// Keeps joint velocities (rad/s) and the tip.
+    #[inline(always)]
+    fn keep(qd: &SVector<T, N>, tip: &SVector<T, N>, found: &mut Found<T>) {
+        put(qd, &mut found.at.qd);
+        put(tip, &mut found.at.tip);
+    }
+
+    /// Joint torques (N m) of any scene, what of them renders its forces, and their resultant (N): contacts → wall forces →
+    /// the feed-forward → torques.
+    #[inline(always)]
+    fn anywhere(
+        &mut self,
+        begun: &mut Begun<'_, T, M::Pose, N>,
+        counts: &[i32; N],
+        found: &mut Found<T>,
+    ) -> (SVector<T, N>, SVector<T, N>, SVector<T, N>) {
         let observed = self.coefficients.at_joints();
         let mut along = SVector::zeros();
         if observed {
-            (qd, along) = self.observe(&pose, counts, &qd);
+            (begun.qd, along) = self.observe(begun.pose, counts, &begun.qd);
+            put(&begun.qd, &mut found.at.qd);
         }
+        let Begun { angles, qd, pose, place, regularity } = &*begun;
 
         let mut more: Vec<Active<T, N>, MAX_WALLS> = Vec::new();
         let along = observed.then_some(&along);
-        let touch = self.walls.touch::<K, N>(&self.coefficients, &place, along, &mut more);
-        put(&q, &mut found.at.q);
-        put(&qd, &mut found.at.qd);
-        put(&tip, &mut found.at.tip);
+        let touch = self.walls.touch::<K, N>(&self.coefficients, place, along, &mut more);
         found.at.walls = touch.found;
-        found.regularity = regularity;
         if touch.found.contacts > 0 {
-            put(&self.mechanism.inverse(&pose, &touch.normal), &mut found.motion);
+            put(&self.mechanism.inverse(pose, &touch.normal), &mut found.motion);
         } else {
             clear::<T, N>(&mut found.motion);
         }
-        let (mut plain, mut straight) = (touch.plain, touch.straight);
+        let mut plain = touch.plain;
         let mut beside = Beside::none();
         if self.guidance.any {
-            let velocity = task_part::<T, M, N>(&self.mechanism.velocity(&pose, &qd));
-            plain += self.guidance.force(&place, &velocity);
-            straight = true;
+            let velocity = task_part::<T, M, N>(&self.mechanism.velocity(pose, qd));
+            plain += self.guidance.force(place, &velocity);
             // One joint alone has no other direction to shape into.
             if self.guidance.is_beside() && N > 1 {
-                beside = self.guidance.beside(&place, &velocity, self.walls.gain());
+                beside = self.guidance.beside(place, &velocity, self.walls.gain());
             }
         }
 
         // (4): what is shaped goes through M E Wrr⁻¹, the rest straight through Jᵀ.
-        let (mut torque, mut rendered, mut force) = (SVector::zeros(), SVector::zeros(), SVector::zeros());
+        let (mut torque, rendered, force);
         if let Some(mut first) = touch.first {
             if let Some(gain) = self.gain
                 && more.is_empty()
                 && !beside.acts
             {
-                let kept = first.shaped * self.below_the_pole(&turned, &pose, &first.normal, gain);
+                let kept = first.shaped * self.below_the_pole(angles, pose, &first.normal, gain);
                 plain += first.normal * (first.shaped - kept);
                 first.shaped = kept;
-                straight = true;
             }
             let mut shaped = more.iter().fold(first.normal * first.shaped, |sum, a| sum + a.normal * a.shaped);
             if beside.acts {
@@ -298,65 +392,40 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
                 shaped += stiff;
             }
             force = plain + shaped;
-            rendered = self.mechanism.transpose(&pose, &force);
-            let parallel = regularity.parallel * T::from_f64(1.0 / PARALLEL_REGULARITY);
-            let share = fade(regularity.serial.lesser(parallel));
-            if share < T::one() || !more.is_empty() || beside.acts {
-                // Copies, so that the usual case need not keep these in memory.
-                let (pose, place, qd, turned, first) = (pose, place, qd, turned, first);
-                let left;
-                (torque, left) =
-                    self.shaped_by_several(&turned, &pose, &place, &qd, &first, &more, &beside, &shaped, share);
-                found.at.walls.shaping = share;
-                plain += left;
-                straight = true;
-            } else {
-                torque = self.shaped_by_one(&turned, &pose, &place, &qd, &first);
-            }
-            if straight {
-                torque += self.mechanism.transpose(&pose, &plain);
-            }
-        } else if straight {
+            rendered = self.mechanism.transpose(pose, &force);
+            let share = fade(nearness(regularity));
+            let (through, left) = self.feed_forward(begun, &first, &more, &beside, &shaped, share);
+            found.at.walls.shaping = share;
+            torque = through + self.mechanism.transpose(pose, &(plain + left));
+        } else {
             force = plain;
-            torque = self.mechanism.transpose(&pose, &plain);
+            torque = self.mechanism.transpose(pose, &plain);
             rendered = torque;
         }
-        put(&rendered, &mut found.asked.rendered);
-        found.asked.force_squared = force.dot(&force);
         if M::SPEC.task < N && self.posture.is_some() {
-            torque += self.posture_torque(&pose, &tip, &qd);
+            torque += self.posture_torque(pose, qd);
         }
-        self.ask(&pose, torque, &mut found.asked);
-        self.push_as_well(&pose, &force, &mut found.asked);
+        (torque, rendered, force)
     }
 
-    /// Adds the force that the host pushes with, if it does, to walls, springs and fields whose resultant is `force` (N).
+    /// Joint torques (N m) beside those of walls, springs and fields: what holds the device against gravity.
     #[inline(always)]
-    fn push_as_well(&self, pose: &M::Pose, force: &SVector<T, N>, asked: &mut Asked<T>) {
-        if !self.guidance.pushed {
-            return;
-        }
-        let push = self.guidance.pushing();
-        let all = force + push;
+    fn weigh(&self, pose: &M::Pose, asked: &mut Asked<T>) -> SVector<T, N> {
+        let gravity = if self.gravity { self.mechanism.gravity(pose) } else { SVector::zeros() };
+        put(&gravity, &mut asked.gravity);
+        gravity
+    }
+
+    /// Adds another force (N) to those whose resultant is `force` (N), and to what renders them; its torques, N m.
+    #[inline(never)]
+    fn add(&self, pose: &M::Pose, force: &SVector<T, N>, other: &SVector<T, N>, asked: &mut Asked<T>) -> SVector<T, N> {
+        let all = force + other;
         asked.force_squared = all.dot(&all);
-        let torque = self.mechanism.transpose(pose, &push);
+        let torque = self.mechanism.transpose(pose, other);
         for i in 0..N.min(MAX_JOINTS) {
             asked.rendered[i] += torque[i];
-            asked.total[i] += torque[i];
         }
-    }
-
-    /// Writes these torques (N m), and those that hold the device against gravity on top.
-    #[inline(always)]
-    fn ask(&self, pose: &M::Pose, mut torque: SVector<T, N>, asked: &mut Asked<T>) {
-        if self.gravity {
-            let gravity = self.mechanism.gravity(pose);
-            torque += gravity;
-            put(&gravity, &mut asked.gravity);
-        } else {
-            clear::<T, N>(&mut asked.gravity);
-        }
-        put(&torque, &mut asked.total);
+        torque
     }
 
     /// Joint velocities (rad/s) by an estimator that watches joints, and the tip's (m/s). `before`: by what was at work
@@ -370,33 +439,6 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         };
         let qd = self.observers.step::<K>(&self.coefficients, counts, &pushed, before);
         (qd, task_part::<T, M, N>(&self.mechanism.velocity(pose, &qd)))
-    }
-
-    /// Says which torques (N m) the motors gave since the last step, before the next: asked, less what limits took.
-    /// Only an estimator that predicts wants to know.
-    #[inline(always)]
-    pub fn acted(&mut self, torque: &[T; N]) {
-        if self.coefficients.at_joints() {
-            self.observers.acting = SVector::from_fn(|i, _| torque[i]);
-        }
-    }
-
-    /// The feed-forward torques of a single active wall, without gravity.
-    #[inline(always)]
-    fn shaped_by_one(
-        &self,
-        q: &SVector<T, N>,
-        pose: &M::Pose,
-        place: &SVector<T, N>,
-        qd: &SVector<T, N>,
-        only: &Active<T, N>,
-    ) -> SVector<T, N> {
-        let shaping = self.held(self.mass.shaping_inline(&self.mechanism, q, pose, &only.normal), pose);
-        if !self.biased {
-            return shaping.me * (only.shaped / shaping.w_rr);
-        }
-        let (b, met) = self.bias(pose, place, qd, &Acting::One(only));
-        shaped_torque_beside(&shaping, only.shaped, &b, &met)
     }
 
     /// A unit motion of the tip, on a redundant device with the coordinate held that the scene names.
@@ -420,8 +462,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// m = Weff/(1 - α ρ), ρ = 1 - Weff/Wrr, which has no bound at α = 1/ρ; half way there, at (1 + 1/ρ)/2, it is twice
     /// Wrr, and no more is given.
     #[inline(never)]
-    fn below_the_pole(&self, q: &SVector<T, N>, pose: &M::Pose, n: &SVector<T, N>, gain: T) -> T {
-        let shaping = self.held(self.mass.shaping(&self.mechanism, q, pose, n), pose);
+    fn below_the_pole(&self, angles: &[Angle<T>; N], pose: &M::Pose, n: &SVector<T, N>, gain: T) -> T {
+        let shaping = self.held(self.mass.shaping(&self.mechanism, &radians(angles), pose, n), pose);
         let row = self.mechanism.transpose(pose, n);
         let w_eff = T::one() / row.dot(&solve_symmetric(&self.mechanism.mass(pose), &row));
         let coupling = (T::one() - w_eff / shaping.w_rr).greater(T::EPSILON);
@@ -430,43 +472,44 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     }
 
     /// The share `share` of the feed-forward of one or several active walls, and what is stiff beside them, whose
-    /// resultant is `force` (N): torques without gravity, and what of the force is left for Jᵀ. Out of line: the usual
-    /// single wall away from singularities does not come here.
-    #[allow(clippy::too_many_arguments)]
+    /// resultant is `force` (N): torques without gravity, and what of the force is left for Jᵀ.
     #[inline(never)]
-    fn shaped_by_several(
+    fn feed_forward(
         &self,
-        q: &SVector<T, N>,
-        pose: &M::Pose,
-        place: &SVector<T, N>,
-        qd: &SVector<T, N>,
+        begun: &Begun<'_, T, M::Pose, N>,
         first: &Active<T, N>,
         more: &[Active<T, N>],
         beside: &Beside<T, N>,
         force: &SVector<T, N>,
         share: T,
     ) -> (SVector<T, N>, SVector<T, N>) {
+        let Begun { angles, qd, pose, place, .. } = begun;
+        let q = &radians(angles);
         if share <= T::zero() {
             return (SVector::zeros(), *force);
         }
         if more.is_empty() && !beside.acts {
             let shaping = self.held(self.mass.shaping(&self.mechanism, q, pose, &first.normal), pose);
             let (b, met) = self.bias(pose, place, qd, &Acting::One(first));
-            (shaped_torque_beside(&shaping, first.shaped, &b, &met) * share, force * (T::one() - share))
+            (shaping.torque(first.shaped, &b, &met) * share, force * (T::one() - share))
         } else {
-            let together = self.walls.together::<K, N>(first, more, &self.guidance, beside, place, M::SPEC.task);
+            let mut pulls = Vec::new();
+            let together = Together::new::<K>(first, more, &self.guidance, beside, place, M::SPEC.task, &mut pulls);
             let along =
                 |i| self.held(self.mass.shaping(&self.mechanism, q, pose, &together.principal.direction(i)), pose);
             let unused = Shaping { e: SVector::zeros(), me: SVector::zeros(), w_rr: T::one() };
             let shapings = core::array::from_fn(|i| if i + 1 < N { along(i) } else { unused });
-            let bias = |level| self.bias(pose, place, qd, &Acting::Level(&together, level));
+            let of_level = |level| self.bias(pose, place, qd, &Acting::Level(&together, level));
+            // Only where walls turn, or compensate damping, one level's is another than the next one's.
+            let same = (self.biased && !self.walls.curved && !self.walls.damped).then(|| of_level(1));
+            let bias = |level| self.biased.then(|| same.unwrap_or_else(|| of_level(level)));
             let first = &together.principal.direction(0);
             let gained = |gain| {
-                let most = gain * self.below_the_pole(q, pose, first, gain);
+                let most = gain * self.below_the_pole(angles, pose, first, gain);
                 (T::one() + (most - T::one()) * lone(&together.principal)) / gain
             };
             let part = share * self.gain.map_or(T::one(), gained);
-            together.principal.shaped(&shapings, force, part, |level| self.biased.then(|| bias(level)))
+            together.principal.shaped(&shapings, force, part, bias)
         }
     }
 
@@ -512,9 +555,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// Declares the joints to be at `q` (rad) for these counts. Estimators start anew.
     pub fn home(&mut self, counts: &[i32; N], q: &[T; N]) {
         self.encoders.home(counts, q);
-        self.observers.forget();
-        self.walls.forget();
-        self.guidance.forget();
+        self.forget();
     }
 
     /// Counts that homing has subtracted.
@@ -529,7 +570,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
     /// Starts all estimators anew, so that what happened before is not a motion.
     pub fn forget(&mut self) {
-        self.encoders.forget();
+        self.variant = StepVariant::Anew;
         self.observers.forget();
         self.walls.forget();
         self.guidance.forget();
@@ -542,21 +583,22 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
     /// Whether a one-sided wall of this scene is touched at these counts: arming and scene changes are refused then.
     pub fn inside_a_wall(&self, counts: &[i32; N]) -> bool {
-        let (_, turned) = self.encoders.angles(counts);
-        let pose = shared_pose::<T, K, M, N>(&self.mechanism, &turned);
+        let (_, angles) = self.encoders.angles(counts);
+        let pose = shared_pose::<T, K, M, N>(&self.mechanism, &angles);
         self.walls.any_touched::<K, N>(&task_part::<T, M, N>(&self.mechanism.tip(&pose)))
     }
 
     /// What the host adds from the next step on.
     pub fn set_push(&mut self, push: Option<&Push<T>>) {
         self.guidance.set_push(push);
+        self.choose();
     }
 
     /// Tip velocity (m/s) at these counts and joint velocities (rad/s), and the force (N) that the host's push makes
     /// there. Computes a pose, so not for the step.
     pub fn pushed(&self, counts: &[i32; N], qd: &SVector<T, N>) -> (SVector<T, N>, SVector<T, N>) {
-        let (_, turned) = self.encoders.angles(counts);
-        let pose = shared_pose::<T, K, M, N>(&self.mechanism, &turned);
+        let (_, angles) = self.encoders.angles(counts);
+        let pose = shared_pose::<T, K, M, N>(&self.mechanism, &angles);
         let place = task_part::<T, M, N>(&self.mechanism.tip(&pose));
         let velocity = task_part::<T, M, N>(&self.mechanism.velocity(&pose, qd));
         let force = self.guidance.push().map_or(SVector::zeros(), |push| push.at(&place, &velocity));
@@ -567,6 +609,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     pub fn set_gains(&mut self, gains: &Gains<T>, washout: &Washout<T>) {
         self.walls.set_gains(gains, washout);
         self.guidance.agree(self.walls.others());
+        self.choose();
     }
 
     /// Applies checked coefficients of the velocity estimators between two steps; their states go on. Another estimator
@@ -577,8 +620,21 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         }
         self.coefficients = *coefficients;
         self.encoders.retune(coefficients);
-        self.variant = StepVariant::of(self);
+        self.choose();
     }
+
+    /// Takes the step that fits, unless the next one is still to begin anew.
+    fn choose(&mut self) {
+        if self.variant != StepVariant::Anew {
+            self.variant = StepVariant::of(self);
+        }
+    }
+}
+
+/// Angles in radians, as a prepared mass matrix takes them.
+#[inline(always)]
+fn radians<T: Real, const N: usize>(angles: &[Angle<T>; N]) -> SVector<T, N> {
+    SVector::from_fn(|i, _| angles[i].radians)
 }
 
 /// The tip's own coordinates; those beyond the task dimension (φ) zero.
@@ -617,7 +673,13 @@ fn lone<T: Real, const N: usize>(principal: &Principal<T, N>) -> T {
     s * s * (T::from_f64(3.0) - s - s)
 }
 
-/// The share of the feed-forward at a regularity: a smooth step from [`NO_REGULARITY`] to [`FULL_REGULARITY`].
+/// How near a singularity is, as the feed-forward asks: see [`FULL_REGULARITY`] and [`PARALLEL_REGULARITY`].
+#[inline(always)]
+fn nearness<T: Real>(regularity: &Regularity<T>) -> T {
+    regularity.serial.lesser(regularity.parallel * T::from_f64(1.0 / PARALLEL_REGULARITY))
+}
+
+/// The share of the feed-forward at [`nearness`]: a smooth step from [`NO_REGULARITY`] to [`FULL_REGULARITY`].
 #[inline(always)]
 fn fade<T: Real>(regularity: T) -> T {
     let (low, high) = (T::from_f64(NO_REGULARITY), T::from_f64(FULL_REGULARITY));

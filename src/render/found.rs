@@ -3,7 +3,6 @@
 
 use crate::math::Real;
 use crate::model::catalogue::MAX_JOINTS;
-use crate::model::mechanism::Regularity;
 
 /// What a step found at the walls.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -23,6 +22,14 @@ pub struct AtWalls<T> {
     pub energy: T,
     /// Damping that the passivity controller added, N s/m.
     pub passivity_damping: T,
+}
+
+impl<T: Real> AtWalls<T> {
+    /// Where there is no wall.
+    #[inline(always)]
+    pub(crate) fn none() -> Self {
+        Self { shaping: T::one(), ..Self::default() }
+    }
 }
 
 /// Where the device is and what touches it.
@@ -51,6 +58,15 @@ pub struct Asked<T> {
     pub force_squared: T,
 }
 
+/// What springs, fields and the host add.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Guided<T> {
+    /// At the tip, N.
+    pub force: [T; MAX_JOINTS],
+    /// At the joints, N m.
+    pub torque: [T; MAX_JOINTS],
+}
+
 /// All of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Found<T> {
@@ -58,10 +74,12 @@ pub struct Found<T> {
     pub at: At<T>,
     /// What the scene asks of the joints.
     pub asked: Asked<T>,
+    /// What of that springs, fields and the host add, where a straight step has worked it out.
+    pub(crate) guided: Guided<T>,
     /// J⁻¹ n: joint motion per metre of tip motion along the normal of the deepest wall, rad/m; zero out of contact.
     pub motion: [T; MAX_JOINTS],
-    /// How far from a singularity the pose is.
-    pub regularity: Regularity<T>,
+    /// How far from a parallel singularity the pose is, see [`Regularity`](crate::model::mechanism::Regularity).
+    pub parallel: T,
 }
 
 /// Writes the first N of a vector's entries.

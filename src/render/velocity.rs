@@ -255,10 +255,13 @@ pub struct Coefficients<T: Real> {
     /// Control rate, Hz.
     rate: T,
     kind: Estimator,
-    /// What the band-pass state loses in half a step, 1 - a₁: small where the cutoff is, so it keeps its digits there.
+    /// What the low-pass's band-pass state loses in half a step, 1 - a₁: small where the cutoff is, so it keeps its digits
+    /// there. None in a low-pass of first order.
     loss: T,
     a2: T,
     a3: T,
+    /// There is no low-pass: the difference alone.
+    none: bool,
     /// Of a first-order low-pass at the same cutoff (1 where there is none).
     first: T,
     /// s, see [`Coefficients::lag`].
@@ -296,12 +299,18 @@ impl<T: Real> Coefficients<T> {
             (Estimator::BackwardDifference, _) => half,
             _ => half + second_order,
         };
+        let zero = T::zero();
+        let (loss, a2, a3) = match kind {
+            Estimator::FirstOrder => (zero, zero, first),
+            _ => (damped * a1, g * a1, g * g * a1),
+        };
         Ok(Self {
             rate: rate_hz,
             kind,
-            loss: damped * a1,
-            a2: g * a1,
-            a3: g * g * a1,
+            loss,
+            a2,
+            a3,
+            none: kind == Estimator::BackwardDifference,
             first,
             lag: slope / rate_hz,
             one_count: [T::zero(); MAX_JOINTS],
@@ -343,7 +352,7 @@ impl<T: Real> Coefficients<T> {
                         joint.memory.step::<K>(design, &Seen { moved, pushed: T::zero(), unit }, T::zero())
                     };
                     quiet = if found == T::zero() { quiet + 1 } else { 0 };
-                    if self.filtered { joint.behind.step_second_order(self, found) } else { found }
+                    if self.filtered { joint.behind.step(self, found) } else { found }
                 }
                 None => behind.step(self, moved),
             };
@@ -381,6 +390,11 @@ impl<T: Real> Coefficients<T> {
         self.first
     }
 
+    /// Whether a low-pass behind the backward difference is all of it.
+    pub fn is_low_pass(&self) -> bool {
+        !self.none && self.joints.is_none()
+    }
+
     /// Whether the estimator watches joints.
     #[inline(always)]
     pub fn at_joints(&self) -> bool {
@@ -406,6 +420,6 @@ impl<T: Real> JointVelocity<T> {
     pub fn step<K: Math<T>>(&mut self, coefficients: &Coefficients<T>, seen: &Seen<T>, velocity: T) -> T {
         let Some(design) = &coefficients.joints else { return T::zero() };
         let found = self.memory.step::<K>(design, seen, velocity);
-        if coefficients.filtered { self.behind.step_second_order(coefficients, found) } else { found }
+        if coefficients.filtered { self.behind.step(coefficients, found) } else { found }
     }
 }

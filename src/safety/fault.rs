@@ -115,7 +115,7 @@ faults! {
         "check the cable and the program that sends heartbeats; `haptic rules --host-seconds` allows a longer silence, `haptic rules --host ignore` any";
     /// The independent watchdog reset the board.
     Watchdog = 17, "the watchdog reset the board: the control loop or a task had stopped",
-        "note what was done before, save the log, and report it";
+        "lower the scene's rate_hz if it is above 30000; if not, note what was done before, save the log, and report it";
     /// The stack reached its guard.
     StackOverflow = 18, "the stack overflowed", "report it with device and scene files";
     /// Settings in flash were damaged and replaced by defaults; value: how many.

@@ -1,13 +1,13 @@
 //! Whether the control loop keeps its pace: as often as its rate says, no more and no less.
 
-/// A loop that runs this much too often is as dead as one that stops, %; its timer and the clock that it is held to are the
-/// crystal's, so what is left is a step or two at either end.
+/// A loop that runs more often than this, % of its rate, is as broken as one that stops. Its timer and the clock that
+/// measures it run from one crystal, so a sound loop is off by no more than a step or two at either end.
 const TOO_OFTEN_PERCENT: u64 = 110;
-/// One that runs less often than this has everything that it sums up wrong.
+/// A loop that runs less often than this sums up heat, stalls and silence over the wrong time.
 const TOO_SELDOM_PERCENT: u64 = 90;
-/// Steps that may be cut off at the ends of what is looked at.
+/// Steps by which a count may be off because it does not begin and end with a step.
 const ENDS: u64 = 4;
-/// Looks are added up until this many steps are to be expected, so that the ends are a twentieth of them at any rate.
+/// Looks are added up until this many steps are due, so that [`ENDS`] is a twentieth of them at any rate.
 const ENOUGH: u64 = 80;
 
 /// How the loop runs.
@@ -40,8 +40,8 @@ impl Pace {
         Self { taken: 0, elapsed: 0, rate: rate_hz.into(), found: Verdict::Kept }
     }
 
-    /// `steps` were taken in the `elapsed_us` (µs) since the last look; the rate is `rate_hz` now. `excused`: there was a
-    /// reason to take fewer.
+    /// `steps` were taken in the `elapsed_us` (µs) since the last look; the rate is `rate_hz` now. `excused`: there was
+    /// a reason to take fewer.
     pub fn look(&mut self, steps: u32, elapsed_us: u64, rate_hz: u32, excused: bool) -> Verdict {
         let before = core::mem::replace(&mut self.rate, rate_hz.into());
         self.taken = self.taken.saturating_add(steps.into());

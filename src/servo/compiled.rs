@@ -3,20 +3,23 @@
 //! The firmware's image is built for size, but this crate for speed; what is generic would be compiled where it is
 //! used. These functions are what the control interrupt calls, and the only ones of the servo whose time counts.
 
-use crate::drive::carrier::Carrier;
-use crate::math::Minimax;
+use crate::drive::carrier::Ticks;
+use crate::math::Tabulated;
 use crate::model::catalogue::MAX_JOINTS;
+use crate::servo::Servo;
 use crate::servo::frame::{Outputs, Samples, StepRecord};
 use crate::servo::joints::Counts;
 use crate::servo::program::Program;
-use crate::servo::{Servo, for_joints};
-use heapless::spsc::Producer;
+use core::mem::MaybeUninit;
 
 /// The trigonometry that the board computes with.
-pub type BoardMath = Minimax;
+pub type BoardMath = Tabulated;
 
 /// How the board holds a program: by the buffer it lies in, so handing it over moves a pointer.
 pub type BoardProgram = &'static mut Program<BoardMath>;
+
+/// Compare values of each bridge's two legs.
+pub type Legs = [[u16; 2]; MAX_JOINTS];
 
 /// The board's servo.
 pub type BoardServo = Servo<BoardProgram>;
@@ -27,44 +30,58 @@ pub fn render(servo: &mut BoardServo, counts: &Counts) {
     servo.render(counts);
 }
 
-/// What every crest is held to and, where a control step is due, the rest of that: see [`Servo::guard`] and
-/// [`Servo::act`].
-#[inline(never)]
-pub fn judge(servo: &mut BoardServo, seen: &Samples, due: bool) -> Outputs {
-    for_joints!(servo.joints(), J => {
-        let outputs = servo.guard_of::<J>(seen);
-        if due { servo.act_of::<J>(seen) } else { outputs }
-    })
+/// All that a crest takes beside that, where a control step is due, its duties in time or late: it is held to its limits,
+/// the step is finished, and the compare values of every bridge's legs over the next carrier period follow. Whether the
+/// bridges may drive.
+///
+/// `seen` is all sensed: a board that lacks a sensor shows what it knows instead.
+#[inline(always)]
+pub fn crest(servo: &mut BoardServo, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
+    match servo.usual {
+        2 => crest_of_two(servo, seen, ticks, legs),
+        3 => crest_of_three(servo, seen, ticks, legs),
+        1 => crest_of_one(servo, seen, ticks, legs),
+        _ => crest_generally(servo, seen, true, ticks, legs),
+    }
 }
 
-/// What builds up, at the valley, see [`Servo::sum_up`].
+// A function for each number of joints: none saves more registers than it needs.
+
+#[inline(never)]
+fn crest_of_one(servo: &mut BoardServo, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
+    servo.crest_of::<1, _>(seen, &seen.currents, &|duty| ticks.legs(duty), legs)
+}
+
+#[inline(never)]
+fn crest_of_two(servo: &mut BoardServo, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
+    servo.crest_of::<2, _>(seen, &seen.currents, &|duty| ticks.legs(duty), legs)
+}
+
+#[inline(never)]
+fn crest_of_three(servo: &mut BoardServo, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
+    servo.crest_of::<3, _>(seen, &seen.currents, &|duty| ticks.legs(duty), legs)
+}
+
+/// The same at any crest, whether a control step is `due` or not, and its duties in time or late.
+#[cold]
+#[inline(never)]
+pub fn crest_generally(servo: &mut BoardServo, seen: &Samples, due: bool, ticks: &Ticks, legs: &mut Legs) -> bool {
+    servo.crest_generally(seen, &seen.currents, due, &|duty| ticks.legs(duty), legs)
+}
+
+/// What is looked at at the valley, see [`Servo::sum_up`].
 #[inline(never)]
 pub fn sum_up(servo: &mut BoardServo, seen: &Samples) -> Outputs {
-    servo.sum_up(seen)
+    servo.sum_up_of(seen, Some(seen.bus_voltage), true);
+    servo.outputs()
 }
 
-/// Compare values for the legs of every bridge over the next carrier period, see [`Servo::duties`] and
-/// [`Carrier::legs`].
+/// Notes what the step of the last crest saw, which that did not take the time for, and writes its frame where it is to lie,
+/// if somebody wants it. At the valley after the step, before [`sum_up`] and any command.
 #[inline(never)]
-pub fn legs(servo: &mut BoardServo, seen: &Samples, late: bool, carrier: &Carrier, legs: &mut [[u16; 2]; MAX_JOINTS]) {
-    for_joints!(servo.joints(), J => *legs = legs_of::<J>(servo, seen, late, carrier));
-}
-
-/// [`legs`] of J joints: what has none stays at the middle.
-#[inline(always)]
-fn legs_of<const J: usize>(
-    servo: &mut BoardServo,
-    seen: &Samples,
-    late: bool,
-    carrier: &Carrier,
-) -> [[u16; 2]; MAX_JOINTS] {
-    let duties = servo.duties_of::<J>(seen.bus_voltage, &seen.currents, late);
-    core::array::from_fn(|axis| carrier.legs(if axis < J { duties[axis] } else { 0.0 }))
-}
-
-/// Puts the last step's frame into the queue; false when it is full.
-#[inline(never)]
-pub fn record(servo: &BoardServo, frames: &mut Producer<'static, StepRecord>) -> bool {
-    // A full queue is known before anything is copied.
-    frames.ready() && frames.enqueue(servo.frame()).is_ok()
+pub fn note(servo: &mut BoardServo, seen: &Samples, frame: Option<&mut MaybeUninit<StepRecord>>) {
+    servo.note_late(seen);
+    if let Some(frame) = frame {
+        frame.write(servo.frame());
+    }
 }

@@ -1,17 +1,20 @@
-//! What one carrier period can show and must turn the motors off: looked for at every crest, whatever the control rate.
+//! A crest of the carrier: what it can show and must turn the motors off, whatever the control rate; and, on the board,
+//! all that a crest takes in one pass (`Servo::crest_of`).
 //!
-//! Speed and power are made here from encoder counts, by a filter that no scene, gain or rate has a say in. Per motor
-//! it is two subtractions, one multiply-add and a few comparisons of bit patterns whose signs are gathered; what is
-//! wrong is found out only when something is.
+//! Speed and power are made here from encoder counts, by a filter that no scene, gain or rate has a say in. What a sample
+//! is held to are a few comparisons of bit patterns whose signs are gathered; what is wrong is found out only when
+//! something is.
 
-use super::{Servo, for_joints};
-use crate::drive::stage::Stage;
+use super::Servo;
+use super::budgets::Sums;
+use crate::drive::bits::{left, left_between, left_of};
+use crate::drive::stage::{BUS_VOLTAGE, Stage, Supply};
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::fault::Fault;
-use crate::safety::limits::{Limits, POWER_SECONDS};
+use crate::safety::limits::POWER_SECONDS;
 use crate::servo::frame::{Outputs, Samples};
-use crate::servo::joints::Counts;
+use crate::servo::joints::Currents;
 use crate::servo::program::Program;
 use core::ops::DerefMut;
 
@@ -30,50 +33,123 @@ const IMBALANCE_FLOOR: f32 = 0.5;
 /// Speed below which an encoder stands still, counts in a carrier period: one count in 1000 periods.
 const STANDSTILL: f32 = 1.0e-3;
 
-/// What a carrier period is held to, made ready whenever device, homing, rules or rate change.
+/// One joint and its motor as a crest needs them, in the order in which it does: contiguous, so that one address reaches
+/// all of it.
 #[derive(Clone, Copy, Debug, Default)]
+#[repr(C)]
+pub(super) struct Joint<S> {
+    /// Count at the crest before.
+    count: i32,
+    /// Filtered speed and the last one as it was, counts in a carrier period.
+    speed: f32,
+    raw: f32,
+    bounds: Bounds,
+    pub(super) stage: S,
+    pub(super) sums: Sums,
+}
+
+/// What a joint is held to, made ready whenever device, homing, rules or rate change.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(C)]
 struct Bounds {
-    /// Most counts that a joint can move in a carrier period.
+    /// Most counts that it can move in a carrier period.
     jump: i32,
     /// Gain of the speed filter.
     gain: f32,
     /// Counts in a carrier period.
     speed: f32,
-    /// First and last count of the joint's range, where it has one (all bits set, else none).
-    first: i32,
-    last: i32,
-    limited: i32,
-    /// Measured current that is not the loop's overshoot any more, A.
-    current: f32,
-    /// What two current sensors may differ by, A: anything where there are none.
-    imbalance: f32,
     /// Speed of a count in a carrier period, rad/s, with its sign.
     radians: f32,
+    /// First and last count of its range, where it has one.
+    first: i32,
+    last: i32,
+    limited: bool,
+    /// Measured current that is not the loop's overshoot any more, A.
+    current: f32,
+    /// What two current sensors may differ by, A.
+    imbalance: f32,
 }
 
 impl Bounds {
     /// Negative outside the joint's range.
     #[inline(always)]
     fn room(&self, count: i32) -> i32 {
-        (count.wrapping_sub(self.first) | self.last.wrapping_sub(count)) & self.limited
+        count.wrapping_sub(self.first) | self.last.wrapping_sub(count)
     }
 }
 
-/// What the crests have shown.
+impl<S: Stage> Joint<S> {
+    /// Takes the count of a crest. Negative where it jumped.
+    #[inline(always)]
+    fn turn(&mut self, count: i32) -> i32 {
+        let moved = count.wrapping_sub(self.count);
+        self.raw = moved as f32;
+        self.speed += self.bounds.gain * (self.raw - self.speed);
+        left_of(moved, self.bounds.jump)
+    }
+
+    /// Negative where speed or current is beyond what it may be.
+    #[inline(always)]
+    fn left(&self, current: f32, imbalance: f32) -> i32 {
+        left(self.speed, self.bounds.speed)
+            | left(current, self.bounds.current)
+            | left(imbalance, self.bounds.imbalance)
+    }
+
+    /// Negative where a count is outside its range, if it has one.
+    fn room(&self, count: i32) -> i32 {
+        if self.bounds.limited { self.bounds.room(count) } else { 0 }
+    }
+
+    /// Whether it has a range.
+    pub(super) fn is_limited(&self) -> bool {
+        self.bounds.limited
+    }
+
+    /// Its speed, rad/s.
+    #[inline(always)]
+    pub(super) fn speed(&self) -> f32 {
+        self.speed * self.bounds.radians
+    }
+
+    /// Sums up what its motor's last drive from this bus voltage (V) showed: [`Stage::strain`] from then on.
+    #[inline(always)]
+    pub(super) fn settle(&mut self, bus_voltage: f32) -> (f32, f32) {
+        let (speed, raw) = (self.speed(), self.raw * self.bounds.radians);
+        self.stage.settle(bus_voltage, speed, raw);
+        self.stage.strain()
+    }
+
+    /// Whether its encoder stands still.
+    pub(super) fn stands_still(&self) -> bool {
+        self.speed.abs() < STANDSTILL
+    }
+}
+
+/// What of a crest is unusual.
+#[derive(Clone, Copy, Debug)]
+enum Unusual {
+    /// What the crest itself shows is not well.
+    Crest,
+    /// Its step, which has begun, found something that must be looked at.
+    Step,
+    /// Nothing of that: the scene is not in force, or the limits do not leave all that it asks, now or in the step before.
+    Torques,
+}
+
+/// What all joints together are held to.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Crests {
-    bounds: [Bounds; MAX_JOINTS],
+    /// Whether a crest was before.
     primed: bool,
-    counts: Counts,
-    /// Filtered speeds, counts in a carrier period.
-    speed: [f32; MAX_JOINTS],
-    /// Squares of each motor's current since [`Crests::take_heat`], A².
-    squares: [f32; MAX_JOINTS],
-    /// Mean power into the hand, W.
+    /// Bus voltage, V.
+    bus: (f32, f32),
+    /// Mean power into the hand, W, and the most that it may be.
     power: f32,
+    most_power: f32,
     power_gain: f32,
     /// s
-    period: f32,
+    pub(super) period: f32,
 }
 
 impl Crests {
@@ -82,154 +158,260 @@ impl Crests {
         self.power = 0.0;
     }
 
-    /// Speed of a joint, rad/s.
+    /// Whether the power into the hand may go on, which is this now, W.
     #[inline(always)]
-    pub(super) fn speed(&self, joint: usize) -> f32 {
-        self.speed[joint] * self.bounds[joint].radians
-    }
-
-    /// That of the carrier, s.
-    #[inline(always)]
-    pub(super) fn period(&self) -> f32 {
-        self.period
-    }
-
-    /// The integral of a motor's squared current since the last call, A² s.
-    #[inline(always)]
-    pub(super) fn take_heat(&mut self, joint: usize) -> f32 {
-        core::mem::take(&mut self.squares[joint]) * self.period
+    fn allow(&mut self, power: f32) -> bool {
+        self.power += (power - self.power) * self.power_gain;
+        self.power <= self.most_power
     }
 }
 
-/// Negative when |`value`| exceeds `bound`, which is not negative, and when it is not a number. Bit patterns of
-/// positive floats order like the floats, and signs of several such differences are gathered by OR: no branch, no flags
-/// to move.
-#[inline(always)]
-pub(super) fn left(value: f32, bound: f32) -> i32 {
-    bound.to_bits().wrapping_sub(value.abs().to_bits()) as i32
-}
-
-/// Negative when `value` is below `least`, which is not negative; not when it is no number.
-#[inline(always)]
-pub(super) fn left_from(value: f32, least: f32) -> i32 {
-    let bits = value.to_bits();
-    (bits | bits.wrapping_sub(least.to_bits())) as i32
-}
-
-/// Negative when |`moved`| exceeds `bound`, which is not negative: what wraps is as negative.
-#[inline(always)]
-fn left_of(moved: i32, bound: i32) -> i32 {
-    bound.wrapping_sub(moved) | bound.wrapping_add(moved)
-}
-
-impl<P, K, S> Servo<P>
+impl<P, K, S> Servo<P, S>
 where
     P: DerefMut<Target = Program<K, S>>,
     K: Math<f32>,
     S: Stage,
 {
-    /// Makes the bounds ready: after anything they depend on has changed.
+    /// Makes ready what all joints together are held to: after anything it depends on has changed.
     pub(super) fn set_crest_bounds(&mut self) {
         let Some(program) = self.program.as_ref() else { return };
+        let limits = &self.rules.limits;
         let period = 1.0 / program.carrier_hz.max(1.0);
         self.crests.period = period;
         self.crests.power_gain = period / POWER_SECONDS;
+        self.crests.most_power = limits.power;
+        self.crests.bus = if self.hardware.bus_sensed {
+            (limits.bus_min.max(BUS_VOLTAGE.0), limits.bus_max.min(BUS_VOLTAGE.1))
+        } else {
+            (0.0, f32::MAX)
+        };
+    }
+
+    /// Makes the joints' ranges ready: after device or homing has changed.
+    pub(super) fn set_ranges(&mut self) {
+        let Some(program) = self.program.as_ref() else { return };
         let zero = program.controller.zero();
-        for (i, zero) in zero.into_iter().enumerate() {
-            let scale = program.radians_per_count[i];
-            let size = scale.abs().max(f32::MIN_POSITIVE);
-            let speed = self.rules.limits.speed[i].max(0.0) * period / size;
-            let axis = &program.axes[i];
-            let range = range(program.limits[i], scale, program.offsets[i], zero);
-            let (first, last) = range.unwrap_or_default();
-            self.crests.bounds[i] = Bounds {
-                // Five times the speed limit is no motion any more, and more than noise of a count no noise.
-                jump: ((5.0 * speed) as i32).max(4),
-                gain: (core::f32::consts::TAU * SPEED_HZ * period)
-                    .min((COUNT_SHARE * speed).max(core::f32::consts::TAU * SLOWEST_HZ * period)),
-                speed,
-                first,
-                last,
-                limited: if range.is_some() { -1 } else { 0 },
-                // The loop may overshoot a little; half again as much as the limit is not the loop.
-                current: 1.5 * axis.max_current() + 1.0,
-                imbalance: if self.hardware.bridge.current_sensed {
-                    IMBALANCE_SHARE * axis.max_current() + IMBALANCE_FLOOR
-                } else {
-                    f32::INFINITY
-                },
-                radians: scale * program.carrier_hz,
-            };
+        for (i, (joint, zero)) in self.joints.iter_mut().zip(*zero).enumerate() {
+            let range = range(program.limits[i], program.radians_per_count[i], program.offsets[i], zero);
+            joint.bounds.limited = range.is_some();
+            (joint.bounds.first, joint.bounds.last) = range.unwrap_or_default();
         }
     }
 
-    /// Whether the bridges may go on driving after what this crest shows in counts, currents and supply. It leaves the
-    /// index pulses and reported faults of `seen` to the control step. Call at every crest, before [`Servo::act`] where
-    /// a step is due and before [`Servo::duties`].
-    #[inline(always)]
-    pub fn guard(&mut self, seen: &Samples) -> Outputs {
-        for_joints!(self.joints(), J => self.guard_of::<J>(seen))
+    /// Makes ready what joint `i` is held to beside its range.
+    pub(super) fn set_crest_bounds_of(&mut self, i: usize) {
+        let (Some(program), Some(joint)) = (self.program.as_ref(), self.joints.get_mut(i)) else { return };
+        let period = self.crests.period;
+        let scale = program.radians_per_count[i];
+        let size = scale.abs().max(f32::MIN_POSITIVE);
+        let speed = self.rules.limits.speed[i].max(0.0) * period / size;
+        let max_current = joint.stage.max_current();
+        joint.bounds = Bounds {
+            // Five times the speed limit is no motion any more, and more than noise of a count no noise.
+            jump: ((5.0 * speed) as i32).max(4),
+            gain: (core::f32::consts::TAU * SPEED_HZ * period)
+                .min((COUNT_SHARE * speed).max(core::f32::consts::TAU * SLOWEST_HZ * period)),
+            speed,
+            radians: scale * program.carrier_hz,
+            // The loop may overshoot a little; half again as much as the limit is not the loop.
+            current: 1.5 * max_current + 1.0,
+            imbalance: IMBALANCE_SHARE * max_current + IMBALANCE_FLOOR,
+            ..joint.bounds
+        };
     }
 
-    /// [`Servo::guard`] of J joints.
+    /// A crest in one pass, of a device with J joints on a board that senses currents and bus voltage, where a control step
+    /// is due, in time or late: all that it shows is held to its bounds; what [`Servo::render`] found becomes what
+    /// the motors are asked for; and what their legs do next is put `into` `legs`. False where the motors are off now.
+    ///
+    /// For where [`Servo::usual`] says so. It is [`Servo::crest_generally`], number for number, and where something turns out
+    /// to be unusual after all, that takes over from there.
     #[inline(always)]
-    pub(super) fn guard_of<const J: usize>(&mut self, seen: &Samples) -> Outputs {
-        let Some(program) = self.program.as_mut() else { return Outputs { bridges: false } };
-        let active = self.state.drives();
-        let (crests, motors) = (&mut self.crests, &self.now.motors);
-        if !crests.primed {
-            crests.counts = seen.counts;
-            crests.primed = true;
+    pub(super) fn crest_of<const J: usize, L>(
+        &mut self,
+        seen: &Samples,
+        samples: &[S::Sample; MAX_JOINTS],
+        into: &impl Fn(S::Drive) -> L,
+        legs: &mut [L; MAX_JOINTS],
+    ) -> bool {
+        if !self.look_of::<J>(seen) {
+            return self.go_on::<J, L>(Unusual::Crest, seen, samples, into, legs);
         }
-        let currents = if self.hardware.bridge.current_sensed { &seen.currents } else { &motors.current };
-        // Negative as soon as something is beyond its bound.
-        let mut least = 0;
-        let mut power = 0.0;
-        let before = crests.counts;
-        #[allow(clippy::needless_range_loop, reason = "one number for ten arrays")]
+        for (joint, count) in self.joints.iter_mut().zip(seen.counts.iter()).take(J) {
+            joint.count = *count;
+        }
+        self.begin_step();
+        let watched = self.watch::<J>();
+        if self.steady | watched < 0 || self.fits::<J>() < 0 {
+            let unusual = if watched < 0 { Unusual::Step } else { Unusual::Torques };
+            return self.go_on::<J, L>(unusual, seen, samples, into, legs);
+        }
+        self.command_all::<J>();
+        let supply = Supply::of(seen.bus_voltage);
+        if seen.late {
+            return self.drive_unusually::<J, L>(&supply, true, samples, into, legs);
+        }
+        self.drive_all::<J, L>(&supply, false, samples, into, legs)
+    }
+
+    /// The rest of a crest in which something is unusual.
+    #[cold]
+    #[inline(never)]
+    fn go_on<const J: usize, L>(
+        &mut self,
+        unusual: Unusual,
+        seen: &Samples,
+        samples: &[S::Sample; MAX_JOINTS],
+        into: &impl Fn(S::Drive) -> L,
+        legs: &mut [L; MAX_JOINTS],
+    ) -> bool {
+        match unusual {
+            Unusual::Torques if self.in_force && self.not_finite::<J>() >= 0 => self.command_what_fits::<J>(),
+            Unusual::Torques | Unusual::Step => self.step_otherwise(seen),
+            Unusual::Crest => {
+                self.find_at_crest(seen);
+                self.pass(seen);
+                self.step(seen);
+            }
+        }
+        let supply = Supply::of(seen.bus_voltage);
+        if self.state.drives() && supply.is_usable() {
+            self.supplied = seen.bus_voltage;
+            return self.drive_unusually::<J, L>(&supply, seen.late, samples, into, legs);
+        }
+        self.drive(seen.bus_voltage, samples, seen.late, into, legs)
+    }
+
+    /// [`Servo::drive_all`] where the step was not usual, or its duties are late.
+    #[inline(never)]
+    fn drive_unusually<const J: usize, L>(
+        &mut self,
+        supply: &Supply,
+        late: bool,
+        samples: &[S::Sample; MAX_JOINTS],
+        into: &impl Fn(S::Drive) -> L,
+        legs: &mut [L; MAX_JOINTS],
+    ) -> bool {
+        self.drive_all::<J, L>(supply, late, samples, into, legs)
+    }
+
+    /// What the legs of J joints do next, while the motors are on and the supply is usable.
+    #[inline(always)]
+    fn drive_all<const J: usize, L>(
+        &mut self,
+        supply: &Supply,
+        late: bool,
+        samples: &[S::Sample; MAX_JOINTS],
+        into: &impl Fn(S::Drive) -> L,
+        legs: &mut [L; MAX_JOINTS],
+    ) -> bool {
+        #[allow(clippy::needless_range_loop, reason = "one number for four arrays")]
         for i in 0..J {
-            let bounds = &crests.bounds[i];
-            let moved = seen.counts[i].wrapping_sub(before[i]);
-            least |= left_of(moved, bounds.jump);
-            let raw = moved as f32;
-            crests.speed[i] += bounds.gain * (raw - crests.speed[i]);
-            let speed = crests.speed[i] * bounds.radians;
-            let axis = &mut program.axes[i];
-            axis.follow(speed, raw * bounds.radians);
-            if active {
-                // Of bridges that float only noise is measured.
-                crests.squares[i] += currents[i] * currents[i];
-                let (strain, doubt) = axis.strain();
-                least |= left(crests.speed[i], bounds.speed)
-                    | bounds.room(seen.counts[i])
-                    | left(currents[i], bounds.current)
-                    | left(seen.imbalance[i], bounds.imbalance)
-                    | left(strain, doubt);
-                power += motors.torque[i] * speed;
-            }
+            let joint = &mut self.joints[i];
+            let Some(drive) = joint.stage.drive_easily(supply, samples[i], joint.speed(), late) else {
+                return self.drive_rest(i, supply, late, samples, into, legs);
+            };
+            self.now.motors.duty[i] = S::duty(drive);
+            legs[i] = into(drive);
         }
-        crests.counts = seen.counts;
-        if active {
-            // Mean power into the hand: what the torques do on the joints.
-            crests.power += (power - crests.power) * crests.power_gain;
-            least |= if crests.power <= self.rules.limits.power { 0 } else { -1 };
-            if self.hardware.bus_sensed {
-                let Limits { bus_min, bus_max, .. } = &self.rules.limits;
-                least |= left(seen.bus_voltage, *bus_max) | left_from(seen.bus_voltage, *bus_min);
-            }
+        true
+    }
+
+    /// The same from joint `from` on, of which at least that one takes more.
+    #[cold]
+    #[inline(never)]
+    fn drive_rest<L>(
+        &mut self,
+        from: usize,
+        supply: &Supply,
+        late: bool,
+        samples: &[S::Sample; MAX_JOINTS],
+        into: &impl Fn(S::Drive) -> L,
+        legs: &mut [L; MAX_JOINTS],
+    ) -> bool {
+        let joints = self.count();
+        let motors = self.joints.iter_mut().zip(self.now.motors.duty.iter_mut()).zip(samples).zip(legs);
+        for (((joint, duty), sample), legs) in motors.take(joints).skip(from) {
+            let drive = drive_one(joint, supply, *sample, late);
+            (*duty, *legs) = (S::duty(drive), into(drive));
+        }
+        true
+    }
+
+    /// Whether all that the crest of J joints shows is within its bounds.
+    #[inline(always)]
+    fn look_of<const J: usize>(&mut self, seen: &Samples) -> bool {
+        let mut least = left_between(seen.bus_voltage, self.crests.bus);
+        let mut power = None;
+        for (i, joint) in self.joints.iter_mut().enumerate().take(J) {
+            least |= joint.turn(seen.counts[i]);
+            least |= joint.bounds.room(seen.counts[i]) | joint.left(seen.currents[i], seen.imbalance[i]);
+            let share = self.now.motors.torque[i] * joint.speed();
+            power = Some(power.map_or(share, |sum| sum + share));
+        }
+        let power = power.unwrap_or(0.0);
+        let allowed = self.crests.allow(power);
+        least >= 0 && allowed
+    }
+
+    /// A crest in any state, whether a control step is `due` or not, and the duties in time or late.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn crest_generally<L>(
+        &mut self,
+        seen: &Samples,
+        samples: &[S::Sample; MAX_JOINTS],
+        due: bool,
+        into: &impl Fn(S::Drive) -> L,
+        legs: &mut [L; MAX_JOINTS],
+    ) -> bool {
+        self.look(seen);
+        if due {
+            self.step(seen);
+        }
+        self.drive(seen.bus_voltage, samples, seen.late, into, legs)
+    }
+
+    /// Whether the bridges may go on driving after what this crest shows in counts, currents and supply. Call at every
+    /// crest, before [`Servo::act`] where a step is due and before [`Servo::duties`].
+    pub fn guard(&mut self, seen: &Samples) -> Outputs {
+        self.look(&self.known(seen));
+        self.outputs()
+    }
+
+    /// Holds what a crest shows to its bounds. While the motors are off encoders alone are watched, and only for jumps.
+    fn look(&mut self, seen: &Samples) {
+        if !core::mem::replace(&mut self.crests.primed, true) {
+            self.pass(seen);
+        }
+        let joints = self.count();
+        let (mut least, mut most, mut power) = (0, left_between(seen.bus_voltage, self.crests.bus), 0.0);
+        for (i, joint) in self.joints.iter_mut().enumerate().take(joints) {
+            least |= joint.turn(seen.counts[i]);
+            most |= joint.room(seen.counts[i]) | joint.left(seen.currents[i], seen.imbalance[i]);
+            power += self.now.motors.torque[i] * joint.speed();
+        }
+        if self.state.drives() {
+            least |= if self.crests.allow(power) { most } else { -1 };
         }
         if least < 0 {
-            self.find_at_crest(seen, &before, active);
+            self.find_at_crest(seen);
         }
-        self.outputs()
+        self.pass(seen);
+    }
+
+    /// The counts of this crest become those of the crest before.
+    fn pass(&mut self, seen: &Samples) {
+        for (joint, count) in self.joints.iter_mut().zip(seen.counts.iter()) {
+            joint.count = *count;
+        }
     }
 
     /// Something is not well: finds out what comes first, and turns the motors off.
     #[cold]
     #[inline(never)]
-    fn find_at_crest(&mut self, seen: &Samples, before: &Counts, active: bool) {
-        let Some(program) = self.program.as_ref() else { return };
-        let joints = program.joints.min(MAX_JOINTS);
+    fn find_at_crest(&mut self, seen: &Samples) {
+        let active = self.state.drives();
         let mut found = None;
         let mut note = |wrong: bool, fault: Fault, axis: Option<usize>, value: f32| {
             if wrong && found.is_none() {
@@ -237,45 +419,46 @@ where
             }
         };
         let (crests, bus) = (&self.crests, seen.bus_voltage);
-        let sensed = self.hardware.bridge.current_sensed;
-        let current = |i: usize| if sensed { seen.currents[i] } else { self.now.motors.current[i] };
-        for i in 0..joints {
+        let joints = || self.joints.iter().enumerate().take(self.count());
+        for (i, _) in joints() {
             // No number first: it makes every comparison below meaningless.
-            note(active && !current(i).is_finite(), Fault::NotFinite, Some(i), current(i));
+            note(active && !seen.currents[i].is_finite(), Fault::NotFinite, Some(i), seen.currents[i]);
         }
-        note(active && self.hardware.bus_sensed && !bus.is_finite(), Fault::NotFinite, None, bus);
-        for (i, bounds) in crests.bounds.iter().enumerate().take(joints) {
-            let moved = seen.counts[i].wrapping_sub(before[i]);
+        note(active && !bus.is_finite(), Fault::NotFinite, None, bus);
+        for (i, joint) in joints() {
+            let (bounds, count, current) = (&joint.bounds, seen.counts[i], seen.currents[i]);
+            let moved = count.wrapping_sub(joint.count);
             note(left_of(moved, bounds.jump) < 0, Fault::EncoderJump, Some(i), moved as f32);
             if active {
-                note(left(crests.speed[i], bounds.speed) < 0, Fault::SpeedLimit, Some(i), crests.speed(i));
-                let out = bounds.room(seen.counts[i]) < 0;
-                note(out, Fault::JointLimit, Some(i), self.angle(i, seen.counts[i]));
-                note(left(current(i), bounds.current) < 0, Fault::OverCurrent, Some(i), current(i));
-            }
-            if active && sensed {
-                let differ = left(seen.imbalance[i], bounds.imbalance) < 0;
-                note(differ, Fault::CurrentSensor, Some(i), seen.imbalance[i]);
-                let axis = &program.axes[i];
-                let (strain, doubt) = axis.strain();
-                let strained = left(strain, doubt) < 0;
-                // A current as it should be and a voltage that only motion explains: the encoder is what stands still.
-                let unseen = axis.flows_as_expected() && crests.speed[i].abs() < STANDSTILL;
-                note(strained && unseen, Fault::EncoderLoss, Some(i), axis.turning(strain));
-                note(strained, Fault::MotorModel, Some(i), strain);
+                note(left(joint.speed, bounds.speed) < 0, Fault::SpeedLimit, Some(i), joint.speed());
+                note(joint.room(count) < 0, Fault::JointLimit, Some(i), self.angle(i, count));
+                note(left(current, bounds.current) < 0, Fault::OverCurrent, Some(i), current);
+                let imbalance = seen.imbalance[i];
+                note(left(imbalance, bounds.imbalance) < 0, Fault::CurrentSensor, Some(i), imbalance);
             }
         }
         if active {
-            let limits = &self.rules.limits;
-            note(crests.power > limits.power || crests.power.is_nan(), Fault::PowerLimit, None, crests.power);
-            if self.hardware.bus_sensed {
-                note(bus < limits.bus_min, Fault::BusUnderVoltage, None, bus);
-                note(bus > limits.bus_max, Fault::BusOverVoltage, None, bus);
-            }
+            let power = crests.power;
+            note(power > crests.most_power || power.is_nan(), Fault::PowerLimit, None, power);
+            note(bus < crests.bus.0, Fault::BusUnderVoltage, None, bus);
+            note(bus > crests.bus.1, Fault::BusOverVoltage, None, bus);
         }
         if let Some((fault, axis, value)) = found {
             self.trip(fault, axis, value);
         }
+    }
+
+    /// What a board shows that does not sense all of it, as if it did: the currents that were commanded, and a bus voltage
+    /// that nothing is held to.
+    pub(super) fn known(&self, seen: &Samples) -> Samples {
+        let mut seen = *seen;
+        if !self.hardware.bridge.current_sensed {
+            (seen.currents, seen.imbalance) = (self.now.motors.current, Currents::default());
+        }
+        if !self.hardware.bus_sensed {
+            seen.bus_voltage = 0.0;
+        }
+        seen
     }
 
     /// Angle (rad) of a joint at a count.
@@ -284,6 +467,14 @@ where
         let relative = count.wrapping_sub(program.controller.zero()[joint]);
         relative as f32 * program.radians_per_count[joint] + program.offsets[joint]
     }
+}
+
+/// What the legs of one motor do next, from a supply that is usable.
+#[inline(always)]
+pub(super) fn drive_one<S: Stage>(joint: &mut Joint<S>, supply: &Supply, sample: S::Sample, late: bool) -> S::Drive {
+    let speed = joint.speed();
+    let easily = joint.stage.drive_easily(supply, sample, speed, late);
+    easily.unwrap_or_else(|| joint.stage.drive(supply, sample, speed, late))
 }
 
 /// A joint's range as counts, rounded outward by less than one; `None` without limits.

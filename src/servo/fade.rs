@@ -53,19 +53,26 @@ pub(super) struct Fade {
     /// By what the last step multiplied the forces asked for, before torques were limited: the ramp times the share that
     /// the limit of the force at the tip left.
     pub share: f32,
-    /// Whether a step of it was.
+    /// Whether a step of it was, and whether anything acted before.
     begun: bool,
+    from_something: bool,
     /// Torques that carried the device's weight.
     weight: Torques,
     /// Torques that rendered the scene before.
     scene: Torques,
     host: Lease,
-    /// Torques of the feed-forward, and the square of the force that they began with at the tip, N².
+    /// Torques of the feed-forward, and the square of the force at the tip that they were worth in the first step, N².
     aside: Torques,
-    aside_squared: f32,
+    aside_squared: Option<f32>,
 }
 
 impl Fade {
+    /// Begins from nothing. What an earlier fade left besides is not looked at then.
+    pub fn begin_anew(&mut self) {
+        (self.ramp, self.share, self.host.left) = (0.0, 0.0, 0.0);
+        (self.begun, self.from_something) = (false, false);
+    }
+
     /// What renders forces before the ramp.
     fn rendered(&self) -> Torques {
         let host = self.host.acts();
@@ -78,7 +85,7 @@ impl Fade {
     }
 }
 
-impl<P, K, S> Servo<P>
+impl<P, K, S> Servo<P, S>
 where
     P: DerefMut<Target = Program<K, S>>,
     K: Math<f32>,
@@ -90,13 +97,12 @@ where
         if !self.fade.begun {
             return;
         }
-        let Some(program) = self.program.as_ref() else { return };
         let asked = &self.now.found.asked;
-        let Acted { gravity, rendered, share } = self.cut.unwrap_or(Acted {
-            gravity: Torques(asked.gravity),
-            rendered: Torques(asked.rendered),
-            share: 1.0,
-        });
+        let Acted { gravity, rendered, share } = if self.was_cut() {
+            self.cut
+        } else {
+            Acted { gravity: Torques(asked.gravity), rendered: Torques(asked.rendered), share: 1.0 }
+        };
         let (torque, life) = self.host_torque();
         let mut host = Lease { torque, life, left: life };
         if self.fade.host.left > 0.0 {
@@ -113,11 +119,12 @@ where
             ramp: 0.0,
             share: 0.0,
             begun: false,
+            from_something: true,
             weight: gravity,
             scene: Torques::from_fn(|i| rendered[i] - host.torque[i]),
             host,
             aside,
-            aside_squared: program.mechanism.force_squared::<K>(&self.now.found.at.q, &aside),
+            aside_squared: None,
         };
     }
 
@@ -128,11 +135,14 @@ where
         let asked = &{ self.now.found.asked };
         self.fade.begun = true;
         self.fade.ramp = (self.fade.ramp + self.period * (1.0 / ARM_SECONDS)).min(1.0);
-        self.fade.host.left -= self.period;
-        self.hold_what_fades();
-        // What is asked is within the limit of the force at the tip by itself.
+        // What is asked for is held to the limit of the force at the tip by itself, as what fades out is below.
         let share = share_within(asked.force_squared, self.rules.limits.tip_force);
         self.fade.share = self.fade.ramp * share;
+        if !self.fade.from_something {
+            return self.rise(asked, share);
+        }
+        self.fade.host.left -= self.period;
+        self.hold_what_fades();
         let (fade, before) = (&self.fade, self.fade.rendered());
         let faded = Asked {
             total: self.between(asked, share),
@@ -143,22 +153,40 @@ where
         (faded, self.between(asked, 1.0))
     }
 
+    /// [`Servo::fade_in`] from nothing: with a `share` of what is asked beyond what carries the device.
+    #[inline(always)]
+    fn rise(&self, asked: &Asked<f32>, share: f32) -> (Asked<f32>, [f32; MAX_JOINTS]) {
+        let ramp = self.fade.ramp;
+        let between = |share: f32| -> [f32; MAX_JOINTS] {
+            core::array::from_fn(|i| (asked.gravity[i] + share * (asked.total[i] - asked.gravity[i])) * ramp)
+        };
+        let risen = Asked {
+            total: between(share),
+            gravity: asked.gravity.map(|gravity| gravity * ramp),
+            rendered: asked.rendered.map(|rendered| share * rendered * ramp),
+            force_squared: 0.0,
+        };
+        (risen, between(1.0))
+    }
+
     /// Holds what fades to the forces that it may make where the tip is now.
+    #[inline(never)]
     fn hold_what_fades(&mut self) {
-        let Some(program) = self.program.as_ref() else { return };
         let fade = &mut self.fade;
+        let Some(program) = self.program.as_ref() else { return };
         let rendered = fade.rendered();
         if rendered == Torques::default() && fade.aside == Torques::default() {
             return;
         }
-        let squared = |torque| program.mechanism.force_squared::<K>(&self.now.found.at.q, torque);
-        let share = share_within(squared(&rendered), self.rules.limits.tip_force);
+        let leverage = program.mechanism.leverage::<K>(&self.now.found.at.q);
+        let share = share_within(leverage.force_squared(&rendered), self.rules.limits.tip_force);
         for part in fade.scene.iter_mut().chain(fade.host.torque.iter_mut()).chain(fade.aside.iter_mut()) {
             *part *= share;
         }
-        let aside = squared(&fade.aside);
-        if aside > fade.aside_squared {
-            let share = K::sqrt(fade.aside_squared / aside);
+        let aside = leverage.force_squared(&fade.aside);
+        let most = *fade.aside_squared.get_or_insert(aside);
+        if aside > most {
+            let share = K::sqrt(most / aside);
             fade.aside = Torques(fade.aside.map(|torque| share * torque));
         }
     }

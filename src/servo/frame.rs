@@ -1,9 +1,8 @@
 //! What goes into a control period and what it leaves behind for telemetry.
 
 use crate::drive::stage::MAX_DUTY;
-use crate::model::catalogue::MAX_JOINTS;
 use crate::render::found::{At, Found};
-use crate::safety::fault::{Fault, State};
+use crate::safety::fault::State;
 use crate::servo::joints::{Counts, Currents, Duties, Torques};
 
 /// A duty as large as this is as large as it can be: the drive's own end, less what rounding may take off it.
@@ -20,10 +19,8 @@ pub struct Samples {
     pub currents: Currents,
     /// What two sensors of a motor's current differ by; 0 where it has one.
     pub imbalance: Currents,
-    /// Count at the index pulse seen since the last step, late by at most what the joint moved in it.
-    pub index: [Option<i32>; MAX_JOINTS],
-    /// A fault that hardware or another part of the firmware reports.
-    pub fault: Option<(Fault, Option<u8>, f32)>,
+    /// Whether what the legs do of it comes too late for the next valley, and applies half a carrier period later.
+    pub late: bool,
 }
 
 /// What one control step decided.
@@ -55,8 +52,9 @@ pub struct Motors {
 /// What the last step left: the servo's working memory.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Now {
-    /// Control steps since boot.
+    /// Control steps since boot, and up to which one it was noted what they saw.
     pub step: u32,
+    pub noted: u32,
     pub counts: Counts,
     pub motors: Motors,
     /// What the scene found and asks for.
@@ -87,8 +85,8 @@ impl StepRecord {
 
     /// Whether joint `i` could not do what was asked: 1 a limit changed its torque ([`Motors::limited`]), 2 its duty is at
     /// its end, 3 both.
-    pub fn saturation(&self, i: usize) -> f32 {
+    pub fn saturation(&self, i: usize) -> u8 {
         let end = self.motors.duty.get(i).is_some_and(|duty| duty.abs() >= DUTY_END);
-        f32::from(self.motors.limited >> i & 1) + if end { 2.0 } else { 0.0 }
+        (self.motors.limited >> i & 1) | u8::from(end) << 1
     }
 }

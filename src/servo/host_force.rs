@@ -17,7 +17,7 @@ use crate::render::controller::{Push, PushedPlane};
 use crate::render::found::Found;
 use crate::safety::fault::State;
 use crate::servo::Servo;
-use crate::servo::joints::Torques;
+use crate::servo::joints::{Counts, Torques};
 use crate::servo::program::Program;
 use core::ops::DerefMut;
 use postcard_schema::Schema;
@@ -173,7 +173,7 @@ pub struct ForceAnswer {
 }
 
 impl ForceRequest {
-    /// What of it cannot be used on a device of so many task dimensions and joints.
+    /// The first part of it that a device with this many task dimensions and joints cannot use.
     pub fn wrong(&self, task: usize, joints: usize) -> Option<BadForce> {
         let within = |value: &f32, most: f32| value.abs() <= most;
         let only = |values: &[f32; 3], count: usize| values.iter().skip(count).all(|value| *value == 0.0);
@@ -281,11 +281,11 @@ pub(super) struct HostForce {
     lease: f32,
     torque: Torques,
     life: f32,
-    /// Share of those that ramp and limits left.
+    /// Share of those that ramp and limits left where they left less than all.
     pub left: f32,
     contact: Blend,
-    /// Share of the contact that acted in the last step, and by how much it is still away from the lease since the
-    /// request before gave way, and how fast that is made good, 1/s.
+    /// Share of the contact that acted in the last step; how far that still is from the lease of this request, which
+    /// took the place of another; and how fast the difference shrinks, 1/s.
     contact_lease: f32,
     beside: f32,
     closing: f32,
@@ -294,11 +294,12 @@ pub(super) struct HostForce {
 impl HostForce {
     /// Takes a request that is `age` seconds old.
     fn take(&mut self, request: &ForceRequest, age: f32) {
-        // As much of the contact acts next as did in the last step; one that was not there comes by itself.
+        // As large a share of the contact acts next as did in the last step. A new one fades in: its plane grows stiff.
         let was_there = self.acts && self.contact.now().stiffness + self.contact.now().damping > 0.0;
         self.beside = if was_there { self.contact_lease - request.lease(age) } else { 0.0 };
         self.closing = self.beside.abs() / BLEND_SECONDS.0;
-        (self.request, self.age, self.acts) = (*request, age, true);
+        // What is left of its contact lies in the blend.
+        (self.request, self.age, self.acts) = (ForceRequest { contact: None, ..*request }, age, true);
         self.contact.go(request.contact.as_ref());
     }
 
@@ -329,7 +330,7 @@ impl HostForce {
     }
 }
 
-impl<P, K, S> Servo<P>
+impl<P, K, S> Servo<P, S>
 where
     P: DerefMut<Target = Program<K, S>>,
     K: Math<f32>,
@@ -355,8 +356,9 @@ where
         if let Some(program) = self.program.as_ref() {
             let (velocity, pushed) = program.controller.pushed(&self.now);
             answer.velocity = velocity;
-            answer.share = self.host.lease * self.host.left;
-            answer.force = pushed.map(|force| force * self.host.left);
+            let left = self.host_left();
+            answer.share = self.host.lease * left;
+            answer.force = pushed.map(|force| force * left);
         }
         answer
     }
@@ -364,12 +366,18 @@ where
     /// The joint torques (N m) that acted in the last step because of the host, and how long they might (s).
     #[cold]
     pub(super) fn host_torque(&self) -> (Torques, f32) {
-        let Some(program) = self.program.as_ref().filter(|_| self.host.left > 0.0) else {
+        let left = self.host_left();
+        let Some(program) = self.program.as_ref().filter(|_| self.host.acts && left > 0.0) else {
             return (Torques::default(), 0.0);
         };
         let (_, force) = program.controller.pushed(&self.now);
         let pushed = program.mechanism.torque::<K>(&self.now.found.at.q, &force);
-        (Torques::from_fn(|i| self.host.left * (pushed[i] + self.host.torque[i])), self.host.life)
+        (Torques::from_fn(|i| left * (pushed[i] + self.host.torque[i])), self.host.life)
+    }
+
+    /// Share of what acts of it that ramp and limits left.
+    fn host_left(&self) -> f32 {
+        if self.was_cut() { self.host.left } else { 1.0 }
     }
 
     fn take_force(&mut self, request: &ForceRequest) -> ForceDone {
@@ -398,43 +406,37 @@ where
             return ForceDone::TooOld;
         }
         self.host.take(request, age);
-        self.host_silent = 0.0;
+        self.hear_host();
         ForceDone::Taken
     }
 
-    /// Puts what the host asks for in this step before the controller.
-    #[inline(always)]
-    pub(super) fn push(&mut self) {
-        if self.host.acts {
-            let push = self.host.step(self.period);
-            if let Some(program) = self.program.as_mut() {
-                program.controller.set_push(push.as_ref());
-            }
-        }
-    }
-
-    /// Adds what the host asks of the joints to what the controller asks of them.
-    #[inline(always)]
-    pub(super) fn pull(&mut self) {
-        if self.host.acts {
-            self.add();
-        }
-    }
-
-    /// Adds the host's joint torques, which make a force at the tip as well: that of everything rendered, whose torques
-    /// Jᵀ f are among those asked already, is worked out anew.
+    /// What the scene asks of the joints, and what a host that pushes.
     #[inline(never)]
-    fn add(&mut self) {
+    pub(super) fn render_pushed(&mut self, counts: &Counts) {
+        let push = self.host.step(self.period);
+        if let Some(program) = self.program.as_mut() {
+            program.controller.set_push(push.as_ref());
+        }
+        self.render_scene(counts);
+        if self.host.acts {
+            self.add(counts);
+        }
+    }
+
+    /// Adds the host's joint torques to what the scene and the host's force ask for. They make a force at the tip, too,
+    /// so the resultant of all that is rendered is computed again, from the sum of the torques.
+    fn add(&mut self, counts: &Counts) {
         let torque = self.host.torque;
         if torque != Torques::default()
             && let Some(program) = self.program.as_ref()
         {
+            program.controller.angles(counts, &mut self.now.found);
             let Found { at, asked, .. } = &mut self.now.found;
             for (i, torque) in torque.iter().enumerate() {
                 asked.rendered[i] += torque;
                 asked.total[i] += torque;
             }
-            asked.force_squared = program.mechanism.force_squared::<K>(&at.q, &Torques(asked.rendered));
+            asked.force_squared = program.mechanism.leverage::<K>(&at.q).force_squared(&asked.rendered);
         }
     }
 

@@ -6,7 +6,7 @@ use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::fault::{Fault, State};
 use crate::safety::refusal::Refusal;
-use crate::servo::joints::Torques;
+use crate::servo::joints::{Counts, Torques};
 use crate::servo::program::Program;
 use crate::servo::saturation::share_within;
 use core::ops::DerefMut;
@@ -38,9 +38,12 @@ pub(super) struct PolarityCheck {
     rested: f32,
     /// Where the joint stood at its first step, rad.
     from: Option<f32>,
+    /// The square of the force at the tip that 1 N m of the joint is worth (N²), and for which counts.
+    worth: f32,
+    weighed_at: Option<Counts>,
 }
 
-impl<P, K, S> Servo<P>
+impl<P, K, S> Servo<P, S>
 where
     P: DerefMut<Target = Program<K, S>>,
     K: Math<f32>,
@@ -55,20 +58,20 @@ where
         Ok(())
     }
 
-    /// One step of the check: sets the frame's torques, none when it has ended.
+    /// One step of the check: the torques that the motors are told; zero while it waits and when it has ended.
     #[cold]
     #[inline(never)]
-    pub(super) fn check_polarity(&mut self) {
-        self.now.motors.torque = Torques::default();
+    pub(super) fn check_polarity(&mut self) -> Torques {
+        let none = Torques::default();
         let i = self.polarity.axis.min(MAX_JOINTS - 1);
         if self.polarity.from.is_none() && !self.at_rest(i) {
             if self.polarity.waited >= POLARITY_PATIENCE {
                 self.trip(Fault::PolarityUnrest, Some(i as u8), self.now.found.at.q[i] - self.polarity.rests_at);
             }
-            return;
+            return none;
         }
-        let Some(program) = self.program.as_ref() else { return };
-        let (joints, most) = (program.joints, program.axes[i].max_torque());
+        let Some(program) = self.program.as_ref() else { return none };
+        let (joints, most) = (program.joints, self.joints[i].stage.max_torque());
         let moved = self.now.found.at.q[i] - *self.polarity.from.get_or_insert(self.now.found.at.q[i]);
         if moved > POLARITY_MOTION {
             if i + 1 >= joints {
@@ -79,20 +82,29 @@ where
                 let next = (i + 1).min(MAX_JOINTS - 1);
                 self.polarity = PolarityCheck { axis: next, ..PolarityCheck::default() };
             }
-            return;
+            return none;
         }
         if moved < -POLARITY_MOTION {
-            return self.trip(Fault::PolarityWrong, Some(i as u8), moved);
+            self.trip(Fault::PolarityWrong, Some(i as u8), moved);
+            return none;
         }
         self.polarity.seconds += self.period;
         if self.polarity.seconds > 2.0 * POLARITY_SECONDS {
-            return self.trip(Fault::PolarityNoMotion, Some(i as u8), moved);
+            self.trip(Fault::PolarityNoMotion, Some(i as u8), moved);
+            return none;
         }
         let share = POLARITY_SHARE * (self.polarity.seconds * (1.0 / POLARITY_SECONDS)).min(1.0);
         let mut torque = Torques::default();
+        // What a torque is worth at the tip is as it was while no count changes, and takes a pose to work out.
+        if self.polarity.weighed_at != Some(self.now.counts) {
+            torque[i] = 1.0;
+            self.polarity.worth = program.mechanism.leverage::<K>(&self.now.found.at.q).force_squared(&torque);
+            self.polarity.weighed_at = Some(self.now.counts);
+        }
         torque[i] = share * most;
-        let squared = program.mechanism.force_squared::<K>(&self.now.found.at.q, &torque);
-        self.now.motors.torque[i] = torque[i] * share_within(squared, self.rules.limits.tip_force);
+        let squared = self.polarity.worth * (torque[i] * torque[i]);
+        torque[i] *= share_within(squared, self.rules.limits.tip_force);
+        torque
     }
 
     /// Whether joint `i` has come to rest.

@@ -4,10 +4,10 @@ use crate::drive::brushed::Axis;
 use crate::drive::carrier::Carrier;
 use crate::drive::stage::{Bridge, Stage};
 use crate::math::Math;
-use crate::model::catalogue::Kind;
-use crate::model::catalogue::MAX_JOINTS;
+use crate::model::catalogue::{Kind, MAX_JOINTS};
 use crate::model::device::Device;
 use crate::model::mechanism::AnyMechanism;
+use crate::model::padding::{first, head, padded};
 use crate::model::precomputed::{MassModel, MassModelData};
 use crate::render::controller::{Controller, Gains, Push};
 use crate::render::found::Found;
@@ -70,15 +70,20 @@ macro_rules! define {
                 match self { $(Self::$Variant(_) => Kind::$Variant,)* }
             }
 
-            /// One control step; writes what it finds. `acted`: what the motors gave since the last, N m.
+            /// One control step; writes what it finds but joint angles. `acted`: what the motors gave since the last, N m.
             #[inline(always)]
             pub(crate) fn step(&mut self, counts: &Counts, acted: &Torques, found: &mut Found<f32>) {
                 match self {
+                    // No device has more joints than there are counts.
                     $(Self::$Variant(controller) => {
-                        controller.acted(&head(acted));
-                        controller.render(&head(counts), found);
+                        controller.render(first(counts).unwrap_or(&[0; $n]), acted, found);
                     })*
                 }
+            }
+
+            /// See [`Controller::angles`].
+            pub(crate) fn angles(&self, counts: &Counts, found: &mut Found<f32>) {
+                match self { $(Self::$Variant(controller) => controller.angles(first(counts).unwrap_or(&[0; $n]), found),)* }
             }
 
             /// See [`Controller::home`].
@@ -88,7 +93,7 @@ macro_rules! define {
 
             /// Counts that homing subtracts.
             pub fn zero(&self) -> Counts {
-                match self { $(Self::$Variant(controller) => Counts(pad(&controller.zero())),)* }
+                match self { $(Self::$Variant(controller) => Counts(padded(&controller.zero())),)* }
             }
 
             /// Takes over homing.
@@ -114,7 +119,7 @@ macro_rules! define {
                 match self {
                     $(Self::$Variant(controller) => {
                         let (velocity, force) = controller.pushed(&head(&now.counts), &head(&now.found.at.qd).into());
-                        (pad(&velocity.data.0[0]), pad(&force.data.0[0]))
+                        (padded(&velocity.data.0[0]), padded(&force.data.0[0]))
                     })*
                 }
             }
@@ -138,25 +143,16 @@ macro_rules! define {
 }
 crate::mechanisms!(define);
 
-/// The first N of three.
-#[inline(always)]
-fn head<V: Copy, const N: usize>(values: &[V; MAX_JOINTS]) -> [V; N] {
-    core::array::from_fn(|i| values[i.min(MAX_JOINTS - 1)])
-}
-
-/// N values padded to three.
-#[inline(always)]
-fn pad<V: Copy + Default, const N: usize>(values: &[V; N]) -> [V; MAX_JOINTS] {
-    core::array::from_fn(|i| if i < N { values[i.min(N - 1)] } else { V::default() })
-}
-
 /// A device in a scene on a board, ready to run: what is handed to the servo whole. `S` is what stands between a joint's
 /// torque and its motor.
 #[derive(Clone, Debug)]
 pub struct Program<K, S = Axis> {
     pub(crate) controller: AnyController<K>,
     pub(crate) mechanism: AnyMechanism<f32>,
+    /// What the servo's own begin as.
     pub(crate) axes: [S; MAX_JOINTS],
+    /// Whether gravity is compensated.
+    pub(crate) weighs: bool,
     pub(crate) joints: usize,
     pub(crate) limits: [Option<(f32, f32)>; MAX_JOINTS],
     pub(crate) home: Option<[f32; MAX_JOINTS]>,
@@ -215,6 +211,7 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
             controller,
             mechanism: device.mechanism,
             axes,
+            weighs: scene.gravity_compensation && device.weight,
             joints,
             limits: core::array::from_fn(|i| device.joints[i].limits),
             home: device.home,

@@ -1,6 +1,6 @@
 //! What reaches the servo between two steps, and what it answers.
 
-use super::{Rules, Servo, fade, watch};
+use super::{Rules, Servo, watch};
 use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
@@ -74,7 +74,7 @@ pub struct Status {
     pub tip: [f32; MAX_JOINTS],
 }
 
-impl<P, K, S> Servo<P>
+impl<P, K, S> Servo<P, S>
 where
     P: DerefMut<Target = Program<K, S>>,
     K: Math<f32>,
@@ -96,20 +96,38 @@ where
 
     /// Carries out a command between two steps.
     pub fn execute(&mut self, command: Command<P>) -> Reply<P> {
-        let mut returned = None;
-        let result = match command {
-            Command::Program(mut program) => match self.accepts(&mut program) {
-                Ok(()) => {
-                    returned = self.install(program);
-                    Ok(())
-                }
-                Err(refusal) => {
-                    returned = Some(program);
-                    Err(refusal)
-                }
-            },
-            Command::Gains(gains, washout) => self.with_program(|p| p.controller.set_gains(&gains, &washout)),
-            Command::Coefficients(coefficients) => self.with_program(|p| p.controller.set_coefficients(&coefficients)),
+        let reply = match command {
+            Command::Program(program) => self.replace(program),
+            command => (self.obey(&command), None),
+        };
+        self.finish_bounds();
+        reply
+    }
+
+    /// Carries out a [`Command::Program`]: [`Servo::accepts`], then [`Servo::install`]. With the motors on, the control
+    /// interrupt has no time for both at once, and leaves the second to the next carrier period.
+    pub fn replace(&mut self, mut program: P) -> Reply<P> {
+        match self.accepts(&mut program) {
+            Ok(()) => (Ok(()), self.install(program)),
+            Err(refusal) => (Err(refusal), Some(program)),
+        }
+    }
+
+    /// Carries out any other command, of which new rules are in force for all joints only after [`Servo::settle_next`] has
+    /// been called until it says so.
+    pub fn obey(&mut self, command: &Command<P>) -> Result<(), Refusal> {
+        let result = self.carry_out(command);
+        self.see_what_is_usual();
+        result
+    }
+
+    #[inline(always)]
+    fn carry_out(&mut self, command: &Command<P>) -> Result<(), Refusal> {
+        match command {
+            // It takes its program along: [`Servo::replace`].
+            Command::Program(_) => Err(Refusal::Busy),
+            Command::Gains(gains, washout) => self.with_program(|p| p.controller.set_gains(gains, washout)),
+            Command::Coefficients(coefficients) => self.with_program(|p| p.controller.set_coefficients(coefficients)),
             Command::Rules(rules) => self.set_rules(rules),
             Command::Home => self.home(),
             Command::Arm => self.arm(),
@@ -133,27 +151,26 @@ where
                     self.state = State::Disarmed;
                 }
                 // Only the host: what else has been summed up while armed stays, or clearing would lift a limit.
-                self.host_silent = 0.0;
+                self.hear_host();
                 Ok(())
             }
             Command::HostAlive => {
-                self.host_silent = 0.0;
+                self.hear_host();
                 Ok(())
             }
             Command::Fault(record) => {
                 self.trip(record.fault, record.axis, record.value);
                 Ok(())
             }
-        };
-        (result, returned)
+        }
     }
 
     fn with_program(&mut self, change: impl FnOnce(&mut Program<K, S>)) -> Result<(), Refusal> {
         self.program.as_mut().map(|program| change(program)).ok_or(Refusal::NoDevice)
     }
 
-    /// A program may come while armed only if it is of the same device and rate and its walls are not touched.
-    fn accepts(&self, program: &mut P) -> Result<(), Refusal> {
+    /// Whether a program may come. While armed only if it is of the same device and rate and its walls are not touched.
+    pub fn accepts(&self, program: &mut P) -> Result<(), Refusal> {
         if !self.state.drives() {
             return Ok(());
         }
@@ -171,56 +188,56 @@ where
         Ok(())
     }
 
-    fn install(&mut self, mut program: P) -> Option<P> {
+    /// Puts a program in force that was accepted; what it takes the place of. Another device, or another rate, has bounds
+    /// and stages of its own, which take long to make ready; with the motors on neither changes.
+    pub fn install(&mut self, mut program: P) -> Option<P> {
         let period = 1.0 / program.rate_hz.max(1.0);
+        // Rates that differ by a rounding may have the same period, and carriers of their own.
+        let same_carrier = self.program.as_ref().is_some_and(|old| old.carrier_hz == program.carrier_hz);
+        let same_rate = period == self.period && same_carrier;
         if period != self.period {
             (self.period, self.rate_since) = (period, self.now.step);
         }
         program.controller.set_passivity(self.rules.passivity);
+        let same_device = self.program.is_some() && program.same_device;
         match &self.program {
-            Some(old) if program.same_device => program.controller.set_zero(&old.controller.zero()),
+            Some(old) if same_device => program.controller.set_zero(&old.controller.zero()),
             _ => {
                 self.homed = false;
                 self.polarity_known = false;
-                self.first_index = [None; MAX_JOINTS];
+                (self.first_index, self.marks) = ([None; MAX_JOINTS], None);
                 // Of what a device with more joints found, nothing would be written over.
                 self.now.found = Found::default();
-                self.now.found.regularity.parallel = 1.0;
-            }
-        }
-        // The currents that flow go on.
-        if let Some(old) = &self.program {
-            for (axis, old) in program.axes.iter_mut().zip(&old.axes) {
-                axis.inherit(old);
+                self.now.found.parallel = 1.0;
             }
         }
         self.begin_fade();
+        (self.count, self.weighs) = (program.joints.min(MAX_JOINTS) as u8, program.weighs);
+        if !(same_device && same_rate) {
+            // The currents that flow go on.
+            for (axis, joint) in program.axes.iter().zip(&mut self.joints) {
+                let before = core::mem::replace(&mut joint.stage, *axis);
+                joint.stage.inherit(&before);
+            }
+        }
         let old = self.program.replace(program);
-        self.limit_currents();
-        self.set_bounds();
+        if !(same_device && same_rate) {
+            self.set_bounds();
+        }
+        self.see_what_is_usual();
         old
     }
 
-    /// Puts the rules' currents in force; the motors' own limits still count.
-    fn limit_currents(&mut self) {
-        let (limits, Some(program)) = (&self.rules.limits, self.program.as_mut()) else { return };
-        for (i, (axis, heat)) in program.axes.iter_mut().zip(&mut self.heat).enumerate() {
-            axis.limit(limits.current[i]);
-            heat.limit(axis.max_current(), limits.continuous_current[i]);
-        }
-    }
-
-    fn set_rules(&mut self, rules: Rules) -> Result<(), Refusal> {
+    fn set_rules(&mut self, rules: &Rules) -> Result<(), Refusal> {
         if self.state.drives() && !rules.no_looser_than(&self.rules) {
             return Err(Refusal::Armed);
         }
-        self.rules = rules;
-        self.host_silent = 0.0;
+        self.rules = *rules;
+        self.hear_host();
         if let Some(program) = self.program.as_mut() {
             program.controller.set_passivity(rules.passivity);
         }
-        self.limit_currents();
-        self.set_bounds();
+        self.begin_bounds();
         Ok(())
     }
 
@@ -241,7 +258,7 @@ where
 
     /// Whether none of the device's joints turns faster than `speed`, rad/s.
     fn slower_than(&self, speed: f32) -> bool {
-        (0..self.joints()).all(|i| self.crests.speed(i).abs() <= speed)
+        self.joints.iter().take(self.count()).all(|joint| joint.speed().abs() <= speed)
     }
 
     fn must_be_off(&self) -> Result<(), Refusal> {
@@ -266,7 +283,7 @@ where
         if self.hardware.bus_sensed && !(self.rules.limits.bus_min..=self.rules.limits.bus_max).contains(&bus) {
             return Err(Refusal::BusVoltage);
         }
-        if self.now.found.regularity.parallel < watch::TRIPPING_SINE {
+        if self.now.found.parallel < watch::TRIPPING_SINE {
             return Err(Refusal::Singular);
         }
         for (i, limits) in program.limits.iter().enumerate().take(program.joints) {
@@ -292,7 +309,7 @@ where
 
     fn arm(&mut self) -> Result<(), Refusal> {
         self.may_arm()?;
-        self.fade = fade::Fade::default();
+        self.fade.begin_anew();
         self.watch_anew();
         self.state = State::Armed;
         Ok(())
@@ -300,8 +317,8 @@ where
 
     /// Starts everything that is summed up while the motors are on.
     pub(super) fn watch_anew(&mut self) {
-        self.host_silent = 0.0;
-        self.budgets.anew();
+        self.hear_host();
+        self.joints.iter_mut().for_each(|joint| joint.sums.anew());
         self.crests.anew();
     }
 }

@@ -17,6 +17,12 @@ pub enum HostAction {
     Disarm,
 }
 
+impl HostAction {
+    /// Every action with its name on the command line.
+    pub const ALL: [(&'static str, Self); 3] =
+        [("ignore", Self::Ignore), ("hold", Self::Hold), ("disarm", Self::Disarm)];
+}
+
 /// The part of the board's settings that the servo obeys.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Rules {
@@ -45,6 +51,10 @@ impl Default for Rules {
 }
 
 impl Rules {
+    /// Shortest and longest silence of a host that a board may be told to wait for, s. A silence is summed up in single
+    /// steps, which beyond a minute are too small for an f32 to take in.
+    pub const HOST_SECONDS: (f32, f32) = (0.01, 60.0);
+
     /// Whether nothing that protects is looser than in `other`: such a change is safe at any time.
     pub fn no_looser_than(&self, other: &Self) -> bool {
         let watched = self.host_action >= other.host_action

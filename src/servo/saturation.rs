@@ -13,10 +13,9 @@
 //! leaves a motor's own part its room up to [`ROOM`] of the limit.
 
 use super::Servo;
-use super::crest::left;
+use crate::drive::bits::left;
 use crate::drive::stage::Stage;
 use crate::math::{Math, limited, sqrt};
-use crate::model::catalogue::MAX_JOINTS;
 use crate::render::found::Asked;
 use crate::servo::joints::Torques;
 use crate::servo::program::Program;
@@ -36,48 +35,54 @@ pub struct Left {
     pub share: f32,
 }
 
-impl<P, K, S> Servo<P>
+impl<P, K, S> Servo<P, S>
 where
     P: DerefMut<Target = Program<K, S>>,
     K: Math<f32>,
     S: Stage,
 {
-    /// Whether all that the step asks of the J joints is within their limits, step by step of the order above, and its
-    /// forces within theirs; not where some of it is no number.
+    /// Not negative where all that the step asks of the J joints is some roundings within their limits, step by step of the
+    /// order above, and its forces within theirs. Negative where it may not be, and where some of it is no number.
     #[inline(always)]
-    pub(super) fn fits<const J: usize>(&self) -> bool {
+    pub(super) fn fits<const J: usize>(&self) -> i32 {
         let Asked { total, gravity, rendered, force_squared } = &self.now.found.asked;
         let mut least = left(*force_squared, self.most_force_squared);
-        for i in 0..J {
-            let limit = self.most_torque[i];
-            least |= left(total[i], limit) | left(gravity[i], limit) | left(gravity[i] + rendered[i], limit);
+        if self.weighs {
+            for (i, fitting) in self.fitting.iter().enumerate().take(J) {
+                // Where weight and force together fit whatever their signs, each of them does, and their sum.
+                let both = gravity[i].abs() + rendered[i].abs();
+                least |= left(total[i], *fitting) | left(both, *fitting);
+            }
+        } else {
+            for (i, fitting) in self.fitting.iter().enumerate().take(J) {
+                least |= left(total[i], *fitting) | left(rendered[i], *fitting);
+            }
         }
-        least >= 0
+        least
     }
 }
 
 impl Asked<f32> {
-    /// What is within ±`limit` (not negative) of each of the first `joints` joints, and of forces within
-    /// `tip_force` (N).
-    pub(super) fn within(&self, limit: &Torques, tip_force: f32, joints: usize) -> Left {
-        let joints = joints.min(MAX_JOINTS);
-        let mut fits = self.force_squared <= tip_force * tip_force;
-        for (i, limit) in limit.iter().enumerate().take(joints) {
+    /// What is within ±`limit` (not negative) of each of the J joints, and of forces within `tip_force` (N, not negative).
+    #[inline(always)]
+    pub(super) fn within<const J: usize>(&self, limit: &Torques, tip_force: f32) -> Left {
+        let mut least = left(self.force_squared, tip_force * tip_force);
+        for (i, limit) in limit.iter().enumerate().take(J) {
             let both = self.gravity[i] + self.rendered[i];
-            fits &= self.gravity[i].abs() <= *limit && both.abs() <= *limit && self.total[i].abs() <= *limit;
+            least |= left(self.gravity[i], *limit) | left(both, *limit) | left(self.total[i], *limit);
         }
-        if fits {
+        if least >= 0 {
             Left { torque: Torques(self.total), gravity: Torques(self.gravity), share: 1.0 }
         } else {
-            self.cut(limit, tip_force, joints)
+            self.cut::<J>(limit, tip_force)
         }
     }
 
-    /// The share of the forces asked for that is rendered within `tip_force` (N) and ±`limit` of each of the first
-    /// `joints` joints.
-    fn share(&self, limit: &Torques, tip_force: f32, joints: usize) -> f32 {
+    /// The share of the forces asked for that is rendered within `tip_force` (N) and ±`limit` of each of the J joints.
+    #[inline(always)]
+    fn share<const J: usize>(&self, limit: &Torques, tip_force: f32) -> f32 {
         let mut share = share_within(self.force_squared, tip_force);
-        for (i, limit) in limit.iter().enumerate().take(joints) {
+        for (i, limit) in limit.iter().enumerate().take(J) {
             share = self.room_for_the_rendered(i, *limit, share);
         }
         share
@@ -85,6 +90,7 @@ impl Asked<f32> {
 
     /// The largest share, up to `most`, of what is rendered that joint `i` makes within ±`limit` on top of gravity and
     /// below the room of its feed-forward.
+    #[inline(always)]
     fn room_for_the_rendered(&self, i: usize, limit: f32, most: f32) -> f32 {
         let (base, part) = (limited(self.gravity[i], limit), self.rendered[i]);
         let along = if part > 0.0 { self.rest(i) } else { -self.rest(i) };
@@ -104,18 +110,19 @@ impl Asked<f32> {
     }
 
     #[allow(clippy::needless_range_loop, reason = "one number for four arrays")]
-    fn cut(&self, limit: &Torques, tip_force: f32, joints: usize) -> Left {
-        let share = self.share(limit, tip_force, joints);
+    #[inline(always)]
+    fn cut<const J: usize>(&self, limit: &Torques, tip_force: f32) -> Left {
+        let share = self.share::<J>(limit, tip_force);
         let (mut torque, mut gravity) = (Torques::default(), Torques::default());
-        for i in 0..joints {
+        for i in 0..J {
             gravity[i] = limited(self.gravity[i], limit[i]);
             torque[i] = gravity[i] + share * self.rendered[i];
         }
         let mut rest_share = share;
-        for i in 0..joints {
+        for i in 0..J {
             rest_share = room(torque[i], self.rest(i), limit[i], rest_share);
         }
-        for i in 0..joints {
+        for i in 0..J {
             // Once more each by itself: what is not finite asks for nothing, and rounding is no excuse.
             torque[i] = limited(torque[i] + rest_share * self.rest(i), limit[i]);
         }
@@ -136,6 +143,7 @@ pub(super) fn share_within(squared: f32, most: f32) -> f32 {
 }
 
 /// The largest share, up to `most`, of `part` that fits on top of `base` within ±`limit`; 0 where `part` is no number.
+#[inline(always)]
 fn room(base: f32, part: f32, limit: f32, most: f32) -> f32 {
     let left = if part > 0.0 { limit - base } else { limit + base };
     let size = part.abs();
@@ -155,7 +163,7 @@ mod tests {
 
     fn cut(gravity: [f32; 3], rendered: [f32; 3], rest: [f32; 3], limit: [f32; 3]) -> [f32; 3] {
         let total = core::array::from_fn(|i| gravity[i] + rendered[i] + rest[i]);
-        *Asked { total, gravity, rendered, force_squared: 0.0 }.within(&Torques(limit), 5.0, 3).torque
+        *Asked { total, gravity, rendered, force_squared: 0.0 }.within::<3>(&Torques(limit), 5.0).torque
     }
 
     #[test]
@@ -167,16 +175,16 @@ mod tests {
             rendered: [0.0, 6.0, 8.0],
             force_squared: 100.0,
         };
-        assert_eq!(*asked.within(&Torques([50.0; 3]), 5.0, 3).torque, [1.0, 3.0 + 1.0, 4.0 + 0.5]);
-        assert_eq!(*asked.within(&Torques([50.0; 3]), 10.0, 3).torque, asked.total, "10 N are within 10 N");
-        let less = asked.within(&Torques([50.0, 50.0, 2.0]), 5.0, 3).torque;
+        assert_eq!(*asked.within::<3>(&Torques([50.0; 3]), 5.0).torque, [1.0, 3.0 + 1.0, 4.0 + 0.5]);
+        assert_eq!(*asked.within::<3>(&Torques([50.0; 3]), 10.0).torque, asked.total, "10 N are within 10 N");
+        let less = asked.within::<3>(&Torques([50.0, 50.0, 2.0]), 5.0).torque;
         // 2 N m less a 64th for that joint's own feed-forward, of 8.
         let share = (2.0 - 2.0 / 64.0) / 8.0;
         assert_eq!(less[..2], [1.0, 6.0 * share + 2.0 / 64.0 * 2.0], "a joint may leave less than the force");
         for no_number in [f32::NAN, f32::INFINITY] {
             let asked = Asked { force_squared: no_number, ..asked };
             assert_eq!(
-                *asked.within(&Torques([50.0; 3]), 5.0, 3).torque,
+                *asked.within::<3>(&Torques([50.0; 3]), 5.0).torque,
                 [1.0, 0.0, 0.0],
                 "only what holds the device"
             );

@@ -1,13 +1,13 @@
 //! What must turn the motors off and only a control step can show: numbers that are not finite, poses, marks, silence.
 //! Limits are held to once a carrier period, in [`super::crest`]; what builds up is in [`super::budgets`].
 
-use super::crest::{left, left_from};
 use super::{HostAction, Servo};
+use crate::drive::bits::{left, left_between};
 use crate::drive::stage::Stage;
 use crate::math::Math;
+use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::fault::{Fault, FaultRecord};
-use crate::servo::frame::Samples;
-use crate::servo::joints::Torques;
+use crate::servo::joints::Counts;
 use crate::servo::program::Program;
 use core::ops::DerefMut;
 
@@ -16,116 +16,176 @@ pub const TRIPPING_SINE: f32 = 2.0e-3;
 /// Width of an index pulse, counts; the first one counts only if it was passed no faster than this in a step.
 pub const INDEX_WIDTH: u32 = 4;
 
-impl<P, K, S> Servo<P>
+/// Most steps until the silence of a host is looked at again: the counter of steps wraps at four times as many.
+const LOOK_AGAIN: u32 = 1 << 30;
+
+impl<P, K, S> Servo<P, S>
 where
     P: DerefMut<Target = Program<K, S>>,
     K: Math<f32>,
     S: Stage,
 {
-    /// Makes ready what steps and carrier periods are held to: after device, homing, rules or rate have changed.
+    /// Makes ready what steps and carrier periods are held to: after device, homing or rate have changed.
     pub(super) fn set_bounds(&mut self) {
-        let rules = &self.rules;
-        self.host_patience = match rules.host_action {
-            HostAction::Ignore => f32::INFINITY,
-            HostAction::Hold | HostAction::Disarm => rules.host_seconds,
-        };
-        let Some(program) = self.program.as_ref() else { return };
-        self.most_force_squared = rules.limits.tip_force * rules.limits.tip_force;
-        let largest = program.axes.map(|axis| axis.max_torque());
-        self.most_torque = Torques::from_fn(|i| rules.limits.torque[i].min(largest[i]).max(0.0));
-        self.budgets.set_torques(largest);
-        self.set_crest_bounds();
+        self.set_ranges();
+        self.begin_bounds();
+        self.finish_bounds();
     }
 
-    /// Looks for what must turn the motors off in what the step found, before the counts of the last are forgotten.
+    /// The same after rules have changed: what does not belong to a joint at once, and the joints one by one, each by a
+    /// [`Servo::settle_next`].
+    pub(super) fn begin_bounds(&mut self) {
+        self.expect_host();
+        let tip_force = self.rules.limits.tip_force;
+        self.most_force_squared = tip_force * tip_force;
+        self.set_crest_bounds();
+        self.unsettled = MAX_JOINTS as u8;
+    }
+
+    /// Puts the new rules in force for the next joint that is not yet held to them; whether there are more such. While the
+    /// motors are on a control interrupt has no time for all at once; each joint is held to the old rules or to the new
+    /// ones, and then the new ones are no looser.
+    #[inline(never)]
+    pub fn settle_next(&mut self) -> bool {
+        let Some(left) = self.unsettled.checked_sub(1) else { return false };
+        self.unsettled = left;
+        let (i, limits) = (usize::from(left), &self.rules.limits);
+        if let (Some(joint), Some(heat)) = (self.joints.get_mut(i), self.heat.get_mut(i)) {
+            joint.stage.limit(limits.current[i]);
+            heat.limit(joint.stage.max_current(), limits.continuous_current[i]);
+            let largest = joint.stage.max_torque();
+            joint.sums.set_limits(largest, limits.speed[i]);
+            self.most_torque[i] = limits.torque[i].min(largest).max(0.0);
+            self.fitting[i] = fitting(self.most_torque[i]);
+        }
+        self.set_crest_bounds_of(i);
+        left > 0
+    }
+
+    /// Puts the new rules in force for all joints.
+    pub(super) fn finish_bounds(&mut self) {
+        while self.settle_next() {}
+    }
+
+    /// The host was heard.
+    pub(super) fn hear_host(&mut self) {
+        self.host_heard = self.now.step;
+        self.expect_host();
+    }
+
+    /// For how long no heartbeat has come, s, counted from the start, a change of rules or arming.
+    pub fn host_silent(&self) -> f32 {
+        self.now.step.wrapping_sub(self.host_heard) as f32 * self.period
+    }
+
+    /// Sets the step after which the host has been silent for too long, or is looked at again.
+    fn expect_host(&mut self) {
+        let left = match self.rules.host_action {
+            HostAction::Ignore => LOOK_AGAIN,
+            // It is listed.
+            HostAction::Hold if self.fault.is_some() => LOOK_AGAIN,
+            HostAction::Hold | HostAction::Disarm => {
+                (((self.rules.host_seconds - self.host_silent()) / self.period) as u32).min(LOOK_AGAIN)
+            }
+        };
+        self.host_expected = self.now.step.wrapping_add(left);
+    }
+
+    /// Negative where what the step of J joints found must be looked at: a number that is none, a singular pose, a host
+    /// that is silent for too long. Torques that are no numbers do not fit either ([`Servo::fits`]).
     #[inline(always)]
-    pub(super) fn watch<const J: usize>(&mut self, samples: &Samples) {
-        let active = self.state.drives();
-        let sensed = self.hardware.bridge.current_sensed;
-        let mut sum = self.now.found.at.walls.wall_force + self.now.found.at.walls.normal_velocity;
-        let mut well = true;
-        #[allow(clippy::needless_range_loop, reason = "one number for ten arrays")]
-        for i in 0..J {
-            if sensed {
-                self.now.motors.current[i] = samples.currents[i];
-            }
-            sum += self.now.found.at.qd[i] + self.now.found.asked.total[i];
-            if self.rules.index_period[i] > 0 {
-                let moved = samples.counts[i].wrapping_sub(self.now.counts[i]).unsigned_abs();
-                well &= self.index_agrees(i, samples.index[i], moved);
-            }
+    pub(super) fn watch<const J: usize>(&self) -> i32 {
+        let found = &self.now.found;
+        let mut sum = found.at.walls.wall_force + found.at.walls.normal_velocity;
+        for qd in found.at.qd.iter().take(J) {
+            sum += qd;
         }
         // One check for all: a sum of finite numbers this small can only be infinite or NaN if one of them is.
-        let mut least = left(sum, f32::MAX);
-        if active {
-            least |= left(self.host_silent, self.host_patience) | beyond(self.now.found.regularity.parallel);
-        }
-        if !well || least < 0 {
-            self.find(samples, sum);
+        left(sum, f32::MAX) | beyond(found.parallel) | self.host_expected.wrapping_sub(self.now.step) as i32
+    }
+
+    /// [`Servo::watch`] of all joints, and of the torques as well.
+    pub(super) fn watch_all(&self) -> i32 {
+        match self.count() {
+            2 => self.watch::<2>() | self.not_finite::<2>(),
+            3 => self.watch::<3>() | self.not_finite::<3>(),
+            _ => self.watch::<1>() | self.not_finite::<1>(),
         }
     }
 
-    /// Whether an index pulse, if there was one, came where the first one said; `moved` is what its joint did in this
-    /// step, counts.
+    /// Negative where a torque that is asked of the J joints is no number.
     #[inline(always)]
-    fn index_agrees(&mut self, i: usize, index: Option<i32>, moved: u32) -> bool {
-        let Some(count) = index else { return true };
-        match self.first_index[i] {
-            Some(first) => index_error(count, first, self.rules.index_period[i]) <= index_doubt(moved),
-            None => {
-                if moved <= INDEX_WIDTH {
-                    self.first_index[i] = Some(count);
-                }
-                true
-            }
-        }
+    pub(super) fn not_finite<const J: usize>(&self) -> i32 {
+        self.now.found.asked.total.iter().take(J).fold(0, |least, torque| least | left(*torque, f32::MAX))
     }
 
-    /// Something is not well: finds out what comes first, and turns the motors off.
+    /// Something is to be looked at: finds out what comes first, and turns the motors off where they must not go on.
+    /// `before`: counts of the step before.
     #[cold]
     #[inline(never)]
-    fn find(&mut self, samples: &Samples, sum: f32) {
-        let joints = self.joints();
+    pub(super) fn find(&mut self, before: &Counts) {
         let active = self.state.drives();
-        let mut found = None;
+        let joints = self.count();
+        let mut first = None;
         let mut note = |wrong: bool, fault: Fault, axis: Option<usize>, value: f32| {
-            if wrong && found.is_none() {
-                found = Some((fault, axis.map(|i| i as u8), value));
+            if wrong && first.is_none() {
+                first = Some((fault, axis.map(|i| i as u8), value));
             }
         };
         // No number first: it makes every comparison below meaningless.
+        let found = &self.now.found;
+        let mut sum = found.at.walls.wall_force + found.at.walls.normal_velocity;
+        for (qd, torque) in found.at.qd.iter().zip(&found.asked.total).take(joints) {
+            sum += qd + torque;
+        }
         note(!sum.is_finite(), Fault::NotFinite, None, sum);
-        for i in 0..joints {
-            let moved = samples.counts[i].wrapping_sub(self.now.counts[i]);
-            if let (Some(count), Some(first)) = (samples.index[i], self.first_index[i]) {
-                let off = index_error(count, first, self.rules.index_period[i]);
-                note(off > index_doubt(moved.unsigned_abs()), Fault::IndexMismatch, Some(i), off as f32);
+        let marks = self.marks.take().unwrap_or_default();
+        let counts = self.now.counts.iter().zip(before.iter());
+        let learned = self.rules.index_period.iter().zip(&mut self.first_index);
+        for (i, ((mark, (count, before)), (period, first))) in marks.iter().zip(counts).zip(learned).enumerate() {
+            // A board may have more encoders than the device has joints.
+            let (Some(at), true) = (*mark, *period > 0 && i < joints) else { continue };
+            let moved = count.wrapping_sub(*before).unsigned_abs();
+            match *first {
+                Some(first) => {
+                    let off = index_error(at, first, *period);
+                    note(off > index_doubt(moved), Fault::IndexMismatch, Some(i), off as f32);
+                }
+                None if moved <= INDEX_WIDTH => *first = Some(at),
+                None => {}
             }
         }
         if active {
-            let parallel = self.now.found.regularity.parallel;
+            let parallel = self.now.found.parallel;
             note(beyond(parallel) < 0, Fault::Singularity, None, parallel);
-            let silent = self.host_silent > self.rules.host_seconds;
+            let seconds = self.host_silent();
+            let silent = seconds > self.rules.host_seconds;
             match self.rules.host_action {
-                HostAction::Disarm => note(silent, Fault::HostLost, None, self.host_silent),
+                HostAction::Disarm => note(silent, Fault::HostLost, None, seconds),
                 // Listed once is enough.
                 HostAction::Hold if silent && self.fault.is_none() => {
-                    let (value, step) = (self.host_silent, self.now.step);
-                    self.fault = Some(FaultRecord { fault: Fault::HostLost, axis: None, value, step });
+                    self.fault =
+                        Some(FaultRecord { fault: Fault::HostLost, axis: None, value: seconds, step: self.now.step });
                 }
                 _ => {}
             }
         }
-        if let Some((fault, axis, value)) = found {
+        self.expect_host();
+        if let Some((fault, axis, value)) = first {
             self.trip(fault, axis, value);
         }
     }
 }
 
+/// A torque so much below its limit, N m, that no rounding on its way to a current passes it.
+fn fitting(most: f32) -> f32 {
+    if most.is_normal() { most * (1.0 - 8.0 * f32::EPSILON) } else { 0.0 }
+}
+
 /// Negative where a closed loop is stretched so far that its tip force is not defined, and where that is not known.
 #[inline(always)]
 fn beyond(parallel: f32) -> i32 {
-    left_from(parallel, TRIPPING_SINE) | left(parallel, f32::MAX)
+    left_between(parallel, (TRIPPING_SINE, f32::MAX))
 }
 
 /// Counts between an index pulse at `count` and the nearest place where it should be: whole turns of `period` from the

@@ -4,10 +4,11 @@ use super::double_double::{DoubleDouble, Series};
 use super::routes::{Errors, routes};
 use super::singular::{Random, at_hand_speed, cast, wide_five_bar};
 use super::{Table, digits, shipped};
-use haptic_bridge::math::{Libm, Minimax};
+use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Description;
-use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::controller::{FULL_REGULARITY, PARALLEL_REGULARITY};
+use haptic_bridge::servo::compiled::BoardMath;
 use nalgebra::SVector;
 
 /// Both sines over those at which the feed-forward begins to fade.
@@ -80,7 +81,7 @@ where
             }
             let qd: SVector<f32, N> = cast(&at_hand_speed(double, &cast(&q), random.vector(1.0)));
             let exact = routes::<_, Series, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n));
-            row.board.grow(&Errors::new(&routes::<_, Minimax, _, N>(board, &q, &qd, &n), &exact));
+            row.board.grow(&Errors::new(&routes::<_, BoardMath, _, N>(board, &q, &qd, &n), &exact));
             row.double.grow(&Errors::new(&routes::<_, Libm, _, N>(double, &cast(&q), &cast(&qd), &cast(&n)), &exact));
         }
     }
@@ -88,24 +89,12 @@ where
 }
 
 fn rows(name: &'static str, device: &Description) -> Vec<Row> {
-    let sound = "a shipped device is sound";
-    let double = AnyMechanism::<f64>::new(device).expect(sound);
-    let board = AnyMechanism::<f32>::new(device).expect(sound);
-    let reference = AnyMechanism::<DoubleDouble>::new(device).expect(sound);
-    macro_rules! each {
-        ($($Variant:ident)*) => {
-            match (double, board, reference) {
-                $((AnyMechanism::$Variant(a), AnyMechanism::$Variant(b), AnyMechanism::$Variant(c)) => SHARES
-                    .map(|share| {
-                        let targets = [FULL_REGULARITY, FULL_REGULARITY * PARALLEL_REGULARITY].map(|sine| sine * share);
-                        row((&a, &b, &c), name, share, targets)
-                    })
-                    .to_vec(),)*
-                _ => unreachable!("a closed loop, in three precisions"),
-            }
-        };
-    }
-    each!(FiveBar FiveBarTurret)
+    SHARES
+        .map(|share| {
+            let targets = [FULL_REGULARITY, FULL_REGULARITY * PARALLEL_REGULARITY].map(|sine| sine * share);
+            in_three_precisions!(device, (a, b, c) => row((&a, &b, &c), name, share, targets))
+        })
+        .to_vec()
 }
 
 /// Every closed loop.

@@ -4,9 +4,10 @@ use super::double_double::{DoubleDouble, Series};
 use super::routes::{Errors, Routes, routes};
 use super::singular::{Random, cast};
 use super::{Table, digits, shipped};
-use haptic_bridge::math::{Libm, Minimax};
+use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Description;
-use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::model::mechanism::Mechanism;
+use haptic_bridge::servo::compiled::BoardMath;
 use nalgebra::SVector;
 
 /// Poses per row, each with normals of its own.
@@ -57,28 +58,14 @@ where
         }
         let Some((ratio, n, exact)) = worst else { continue };
         row.ratio = row.ratio.max(ratio);
-        row.board.grow(&Errors::new(&routes::<_, Minimax, _, N>(board, &q, &qd, &n), &exact));
+        row.board.grow(&Errors::new(&routes::<_, BoardMath, _, N>(board, &q, &qd, &n), &exact));
         row.double.grow(&Errors::new(&routes::<_, Libm, _, N>(double, &cast(&q), &cast(&qd), &cast(&n)), &exact));
     }
     row
 }
 
 fn measured(name: &'static str, device: &Description, case: String) -> Row {
-    let sound = "scaling keeps a device sound";
-    let double = AnyMechanism::<f64>::new(device).expect(sound);
-    let board = AnyMechanism::<f32>::new(device).expect(sound);
-    let reference = AnyMechanism::<DoubleDouble>::new(device).expect(sound);
-    macro_rules! each {
-        ($($Variant:ident)*) => {
-            match (double, board, reference) {
-                $((AnyMechanism::$Variant(a), AnyMechanism::$Variant(b), AnyMechanism::$Variant(c)) => {
-                    row((&a, &b, &c), name, case)
-                })*
-                _ => unreachable!("three precisions of one device are of one kind"),
-            }
-        };
-    }
-    each!(Paddle FiveBar FiveBarTurret Parallelogram Serial3r)
+    in_three_precisions!(device, (a, b, c) => row((&a, &b, &c), name, case))
 }
 
 /// The same device with every length and every mass multiplied.

@@ -68,7 +68,8 @@ fn errors(ratio: f64, motion: impl Fn(f64) -> f64) -> [f64; 3] {
     let exact =
         Coefficients::<DoubleDouble>::new(kind, DoubleDouble::from_f64(RATE), DoubleDouble::from_f64(ratio * RATE))
             .expect(valid);
-    let (mut v, mut check) = (Velocity::<f32>::default(), Velocity::<DoubleDouble>::default());
+    let begin = motion(0.0) as f32;
+    let (mut v, mut check) = (Velocity::resting_at(begin), Velocity::resting_at(DoubleDouble::from(f64::from(begin))));
     let (mut direct, mut reference) = (Direct::<f32>::new(ratio), Direct::<DoubleDouble>::new(ratio));
     let (mut worst, mut largest) = ([0.0_f64; 3], 0.0_f64);
     for k in 0..steps {

@@ -8,6 +8,7 @@ mod page;
 use haptic_bridge::render::scene::VelocityTerms;
 use page::Rows;
 use page::singular::{Row, Singularity, Target};
+use page::whole::WholeErrors;
 use std::sync::LazyLock;
 
 static ROWS: LazyLock<Rows> = LazyLock::new(Rows::compute);
@@ -93,6 +94,20 @@ fn double_precision_keeps_five_digits_everywhere() {
         for error in [row.double.w_rr_kernel, row.double.torque, row.double.torque_moving] {
             assert!(error < 1e-5, "{row:?}");
         }
+    }
+}
+
+#[test]
+fn the_analysis_keeps_the_whole_of_equation_4_to_five_digits_everywhere() {
+    for row in &ROWS.singular {
+        let WholeErrors { w, w_eff, z, f_a, torque } = row.whole;
+        // Ten digits wherever the feed-forward acts.
+        let most = if matches!(row.target, Target::Sine(_)) { 1e-10 } else { 1e-5 };
+        for error in [w, w_eff, z, f_a, torque] {
+            assert!(error < most, "{row:?}");
+        }
+        // Of Weff a serial singularity takes nothing.
+        assert!(!serial(&row) || w_eff < 1e-12, "{row:?}");
     }
 }
 
@@ -204,9 +219,9 @@ fn velocity_terms_lose_to_encoder_steps_and_not_to_single_precision() {
     for row in &ROWS.sliding {
         assert!(row.rounding < 1e-5, "{row:?}");
         let [coarse, fine] = row.estimated;
-        // Measured: up to four tenths of what the terms add at 20 000 counts, most of it of joints so slow that the velocity
-        // terms leave their doubt of a count out; and as many times less as the counts are finer, squared. The pose alone
-        // costs a count (3e-4 rad) times the few units by which torques change in a radian.
+        // Measured: up to four tenths of what the terms add at 20 000 counts, most of it of joints so slow that the
+        // velocity terms leave their doubt of a count out; and as many times less as the counts are finer, squared. The
+        // pose alone costs a count (3e-4 rad) times the few units by which torques change in a radian.
         let off = row.terms == VelocityTerms::Off;
         assert!(if off { row.size == 0.0 } else { row.size > 0.03 }, "{row:?}");
         assert!(coarse < 0.5 * row.size + 3e-3, "{row:?}");

@@ -1,5 +1,16 @@
 //! The page of hard cases: one table per section, made of the very rows that the test asserts.
 
+/// What a device gives in f64, in f32 with the coefficients that a board is sent, and in 106 bits.
+macro_rules! in_three_precisions {
+    ($description:expr, ($double:ident, $board:ident, $reference:ident) => $what:expr) => {{
+        let exact = haptic_bridge::model::mechanism::AnyMechanism::<DoubleDouble>::new($description);
+        haptic_bridge::with_mechanism!(exact.expect("a sound device"), $reference => {
+            let ($double, $board) = ($reference.cast::<f64>(), $reference.cast::<f32>());
+            $what
+        })
+    }};
+}
+
 pub mod double;
 pub mod double_double;
 pub mod extremes;
@@ -11,6 +22,7 @@ pub mod singular;
 pub mod sliding;
 pub mod steps;
 pub mod turns;
+pub mod whole;
 
 use haptic::device_file::DeviceFile;
 use haptic_bridge::model::description::Description;
@@ -96,6 +108,7 @@ impl Rows {
     pub fn markdown(&self) -> String {
         let sections = [
             singular::table(&self.singular),
+            whole::table(&self.singular),
             extremes::table(&self.extremes),
             filters::table(&self.filters),
             steps::table(&self.steps),

@@ -3,7 +3,7 @@
 //! All are the same in exact arithmetic (docs/model.md section 2) and lose different digits in f32.
 
 use haptic_bridge::math::{Math, Real};
-use haptic_bridge::model::inertia::{Split, shaped_torque};
+use haptic_bridge::model::inertia::Split;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::model::solve::solve_symmetric;
 use nalgebra::{SMatrix, SVector};
@@ -64,9 +64,9 @@ pub fn routes<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
 ) -> Routes<T, N> {
     let pose = m.pose::<K>(q);
     let (mass, jacobian) = (m.mass(&pose), m.jacobian(&pose));
-    let split = Split::new::<K>(n, M::SPEC.task);
     // A unit vector to the last digit of this precision, the same for every route.
-    let n = &split.basis.column(0).into_owned();
+    let n = &(n / K::sqrt(n.dot(n)));
+    let split = Split::new::<K>(n, M::SPEC.task);
 
     let t_inverse = inverse(&(split.basis.transpose() * jacobian));
     let w = t_inverse.transpose() * mass * t_inverse;
@@ -93,8 +93,8 @@ pub fn routes<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
         w_eff_joint: T::one() / row.dot(&solve_symmetric(&mass, &row)),
         w_eff_task: T::one() / n.dot(&solve_symmetric(&lambda, n)),
         plain: m.transpose(&pose, n),
-        torque: shaped_torque(&shaping, T::one(), &weight),
-        torque_moving: shaped_torque(&shaping, T::one(), &b),
+        torque: shaping.torque(T::one(), &weight, &weight),
+        torque_moving: shaping.torque(T::one(), &b, &b),
     }
 }
 

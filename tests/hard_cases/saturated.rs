@@ -1,4 +1,5 @@
-//! Motors that cannot make what a wall asks for: what is left along the normal and across it, of the servo's f32 torques.
+//! Motors that cannot make what a wall asks for: what is left along the normal and across it, of the servo's f32
+//! torques.
 
 use super::singular::Random;
 use super::{Table, digits, shipped};

@@ -6,10 +6,11 @@ use super::routes::inverse;
 use super::singular::{Random, cast};
 use super::steps::{controller, counts, encoded, three};
 use super::{Table, digits, shipped};
-use haptic_bridge::math::{Libm, Math, Minimax};
+use haptic_bridge::math::{Libm, Math};
 use haptic_bridge::model::description::Description;
-use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
+use haptic_bridge::servo::compiled::BoardMath;
 use nalgebra::{SMatrix, SVector};
 
 /// Angles between the walls, rad.
@@ -132,7 +133,7 @@ where
                         walls: walls.into_iter().collect(),
                         ..Scene::default()
                     };
-                    let step = controller::<f32, Minimax, _, N>(board, device, &scene).step(&counts(&q));
+                    let step = controller::<f32, BoardMath, _, N>(board, device, &scene).step(&counts(&q));
                     // The truth is at the angles and for the planes that the board was given.
                     let angles: SVector<DoubleDouble, N> = cast(&step.q);
                     let place = reference.tip(&reference.pose::<Series>(&angles));
@@ -169,20 +170,7 @@ pub fn all() -> Vec<Row> {
     .into_iter()
     .flat_map(|(name, file)| {
         let device = encoded(&shipped(file));
-        let sound = "a shipped device is sound";
-        let double = AnyMechanism::<f64>::new(&device).expect(sound);
-        let board = AnyMechanism::<f32>::new(&device).expect(sound);
-        let reference = AnyMechanism::<DoubleDouble>::new(&device).expect(sound);
-        macro_rules! each {
-            ($($Variant:ident)*) => {
-                match (double, board, reference) {
-                    $((AnyMechanism::$Variant(a), AnyMechanism::$Variant(b), AnyMechanism::$Variant(c)) =>
-                        row(a, b, c, name, &device),)*
-                    _ => unreachable!("three precisions of one device are of one kind"),
-                }
-            };
-        }
-        each!(FiveBar FiveBarTurret Parallelogram Serial3r)
+        in_three_precisions!(&device, (a, b, c) => row(a, b, c, name, &device))
     })
     .collect()
 }

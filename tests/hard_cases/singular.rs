@@ -2,11 +2,13 @@
 
 use super::double_double::{DoubleDouble, Series};
 use super::routes::{Errors, routes};
+use super::whole::{WholeErrors, whole};
 use super::{Table, digits, shipped};
-use haptic_bridge::math::{Libm, Minimax, Real};
+use haptic_bridge::math::{FineTable, Libm, Real};
 use haptic_bridge::model::description::Description;
-use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::controller::{FULL_REGULARITY, NO_REGULARITY, PARALLEL_REGULARITY};
+use haptic_bridge::servo::compiled::BoardMath;
 use nalgebra::{DMatrix, SVector};
 
 /// What degenerates.
@@ -66,6 +68,24 @@ pub struct Row {
     pub double: Errors,
     /// How far the routes disagree in 106 bits.
     pub reference: f64,
+    /// Of the whole of (4) in double precision.
+    pub whole: WholeErrors,
+}
+
+impl Row {
+    /// The device, and into which singularity how far.
+    pub fn words(&self) -> [String; 3] {
+        let at = match self.target {
+            Target::Condition(condition) => format!("cond {condition:.0e}"),
+            Target::Sine(sine) => format!("sine {sine:.2}"),
+        };
+        let what = match self.singularity {
+            Singularity::Elbow => "elbow",
+            Singularity::Axis => "axis",
+            Singularity::Rods => "rods",
+        };
+        [self.device.into(), what.into(), at]
+    }
 }
 
 /// A reproducible stream of numbers (Steele, Lea and Flood's SplitMix64).
@@ -218,6 +238,7 @@ where
         board: Errors::default(),
         double: Errors::default(),
         reference: 0.0,
+        whole: WholeErrors::default(),
     };
     for _ in 0..TRIES {
         if row.poses == POSES {
@@ -238,8 +259,10 @@ where
             }
             let qd: SVector<f32, N> = cast(&at_hand_speed(double, &cast(&q), random.vector(1.0)));
             let exact = routes::<_, Series, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n));
-            row.board.grow(&Errors::new(&routes::<_, Minimax, _, N>(board, &q, &qd, &n), &exact));
+            row.board.grow(&Errors::new(&routes::<_, BoardMath, _, N>(board, &q, &qd, &n), &exact));
             row.double.grow(&Errors::new(&routes::<_, Libm, _, N>(double, &cast(&q), &cast(&qd), &cast(&n)), &exact));
+            let held = whole::<_, FineTable, _, N>(double, &cast(&q), &cast(&qd), &cast(&n));
+            row.whole.grow(&held, &whole::<_, Series, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n)));
             row.reference = Errors::new(&exact, &exact).all().into_iter().fold(row.reference, f64::max);
         }
     }
@@ -248,25 +271,12 @@ where
 
 /// All rows of one device and singularity.
 pub fn rows(name: &'static str, device: &Description, singularity: Singularity) -> Vec<Row> {
-    let sound = "a shipped device is sound";
-    let double = AnyMechanism::<f64>::new(device).expect(sound);
-    let board = AnyMechanism::<f32>::new(device).expect(sound);
-    let reference = AnyMechanism::<DoubleDouble>::new(device).expect(sound);
     let scale = device.geometry[..3].iter().sum::<f64>() / 3.0;
-    macro_rules! each {
-        ($($Variant:ident)*) => {
-            match (double, board, reference) {
-                $((AnyMechanism::$Variant(a), AnyMechanism::$Variant(b), AnyMechanism::$Variant(c)) => singularity
-                    .targets()
-                    .into_iter()
-                    .map(|target| row((&a, &b, &c), name, singularity, target, scale))
-                    .filter(|row| row.poses > 0)
-                    .collect(),)*
-                _ => unreachable!("three precisions of one device are of one kind"),
-            }
-        };
-    }
-    each!(Paddle FiveBar FiveBarTurret Parallelogram Serial3r)
+    let targets = singularity.targets().into_iter();
+    in_three_precisions!(device, (a, b, c) => {
+        let rows = targets.map(|target| row((&a, &b, &c), name, singularity, target, scale));
+        rows.filter(|row| row.poses > 0).collect()
+    })
 }
 
 /// A five-bar whose rods can stretch into one line, which the shipped ones cannot.
@@ -322,16 +332,8 @@ pub fn table(rows: &[Row]) -> Table {
         ],
     );
     for row in rows {
-        let at = match row.target {
-            Target::Condition(condition) => format!("cond {condition:.0e}"),
-            Target::Sine(sine) => format!("sine {sine:.2}"),
-        };
-        let what = match row.singularity {
-            Singularity::Elbow => "elbow",
-            Singularity::Axis => "axis",
-            Singularity::Rods => "rods",
-        };
-        let mut cells = vec![row.device.into(), what.into(), at, row.poses.to_string(), digits(row.regularity)];
+        let mut cells = row.words().to_vec();
+        cells.extend([row.poses.to_string(), digits(row.regularity)]);
         cells.extend(row.board.all().map(digits));
         cells.extend([row.double.w_eff_schur, row.double.torque_moving].map(digits));
         table.push(cells);

@@ -8,10 +8,11 @@ use super::routes::inverse;
 use super::singular::{Random, cast};
 use super::steps::{RATE, controller, encoded, scene, three};
 use super::{Table, digits, shipped};
-use haptic_bridge::math::{Libm, Minimax};
+use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Description;
-use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::scene::{FeedForward, VelocityTerms};
+use haptic_bridge::servo::compiled::BoardMath;
 use nalgebra::{SMatrix, SVector};
 
 /// Counts per turn: what ships on many devices, and as fine as the other tables.
@@ -125,7 +126,7 @@ where
             let mut narrow = scene::<f32>(task, p, normal, 5.0, 0.0, FeedForward::Full);
             narrow.velocity_terms = terms;
             let mut exact = controller::<f64, Libm, _, N>(double, &device, &wide);
-            let mut found = controller::<f32, Minimax, _, N>(board, &device, &narrow);
+            let mut found = controller::<f32, BoardMath, _, N>(board, &device, &narrow);
             let (mut largest, mut size, mut rounding, mut estimated) = (0.0_f64, 0.0_f64, 0.0_f64, 0.0_f64);
             for step in 0..STEPS {
                 let q = start + qd * (f64::from(step) / RATE);
@@ -165,20 +166,7 @@ pub fn all() -> Vec<Row> {
         // Its weight would only add the same on both sides.
         let mut device = encoded(&shipped(file));
         device.gravity = [0.0; 3];
-        let sound = "a shipped device is sound";
-        let double = AnyMechanism::<f64>::new(&device).expect(sound);
-        let board = AnyMechanism::<f32>::new(&device).expect(sound);
-        let reference = AnyMechanism::<DoubleDouble>::new(&device).expect(sound);
-        macro_rules! each {
-            ($($Variant:ident)*) => {
-                match (double, board, reference) {
-                    $((AnyMechanism::$Variant(a), AnyMechanism::$Variant(b), AnyMechanism::$Variant(c)) =>
-                        VelocityTerms::ALL.map(|(_, terms)| row((a, b, c), name, &device, terms)),)*
-                    _ => unreachable!("three precisions of one device are of one kind"),
-                }
-            };
-        }
-        each!(FiveBar FiveBarTurret Parallelogram Serial3r)
+        in_three_precisions!(&device, (a, b, c) => VelocityTerms::ALL.map(|(_, terms)| row((a, b, c), name, &device, terms)))
     })
     .collect()
 }

@@ -2,12 +2,13 @@
 
 use super::singular::Random;
 use super::{Table, digits, shipped};
-use haptic_bridge::math::{Libm, Math, Minimax, Real};
+use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::model::description::{Description, Encoder};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::render::controller::{Controller, FULL_REGULARITY, PARALLEL_REGULARITY, Step};
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::servo::compiled::BoardMath;
 use nalgebra::SVector;
 
 /// One row of the table.
@@ -146,7 +147,7 @@ where
         let full = FeedForward::Full;
         let mut exact = controller::<f64, Libm, _, N>(double, device, &scene(task, p, normal, STIFFNESS, 100.0, full));
         let mut found =
-            controller::<f32, Minimax, _, N>(board, device, &scene(task, p, normal, STIFFNESS, 100.0, full));
+            controller::<f32, BoardMath, _, N>(board, device, &scene(task, p, normal, STIFFNESS, 100.0, full));
         let (mut worst, mut largest) = (0.0_f64, 0.0_f64);
         for q in &run {
             let (a, b): (Step<f64, N>, Step<f32, N>) = (exact.step(&counts(q)), found.step(&counts(q)));
@@ -168,7 +169,7 @@ where
             }
             let a = controller::<f64, Libm, _, N>(double, device, &scene(task, p, normal, STIFFNESS, 0.0, off))
                 .step(&counts(&q));
-            let b = controller::<f32, Minimax, _, N>(board, device, &scene(task, p, normal, STIFFNESS, 0.0, off))
+            let b = controller::<f32, BoardMath, _, N>(board, device, &scene(task, p, normal, STIFFNESS, 0.0, off))
                 .step(&counts(&q));
             row.press = row.press.max((a.wall_force - f64::from(b.wall_force)).abs());
         }

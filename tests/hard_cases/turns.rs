@@ -5,10 +5,11 @@ use super::double_double::{DoubleDouble, Series};
 use super::singular::{Random, cast};
 use super::steps::{controller, encoded, scene, three};
 use super::{Table, digits, shipped};
-use haptic_bridge::math::{Libm, Minimax};
+use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Description;
-use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::servo::compiled::BoardMath;
 use nalgebra::SVector;
 
 /// A half count a turn, 20 000 behind 7:3 and behind √1.1:1, and what somebody measured.
@@ -47,7 +48,7 @@ where
             let far = three(&SVector::<f64, N>::from_element(10.0), task);
             let up = [1.0, 0.0, 0.0];
             let nothing = scene(task, far.map(|x| -x), up, 1.0, 0.0, FeedForward::Off);
-            let mut controller = controller::<f32, Minimax, _, N>(board, &device, &nothing);
+            let mut controller = controller::<f32, BoardMath, _, N>(board, &device, &nothing);
             let mut row = Row { device: name, counts_per_turn, tip: [0.0; 4] };
             for (index, turns) in TURNS.into_iter().enumerate() {
                 let mut random = Random(13);
@@ -81,19 +82,7 @@ pub fn all() -> Vec<Row> {
         .into_iter()
         .flat_map(|(name, file)| {
             let device = shipped(file);
-            let sound = "a shipped device is sound";
-            let double = AnyMechanism::<f64>::new(&device).expect(sound);
-            let board = AnyMechanism::<f32>::new(&device).expect(sound);
-            let reference = AnyMechanism::<DoubleDouble>::new(&device).expect(sound);
-            match (double, board, reference) {
-                (AnyMechanism::FiveBar(a), AnyMechanism::FiveBar(b), AnyMechanism::FiveBar(c)) => {
-                    row(a, b, c, name, &device)
-                }
-                (AnyMechanism::Serial3r(a), AnyMechanism::Serial3r(b), AnyMechanism::Serial3r(c)) => {
-                    row(a, b, c, name, &device)
-                }
-                _ => unreachable!("a five-bar or a serial arm, in three precisions"),
-            }
+            in_three_precisions!(&device, (a, b, c) => row(a, b, c, name, &device))
         })
         .collect()
 }

@@ -3,92 +3,32 @@
 //! change.
 #![allow(dead_code, reason = "every test file uses its own part")]
 
-use haptic::sim::SettingsFlash;
-use haptic_bridge::board::dispatch::{self, After, Described};
-use haptic_bridge::board::protocol::{ForceAnswer, ForceRequest, Info, MAX_FRAME, PROTOCOL};
-use haptic_bridge::board::service::{Machine, Measured, Service};
-use haptic_bridge::board::settings::{Entry, Key};
+use haptic::sim::{LocalMachine, SettingsFlash};
+use haptic_bridge::board::dispatch::{self, After};
+use haptic_bridge::board::protocol::{Info, MAX_FRAME, PROTOCOL};
+use haptic_bridge::board::service::Service;
+use haptic_bridge::board::settings::Entry;
 use haptic_bridge::board::telemetry::Packer;
 use haptic_bridge::drive::stage::{Bridge, MAX_DUTY};
-use haptic_bridge::math::Minimax;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::{FeedForward, Scene};
-use haptic_bridge::safety::fault::State;
+use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::Limits;
-use haptic_bridge::safety::refusal::Refusal;
+use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::program::Hardware;
-use haptic_bridge::servo::program::Program;
-use haptic_bridge::servo::{Command, HostAction, Reply, Rules, Servo, Status};
+use haptic_bridge::servo::{HostAction, Rules};
 use postcard_rpc::Endpoint;
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use postcard_rpc::standard_icd::{ERROR_KEY, WireError};
 use serde::{Serialize, de::DeserializeOwned};
 use std::collections::BTreeMap;
 
-/// What the service may reach.
-pub struct Machinery {
-    pub servo: Servo<Box<Program<Minimax>>>,
-    pub flash: SettingsFlash,
-    /// Flash operations are refused from now on.
-    pub flash_broken: bool,
-    /// Rates that the timer was set to, Hz.
-    pub retimed: Vec<f32>,
-}
-
-impl Machine for Machinery {
-    type Math = Minimax;
-    type Held = Box<Program<Minimax>>;
-
-    fn execute(&mut self, command: Command<Self::Held>) -> Reply<Self::Held> {
-        self.servo.execute(command)
-    }
-    fn status(&mut self) -> Status {
-        self.servo.status()
-    }
-    fn force(&mut self, request: &ForceRequest) -> ForceAnswer {
-        self.servo.force(request)
-    }
-    fn place(&mut self, program: Program<Minimax>) -> Result<Self::Held, Refusal> {
-        Ok(Box::new(program))
-    }
-    fn release(&mut self, _held: Self::Held) {}
-    fn retime(&mut self, rate_hz: f32) {
-        assert!(!self.servo.status().state.drives(), "the timer is set while the motors are on");
-        self.retimed.push(rate_hz);
-    }
-    fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
-        assert!(!self.servo.status().state.drives(), "flash is written while the motors are on");
-        if self.flash_broken {
-            return Err(Refusal::Flash);
-        }
-        self.flash.stage(key, entry)
-    }
-    fn staged(&mut self, key: Key) -> Option<Entry> {
-        self.flash.staged(key)
-    }
-    fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal> {
-        assert!(!self.servo.status().state.drives(), "flash is written while the motors are on");
-        if self.flash_broken {
-            return Err(Refusal::Flash);
-        }
-        self.flash.commit(keys)
-    }
-    fn load(&mut self, key: Key) -> Option<Entry> {
-        self.flash.load(key)
-    }
-}
-
-impl Described for Machinery {
-    fn info(&self) -> Info {
-        let text = |text: &str| text.chars().collect();
-        Info { protocol: PROTOCOL, firmware: text("0.0.0"), board: text("bench"), serial: "B1".chars().collect() }
-    }
-
-    fn measured(&mut self) -> Measured {
-        Measured { carrier_hz: 20_000.0, delay_samples: 0.5, ..Measured::default() }
-    }
+/// How it introduces itself.
+fn info() -> Info {
+    let text = |text: &str| text.chars().collect();
+    Info { protocol: PROTOCOL, firmware: text("0.0.0"), board: text("bench"), serial: "B1".chars().collect() }
 }
 
 /// Whether anything that protects is looser in these rules than it was `before`.
@@ -117,9 +57,13 @@ fn looser(now: &Rules, before: &Rules) -> bool {
 
 /// The board.
 pub struct Board {
-    pub machine: Machinery,
+    pub machine: LocalMachine,
     pub service: Service,
     pub samples: Samples,
+    /// Index pulses that are seen until the next control period.
+    pub marks: Option<[Option<i32>; MAX_JOINTS]>,
+    /// A fault that the firmware tells in the next control period.
+    pub told: Option<(Fault, Option<u8>, f32)>,
     pub bridges: bool,
     pub duties: [f32; MAX_JOINTS],
     pub packer: Packer,
@@ -140,16 +84,12 @@ impl Board {
         let bridge = Bridge { carrier_hz: 20_000.0, dead_time: 200e-9, bandwidth_hz: 1_000.0, current_sensed: true };
         let hardware = Hardware { axes: MAX_JOINTS, real, bus_sensed: true, bridge, timer_hz: 168_000_000 };
         let most = Limits::default();
-        let servo = Servo::new(hardware, Rules::default());
         let mut board = Self {
-            machine: Machinery {
-                servo,
-                flash: SettingsFlash::holding(flash),
-                flash_broken: false,
-                retimed: Vec::new(),
-            },
+            machine: LocalMachine::new(hardware, info(), 0.5),
             service: Service::new(hardware, most),
             samples: Samples { bus_voltage: 24.0, ..Samples::default() },
+            marks: None,
+            told: None,
             bridges: false,
             duties: [0.0; MAX_JOINTS],
             packer: Packer::default(),
@@ -157,6 +97,7 @@ impl Board {
             most,
             plain: false,
         };
+        board.machine.flash = SettingsFlash::holding(flash);
         board.service.boot(&mut board.machine);
         board.tick();
         board
@@ -178,11 +119,15 @@ impl Board {
     /// One control period.
     pub fn tick(&mut self) {
         let samples = self.seen();
+        if let Some((fault, axis, value)) = self.told.take() {
+            self.machine.servo.trip(fault, axis, value);
+        }
+        if let Some(marks) = self.marks.take() {
+            self.machine.servo.mark(marks);
+        }
         self.machine.servo.guard(&samples);
         self.bridges = self.machine.servo.control(&samples).bridges;
         assert!(!self.bridges || self.state().drives(), "bridges drive while {:?}", self.state());
-        self.samples.fault = None;
-        self.samples.index = [None; MAX_JOINTS];
         let frame = self.machine.servo.frame();
         if self.packer.wants(frame.step) {
             let _ = self.packer.push(&frame, 0);
@@ -194,7 +139,7 @@ impl Board {
         assert!(within, "torque {torque:?} above {limits:?}");
         if self.renders_plainly() {
             let mechanism = self.service.device().map(|device| device.mechanism);
-            let force = mechanism.map_or(0.0, |it| it.force_squared::<Minimax>(&frame.at.q, &torque).sqrt());
+            let force = mechanism.map_or(0.0, |it| it.leverage::<BoardMath>(&frame.at.q).force_squared(&torque).sqrt());
             // Where the device is stretched, rounding is all that is left of a force.
             let rounding = 1.0e-3 * limits.tip_force + 1.0e-3;
             assert!(force <= limits.tip_force + rounding, "{force} N at the tip, {torque:?} N m, above {limits:?}");
@@ -232,7 +177,7 @@ impl Board {
         let limits = self.service.rules().limits;
         assert!(limits.within(&self.most), "limits above the board's own: {limits:?}");
         let seen = self.seen();
-        self.duties = self.machine.servo.duties(seen.bus_voltage, &seen.currents, false);
+        self.duties = self.machine.servo.duties(seen.bus_voltage, &seen.currents, false).map(f32::from);
         self.bridges &= self.machine.servo.sum_up(&seen).bridges;
         let duties = self.duties;
         assert!(duties.iter().all(|duty| duty.abs() <= MAX_DUTY), "{duties:?} with {:?}", self.samples);

@@ -3,7 +3,6 @@
 #![allow(dead_code, reason = "every test file uses its own part")]
 
 use haptic_bridge::drive::stage::Bridge;
-use haptic_bridge::math::Minimax;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::catalogue::{MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
 use haptic_bridge::model::description::{Description, Encoder, Joint};
@@ -13,6 +12,7 @@ use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::safety::refusal::Refusal;
+use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::servo::frame::{Outputs, Samples};
 use haptic_bridge::servo::joints::{Counts, Currents, Torques};
 use haptic_bridge::servo::program::Hardware;
@@ -22,7 +22,7 @@ use haptic_bridge::servo::{Command, HostAction, Rules, Servo};
 pub mod board;
 pub mod statics;
 
-pub type Held = Box<Program<Minimax>>;
+pub type Held = Box<Program<BoardMath>>;
 
 /// Control rate of the scenes here, Hz.
 pub const RATE: f32 = 2_000.0;
@@ -138,6 +138,10 @@ pub fn device(description: &Description) -> Device<f32> {
 pub struct Rig {
     pub servo: Servo<Held>,
     pub samples: Samples,
+    /// Index pulses that are seen until the next step.
+    pub marks: Option<[Option<i32>; MAX_JOINTS]>,
+    /// A fault that the firmware tells in the next step.
+    pub told: Option<(Fault, Option<u8>, f32)>,
     pub outputs: Outputs,
     pub duties: [f32; MAX_JOINTS],
     pub hardware: Hardware,
@@ -164,6 +168,8 @@ impl Rig {
         Self {
             servo,
             samples,
+            marks: None,
+            told: None,
             outputs: Outputs::default(),
             duties: [0.0; MAX_JOINTS],
             hardware,
@@ -233,7 +239,7 @@ impl Rig {
         let first = self.servo.frame().step == 0;
         let before = if first { self.samples.counts } else { self.servo.frame().counts };
         self.peak = 0.0;
-        let carrier = 20_000.0;
+        let carrier = self.rate.max(20_000.0);
         let carriers = (carrier / self.rate) as u32;
         for nth in 1..=carriers {
             let mut measured = self.currents;
@@ -245,13 +251,19 @@ impl Rig {
             });
             let (bus_voltage, imbalance) = (self.samples.bus_voltage, Currents(self.imbalance));
             let measured = Currents(measured);
-            let seen = Samples { counts, bus_voltage, currents: measured, imbalance, ..Samples::default() };
+            let seen = Samples { counts, bus_voltage, currents: measured, imbalance, late: false };
             self.outputs = self.servo.guard(&seen);
             if nth == carriers {
                 self.samples.currents = measured;
+                if let Some((fault, axis, value)) = self.told.take() {
+                    self.servo.trip(fault, axis, value);
+                }
+                if let Some(marks) = self.marks.take() {
+                    self.servo.mark(marks);
+                }
                 self.outputs = self.servo.control(&self.samples);
             }
-            self.duties = self.servo.duties(self.samples.bus_voltage, &measured, false);
+            self.duties = self.servo.duties(self.samples.bus_voltage, &measured, false).map(f32::from);
             self.outputs = self.servo.sum_up(&seen);
             for (i, current) in self.currents.iter_mut().enumerate() {
                 let turned = self.samples.counts[i].wrapping_sub(before[i]) as f32 * core::f32::consts::TAU;
@@ -263,8 +275,6 @@ impl Rig {
             }
             self.peak = self.peak.max(self.currents[0].abs());
         }
-        self.samples.index = [None; MAX_JOINTS];
-        self.samples.fault = None;
     }
 
     /// Runs for so many seconds of nothing new.
@@ -289,8 +299,8 @@ impl Rig {
         }
     }
 
-    /// Rests where joint 0 is for so many seconds, or until a fault. The encoder moves, so that it is the motor's heat and
-    /// nothing else.
+    /// Rests where joint 0 is for so many seconds, or until a fault. The encoder moves, so that it is the motor's heat
+    /// and nothing else.
     pub fn tremble(&mut self, seconds: f32) {
         let there = self.samples.counts[0];
         for step in 0..(seconds * RATE) as i32 {

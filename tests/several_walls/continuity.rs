@@ -129,7 +129,8 @@ fn step<M: Mechanism<f64, N>, const N: usize>(
     step_of_some(m, file, q, walls, &vec![true; walls.len()])
 }
 
-/// Torque for each newton of wall `pushing`, m: by the board's step, 1 and 1.1 mm deep, where all of them count in full.
+/// Torque for each newton of wall `pushing`, m: by the board's step, 1 and 1.1 mm deep, where all of them count in
+/// full.
 pub fn lever_of_the_board(
     file: &DeviceFile,
     q: &[f64],

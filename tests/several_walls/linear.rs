@@ -273,9 +273,9 @@ fn the_range_of_facets_two_degrees_apart_is_that_of_the_wall() {
     assert!(whole > 1.2 * off && (cut / whole - 1.0).abs() < 1.0e-3, "{off} plain, {whole} in one piece, {cut} cut");
 }
 
-/// Two walls of which the first alone has the feed-forward, and whose torques are the board's own. Were the force of the
-/// second sent straight through Jᵀ, the stiffest motion would meet 1.0566 times less mass than without any feed-forward:
-/// the worst of 3 000 random pairs that code of another kind tried.
+/// Two walls of which the first alone has the feed-forward, and whose torques are the board's own. Were the force of
+/// the second sent straight through Jᵀ, the stiffest motion would meet 1.0566 times less mass than without any
+/// feed-forward: the worst of 3 000 random pairs that code of another kind tried.
 #[test]
 fn a_wall_without_the_feed_forward_beside_one_with_it_is_as_stable_as_two_without() {
     let (device, q) = (device("coupled-five-bar"), [2.6, 1.75]);
@@ -302,8 +302,8 @@ fn a_wall_without_the_feed_forward_beside_one_with_it_is_as_stable_as_two_withou
     assert!((largest(&beside) / largest(&plain) - 1.0566).abs() < 1.0e-3, "{}", largest(&beside) / largest(&plain));
 }
 
-/// What docs/model.md says of a second wall that acts with all of its stiffness and counts with `w` of it, in the plane:
-/// the share of pairs that are more than 1 % less stable than without the feed-forward, and the worst of them.
+/// What docs/model.md says of a second wall that acts with all of its stiffness and counts with `w` of it, in the
+/// plane: the share of pairs that are more than 1 % less stable than without the feed-forward, and the worst of them.
 fn counting(w: f64) -> (f64, f64) {
     let mut random = Random(21);
     let (sets, mut worse, mut worst) = (20_000, 0, 0.0_f64);

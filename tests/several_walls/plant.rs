@@ -4,12 +4,12 @@
 use super::device;
 use haptic::device_file::DeviceFile;
 use haptic::sim::{Hand, HandSettings, Intent, MotorInput, Options, SimulatedDevice, Waypoint};
-use haptic_bridge::math::Minimax;
 use haptic_bridge::model::description::Encoder;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism, Parallelogram};
 use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Spring, Surface, VelocityTerms, Wall};
+use haptic_bridge::servo::compiled::BoardMath;
 use nalgebra::SVector;
 
 const RATE: f64 = 1_000.0;
@@ -21,8 +21,8 @@ fn around(middle: f64, facets: &[(f64, f64)]) -> Vec<Facet> {
     facets.iter().map(|(degrees, share)| (super::at(middle + degrees.to_radians()), *share)).collect()
 }
 
-/// What walls through the tip's place do after a blow of 2 cm/s, or pressed on: the torque that still swings in the last
-/// tenth of a second, N m.
+/// What walls through the tip's place do after a blow of 2 cm/s, or pressed on: the torque that still swings in the
+/// last tenth of a second, N m.
 struct Run<'a> {
     file: &'a DeviceFile,
     q: [f64; 3],
@@ -36,7 +36,8 @@ struct Run<'a> {
     velocity_terms: VelocityTerms,
     /// Velocity terms that do not fade: b as it is estimated, on top of the torques without.
     unfaded: bool,
-    /// A spring that pulls to the tip's first place, this far aside (m): its line (zero: a point) and its stiffness, N/m.
+    /// A spring that pulls to the tip's first place, this far aside (m): its line (zero: a point) and its stiffness,
+    /// N/m.
     spring: Option<([f64; 3], [f64; 3], f64)>,
 }
 
@@ -90,7 +91,7 @@ impl Run<'_> {
             ..Scene::default()
         };
         let device = Device::new("device", &description).expect("a sound device");
-        let mut controller = Controller::<f32, M, Minimax, N>::new(m, &device, &scene).expect("a sound scene");
+        let mut controller = Controller::<f32, M, BoardMath, N>::new(m, &device, &scene).expect("a sound scene");
         match self.push {
             Some(aim) => {
                 let value = core::array::from_fn(|i| tip[i] + aim[i]);
@@ -106,7 +107,7 @@ impl Run<'_> {
             let counts = plant.counts();
             let mut step = controller.step(&core::array::from_fn(|i| counts[i]));
             if self.unfaded && step.contacts > 0 {
-                step.torque += m.velocity_torque(&m.pose::<Minimax>(&step.q), &step.qd);
+                step.torque += m.velocity_torque(&m.pose::<BoardMath>(&step.q), &step.qd);
             }
             let drive = core::array::from_fn(|i| {
                 MotorInput::Torque(if i < N { f64::from(step.torque[i].clamp(-2.0, 2.0)) } else { 0.0 })
@@ -163,8 +164,8 @@ fn a_wall_cut_into_facets_is_as_quiet_as_in_one_piece() {
     assert!(swing > LOUD, "without the feed-forward this wall is too stiff: {swing} N m");
 }
 
-/// A light hand, so that it is the feed-forward that keeps the wall quiet: without it the same press swings, and two facets
-/// whose force went straight through Jᵀ, as the span of their normals once had it, would be without it.
+/// A light hand, so that it is the feed-forward that keeps the wall quiet: without it the same press swings, and two
+/// facets whose force went straight through Jᵀ, as the span of their normals once had it, would be without it.
 #[test]
 fn one_sided_facets_are_quiet_under_a_hand_that_presses_them() {
     let file = device("coupled-five-bar");
@@ -185,20 +186,25 @@ fn one_sided_facets_are_quiet_under_a_hand_that_presses_them() {
     }
 }
 
-/// b grows as 1/sin³ towards a stretched arm, and what the estimates tell of it comes late: kept in full, it pushes a tip
-/// that a hand presses along the wall on into the singularity, and the press never ends.
+/// b grows as 1/sin³ towards a stretched arm, and what the estimates tell of it comes late: kept in full, it pushes a
+/// tip that a hand presses along the wall on into the singularity, and the press never ends.
 #[test]
 fn a_press_towards_a_stretched_arm_swings_where_velocity_terms_do_not_fade_and_is_quiet_where_they_do() {
     let file = device("coupled-five-bar");
-    let middle = 75_f64.to_radians();
-    let push = Some([-0.02 * middle.cos(), -0.02 * middle.sin(), 0.0]);
-    let swing = |velocity_terms, unfaded| {
-        let run = Run { bilateral: false, push, velocity_terms, unfaded, ..demo(&file, FeedForward::Full) };
-        run.swing(&around(middle, &[(0.0, 1.0)]))
-    };
-    assert!(swing(VelocityTerms::Off, true) > LOUD, "in full: {} N m", swing(VelocityTerms::Off, true));
-    for terms in [VelocityTerms::Off, VelocityTerms::Rendered, VelocityTerms::Paper] {
-        assert!(swing(terms, false) < QUIET, "{terms:?}: {} N m", swing(terms, false));
+    let middle = 77_f64.to_radians();
+    // Further than where it depends on the last digit whether the press ends.
+    for aim in [0.023, 0.024, 0.025] {
+        let push = Some([-aim * middle.cos(), -aim * middle.sin(), 0.0]);
+        let swing = |velocity_terms, unfaded| {
+            let run = Run { bilateral: false, push, velocity_terms, unfaded, ..demo(&file, FeedForward::Full) };
+            run.swing(&around(middle, &[(0.0, 1.0)]))
+        };
+        let in_full = swing(VelocityTerms::Off, true);
+        assert!(in_full > LOUD, "{aim} m, in full: {in_full} N m");
+        for terms in [VelocityTerms::Off, VelocityTerms::Rendered, VelocityTerms::Paper] {
+            let faded = swing(terms, false);
+            assert!(faded < QUIET, "{aim} m, {terms:?}: {faded} N m");
+        }
     }
 }
 
@@ -254,8 +260,9 @@ fn corners_that_are_stable_without_the_feed_forward_are_quiet_with_it() {
     }
 }
 
-/// The push that the feed-forward makes of a firm press on one wall goes onto another, which is touched lightly: as that
-/// one comes to count, the push falls. Where it falls within a tenth of a millimetre, these swing with 0.2 N m and more.
+/// The push that the feed-forward makes of a firm press on one wall goes onto another, which is touched lightly: as
+/// that one comes to count, the push falls. Where it falls within a tenth of a millimetre, these swing with 0.2 N m and
+/// more.
 #[test]
 fn a_light_touch_beside_a_firm_press_is_quiet() {
     let file = device("coupled-five-bar");
@@ -280,8 +287,8 @@ fn a_light_touch_beside_a_firm_press_is_quiet() {
     }
 }
 
-/// A spring along a direction between the wall's normal and what the linkage makes of it: straight through Jᵀ beside the
-/// shaped wall it runs away at any gain.
+/// A spring along a direction between the wall's normal and what the linkage makes of it: straight through Jᵀ beside
+/// the shaped wall it runs away at any gain.
 #[test]
 fn a_spring_beside_a_wall_is_quiet_where_it_is_without_the_feed_forward() {
     let file = device("coupled-five-bar");
@@ -340,19 +347,7 @@ fn edges_and_vertices_in_space_are_quiet_where_they_are_without() {
         ),
     ] {
         for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
-            let run = Run {
-                file: &file,
-                q,
-                stiffness,
-                damping: 0.002 * stiffness,
-                feed_forward,
-                bilateral: true,
-                push: None,
-                hand: HandSettings::default(),
-                velocity_terms: VelocityTerms::default(),
-                unfaded: false,
-                spring: None,
-            };
+            let run = Run { q, stiffness, damping: 0.002 * stiffness, ..demo(&file, feed_forward) };
             let swing = run.swing(&walls);
             assert!(swing < QUIET, "{walls:?} {feed_forward:?}: {swing} N m");
         }
@@ -383,7 +378,7 @@ fn the_feed_forward_of_several_walls_fades_near_a_singularity() {
     let step = |q: [f64; 2], feed_forward| {
         let scene = Scene { task: 2, walls: walls(feed_forward).into_iter().collect(), ..Scene::default() };
         let mut controller =
-            Controller::<f32, FiveBar<f32>, Minimax, 2>::new(m, &device, &scene).expect("a sound scene");
+            Controller::<f32, FiveBar<f32>, BoardMath, 2>::new(m, &device, &scene).expect("a sound scene");
         controller.step(&q.map(|q| (q / std::f64::consts::TAU * 1_048_576.0).round() as i32))
     };
     let (mut last, mut shares, mut changed) = (None::<SVector<f32, 2>>, Vec::new(), 0.0_f32);
@@ -391,7 +386,7 @@ fn the_feed_forward_of_several_walls_fades_near_a_singularity() {
     for k in 0..600 {
         let q = [2.6, 1.75 + 1.0e-3 * f64::from(k)];
         let (full, off) = (step(q, FeedForward::Full), step(q, FeedForward::Off));
-        if full.regularity.parallel <= 0.2 {
+        if full.parallel <= 0.2 {
             break;
         }
         assert!(full.torque.iter().all(|t| t.is_finite()));

@@ -1,5 +1,5 @@
-//! Springs, and planes that the host sends, beside walls that have the feed-forward: loops put together here from M, J and
-//! the torques of the board's own step.
+//! Springs, and planes that the host sends, beside walls that have the feed-forward: loops put together here from M, J
+//! and the torques of the board's own step.
 
 use super::linear::{devices, matrices, pose};
 use super::{Random, at, device, scaled};
@@ -28,8 +28,8 @@ fn three(v: &[f64]) -> [f64; 3] {
     core::array::from_fn(|i| v.get(i).copied().unwrap_or(0.0))
 }
 
-/// Torques of the board's first step where all of the set lies `shift` (m) from the tip; the plane 1 cm further along its
-/// normal.
+/// Torques of the board's first step where all of the set lies `shift` (m) from the tip; the plane 1 cm further along
+/// its normal.
 fn torque(file: &DeviceFile, q: &[f64], set: &Set, shift: &[f64]) -> DVector<f64> {
     fn of<M: Mechanism<f64, N>, const N: usize>(
         m: M,

@@ -1,5 +1,5 @@
-//! What each format, view and interface adds to the time that building the tool takes: cargo's own record of a clean build,
-//! summed over the crates that only this one brings.
+//! What each format, view and interface adds to the time that building the tool takes: cargo's own record of a clean
+//! build, summed over the crates that only this one brings.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;

@@ -61,7 +61,7 @@ fn read<T: DeserializeOwned>(name: &str) -> Result<T> {
     toml::from_str(&text).with_context(|| name.to_owned())
 }
 
-/// What of deny.toml is used here.
+/// The parts of deny.toml that are used here.
 #[derive(Deserialize)]
 struct Rules {
     licenses: Licenses,

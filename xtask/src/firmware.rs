@@ -14,6 +14,9 @@ use crate::tools;
 /// All boards, by the name of their Cargo feature.
 pub const BOARDS: [&str; 2] = ["odrive-v3", "h-bridge-f405"];
 
+/// The board that a test on the emulated chip adds to them: one file, compiled into an image that nobody ships.
+pub const TOY: &str = "toy-board";
+
 const BINARY: &str = "haptic-bridge-firmware";
 const CHIP: &str = "STM32F405RGTx";
 
@@ -65,11 +68,12 @@ pub fn size(install: bool) -> Result<()> {
     Ok(())
 }
 
-/// Lints the library and the firmware as compiled for the chip.
+/// Lints what is compiled for the chip: the library, the firmware, the image that counts instructions.
 pub fn clippy(install: bool) -> Result<()> {
     let toolchain = tools::provide(&[Use::Clippy], install)?;
-    for board in BOARDS {
-        run(cargo(toolchain, Use::Clippy, board).args(["--package", "haptic-bridge", "--", "-D", "warnings"]))?;
+    for board in BOARDS.into_iter().chain([TOY]) {
+        let with_it = ["--package", "haptic-bridge", "--package", "haptic-bridge-counting"];
+        run(cargo(toolchain, Use::Clippy, board).args(with_it).args(["--", "-D", "warnings"]))?;
     }
     Ok(())
 }

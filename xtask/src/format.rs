@@ -1,5 +1,5 @@
-//! Formatting of every source: `cargo fmt` finds files by the modules that declare them, and so misses what a macro or a
-//! `#[path]` declares.
+//! Formatting of every source: `cargo fmt` finds files by the modules that declare them, and so misses what a macro or
+//! a `#[path]` declares.
 
 use std::process::Command;
 

@@ -6,6 +6,7 @@ mod build_times;
 mod checksum;
 mod deny;
 mod dfu;
+mod dynamics;
 mod firmware;
 mod format;
 mod fuzz;
@@ -23,13 +24,14 @@ mod toolchain;
 mod tools;
 mod undefined;
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::Result;
-use clap::builder::PossibleValuesParser;
+use clap::builder::{PossibleValue, PossibleValuesParser};
 use clap::{Parser, Subcommand};
 
-use crate::firmware::BOARDS;
+use crate::firmware::{BOARDS, TOY};
 
 /// What takes more than one cargo call.
 #[derive(Parser)]
@@ -46,7 +48,7 @@ struct Arguments {
 enum Command {
     /// Build the firmware of one board, or of all; also `cargo fw`
     Fw {
-        #[arg(value_parser = PossibleValuesParser::new(BOARDS))]
+        #[arg(value_parser = any_image())]
         board: Option<String>,
     },
     /// Build all boards, print flash and RAM, fail above the limits
@@ -70,6 +72,11 @@ enum Command {
         /// Only fail where a variant's instructions grew by more than 5 % over the kept figures
         #[arg(long)]
         check: bool,
+    },
+    /// Time the equations of motion and equation (4) on this computer, beside Pinocchio
+    Dynamics {
+        /// Where Pinocchio is: the folder with its include and lib
+        pinocchio: PathBuf,
     },
     /// Say whether everything that the tests need is on this computer, or what is missing
     Tools,
@@ -147,6 +154,12 @@ enum Command {
     },
 }
 
+/// The boards that ship, and the toy board of a test, which help does not show.
+fn any_image() -> PossibleValuesParser {
+    let shipped = BOARDS.into_iter().map(PossibleValue::new);
+    PossibleValuesParser::new(shipped.chain([PossibleValue::new(TOY).hide(true)]))
+}
+
 fn main() -> ExitCode {
     let Arguments { command, install } = Arguments::parse();
     match run(command, install) {
@@ -169,6 +182,7 @@ fn run(command: Command, install: bool) -> Result<()> {
         Command::NoPanic => no_panic::prove(install),
         Command::Bench { check: false } => bench::refresh(install),
         Command::Bench { check: true } => bench::check(install),
+        Command::Dynamics { pinocchio } => dynamics::compare(&pinocchio),
         Command::Tools => tools::check(install),
         Command::Test => tests::all(install),
         Command::TestBoard { rest } => tests::board(&rest, install),

@@ -10,8 +10,8 @@ use crate::thumb::Image;
 use crate::toolchain::{TARGET, Toolchain, Use, run};
 use crate::tools;
 
-/// Most stack the control step may take, bytes: an eighth of what the images reserve.
-const STACK_LIMIT: u32 = 2560;
+/// Most stack the control step may take, bytes: a nineteenth of what memory.x reserves.
+const STACK_LIMIT: u32 = 2800;
 
 /// The function that does not exist; its name is in the linker's message.
 const MISSING: &str = "the_control_step_can_panic";
@@ -28,7 +28,14 @@ pub fn prove(install: bool) -> Result<()> {
     let toolchain = tools::provide(&[Use::Build], install)?;
     run(&mut cargo(toolchain)).context("a panic is left in the control step; the linker's message above says so")?;
     let image = Image::read(&target_directory().join("no-panic").join(TARGET).join("release/no-panic"))?;
-    let reach = image.reach(&["control_step", "carrier_guard", "carrier_sums", "carrier_step"])?;
+    let reach = image.reach(&[
+        "control_step",
+        "carrier_render",
+        "carrier_crest",
+        "carrier_generally",
+        "carrier_notes",
+        "carrier_sums",
+    ])?;
     println!("control step: links without a panic; {} functions, no recursion", reach.functions);
     for (root, stack) in &reach.stack {
         println!("{root}: at most {stack} bytes of stack (limit {STACK_LIMIT})");

@@ -11,7 +11,7 @@ use crate::paths::{root, target_directory};
 use crate::toolchain::{Use, cargo, run};
 use crate::tools;
 
-/// What of python/pyproject.toml is used here.
+/// The parts of python/pyproject.toml that are used here.
 #[derive(Deserialize)]
 struct Manifest {
     project: Project,

@@ -1,6 +1,6 @@
 //! The whole test run: what plain `cargo test` covers, a short round of fuzzing, then the images, the step's
-//! instructions, and the emulated board. The page as a file (`cargo xtask playground --test`), the soak and what measures on
-//! the emulated chip take longer and are runs of their own.
+//! instructions, and the emulated board. The page as a file (`cargo xtask playground --test`), the soak and what
+//! measures on the emulated chip take longer and are runs of their own.
 
 use std::process::Command;
 use std::time::Instant;
@@ -43,8 +43,10 @@ fn documents() -> Result<()> {
     run(cargo().current_dir(paths::root()).args(test))
 }
 
-/// The tests of the real images on the emulated chip. Further arguments go to `cargo test`.
+/// The tests of the real images, and of one with a toy board, on the emulated chip. Further arguments go to
+/// `cargo test`.
 pub fn board(arguments: &[String], install: bool) -> Result<()> {
+    firmware::build(firmware::TOY, install)?;
     run(emulated("test", install)?.args(arguments))
 }
 

@@ -2,8 +2,8 @@
 //!
 //! 1. The rustup target `thumbv7em-none-eabihf` or `wasm32-unknown-unknown`, when the running toolchain has it.
 //! 2. Else Debian's own packages: a compiler in /usr/bin with the source of the core library, which is then built along
-//!    (`-Zbuild-std`), and the linker that /usr/bin/rust-lld points to. For browsers that is the whole standard library,
-//!    whose own dependencies cargo fetches from crates.io.
+//!    (`-Zbuild-std`), and the linker that /usr/bin/rust-lld points to. For browsers that is the whole standard
+//!    library, whose own dependencies cargo fetches from crates.io.
 //!
 //! `tools` looks whether they are there.
 

@@ -1,6 +1,8 @@
-//! What has to be on this computer before anything is compiled: whether it runs, and what puts it there.
+//! The tools that the tests need on this computer: whether each one runs, and how to install it. Checked before
+//! anything is compiled.
 //!
-//! What is looked for is what is needed, not the package that usually brings it: a linker is there when it runs.
+//! The check runs the tool itself and does not ask for the package that usually brings it: a linker is there if it
+//! runs.
 
 use std::env;
 use std::fs;
@@ -175,8 +177,8 @@ impl Found {
     }
 }
 
-/// Sees to it that everything these uses need is there, installing it where that is wanted: with `--install`, or as root
-/// on Debian where `CI` is set. Returns how to compile for the chip.
+/// Makes sure that everything these uses need is there, and installs it with `--install`, or as root on Debian where
+/// `CI` is set. Returns the toolchain for the chip.
 pub fn provide(uses: &[Use], install: bool) -> Result<Toolchain> {
     let install = Path::new("/etc/debian_version").exists() && (install || env::var_os("CI").is_some() && is_root());
     let mut found = Found::now();
@@ -199,7 +201,7 @@ pub fn provide(uses: &[Use], install: bool) -> Result<Toolchain> {
     found.toolchain(uses)
 }
 
-/// How to compile for these uses with what is there, or what is missing.
+/// The toolchain for these uses; an error that lists what is missing.
 pub fn found(uses: &[Use]) -> Result<Toolchain> {
     Found::now().toolchain(uses)
 }
@@ -207,7 +209,7 @@ pub fn found(uses: &[Use]) -> Result<Toolchain> {
 /// What `cargo xtask test` does.
 pub const TEST: [Use; 4] = [Use::Build, Use::Fuzz, Use::Page, Use::Python];
 
-/// Says that everything is there that the tests need, or what is not.
+/// Reports whether everything that the tests need is there, and what is missing.
 pub fn check(install: bool) -> Result<()> {
     let chip = match provide(&TEST, install)? {
         Toolchain::Rustup => "rustup's compiler, which has the target",

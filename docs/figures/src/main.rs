@@ -1,6 +1,6 @@
-//! Regenerates the impedance-range and map figures and their section of docs/results.md, by running the very command lines
-//! that the section lists: `cargo xtask figures`. It takes some minutes. With names of cases it
-//! runs these and prints their rows.
+//! Regenerates the impedance-range and map figures and their section of docs/results.md, by running the very command
+//! lines that the section lists: `cargo xtask figures`. It takes some minutes. With names of cases it runs these and
+//! prints their rows.
 
 use serde_json::Value;
 use std::fmt::Write as _;

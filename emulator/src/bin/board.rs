@@ -84,17 +84,17 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let file = DeviceFile::load(&arguments.device)?;
     let bridge = PowerStage { bus_voltage: wiring.bus_voltage, dead_time: wiring.dead_time, ..PowerStage::default() };
     let device = SimulatedDevice::new(&file.description, &Options { bridge, ..Options::default() })?;
-    let firmware = Firmware::of(arguments.board)?;
+    let firmware = Firmware::of(wiring.name)?;
     let decoder = Decoder::new(&firmware);
     let mut log = decoder.as_ref().map(Decoder::reader);
-    let mut board = VirtualBoard::start(&firmware, Hardware::new(arguments.board, Box::new(device))?)?;
+    let mut board = VirtualBoard::start(&firmware, Hardware::new(wiring, Box::new(device))?)?;
 
     // Whoever finds a port finds a board that has tested itself and answers.
     if !board.run_until(2 * SECOND, MILLISECOND, |bench| bench.usb().ready()) {
         return Err("the firmware did not open its USB port within 2 s".into());
     }
 
-    println!("{} with {}, firmware {}", arguments.board.name(), file.name, firmware.path().display());
+    println!("{} with {}, firmware {}", wiring.name, file.name, firmware.path().display());
     let ready = ready_to_arm(&arguments.device, &file)?;
     let mut outlets: Vec<Box<dyn Outlet>> = Vec::new();
     let tcp = TcpOutlet::listen(arguments.port)?;

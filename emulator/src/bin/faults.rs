@@ -1,7 +1,7 @@
 //! `faults`: brings every fault about on the emulated chip and writes docs/results/faults.md, then what lying sensors
-//! and broken motors do at three control rates into its second part. `faults lying` does the second alone, `faults FAULT …`
-//! brings the faults of those codes or names about and only prints what came of them, `faults list` says how each is
-//! brought about, or why it cannot be. `cargo xtask faults` calls it.
+//! and broken motors do at three control rates into its second part. `faults lying` does the second alone,
+//! `faults FAULT …` brings the faults of those codes or names about and only prints what came of them, `faults list`
+//! says how each is brought about, or why it cannot be. `cargo xtask faults` calls it.
 //!
 //! Exit code 1: the document could not be read or written. Exit code 2: there is no such fault.
 

@@ -1,7 +1,7 @@
 //! `range`: measures the whole range of stable walls on the emulated chip, without and with the feed-forward, and
 //! writes its section of docs/results.md and its pictures. `cargo xtask range` calls it; it takes some ten minutes.
-//! `range cables [DEVICE [RATE [no-emf]]]` prints the rows of docs/results/complete.md instead, of every device at every rate
-//! or of those named, with the motors' back-EMF or without.
+//! `range cables [DEVICE [RATE [no-emf]]]` prints the rows of docs/results/complete.md instead, of every device at
+//! every rate or of those named, with the motors' back-EMF or without.
 //!
 //! Exit code 1: it could not be measured or written.
 

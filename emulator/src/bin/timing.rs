@@ -5,21 +5,22 @@
 
 use std::process::ExitCode;
 
-use virtual_board::cases::CASES;
-use virtual_board::timing::{document, rates, table};
+use virtual_board::cases::{CASES, Case, SCENES};
+use virtual_board::timing::{Timing, document, rates, replacements, scenes, table};
 
 fn main() -> ExitCode {
-    let timings: Vec<_> = CASES
-        .iter()
-        .map(|case| {
+    let measured = |cases: &[Case]| -> Vec<Timing> {
+        let measured = cases.iter().map(|case| {
             let timing = case.measure();
             println!("{}: longest {}, at a valley {}", case.name(), timing.longest, timing.valley);
             timing
-        })
-        .collect();
+        });
+        measured.collect()
+    };
+    let (stages, others) = (table(&measured(&CASES)), scenes(&measured(&SCENES)));
     // An attempt at too high a rate ends in a panic on its own thread, which is the answer.
     std::panic::set_hook(Box::new(|_| ()));
-    match std::fs::write(document(), table(&timings) + &rates()) {
+    match std::fs::write(document(), stages + &others + &replacements() + &rates()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("timing: {}: {error}", document().display());

@@ -94,7 +94,7 @@ impl Hook<Flash> for Array {
             let (address, width, value) = store;
             let kept = match self.operate() {
                 2 => 0,
-                1 => u64::MAX << (4 * u32::from(width.bytes())),
+                1 => u64::MAX << (4 * width.bytes()),
                 _ => u64::MAX,
             };
             self.stores.push_back((address, width, value | kept));

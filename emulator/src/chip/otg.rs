@@ -1,5 +1,5 @@
-//! The USB OTG full-speed core at its addresses, with the cable's far end attached: a [`Host`] whose transactions reach the
-//! endpoints at their own instants.
+//! The USB OTG full-speed core at its addresses, with the cable's far end attached: a [`Host`] whose transactions reach
+//! the endpoints at their own instants.
 
 use rigless::device::{DeviceContext, ErasedDevice, Level, RegisterFile, RequestChange};
 use rigless::soc::RegisterSpec;

@@ -41,8 +41,8 @@ fn every_register_the_firmware_touches_has_a_model() {
     }
 }
 
-/// RM0090 section 3.9.1: at 168 MHz five wait states, which take twice the time of the program unless they are hidden. The
-/// chip starts with all of this off.
+/// RM0090 section 3.9.1: at 168 MHz five wait states, which take twice the time of the program unless they are hidden.
+/// The chip starts with all of this off.
 #[test]
 fn the_flash_is_as_fast_as_it_can_be() {
     const ACCESS_CONTROL: u32 = 0x00;

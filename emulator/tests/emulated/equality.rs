@@ -7,8 +7,8 @@ use haptic::scene_file::SceneFile;
 use haptic::sim::{Hand, HandSettings, Intent, Waypoint};
 use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::drive::stage::Bridge;
-use haptic_bridge::math::Minimax;
 use haptic_bridge::model::device::Device;
+use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::{Counts, Currents};
 use haptic_bridge::servo::program::Hardware;
@@ -69,7 +69,7 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
         }
         // The link is not served for the 35 ms in which arming readies the gate drivers, while the device stands still:
         // rows of that time may be lost, and none after it.
-        let arming = rows.iter().position(|row| is_armed(row)).expect("it arms");
+        let arming = rows.iter().position(is_armed).expect("it arms");
         assert!(rows[arming..].windows(2).all(|pair| pair[1].step == pair[0].step + 1), "{name}: every step is here");
 
         let rules = rig.tool.rules().expect("it answers");
@@ -83,7 +83,7 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
         };
         let device = Device::new(&file.name, &file.description).expect("a device");
         let scene = SceneFile::parse(&scene, "scene", task).expect("a scene").scene().expect("it fits f32");
-        let program: Program<Minimax> =
+        let program: Program<BoardMath> =
             Program::new(&hardware, &rules.limits, &device, &scene, false).expect("a program");
         let mut servo = Servo::new(hardware, rules);
         let of = |row: &Row, field: Field| -> Vec<f64> {

@@ -3,25 +3,26 @@
 use haptic_bridge::board::protocol::HostContact;
 use haptic_bridge::board::telemetry::Fields;
 use virtual_board::cases::CASES;
-use virtual_board::exchange::run;
+use virtual_board::exchange::{run, shares};
+use virtual_board::shares::{CONTROL, WAITING};
 
 /// A plane beside the tip, so that requests carry all that they can.
 const PLANE: HostContact = HostContact { point: [0.0; 3], normal: [0.0, 1.0, 0.0], stiffness: 300.0, damping: 1.0 };
 
-/// What a stream leaves of the exchanges; the floors are a tenth below what was measured on 2026-11-24.
+/// What a stream leaves of the exchanges; the floors are a tenth below what was measured on 2026-11-25.
 #[test]
 fn every_force_is_taken_and_no_period_missed_however_often_a_host_pushes() {
     let case = CASES[0];
     let mut rig = case.rig(case.rate_hz);
     for (divider, contact, ahead, least) in [
-        (0, None, 1, 2500.0),
-        (20, None, 1, 2400.0),
-        (20, Some(PLANE), 1, 1850.0),
-        (4, None, 1, 1700.0),
-        (0, None, 2, 3500.0),
-        (20, None, 2, 3300.0),
-        (20, Some(PLANE), 2, 2200.0),
-        (4, None, 2, 1950.0),
+        (0, None, 1, 3560.0),
+        (20, None, 1, 3490.0),
+        (20, Some(PLANE), 1, 2900.0),
+        (4, None, 1, 2970.0),
+        (0, None, 2, 5940.0),
+        (20, None, 2, 5760.0),
+        (20, Some(PLANE), 2, 4290.0),
+        (4, None, 2, 4830.0),
     ] {
         let found = run(&mut rig, (Fields::USUAL, divider), case.rate_hz, 60, contact, ahead);
         println!(
@@ -32,5 +33,21 @@ fn every_force_is_taken_and_no_period_missed_however_often_a_host_pushes() {
         assert!(found.per_second > least, "{found:?}");
         assert_eq!((found.not_taken, found.overruns, found.losses.missing), (0, 0, 0), "{found:?}");
         assert!(found.armed && found.steps.abs_diff(found.periods) <= 1, "{found:?}");
+    }
+}
+
+/// Where the instructions of an exchange go; the most is a tenth above what was measured on 2026-11-25.
+#[test]
+fn an_exchange_takes_the_tasks_no_more_than_is_told() {
+    let case = CASES[0];
+    let mut rig = case.rig(case.rate_hz);
+    for ahead in [1, 2] {
+        let shares = shares(&mut rig, 20, ahead);
+        println!("{}, {ahead} on their way, of an exchange:", case.name());
+        shares.iter().for_each(|(name, count)| println!("{count:7.0} {name}"));
+        let tasks: f64 =
+            shares.iter().filter(|(name, _)| ![CONTROL, WAITING].contains(name)).map(|(_, count)| count).sum();
+        println!("{tasks:7.0} of the tasks, without waiting");
+        assert!((3000.0..5250.0).contains(&tasks), "{shares:?}");
     }
 }

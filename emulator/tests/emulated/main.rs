@@ -2,6 +2,7 @@
 //!
 //! Virtual time stands still while a test looks, so every run sees the same bytes at the same instants.
 
+mod arming;
 mod boot;
 mod equality;
 mod faults;
@@ -15,6 +16,7 @@ mod range;
 mod requests;
 mod session;
 mod timing;
+mod toy;
 mod usb;
 mod walls;
 mod wiring;

@@ -82,7 +82,8 @@ fn cut_within(step: usize, mut rig: Rig) -> u64 {
     operations
 }
 
-/// Every fifth operation, which no pattern of the entries keeps in step with; each one is cut on a PC (tests/power_cut.rs).
+/// Every fifth operation, which no pattern of the entries keeps in step with; each one is cut on a PC
+/// (tests/power_cut.rs).
 #[test]
 fn a_power_cut_within_a_save_leaves_the_old_or_the_new_scene() {
     assert!(cut_within(5, saved()) > 20);

@@ -53,8 +53,8 @@ fn a_reset_of_an_armed_board_turns_the_bridges_off_and_leaves_them_off() {
     }
 }
 
-/// A current loop that runs while its bridge floats winds up: at 200 Hz for up to a hundred carrier periods, if the bridges
-/// waited for the next control step.
+/// A current loop that runs while its bridge floats winds up: at 200 Hz for up to a hundred carrier periods, if the
+/// bridges waited for the next control step.
 #[test]
 fn an_armed_board_drives_from_the_next_crest_on_at_every_rate() {
     for rate in [200, 1_000] {
@@ -154,9 +154,9 @@ fn the_watchdog_bites_when_the_link_is_silent_though_the_control_interrupt_goes_
 
 #[test]
 fn the_watchdog_bites_when_the_control_interrupt_comes_too_often() {
-    // Shortens TIM1's carrier from 20 to 25 kHz by its auto-reload register, and lets the converters start a tick before
-    // its crest by channel 4's compare register (subs r2, #1; str r2, [r3, #20]); then goes on where the task begins, as
-    // above.
+    // Shortens TIM1's carrier from 20 to 25 kHz by its auto-reload register, and lets the converters start a tick
+    // before its crest by channel 4's compare register (subs r2, #1; str r2, [r3, #20]); then goes on where the task
+    // begins, as above.
     let stub = |task| vec![0x4B04_4A03, 0x3A01_601A, 0xBF00_615A, 0xF008_F8DF, 3360, 0x4001_002C, task];
     bitten("10supervisor9supervise4POOL", stub, 40, 300);
     // A look of 20 ms has 20 steps then, 5 too many: told apart over 80.
@@ -199,7 +199,8 @@ fn a_board_that_is_left_alone_is_not_bitten() {
     assert_eq!(rig.tool.status().expect("the board answers").state, State::Armed);
 }
 
-/// What a single count makes of a velocity is found by trying when a request comes; nobody feeds the watchdog meanwhile.
+/// What a single count makes of a velocity is found by trying when a request comes; nobody feeds the watchdog
+/// meanwhile.
 #[test]
 fn a_request_for_the_slowest_velocities_is_not_bitten() {
     let slow = |window| Estimator::AdaptiveWindow(Chosen { value: window, filtered: true });

@@ -18,7 +18,7 @@ use haptic_bridge::servo::joints::{Counts, Currents};
 
 use super::{Board, Common, Io};
 use crate::adc;
-use crate::encoder::Encoder;
+use crate::encoder;
 use crate::gate::{Gate, GateError};
 use crate::index;
 use crate::pwm;
@@ -44,6 +44,10 @@ const ZERO_MAX: u16 = 136;
 
 /// Bus divider: 10 kohm over 1 kohm.
 const BUS_DIVIDER: f32 = 11.0;
+
+/// The first encoder's timer.
+// SAFETY: it is 32 bits wide and has the registers of a 16-bit timer at the same places; `encoder` lets it count to 65 535.
+const TIM2: TimGp16 = unsafe { TimGp16::from_ptr(pac::TIM2.as_ptr()) };
 
 /// Bits of the index inputs in port C.
 const INDEX_LINES: [u32; AXES] = [1 << 7, 1 << 8, 1 << 9];
@@ -74,6 +78,7 @@ impl Board for HBridgeF405 {
         bus_max: 34.0,
         tip_force: MOST_TIP_FORCE,
     };
+    const POWER_FAULT: Fault = Fault::BreakInput;
     const UNSENSED: &'static [Fault] = &[Fault::EncoderIllegal, Fault::GateDriver];
     type Io = Pins;
     type Gate = EnableLine;
@@ -108,40 +113,45 @@ impl Board for HBridgeF405 {
         adc::configure(pac::ADC2, &[11, 13]);
 
         index::latch(INDEX_LINES[0] | INDEX_LINES[1] | INDEX_LINES[2]);
-        // SAFETY: TIM2 is 32 bits wide and has the registers of a 16-bit timer at the same places; `Encoder` lets it count
-        // to 65 535.
-        let tim2 = unsafe { TimGp16::from_ptr(pac::TIM2.as_ptr()) };
-        let io = Pins {
-            encoders: [
-                Encoder::new(tim2, Flex::new(p.PA15), Flex::new(p.PB3), 1),
-                Encoder::new(pac::TIM3, Flex::new(p.PB4), Flex::new(p.PB5), 2),
-                Encoder::new(pac::TIM4, Flex::new(p.PB6), Flex::new(p.PB7), 2),
-            ],
-            zeros: Zeros::new(),
-            carrier,
-        };
+        encoder::start(TIM2, Flex::new(p.PA15), Flex::new(p.PB3), 1);
+        encoder::start(pac::TIM3, Flex::new(p.PB4), Flex::new(p.PB5), 2);
+        encoder::start(pac::TIM4, Flex::new(p.PB6), Flex::new(p.PB7), 2);
+        let io = Pins { zeros: Zeros::new(), offsets: [0.0; AXES], carrier };
         (io, EnableLine, Common { usb: (p.USB_OTG_FS, p.PA12, p.PA11), flash: p.FLASH, watchdog: p.IWDG })
     }
 }
 
 /// What the control interrupt owns.
 pub struct Pins {
-    encoders: [Encoder; AXES],
     zeros: Zeros<AXES>,
+    /// What each sensor's reading is off by, A.
+    offsets: [f32; AXES],
     carrier: Carrier,
+}
+
+impl Pins {
+    /// The readings of all sensors.
+    #[inline(always)]
+    fn raw() -> [i32; AXES] {
+        [adc::result(pac::ADC1, 0), adc::result(pac::ADC2, 0), adc::result(pac::ADC1, 1)]
+    }
 }
 
 impl Io for Pins {
     #[inline(always)]
-    fn counts(&mut self) -> Counts {
-        Counts([self.encoders[0].read(), self.encoders[1].read(), self.encoders[2].read()])
+    fn follow(&mut self, counts: &mut Counts) {
+        encoder::follow(TIM2, &mut counts[0]);
+        encoder::follow(pac::TIM3, &mut counts[1]);
+        encoder::follow(pac::TIM4, &mut counts[2]);
     }
 
     #[inline(always)]
-    fn index(&mut self) -> [Option<i32>; MAX_JOINTS] {
-        let seen = index::take();
-        let at = |axis: usize| self.encoders[axis].last(seen & INDEX_LINES[axis] != 0);
-        [at(0), at(1), at(2)]
+    fn marked(&self) -> bool {
+        index::seen() != 0
+    }
+
+    fn marks(&mut self, counts: &Counts) -> [Option<i32>; MAX_JOINTS] {
+        index::take(&INDEX_LINES, counts)
     }
 
     #[inline(always)]
@@ -151,16 +161,26 @@ impl Io for Pins {
     }
 
     #[inline(always)]
-    fn analog(&mut self, seen: &mut Samples) -> bool {
-        let fresh = adc::wait(pac::ADC1) & adc::wait(pac::ADC2);
-        let raw = [adc::result(pac::ADC1, 0), adc::result(pac::ADC2, 0), adc::result(pac::ADC1, 1)];
-        if Zeros::<3>::wanted() && fresh {
-            self.zeros.take(raw);
-        }
-        let current = |axis| self.zeros.less(axis, raw[axis]) * AMPERES_PER_COUNT;
+    fn sampled(&self) -> bool {
+        adc::finished(pac::ADC1, pac::ADC2)
+    }
+
+    fn await_samples(&self) -> bool {
+        adc::wait(pac::ADC1, pac::ADC2)
+    }
+
+    #[inline(always)]
+    fn sample(&mut self, seen: &mut Samples) {
+        let raw = Self::raw();
+        let current = |axis: usize| self.offsets[axis] + AMPERES_PER_COUNT * raw[axis] as f32;
         seen.currents = Currents([current(0), current(1), current(2)]);
-        seen.bus_voltage = f32::from(adc::result(pac::ADC2, 1)) * (adc::REFERENCE_V / adc::FULL_SCALE * BUS_DIVIDER);
-        fresh
+        let bus = adc::result(pac::ADC2, 1) as f32;
+        seen.bus_voltage = adc::REFERENCE_V / adc::FULL_SCALE * BUS_DIVIDER * bus;
+    }
+
+    fn learn(&mut self) {
+        self.zeros.take(Self::raw());
+        self.offsets = self.zeros.get().map(|zero| -AMPERES_PER_COUNT * zero);
     }
 
     /// Compare values of each axis's two legs, applied at the next valley: the second leg is the first one's complement
@@ -183,11 +203,11 @@ impl Io for Pins {
     }
 
     /// What the power stage reports: the break input has cut the outputs, or still would.
-    #[inline]
-    fn fault(&self) -> Option<Fault> {
+    #[inline(always)]
+    fn fault(&self) -> bool {
         let low = pac::GPIOB.idr().read().idr(BREAK) == pac::gpio::vals::Idr::LOW;
         let cut = !pac::TIM1.bdtr().read().moe();
-        (low || cut).then_some(Fault::BreakInput)
+        low || cut
     }
 
     #[inline(always)]

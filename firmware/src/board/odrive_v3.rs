@@ -16,13 +16,13 @@ use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
 use haptic_bridge::servo::frame::Samples;
-use haptic_bridge::servo::joints::{Counts, Currents};
+use haptic_bridge::servo::joints::Counts;
 
 use super::{Board, Common, Io};
 use crate::adc;
 use crate::clock::TIMER_HZ;
 use crate::drv8301::{self, Drv8301, Inputs};
-use crate::encoder::Encoder;
+use crate::encoder;
 use crate::gate::{Gate, GateError};
 use crate::index;
 use crate::pwm;
@@ -87,6 +87,7 @@ impl Board for OdriveV3 {
         bus_max: 50.0,
         tip_force: MOST_TIP_FORCE,
     };
+    const POWER_FAULT: Fault = Fault::GateDriver;
     const UNSENSED: &'static [Fault] = &[Fault::EncoderIllegal, Fault::BreakInput];
     type Io = Pins;
     type Gate = Drivers;
@@ -129,15 +130,10 @@ impl Board for OdriveV3 {
         adc::configure(pac::ADC1, &[10, 13, 6]);
         adc::configure(pac::ADC2, &[11, 12]);
 
+        encoder::start(pac::TIM3, Flex::new(p.PB4), Flex::new(p.PB5), 2);
+        encoder::start(pac::TIM4, Flex::new(p.PB6), Flex::new(p.PB7), 2);
         index::latch(INDEX_LINES[0] | INDEX_LINES[1]);
-        let io = Pins {
-            encoders: [
-                Encoder::new(pac::TIM3, Flex::new(p.PB4), Flex::new(p.PB5), 2),
-                Encoder::new(pac::TIM4, Flex::new(p.PB6), Flex::new(p.PB7), 2),
-            ],
-            zeros: Zeros::new(),
-            carrier,
-        };
+        let io = Pins { zeros: Zeros::new(), offsets: [Offsets { current: 0.0, imbalance: 0.0 }; AXES], carrier };
 
         let mut config = spi::Config::default();
         config.mode = spi::MODE_1;
@@ -156,22 +152,49 @@ impl Board for OdriveV3 {
 
 /// What the control interrupt owns.
 pub struct Pins {
-    encoders: [Encoder; AXES],
     zeros: Zeros<4>,
+    offsets: [Offsets; AXES],
     carrier: Carrier,
+}
+
+/// What the readings of an axis's two sensors are off by, A: half their difference, and their sum.
+#[derive(Clone, Copy)]
+struct Offsets {
+    current: f32,
+    imbalance: f32,
+}
+
+impl Offsets {
+    /// Current and imbalance (A) of these readings. What leaves phase B comes back through C.
+    #[inline(always)]
+    fn sensed(&self, b: i32, c: i32) -> (f32, f32) {
+        let current = self.current + 0.5 * AMPERES_PER_COUNT * (b - c) as f32;
+        (current, self.imbalance + AMPERES_PER_COUNT * (b + c) as f32)
+    }
+}
+
+impl Pins {
+    /// The readings of all sensors: phases B and C of one axis, then of the other.
+    #[inline(always)]
+    fn raw() -> [i32; 4] {
+        [adc::result(pac::ADC1, 0), adc::result(pac::ADC2, 0), adc::result(pac::ADC1, 1), adc::result(pac::ADC2, 1)]
+    }
 }
 
 impl Io for Pins {
     #[inline(always)]
-    fn counts(&mut self) -> Counts {
-        Counts([self.encoders[0].read(), self.encoders[1].read(), 0])
+    fn follow(&mut self, counts: &mut Counts) {
+        encoder::follow(pac::TIM3, &mut counts[0]);
+        encoder::follow(pac::TIM4, &mut counts[1]);
     }
 
     #[inline(always)]
-    fn index(&mut self) -> [Option<i32>; MAX_JOINTS] {
-        let seen = index::take();
-        let at = |axis: usize| self.encoders[axis].last(seen & INDEX_LINES[axis] != 0);
-        [at(0), at(1), None]
+    fn marked(&self) -> bool {
+        index::seen() != 0
+    }
+
+    fn marks(&mut self, counts: &Counts) -> [Option<i32>; MAX_JOINTS] {
+        index::take(&INDEX_LINES, counts)
     }
 
     #[inline(always)]
@@ -181,24 +204,30 @@ impl Io for Pins {
     }
 
     #[inline(always)]
-    fn analog(&mut self, seen: &mut Samples) -> bool {
-        let fresh = adc::wait(pac::ADC1) & adc::wait(pac::ADC2);
-        let raw = [
-            adc::result(pac::ADC1, 0),
-            adc::result(pac::ADC2, 0),
-            adc::result(pac::ADC1, 1),
-            adc::result(pac::ADC2, 1),
-        ];
-        if Zeros::<4>::wanted() && fresh {
-            self.zeros.take(raw);
+    fn sampled(&self) -> bool {
+        adc::finished(pac::ADC1, pac::ADC2)
+    }
+
+    fn await_samples(&self) -> bool {
+        adc::wait(pac::ADC1, pac::ADC2)
+    }
+
+    #[inline(always)]
+    fn sample(&mut self, seen: &mut Samples) {
+        let [b0, c0, b1, c1] = Self::raw();
+        (seen.currents[0], seen.imbalance[0]) = self.offsets[0].sensed(b0, c0);
+        (seen.currents[1], seen.imbalance[1]) = self.offsets[1].sensed(b1, c1);
+        let bus = adc::result(pac::ADC1, 2) as f32;
+        seen.bus_voltage = adc::REFERENCE_V / adc::FULL_SCALE * BUS_DIVIDER * bus;
+    }
+
+    fn learn(&mut self) {
+        self.zeros.take(Self::raw());
+        let zero = self.zeros.get().map(|zero| AMPERES_PER_COUNT * zero);
+        for (axis, off) in self.offsets.iter_mut().enumerate() {
+            let (b, c) = (zero[2 * axis], zero[2 * axis + 1]);
+            *off = Offsets { current: -0.5 * (b - c), imbalance: -(b + c) };
         }
-        // What leaves phase B comes back through C.
-        let amperes = |sensor: usize| self.zeros.less(sensor, raw[sensor]) * AMPERES_PER_COUNT;
-        let (b0, c0, b1, c1) = (amperes(0), amperes(1), amperes(2), amperes(3));
-        seen.currents = Currents([0.5 * (b0 - c0), 0.5 * (b1 - c1), 0.0]);
-        seen.imbalance = Currents([b0 + c0, b1 + c1, 0.0]);
-        seen.bus_voltage = f32::from(adc::result(pac::ADC1, 2)) * (adc::REFERENCE_V / adc::FULL_SCALE * BUS_DIVIDER);
-        fresh
     }
 
     #[inline(always)]
@@ -222,9 +251,9 @@ impl Io for Pins {
 
     /// What the power stage reports: a gate driver pulls the common fault line. Only true to be asked while the drivers
     /// are up.
-    #[inline]
-    fn fault(&self) -> Option<Fault> {
-        (pac::GPIOD.idr().read().idr(N_FAULT) == pac::gpio::vals::Idr::LOW).then_some(Fault::GateDriver)
+    #[inline(always)]
+    fn fault(&self) -> bool {
+        pac::GPIOD.idr().read().idr(N_FAULT) == pac::gpio::vals::Idr::LOW
     }
 
     #[inline(always)]

@@ -16,9 +16,9 @@ pub struct SpectralLine {
     pub amplitude: f64,
 }
 
-/// The amplitudes of an even signal's sines, from 0 Hz to half of its rate: pieces of up to 16384 samples that overlap by
-/// half, each less its mean and under a Hann window, averaged by their power (Welch 1967). None where there are fewer than
-/// 64 samples.
+/// The amplitudes of an even signal's sines, from 0 Hz to half of its rate: pieces of up to 16384 samples that overlap
+/// by half, each less its mean and under a Hann window, averaged by their power (Welch 1967). None where there are
+/// fewer than 64 samples.
 pub fn spectrum(signal: &[f64], rate_hz: f64) -> Option<Vec<SpectralLine>> {
     if signal.len() < SHORTEST {
         return None;

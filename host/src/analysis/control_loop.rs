@@ -8,8 +8,8 @@ use super::plant::Drive;
 
 /// Longest delay that can be analysed, in samples.
 pub const LONGEST_DELAY: f64 = 64.0;
-/// What is left of the lag of a board's current loop, as the bandwidth of a first-order one (docs/results.md), Hz, where
-/// nothing else is known.
+/// What is left of the lag of a board's current loop, as the bandwidth of a first-order one (docs/results.md), Hz,
+/// where nothing else is known.
 pub const CURRENT_LOOP_HZ: f64 = 6400.0;
 /// Carrier of the boards, Hz: torque follows the encoders by half a period of it.
 pub const CARRIER_HZ: f64 = 20_000.0;

@@ -81,8 +81,8 @@ pub struct Cut {
 }
 
 impl Cut {
-    /// The plane of a device with at least two joints, for a normal of d entries; a redundant device's feed-forward holds
-    /// `admissible`.
+    /// The plane of a device with at least two joints, for a normal of d entries; a redundant device's feed-forward
+    /// holds `admissible`.
     pub fn new(description: &Description, normal: &[f64], admissible: Admissible) -> Result<Self, PoseError> {
         let spec = description.kind.spec();
         let device = Device::new("", description)?;

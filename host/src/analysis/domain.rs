@@ -223,8 +223,8 @@ fn supported_stiffness(support: &[Interval], kd_hat: f64, stable: &[Interval]) -
     }
 }
 
-/// Times that the bracket of the largest stiffness is narrowed, to 0.3 % of the two intervals of the grid that it was: where
-/// the boundary has a kink there, it is found within 1e-5.
+/// Times that the bracket of the largest stiffness is narrowed, to 0.3 % of the two intervals of the grid that it was:
+/// where the boundary has a kink there, it is found within 1e-5.
 const NARROWED: usize = 12;
 
 /// Looks for the largest value between the ends of a bracket by golden section.
@@ -331,7 +331,8 @@ mod tests {
         let (kp, kd) = (found.top.kp * 1e-6, found.top.kd * 1e-3);
         assert!((kp / (12.0 - 8.0 * 2.0_f64.sqrt()) - 1.0).abs() < 1e-8, "{kp}");
         assert!((kd - 2.0 * (2.0_f64.sqrt() - 1.0)).abs() < 1e-4, "{kd}");
-        // The two points of the grid beside it are 3e-6 lower; a kink, as soft transmissions make, loses up to 3e-3 there.
+        // The two points of the grid beside it are 3e-6 lower; a kink, as soft transmissions make, loses up to 3e-3
+        // there.
         let grid = found.boundary.iter().map(|point| point.kp).fold(0.0, f64::max) * 1e-6;
         assert!(grid < kp - 1e-7, "{grid}");
         // At dampings that were asked for it is the largest of theirs.

@@ -1,7 +1,7 @@
 //! The velocity estimators of the control step as linear filters, for the analysis of the loop around them.
 //!
-//! Each takes the change of position over the last sample and gives a velocity per sample. What it remembers is chosen so
-//! that its change over a sample is computed directly and not as a difference of near-equal numbers.
+//! Each takes the change of position over the last sample and gives a velocity per sample. Its states are chosen so
+//! that their change over a sample is computed directly, not as the difference of two nearly equal numbers.
 
 use super::error::AnalysisError;
 use haptic_bridge::render::velocity::{Chosen, Estimator as Kind};
@@ -62,8 +62,8 @@ impl LinearEstimator {
         Self::Over { samples, then }
     }
 
-    /// What a scene's estimator is near rest; `None` where it is not linear there. The adaptive window is then as long as
-    /// it can be.
+    /// What a scene's estimator is near rest; `None` where it is not linear there. The adaptive window is then as long
+    /// as it can be.
     pub fn of(kind: Kind, cutoff_hz: f64) -> Option<Self> {
         let behind = |chosen: Chosen| if chosen.filtered { LowPass::Butterworth(cutoff_hz) } else { LowPass::None };
         match kind {
@@ -142,7 +142,8 @@ impl LinearEstimator {
         matches!(self, Self::Predicted(_))
     }
 
-    /// One sample from these states: moved by so much, given so much velocity per sample by what was commanded.
+    /// One sample from these states, after the joint moved by `moved` and the commanded torque added `pushed` to its
+    /// velocity per sample.
     fn answer(self, rate_hz: f64, states: &[f64], moved: f64, pushed: f64) -> Answer {
         let warped = |hz: f64| (std::f64::consts::PI * hz / rate_hz).tan();
         match (self, states) {

@@ -1,15 +1,15 @@
 //! A device that is not rigid, reduced to what the wall can see.
 //!
-//! Generalised coordinates are the links' joint angles q, behind each transmission its motor's angle θ, and of each mode the
-//! angle of what swings. The states
-//! are scaled by their energy: velocities by a Cholesky factor of the mass matrix, every spring's deflection by the
-//! root of its stiffness. A lossless device is then a rotation, however far apart its frequencies lie.
+//! Generalised coordinates are the links' joint angles q, behind each transmission its motor's angle θ, and of each
+//! mode the angle of what swings. The states are scaled by their energy: velocities by a Cholesky factor of the mass
+//! matrix, every spring's deflection by the root of its stiffness. A lossless device is then a rotation, however far
+//! apart its frequencies lie.
 //!
 //! The walls see the rendered positions alone, x = Jr (the angles that the encoders measure). What they cannot see, and
-//! what no torque of theirs can move, is left out exactly: the basis of what is left is built by Arnoldi's method, which
-//! ends where the next power of the system matrix adds nothing (the staircase form; Paige, "Properties of numerical
-//! algorithms related to computing controllability", IEEE TAC 26, 1981). An undamped motion along the wall is thus
-//! never told from a stable one by its rounding.
+//! what no torque of theirs can move, is left out exactly: the basis of what is left is built by Arnoldi's method,
+//! which ends where the next power of the system matrix adds nothing (the staircase form; Paige, "Properties of
+//! numerical algorithms related to computing controllability", IEEE TAC 26, 1981). An undamped motion along the wall is
+//! thus never told from a stable one by its rounding.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -191,7 +191,8 @@ pub(crate) fn reduce_seen(
     let bodies = Bodies::new(device, lags, sample_s, reference_mass)?;
     let (moving, springs) = (bodies.mass.nrows(), bodies.stiffness.len());
     let lagging: Vec<usize> = (0..joints).filter(|&joint| lags.rate[joint].is_some()).collect();
-    // States: scaled velocities L' v, scaled deflections, torques of the drives that lag, every x where no spring holds it.
+    // States: scaled velocities L' v, scaled deflections, torques of the drives that lag, every x where no spring holds
+    // it.
     let (torques, position) = (moving + springs, moving + springs + lagging.len());
     let integrates = bodies.held.is_none();
     let size = position + if integrates { rendered } else { 0 };

@@ -1,9 +1,9 @@
 //! The same wall rendered by a program on a computer instead of by the board: sampled at the program's rate, its force
 //! held by the board in between.
 //!
-//! The program reads position and velocity in the answer to its last request, the velocity as the board estimates it, and
-//! sends the force with its next. What the board shapes it does not shape: τ = Jᵀ f. So the loop is the board's own, cut
-//! at the force and taken over as many control periods as lie between two requests.
+//! The program reads position and velocity in the answer to its last request, the velocity as the board estimates it,
+//! and sends the force with its next. What the board shapes it does not shape: τ = Jᵀ f. So the loop is the board's
+//! own, cut at the force and taken over as many control periods as lie between two requests.
 
 use super::boundary::Circle;
 use super::domain::{Domain, bounded};
@@ -194,8 +194,8 @@ mod tests {
 
     #[test]
     fn a_wall_with_damping_has_the_closed_form_of_a_velocity_that_is_known() {
-        // x⁺ = x + v + f/2, v⁺ = v + f, f = -α x - β v: by Jury α < 2β and β < 2. What a difference over one board period
-        // knows late is a five-hundredth of the host's.
+        // x⁺ = x + v + f/2, v⁺ = v + f, f = -α x - β v: by Jury α < 2β and β < 2. What a difference over one board
+        // period knows late is a five-hundredth of the host's.
         let around = Loop { estimator: LinearEstimator::BackwardDifference, ..around(50_000.0, 0.0, Drive::Ideal) };
         let (m, t) = (0.2, 0.01);
         let host = Host { rate_hz: 1.0 / t, delay_s: 0.0 };

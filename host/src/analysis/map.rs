@@ -4,9 +4,9 @@
 //! ranges, flooded from home through regular poses of the same orientation of J. So each tip position appears once, in
 //! the device's own working mode.
 //!
-//! With one full task (J square) both worst normals are closed forms in the eigenvalues of Λ (docs/model.md section 2). The
-//! redundant arm's tip meets two different matrices, Λ's own block and the inverse of the mobility's block; there the
-//! normal is searched, and the axes are those of the tip's inertia (J M⁻¹ Jᵀ)⁻¹.
+//! With one full task (J square) both worst normals are closed forms in the eigenvalues of Λ (docs/model.md section 2).
+//! The redundant arm's tip meets two different matrices, Λ's own block and the inverse of the mobility's block; there
+//! the normal is searched, and the axes are those of the tip's inertia (J M⁻¹ Jᵀ)⁻¹.
 
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
@@ -15,15 +15,15 @@ use haptic_bridge::model::mechanism::AnyMechanism;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use serde::{Deserialize, Serialize};
 
-use super::pose::{PoseError, TaskPose, unit_normal};
+use super::pose::{PoseError, Stance, TaskPose, unit_normal};
 use crate::error::Failure;
 use crate::model::Condition;
 use crate::sweep::Sweep;
 
 /// Regular enough to walk through when flooding: the sine of the nearest singular angle.
 const WALKABLE_SINE: f64 = 0.08;
-/// Longest step while flooding, rad. A singularity is farther across than that, by [`WALKABLE_SINE`] on either side, so no step
-/// leads over one; not even where two meet and the sign of J's determinant is the same behind both.
+/// Longest step while flooding, rad. A singularity is farther across than that, by [`WALKABLE_SINE`] on either side, so
+/// no step leads over one; not even where two meet and the sign of J's determinant is the same behind both.
 const STEP: f64 = 0.1;
 
 /// A normal and what it makes of the inertia.
@@ -148,7 +148,8 @@ fn evaluate(pose: &TaskPose, q: &[f64], normal: &DVector<f64>) -> Option<MapPoin
     numbers.iter().all(|v| v.is_finite()).then_some(point)
 }
 
-/// Both worst normals in the plane of the eigenvectors of the smallest and largest eigenvalue (docs/model.md section 2).
+/// Both worst normals in the plane of the eigenvectors of the smallest and largest eigenvalue (docs/model.md section
+/// 2).
 fn closed_form(eigenvalues: &[f64], eigenvectors: &[DVector<f64>]) -> (Worst, Worst) {
     let (low, high) = (eigenvalues[0], eigenvalues[eigenvalues.len() - 1]);
     let (e_low, e_high) = (&eigenvectors[0], &eigenvectors[eigenvectors.len() - 1]);
@@ -187,8 +188,8 @@ fn searched(value: impl Fn(&DVector<f64>) -> f64) -> Worst {
 }
 
 /// The highest `value` that a device gets to from the pose `from` (rad) without crossing a singularity or a limit, by
-/// steps of at most `step` rad: a compass search over all directions of the grid, whose steps halve to 1e-5 rad. It goes on
-/// to within the sine 1e-3 of a singularity, which takes a stretched arm to within a millionth of its length.
+/// steps of at most `step` rad: a compass search over all directions of the grid, whose steps halve to 1e-5 rad. It
+/// goes on to within the sine 1e-3 of a singularity, which takes a stretched arm to within a millionth of its length.
 pub fn climb(
     device: &Device<f64>,
     from: &[f64],
@@ -234,9 +235,8 @@ fn side(device: &Device<f64>, q: &[f64], sine: f64) -> Result<Option<bool>, Pose
     if !q.iter().zip(&device.joints).all(allowed) {
         return Ok(None);
     }
-    let pose = TaskPose::of(&device.mechanism, q)?;
-    let regular = pose.regularity.serial >= sine && pose.regularity.parallel >= sine;
-    Ok(regular.then(|| pose.jacobian.determinant() > 0.0))
+    let stance = Stance::of(&device.mechanism, q)?;
+    Ok(stance.is_clear(sine).then_some(stance.positive))
 }
 
 impl Reachable {

@@ -1,16 +1,17 @@
 //! Passivity beside stability: walls that no hand at all can make oscillate.
 //!
-//! - J. E. Colgate and G. G. Schenkel, "Passivity of a class of sampled-data systems: application to haptic interfaces",
-//!   Journal of Robotic Systems 14 (1997) 37-47: **b > kp T/2 + |kd|** for a wall with backward-difference damping, where b is
-//!   the physical damping of the device.
+//! - J. E. Colgate and G. G. Schenkel, "Passivity of a class of sampled-data systems: application to haptic
+//!   interfaces", Journal of Robotic Systems 14 (1997) 37-47: **b > kp T/2 + |kd|** for a wall with backward-difference
+//!   damping, where b is the physical damping of the device.
 //! - J. J. Abbott and A. M. Okamura, "Effects of position quantization and sampling rate on virtual-wall passivity",
-//!   IEEE Transactions on Robotics 21 (2005) 952-964: **kp ≤ min(2b/T, 2 fc/Δ)** for a pure spring, with Coulomb friction fc and
-//!   position quantum Δ.
+//!   IEEE Transactions on Robotics 21 (2005) 952-964: **kp ≤ min(2b/T, 2 fc/Δ)** for a pure spring, with Coulomb
+//!   friction fc and position quantum Δ.
 //!
-//! A delay of d samples makes T/2 of the first T (1/2 + d): their condition b > T/2 max over θ of Re((1 - e^-jθ) H)/(1 - cos θ) with
-//! H = e^-jdθ (kp + kd (1 - e^-jθ)/T) is b > kp T/2 sin((d + 1/2) θ)/sin(θ/2) - kd cos((d + 1) θ), the first largest at
-//! θ → 0 and the second at most kd. So it is exact for a spring and for a damper alone, and enough for both together.
-//! For a fraction of a sample it is the condition of slow motions, which passivity needs at least.
+//! A delay of d samples makes T/2 of the first T (1/2 + d): their condition b > T/2 max over θ of
+//! Re((1 - e^-jθ) H)/(1 - cos θ) with H = e^-jdθ (kp + kd (1 - e^-jθ)/T) is
+//! b > kp T/2 sin((d + 1/2) θ)/sin(θ/2) - kd cos((d + 1) θ), the first largest at θ → 0 and the second at most kd. So
+//! it is exact for a spring and for a damper alone, and enough for both together. For a fraction of a sample it is the
+//! condition of slow motions, which passivity needs at least.
 //!
 //! Both are for one moving mass whose force acts along its motion. On a device with several joints the least favourable
 //! admissible motion counts, so b and fc are the smallest that any joint motion with unit rendered velocity dissipates.
@@ -96,7 +97,8 @@ mod tests {
         assert!((late.quantised().unwrap() - 400.0 / 3.0).abs() < 1e-6);
     }
 
-    /// The condition of Colgate and Schenkel in their own terms, over a fine grid of frequencies: whether a wall is passive.
+    /// The condition of Colgate and Schenkel in their own terms, over a fine grid of frequencies: whether a wall is
+    /// passive.
     fn passive(b: f64, kp: f64, kd: f64, t: f64, delay: f64) -> bool {
         (1..4000).all(|i| {
             let theta = std::f64::consts::PI * f64::from(i) / 4000.0;

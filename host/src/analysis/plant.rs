@@ -3,8 +3,8 @@
 //!
 //! A wall feeds back the rendered position alone. Joint positions therefore never enter, and a joint without damping is
 //! an integrator nobody reads: all of them together are seen only through their share of the rendered velocity. That
-//! share is kept as one state and the rest is left out exactly, so no mode that sits at rest on the unit circle by
-//! construction has to be told from one that leaves it.
+//! share is kept as one state, and leaving the rest out changes nothing. So the analysis never has to tell a mode that
+//! rests on the unit circle by construction from one that moves out of it.
 //!
 //! Units here are those of one sample: time in samples `T`, velocities in metres (radians) per sample, forces in units
 //! of `m/T²` with `m` a reference mass. Stiffness is then `kp T²/m` and damping `kd T/m`.
@@ -26,7 +26,7 @@ pub struct Linearised {
     pub unit_motion: DVector<f64>,
     /// α: how much of (4)'s feed-forward there is where there is any.
     pub gain: f64,
-    /// What is not rigid about it, and the hand that holds it.
+    /// Its flexible parts, and the hand that holds it.
     pub flexible: Flexible,
 }
 
@@ -125,9 +125,9 @@ impl Lags {
 
 /// The reduced continuous plant ẋ = a x + b u in sample units, for the given torque inputs.
 ///
-/// States of a rigid device, in this order: velocities of the damped joints, torques of the joints whose drive lags, the rendered
-/// velocity of all undamped joints together (when there are any), the rendered position, then the positions of the
-/// joints in `sensed` (needed only for their change over a sample).
+/// States of a rigid device, in this order: velocities of the damped joints, torques of the joints whose drive lags,
+/// the rendered velocity of all undamped joints together (when there are any), the rendered position, then the
+/// positions of the joints in `sensed` (needed only for their change over a sample).
 pub(crate) struct ContinuousPlant {
     pub a: DMatrix<f64>,
     pub b: DMatrix<f64>,

@@ -1,6 +1,6 @@
 //! From a device description and joint angles to the matrices the analysis works on.
 
-use haptic_bridge::math::Libm;
+use haptic_bridge::math::FineTable;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::{Description, DescriptionError};
@@ -123,24 +123,61 @@ impl TaskPose {
 
     /// The pose, unless it is singular.
     pub fn regular(self) -> Result<Self, PoseError> {
-        if self.regularity.parallel.is_nan() || self.regularity.parallel < LEAST_ANALYSED_SINE {
-            Err(PoseError::Parallel)
-        } else if self.regularity.serial.is_nan() || self.regularity.serial < LEAST_ANALYSED_SINE {
-            Err(PoseError::Serial)
-        } else {
-            Ok(self)
-        }
+        regular(&self.regularity)?;
+        Ok(self)
     }
 }
 
-fn evaluate<const N: usize, M: Mechanism<f64, N>>(mechanism: &M, q: &[f64]) -> Result<TaskPose, PoseError> {
-    if q.len() != N {
-        return Err(PoseError::Joints { joints: N, found: q.len() });
+/// How a device stands at one pose: what a walk over many poses asks of each, without a matrix that outlives it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stance {
+    /// Distance from singularities.
+    pub regularity: Regularity<f64>,
+    /// On which side of the singularities it is: the sign of J's determinant.
+    pub positive: bool,
+}
+
+impl Stance {
+    /// That at joint angles `q` (rad); errors on wrong lengths, not on singular poses.
+    pub fn of(mechanism: &AnyMechanism<f64>, q: &[f64]) -> Result<Self, PoseError> {
+        angles(q, mechanism.kind().spec().joints)?;
+        Ok(with_mechanism!(mechanism, m => {
+            let pose = m.pose::<FineTable>(&SVector::from_column_slice(q));
+            Self { regularity: m.regularity(&pose), positive: m.jacobian(&pose).determinant() > 0.0 }
+        }))
+    }
+
+    /// Whether it is as far as `sine` from all singularities.
+    pub fn is_clear(&self, sine: f64) -> bool {
+        self.regularity.serial >= sine && self.regularity.parallel >= sine
+    }
+}
+
+/// An error where these are not the angles of so many joints.
+pub(crate) fn angles(q: &[f64], joints: usize) -> Result<(), PoseError> {
+    if q.len() != joints {
+        return Err(PoseError::Joints { joints, found: q.len() });
     }
     if q.iter().any(|angle| !angle.is_finite()) {
         return Err(PoseError::Angle);
     }
-    let pose = mechanism.pose::<Libm>(&SVector::from_column_slice(q));
+    Ok(())
+}
+
+/// An error where a pose is singular.
+pub(crate) fn regular(regularity: &Regularity<f64>) -> Result<(), PoseError> {
+    if regularity.parallel.is_nan() || regularity.parallel < LEAST_ANALYSED_SINE {
+        Err(PoseError::Parallel)
+    } else if regularity.serial.is_nan() || regularity.serial < LEAST_ANALYSED_SINE {
+        Err(PoseError::Serial)
+    } else {
+        Ok(())
+    }
+}
+
+fn evaluate<const N: usize, M: Mechanism<f64, N>>(mechanism: &M, q: &[f64]) -> Result<TaskPose, PoseError> {
+    angles(q, N)?;
+    let pose = mechanism.pose::<FineTable>(&SVector::from_column_slice(q));
     let dense = |m: nalgebra::SMatrix<f64, N, N>| DMatrix::from_iterator(N, N, m.iter().copied());
     Ok(TaskPose {
         position: mechanism.tip(&pose).iter().copied().take(M::SPEC.task).collect(),

@@ -1,4 +1,5 @@
-//! What `haptic range` answers: the stable domain of a wall on one device for each way of feeding forward, side by side.
+//! What `haptic range` answers: the stable domain of a wall on one device for each way of feeding forward, side by
+//! side.
 
 use serde::Serialize;
 
@@ -15,10 +16,11 @@ use haptic_bridge::render::scene::FeedForward;
 /// Area gained by the feed-forward below which it is not worth its cost.
 pub const WORTHWHILE_RATIO: f64 = 1.05;
 
-/// Below this ratio to what is stable without it a feed-forward costs more than it brings, beyond what rounds away.
+/// A feed-forward that leaves less than this share of the stable area or stiffness costs more than it brings; the last
+/// percent is rounding.
 pub const COSTLY_RATIO: f64 = 0.99;
 
-/// How often a washout's corner is halved that is looked for.
+/// How often the search for a washout's corner halves it.
 const HALVED: i32 = 10;
 
 /// The first corner below `corner` (Hz), halved again and again, that is `free`.
@@ -34,8 +36,8 @@ pub fn lower_corner<E>(corner: f64, free: impl Fn(f64) -> Result<bool, E>) -> Re
 /// What `haptic range` answers.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Range {
-    /// Effective inertia, kg: what the wall meets without the feed-forward; of several walls, what their total stiffness
-    /// meets in the stiffest motion, without and with it.
+    /// Effective inertia, kg: what the wall meets without the feed-forward; of several walls, what their total
+    /// stiffness meets in the stiffest motion, without and with it.
     pub w_eff: f64,
     /// Rendered inertia, kg: what it meets with it.
     pub w_rr: f64,

@@ -1,5 +1,5 @@
-//! A device with its drives, reduced to what the wall can see (see [`super::plant`]): the rigid one; what is flexible is
-//! reduced in [`super::flexible_reduction`].
+//! A device with its drives, reduced to what the wall can see (see [`super::plant`]): the rigid one; what is flexible
+//! is reduced in [`super::flexible_reduction`].
 
 use nalgebra::{DMatrix, DVector};
 

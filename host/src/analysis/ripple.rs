@@ -2,11 +2,11 @@
 //!
 //! A hand presses the wall with a steady force. The device moves by its full equations with its friction, cogging,
 //! transmissions and modes ([`Plant`]); around it is the loop of the prediction: its delay, drive, estimator and
-//! feed-forward, linearised at the pose, with one thing more: each joint's angle comes in steps of its encoder. A static
-//! wall is unilateral. Without friction there is no equilibrium between two counts, so there always is a limit cycle;
-//! where friction holds more than a count's force there is none (Abbott and Okamura 2005). How an encoder stands to the pose decides how
-//! large it is, so each wall is tried with several offsets of the counts, and the largest counts. The board's own step, with
-//! estimators that are not linear, is simulated in [`crate::bench::estimators`].
+//! feed-forward, linearised at the pose, with one thing more: each joint's angle comes in steps of its encoder. A
+//! static wall is unilateral. Without friction there is no equilibrium between two counts, so there always is a limit
+//! cycle; where friction holds more than a count's force there is none (Abbott and Okamura 2005). Its size depends on
+//! where in a count the pose lies, so each wall is tried with several offsets of the counts, and the largest ripple is
+//! taken. The board's own step, with estimators that are not linear, is simulated in [`crate::bench::estimators`].
 
 use std::collections::VecDeque;
 
@@ -112,8 +112,8 @@ impl Pressed<'_> {
         Some(steps.iter().zip(self.device.row.iter()).map(|(step, lever)| (step * lever).abs()).fold(0.0, f64::max))
     }
 
-    /// The largest force that one count alone makes: what the wall's spring and its damper, through the estimator, answer to
-    /// a step of the position, N.
+    /// The largest force that one count alone makes: what the wall's spring and its damper, through the estimator,
+    /// answer to a step of the position, N.
     pub fn step_n(&self, kp: f64, kd: f64) -> Option<f64> {
         Some(self.count_m()? * (kp + kd * self.around.estimator.quickest(self.around.rate_hz)))
     }
@@ -200,7 +200,8 @@ impl Pressed<'_> {
         Ok(Some(Along { kp_stable: low, kp_from, points }))
     }
 
-    /// Simulates a wall: root mean square and peak of its force, N, and how far the tip moves, m. `None` where it flies off.
+    /// Simulates a wall: root mean square and peak of its force, N, and how far the tip moves, m. `None` where it flies
+    /// off.
     fn run(&self, steps: &[f64], mode: Mode, kp: f64, kd: f64, offset: f64) -> Option<[f64; 3]> {
         let joints = steps.len();
         let mut held = self.description;
@@ -282,9 +283,9 @@ impl Pressed<'_> {
         Some([rms, 0.5 * force, about_its_line(&tips).1])
     }
 
-    /// What a hand presses with that keeps the tip where it is, per newton of wall, d entries: along the normal, and against
-    /// the feed-forward's steady push sideways, Λ J M⁻¹ of its torques. A hand that lets the tip be pushed aside presses
-    /// another wall: its spring alone would give way by millimetres, to where the loop's linearisation is none.
+    /// What a hand presses with that keeps the tip where it is, per newton of wall, d entries: along the normal, and
+    /// against the feed-forward's steady push sideways, Λ J M⁻¹ of its torques. If the hand let the tip be pushed
+    /// aside, it would press another wall: its spring would give way by millimetres, too far for the linearised loop.
     fn against(&self, mode: Mode, mobility: &DMatrix<f64>, shaped: &DVector<f64>) -> Option<DVector<f64>> {
         let normal = DVector::from_column_slice(&self.normal);
         // A washout has no steady push.
@@ -295,7 +296,8 @@ impl Pressed<'_> {
         Some((tip * mobility * tip.transpose()).cholesky()?.solve(&(tip * mobility * shaped)))
     }
 
-    /// Lets `time` (s) pass under commanded `torques`, N m beside what carries the device; `torque` is what the drives give.
+    /// Lets `time` (s) pass under commanded `torques`, N m beside what carries the device; `torque` is what the drives
+    /// give.
     #[allow(clippy::too_many_arguments)]
     fn advance(
         &self,
@@ -342,8 +344,8 @@ impl Pressed<'_> {
     }
 }
 
-/// What is left of evenly spaced values beside the straight line through them: root mean square, and from the smallest to
-/// the largest.
+/// What is left of evenly spaced values beside the straight line through them: root mean square, and from the smallest
+/// to the largest.
 pub(crate) fn about_its_line(values: &[f64]) -> (f64, f64) {
     let count = values.len() as f64;
     let middle = 0.5 * (count - 1.0);

@@ -83,8 +83,8 @@ impl Assembly {
         self.input[state] += by.force;
     }
 
-    /// An estimator's states from `first` on, driven by the change of position `moved` and by `pushed`, the velocity per
-    /// sample that the last command gave; returns the velocity per sample.
+    /// An estimator's states from `first` on, driven by the change of position `moved` and by `pushed`, the velocity
+    /// per sample that the last command gave; returns the velocity per sample.
     fn estimate(&mut self, estimator: &DMatrix<f64>, first: usize, moved: &Signal, pushed: &Signal) -> Signal {
         let size = self.size();
         let states = estimator.nrows() - 1;
@@ -114,8 +114,8 @@ impl OpenLoop {
         Self::believing(device, device, around, mode)
     }
 
-    /// As [`OpenLoop::new`], with a controller that takes the device for `believed`: its feed-forward, its damping
-    /// compensation and what it predicts are that one's.
+    /// As [`OpenLoop::new`], with a controller whose model of the device is `believed`: it takes feed-forward, damping
+    /// compensation and predictions from there.
     pub fn believing(
         device: &Linearised,
         believed: &Linearised,

@@ -10,7 +10,7 @@
 
 use nalgebra::{DMatrix, DVector, SVector};
 
-use haptic_bridge::math::Libm;
+use haptic_bridge::math::FineTable;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::inertia::NO_STIFFNESS;
@@ -58,7 +58,7 @@ pub struct WallSet {
     directions: DMatrix<f64>,
     /// Rendered directions as rows, R x N, m/rad.
     rows: DMatrix<f64>,
-    /// κ, R: what of the total stiffness is along each direction.
+    /// κ, R: the share of the total stiffness along each direction.
     stiffness: DVector<f64>,
     /// Torques of a unit force along each direction with the feed-forward, N x R, m.
     shaped: DMatrix<f64>,
@@ -101,8 +101,8 @@ impl WallSet {
         (largest > 0.0 && largest.is_finite()).then(|| 1.0 / largest)
     }
 
-    /// Where the tip goes in the stiffest motion that the walls allow, with or without the feed-forward: a unit vector, d
-    /// entries, on the first wall's side. For one wall its normal.
+    /// Where the tip goes in the stiffest motion that the walls allow, with or without the feed-forward: a unit vector,
+    /// d entries, on the first wall's side. For one wall its normal.
     pub fn stiffest(&self, feed_forward: bool) -> Option<DVector<f64>> {
         let answer = self.answer(feed_forward)?;
         let fastest = 1.0 / self.met(feed_forward)?;
@@ -152,7 +152,7 @@ fn linearised<const N: usize, M: Mechanism<f64, N>>(
     walls: &[Member],
     admissible: Admissible,
 ) -> Result<WallSet, PoseError> {
-    let pose = m.pose::<Libm>(&SVector::from_column_slice(q));
+    let pose = m.pose::<FineTable>(&SVector::from_column_slice(q));
     let total: f64 = walls.iter().map(|wall| wall.share).sum();
     let mut pulls: Vec<Pull<f64, N>> = Vec::new();
     for wall in walls {
@@ -164,7 +164,7 @@ fn linearised<const N: usize, M: Mechanism<f64, N>>(
             feed_forward: wall.feed_forward,
         });
     }
-    let principal = Principal::new::<Libm>(&pulls, M::SPEC.task);
+    let principal = Principal::new::<FineTable>(&pulls, M::SPEC.task);
     let most = pulls.iter().map(|pull| pull.stiffness).fold(0.0, f64::max);
     let seen: Vec<usize> = (0..N).filter(|i| principal.along(*i) > NO_STIFFNESS * principal.along(0)).collect();
     let null = m.shaping(&pose, &SVector::from_fn(|i, _| f64::from(u8::from(i == N - 1))));
@@ -253,7 +253,8 @@ impl Loops {
                 Seen { a, b, positions: seen, turning }
             }
         };
-        // Beside the plant's states, how far the joints whose damping is compensated turn, which nothing else depends on.
+        // Beside the plant's states, how far the joints whose damping is compensated turn, which nothing else depends
+        // on.
         let (plant, sensed) = (seen.a.nrows(), seen.turning.nrows());
         let all = plant + sensed;
         let mut joined = DMatrix::zeros(all + joints, all + joints);
@@ -393,8 +394,8 @@ impl Loops {
     }
 }
 
-/// The continuous plant per sample: ẋ = a x + b τ of all joint torques (m/T² times metres), the rendered positions, and the
-/// velocities of the joints whose damping is compensated, rad per sample, as rows over the states.
+/// The continuous plant per sample: ẋ = a x + b τ of all joint torques (m/T² times metres), the rendered positions, and
+/// the velocities of the joints whose damping is compensated, rad per sample, as rows over the states.
 struct Seen {
     a: DMatrix<f64>,
     b: DMatrix<f64>,

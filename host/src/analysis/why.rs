@@ -58,7 +58,8 @@ pub struct Without {
     pub instead: &'static str,
     /// The limits then.
     pub limits: Both,
-    /// What the effect takes of the largest stiffness, as a share of what there would be: negative where it helps.
+    /// What the effect takes from the largest stiffness, as a share of that without the effect: negative where it
+    /// helps.
     pub takes: Shares,
     /// The same of the area.
     pub takes_area: Shares,

@@ -39,7 +39,7 @@ mod tests {
     #[test]
     fn every_mechanism_has_been_counted_in_every_variant() {
         for mechanism in haptic_bridge::model::catalogue::Kind::ALL {
-            for trigonometry in ["minimax", "micromath", "libm"] {
+            for trigonometry in ["table", "minimax", "micromath", "libm"] {
                 for model in ["exact", "bilinear", "bicubic", "frozen"] {
                     for terms in ["none", "feed-forward", "feed-forward+z", "washout", "washout+z"] {
                         let name = mechanism.spec().name;
@@ -50,7 +50,7 @@ mod tests {
             }
             for (estimator, _) in haptic_bridge::render::velocity::Estimator::ALL {
                 let terms = format!("feed-forward, {estimator}");
-                let found = instructions(mechanism.spec().name, "minimax", "exact", &terms);
+                let found = instructions(mechanism.spec().name, "table", "exact", &terms);
                 assert!(found.is_some(), "{}, {estimator}", mechanism.spec().name);
             }
         }

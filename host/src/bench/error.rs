@@ -7,11 +7,11 @@
 use crate::bench::precompute::Precomputed;
 use crate::bench::probe::{Probe, strongest};
 use crate::error::Failure;
-use haptic_bridge::math::{Libm, Math, Micromath, Minimax, Real};
+use haptic_bridge::math::{Angle, BinaryAngle, Libm, Math, Real};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::device::Device;
-use haptic_bridge::model::inertia::{frame_rate, shaped_torque_beside};
-use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::model::inertia::frame_rate;
+use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::model::precomputed::MassModel;
 use haptic_bridge::model::solve::solve_symmetric;
 use haptic_bridge::render::controller::{beyond, known_share};
@@ -100,12 +100,27 @@ impl Law {
 /// Sines, cosines and square roots as the variant computes them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Trigonometry {
-    /// Minimax polynomials and the FPU's square root: what ships.
+    /// A table and two terms of a series, and the FPU's square root: what ships.
+    Tabulated,
+    /// Minimax polynomials.
     Minimax,
     /// The micromath crate.
     Micromath,
     /// libm.
     Libm,
+}
+
+/// How a variant computes its torques.
+#[derive(Clone, Copy, Debug)]
+pub struct Way<'a> {
+    /// With which mass matrix.
+    pub model: &'a Precomputed,
+    /// With which terms of equation (4).
+    pub terms: Terms,
+    /// With which sines, cosines and square roots.
+    pub trigonometry: Trigonometry,
+    /// By which law of the velocity terms.
+    pub law: Law,
 }
 
 /// Size of a set of errors.
@@ -151,8 +166,8 @@ pub struct Errors {
 pub struct Found {
     /// Against the whole law: what is wrong with the force.
     pub whole: Errors,
-    /// Against what a board gives of it that computes without error and lets its velocity terms fade: what the choice of
-    /// a variant can change.
+    /// Against what a board gives of it that computes without error and lets its velocity terms fade: what the choice
+    /// of a variant can change.
     pub given: Errors,
 }
 
@@ -166,7 +181,9 @@ pub fn torque<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
 ) -> [f64; MAX_JOINTS] {
     let vector = |values: &[f64; MAX_JOINTS]| SVector::<T, N>::from_fn(|i, _| T::from_f64(values[i]));
     let (q, n, force) = (vector(&probe.q), vector(&probe.normal), T::from_f64(probe.force));
-    let pose = mechanism.pose::<K>(&q);
+    // As an encoder has them: the board knows angles as parts of a turn.
+    let angles = std::array::from_fn(|i| Angle { radians: q[i], binary: Some(BinaryAngle::of_radians(probe.q[i])) });
+    let pose = mechanism.pose_at::<K>(&angles);
     let torque = if terms == Terms::None {
         mechanism.transpose(&pose, &(n * force))
     } else {
@@ -182,64 +199,57 @@ pub fn torque<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
         }
         // The paper leaves the rendered part of b for the wall to meet; the rendered law none of it.
         let met = if law.terms == VelocityTerms::Paper { b } else { SVector::zeros() };
-        shaped_torque_beside(&shaping, force, &b, &met)
+        shaping.torque(force, &b, &met)
     };
     std::array::from_fn(|i| if i < N { torque[i].to_f64() } else { 0.0 })
 }
 
-macro_rules! define {
-    ($(($Variant:ident, $module:ident, $n:literal))*) => {
-        /// The error of a variant over `probes`.
-        pub fn errors(
-            device: &Device<f64>,
-            probes: &[Probe],
-            model: &Precomputed,
-            terms: Terms,
-            trigonometry: Trigonometry,
-            law: Law,
-        ) -> Result<Found, Failure> {
-            let board = device.mechanism.cast::<f32>();
-            Ok(match (&device.mechanism, &board) {
-                $((AnyMechanism::$Variant(exact), AnyMechanism::$Variant(board)) => match trigonometry {
-                    Trigonometry::Minimax => compare::<Minimax, _, _, $n>(device, exact, board, probes, model, terms, law),
-                    Trigonometry::Micromath => compare::<Micromath, _, _, $n>(device, exact, board, probes, model, terms, law),
-                    Trigonometry::Libm => compare::<Libm, _, _, $n>(device, exact, board, probes, model, terms, law),
-                },)*
-                _ => Found::default(),
-            })
+/// Runs this with the functions that the trigonometry stands for as the type `K`.
+macro_rules! with_trigonometry {
+    ($trigonometry:expr, $K:ident => $run:expr) => {{
+        use $crate::bench::error::Trigonometry;
+        match $trigonometry {
+            Trigonometry::Tabulated => {
+                type $K = haptic_bridge::math::Tabulated;
+                $run
+            }
+            Trigonometry::Minimax => {
+                type $K = haptic_bridge::math::Minimax;
+                $run
+            }
+            Trigonometry::Micromath => {
+                type $K = haptic_bridge::math::Micromath;
+                $run
+            }
+            Trigonometry::Libm => {
+                type $K = haptic_bridge::math::Libm;
+                $run
+            }
         }
-
-        /// Where the error of a variant over `probes` comes from.
-        pub fn parts(
-            device: &Device<f64>,
-            probes: &[Probe],
-            model: &Precomputed,
-            terms: Terms,
-            trigonometry: Trigonometry,
-            law: Law,
-        ) -> Result<Parts, Failure> {
-            let board = device.mechanism.cast::<f32>();
-            Ok(match (&device.mechanism, &board) {
-                $((AnyMechanism::$Variant(exact), AnyMechanism::$Variant(board)) => match trigonometry {
-                    Trigonometry::Minimax => parts_of::<Minimax, _, _, $n>(exact, board, probes, model, terms, law),
-                    Trigonometry::Micromath => parts_of::<Micromath, _, _, $n>(exact, board, probes, model, terms, law),
-                    Trigonometry::Libm => parts_of::<Libm, _, _, $n>(exact, board, probes, model, terms, law),
-                },)*
-                _ => Parts::default(),
-            })
-        }
-    };
+    }};
 }
-haptic_bridge::mechanisms!(define);
+pub(super) use with_trigonometry;
+
+/// The error of a variant over `probes`.
+pub fn errors(device: &Device<f64>, probes: &[Probe], way: &Way<'_>) -> Found {
+    with_mechanism!(&device.mechanism, exact => {
+        with_trigonometry!(way.trigonometry, K => compare::<K, _, _, _>(device, exact, &exact.cast(), probes, way))
+    })
+}
+
+/// Where the error of a variant over `probes` comes from.
+pub fn parts(device: &Device<f64>, probes: &[Probe], way: &Way<'_>) -> Parts {
+    with_mechanism!(&device.mechanism, exact => {
+        with_trigonometry!(way.trigonometry, K => parts_of::<K, _, _, _>(exact, &exact.cast(), probes, way))
+    })
+}
 
 fn compare<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: usize>(
     device: &Device<f64>,
     exact: &E,
     board: &B,
     probes: &[Probe],
-    model: &Precomputed,
-    terms: Terms,
-    law: Law,
+    &Way { model, terms, law, .. }: &Way<'_>,
 ) -> Found {
     let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data, &model.values) else { return Found::default() };
     let torques: Vec<_> = probes.iter().map(|probe| torque::<f32, K, B, N>(board, &mass, terms, law, probe)).collect();
@@ -278,7 +288,7 @@ fn reference<E: Mechanism<f64, N>, const N: usize>(
     torque::<f64, Libm, E, N>(exact, &MassModel::Exact, terms, law, probe)
 }
 
-/// Infinite where it is no number.
+/// By how much each torque is off, N m; infinite where one is not finite.
 fn difference(found: [f64; MAX_JOINTS], right: [f64; MAX_JOINTS]) -> [f64; MAX_JOINTS] {
     std::array::from_fn(|i| {
         let off = found[i] - right[i];
@@ -321,9 +331,7 @@ fn parts_of<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: u
     exact: &E,
     board: &B,
     probes: &[Probe],
-    model: &Precomputed,
-    terms: Terms,
-    law: Law,
+    &Way { model, terms, law, .. }: &Way<'_>,
 ) -> Parts {
     let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data, &model.values) else { return Parts::default() };
     let mut parts = Parts { area: f64::INFINITY, ..Parts::default() };

@@ -3,9 +3,9 @@
 //!
 //! The controller is the board's own, in its precision; the device moves by its full equations with friction, torque
 //! follows half a carrier period late, and nothing limits it: motors and their limits are the same for every estimator.
-//! [`mod@crate::tune`] asks here as well. [`crate::analysis::ripple`] is another simulation because it has the loop of a
-//! prediction, with any drive, delay and linear estimator, where this one has the board's own step; tests/ripple.rs holds both
-//! to each other.
+//! [`mod@crate::tune`] asks here as well. [`crate::analysis::ripple`] is another simulation because it has the loop of
+//! a prediction, with any drive, delay and linear estimator, where this one has the board's own step; tests/ripple.rs
+//! holds both to each other.
 
 use crate::analysis::control_loop::usual_delay;
 use crate::analysis::plant::{Drive, Linearised};
@@ -19,7 +19,6 @@ use crate::measure::complement;
 use crate::sim::{EncoderModel, Load, Plant};
 use crate::sweep::Sweep;
 use crate::vectors::{padded, padded_to};
-use haptic_bridge::math::Minimax;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::Description;
@@ -28,6 +27,7 @@ use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use haptic_bridge::render::velocity::{Chosen, Coefficients, CutoffMeans, Estimator};
+use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::with_mechanism;
 use serde::{Deserialize, Serialize};
 
@@ -48,7 +48,7 @@ const CLOSE: f64 = 1.05;
 const STRUCK: f64 = 40.0;
 const QUIET: f64 = 6.0;
 /// A tip this far from the wall's surface is lost, m.
-const FAR: f64 = 0.02;
+const FAR_M: f64 = 0.02;
 /// Time in which a struck wall must come to rest, s.
 const REST_S: f64 = 0.25;
 
@@ -77,13 +77,14 @@ pub struct Row {
     pub value: Option<u32>,
     /// Its cutoff, Hz, where it has one.
     pub cutoff_hz: Option<f64>,
-    /// ∫ largest quiet stiffness over damping, N²s/m²: simulated, with encoder steps and friction. Sought up to 1e7 N/m and
-    /// to five times the damping that is predicted stable with the Butterworth; beyond, the area is at least this.
+    /// ∫ largest quiet stiffness over damping, N²s/m²: simulated, with encoder steps and friction. Sought up to 1e7 N/m
+    /// and to five times the damping that is predicted stable with the Butterworth; beyond, the area is at least this.
     pub area: f64,
-    /// Root mean square of the force of the wall under a hand that presses ever harder, about its straight line, N: without
-    /// the feed-forward, and with all of it; none where the tip flies off.
+    /// Root mean square of the force of the wall under a hand that presses ever harder, about its straight line, N:
+    /// without the feed-forward, and with all of it; none where the tip flies off.
     pub press_n: [Option<f64>; 2],
-    /// The same under a hand at rest, about its mean, without the feed-forward: friction may hold the tip between two counts.
+    /// The same under a hand at rest, about its mean, without the feed-forward: friction may hold the tip between two
+    /// counts.
     pub ripple_n: Option<f64>,
     /// Whether the pressed wall pushed on average as hard as the hand, within a tenth.
     pub holds: bool,
@@ -127,8 +128,8 @@ impl Shaping {
 /// What is done to a wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Trial {
-    /// A hand pushes steadily. Friction may then lock the tip between two encoder steps, and a wall that would rattle is
-    /// quiet.
+    /// A hand pushes steadily. Friction may then lock the tip between two encoder steps, and a wall that would rattle
+    /// is quiet.
     Pressed,
     /// A hand pushes ever harder, as in [`crate::analysis::ripple`]: friction cannot hold the tip for good.
     PressedHarder,
@@ -141,8 +142,8 @@ enum Trial {
 /// A press below this is zero beside what a board's arithmetic and a hand are, N: such rows are equal.
 pub const RESOLUTION_N: f64 = 1e-3;
 
-/// Sliding along the wall, m/s; how the push of a hand that slides swings, as a share of it and in Hz; how long is looked,
-/// s; and from which frequency on (Hz) a force is ripple and no longer what the hand does.
+/// Sliding along the wall, m/s; how the push of a hand that slides swings, as a share of it and in Hz; how long is
+/// looked, s; and from which frequency on (Hz) a force is ripple and no longer what the hand does.
 const SLIDE: f64 = 0.03;
 const SWINGS: (f64, f64) = (0.5, 1.0);
 const SLIDE_S: f64 = 0.5;
@@ -189,7 +190,8 @@ pub fn pressed(
     })
 }
 
-/// What a force has above `RIPPLE_HZ` from sample `from` on: less a trend that two poles make of it, one after the other.
+/// What a force has above `RIPPLE_HZ` from sample `from` on: less a trend that two poles make of it, one after the
+/// other.
 pub fn fast(force: &[f64], rate_hz: f64, from: usize) -> impl Iterator<Item = f64> + '_ {
     let share = 1.0 - (-std::f64::consts::TAU * RIPPLE_HZ / rate_hz).exp();
     let (mut first, mut second) = (0.0, 0.0);
@@ -252,8 +254,8 @@ fn around(rate_hz: f64, cutoff_hz: f64) -> Loop {
     }
 }
 
-/// Compares every estimator. Those with at least the Butterworth's area come first, by their ripple under a hand that presses
-/// ever harder; the others follow by area. The same in any order of work: nothing is random.
+/// Compares every estimator. Those with at least the Butterworth's area come first, by their ripple under a hand that
+/// presses ever harder; the others follow by area. The same in any order of work: nothing is random.
 pub fn compare(comparison: &Comparison<'_>, sweep: &Sweep) -> Result<Vec<Row>, Failure> {
     let device = comparison.file.device().map_err(Failure::wrong)?;
     let linearised = Linearised::of(&device, comparison.q, comparison.normal, Admissible::default())?;
@@ -309,7 +311,7 @@ struct Trace {
     distance: Vec<f64>,
     /// Force of the wall, N.
     force: Vec<f64>,
-    /// Whether the tip went farther than [`FAR`].
+    /// Whether the tip went farther than [`FAR_M`].
     lost: bool,
 }
 
@@ -393,8 +395,8 @@ impl<'a> WallSimulation<'a> {
         })
     }
 
-    /// ∫ largest quiet stiffness over damping: the trapezoidal rule on even dampings from the first up, until nothing is
-    /// quiet any more. `damping` (N s/m) is the most that is predicted stable with the Butterworth.
+    /// ∫ largest quiet stiffness over damping: the trapezoidal rule on even dampings from the first up, until nothing
+    /// is quiet any more. `damping` (N s/m) is the most that is predicted stable with the Butterworth.
     fn area(&self, candidate: &Candidate, damping: f64) -> Result<f64, Failure> {
         let step = damping * 1.25 / DAMPINGS as f64;
         let (mut area, mut last) = (0.0, 0.0);
@@ -529,7 +531,7 @@ impl<'a> WallSimulation<'a> {
         seconds: f64,
     ) -> Result<Trace, Failure> {
         let mut controller =
-            Controller::<f32, M, Minimax, N>::new(mechanism, &self.board, scene).map_err(Failure::wrong)?;
+            Controller::<f32, M, BoardMath, N>::new(mechanism, &self.board, scene).map_err(Failure::wrong)?;
         let rate = self.comparison.rate_hz;
         let period = 1.0 / rate;
         let late = usual_delay(rate) * period;
@@ -540,15 +542,14 @@ impl<'a> WallSimulation<'a> {
             let hand = self.hand(trial, n as f64 * period);
             let q = plant.q();
             let counts: [i32; N] = core::array::from_fn(|i| self.encoders[i].counts(q[i]));
-            controller.acted(&core::array::from_fn(|i| before[i] as f32));
-            let step = controller.step(&counts);
+            let step = controller.step_after(&before.map(|torque| torque as f32), &counts);
             let torque: [f64; MAX_JOINTS] =
                 core::array::from_fn(|i| if i < N { f64::from(step.torque[i]) } else { 0.0 });
             trace.force.push(f64::from(step.wall_force));
             let tip = plant.tip();
             let distance = (0..MAX_JOINTS).map(|i| self.normal[i] * (tip[i] - self.tip[i])).sum::<f64>();
             trace.distance.push(distance);
-            if distance.is_nan() || distance.abs() >= FAR {
+            if distance.is_nan() || distance.abs() >= FAR_M {
                 trace.lost = true;
                 break;
             }
@@ -559,7 +560,7 @@ impl<'a> WallSimulation<'a> {
         Ok(trace)
     }
 
-    /// Where a hand wants to be (m) and how it pushes (N) at a time (s), where there is one.
+    /// Where the hand wants to be (m) and how hard it pushes (N) at a time (s); `None` in a trial without a hand.
     fn hand(&self, trial: Trial, time: f64) -> Option<([f64; MAX_JOINTS], f64)> {
         let push = HAND.3;
         match trial {
@@ -607,7 +608,7 @@ impl<'a> WallSimulation<'a> {
         scene: &Scene<f32>,
     ) -> Result<f64, Failure> {
         let mut controller =
-            Controller::<f32, M, Minimax, N>::new(mechanism, &self.board, scene).map_err(Failure::wrong)?;
+            Controller::<f32, M, BoardMath, N>::new(mechanism, &self.board, scene).map_err(Failure::wrong)?;
         let steps = (SLOW_S * self.comparison.rate_hz) as usize;
         let (mut sum, mut looked) = (0.0, 0);
         for n in 0..steps {

@@ -1,5 +1,5 @@
 //! Where errors are looked at: poses with a wall's normal, a hand motion, and the largest force the motors give along
-//! the normal beside it. A motion that takes more than the motors give is none that the device makes, and is left out.
+//! the normal beside it. Motions that take more than the motors give are left out.
 
 use crate::analysis::map::Reachable;
 use crate::analysis::pose::PoseError;

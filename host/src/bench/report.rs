@@ -1,7 +1,9 @@
 //! Every variant of every mechanism with its cost and its error; the page and the picture made of them.
 
 use crate::bench::counts;
-use crate::bench::error::{Errors, Law, Parts, STIFFNESS, Terms, Trigonometry, encoder_step, errors, parts};
+use crate::bench::error::{
+    Errors, Law, Parts, STIFFNESS, Terms, Trigonometry, Way, encoder_step, errors, parts, with_trigonometry,
+};
 use crate::bench::precompute::{Precomputed, frozen, most_points, range, table};
 use crate::bench::probe::{HAND_SPEED, Probe, workspace};
 use crate::device_file::DeviceFile;
@@ -9,13 +11,15 @@ use crate::error::Failure;
 use crate::plot::Picture;
 use crate::plot::axes::{Axis, Mark, PlotArea};
 use crate::plot::canvas::{Anchor, Canvas, Stroke};
-use haptic_bridge::math::{Libm, Math, Micromath, Minimax};
+use haptic_bridge::math::Math;
 use haptic_bridge::model::catalogue::{Kind, MAX_JOINTS};
 use haptic_bridge::model::device::Device;
-use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::model::precomputed::{Interpolation, MassModel};
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::render::velocity::Estimator;
+use haptic_bridge::servo::compiled::BoardMath;
+use haptic_bridge::with_mechanism;
 use serde::Serialize;
 use std::fmt::Write;
 use std::hint::black_box;
@@ -62,8 +66,8 @@ pub struct Variant {
     pub given: Errors,
     /// Where they come from.
     pub parts: Parts,
-    /// Nothing of the same mechanism is both cheaper and better: instructions against what is wrong with the force at the
-    /// tip, the wall's own error of the tip's position included.
+    /// Nothing of the same mechanism is both cheaper and better: instructions against what is wrong with the force at
+    /// the tip, the wall's own error of the tip's position included.
     pub pareto: bool,
 }
 
@@ -94,8 +98,12 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
     let mut models = vec![Precomputed::default(), frozen(device, &probes)];
     models.extend(table(device, Interpolation::Bilinear, [points; 2], range));
     models.extend(table(device, Interpolation::Bicubic, [points; 2], range));
-    let back_ends =
-        [(Trigonometry::Minimax, "minimax"), (Trigonometry::Micromath, "micromath"), (Trigonometry::Libm, "libm")];
+    let back_ends = [
+        (Trigonometry::Tabulated, "table"),
+        (Trigonometry::Minimax, "minimax"),
+        (Trigonometry::Micromath, "micromath"),
+        (Trigonometry::Libm, "libm"),
+    ];
     let mut found = Vec::new();
     for (trigonometry, name) in back_ends {
         for model in &models {
@@ -103,8 +111,8 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
                 if terms == Terms::None && model.name() != "exact" {
                     continue;
                 }
-                let errors = errors(device, &probes, model, terms, trigonometry, law)?;
-                let parts = parts(device, &probes, model, terms, trigonometry, law)?;
+                let way = Way { model, terms, trigonometry, law };
+                let (errors, parts) = (errors(device, &probes, &way), parts(device, &probes, &way));
                 let variant = |target, instructions, nanoseconds| Variant {
                     name: format!("{}/{name}/{}/{}", spec.name, model.name(), terms.name()),
                     mechanism: spec.name,
@@ -121,8 +129,7 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
                 let count = counts::instructions(spec.name, name, model.name(), terms.name());
                 found.push(variant("cortex-m4f", count, None));
                 if timed {
-                    let time = nanoseconds(device, &probes, model, terms, trigonometry, law)?;
-                    found.push(variant("host", None, Some(time)));
+                    found.push(variant("host", None, Some(nanoseconds(device, &probes, &way))));
                 }
             }
         }
@@ -151,35 +158,17 @@ fn mark_front(variants: &mut [Variant]) {
     }
 }
 
-macro_rules! define {
-    ($(($Variant:ident, $module:ident, $n:literal))*) => {
-        /// What one torque takes on this computer, ns: the best of several runs over the probes.
-        fn nanoseconds(
-            device: &Device<f64>,
-            probes: &[Probe],
-            model: &Precomputed,
-            terms: Terms,
-            trigonometry: Trigonometry,
-            law: Law,
-        ) -> Result<f64, Failure> {
-            Ok(match device.mechanism.cast::<f32>() {
-                $(AnyMechanism::$Variant(m) => match trigonometry {
-                    Trigonometry::Minimax => time::<Minimax, _, $n>(&m, probes, model, terms, law),
-                    Trigonometry::Micromath => time::<Micromath, _, $n>(&m, probes, model, terms, law),
-                    Trigonometry::Libm => time::<Libm, _, $n>(&m, probes, model, terms, law),
-                },)*
-            })
-        }
-    };
+/// What one torque takes on this computer, ns: the best of several runs over the probes.
+fn nanoseconds(device: &Device<f64>, probes: &[Probe], way: &Way<'_>) -> f64 {
+    with_mechanism!(device.mechanism.cast::<f32>(), m => {
+        with_trigonometry!(way.trigonometry, K => time::<K, _, _>(&m, probes, way))
+    })
 }
-haptic_bridge::mechanisms!(define);
 
 fn time<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
     m: &M,
     probes: &[Probe],
-    model: &Precomputed,
-    terms: Terms,
-    law: Law,
+    &Way { model, terms, law, .. }: &Way<'_>,
 ) -> f64 {
     let Some(mass) = MassModel::<f32, N>::new::<M>(&model.data, &model.values) else { return f64::NAN };
     let some = &probes[..probes.len().min(1000)];
@@ -218,7 +207,7 @@ pub fn page(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, Failure> {
          - **Duty**: all of the torque's error in steps of the duty (4200 at 20 kHz, 24 V bus, the device's own motors): below one is free.\n\
          - **F** marks the Pareto front of each mechanism: nothing there is both cheaper and nearer to the force that\n\
          \x20 should be felt, the tip's part included and beside the fade, which no variant changes.\n\n\
-         `minimax` is what the firmware runs. ![Instructions over error](speed-against-error.svg)\n",
+         `table` is what the firmware runs. ![Instructions over error](speed-against-error.svg)\n",
     );
     for (device, variants) in every {
         let _ = writeln!(text, "\n## {} ({})\n", device.mechanism.kind().spec().name, device.name);
@@ -270,7 +259,7 @@ fn estimators(every: &[(Device<f64>, Vec<Variant>)]) -> String {
     let _ = writeln!(text, " {} |\n|---|{}", mechanisms.join(" | "), "---:|".repeat(mechanisms.len()));
     for (estimator, _) in Estimator::ALL {
         let count = |mechanism: &&str| {
-            counts::instructions(mechanism, Minimax::NAME, "exact", &format!("feed-forward, {estimator}"))
+            counts::instructions(mechanism, BoardMath::NAME, "exact", &format!("feed-forward, {estimator}"))
                 .map_or("-".into(), |count| count.to_string())
         };
         let cells: Vec<String> = mechanisms.iter().map(count).collect();

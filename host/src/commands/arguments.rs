@@ -2,13 +2,15 @@
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use haptic::analysis::estimator::LinearEstimator;
+use haptic::analysis::several::Member;
 use haptic::boards::BoardKind;
+use haptic::device_file::DeviceFile;
 use haptic::error::Failure;
 use haptic::model::Precision;
 use haptic::vectors::unit;
 use haptic::words::counted;
 use haptic_bridge::model::admissible::Admissible;
-use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::render::scene::{FeedForward, MAX_RATE_HZ, MIN_RATE_HZ};
 use haptic_bridge::render::velocity::Estimator;
 
 /// A list of numbers separated by commas, such as `-0.3,1.2`.
@@ -29,11 +31,17 @@ impl std::str::FromStr for Numbers {
     }
 }
 
+impl std::fmt::Display for Numbers {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(out, "{}", self.0.iter().map(f64::to_string).collect::<Vec<_>>().join(","))
+    }
+}
+
 impl Numbers {
     /// The numbers, if there are exactly `count`; `option` and `meaning` are for the message.
-    pub fn exactly(self, count: usize, option: &str, meaning: &str) -> Result<Vec<f64>, Failure> {
+    pub fn exactly(&self, count: usize, option: &str, meaning: &str) -> Result<Vec<f64>, Failure> {
         if self.0.len() == count {
-            return Ok(self.0);
+            return Ok(self.0.clone());
         }
         let numbers = counted(self.0.len(), "number");
         let reason = format!("{option} has {numbers}, but this device takes {count} ({meaning})");
@@ -41,7 +49,7 @@ impl Numbers {
     }
 
     /// One positive number for each of `walls` walls.
-    pub fn per_wall(self, walls: usize, option: &str) -> Result<Vec<f64>, Failure> {
+    pub fn per_wall(&self, walls: usize, option: &str) -> Result<Vec<f64>, Failure> {
         if self.0.len() != walls {
             let numbers = counted(self.0.len(), "number");
             let reason = format!("{option} has {numbers} for {} (--normal)", counted(walls, "wall"));
@@ -50,14 +58,14 @@ impl Numbers {
         if let Some(wrong) = self.0.iter().find(|value| **value <= 0.0) {
             return Err(Failure::wrong(format!("{option} holds {wrong}")).remedy("every wall needs a positive number"));
         }
-        Ok(self.0)
+        Ok(self.0.clone())
     }
 
     /// Which of `walls` walls have the feed-forward: all but those that `without` counts, from 0, and some.
-    pub fn with_feed_forward(without: Option<Self>, walls: usize, option: &str) -> Result<Vec<bool>, Failure> {
+    pub fn with_feed_forward(without: Option<&Self>, walls: usize, option: &str) -> Result<Vec<bool>, Failure> {
         let mut with = vec![true; walls];
-        for index in without.map_or_else(Vec::new, |without| without.0) {
-            let wall = with.iter_mut().enumerate().find(|(wall, _)| *wall as f64 == index);
+        for index in without.iter().flat_map(|without| &without.0) {
+            let wall = with.iter_mut().enumerate().find(|(wall, _)| *wall as f64 == *index);
             let Some((_, wall)) = wall else {
                 let reason = format!("{option} names wall {index}, and there are {walls} (--normal)");
                 return Err(Failure::wrong(reason).remedy("count the walls from 0, in the order of --normal"));
@@ -72,7 +80,7 @@ impl Numbers {
     }
 
     /// A direction of `task` entries, made a unit vector.
-    pub fn unit(self, task: usize, option: &str) -> Result<Vec<f64>, Failure> {
+    pub fn unit(&self, task: usize, option: &str) -> Result<Vec<f64>, Failure> {
         let values = self.exactly(task, option, "task directions")?;
         unit(&values).ok_or_else(|| {
             Failure::wrong(format!("{option} is zero, which points nowhere")).remedy("write a direction")
@@ -80,15 +88,107 @@ impl Numbers {
     }
 }
 
+/// Walls that act together.
+#[derive(clap::Args)]
+pub struct WallArgs {
+    /// Normal of a wall at the tip, any length; once per wall that acts
+    #[arg(long, value_name = "X,Y,..", required = true, allow_hyphen_values = true)]
+    normal: Vec<Numbers>,
+    /// Each wall's part of stiffness and damping, with several --normal; results are the totals [default: equal parts]
+    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
+    share: Option<Numbers>,
+    /// Walls whose feed-forward is off beside others that have it, counted from 0 in the order of --normal
+    #[arg(long, value_name = "I,J,..")]
+    no_feed_forward: Option<Numbers>,
+}
+
+impl WallArgs {
+    /// How many.
+    pub fn count(&self) -> usize {
+        self.normal.len()
+    }
+
+    /// The normals as they were typed.
+    pub fn normals(&self) -> impl Iterator<Item = &Numbers> {
+        self.normal.iter()
+    }
+
+    /// Each wall's part, as it was typed, where several share.
+    pub fn parts(&self) -> Option<&Numbers> {
+        self.share.as_ref().filter(|_| self.normal.len() > 1)
+    }
+
+    /// Each wall with its part, at a tip of `task` dimensions.
+    pub fn members(&self, task: usize) -> Result<Vec<Member>, Failure> {
+        let shares = match &self.share {
+            Some(share) => share.per_wall(self.count(), "--share")?,
+            None => vec![1.0; self.count()],
+        };
+        let with = Numbers::with_feed_forward(self.no_feed_forward.as_ref(), self.count(), "--no-feed-forward")?;
+        let parts = shares.into_iter().zip(with);
+        let member = |(normal, (share, feed_forward)): (&Numbers, _)| {
+            Ok(Member { normal: normal.unit(task, "--normal")?, share, feed_forward })
+        };
+        self.normal.iter().zip(parts).map(member).collect()
+    }
+
+    /// The options that ask for the same walls.
+    pub fn line(&self) -> String {
+        let mut line: String = self.normal.iter().map(|normal| format!(" --normal={normal}")).collect();
+        if let Some(parts) = self.parts() {
+            line += &format!(" --share {parts}");
+        }
+        if let Some(without) = &self.no_feed_forward {
+            line += &format!(" --no-feed-forward {without}");
+        }
+        line
+    }
+}
+
+/// The joint angles that were typed after --q, or else those of the file's home.
+pub fn pose(q: Option<&Numbers>, file: &DeviceFile) -> Result<Vec<f64>, Failure> {
+    let joints = file.spec().joints;
+    match (q, file.description.home) {
+        (Some(q), _) => q.exactly(joints, "--q", "joint angles"),
+        (None, Some(home)) => Ok(home[..joints].to_vec()),
+        (None, None) => Err(Failure::wrong(format!("{} has no [home], so there is no pose", file.path.display()))
+            .remedy("say which with --q")),
+    }
+}
+
+/// Refuses a control rate that no board has.
+pub fn check_rate(rate_hz: f64) -> Result<(), Failure> {
+    if (MIN_RATE_HZ..=MAX_RATE_HZ).contains(&rate_hz) {
+        return Ok(());
+    }
+    let reason = format!("no board runs at --rate {rate_hz} Hz");
+    Err(Failure::wrong(reason).remedy(format!("write {MIN_RATE_HZ} to {MAX_RATE_HZ} Hz")))
+}
+
 /// Reads one of these words as what it stands for; each comes with what it is, for the help page.
 pub fn one_of<T: Copy + Send + Sync + 'static>(
     words: impl IntoIterator<Item = (&'static str, &'static str, T)>,
 ) -> impl TypedValueParser<Value = T> {
     let words: Vec<_> = words.into_iter().collect();
-    let listed = words.iter().map(|(word, about, _)| PossibleValue::new(word).help(*about));
+    let listed = words.iter().map(|(word, about, _)| PossibleValue::new(word).help(*about)).collect();
+    meant(listed, words.into_iter().map(|(word, _, meaning)| (word, meaning)).collect())
+}
+
+/// Reads one of these words as what it stands for, where the words say enough.
+fn named<T: Copy + Send + Sync + 'static>(
+    words: impl IntoIterator<Item = (&'static str, T)>,
+) -> impl TypedValueParser<Value = T> {
+    let words: Vec<_> = words.into_iter().collect();
+    meant(words.iter().map(|(word, _)| PossibleValue::new(word)).collect(), words)
+}
+
+fn meant<T: Copy + Send + Sync + 'static>(
+    listed: Vec<PossibleValue>,
+    words: Vec<(&'static str, T)>,
+) -> impl TypedValueParser<Value = T> {
     PossibleValuesParser::new(listed).try_map(move |word| {
-        let known = words.iter().find(|(other, ..)| *other == word);
-        known.map(|(.., meaning)| *meaning).ok_or("this word stands for nothing")
+        let known = words.iter().find(|(other, _)| *other == word);
+        known.map(|(_, meaning)| *meaning).ok_or("this word stands for nothing")
     })
 }
 
@@ -121,22 +221,17 @@ pub fn linear_estimator() -> impl TypedValueParser<Value = Estimator> {
 
 /// The arithmetic to compute in, by its name.
 pub fn precision() -> impl TypedValueParser<Value = Precision> {
-    PossibleValuesParser::new(Precision::ALL.map(|(name, _)| name)).try_map(|word| {
-        let known = Precision::ALL.into_iter().find(|(name, _)| *name == word);
-        known.map(|(_, precision)| precision).ok_or("no such precision")
-    })
+    named(Precision::ALL)
 }
 
 /// A board there is firmware for, by its name.
 pub fn board() -> impl TypedValueParser<Value = BoardKind> {
-    PossibleValuesParser::new(BoardKind::ALL.map(BoardKind::name))
-        .try_map(|name| BoardKind::named(&name).ok_or("no such board"))
+    named(BoardKind::ALL.map(|kind| (kind.name(), kind)))
 }
 
 /// What a redundant device holds, by its name.
-pub fn admissible(text: &str) -> Result<Admissible, String> {
-    let known = Admissible::ALL.iter().find(|(name, _)| *name == text).map(|(_, choice)| *choice);
-    known.ok_or_else(|| format!("write one of {}", Admissible::ALL.map(|(name, _)| name).join(", ")))
+pub fn admissible() -> impl TypedValueParser<Value = Admissible> {
+    named(Admissible::ALL)
 }
 
 #[cfg(test)]

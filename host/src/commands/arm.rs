@@ -1,6 +1,7 @@
 //! `haptic arm`: motors on, and somebody there while they are.
 
-use super::port::{Port, answer, motors_off};
+use super::answer::Json;
+use super::port::{Port, motors_off};
 use haptic::error::{Failure, print};
 use haptic::interrupt;
 use haptic_bridge::safety::fault::State;
@@ -10,18 +11,17 @@ use std::time::Duration;
 
 /// Switch the motors on and render the scene, until Ctrl-C where the board watches its host
 ///
-/// Torque ramps up over half a second. The board refuses, with the reason, while anything that it needs is missing.
-/// Where its rules watch the host, as a real board's do unless told otherwise, this command stays, tells the board that
-/// somebody is there, and switches the motors off at Ctrl-C; should it be killed or unplugged, the board does that.
-/// `haptic stream --arm` does the same and shows telemetry. Where they do not (`haptic rules --host ignore`), it
-/// returns at once, and the motors stay on until somebody switches them off.
+/// Torque ramps up over half a second. The board refuses, with the reason, while anything that it needs is missing. If
+/// the board's rules watch the host, as a real board's do unless told otherwise, this command stays, keeps telling the
+/// board that it is there, and switches the motors off at Ctrl-C; if it is killed or unplugged, the board does that.
+/// `haptic stream --arm` does the same and shows telemetry. If they do not (`haptic rules --host ignore`), it returns
+/// at once, and the motors stay on until somebody switches them off.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
     port: Port,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Arms, and stays for as long as the board wants somebody there.
@@ -37,9 +37,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
             "{ramp}; nobody is watched (`haptic rules --host disarm` changes that): `haptic disarm` or the supply's \
              switch turns the motors off\n"
         );
-        return answer(args.json, document, &said);
+        return args.json.answer(document, &said);
     }
-    answer(args.json, document, &format!("{ramp}; Ctrl-C turns the motors off\n"))?;
+    args.json.answer(document, &format!("{ramp}; Ctrl-C turns the motors off\n"))?;
     board.keep_alive();
     let rate = board.details()?.rate_hz;
     while !stop.is_set() {
@@ -58,6 +58,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
 }
 
 /// Says how it ended, where that is not a second JSON document.
-fn told(json: bool, sentence: &str) -> Result<(), Failure> {
-    if json { Ok(()) } else { print(sentence) }
+fn told(json: Json, sentence: &str) -> Result<(), Failure> {
+    if json.asked() { Ok(()) } else { print(sentence) }
 }

@@ -1,10 +1,12 @@
 //! `haptic backup`: writes everything a board keeps in flash into one file.
 
+use super::answer::Json;
 use super::force::Force;
 use super::port::Port;
 use haptic::backup::Backup;
-use haptic::error::{Failure, print};
+use haptic::error::Failure;
 use haptic::output;
+use serde_json::json;
 use std::path::PathBuf;
 
 /// Write everything the board keeps in flash to a file
@@ -18,9 +20,8 @@ pub struct Args {
     force: Force,
     #[command(flatten)]
     port: Port,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Reads the board, then writes the file.
@@ -36,8 +37,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     output::write(&args.file, backup.to_text().as_bytes(), args.force.overwrite())?;
     let names: Vec<&str> = backup.settings.keys().map(String::as_str).collect();
-    if args.json {
-        return print(&format!("{}\n", serde_json::json!({ "file": args.file, "settings": names })));
-    }
-    print(&format!("{}: {}\n", args.file.display(), names.join(", ")))
+    let said = format!("{}: {}\n", args.file.display(), names.join(", "));
+    args.json.answer(json!({ "file": args.file, "settings": names }), &said)
 }

@@ -1,11 +1,14 @@
 //! `haptic bench`: every variant of the control step with its cost and its error.
 
+use super::answer::Json;
 use super::force::Force;
 use haptic::bench::error::Parts;
 use haptic::bench::report::{Variant, devices, page, picture, variants};
 use haptic::device_file::DeviceFile;
+use haptic::digits::print_json;
 use haptic::error::{Failure, print};
 use haptic::output;
+use serde_json::json;
 use std::path::PathBuf;
 
 /// Show what each way of computing the control step costs and what error it leaves
@@ -21,15 +24,14 @@ pub struct Args {
     report: Option<PathBuf>,
     #[command(flatten)]
     force: Force,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// What the columns and the words of a variant's name mean.
 const LEGEND: &str = "
 variant: mechanism/trigonometry/mass matrix/terms
-  trigonometry: minimax (polynomials and the FPU's root, what the firmware runs), micromath, libm
+  trigonometry: table (and two terms of a series, what the firmware runs), minimax (polynomials), micromath, libm
   mass matrix: exact (closed form), frozen (one for the workspace), bilinear and bicubic (tables)
   terms: none (Jᵀ f alone), feed-forward, feed-forward+z (with the forces of motion)
 errors, N at the tip at the worst of the poses and speeds that the motors can make, each by itself:
@@ -64,9 +66,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let both = [(drawing.as_path(), picture.svg().as_bytes()), (text.as_path(), page.as_bytes())];
         return output::write_together(&both, args.force.overwrite());
     }
-    if args.json {
+    if args.json.asked() {
         let variants: Vec<&Variant> = every.iter().flat_map(|(_, variants)| variants).collect();
-        return print(&format!("{}\n", serde_json::json!({ "variants": variants })));
+        return print_json(json!({ "variants": variants }));
     }
     let mut text = format!(
         "{:<52}{:>11}{:>14}{:>10}{:>12}{:>12}{:>12}{:>12}{:>9}\n",

@@ -1,12 +1,13 @@
-//! `haptic check`: says whether a device file and scene files for it are sound, what they describe, and what in them
-//! can hardly be meant, without a board.
+//! `haptic check`: checks a device file and scene files for it without a board: whether they are sound, what they
+//! describe, what looks like a mistake.
 
-use super::force::Force;
+use super::answer::{Json, Pictures};
 use super::port::counted;
 use haptic::device_file::DeviceFile;
-use haptic::error::{Failure, print};
+use haptic::error::Failure;
 use haptic::plausible::scene::Contact;
 use haptic::plausible::{Warning, device, scene, warn};
+use haptic::plot::Picture;
 use haptic::plot::device::draw;
 use haptic::scene_file::SceneFile;
 use haptic::summary::Summary;
@@ -20,9 +21,10 @@ use std::path::{Path, PathBuf};
 
 /// Check a device file, and scene files for that device
 ///
-/// Stops at the first file that is wrong and names the line and the remedy. Says also what a sound file describes
-/// (reach, force and inertia at the tip), what in it can hardly be meant (on standard error; the exit code stays 0), and
-/// what it still lacks before a real board arms.
+/// Stops at the first file that is wrong and names the line and the remedy. Of a sound file it also says what it
+/// describes (reach, force and inertia at the tip), what looks like a mistake (on standard error; the exit code stays
+/// 0), and what is missing before a real board arms. --svg draws the device at home: links, joints with their zero
+/// angles and directions, reach.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML)
@@ -30,17 +32,10 @@ pub struct Args {
     /// Scene files (TOML) to check against the device
     #[arg(value_name = "SCENE")]
     scenes: Vec<PathBuf>,
-    /// Draw the device at home into this SVG file: links, joints with their zero angles and directions, reach
-    #[arg(long, value_name = "FILE")]
-    svg: Option<PathBuf>,
-    /// The same as a PNG file
-    #[arg(long, value_name = "FILE")]
-    png: Option<PathBuf>,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
     #[command(flatten)]
-    force: Force,
+    pictures: Pictures,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// The document of `--json`.
@@ -72,7 +67,7 @@ struct SceneReport {
 
 /// Checks every file.
 pub fn run(args: Args) -> Result<(), Failure> {
-    args.force.pictures(args.svg.as_ref(), args.png.as_ref())?;
+    args.pictures.check()?;
     let document = Document::load(&args.device)?;
     let file = DeviceFile::read(&document)?;
     let spec = file.spec();
@@ -85,8 +80,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         warnings.extend(doubts);
     }
     let summary = Summary::of(&file)?;
-    if args.svg.is_some() || args.png.is_some() {
-        picture(&file, &summary, args.svg.as_deref(), args.png.as_deref())?;
+    if args.pictures.asked() {
+        args.pictures.save(&picture(&file, &summary)?)?;
     }
     warn(&warnings);
     let report = Report {
@@ -100,11 +95,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         scenes,
         warnings,
     };
-    if args.json {
-        let json = serde_json::to_string(&report).map_err(Failure::impossible)?;
-        return print(&(json + "\n"));
-    }
-    print(&readable(&report, &tip_in_words(&file.description)))
+    args.json.answer(&report, &readable(&report, &tip_in_words(&file.description)))
 }
 
 fn scene_report(path: &Path, device: &DeviceFile) -> Result<(SceneReport, Vec<Warning>), Failure> {
@@ -125,14 +116,12 @@ fn scene_report(path: &Path, device: &DeviceFile) -> Result<(SceneReport, Vec<Wa
     Ok((report, doubts.into_iter().map(|doubt| doubt.about(&document)).collect()))
 }
 
-fn picture(file: &DeviceFile, summary: &Summary, svg: Option<&Path>, png: Option<&Path>) -> Result<(), Failure> {
+/// The device at home.
+fn picture(file: &DeviceFile, summary: &Summary) -> Result<Picture, Failure> {
     let no_pose = || Failure::wrong(format!("{} has no [home], so there is no pose to draw", file.path.display()));
     let home = file.description.home.ok_or_else(|| no_pose().remedy("add [home] q"))?;
     let drawn = draw(&file.description, &file.name, &home[..file.spec().joints], &summary.lines())?;
-    let picture = drawn.ok_or_else(|| Failure::impossible("the linkage does not close at home"))?;
-    svg.map(|path| picture.save_svg(path)).transpose()?;
-    png.map(|path| picture.save_png(path)).transpose()?;
-    Ok(())
+    drawn.ok_or_else(|| Failure::impossible("the linkage does not close at home"))
 }
 
 fn readable(report: &Report, tip: &str) -> String {

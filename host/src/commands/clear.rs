@@ -1,6 +1,7 @@
 //! `haptic clear`: clears a latched fault.
 
-use super::port::{Port, answer, state_in_words};
+use super::answer::Json;
+use super::port::{Port, state_in_words};
 use haptic::error::Failure;
 use haptic::link::Board;
 use haptic_bridge::servo::Status;
@@ -13,9 +14,8 @@ use serde_json::json;
 pub struct Args {
     #[command(flatten)]
     port: Port,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Clears; the motors stay off.
@@ -35,7 +35,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         ));
     }
     let document = json!({ "cleared": cleared, "state": format!("{:?}", status.state), "outside_limits": outside });
-    answer(args.json, document, &said)
+    args.json.answer(document, &said)
 }
 
 /// The joints that stand outside their limits, where the board knows their angles.

@@ -11,8 +11,8 @@ use std::path::PathBuf;
 
 /// Print shell completions, or the manual
 ///
-/// --man alone prints the page of `haptic`; with a directory it writes that page and one for every command there, in
-/// the place of those of another version.
+/// --man alone prints the page of `haptic`; with a directory it writes that page and one for every command there, and
+/// replaces those of another version.
 #[derive(clap::Args)]
 pub struct Args {
     /// For which shell

@@ -5,10 +5,10 @@ use haptic::interrupt;
 use haptic::sweep::Sweep;
 use std::path::PathBuf;
 
-/// Where work is kept that is not done yet.
+/// Where unfinished work is kept.
 #[derive(clap::Args)]
 pub struct Continue {
-    /// Keep what is done in this file until the answer is there: after Ctrl-C the same command goes on from it
+    /// Keep unfinished work in this file: after Ctrl-C the same command goes on from there
     #[arg(long = "continue", value_name = "FILE")]
     file: Option<PathBuf>,
 }

@@ -1,12 +1,13 @@
 //! `haptic demo`: what the feed-forward buys, in a few seconds, without hardware.
 
+use super::answer::Json;
 use super::force::Force;
 use haptic::demo::comparison::Comparison;
 use haptic::demo::crossing::{Crossing, run as cross};
 use haptic::demo::picture::draw;
 use haptic::demo::stiffness::{Limit, limit};
 use haptic::demo::{Demo, Inertia};
-use haptic::error::{Failure, print};
+use haptic::error::Failure;
 use haptic::output;
 use haptic_bridge::render::scene::FeedForward;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -27,9 +28,8 @@ pub struct Args {
     /// Seed of the hand's tremor, the same for both runs
     #[arg(long, default_value_t = 1, value_parser = seed)]
     seed: u64,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Steps of the bar in a part of the work.
@@ -106,10 +106,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let svg = args.svg.unwrap_or_else(|| output::unused("haptic-demo.svg".as_ref()));
     draw(&demo, &results.crossings[0], &results.crossings[1]).save_svg(&svg)?;
     let place = std::path::absolute(&svg).unwrap_or(svg);
-    if args.json {
-        return print(&format!("{}\n", document(&demo, &results, &place.display().to_string())));
-    }
-    print(&format!("{}picture: {}\n", report(&demo, &results), place.display()))
+    let place = place.display().to_string();
+    let said = format!("{}picture: {place}\n", report(&demo, &results));
+    args.json.answer(document(&demo, &results, &place), &said)
 }
 
 /// What `report` says, for programs: SI units, `without` the feed-forward and `with` it.

@@ -1,8 +1,8 @@
 //! `haptic design`: where, in which direction and with which links and posture a device renders walls best.
 
+use super::answer::{Json, Pictures};
 use super::arguments::{self, Numbers};
 use super::continued::Continue;
-use super::force::Force;
 use haptic::analysis::pose::TaskPose;
 use haptic::analysis::range::WORTHWHILE_RATIO;
 use haptic::design::place::{Directions, Placed, Places, directions, places};
@@ -10,21 +10,22 @@ use haptic::design::posture::{Posture, Postures, postures};
 use haptic::design::sensitivity::{Buys, CHANGE, Effect, Sensitivity, buys_most, sensitivities};
 use haptic::design::{singular, stiffness_per_kilogram};
 use haptic::device_file::DeviceFile;
-use haptic::error::{Failure, print};
+use haptic::error::Failure;
 use haptic::plot::coupling::draw;
 use haptic_bridge::model::admissible::Admissible;
-use haptic_bridge::render::scene::{DEFAULT_RATE_HZ, MAX_RATE_HZ, MIN_RATE_HZ};
+use haptic_bridge::render::scene::DEFAULT_RATE_HZ;
 use serde::Serialize;
 use std::fmt::Write;
 use std::path::PathBuf;
 
 /// Find where, in which direction and with which links a device renders walls best
 ///
-/// At one pose: the directions of the stiffest and the softest wall, and the one in which the feed-forward buys most. Over the
-/// workspace: the best places of a wall, of one with the normal that is given, and of a surface that turns every way. What a
-/// tenth more or less of each length, mass, inertia, rotor and gear ratio does to the wall at the pose, and a counterweight.
-/// On a redundant arm: the best posture at the same tip position. By the inertia that a wall meets: the stiffest wall is in
-/// proportion to it. --svg draws the device with its motion along the normal, and its coupling over all directions.
+/// At one pose: the directions of the stiffest and the softest wall, and the one in which the feed-forward buys most.
+/// Over the workspace: the best places of a wall, of one with the normal that is given, and of a surface that turns
+/// every way. What a tenth more or less of each length, mass, inertia, rotor and gear ratio does to the wall at the
+/// pose, and a counterweight. On a redundant arm: the best posture at the same tip position. Walls are judged by the
+/// inertia that they meet, because the stiffest wall is in proportion to it. --svg draws the device with its motion
+/// along the normal, and its coupling over all directions.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML)
@@ -38,7 +39,7 @@ pub struct Args {
     /// Half the width of the wall that is placed, in m
     #[arg(long, value_name = "M", default_value_t = 0.01)]
     patch: f64,
-    /// Least sine of the angle to a singular pose; nearer to one inertia grows without bound
+    /// Smallest allowed sine of the angle to a singular pose, towards which inertia grows without bound
     #[arg(long, value_name = "SINE", default_value_t = 0.3)]
     clear: f64,
     /// Poses of the joint grid, before those that cannot be reached are left out
@@ -50,22 +51,15 @@ pub struct Args {
     /// Cutoff in Hz of their velocity filter
     #[arg(long, value_name = "HZ", default_value_t = 500.0)]
     cutoff: f64,
-    /// What a redundant device holds: orientation, joint-0, joint-1, joint-2 or consistent
-    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = arguments::admissible)]
+    /// What a redundant device holds
+    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = arguments::admissible())]
     admissible: Admissible,
     #[command(flatten)]
     continued: Continue,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
-    /// Draw the device's motion along the normal, and its coupling over all directions, into this SVG file
-    #[arg(long, value_name = "FILE")]
-    svg: Option<PathBuf>,
-    /// The same as a PNG file
-    #[arg(long, value_name = "FILE")]
-    png: Option<PathBuf>,
     #[command(flatten)]
-    force: Force,
+    json: Json,
+    #[command(flatten)]
+    pictures: Pictures,
 }
 
 /// The document of `--json`.
@@ -89,24 +83,14 @@ struct Document {
 
 /// Searches, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
-    args.force.pictures(args.svg.as_ref(), args.png.as_ref())?;
+    args.pictures.check()?;
     let file = DeviceFile::load(&args.device)?;
     let spec = file.spec();
-    if !(MIN_RATE_HZ..=MAX_RATE_HZ).contains(&args.rate) {
-        let reason = format!("--rate {} Hz is none that a board has", args.rate);
-        return Err(Failure::wrong(reason).remedy(format!("write {MIN_RATE_HZ} to {MAX_RATE_HZ} Hz")));
-    }
+    arguments::check_rate(args.rate)?;
     if !(0.0..1.0).contains(&args.clear) || !(0.0..=1.0).contains(&args.patch) {
         return Err(Failure::wrong("--clear is a sine from 0 to below 1, --patch a length up to 1 m"));
     }
-    let q = match (&args.q, file.description.home) {
-        (Some(q), _) => q.clone().exactly(spec.joints, "--q", "joint angles")?,
-        (None, Some(home)) => home[..spec.joints].to_vec(),
-        (None, None) => {
-            return Err(Failure::wrong(format!("{} has no [home], so there is no pose", args.device.display()))
-                .remedy("say which with --q"));
-        }
-    };
+    let q = arguments::pose(args.q.as_ref(), &file)?;
     let asked = args.normal.clone().map(|normal| normal.unit(spec.task, "--normal")).transpose()?;
     let description = &file.description;
     let directions = directions(description, &q, args.admissible)?;
@@ -146,17 +130,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
         places,
         sensitivities,
     };
-    if args.svg.is_some() || args.png.is_some() {
+    if args.pictures.asked() {
         let drawn = draw(description, &file.name, &document.q, &document.normal, args.admissible)?;
         let picture = drawn.ok_or_else(|| Failure::impossible("the linkage does not close at this pose"))?;
-        args.svg.as_deref().map(|path| picture.save_svg(path)).transpose()?;
-        args.png.as_deref().map(|path| picture.save_png(path)).transpose()?;
+        args.pictures.save(&picture)?;
     }
-    if args.json {
-        print(&(serde_json::to_string(&document).map_err(Failure::impossible)? + "\n"))?;
-    } else {
-        print(&readable(&document, asked.is_some(), &args))?;
-    }
+    args.json.answer(&document, &readable(&document, asked.is_some(), &args))?;
     sweep.finish();
     Ok(())
 }

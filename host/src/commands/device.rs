@@ -1,6 +1,7 @@
 //! `haptic device`: loads a device file onto a board.
 
-use super::port::{Port, answer, warn_of_weaker};
+use super::answer::Json;
+use super::port::{Port, warn_of_weaker};
 use haptic::device_file::DeviceFile;
 use haptic::error::Failure;
 use haptic::link::{Board, BoardError};
@@ -28,9 +29,8 @@ pub struct Args {
     tip_force: Option<f32>,
     #[command(flatten)]
     port: Port,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 fn newtons(text: &str) -> Result<f32, String> {
@@ -80,10 +80,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     let lacks = if details.real { file.lacks_for_a_board() } else { Vec::new() };
     let document = json!({ "device": file.name, "port": board.port(), "lacks": lacks, "warnings": warnings });
-    answer(args.json, document, &report)
+    args.json.answer(document, &report)
 }
 
-/// Above which torque, N m, nobody raises the board's limit: what it answers to one that every board refuses.
+/// The torque (N m) above which the board lets nobody raise its limit, found by asking for a limit that every board
+/// refuses.
 fn most_torque(board: &mut Board) -> Option<f32> {
     let mut rules = board.rules().ok()?;
     rules.limits.torque[0] = f32::INFINITY;

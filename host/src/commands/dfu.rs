@@ -1,6 +1,7 @@
 //! `haptic dfu`: restarts a board into its boot loader, to be flashed over USB.
 
-use super::port::{Port, answer, confirm};
+use super::answer::Json;
+use super::port::{GOES_OFF, Port, confirm};
 use haptic::error::Failure;
 use serde_json::json;
 
@@ -15,18 +16,17 @@ pub struct Args {
     /// Do not ask before motors that are on go off
     #[arg(long)]
     yes: bool,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Asks for the restart.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.port.open()?;
     if board.status()?.state.drives() {
-        confirm(args.yes, "the motors are on and will go off: what has weight falls")?;
+        confirm(args.yes, GOES_OFF)?;
     }
     board.enter_dfu()?;
     let said = "the board restarts into its boot loader: flash it with dfu-util, or switch it off and on\n";
-    answer(args.json, json!({ "restarts": "boot-loader" }), said)
+    args.json.answer(json!({ "restarts": "boot-loader" }), said)
 }

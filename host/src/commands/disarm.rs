@@ -1,21 +1,21 @@
 //! `haptic disarm`: motors off.
 
-use super::port::{Port, answer, fault_in_words};
+use super::answer::Json;
+use super::port::{Port, fault_in_words};
 use haptic::error::Failure;
 use haptic::link::{Board, BoardError, LinkError, PortSpec, disarm_past};
 use serde_json::json;
 
 /// Switch the motors off; the device then moves freely (and falls, if it has weight)
 ///
-/// Gets through to a simulated or emulated board that another tool holds. A board on USB belongs to the tool that has its
-/// port open: end that tool, pull the cable, or use the emergency stop.
+/// Gets through to a simulated or emulated board that another tool holds. A board on USB belongs to the tool that has
+/// its port open: end that tool, pull the cable, or use the emergency stop.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
     port: Port,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Disarms, and says so when a fault stays latched.
@@ -35,15 +35,15 @@ pub fn run(args: Args) -> Result<(), Failure> {
         report.push_str(&format!("a fault is latched: {}\n", fault_in_words(&record, rate)));
     }
     let fault = status.fault.map(|record| record.fault.name());
-    answer(args.json, json!({ "state": format!("{:?}", status.state), "fault": fault }), &report)
+    args.json.answer(json!({ "state": format!("{:?}", status.state), "fault": fault }), &report)
 }
 
 /// Disarms past the tool that holds the board.
-fn past(port: &PortSpec, json: bool, held: LinkError) -> Result<(), Failure> {
+fn past(port: &PortSpec, json: Json, held: LinkError) -> Result<(), Failure> {
     match disarm_past(port) {
         Ok(()) => {
             let said = "disarmed past the tool that holds the board: the motors are off\n";
-            answer(json, json!({ "state": "Disarmed" }), said)
+            json.answer(json!({ "state": "Disarmed" }), said)
         }
         Err(BoardError::Link(LinkError::PortBusy(_))) => Err(Failure::from(held).remedy(
             "to disarm at once end that tool (Ctrl-C), pull the USB cable of a board whose rules watch the host, or use the \

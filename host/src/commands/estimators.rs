@@ -1,22 +1,23 @@
 //! `haptic estimators`: which velocity estimator suits a device, by simulation with its encoder steps.
 
-use super::arguments::Numbers;
+use super::answer::Json;
+use super::arguments::{self, Numbers};
 use super::continued::Continue;
 use haptic::bench::estimators::{Comparison, RESOLUTION_N, Row, compare, telling_wall};
 use haptic::device_file::DeviceFile;
-use haptic::error::{Failure, print};
-use haptic_bridge::render::scene::{DEFAULT_RATE_HZ, MAX_RATE_HZ, MIN_RATE_HZ};
+use haptic::error::Failure;
+use haptic_bridge::render::scene::DEFAULT_RATE_HZ;
 use serde_json::json;
 use std::fmt::Write;
 use std::path::PathBuf;
 
 /// Compare velocity estimators on a device, by simulation with its encoder steps
 ///
-/// For each: the area of walls (stiffness over damping) that come to rest, the ripple of the force of a wall under a hand
-/// that presses ever harder, without and with the feed-forward (4), and under one at rest, how late and how noisy the velocity
-/// is. Those with at least the Butterworth's area come first, by their ripple under the growing press: a hand at rest is no
-/// test, as friction may hold the tip between two counts.
-/// Takes a minute. Put the word of the first column into a scene file as `estimator`.
+/// For each: the area of walls (stiffness over damping) that come to rest, the ripple of the force of a wall under a
+/// hand that presses ever harder, without and with the feed-forward (4), and under one at rest, how late and how noisy
+/// the velocity is. Those with at least the Butterworth's area come first, by their ripple under the growing press: a
+/// hand at rest is no test, as friction may hold the tip between two counts. Takes a minute. Put the word of the first
+/// column into a scene file as `estimator`.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML)
@@ -39,27 +40,16 @@ pub struct Args {
     wall: Option<Numbers>,
     #[command(flatten)]
     continued: Continue,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Compares and prints.
 pub fn run(args: Args) -> Result<(), Failure> {
     let file = DeviceFile::load(&args.device)?;
     let spec = file.spec();
-    if !(MIN_RATE_HZ..=MAX_RATE_HZ).contains(&args.rate) {
-        let reason = format!("--rate {} Hz is none that a board has", args.rate);
-        return Err(Failure::wrong(reason).remedy(format!("write {MIN_RATE_HZ} to {MAX_RATE_HZ} Hz")));
-    }
-    let q = match (args.q, file.description.home) {
-        (Some(q), _) => q.exactly(spec.joints, "--q", "joint angles")?,
-        (None, Some(home)) => home[..spec.joints].to_vec(),
-        (None, None) => {
-            return Err(Failure::wrong(format!("{} has no [home], so there is no pose", args.device.display()))
-                .remedy("say which with --q"));
-        }
-    };
+    arguments::check_rate(args.rate)?;
+    let q = arguments::pose(args.q.as_ref(), &file)?;
     let normal = args.normal.unit(spec.task, "--normal")?;
     let cutoff = args.cutoff.unwrap_or((0.1 * args.rate).min(500.0));
     let wall = match args.wall {
@@ -78,15 +68,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let question = format!("{:?} {q:?} {normal:?} {} {cutoff} {wall:?}", file.description, args.rate);
     let sweep = args.continued.sweep("estimators", &question)?;
     let rows = compare(&comparison, &sweep)?;
-    if args.json {
-        let document = json!({
-            "device": file.name, "q": q, "normal": normal, "rate_hz": args.rate, "cutoff_hz": cutoff,
-            "wall": { "stiffness": wall.0, "damping": wall.1 }, "estimators": rows,
-        });
-        print(&format!("{document}\n"))?;
-    } else {
-        print(&readable(&comparison, &rows))?;
-    }
+    let document = json!({
+        "device": file.name, "q": q, "normal": normal, "rate_hz": args.rate, "cutoff_hz": cutoff,
+        "wall": { "stiffness": wall.0, "damping": wall.1 }, "estimators": rows,
+    });
+    args.json.answer(document, &readable(&comparison, &rows))?;
     sweep.finish();
     Ok(())
 }

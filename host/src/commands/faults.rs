@@ -1,5 +1,6 @@
 //! `haptic faults`: what went wrong since the board started, in plain words.
 
+use super::answer::Json;
 use super::port::{Port, fault_in_words};
 use haptic::digits::print_json;
 use haptic::error::{Failure, print};
@@ -10,9 +11,8 @@ use serde_json::json;
 pub struct Args {
     #[command(flatten)]
     port: Port,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Asks and reports.
@@ -20,7 +20,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.port.open()?;
     let faults = board.faults()?;
     let latched = board.status()?.fault;
-    if args.json {
+    if args.json.asked() {
         let list: Vec<_> = faults
             .iter()
             .map(|record| {

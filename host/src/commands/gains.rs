@@ -1,7 +1,8 @@
 //! `haptic gains`: shows or changes stiffness, damping, feed-forward and cutoff, also while a wall is touched.
 
+use super::answer::Json;
 use super::arguments;
-use super::port::{Port, answer, counted, feed_forward_in_words, short};
+use super::port::{Port, counted, feed_forward_in_words, short};
 use haptic::error::Failure;
 use haptic::link::{Board, BoardError};
 use haptic::plausible::scene::{at, beyond};
@@ -14,14 +15,13 @@ use serde_json::json;
 
 /// Show or change the gains of a wall, also while it is touched
 ///
-/// What is not named stays as it is. `haptic save` keeps the gains over a power cycle.
+/// Gains that are not named stay as they are. `haptic save` keeps the gains over a power cycle.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
     port: Port,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
     /// Which wall, from 0, in the order of the scene file
     #[arg(long, value_name = "INDEX", default_value_t = 0)]
     wall: u8,
@@ -67,7 +67,7 @@ fn doubts(board: &mut Board, scene: &Scene<f32>, index: usize) -> Result<Vec<War
     Ok(beyond(&scene.walls[index], &contact, false).into_iter().map(Doubt::typed).collect())
 }
 
-/// Reads what is in force, changes what is named, reports what is in force then.
+/// Reads the gains, changes those that were named, and reports them all.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.port.open()?;
     let scene = board.scene()?.ok_or(BoardError::Refused(Refusal::NoScene))?;
@@ -121,5 +121,5 @@ pub fn run(args: Args) -> Result<(), Failure> {
         "washout_hz": wall.washout_hz, "estimator": scene.estimator, "cutoff_hz": scene.cutoff_hz,
         "rate_hz": scene.rate_hz, "warnings": warnings,
     });
-    answer(args.json, document, &said)
+    args.json.answer(document, &said)
 }

@@ -1,6 +1,7 @@
 //! `haptic home`: declares the present pose to be the device file's home pose.
 
-use super::port::{Port, answer, numbers};
+use super::answer::Json;
+use super::port::{Port, numbers};
 use haptic::error::Failure;
 use haptic::link::BoardError;
 use haptic_bridge::safety::refusal::Refusal;
@@ -18,9 +19,8 @@ const PATIENCE: Duration = Duration::from_secs(1);
 pub struct Args {
     #[command(flatten)]
     port: Port,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Homes, and reports where the board believes the device to be.
@@ -39,5 +39,5 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let status = board.status()?;
     let (q, tip) = (&status.q[..axes], &status.tip[..axes]);
     let said = format!("homed: joints {}, tip {}\n", numbers(q, "rad"), numbers(tip, "m"));
-    answer(args.json, json!({ "homed": status.homed, "q": q, "tip": tip }), &said)
+    args.json.answer(json!({ "homed": status.homed, "q": q, "tip": tip }), &said)
 }

@@ -1,5 +1,6 @@
 //! `haptic info`: what a board is, what it has loaded, and how it is.
 
+use super::answer::Json;
 use super::port::{Port, fault_in_words, numbers, scene_in_words, state_in_words, wall_in_words};
 use haptic::digits::print_json;
 use haptic::error::{Failure, print};
@@ -11,9 +12,8 @@ use serde_json::json;
 pub struct Args {
     #[command(flatten)]
     port: Port,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Asks and reports.
@@ -25,7 +25,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let scene = board.scene()?;
     let tip_force = board.rules()?.limits.tip_force;
     let axes = board.device()?.map_or(0, |device| device.axes());
-    if args.json {
+    if args.json.asked() {
         let fault = status.fault.map(|record| {
             json!({ "code": record.fault.code(), "name": record.fault.name(), "axis": record.axis,
                     "value": record.value, "step": record.step })

@@ -1,15 +1,17 @@
 //! `haptic latency`: how long the way to a board and back takes.
 
+use super::answer::Json;
 use super::port::Port;
+use haptic::digits::print_json;
 use haptic::error::{Failure, print};
 use haptic::interrupt;
 use haptic::latency::{Spread, measure};
 
 /// Measure how long the way to a board and back takes
 ///
-/// Asks the board how its device is, again and again, as a program does that renders forces; the motors stay as they are.
-/// The round trip is on the computer's clock. The age is on the board's: from the state that a program was told to the
-/// moment when what it computed from it would begin to act.
+/// Asks the board for the state of its device again and again, as a program that renders forces does; the motors stay
+/// as they are. The round trip is on the computer's clock. The age is on the board's: from the state that a program is
+/// told until the force computed from it would begin to act.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -17,9 +19,8 @@ pub struct Args {
     /// How many exchanges
     #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(2..=10_000_000))]
     exchanges: u32,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Measures and reports.
@@ -27,9 +28,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.port.open()?;
     let stop = interrupt::watch();
     let latency = measure(&mut board, args.exchanges as usize, || stop.is_set())?;
-    if args.json {
-        let document = serde_json::to_string(&latency).map_err(Failure::impossible)?;
-        return print(&format!("{document}\n"));
+    if args.json.asked() {
+        return print_json(&latency);
     }
     let mut report =
         format!("{} exchanges, {:.0} a second, on {}\n", latency.round_trip.count, latency.per_second, board.port());

@@ -1,5 +1,7 @@
 //! `haptic list`: the boards that are connected.
 
+use super::answer::Json;
+use haptic::digits::print_json;
 use haptic::error::{Failure, print};
 use haptic::link::boards;
 use serde_json::json;
@@ -7,20 +9,19 @@ use serde_json::json;
 /// List the boards that are connected
 #[derive(clap::Args)]
 pub struct Args {
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Lists boards by their USB identifiers, without opening any port.
 pub fn run(args: Args) -> Result<(), Failure> {
     let (boards, others) = boards();
-    if args.json {
+    if args.json.asked() {
         let boards: Vec<_> = boards
             .iter()
             .map(|board| json!({ "port": board.path, "serial": board.serial, "board": board.kind }))
             .collect();
-        return print(&format!("{}\n", json!({ "boards": boards, "other_serial_ports": others })));
+        return print_json(json!({ "boards": boards, "other_serial_ports": others }));
     }
     let mut report = String::new();
     for board in &boards {

@@ -1,11 +1,11 @@
 //! `haptic map`: how the inertia that a wall meets varies over the workspace, and where the feed-forward pays.
 
+use super::answer::{Json, Pictures};
 use super::arguments::{self, Numbers};
 use super::continued::Continue;
-use super::force::Force;
 use haptic::analysis::map::{MapPoint, map_swept};
 use haptic::device_file::DeviceFile;
-use haptic::error::{Failure, print};
+use haptic::error::Failure;
 use haptic::plot::map::draw;
 use haptic_bridge::model::admissible::Admissible;
 use std::fmt::Write;
@@ -15,9 +15,9 @@ use std::path::PathBuf;
 ///
 /// Covers the poses that the device reaches from home without crossing a singularity: effective and rendered inertia
 /// along the normal, the two worst normals at each pose (of the ratio Wrr/Weff and of the coupling Wrr - Weff),
-/// conditioning, and the axes of the operational-space inertia. In JSON, eigenvector k belongs to eigenvalue k.
-/// The picture is a plane of it, with a turret that of the linkage at joint 0 = 0; its colour is coupling/w_rr at the pose's
-/// first two entries of position (docs/devices.md).
+/// conditioning, and the axes of the operational-space inertia. In JSON, eigenvector k belongs to eigenvalue k. The
+/// picture shows one plane of the workspace (with a turret, the linkage's at joint 0 = 0), coloured by coupling/w_rr
+/// over the first two entries of the position (docs/devices.md).
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML)
@@ -28,22 +28,15 @@ pub struct Args {
     /// Poses of the joint grid, before those that cannot be reached are left out
     #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     points: u32,
-    /// What a redundant device holds: orientation, joint-0, joint-1, joint-2 or consistent
-    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = arguments::admissible)]
+    /// What a redundant device holds
+    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = arguments::admissible())]
     admissible: Admissible,
     #[command(flatten)]
     continued: Continue,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
-    /// Draw the map into this SVG file
-    #[arg(long, value_name = "FILE")]
-    svg: Option<PathBuf>,
-    /// Draw the map into this PNG file
-    #[arg(long, value_name = "FILE")]
-    png: Option<PathBuf>,
     #[command(flatten)]
-    force: Force,
+    json: Json,
+    #[command(flatten)]
+    pictures: Pictures,
 }
 
 /// The document of `--json`.
@@ -54,10 +47,10 @@ struct Document {
 
 /// Maps, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
-    args.force.pictures(args.svg.as_ref(), args.png.as_ref())?;
+    args.pictures.check()?;
     let file = DeviceFile::load(&args.device)?;
     let normal = args.normal.unit(file.spec().task, "--normal")?;
-    let pictured = args.svg.is_some() || args.png.is_some();
+    let pictured = args.pictures.asked();
     let question = format!("{:?} {normal:?} {} {:?}", file.description, args.points, args.admissible);
     let sweep = args.continued.sweep("map", &question)?;
     let points = map_swept(&file.description, &normal, args.points as usize, args.admissible, &sweep)?;
@@ -66,15 +59,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     if pictured {
         let picture = draw(&file.description, &file.name, &normal, args.admissible)?;
-        args.svg.as_deref().map(|path| picture.save_svg(path)).transpose()?;
-        args.png.as_deref().map(|path| picture.save_png(path)).transpose()?;
+        args.pictures.save(&picture)?;
     }
-    if args.json {
-        let json = serde_json::to_string(&Document { points }).map_err(Failure::impossible)?;
-        print(&(json + "\n"))?;
-    } else {
-        print(&readable(&file.name, &points))?;
-    }
+    let said = readable(&file.name, &points);
+    args.json.answer(Document { points }, &said)?;
     sweep.finish();
     Ok(())
 }

@@ -3,9 +3,9 @@
 mod meter;
 mod report;
 
-use super::force::Force;
+use super::answer::{Json, Pictures};
 use super::port::{Port, confirm};
-use crate::commands::arguments::{self, Numbers};
+use crate::commands::arguments::{self, Numbers, WallArgs};
 use clap::ValueEnum;
 use clap::builder::TypedValueParser;
 use haptic::analysis::several::{Member, WallSet};
@@ -29,13 +29,13 @@ use std::path::PathBuf;
 
 /// Measure on a board which walls stay stable; moves the motors
 ///
-/// Several --normal measure walls that act together, in the totals of stiffness and damping, as `haptic range` predicts them.
-/// For every damping the stiffness is raised until the telemetry shows a motion that builds up, or that goes on as a
-/// vibration larger than encoder steps explain; it is taken back at once, and the boundary bisected. The median of the
-/// repeats and their bounds are reported. The theory is not consulted, only printed beside it, with the `haptic range` line
-/// that gives it. Take the hand off the device. Ctrl-C at any moment turns the motors off; the same command then goes on
-/// where it stopped. What the board held before (scene, rate, rules) is put back, also by the next run with the same
-/// --progress after one that was killed.
+/// Several --normal measure walls that act together, in the totals of stiffness and damping, as `haptic range` predicts
+/// them. For every damping the stiffness is raised until the telemetry shows a motion that builds up, or that goes on
+/// as a vibration larger than encoder steps explain; it is taken back at once, and the boundary bisected. The median of
+/// the repeats and their bounds are reported. The theory is not consulted, only printed beside it, with the
+/// `haptic range` line that gives it. Take the hand off the device. Ctrl-C at any moment turns the motors off; the same
+/// command then goes on where it stopped. What the board held before (scene, rate, rules) is put back, also by the next
+/// run with the same --progress after one that was killed. --svg draws the measured dots over the predicted range.
 ///
 /// On --port sim the device of the file is simulated in this process, as fast as the computer can.
 #[derive(clap::Args)]
@@ -44,15 +44,8 @@ pub struct Args {
     device: PathBuf,
     #[command(flatten)]
     port: Port,
-    /// Normal of a wall, placed where the tip is, any length; once per wall that acts
-    #[arg(long, value_name = "X,Y,..", required = true, allow_hyphen_values = true)]
-    normal: Vec<Numbers>,
-    /// Each wall's part of stiffness and damping, with several --normal; results are the totals [default: equal parts]
-    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
-    share: Option<Numbers>,
-    /// Walls whose feed-forward is off beside others that have it, counted from 0 in the order of --normal
-    #[arg(long, value_name = "I,J,..")]
-    no_feed_forward: Option<Numbers>,
+    #[command(flatten)]
+    walls: WallArgs,
     /// Control rate in Hz
     #[arg(long, value_name = "HZ", default_value_t = 1_000.0)]
     rate: f64,
@@ -110,17 +103,10 @@ pub struct Args {
     /// Do not ask before a real motor moves
     #[arg(long)]
     yes: bool,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
-    /// Draw the measured dots over the predicted range into this SVG file
-    #[arg(long, value_name = "FILE")]
-    svg: Option<PathBuf>,
-    /// Draw the same into this PNG file
-    #[arg(long, value_name = "FILE")]
-    png: Option<PathBuf>,
     #[command(flatten)]
-    force: Force,
+    json: Json,
+    #[command(flatten)]
+    pictures: Pictures,
 }
 
 /// Which friction is simulated.
@@ -147,7 +133,7 @@ fn kinds() -> impl TypedValueParser<Value = &'static [FeedForward]> {
 
 /// Measures, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
-    args.force.pictures(args.svg.as_ref(), args.png.as_ref())?;
+    args.pictures.check()?;
     let mut file = DeviceFile::load(&args.device)?;
     let spec = file.spec();
     let walls = walls(&args, spec.task)?;
@@ -172,7 +158,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         largest_pull: args.pull * 1e-3,
     };
     let what = occasion::what(&file.name, &setup, &world);
-    // Before anything moves: what is measured has to have a place to be kept in.
+    // Before anything moves: the results need a file that can be written.
     output::check(&args.progress, Overwrite::Replace)?;
     let mut progress = match args.anew {
         true => {
@@ -271,22 +257,12 @@ fn plan(args: &Args) -> Result<Plan, Failure> {
 
 /// The walls that are measured together, each with its part.
 fn walls(args: &Args, task: usize) -> Result<Vec<Member>, Failure> {
-    let normals = &args.normal;
-    let most = most_tested(task);
-    if normals.len() > most {
-        let reason = format!("{} walls at once, but a board holds the tip with walls, too", normals.len());
+    let (count, most) = (args.walls.count(), most_tested(task));
+    if count > most {
+        let reason = format!("{count} walls at once, but a board holds the tip with walls, too");
         return Err(Failure::wrong(reason).remedy(format!("measure at most {most} on this device")));
     }
-    let shares = match args.share.clone() {
-        Some(share) => share.per_wall(normals.len(), "--share")?,
-        None => vec![1.0; normals.len()],
-    };
-    let with = Numbers::with_feed_forward(args.no_feed_forward.clone(), normals.len(), "--no-feed-forward")?;
-    let units = normals.iter().map(|normal| normal.clone().unit(task, "--normal"));
-    units
-        .zip(shares.into_iter().zip(with))
-        .map(|(unit, (share, feed_forward))| Ok(Member { normal: unit?, share, feed_forward }))
-        .collect()
+    args.walls.members(task)
 }
 
 fn world(args: &Args, file: &DeviceFile, walls: &[Member]) -> Result<World, Failure> {
@@ -295,7 +271,7 @@ fn world(args: &Args, file: &DeviceFile, walls: &[Member]) -> Result<World, Fail
     }
     let q = match &args.q {
         Some(q) => {
-            let q = q.clone().exactly(file.spec().joints, "--q", "joint angles")?;
+            let q = q.exactly(file.spec().joints, "--q", "joint angles")?;
             WallSet::at(&file.description, &q, walls, Admissible::default())?;
             Some(padded(&q))
         }

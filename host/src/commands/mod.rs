@@ -1,5 +1,6 @@
 //! The subcommands. Each is one file here, with its `Args` and `run(Args) -> Result<(), Failure>`, and one line below.
 
+mod answer;
 pub mod arguments;
 mod arm;
 mod backup;

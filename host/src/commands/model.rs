@@ -1,7 +1,9 @@
 //! `haptic model`: the inertia a wall meets at one configuration, and the feed-forward that changes it.
 
+use super::answer::Json;
 use super::arguments::{self, Numbers};
 use haptic::device_file::DeviceFile;
+use haptic::digits::print_json;
 use haptic::error::{Failure, print};
 use haptic::model::{Precision, Report, Rows, WallForce, evaluate_holding};
 use haptic::plausible::{Doubt, Warned, angles, warn};
@@ -13,9 +15,9 @@ use std::path::PathBuf;
 ///
 /// Prints the mass matrix, the effective inertia Weff that a wall meets without the feed-forward, the inertia Wrr that
 /// it meets with it, and the joint torques of both. Give --normal and --force once per wall, and --stiffness once with
-/// one number per wall: several walls share the feed-forward by their stiffness. --json then has "directions", the stiffest
-/// first: along (the unit vector e_j), stiffness along it over that of the stiffest wall, and share (s_R of the level that
-/// renders it and the stiffer ones; null where nothing is left to shape).
+/// one number per wall: several walls share the feed-forward by their stiffness. --json then has "directions", the
+/// stiffest first: along (the unit vector e_j), stiffness along it over that of the stiffest wall, and share (s_R of
+/// the level that renders it and the stiffer ones; null where nothing is left to shape).
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML)
@@ -38,41 +40,31 @@ pub struct Args {
     /// Walls whose feed-forward is off beside others that have it, counted from 0 in the order of --normal
     #[arg(long, value_name = "I,J,..")]
     no_feed_forward: Option<Numbers>,
-    /// What a redundant device holds: orientation, joint-0, joint-1, joint-2 or consistent
-    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = arguments::admissible)]
+    /// What a redundant device holds
+    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = arguments::admissible())]
     admissible: Admissible,
-    /// Arithmetic: f64, or f32 to run the very code that the board runs
-    #[arg(long, value_name = "f32|f64", default_value = "f64", value_parser = arguments::precision())]
+    /// Arithmetic: f64, or f32 with the mechanism and the sines that the board runs
+    #[arg(long, value_name = "PRECISION", default_value = "f64", value_parser = arguments::precision())]
     precision: Precision,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Computes and prints.
 pub fn run(args: Args) -> Result<(), Failure> {
     let device = DeviceFile::load(&args.device)?;
     let spec = device.spec();
-    let q = match (args.q, device.description.home) {
-        (Some(q), _) => q.exactly(spec.joints, "--q", "joint angles")?,
-        (None, Some(home)) => home[..spec.joints].to_vec(),
-        (None, None) => {
-            return Err(Failure::wrong(format!("{} has no [home], so there is no pose", args.device.display()))
-                .remedy("say which with --q"));
-        }
-    };
+    let q = arguments::pose(args.q.as_ref(), &device)?;
     let qd = match args.qd {
         Some(qd) => qd.exactly(spec.joints, "--qd", "joint velocities")?,
         None => vec![0.0; spec.joints],
     };
     let warnings: Vec<_> = angles(&q, "--q").into_iter().map(Doubt::typed).collect();
     warn(&warnings);
-    let walls = walls(&args.normal, &args.force, args.stiffness, args.no_feed_forward, spec.task)?;
+    let walls = walls(&args.normal, &args.force, args.stiffness.as_ref(), args.no_feed_forward.as_ref(), spec.task)?;
     let report = evaluate_holding(&device, &q, &qd, &walls, args.precision, args.admissible)?;
-    if args.json {
-        let json =
-            serde_json::to_string(&Warned { result: &report, warnings: &warnings }).map_err(Failure::impossible)?;
-        return print(&(json + "\n"));
+    if args.json.asked() {
+        return print_json(Warned { result: &report, warnings: &warnings });
     }
     let board = if args.precision == Precision::F32 { ", f32 as on the board" } else { "" };
     let heading = format!("{} ({}){board}\n", device.name, spec.name);
@@ -99,8 +91,8 @@ fn held(device: &DeviceFile, q: &[f64], wall: &WallForce, chosen: Admissible) ->
 fn walls(
     normals: &[Numbers],
     forces: &[Numbers],
-    stiffness: Option<Numbers>,
-    without: Option<Numbers>,
+    stiffness: Option<&Numbers>,
+    without: Option<&Numbers>,
     task: usize,
 ) -> Result<Vec<WallForce>, Failure> {
     if !forces.is_empty() && forces.len() != normals.len() {
@@ -117,9 +109,9 @@ fn walls(
         .zip(stiffness.into_iter().zip(with))
         .enumerate()
         .map(|(index, (normal, (stiffness, feed_forward)))| {
-            let normal = normal.clone().unit(task, "--normal")?;
+            let normal = normal.unit(task, "--normal")?;
             let force = match forces.get(index) {
-                Some(force) => force.clone().exactly(1, "--force", "force")?[0],
+                Some(force) => force.exactly(1, "--force", "force")?[0],
                 None => 0.0,
             };
             Ok(WallForce { normal, force, stiffness, feed_forward })

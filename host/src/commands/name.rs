@@ -1,6 +1,7 @@
 //! `haptic name`: what a board is called.
 
-use super::port::{Port, answer};
+use super::answer::Json;
+use super::port::Port;
 use haptic::error::Failure;
 use serde_json::json;
 
@@ -13,9 +14,8 @@ pub struct Args {
     port: Port,
     /// The new name, at most 32 bytes; "" takes the name away
     name: Option<String>,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Shows or sets the name.
@@ -23,7 +23,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let Some(name) = &args.name else {
         let name = args.port.open()?.details()?.name;
         let said = if name.is_empty() { "this board has no name\n".into() } else { format!("{name}\n") };
-        return answer(args.json, json!({ "name": name }), &said);
+        return args.json.answer(json!({ "name": name }), &said);
     };
     if name.chars().any(char::is_control) {
         return Err(Failure::wrong("a name of a board is one line of text").remedy("leave control characters out"));
@@ -37,5 +37,5 @@ pub fn run(args: Args) -> Result<(), Failure> {
     } else {
         format!("this board is called {name}; `haptic save` keeps the name over a power cycle\n")
     };
-    answer(args.json, json!({ "name": name }), &said)
+    args.json.answer(json!({ "name": name }), &said)
 }

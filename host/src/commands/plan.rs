@@ -1,14 +1,17 @@
 //! `haptic plan`: the cheapest model of a device that a scene needs.
 
+use super::answer::Json;
 use clap::builder::NonEmptyStringValueParser;
 use haptic::bench::probe::HAND_SPEED;
 use haptic::device_file::DeviceFile;
+use haptic::digits::print_json;
 use haptic::error::{Failure, print};
 use haptic::plan::{Budget, DEFAULT_PERCENT, Plan, newtons, percent, plan};
 use haptic::plausible::{scene::doubts, warn};
 use haptic::scene_file::SceneFile;
 use haptic::toml_file::Document;
 use haptic_bridge::model::device::Device;
+use serde_json::json;
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -29,9 +32,8 @@ pub struct Args {
     /// Fastest motion of the hand, m/s [default: the scene's hand_speed, or 0.5]
     #[arg(long, value_name = "M/S")]
     speed: Option<f64>,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Reads a budget: a percentage or `one-duty-step`.
@@ -67,8 +69,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let warnings: Vec<_> = doubts.into_iter().map(|doubt| doubt.about(&document)).collect();
     warn(&warnings);
     let plan = plan(&device, &scene.scene, budget(args.error.as_deref())?, speed(args.speed, &scene)?)?;
-    if args.json {
-        let json = serde_json::json!({
+    if args.json.asked() {
+        return print_json(json!({
             "device": device.name,
             "model": plan.mass.name(),
             "terms": plan.terms.name(),
@@ -78,13 +80,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
             "reasons": plan.reasons,
             "candidates": plan.candidates,
             "warnings": warnings,
-        });
-        return print(&format!("{json}\n"));
+        }));
     }
     print(&readable(&device, &plan))
 }
 
-/// What was chosen, what it costs, what error it leaves, and why.
+/// The choice with its cost, its error and the reasons for it.
 pub fn readable(device: &Device<f64>, plan: &Plan) -> String {
     let mut text = String::new();
     let _ = writeln!(text, "{}: {}, mass matrix {}", device.name, plan.terms.name(), plan.mass.name());

@@ -1,6 +1,6 @@
 //! `haptic plot`: pictures of a recording, fit for a paper.
 
-use super::force::Force;
+use super::answer::Pictures;
 use super::port::counted;
 use haptic::digits::print_json;
 use haptic::error::{Failure, print};
@@ -16,7 +16,8 @@ use std::path::PathBuf;
 pub struct Args {
     /// A recording: .mcap or .csv
     file: PathBuf,
-    /// What to draw, separated by commas: time, force, spectrum, phase [default: what the recording has the columns for]
+    /// What to draw, separated by commas: time, force, spectrum, phase [default: what the recording has the columns
+    /// for]
     #[arg(long, value_name = "VIEWS", value_parser = views)]
     show: Option<Views>,
     /// Columns to draw over time and as a spectrum, separated by commas [default: rendered_n]
@@ -34,14 +35,8 @@ pub struct Args {
     /// Print one JSON document: the numbers, and every point that is drawn
     #[arg(long)]
     json: bool,
-    /// Draw to an SVG file
-    #[arg(long, value_name = "FILE")]
-    svg: Option<PathBuf>,
-    /// Draw to a PNG file
-    #[arg(long, value_name = "FILE")]
-    png: Option<PathBuf>,
     #[command(flatten)]
-    force: Force,
+    pictures: Pictures,
 }
 
 #[derive(Clone, Debug)]
@@ -57,7 +52,7 @@ fn views(text: &str) -> Result<Views, String> {
 
 /// Reads, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
-    args.force.pictures(args.svg.as_ref(), args.png.as_ref())?;
+    args.pictures.check()?;
     let recording = Recording::load(&args.file)?;
     let request = Request {
         views: args.show.map_or(Vec::new(), |views| views.0),
@@ -67,18 +62,17 @@ pub fn run(args: Args) -> Result<(), Failure> {
         most_hz: args.most_hz,
     };
     let found = panels(&recording, &request)?;
-    if args.svg.is_some() || args.png.is_some() {
+    if args.pictures.asked() {
         let told = |word: &str| recording.told(word).unwrap_or("unknown");
         let title = format!("{}, {}", told("device"), told("date"));
         let walls: Vec<String> = recording.about.iter().filter(|line| line.starts_with("wall ")).cloned().collect();
         let mut subtitle = vec![format!("board {}; control rate {}", told("board"), told("control rate"))];
         subtitle.extend(walls.into_iter().take(3));
         let picture = draw(&title, &subtitle, &found);
-        args.svg.as_deref().map(|path| picture.save_svg(path)).transpose()?;
-        args.png.as_deref().map(|path| picture.save_png(path)).transpose()?;
+        args.pictures.save(&picture)?;
     }
     if args.json {
-        return print_json(serde_json::to_value(&found).map_err(Failure::impossible)?);
+        return print_json(&found);
     }
     print(&readable(&recording, &found))
 }

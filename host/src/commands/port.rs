@@ -1,7 +1,6 @@
 //! `--port`, which every command that talks to a board takes, and how they talk about what they found.
 
-use haptic::digits::print_json;
-use haptic::error::{Failure, print};
+use haptic::error::Failure;
 use haptic::link::{Board, PortSpec};
 pub use haptic::words::counted;
 pub use haptic::words::{feed_forward_in_words, short, wall_in_words};
@@ -14,8 +13,8 @@ use std::net::{SocketAddr, ToSocketAddrs};
 /// Which board.
 #[derive(clap::Args)]
 pub struct Port {
-    /// The board: a serial port or a board's serial number, tcp:HOST:PORT, sim, or sim:DEVICE.toml [default: HAPTIC_PORT
-    /// where that is set, else the only board connected]
+    /// The board: a serial port or a board's serial number, tcp:HOST:PORT, sim, or sim:DEVICE.toml [default:
+    /// HAPTIC_PORT where that is set, else the only board connected]
     #[arg(long, value_name = "PORT", env = "HAPTIC_PORT")]
     port: Option<PortSpec>,
 }
@@ -62,10 +61,8 @@ pub fn state_in_words(state: State) -> &'static str {
     }
 }
 
-/// Prints what was done: one JSON document, or a sentence.
-pub fn answer(json: bool, document: serde_json::Value, sentence: &str) -> Result<(), Failure> {
-    if json { print_json(document) } else { print(sentence) }
-}
+/// What is said before motors that are on go off.
+pub const GOES_OFF: &str = "the motors are on and will go off: what has weight falls";
 
 /// Asks somebody at the terminal, unless `yes` agreed beforehand; `what` would happen.
 pub fn confirm(yes: bool, what: &str) -> Result<(), Failure> {

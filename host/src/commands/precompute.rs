@@ -1,13 +1,14 @@
 //! `haptic precompute`: makes a frozen mass matrix or a table of it, and says what error it leaves.
 
+use super::answer::Json;
 use super::arguments::Numbers;
 use super::force::Force;
 use clap::ValueEnum;
-use haptic::bench::error::{Law, Terms, Trigonometry, errors};
+use haptic::bench::error::{Law, Terms, Trigonometry, Way, errors};
 use haptic::bench::precompute::{Precomputed, frozen, most_points, range, table};
 use haptic::bench::probe::{Probe, workspace};
 use haptic::device_file::DeviceFile;
-use haptic::error::{Failure, print};
+use haptic::error::Failure;
 use haptic::output;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::{Interpolation, MassModelData, TABLE_VALUES};
@@ -17,8 +18,8 @@ use std::path::PathBuf;
 /// Make a mass matrix that the board need not compute, and say what error it leaves
 ///
 /// A table covers the two joint angles that the mass matrix depends on; outside it the board uses the closed form. Its
-/// size is checked against the board's memory here. `haptic plan` chooses among these by itself; this command is to
-/// look at one.
+/// size is checked against the board's memory here. `haptic plan` chooses among these by itself; this command shows one
+/// of them.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML)
@@ -32,15 +33,14 @@ pub struct Args {
     /// Range of the two angles, lowest and highest of the first, then of the second, rad [default: the workspace]
     #[arg(long = "box", value_name = "A,B,C,D", allow_hyphen_values = true)]
     range: Option<Numbers>,
-    /// Write it to this file (JSON: where its points lie, its values, its errors), to look at or for programs of your own;
-    /// no command reads it, because `haptic scene` makes by itself what it sends to a board
+    /// Write it to this file (JSON: its points, values and errors) for yourself or your own programs. No command reads
+    /// the file: `haptic scene` makes what it sends to a board itself
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     #[command(flatten)]
     force: Force,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
@@ -93,17 +93,15 @@ pub fn run(args: Args) -> Result<(), Failure> {
     };
     // At rest no law of motion matters.
     let law = Law::of(&Scene::default(), &device)?;
-    let errors = errors(&device, &probes, &made, Terms::FeedForward, Trigonometry::Minimax, law)?.whole;
+    let way = Way { model: &made, terms: Terms::FeedForward, trigonometry: Trigonometry::Tabulated, law };
+    let errors = errors(&device, &probes, &way).whole;
     let document = serde_json::json!({
         "device": device.name, "kind": made.name(), "model": made.data, "values": made.values, "errors": errors,
     });
     if let Some(path) = &args.output {
         output::write(path, format!("{document:#}\n").as_bytes(), args.force.overwrite())?;
     }
-    if args.json {
-        return print(&format!("{document}\n"));
-    }
-    print(&readable(&device, &made, &errors, probes.len()))
+    args.json.answer(document, &readable(&device, &made, &errors, probes.len()))
 }
 
 fn inside(device: &Device<f64>, probe: &Probe, box_: [[f64; 2]; 2]) -> bool {

@@ -3,9 +3,9 @@
 mod ripple;
 mod words;
 
-use super::arguments::{self, Numbers};
+use super::answer::{Json, Pictures};
+use super::arguments::{self, Numbers, WallArgs};
 use super::continued::Continue;
-use super::force::Force;
 use super::port::counted;
 use clap::{Args as ClapArgs, ValueEnum};
 use haptic::analysis::control_loop::{CURRENT_LOOP_HZ, usual_delay};
@@ -20,12 +20,12 @@ use haptic::analysis::several::{Member, WallSet};
 use haptic::analysis::why::{Why, why};
 use haptic::boards::BoardKind;
 use haptic::device_file::DeviceFile;
+use haptic::digits::print_json;
 use haptic::error::{Failure, print};
 use haptic::plausible::{Doubt, Warned, angles, warn};
 use haptic::plot::range::{Contents, draw};
 use haptic::sweep::Sweep;
 use haptic_bridge::model::admissible::Admissible;
-use haptic_bridge::render::scene::{MAX_RATE_HZ, MIN_RATE_HZ};
 use haptic_bridge::render::velocity::Estimator;
 use ripple::{Steps, stepped};
 use std::path::PathBuf;
@@ -43,15 +43,8 @@ pub struct Args {
     /// Joint angles in rad, such as 2.4,0.7 [default: the device file's home]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     q: Option<Numbers>,
-    /// Normal of a wall, any length; once per wall that acts
-    #[arg(long, value_name = "X,Y,..", required = true, allow_hyphen_values = true)]
-    normal: Vec<Numbers>,
-    /// Each wall's part of stiffness and damping, with several --normal; results are the totals [default: equal parts]
-    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
-    share: Option<Numbers>,
-    /// Walls whose feed-forward is off beside others that have it, counted from 0 in the order of --normal
-    #[arg(long, value_name = "I,J,..")]
-    no_feed_forward: Option<Numbers>,
+    #[command(flatten)]
+    walls: WallArgs,
     /// Control rate in Hz
     #[arg(long, value_name = "HZ", default_value_t = 1_000.0)]
     rate: f64,
@@ -82,11 +75,11 @@ pub struct Args {
     /// Let the feed-forward compensate the joints' own damping too
     #[arg(long)]
     damping_compensation: bool,
-    /// How much of (4)'s feed-forward there is; below the pole of the inertia, which the board enforces
+    /// Gain of (4)'s feed-forward; it must stay below the pole of the inertia, which the board enforces
     #[arg(long, value_name = "ALPHA", default_value_t = 1.0)]
     feed_forward_gain: f64,
-    /// What a redundant device holds: orientation, joint-0, joint-1, joint-2 or consistent
-    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = arguments::admissible)]
+    /// What a redundant device holds
+    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = arguments::admissible())]
     admissible: Admissible,
     /// How the motors are driven: ideal (torque at once), voltage (resistance, inductance and back-EMF of the device
     /// file's motors), current (a current loop of --current-bandwidth) [default: ideal]
@@ -99,23 +92,23 @@ pub struct Args {
     /// as the boards' loops do, which make a current within one
     #[arg(long, value_name = "HZ", default_value_t = CURRENT_LOOP_HZ)]
     current_bandwidth: f64,
-    /// Also analyse the wall rendered by a program on a computer that asks so many times a second, over this board
+    /// Also analyse the wall as rendered over this board by a program on a computer, with so many exchanges a second
     #[arg(long, value_name = "HZ")]
     host_rate: Option<f64>,
     /// Age of that program's forces when they begin to act, in seconds, as `haptic latency` measures it
     /// [default: from one request to the next]
     #[arg(long, value_name = "S", requires = "host_rate", allow_hyphen_values = true)]
     host_delay: Option<f64>,
-    /// Say why the boundary lies where it lies: what sampling, delay, drive, filter, transmissions, hand and joint
-    /// damping take from it, each by the same loop without it; --svg and --png then draw that
+    /// Say what limits the boundary: how much sampling, delay, drive, filter, transmissions, hand and joint damping
+    /// each take from it, by comparison with the same loop without it; --svg and --png then draw that
     #[arg(long)]
     why: bool,
-    /// Also simulate what encoder steps make of a wall that a hand presses with 3 N, and say from which stiffness on the
-    /// root mean square of its force exceeds this bound, in N; damping is that of --damping-ratio, or each of --kd. The
-    /// hand is that of --hand, or a light one (0.05 kg, 3 N s/m, 200 N/m)
+    /// Also simulate the ripple that encoder steps cause in a wall pressed with 3 N, and say from which stiffness on
+    /// its root mean square exceeds this bound, in N. Damping is that of --damping-ratio, or each of --kd; the hand is
+    /// that of --hand, or a light one (0.05 kg, 3 N s/m, 200 N/m)
     #[arg(long, value_name = "N")]
     ripple: Option<f64>,
-    /// The same of one wall, whose stiffness (N/m) and damping (N s/m) are given
+    /// Simulate the ripple of one wall of this stiffness (N/m) and damping (N s/m)
     #[arg(long, value_name = "KP,KD", allow_hyphen_values = true)]
     wall: Option<Numbers>,
     /// Damping of the walls of --ripple, as a share of the critical damping of the inertia they meet
@@ -123,17 +116,10 @@ pub struct Args {
     damping_ratio: f64,
     #[command(flatten)]
     continued: Continue,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
-    /// Draw the range into this SVG file
-    #[arg(long, value_name = "FILE")]
-    svg: Option<PathBuf>,
-    /// Draw the range into this PNG file
-    #[arg(long, value_name = "FILE")]
-    png: Option<PathBuf>,
     #[command(flatten)]
-    force: Force,
+    json: Json,
+    #[command(flatten)]
+    pictures: Pictures,
 }
 
 /// Drives of the analysis.
@@ -183,37 +169,14 @@ impl Args {
 
 /// Analyses, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
-    args.force.pictures(args.svg.as_ref(), args.png.as_ref())?;
+    args.pictures.check()?;
     let file = DeviceFile::load(&args.device)?;
     let spec = file.spec();
-    if !(MIN_RATE_HZ..=MAX_RATE_HZ).contains(&args.rate) {
-        let reason = format!("--rate {} Hz is none that a board has", args.rate);
-        return Err(Failure::wrong(reason).remedy(format!("write {MIN_RATE_HZ} to {MAX_RATE_HZ} Hz")));
-    }
-    let q = match (&args.q, file.description.home) {
-        (Some(q), _) => q.clone().exactly(spec.joints, "--q", "joint angles")?,
-        (None, Some(home)) => home[..spec.joints].to_vec(),
-        (None, None) => {
-            return Err(Failure::wrong(format!("{} has no [home], so there is no pose", args.device.display()))
-                .remedy("say which with --q"));
-        }
-    };
+    arguments::check_rate(args.rate)?;
+    let q = arguments::pose(args.q.as_ref(), &file)?;
     let mut warnings: Vec<_> = angles(&q, "--q").into_iter().map(Doubt::typed).collect();
-    let normals = args
-        .normal
-        .iter()
-        .map(|normal| normal.clone().unit(spec.task, "--normal"))
-        .collect::<Result<Vec<Vec<f64>>, Failure>>()?;
-    let shares = match args.share.clone() {
-        Some(share) => share.per_wall(normals.len(), "--share")?,
-        None => vec![1.0; normals.len()],
-    };
-    let with = Numbers::with_feed_forward(args.no_feed_forward.clone(), normals.len(), "--no-feed-forward")?;
-    let members: Vec<Member> = normals
-        .iter()
-        .zip(shares.into_iter().zip(with))
-        .map(|(normal, (share, feed_forward))| Member { normal: normal.clone(), share, feed_forward })
-        .collect();
+    let members = args.walls.members(spec.task)?;
+    let normals: Vec<Vec<f64>> = members.iter().map(|member| member.normal.clone()).collect();
     if let Some(board) = args.board.filter(|board| board.axes() < spec.joints) {
         let reason = format!("{} has {} joints, and this board drives {}", file.name, spec.joints, board.axes());
         let remedy = match BoardKind::with_axes(spec.joints) {
@@ -249,12 +212,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let sweep = args.continued.sweep("range", &question)?;
     let why = if args.why { Some(explained(&args, &file, &q, &normals, &around, &sweep)?) } else { None };
     let steps = stepped(&args, &file, &q, &normals, &around, &sweep)?;
-    let pictures = args.svg.is_some() || args.png.is_some();
+    let pictures = args.pictures.asked();
     if let Some(why) = why.as_ref().filter(|_| pictures) {
         let title = format!("{}: what each effect takes from the stiffest wall", file.name);
         let picture = haptic::plot::why::draw(&title, &subtitle(&args, &q, &normals, range.area_ratio), why);
-        args.svg.as_deref().map(|path| picture.save_svg(path)).transpose()?;
-        args.png.as_deref().map(|path| picture.save_png(path)).transpose()?;
+        args.pictures.save(&picture)?;
     } else if pictures {
         // A picture always shows the whole boundary, whatever points were asked for.
         let whole = if args.kd.is_some() { analyse(None, args.washout)? } else { range.clone() };
@@ -267,14 +229,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
             measured_off: &[],
             measured_full: &[],
         });
-        args.svg.as_deref().map(|path| picture.save_svg(path)).transpose()?;
-        args.png.as_deref().map(|path| picture.save_png(path)).transpose()?;
+        args.pictures.save(&picture)?;
     }
-    if args.json {
+    if args.json.asked() {
         let result = Explained { range: &range, why: why.as_ref(), ripple: steps.as_ref() };
-        let json =
-            serde_json::to_string(&Warned { result: &result, warnings: &warnings }).map_err(Failure::impossible)?;
-        print(&(json + "\n"))?;
+        print_json(Warned { result: &result, warnings: &warnings })?;
     } else {
         print(&readable(&file.name, &args, &q, &normals, &range, passivity.as_ref(), &file.description))?;
         why.map_or(Ok(()), |why| print(&in_words(&why)))?;

@@ -1,5 +1,6 @@
 //! `haptic replay`: a recording's counts into the simulated board's control code, torques beside torques.
 
+use super::answer::Json;
 use super::port::counted;
 use haptic::digits::print_json;
 use haptic::error::{Failure, print};
@@ -16,9 +17,8 @@ use std::path::PathBuf;
 pub struct Args {
     /// A recording: .mcap or .csv
     file: PathBuf,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 fn in_words(difference: &Difference) -> String {
@@ -33,8 +33,8 @@ fn in_words(difference: &Difference) -> String {
 pub fn run(args: Args) -> Result<(), Failure> {
     let recording = Recording::load(&args.file)?;
     let found = replay(&recording)?;
-    if args.json {
-        print_json(serde_json::to_value(&found).map_err(Failure::impossible)?)?;
+    if args.json.asked() {
+        print_json(&found)?;
     } else {
         let mut text = format!("{} played, {} of them with the motors on\n", counted(found.rows, "row"), found.armed);
         if let (Some(first), Some(largest)) = (&found.first, &found.largest) {

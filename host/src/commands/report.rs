@@ -1,6 +1,6 @@
 //! `haptic report`: everything about a device on one page, each number with the command that prints it.
 
-use super::arguments::Numbers;
+use super::arguments::{self, Numbers};
 use super::continued::Continue;
 use super::force::Force;
 use haptic::boards::BoardKind;
@@ -18,11 +18,11 @@ use std::process::{Command, Stdio};
 
 /// Write one page with everything about a device: what it is, what it renders, how to make it better
 ///
-/// What the file describes, the largest force, the model, the map, the range of stable walls and why it ends where it does,
-/// velocity estimators, the best place, direction and links, the best settings. The page is one HTML file that needs nothing
-/// else: to read offline, to print. Its numbers are what this tool's own commands print, and above each stands the line to
-/// type. With SCENE the wall is the scene's first. Takes a minute or two; Ctrl-C ends it, and with --continue the same command
-/// goes on from there.
+/// What the file describes, the largest force, the model, the map, the range of stable walls and why it ends where it
+/// does, velocity estimators, the best place, direction and links, the best settings. The page is one HTML file that
+/// needs nothing else: to read offline, to print. Its numbers are what this tool's own commands print, and above each
+/// stands the line to type. With SCENE the wall is the scene's first. Takes a minute or two; Ctrl-C ends it, and with
+/// --continue the same command goes on from there.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML)
@@ -126,16 +126,12 @@ fn subject(args: &Args, file: &DeviceFile) -> Result<Subject, Failure> {
         let (_, contacts) = doubts(&device, scene);
         contacts.into_iter().find(|contact| contact.wall == 0)
     });
-    let home = file.description.home.map(|home| home[..spec.joints].to_vec());
-    let q = match &args.q {
-        Some(q) => q.clone().exactly(spec.joints, "--q", "joint angles")?,
-        None => touched.as_ref().map(|contact| contact.q.clone()).or(home).ok_or_else(|| {
-            Failure::wrong(format!("{} has no [home], so there is no pose", args.device.display()))
-                .remedy("say which with --q")
-        })?,
+    let q = match (&args.q, &touched) {
+        (None, Some(contact)) => contact.q.clone(),
+        (q, _) => arguments::pose(q.as_ref(), file)?,
     };
     let normal = match (&args.normal, &touched) {
-        (Some(normal), _) => normal.clone().unit(spec.task, "--normal")?,
+        (Some(normal), _) => normal.unit(spec.task, "--normal")?,
         (None, Some(contact)) => contact.normal.clone(),
         (None, None) => directions(&file.description, &q, Default::default())?.feed_forward_buys_most.normal,
     };

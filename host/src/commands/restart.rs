@@ -1,14 +1,15 @@
-//! `haptic restart`: a board begins anew.
+//! `haptic restart`: restarts a board.
 
-use super::port::{Port, answer, confirm};
+use super::answer::Json;
+use super::port::{GOES_OFF, Port, confirm};
 use haptic::backup::unsaved;
 use haptic::error::Failure;
 use serde_json::json;
 
 /// Restart a board: the motors go off, and it begins with what was saved
 ///
-/// Device, scene and rules that were not saved are forgotten, and so is homing. Asks before motors that are on go off, and
-/// before anything unsaved is forgotten.
+/// Device, scene and rules that were not saved are forgotten, and so is homing. Asks before motors that are on go off,
+/// and before anything unsaved is forgotten.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -16,9 +17,8 @@ pub struct Args {
     /// Do not ask
     #[arg(long)]
     yes: bool,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Asks for the restart.
@@ -26,7 +26,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.port.open()?;
     let mut loses = Vec::new();
     if board.status()?.state.drives() {
-        loses.push("the motors are on and will go off: what has weight falls".to_string());
+        loses.push(GOES_OFF.to_string());
     }
     let unsaved = unsaved(&mut board)?;
     if !unsaved.is_empty() {
@@ -37,5 +37,5 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     board.restart()?;
     let said = "the board restarts: it has what was saved, and is not homed\n";
-    answer(args.json, json!({ "restarts": true, "forgotten": unsaved }), said)
+    args.json.answer(json!({ "restarts": true, "forgotten": unsaved }), said)
 }

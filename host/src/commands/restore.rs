@@ -1,6 +1,7 @@
 //! `haptic restore`: puts a backup back into a board.
 
-use super::port::{Port, answer, warn_of_weaker};
+use super::answer::Json;
+use super::port::{Port, warn_of_weaker};
 use haptic::backup::{Backup, Ready, Restored, restore};
 use haptic::error::Failure;
 use haptic::toml_file::Document;
@@ -9,16 +10,15 @@ use std::path::PathBuf;
 
 /// Put a backup back into the board's flash
 ///
-/// The motors must be off. A polarity check is not restored: it has to be made anew.
+/// The motors must be off. A polarity check is not restored: run `haptic polarity` again.
 #[derive(clap::Args)]
 pub struct Args {
     /// A file that `haptic backup` wrote
     file: PathBuf,
     #[command(flatten)]
     port: Port,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Understands the whole file, then writes the board.
@@ -44,5 +44,5 @@ pub fn run(args: Args) -> Result<(), Failure> {
         };
     }
     let how = |setting: &Ready| json!({ "setting": setting.key.name(), "how": format!("{:?}", setting.how) });
-    answer(args.json, json!({ "restored": ready.iter().map(how).collect::<Vec<_>>() }), &report)
+    args.json.answer(json!({ "restored": ready.iter().map(how).collect::<Vec<_>>() }), &report)
 }

@@ -1,7 +1,9 @@
 //! `haptic rules`: shows or changes what the board enforces, whatever a tool asks for.
 
-use super::port::{Port, answer, counted, short, warn_of_weaker};
-use clap::ValueEnum;
+use super::answer::Json;
+use super::arguments::one_of;
+use super::port::{Port, counted, short, warn_of_weaker};
+use clap::builder::TypedValueParser;
 use haptic::error::Failure;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::safety::limits::Limits;
@@ -10,15 +12,14 @@ use serde_json::json;
 
 /// Show or change the limits and rules that the board enforces
 ///
-/// What is not named stays as it is. Limits can be lowered and the host be watched more closely at any time; the other
-/// way only with the motors off, and never above the board's own limits. `haptic save` keeps them over a power cycle.
+/// Rules that are not named stay as they are. They can be made stricter at any time, and looser only with the motors
+/// off, never beyond the board's own limits. `haptic save` keeps them over a power cycle.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
     port: Port,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
     /// Joint torques in N m, one per joint
     #[arg(long, value_name = "N M,..", value_delimiter = ',', value_parser = limit, allow_hyphen_values = true)]
     torque: Vec<f32>,
@@ -44,10 +45,9 @@ pub struct Args {
     #[arg(long, value_name = "V", value_parser = limit)]
     bus_max: Option<f32>,
     /// What the board does when the host has been silent
-    #[arg(long, value_name = "ACTION")]
-    host: Option<Action>,
-    /// How long the host may be silent, in s: 0.01 to 60
-    #[arg(long, value_name = "S", value_parser = seconds)]
+    #[arg(long, value_name = "ACTION", value_parser = action())]
+    host: Option<HostAction>,
+    #[arg(long, value_name = "S", value_parser = seconds, help = silence())]
     host_seconds: Option<f32>,
     /// Damp the energy that a wall gives out (passivity controller)
     #[arg(long, value_name = "BOOL", action = clap::ArgAction::Set)]
@@ -57,14 +57,14 @@ pub struct Args {
     index_period: Vec<i32>,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum Action {
-    /// Nothing
-    Ignore,
-    /// The scene goes on, and the fault is listed
-    Hold,
-    /// Motors off
-    Disarm,
+/// An action, by its name.
+fn action() -> impl TypedValueParser<Value = HostAction> {
+    let what = |action| match action {
+        HostAction::Ignore => "Nothing",
+        HostAction::Hold => "The scene goes on, and the fault is listed",
+        HostAction::Disarm => "Motors off",
+    };
+    one_of(HostAction::ALL.map(|(name, action)| (name, what(action), action)))
 }
 
 fn limit(text: &str) -> Result<f32, String> {
@@ -75,13 +75,19 @@ fn limit(text: &str) -> Result<f32, String> {
     }
 }
 
+fn silence() -> String {
+    let (least, most) = Rules::HOST_SECONDS;
+    format!("How long the host may be silent, in s: {least} to {most}")
+}
+
 fn seconds(text: &str) -> Result<f32, String> {
     limit(text).and_then(|value| {
-        if (0.01..=60.0).contains(&value) { Ok(value) } else { Err("must be between 0.01 and 60".into()) }
+        let (least, most) = Rules::HOST_SECONDS;
+        if (least..=most).contains(&value) { Ok(value) } else { Err(format!("must be between {least} and {most}")) }
     })
 }
 
-/// Reads what is in force, changes what is named, reports what is in force then.
+/// Reads the rules, changes those that were named, and reports them all.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.port.open()?;
     let before = board.rules()?;
@@ -103,12 +109,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     limits.tip_force = args.tip_force.unwrap_or(limits.tip_force);
     limits.bus_min = args.bus_min.unwrap_or(limits.bus_min);
     limits.bus_max = args.bus_max.unwrap_or(limits.bus_max);
-    rules.host_action = match args.host {
-        None => rules.host_action,
-        Some(Action::Ignore) => HostAction::Ignore,
-        Some(Action::Hold) => HostAction::Hold,
-        Some(Action::Disarm) => HostAction::Disarm,
-    };
+    rules.host_action = args.host.unwrap_or(rules.host_action);
     rules.host_seconds = args.host_seconds.unwrap_or(rules.host_seconds);
     rules.passivity = args.passivity.unwrap_or(rules.passivity);
     if rules != before {
@@ -119,7 +120,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if !args.torque.is_empty() {
         device.iter().for_each(|device| tell_of_weaker_motors(device, &now.limits));
     }
-    answer(args.json, as_json(&now, joints), &in_words(&now, joints))
+    args.json.answer(as_json(&now, joints), &in_words(&now, joints))
 }
 
 /// Says which torque limits have no effect, because the motor gives less.

@@ -1,6 +1,7 @@
 //! `haptic save`: keeps device, scene, gains and rules over a power cycle.
 
-use super::port::{Port, answer};
+use super::answer::Json;
+use super::port::Port;
 use haptic::error::Failure;
 use haptic::link::BoardError;
 use haptic_bridge::safety::refusal::Refusal;
@@ -13,9 +14,8 @@ use serde_json::json;
 pub struct Args {
     #[command(flatten)]
     port: Port,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Saves.
@@ -36,5 +36,5 @@ pub fn run(args: Args) -> Result<(), Failure> {
     };
     let (info, mut saved) = (board.info(), vec!["rules", "name"]);
     saved.extend([("device", device), ("scene", scene)].into_iter().filter(|(_, held)| *held).map(|(name, _)| name));
-    answer(args.json, json!({ "saved": true, "settings": saved, "board": info.board, "serial": info.serial }), said)
+    args.json.answer(json!({ "saved": true, "settings": saved, "board": info.board, "serial": info.serial }), said)
 }

@@ -1,7 +1,8 @@
 //! `haptic scene`: loads a scene file onto a board, computed the cheapest way that is good enough.
 
+use super::answer::Json;
 use super::plan::{budget, readable, speed};
-use super::port::{Port, answer, scene_in_words};
+use super::port::{Port, scene_in_words};
 use clap::builder::NonEmptyStringValueParser;
 use haptic::error::Failure;
 use haptic::link::{Board, BoardError};
@@ -17,9 +18,9 @@ use std::path::PathBuf;
 
 /// Load a scene (walls, springs, fields) onto a board
 ///
-/// What the board computes is chosen as `haptic plan` does: no mass matrix where no wall is shaped, no velocity terms
-/// where they do not count, a prepared mass matrix where it is cheaper and good enough. While the motors are armed a
-/// scene is taken as the file has it, and only if it has the same control rate and its walls are not touched.
+/// Chooses what the board computes as `haptic plan` does: no mass matrix for a scene without feed-forward, no velocity
+/// terms where they do not count, a prepared mass matrix where that is cheaper and good enough. While the motors are
+/// armed a scene is taken as the file has it, and only if it has the same control rate and its walls are not touched.
 #[derive(clap::Args)]
 pub struct Args {
     /// Scene file (TOML)
@@ -38,9 +39,8 @@ pub struct Args {
     verbose: bool,
     #[command(flatten)]
     port: Port,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Checks the file against the board's device, plans, loads.
@@ -60,8 +60,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     warn(&warnings);
     if args.as_written || board.status()?.state == State::Armed {
         board.set_scene(&written)?;
-        return answer(
-            args.json,
+        return args.json.answer(
             json!({ "scene": written, "planned": false, "warnings": warnings }),
             &loaded(&name.to_string(), &board, &written),
         );
@@ -73,7 +72,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         "scene": scene, "planned": true, "model": plan.mass.name(), "terms": plan.terms.name(),
         "instructions": plan.instructions, "warnings": warnings,
     });
-    answer(args.json, document, &(loaded(&name.to_string(), &board, &scene) + &more))
+    args.json.answer(document, &(loaded(&name.to_string(), &board, &scene) + &more))
 }
 
 fn loaded(file: &str, board: &Board, scene: &Scene<f32>) -> String {

@@ -9,8 +9,9 @@ use haptic::link::{PortSpec, Session};
 
 /// Let programs that were made for other devices use a board
 ///
-/// --haply speaks as Haply's inverse service does, until Ctrl-C: a WebSocket with JSON on this computer, and on this one alone. The
-/// first force of a program arms the board; the motors go off when it leaves, and its forces fade when it says nothing.
+/// --haply speaks as Haply's inverse service does, until Ctrl-C: a WebSocket with JSON on this computer, and on this
+/// one alone. The first force of a program arms the board; the motors go off when it leaves, and its forces fade when
+/// it says nothing.
 #[derive(clap::Args)]
 pub struct Args {
     /// As Haply's inverse service: an Inverse3 and a grip that does not move

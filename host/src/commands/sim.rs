@@ -14,8 +14,8 @@ use std::path::PathBuf;
 /// Run a simulated board with a device on it, until Ctrl-C
 ///
 /// The board runs the firmware's own control code on a nonlinear simulation of the device and speaks the real protocol
-/// on a pseudo-terminal, or on TCP with --tcp. The device is loaded, and the board ready to take a scene. The weight of a
-/// device that has one is carried for you until the motors are armed for the first time and their torque has ramped up.
+/// on a pseudo-terminal, or on TCP with --tcp. The device is loaded, and the board ready to take a scene. If the device
+/// has weight, it is carried for you until the motors are armed for the first time and their torque has ramped up.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML) [default: the coupled five-bar that ships]
@@ -30,8 +30,8 @@ pub struct Args {
     #[arg(long)]
     fast: bool,
     /// Ask of the user what a real board asks: verified motors, limits, homing, polarity check. The device is held for
-    /// you, at home when the board starts and again after a polarity check, until the motors are armed for the first time
-    /// and their torque has ramped up
+    /// you, at home when the board starts and again after a polarity check, until the motors are armed for the first
+    /// time and their torque has ramped up
     #[arg(long)]
     strict: bool,
     /// What the simulated hand does

@@ -310,7 +310,7 @@ impl Follow {
     }
 }
 
-/// Quantities to five digits, what is counted as it is.
+/// A value for the terminal: five digits, or all of them for what is counted.
 fn shown(column: &Column, value: Value) -> String {
     match (column.field, value) {
         (Field::Counts | Field::State | Field::Saturated, value) | (_, value @ Value::Word(_)) => value.to_string(),

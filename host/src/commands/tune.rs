@@ -1,9 +1,11 @@
 //! `haptic tune`: the settings of the stiffest wall on a device, and what limits it.
 
+use super::answer::Json;
 use super::arguments::{self, Numbers};
 use super::continued::Continue;
 use super::force::Force;
 use haptic::device_file::DeviceFile;
+use haptic::digits::print_json;
 use haptic::error::{Failure, print};
 use haptic::interrupt;
 use haptic::link::{Board, PortSpec};
@@ -25,11 +27,12 @@ use std::path::{Path, PathBuf};
 
 /// Find the settings that render the stiffest wall on a device
 ///
-/// Searches control rate, velocity estimator, cutoff, damping, stiffness, washout and feed-forward for the stiffest wall
-/// that stays stable within margins (a device that is not quite the one in the file), ripples little under a hand that
-/// slides along it, and asks no more of the motors than they have; says what limits it. Stability is predicted, ripple is simulated
-/// with the steps of the encoders, and once more on a simulated board, under another hand. Takes some minutes; Ctrl-C ends it, and with --continue the same command goes on from there.
-/// With --scene the pose, the normal and the ripple are those of a wall that is there, and both are compared.
+/// Searches control rate, velocity estimator, cutoff, damping, stiffness, washout and feed-forward for the stiffest
+/// wall that stays stable within margins (a device that is not quite the one in the file), ripples little under a hand
+/// that slides along it, and asks no more of the motors than they have; says what limits it. Stability is predicted,
+/// ripple is simulated with the steps of the encoders, and once more on a simulated board, under another hand. Takes
+/// some minutes; Ctrl-C ends it, and with --continue the same command goes on from there. With --scene the pose, the
+/// normal and the ripple are those of a wall in that file, which the result is compared with.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML)
@@ -46,9 +49,9 @@ pub struct Args {
     /// Which wall of --scene, from 0
     #[arg(long, value_name = "INDEX", default_value_t = 0, requires = "scene")]
     wall: usize,
-    /// Largest ripple: root mean square of what the wall's force has above 20 Hz under a hand that presses with 1.5 to 4.5 N
-    /// and slides along it at 30 mm/s, and under the one that presses the simulated board, in N
-    /// [default: 0.1, or that of the wall of --scene as it is written, and 0.002 at least]
+    /// Largest ripple in N: root mean square of the wall's force above 20 Hz, under a hand that presses with 1.5 to 4.5
+    /// N and slides along at 30 mm/s, and under the one that presses the simulated board [default: 0.1, or that of the
+    /// wall of --scene as it is written, and 0.002 at least]
     #[arg(long, value_name = "N")]
     ripple: Option<f64>,
     /// Control rates to look at, in Hz
@@ -76,7 +79,7 @@ pub struct Args {
     #[arg(long, value_name = "M/S", default_value_t = 0.1)]
     speed: f64,
     /// What a redundant device holds [default: what the scene says, or orientation]
-    #[arg(long, value_name = "COORDINATE", value_parser = arguments::admissible)]
+    #[arg(long, value_name = "COORDINATE", value_parser = arguments::admissible())]
     admissible: Option<Admissible>,
     /// Measure both on the simulated board as well, with everything switched on: some minutes
     #[arg(long)]
@@ -89,9 +92,8 @@ pub struct Args {
     /// Load the scene onto this board: a serial port or a board's serial number, or tcp:HOST:PORT (never HAPTIC_PORT's)
     #[arg(long, value_name = "PORT")]
     port: Option<PortSpec>,
-    /// Print one JSON document
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: Json,
     #[command(flatten)]
     force: Force,
 }
@@ -207,7 +209,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let text = to_toml(&answer.best.settings, question.admissible, &point, &question.normal, &about);
     let scene: Scene<f32> = SceneFile::parse(&text, "tuned.toml", file.spec().task)?
         .scene()
-        .map_err(|error| Failure::impossible(format!("the scene that was found is none: {error}")))?;
+        .map_err(|error| Failure::impossible(format!("the scene that was found cannot be used: {error}")))?;
     if let Some(out) = &args.out {
         output::write(out, text.as_bytes(), overwrite)?;
     }
@@ -227,8 +229,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         measured: here.as_ref(),
         scene_measured: there.as_ref(),
     };
-    if args.json {
-        print(&(serde_json::to_string(&document).map_err(Failure::impossible)? + "\n"))?;
+    if args.json.asked() {
+        print_json(&document)?;
         sweep.finish();
         return Ok(());
     }
@@ -262,13 +264,9 @@ fn tip(file: &DeviceFile, q: &[f64]) -> Result<Vec<f64>, Failure> {
 /// Pose and normal: as typed, of the scene's wall, or home.
 fn place(args: &Args, file: &DeviceFile) -> Result<Place, Failure> {
     let spec = file.spec();
-    let q = args.q.clone().map(|q| q.exactly(spec.joints, "--q", "joint angles")).transpose()?;
-    let normal = args.normal.clone().map(|normal| normal.unit(spec.task, "--normal")).transpose()?;
-    let home = || match file.description.home {
-        Some(home) => Ok(home[..spec.joints].to_vec()),
-        None => Err(Failure::wrong(format!("{} has no [home], so there is no pose", args.device.display()))
-            .remedy("say which with --q")),
-    };
+    let q = args.q.as_ref().map(|q| q.exactly(spec.joints, "--q", "joint angles")).transpose()?;
+    let normal = args.normal.as_ref().map(|normal| normal.unit(spec.task, "--normal")).transpose()?;
+    let home = || arguments::pose(None, file);
     let Some(path) = &args.scene else {
         let normal = normal.ok_or_else(|| Failure::wrong("no --normal"))?;
         let admissible = args.admissible.unwrap_or_default();

@@ -26,9 +26,9 @@ const USUAL_PORT: u16 = 7720;
 
 /// Look at a device in the browser: walls to drag, gains to turn, an oscilloscope
 ///
-/// Serves one page until Ctrl-C; what it shows is inside this tool, nothing is loaded from elsewhere. Motors are on only
-/// while somebody holds a key (Space) on the page in command: letting go, closing the page or losing the network turns
-/// them off.
+/// Serves one page until Ctrl-C; what it shows is inside this tool, nothing is loaded from elsewhere. Motors are on
+/// only while somebody holds a key (Space) on the page in command: letting go, closing the page or losing the network
+/// turns them off.
 ///
 /// With --port sim the mouse is a hand on a simulated device. Without DEVICE it is that of `haptic demo`, with less dry
 /// friction and finer encoders, before a wall that buzzes without the feed-forward and is quiet with it.
@@ -111,8 +111,8 @@ impl Shown {
         }
     }
 
-    /// A board that was lost, once it is there again; or else why it cannot be looked at yet, where it is there and says so.
-    /// It is free for other tools then, which load what it lacks.
+    /// Opens a lost board once it is back. The error is the reason, if it is back but cannot be shown yet; until then
+    /// it is free for other tools, which may load what it lacks.
     fn open_again(&self, hub: &Hub) -> Result<Stage, Option<String>> {
         let here = |why: &dyn Display| Some(format!("the board is there again, but {why}"));
         let mut world = self.open().map_err(|_| None)?;
@@ -123,8 +123,9 @@ impl Shown {
         }
     }
 
-    /// Plays until `stop`; a board that was unplugged is waited for, also where it comes back without its device or scene.
-    /// `opened` is called once, when there is something to see, and `lost` with the reason whenever a board is waited for.
+    /// Plays until `stop`; a board that was unplugged is waited for, also where it comes back without its device or
+    /// scene. `opened` is called once, when there is something to see, and `lost` with the reason whenever a board is
+    /// waited for.
     pub(super) fn play(
         &self,
         hub: &Hub,

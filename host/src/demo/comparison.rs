@@ -3,7 +3,7 @@
 use super::crossing::Crossing;
 use std::cmp::Ordering;
 
-/// Changes smaller than this are none: they are not seen in the digits that are printed.
+/// Changes smaller than this count as none: the printed digits do not show them.
 const SAME: f64 = 0.005;
 
 /// What changed for the hand.

@@ -2,7 +2,7 @@
 
 use super::{clearance, lumped, reaching, singular, task_position, within_limits};
 use crate::analysis::map::{MapPoint, Reachable, along, at_holding};
-use crate::analysis::pose::{TaskPose, unit_normal};
+use crate::analysis::pose::{LEAST_ANALYSED_SINE, Stance, TaskPose, unit_normal};
 use crate::error::{Choice, Failure};
 use crate::sim::Random;
 use crate::sweep::Sweep;
@@ -32,8 +32,8 @@ pub struct Placed {
 /// The directions that stand out at a pose.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Directions {
-    /// The heaviest: the stiffest wall. It is an axis of the tip's inertia, so nothing couples but, on a redundant arm, what is
-    /// held.
+    /// The heaviest: the stiffest wall. It is an axis of the tip's inertia, so nothing couples but, on a redundant arm,
+    /// what is held.
     pub stiffest: Placed,
     /// The lightest: the softest wall. It is an axis, too.
     pub softest: Placed,
@@ -58,7 +58,7 @@ pub struct Places {
     pub along: Option<Along>,
 }
 
-/// Best places of a wall with one normal, as large as a patch: by what it meets at its worst point.
+/// The best places of a wall of a patch's size with one normal, judged by the inertia that it meets at its worst point.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Along {
     /// Half the wall's width, m.
@@ -103,15 +103,15 @@ pub fn directions(description: &Description, q: &[f64], admissible: Admissible) 
     })
 }
 
-/// What is looked for: a value of a pose, and the wall that it is the value of.
+/// The value of a pose, which the search makes as large as it can, and the wall that has it.
 type Sought<'a> = &'a (dyn Fn(&[f64]) -> Option<(f64, Placed)> + Sync);
 
-/// How far the poses of the grid are apart from which the search goes on, rad, and how many they are at most. The value is
-/// steep along the edge of what is allowed, so a pose that is far from the best on a coarse grid may stand beside the best there is:
-/// with 6 of them a grid of 300 poses found 1.67 kg on coupled-five-bar, and one of 1000 1.96 kg.
+/// The search goes on from at most so many poses of the grid, so far (rad) from each other. The value is steep along
+/// the edge of what is allowed, so a pose that looks poor on a coarse grid may be next to the best one: with 6 of them
+/// a grid of 300 poses found 1.67 kg on coupled-five-bar, and one of 1000 1.96 kg.
 const APART: f64 = 0.4;
 const STARTS: usize = 60;
-/// From how many of the places that it ends at in steps that are still coarse it goes on in fine ones.
+/// So many of the places that its coarse steps end at are refined with fine steps.
 const ENDS: usize = 4;
 
 /// The best of some poses that are not near each other.
@@ -145,8 +145,8 @@ struct Steps {
     /// The first, rad, and the last.
     from: f64,
     to: f64,
-    /// Directions that are tried besides those of the compass: the best often lies on the edge of what is allowed, and a
-    /// compass does not slide along it.
+    /// Directions that are tried besides those of the compass: the best often lies on the edge of what is allowed, and
+    /// a compass does not slide along it.
     besides: usize,
 }
 
@@ -204,8 +204,8 @@ fn edge(normal: &DVector<f64>, task: usize, patch: f64) -> Vec<DVector<f64>> {
         .collect()
 }
 
-/// Best places for walls in the workspace, at poses at least as clear of singularities as the sine `clear`. `points` poses
-/// are looked at before the search goes on between them.
+/// Best places for walls in the workspace, at poses at least as clear of singularities as the sine `clear`. `points`
+/// poses are looked at before the search goes on between them.
 pub fn places(
     description: &Description,
     normal: Option<&[f64]>,
@@ -220,12 +220,15 @@ pub fn places(
     let per_joint = (points as f64).powf(1.0 / spec.joints as f64).round().max(2.0) as usize;
     let reachable = Reachable::of(&device, per_joint, None)?;
     let all: Vec<Vec<f64>> = reachable.indices().map(|index| reachable.angles(index)).collect();
-    let at = |q: &[f64]| -> Option<TaskPose> {
-        let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?;
-        (clearance(&pose) >= clear && within_limits(&device, q)).then(|| pose.holding(admissible))
+    let least = clear.max(LEAST_ANALYSED_SINE);
+    let is_clear = |q: &[f64]| {
+        within_limits(&device, q) && Stance::of(&device.mechanism, q).is_ok_and(|stance| stance.is_clear(least))
     };
-    let allowed = |q: &[f64]| at(q).is_some() && reachable.walkable(q);
-    let poses: Vec<Vec<f64>> = all.into_iter().filter(|q| at(q).is_some()).collect();
+    let at = |q: &[f64]| -> Option<TaskPose> {
+        if is_clear(q) { Some(TaskPose::of(&device.mechanism, q).ok()?.holding(admissible)) } else { None }
+    };
+    let allowed = |q: &[f64]| is_clear(q) && reachable.walkable(q);
+    let poses: Vec<Vec<f64>> = all.into_iter().filter(|q| is_clear(q)).collect();
     if poses.is_empty() {
         return Err(Failure::impossible(format!("no pose is as clear of singularities as a sine of {clear}"))
             .remedy("ask for less")

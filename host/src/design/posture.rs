@@ -1,8 +1,9 @@
 //! The posture of a redundant arm at one tip position: what its null motion makes of the inertia.
 //!
-//! The arm is moved along its null motion, a joint motion that leaves the tip where it is, both ways from where it stands
-//! until a joint limit or a singularity is near, or it is back. Weff belongs to the posture. Wrr belongs also to what is
-//! held ([`Admissible`]), and grows without bound where that cannot be held; how near to there is what `clear` says.
+//! The arm is moved along its null motion, a joint motion that leaves the tip where it is, both ways from where it
+//! stands until a joint limit or a singularity is near, or it is back. Weff depends on the posture. Wrr depends on the
+//! held coordinate ([`Admissible`]) as well, and grows without bound towards postures in which that cannot be held;
+//! `clear` says how near they may come.
 
 use super::{clearance, lumped, reaching, singular, task_position, within_limits};
 use crate::analysis::map::along;
@@ -55,8 +56,8 @@ fn posture(device: &Device<f64>, q: &[f64], normal: &DVector<f64>, admissible: A
     Some(Posture { q: q.to_vec(), orientation: q.iter().sum(), w_eff, w_rr, clearance: clearance(&pose) })
 }
 
-/// The postures of a redundant device whose tip is where it is at `q` (rad), for a wall along `normal`; `None` for a device
-/// that is not redundant.
+/// The postures of a redundant device whose tip is where it is at `q` (rad), for a wall along `normal`; `None` for a
+/// device that is not redundant.
 pub fn postures(
     description: &Description,
     q: &[f64],

@@ -1,4 +1,5 @@
-//! What each number of a device is worth to one wall: the same tip position, with one of them a tenth larger or smaller.
+//! What each number of a device is worth to one wall: the same tip position, with one of them a tenth larger or
+//! smaller.
 
 use super::{lumped, reaching, singular, task_position};
 use crate::analysis::map::along;
@@ -35,7 +36,7 @@ pub struct Sensitivity {
     pub part: String,
     /// With a tenth more of it (of a counterweight: with one); none where the tip does not get to the same place.
     pub more: Option<Effect>,
-    /// With a tenth less of it; none also for a counterweight, which is not there to be taken.
+    /// With a tenth less of it; `None` also for a counterweight, which the device does not have yet.
     pub less: Option<Effect>,
 }
 
@@ -179,7 +180,8 @@ fn over(found: Effect, before: Effect) -> Effect {
     }
 }
 
-/// What every number is worth to a wall along `normal` where the tip is at `q` (rad); those of most effect on Wrr first.
+/// What every number is worth to a wall along `normal` where the tip is at `q` (rad); those of most effect on Wrr
+/// first.
 pub fn sensitivities(
     description: &Description,
     q: &[f64],
@@ -224,7 +226,7 @@ pub struct Buys {
 }
 
 /// What a change must buy to be worth telling.
-const WORTH: f64 = 1.01;
+const WORTHWHILE_RATIO: f64 = 1.01;
 
 /// The change that buys most of something, and a hundredth of it at least.
 #[must_use]
@@ -235,5 +237,5 @@ pub fn buys_most(all: &[Sensitivity], of: impl Fn(&Effect) -> f64) -> Option<Buy
         [side(true, one.more), side(false, one.less)].into_iter().flatten()
     });
     let most = sides.reduce(|best, other| if of(&other.effect) > of(&best.effect) { other } else { best });
-    most.filter(|most| of(&most.effect) >= WORTH)
+    most.filter(|most| of(&most.effect) >= WORTHWHILE_RATIO)
 }

@@ -198,13 +198,13 @@ impl Board {
         self.force_answer(sent)
     }
     /// Sends what [`Board::force`] sends, and does not wait: a program that sends its next request before it has this
-    /// one's answer is not slowed down by the way to the board and back. Two on their way are enough, and more than eight
-    /// are not kept; answers come in the order of the requests. Telemetry may be read in between.
+    /// one's answer is not slowed down by the way to the board and back. Two on their way are enough, and more than
+    /// eight are not kept; answers come in the order of the requests. Telemetry may be read in between.
     pub fn send_force(&mut self, request: &p::ForceRequest) -> Result<Sent, LinkError> {
         self.client.send::<p::Force>(request)
     }
-    /// The answer to a [`Board::send_force`], waited for no longer than [`Board::wait_for_forces`] says, and not at all where
-    /// a later one's has come.
+    /// The answer to a [`Board::send_force`], waited for no longer than [`Board::wait_for_forces`] says, and not at all
+    /// where a later one's has come.
     pub fn force_answer(&mut self, sent: Sent) -> Result<p::ForceAnswer, LinkError> {
         let (began, patience) = (self.now(), self.force_patience);
         let answer = self.client.answer::<p::Force>(sent, patience);
@@ -266,7 +266,7 @@ impl Board {
     /// Waits for the end of the polarity check that [`Board::check_polarity`] started, and says how it ended.
     pub fn wait_for_polarity(&mut self) -> Result<PolarityOutcome, BoardError> {
         loop {
-            // Waiting for telemetry is waiting: there is none, and a simulated board's time passes meanwhile.
+            // No telemetry comes: this only waits, and lets a simulated board's time pass.
             self.rows(Duration::from_millis(100))?;
             let status = self.status()?;
             match (status.state, status.fault) {
@@ -278,8 +278,8 @@ impl Board {
         }
     }
 
-    /// Sends a prepared mass matrix and puts it in force; motors must be off. The closed form is what a scene comes with,
-    /// so there is nothing to send of it.
+    /// Sends a prepared mass matrix and puts it in force; motors must be off. The closed form is what a scene comes
+    /// with, so there is nothing to send of it.
     pub fn send_mass(&mut self, mass: &MassModelData, values: &[f32]) -> Result<(), BoardError> {
         if *mass == MassModelData::Exact {
             return Ok(());

@@ -128,8 +128,8 @@ impl Client {
         Ok(sent)
     }
 
-    /// Waits for the answer to a request of endpoint `E`. Requests are answered in their order: where one that was sent after
-    /// it is answered, its own answer was lost. Answers to others that are under way are kept.
+    /// Waits for the answer to a request of endpoint `E`. Requests are answered in their order: where one that was sent
+    /// after it is answered, its own answer was lost. Answers to others that are under way are kept.
     pub fn answer<E: Endpoint>(&mut self, sent: Sent, timeout: Duration) -> Result<E::Response, LinkError>
     where
         E::Response: DeserializeOwned,

@@ -59,8 +59,8 @@ pub enum LinkError {
         /// The request's path.
         what: &'static str,
     },
-    /// A force was sent and its answer did not come: a frame was lost, or somebody else had the computer. What was asked
-    /// for before ends with its lease; the next request goes on.
+    /// A force was sent and its answer did not come: a frame was lost, or somebody else had the computer. What was
+    /// asked for before ends with its lease; the next request goes on.
     #[error("no answer to a force within {} ms: it or its answer was lost; send the next one", waited.as_millis())]
     Unanswered {
         /// For how long it was waited for.

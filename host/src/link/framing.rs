@@ -1,9 +1,8 @@
 //! Frames: postcard-rpc's header and a postcard body, COBS-encoded, ended by a zero.
 
+use haptic_bridge::board::framing::most_on_wire;
+pub use haptic_bridge::board::protocol::MAX_FRAME;
 use postcard_rpc::header::VarHeader;
-
-/// Longest frame taken in, bytes before COBS decoding.
-pub const MAX_FRAME: usize = haptic_bridge::board::protocol::MAX_FRAME;
 
 /// One message: which, in answer to what, and its postcard bytes.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,7 +31,7 @@ pub fn envelope(plain: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// Finds frames in a stream of bytes, whatever it is cut into; what is no frame is skipped and counted.
+/// Finds frames in a stream of bytes, however that is cut into pieces; anything else is skipped and counted.
 #[derive(Clone, Debug, Default)]
 pub struct Deframer {
     partial: Vec<u8>,
@@ -59,7 +58,7 @@ impl Deframer {
                 Some((0, content)) => (content, true),
                 _ => (piece, false),
             };
-            if self.partial.len() + content.len() > MAX_FRAME {
+            if self.partial.len() + content.len() >= most_on_wire(MAX_FRAME) {
                 self.overlong = true;
                 self.partial.clear();
             } else if !self.overlong {
@@ -118,6 +117,15 @@ mod tests {
             assert_eq!(frames[0], Packet { header: header(1), body: vec![1, 0, 2] });
             assert_eq!(frames[1].body, [0; 300]);
         }
+    }
+
+    #[test]
+    fn the_longest_frame_comes_whole_with_what_cobs_adds() {
+        let (mut deframer, mut lengths) = (Deframer::default(), Vec::new());
+        for length in [MAX_FRAME, MAX_FRAME + 9] {
+            deframer.feed_plain(&envelope(&vec![1; length]), |plain| lengths.push(plain.len()));
+        }
+        assert_eq!((lengths, deframer.garbled), (vec![MAX_FRAME], 1));
     }
 
     #[test]

@@ -1,5 +1,5 @@
-//! A board while a program uses it: what the program asks for is counted and stamped, and the motors go off when it lets
-//! go of it.
+//! A board while a program uses it: what the program asks for is counted and stamped, and the motors go off when it
+//! lets go of it.
 
 use super::board::Board;
 use super::error::{BoardError, LinkError};
@@ -12,8 +12,8 @@ pub const HOLD: f32 = 0.02;
 /// In how long it then fades to nothing, s.
 pub const FADE: f32 = 0.05;
 
-/// A board that this program holds. Everything that a [`Board`] does it does as well; dropping it disarms the board, also
-/// when the program panics. A program that is killed leaves that to the board's watch of its host.
+/// A board that this program holds. Everything that a [`Board`] does it does as well; dropping it disarms the board,
+/// also when the program panics. A program that is killed leaves that to the board's watch of its host.
 ///
 /// ```
 /// use haptic::link::Session;
@@ -45,8 +45,8 @@ impl Session {
         Self { board, sequence: 0, seen: None, lease: (HOLD, FADE) }
     }
 
-    /// Motors on. Whenever this session waits for telemetry it tells the board that somebody is there; forces tell it as
-    /// well.
+    /// Motors on. Whenever this session waits for telemetry it tells the board that somebody is there; forces tell it
+    /// as well.
     pub fn arm(&mut self) -> Result<(), BoardError> {
         self.board.keep_alive();
         self.board.arm()
@@ -57,8 +57,8 @@ impl Session {
         self.exchange(ForceRequest::default())
     }
 
-    /// Pushes with a force (N) at the tip, in the task frame, in the place of what was asked for before. A force that was
-    /// not taken is no error: [`ForceAnswer::done`] says why.
+    /// Pushes with a force (N) at the tip, in the task frame, in the place of what was asked for before. A force that
+    /// was not taken is no error: [`ForceAnswer::done`] says why.
     pub fn force(&mut self, force: [f32; 3]) -> Result<ForceAnswer, LinkError> {
         self.push(force, None)
     }

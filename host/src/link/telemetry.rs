@@ -1,7 +1,7 @@
 //! Telemetry as it arrives: rows with their step, columns with name and unit, and exact accounts of what was lost.
 
 use crate::words::counted;
-use haptic_bridge::board::telemetry::{Batch, Field, Fields};
+use haptic_bridge::board::telemetry::{Batch, Field, Fields, Kind};
 
 /// One kept control step.
 #[derive(Clone, Debug, PartialEq)]
@@ -73,7 +73,7 @@ const USB: f64 = 600e3;
 /// Rows of `fields` a second that the link to a board carries with room to spare, at most one every control step: every
 /// one where the board is simulated, whose link is this computer's memory.
 pub fn rows_that_fit(board: &str, fields: Fields, axes: usize, rate_hz: f64) -> f64 {
-    let most = if board.starts_with("simulated") { rate_hz } else { USB / (4 * fields.width(axes).max(1)) as f64 };
+    let most = if board.starts_with("simulated") { rate_hz } else { USB / fields.bytes(axes).max(1) as f64 };
     rate_hz / (rate_hz / most).ceil().max(1.0)
 }
 
@@ -145,7 +145,7 @@ impl Rows {
     /// Appends the rows of a batch.
     pub(super) fn take(&mut self, batch: &Batch, rows: &mut Vec<Row>) {
         let fields = Fields(batch.fields);
-        let width = fields.width(usize::from(batch.axes));
+        let width = fields.bytes(usize::from(batch.axes));
         if width == 0 || batch.divider == 0 || batch.stream != self.stream {
             return;
         }
@@ -161,7 +161,7 @@ impl Rows {
         }
         self.losses.dropped_by_board = u64::from(batch.dropped);
         let mut step = batch.first_step;
-        for packed in batch.values.chunks_exact(width) {
+        for packed in batch.rows.chunks_exact(width) {
             let axes = usize::from(batch.axes);
             rows.push(Row { step, values: unpack(fields, axes, packed), fields, axes });
             self.losses.received += 1;
@@ -171,24 +171,30 @@ impl Rows {
     }
 }
 
-fn unpack(fields: Fields, axes: usize, packed: &[f32]) -> Vec<f64> {
-    let mut values = Vec::with_capacity(packed.len() + 1);
-    let mut packed = packed.iter().copied();
+fn unpack(fields: Fields, axes: usize, mut packed: &[u8]) -> Vec<f64> {
+    let mut values = Vec::new();
     for field in Field::ALL.iter().copied().filter(|field| fields.has(*field)) {
         for _ in 0..if field.is_vector() { axes } else { 1 } {
-            let Some(value) = packed.next() else { return values };
-            match field {
-                Field::Counts => values.push(f64::from(value.to_bits() as i32)),
-                Field::State => {
-                    let bits = value as u32;
-                    values.push(f64::from(bits % 16));
-                    values.push(f64::from(bits / 16));
-                }
-                _ => values.push(f64::from(value)),
+            let Some((bytes, rest)) = packed.split_at_checked(field.kind().bytes()) else { return values };
+            packed = rest;
+            match (field, bytes) {
+                (Field::State, &[both]) => values.extend([f64::from(both & 15), f64::from(both >> 4)]),
+                _ => values.push(number(field.kind(), bytes)),
             }
         }
     }
     values
+}
+
+/// A number as it travelled.
+fn number(kind: Kind, bytes: &[u8]) -> f64 {
+    let mut four = [0; 4];
+    four.iter_mut().zip(bytes).for_each(|(to, from)| *to = *from);
+    match kind {
+        Kind::Float => f64::from(f32::from_le_bytes(four)),
+        Kind::Integer => f64::from(i32::from_le_bytes(four)),
+        Kind::Byte => f64::from(four[0]),
+    }
 }
 
 #[cfg(test)]
@@ -196,11 +202,8 @@ mod tests {
     use super::*;
 
     fn batch(number: u32, first_step: u32, rows: usize, dropped: u32) -> Batch {
-        let mut values = haptic_bridge::board::telemetry::Batch::default().values;
-        for row in 0..rows {
-            values.push(row as f32).unwrap();
-        }
-        Batch { stream: 0, number, first_step, divider: 4, dropped, axes: 2, fields: Field::WallForce.bit(), values }
+        let rows = (0..rows).flat_map(|row| (row as f32).to_le_bytes()).collect();
+        Batch { stream: 0, number, first_step, divider: 4, dropped, axes: 2, fields: Field::WallForce.bit(), rows }
     }
 
     #[test]
@@ -240,7 +243,8 @@ mod tests {
     #[test]
     fn counts_keep_all_their_bits_and_the_state_is_taken_apart() {
         let fields = fields("counts,state").unwrap();
-        let packed = [f32::from_bits(-123_456_789_i32 as u32), f32::from_bits(7), 33.0];
+        // -123456789 is 0xF8A4_32EB in two's complement; 0x21: armed, two walls.
+        let packed = [0xEB, 0x32, 0xA4, 0xF8, 7, 0, 0, 0, 0x21];
         assert_eq!(unpack(fields, 2, &packed), [-123_456_789.0, 7.0, 1.0, 2.0]);
         let labels: Vec<String> = columns(fields, 2).into_iter().map(|column| column.label).collect();
         assert_eq!(labels, ["counts0", "counts1", "state", "contacts"]);

@@ -40,7 +40,8 @@ pub struct SerialWire {
 impl SerialWire {
     /// Opens the port at `path`; the baud rate means nothing to a USB serial port.
     pub fn open(path: &str) -> Result<Self, serialport::Error> {
-        // Of a pseudo-terminal only the lock keeps other tools out: `haptic disarm` must be able to open it all the same.
+        // Of a pseudo-terminal only the lock keeps other tools out: `haptic disarm` must be able to open it all the
+        // same.
         #[cfg(unix)]
         let beside = if is_pseudo_terminal(path) { open_terminal(path).ok() } else { None };
         let port = serialport::new(path, 115_200).timeout(SEND_TIMEOUT).dtr_on_open(true).open()?;

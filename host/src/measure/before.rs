@@ -58,8 +58,8 @@ impl Before {
         Some(RestorePoint { serial: serial.into(), scene, rules, measuring })
     }
 
-    /// What was kept before a measurement that was cut short. Its rules take the place of those that the measurement set;
-    /// others stay: somebody has lowered them meanwhile. Also says whether the rules are as they were.
+    /// What was kept before a measurement that was cut short. Its rules take the place of those that the measurement
+    /// set; others stay: somebody has lowered them meanwhile. Also says whether the rules are as they were.
     pub fn from_kept(&self, kept: &RestorePoint) -> Result<(Self, bool), BackupError> {
         let scene = kept.scene.as_ref().map(backup::SavedSetting::read::<Scene<f32>>).transpose()?;
         let then = kept.rules.read::<Rules>()?;
@@ -68,7 +68,7 @@ impl Before {
         Ok((Self { scene, rules, ..self.clone() }, rules == then))
     }
 
-    /// The same with the rules of before a measurement that was cut short, where those in force are the ones that it set.
+    /// The same with the rules from before a measurement that was cut short, if the board still has those that it set.
     pub fn without_its_rules(&self, kept: &RestorePoint) -> Result<Option<Self>, BackupError> {
         let then = kept.rules.read::<Rules>()?;
         let measuring = kept.measuring.as_ref().map(backup::SavedSetting::read::<Rules>).transpose()?;
@@ -82,8 +82,8 @@ impl Before {
         &self.rules
     }
 
-    /// Turns the motors off and puts back what is not as it was: rules, device, scene. Where no scene was loaded there is an
-    /// empty one afterwards, as no board forgets a scene. Every part is tried whatever became of the others; the first
+    /// Turns the motors off and puts back whatever has changed: rules, device, scene. A board that had no scene gets an
+    /// empty one, because no request takes a scene away. Every part is tried whatever became of the others; the first
     /// error is returned.
     pub fn put_back(&self, board: &mut Board) -> Result<(), BoardError> {
         let off = board.disarm();
@@ -103,7 +103,7 @@ impl Before {
         off.and(rules).and(device).and(scene)
     }
 
-    /// What is not as it was, in words; nothing where all of it is.
+    /// The names of what differs from before; empty if nothing does.
     pub fn missing(&self, board: &mut Board) -> Result<Vec<&'static str>, LinkError> {
         let now = Self::of(board)?;
         let empty = now.scene.as_ref().is_none_or(|scene| scene.walls.is_empty());

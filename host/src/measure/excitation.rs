@@ -1,5 +1,5 @@
-//! How far the tip is pulled aside before a trial: no less than encoder steps could explain, no more than the motors can
-//! hold, and far enough that friction is small beside it.
+//! How far the tip is pulled aside before a trial: no less than encoder steps could explain, no more than the motors
+//! can hold, and far enough that friction is small beside it.
 
 use haptic_bridge::servo::Rules;
 use nalgebra::DVector;

@@ -27,17 +27,18 @@ pub struct Occasion<'a> {
     pub file: &'a DeviceFile,
     /// What the board is to hold afterwards.
     pub before: Before,
-    /// What is there already, and what comes to it.
+    /// The results so far, which grow as the measurement goes on.
     pub progress: &'a mut Progress,
-    /// Where that is kept.
+    /// The file that keeps them.
     pub path: Option<&'a Path>,
-    /// Whether what the board held before is kept there as well: should this be killed, the next measurement still knows.
+    /// Whether what the board held before is kept there as well: should this be killed, the next measurement still
+    /// knows.
     pub remembers: bool,
 }
 
 impl Occasion<'_> {
-    /// Measures what `progress` lacks of `plan`. `stop` is asked often whether to end; `begun` hears of the prepared board before
-    /// anything is measured, `done` how many repeats are.
+    /// Measures what `progress` lacks of `plan`. `stop` is asked often whether to end; `begun` hears of the prepared
+    /// board before anything is measured, `done` how many repeats are.
     pub fn measure(
         &mut self,
         setup: MeasurementSetup,
@@ -90,8 +91,8 @@ fn save(progress: &Progress, path: Option<&Path>) -> Result<(), ProgressError> {
     path.map_or(Ok(()), |path| progress.save(path))
 }
 
-/// What the board is to hold afterwards: what it holds now, or what it held before a measurement that was killed. Which
-/// of the two, where there is a question, is said on standard error.
+/// What to put back on the board afterwards: what it holds now or, if a measurement was killed on it, what it held
+/// before that one. Where both are possible, standard error says which was taken.
 pub fn before(board: &mut Board, progress: &Progress) -> Result<Before, BoardError> {
     let now = Before::of(board)?;
     let serial = board.info().serial.clone();

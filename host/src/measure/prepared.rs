@@ -28,8 +28,8 @@ const HOST_SECONDS: f32 = 1.0;
 const PULLED: f64 = 0.5;
 const HARDER: usize = 5;
 
-/// How much more softly the tip is held where it does not come to rest, and how often it is tried: down to a 32nd of the
-/// hold's frequency.
+/// How much more softly the tip is held where it does not come to rest, and how often it is tried: down to a 32nd of
+/// the hold's frequency.
 const SOFTER: f64 = 0.5;
 const SOFTEST: usize = 5;
 
@@ -202,8 +202,8 @@ impl<'a> PreparedBoard<'a> {
         Ok(self.judge(feed_forward, kp, kd, strength)? != Verdict::Decays)
     }
 
-    /// What the tip does against walls of this stiffness (N/m) and damping (N s/m) in all. `strength` scales and signs the
-    /// excitation (1 or a little less).
+    /// What the tip does against walls of this stiffness (N/m) and damping (N s/m) in all. `strength` scales and signs
+    /// the excitation (1 or a little less).
     pub fn judge(
         &mut self,
         feed_forward: FeedForward,
@@ -217,7 +217,8 @@ impl<'a> PreparedBoard<'a> {
         let mut trips = 0;
         loop {
             match self.swing_from_rest(feed_forward, pull) {
-                // The device was still ringing from the oscillation before, and that tripped the guard. It has stopped by now.
+                // The device was still ringing from the oscillation before, and that tripped the guard. It has stopped
+                // by now.
                 Err(MeasureError::Fault(fault)) if violent(fault) && trips < 3 => {
                     trips += 1;
                     self.arm_again()?;
@@ -253,7 +254,8 @@ impl<'a> PreparedBoard<'a> {
         Err(MeasureError::Stuck)
     }
 
-    /// Clears the fault that a violent oscillation tripped, and arms with the soft hold; unless somebody else has cleared it.
+    /// Clears the fault that a violent oscillation tripped, and arms with the soft hold; unless somebody else has
+    /// cleared it.
     fn arm_again(&mut self) -> Result<(), MeasureError> {
         if self.board.status()?.state != State::Fault {
             return Err(MeasureError::Disarmed);
@@ -295,8 +297,8 @@ impl<'a> PreparedBoard<'a> {
         Ok(())
     }
 
-    /// Holds the tip `pull` metres along the pull's direction from where it was: the wall there and the one beside it share
-    /// the stiffness.
+    /// Holds the tip `pull` metres along the pull's direction from where it was: the wall there and the one beside it
+    /// share the stiffness.
     fn hold(&mut self, pull: f64) -> Result<(), MeasureError> {
         let (kp, kd) = self.holding();
         let share = (pull / APART).clamp(-0.9, 0.9);

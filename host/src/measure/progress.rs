@@ -75,7 +75,7 @@ pub struct Progress {
     /// When the last of it was measured (RFC 3339, UTC).
     #[serde(default)]
     pub date: Option<String>,
-    /// What the board held before, for as long as it does not hold it again.
+    /// What the board held before; `None` once that is back on the board.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub before: Option<RestorePoint>,
 }
@@ -125,7 +125,7 @@ impl Progress {
         self.ends.is_empty() && self.points.iter().all(|point| point.repeats.is_empty() && point.open.is_none())
     }
 
-    /// What is still to be put back on the board stays known, everything else begins anew.
+    /// Starts over, but remembers what is still to be put back on the board.
     pub fn anew(self, what: &str) -> Self {
         Self { before: self.before, ..Self::new(what) }
     }

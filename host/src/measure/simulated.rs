@@ -1,5 +1,5 @@
-//! A simulated board to measure on, whose world is as simple as the question asks: the device as its file describes it, or
-//! without friction, with finer encoders, with torque that acts at once, at any pose.
+//! A simulated board to measure on, whose world is as simple as the question asks: the device as its file describes it,
+//! or without friction, with finer encoders, with torque that acts at once, at any pose.
 
 use crate::device_file::DeviceFile;
 use crate::sim::{
@@ -38,11 +38,10 @@ pub struct World {
 /// Simulation steps in a control period. The torque is held for a whole period, so slow loops need no finer ones.
 const STEPS: f64 = 100.0;
 /// Shortest and longest simulation step, s. The longest is half a carrier period at 20 kHz.
-const STEP: (f64, f64) = (2e-6, 2.5e-5);
+const STEP_RANGE_S: (f64, f64) = (2e-6, 2.5e-5);
 
 impl World {
-    /// The device as it is in this world: what is left out is left out of its description, so that whoever predicts from it
-    /// predicts the same world.
+    /// Takes out of the description what this world leaves out, so that predictions made from it are of the same world.
     pub fn apply(&self, file: &mut DeviceFile) {
         for joint in &mut file.description.joints {
             if matches!(self.friction, Friction::Coulomb | Friction::None) {
@@ -60,8 +59,11 @@ impl World {
 
     /// A board with the device of `file`, to which [`World::apply`] was done, that will run at `rate_hz`.
     pub fn board(&self, file: &DeviceFile, rate_hz: f64) -> Result<SharedBoard, DeviceError> {
-        let device =
-            Options { start: self.q, substep: (1.0 / (STEPS * rate_hz)).clamp(STEP.0, STEP.1), ..Options::default() };
+        let device = Options {
+            start: self.q,
+            substep: (1.0 / (STEPS * rate_hz)).clamp(STEP_RANGE_S.0, STEP_RANGE_S.1),
+            ..Options::default()
+        };
         let drive = if self.ideal_drive { DriveModel::Ideal } else { DriveModel::Electric };
         let mut board = ready_board(file, BoardOptions { device, drive, ..BoardOptions::default() })?;
         if self.grip {

@@ -1,24 +1,25 @@
 //! What a motion does: it dies out, it builds up, or it goes on as a vibration of constant size. Judged from sampled
 //! positions alone.
 //!
-//! The position is high-passed below the velocity filter's cutoff, because a slow return to the wall would hide a small fast
-//! oscillation; an oscillation of a rigid device's loop lies below that cutoff and seldom far below it. The swing between two
-//! turning points then grows or shrinks by a constant factor for every half cycle of the dominant mode, and the slope of a
-//! straight line through its logarithm, against that slope's own uncertainty, tells which.
+//! The position is high-passed below the velocity filter's cutoff, because a slow return to the wall would hide a small
+//! fast oscillation; an oscillation of a rigid device's loop lies below that cutoff and seldom far below it. The swing
+//! between two turning points then grows or shrinks by a constant factor for every half cycle of the dominant mode, and
+//! the slope of a straight line through its logarithm, against that slope's own uncertainty, tells which.
 //!
-//! **Several modes.** A device with a transmission that gives has modes on both sides of the cutoff, and a washout one far
-//! below it. Two modes of like size make a tiny swing now and then, where the slow one turns and the fast one holds against
-//! it: so a motion has died out when half a look of swings is small, not one. Their beat hides the trend of single swings; the
-//! largest of every few, over at least three turns of the slowest, then shows it. If one of them decays faster
-//! than the other, the trend bends as if the motion were settling at a constant size: such a motion is followed until it settles or
-//! dies out. And a small fast mode that builds up hides behind a large slow one that dies out: so
-//! the motion's acceleration, in which it is larger by the square of their frequencies' ratio, is judged beside it.
+//! **Several modes.** A device with a transmission that gives has modes on both sides of the cutoff, and a washout one
+//! far below it. Two modes of like size make a tiny swing now and then, where the slow one turns and the fast one holds
+//! against it: so a motion has died out when half a look of swings is small, not one. Their beat hides the trend of
+//! single swings; the largest of every few, over at least three turns of the slowest, then shows it. If one of them
+//! decays faster than the other, the trend bends as if the motion were settling at a constant size: such a motion is
+//! followed until it settles or dies out. And a small fast mode that builds up hides behind a large slow one that dies
+//! out: so the motion's acceleration, in which it is larger by the square of their frequencies' ratio, is judged beside
+//! it.
 //!
-//! **What encoder steps explain.** A quantiser in a stable loop can sustain a vibration. Its describing function, the share of
-//! a sine's first harmonic that it passes on, is at most 1.0365 for a sine that spans six steps and falls from there
-//! (1.023 at eight): a vibration of more than [`ENCODER_STEPS`] steps from peak to peak can last only where 3.6 % more gain
-//! would make the loop unstable without any steps. So what is larger counts as not stable, at the price of a boundary
-//! that is found at most 3.6 % low; what is smaller is what any loop with these encoders does at rest.
+//! **What encoder steps explain.** A quantiser in a stable loop can sustain a vibration. Its describing function, the
+//! share of a sine's first harmonic that it passes on, is at most 1.0365 for a sine that spans six steps and falls from
+//! there (1.023 at eight): a vibration of more than [`ENCODER_STEPS`] steps from peak to peak can last only where 3.6 %
+//! more gain would make the loop unstable without any steps. So what is larger counts as not stable, at the price of a
+//! boundary that is found at most 3.6 % low; what is smaller is what any loop with these encoders does at rest.
 
 use std::f64::consts::TAU;
 
@@ -26,38 +27,39 @@ use std::f64::consts::TAU;
 pub const ENCODER_STEPS: f64 = 6.0;
 
 /// Corner of the high-pass as a share of the velocity filter's cutoff.
-const SLOW: f64 = 0.125;
+const HIGH_PASS_SHARE: f64 = 0.125;
 /// Turning points left out at the start, while faster modes die out.
 const SETTLING: usize = 8;
 /// Turning points of one look at the trend.
 const LOOK: usize = 22;
-/// Looks after which what neither grows nor shrinks is a vibration: of the place, and of the bend, whose swings are quicker.
+/// Looks after which what neither grows nor shrinks is a vibration: of the place, and of the bend, whose swings are
+/// quicker.
 const LOOKS: (usize, usize) = (4, 16);
-/// Swings of which the largest counts where two modes beat: more than the shares of a beat between two modes that lie this
-/// far apart, which is farther than a wall's own mode and a cable's.
+/// Swings of which the largest counts where two modes beat: more than the shares of a beat between two modes that lie
+/// this far apart, which is farther than a wall's own mode and a cable's.
 const BEAT: usize = 6;
 /// Turns of the slowest mode that a look lasts at least which tells that a motion dies out, and that a stretch does.
 const TURNS: f64 = 3.0;
-/// Stretches of such swings of which the latest are judged at least.
+/// The latest swings are judged in at least so many stretches.
 const STRETCHES: usize = 8;
-/// How many times as long as it takes to call a motion a vibration one is followed whose trend bends.
+/// A motion whose trend bends is followed this many times as long as it takes to call a straight one a vibration.
 const PATIENCE: usize = 16;
-/// Share of the swings before it that a swing has, not to be a faster mode's ripple on them.
-const RIPPLE: f64 = 0.4;
+/// A swing of less than this share of those before it is a faster mode's ripple on them.
+const RIPPLE_SHARE: f64 = 0.4;
 /// Standard errors by which a slope must differ from zero to be one. Many, as encoder steps disturb neighbouring swings
 /// alike, which the standard error does not know.
 const SIGNIFICANT: f64 = 4.0;
 /// Slope, in parts per swing, below which a motion goes on: 0.4 % over one look.
-const FLAT: f64 = 2e-4;
+const FLAT_SLOPE: f64 = 2e-4;
 /// Growth over the first swings, and over the pull, at which nobody waits for the trend.
-const RUNAWAY: f64 = 4.0;
+const RUNAWAY_GROWTH: f64 = 4.0;
 /// Farthest distance from the wall that is still a trial, in pulls.
-const FARTHEST: f64 = 12.0;
+const FARTHEST_PULLS: f64 = 12.0;
 /// Share of the largest swing below which a motion has died out.
-const GONE: f64 = 0.02;
-/// Periods of the cutoff without a turning point after which a motion is over: at least, and at most where a slower mode is
-/// expected.
-const SILENT: (f64, f64) = (10.0, 200.0);
+const DIED_OUT_SHARE: f64 = 0.02;
+/// Periods of the cutoff without a turning point after which a motion is over: at least, and at most where a slower
+/// mode is expected.
+const SILENT_PERIODS: (f64, f64) = (10.0, 200.0);
 
 /// What a motion does.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -84,12 +86,12 @@ pub struct Swing {
 
 impl Swing {
     /// Follows positions every `row_seconds`, in steps of `quantum` (m), of a loop whose velocity filter cuts off at
-    /// `cutoff_hz` and whose slowest mode is expected to take about `period` (s), if it swings at all, pulled aside by `pull`
-    /// (m) at first.
+    /// `cutoff_hz` and whose slowest mode is expected to take about `period` (s), if it swings at all, pulled aside by
+    /// `pull` (m) at first.
     pub fn new(row_seconds: f64, cutoff_hz: f64, (period, oscillates): (f64, bool), quantum: f64, pull: f64) -> Self {
         let rows_a_period = 1.0 / (row_seconds * cutoff_hz);
         let slowest = period / row_seconds;
-        let silent = slowest.clamp(SILENT.0 * rows_a_period, SILENT.1 * rows_a_period);
+        let silent = slowest.clamp(SILENT_PERIODS.0 * rows_a_period, SILENT_PERIODS.1 * rows_a_period);
         // What is damped beyond critical does not swing.
         let slowest = if oscillates { slowest } else { 0.0 };
         Self {
@@ -158,7 +160,7 @@ impl Trace {
         Self {
             looks,
             slowest,
-            share: 1.0 - (-TAU * SLOW / rows_a_period).exp(),
+            share: 1.0 - (-TAU * HIGH_PASS_SHARE / rows_a_period).exp(),
             slow: None,
             noise: 1.5 * quantum,
             explained: ENCODER_STEPS * quantum,
@@ -180,7 +182,7 @@ impl Trace {
     fn take(&mut self, place: f64) -> Option<Verdict> {
         self.rows += 1;
         self.since_turn += 1;
-        if place.abs() > FARTHEST * self.pull {
+        if place.abs() > FARTHEST_PULLS * self.pull {
             return Some(Verdict::Grows);
         }
         let [first, second] = self.slow.get_or_insert([place, 0.0]);
@@ -209,7 +211,7 @@ impl Trace {
             self.extreme = Some((fast, rising));
             return false;
         }
-        if (fast - extreme).abs() <= self.noise.max(0.2 * GONE * largest(&self.swings)).max(self.ripple()) {
+        if (fast - extreme).abs() <= self.noise.max(0.2 * DIED_OUT_SHARE * largest(&self.swings)).max(self.ripple()) {
             return false;
         }
         if let Some(before) = self.turned.replace(extreme) {
@@ -223,11 +225,11 @@ impl Trace {
         self.swings.len() > 3
     }
 
-    /// What comes back by less than this is a faster mode's ripple on the swing, m. It falls while nothing turns: after a
-    /// large mode has died out a small one is seen.
+    /// What comes back by less than this is a faster mode's ripple on the swing, m. It falls while nothing turns: after
+    /// a large mode has died out a small one is seen.
     fn ripple(&self) -> f64 {
         let recent = largest(&self.swings[self.swings.len().saturating_sub(4)..]);
-        RIPPLE * recent * (-(self.since_turn as f64) / (2.0 * self.apart())).exp2()
+        RIPPLE_SHARE * recent * (-(self.since_turn as f64) / (2.0 * self.apart())).exp2()
     }
 
     /// How many rows the turning points so far were apart.
@@ -239,10 +241,10 @@ impl Trace {
         let count = self.swings.len();
         let latest = self.swings[count - 1];
         // The first swings may be a fast mode's ripple alone, on a slow one that has yet to turn.
-        if latest > RUNAWAY * largest(&self.swings[1..4]).max(self.explained).max(self.pull) {
+        if latest > RUNAWAY_GROWTH * largest(&self.swings[1..4]).max(self.explained).max(self.pull) {
             return Some(Verdict::Grows);
         }
-        let small = |swings: &[f64]| largest(swings) < GONE * largest(&self.swings) && trend(swings).0 <= 0.0;
+        let small = |swings: &[f64]| largest(swings) < DIED_OUT_SHARE * largest(&self.swings) && trend(swings).0 <= 0.0;
         if count > LOOK / 2 && small(&self.swings[count - LOOK / 2..]) {
             return Some(Verdict::Decays);
         }
@@ -275,7 +277,8 @@ impl Trace {
         self.told_by(latest, larger).or_else(|| (!patient || !is_sure(trend(latest))).then(|| self.lasting()))
     }
 
-    /// How far the motion reaches over every [`BEAT`] swings, or over as many more as [`TURNS`] of the slowest mode take, m.
+    /// How far the motion reaches over every [`BEAT`] swings, or over as many more as [`TURNS`] of the slowest mode
+    /// take, m.
     fn stretches(&self) -> Vec<f64> {
         let (mut stretches, mut first) = (Vec::new(), SETTLING);
         for at in SETTLING..self.swings.len() {
@@ -288,8 +291,8 @@ impl Trace {
         stretches
     }
 
-    /// What the trend of swings tells, where it tells anything: growth only where the motion is `larger` than ever, because
-    /// what grows without being so is the beat of two modes that lie close together.
+    /// What the trend of swings tells, where it tells anything: growth only where the motion is `larger` than ever,
+    /// because what grows without being so is the beat of two modes that lie close together.
     fn told_by(&self, swings: &[f64], larger: bool) -> Option<Verdict> {
         let (slope, error) = trend(swings);
         let sure = is_sure((slope, error));
@@ -331,7 +334,7 @@ fn largest(swings: &[f64]) -> f64 {
 
 /// Whether a slope with this standard error differs from zero.
 fn is_sure((slope, error): (f64, f64)) -> bool {
-    slope.abs() > FLAT.max(SIGNIFICANT * error)
+    slope.abs() > FLAT_SLOPE.max(SIGNIFICANT * error)
 }
 
 /// Slope of ln(swing) over the swings, and its standard error.
@@ -418,8 +421,8 @@ mod tests {
 
     #[test]
     fn a_slow_swing_and_a_fast_one_on_it_that_both_die_out_are_no_vibration() {
-        // The WoodenHaptics with cables of 400 Hz at 20 kHz, a tenth below its limit: 57 Hz of the wall and 472 Hz of the
-        // cables, which die out at their own paces.
+        // The WoodenHaptics with cables of 400 Hz at 20 kHz, a tenth below its limit: 57 Hz of the wall and 472 Hz of
+        // the cables, which die out at their own paces.
         let at = |quantum: f64, share: f64, phase: f64, slow: f64, fast: f64| {
             let motion = move |t: f64| {
                 let ripple = share * (fast * t).exp() * (TAU * (472.0 * t + phase)).cos();
@@ -500,7 +503,7 @@ mod tests {
 
     #[test]
     fn a_swing_that_stays_is_a_vibration_wherever_it_began() {
-        // As it is, down from three times its size, up from nine tenths of it.
+        // At its size from the start, coming down from three times that, and up from nine tenths of it.
         for begin in [0.0, 2.0, -0.1] {
             let verdict = judged(2e-5, |t| 3e-4 * (1.0 + begin * (-6.0 * t).exp()) * (70.0 * t).sin());
             let Verdict::Vibrates(size) = verdict else { panic!("{begin}: {verdict:?}") };

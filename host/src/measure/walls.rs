@@ -52,8 +52,8 @@ pub fn complement(normal: &DVector<f64>) -> Vec<DVector<f64>> {
     }
 }
 
-/// Whether a scene is one that a measurement made: flat walls held from both sides, two of them [`APART`] to either side of
-/// the first.
+/// Whether a scene is one that a measurement made: flat walls held from both sides, two of them [`APART`] to either
+/// side of the first.
 #[must_use]
 pub fn is_measurement(scene: &Scene<f32>) -> bool {
     let plane = |wall: &Wall<f32>| match wall.surface {

@@ -1,5 +1,5 @@
-//! What the terminal shows: state, tip and walls, two signals, numbers, what was said, keys. It fits any size: what there
-//! is no room for is left out, the state and what was said never.
+//! What the terminal shows: state, tip and walls, two signals, numbers, what was said, keys. It fits any size: parts
+//! are left out where there is no room, but never the state or the last message.
 
 use super::seen::{Seen, Trace, WallSeen, number, numbers};
 use crate::outline::Outline;

@@ -182,7 +182,7 @@ impl Seen {
         }]
     }
 
-    /// What was refused, to be said again by somebody who means it.
+    /// The last message that was refused, to send it again now that somebody has confirmed it.
     pub fn again(&mut self) -> Option<FromPage> {
         self.said = None;
         self.again.take()

@@ -13,19 +13,19 @@ use haptic_bridge::with_mechanism;
 use nalgebra::{DMatrix, DVector, SVector};
 
 /// kg/m³
-const STEEL: f64 = 7850.0;
+const STEEL_DENSITY: f64 = 7850.0;
 /// Links outside these lengths (m) are no desktop device's, and no exoskeleton's.
-const LENGTHS: (f64, f64) = (1e-3, 3.0);
+const LINK_LENGTHS_M: (f64, f64) = (1e-3, 3.0);
 /// A rotor and gear of more than this are those of a machine tool: 20 kg at 10 cm, kg m².
 const JOINT_INERTIA: f64 = 0.2;
 /// Fewer counts per turn than degrees.
-const COUNTS: f64 = 360.0;
+const LEAST_COUNTS: f64 = 360.0;
 /// The voltage that resistance and largest current ask of a supply, V; the boards take up to 56 V.
-const SUPPLY: f64 = 120.0;
+const LARGEST_SUPPLY_V: f64 = 120.0;
 /// Windings of desktop motors have 0.01 to 10 mH.
 const INDUCTANCE: f64 = 0.1;
 /// More force than a hand can hold, N.
-const FORCE: f64 = 500.0;
+const LARGEST_FORCE_N: f64 = 500.0;
 /// Nearer to a singularity than this sine a device cannot do much at home.
 const HOME_SINE: f64 = 0.02;
 
@@ -38,7 +38,7 @@ pub fn doubts(description: &Description) -> Vec<Doubt> {
     let spec = description.kind.spec();
     let mut doubts = lengths(description);
     let longest = longest(description);
-    let heaviest = STEEL * (longest / 2.0).powi(3);
+    let heaviest = STEEL_DENSITY * (longest / 2.0).powi(3);
     for (index, link) in description.links.iter().enumerate().take(spec.links.len()) {
         let place = format!("[[link]] {index} ({})", spec.links[index]);
         doubts.extend(of_link(link, index, &place, longest, heaviest));
@@ -80,7 +80,7 @@ fn longest(description: &Description) -> f64 {
     named_lengths(description).map(|(_, length)| length).fold(0.0, f64::max)
 }
 
-/// The lengths of the geometry with their keys; signs such as `assembly` are none.
+/// The lengths of the geometry with their keys, without signs such as `assembly`.
 fn named_lengths(description: &Description) -> impl Iterator<Item = (&'static str, f64)> + '_ {
     let keys = description.kind.spec().geometry.iter().flat_map(|(key, count)| (0..*count).map(move |_| *key));
     keys.zip(description.geometry).filter(|(key, _)| *key != "assembly")
@@ -90,9 +90,9 @@ fn lengths(description: &Description) -> Vec<Doubt> {
     let mut doubts: Vec<Doubt> = Vec::new();
     for (name, length) in named_lengths(description) {
         // Two motors may share an axis.
-        let short = length < LENGTHS.0 && name != "base";
+        let short = length < LINK_LENGTHS_M.0 && name != "base";
         let at = key("geometry", None, "", name);
-        if (short || length > LENGTHS.1) && doubts.iter().all(|doubt| doubt.key != Some(at)) {
+        if (short || length > LINK_LENGTHS_M.1) && doubts.iter().all(|doubt| doubt.key != Some(at)) {
             let meant = if short {
                 format!("{} mm?", digits(length * 1e3))
             } else {
@@ -136,7 +136,7 @@ fn of_link(link: &Link, index: usize, place: &str, longest: f64, heaviest: f64) 
     }
     let gyration = (link.inertia / link.mass).sqrt();
     // A solid ball is the most compact body of its mass.
-    let ball = (3.0 * link.mass / (4.0 * PI * STEEL)).cbrt() * 0.4_f64.sqrt();
+    let ball = (3.0 * link.mass / (4.0 * PI * STEEL_DENSITY)).cbrt() * 0.4_f64.sqrt();
     if gyration > longest || gyration < ball {
         let bound = if gyration > longest {
             format!("more than if all of it were {longest} m away, the longest link's length")
@@ -184,7 +184,7 @@ fn of_joint(joint: &Joint, index: usize) -> Vec<Doubt> {
         doubt("", "limits", turns(&format!("a limit of joint {index}"), angle));
     }
     if let Some(encoder) = joint.encoder {
-        if encoder.counts_per_turn < COUNTS {
+        if encoder.counts_per_turn < LEAST_COUNTS {
             let text = format!(
                 "the encoder of joint {index} has {} counts per turn, {:.1} degrees each: count after x4 decoding, times \
                  the gear ratio, at the joint",
@@ -200,7 +200,7 @@ fn of_joint(joint: &Joint, index: usize) -> Vec<Doubt> {
     let Some(motor) = joint.motor else { return doubts };
     let torque = motor.torque_constant * motor.max_current;
     let volts = motor.resistance * motor.max_current;
-    if volts > SUPPLY {
+    if volts > LARGEST_SUPPLY_V {
         let text = format!(
             "the motor of joint {index} would need {} for its max_current: resistance is in ohm, current in A",
             with_unit(volts, "V")
@@ -263,7 +263,7 @@ fn at_home(description: &Description) -> Vec<Doubt> {
             doubts.push(Doubt::new(key("joint", Some(joint), "motor", "torque_constant"), text));
         }
     }
-    if let Some((weakest, _)) = force_at(&device, &pose).filter(|(weakest, _)| *weakest > FORCE) {
+    if let Some((weakest, _)) = force_at(&device, &pose).filter(|(weakest, _)| *weakest > LARGEST_FORCE_N) {
         let text = format!(
             "the motors push {} at the tip at home, more than a hand holds: torque constants are in N m/A (a data sheet's \
              mN m/A are thousandths), currents in A",
@@ -294,11 +294,12 @@ pub fn force_along(device: &Device<f64>, pose: &TaskPose, direction: &[f64]) -> 
     Some(least)
 }
 
-/// The most that the motors give at a pose along their weakest and strongest direction, N. Along a direction alone: on a
-/// redundant device without a moment on the tip.
+/// The most that the motors give at a pose along their weakest and strongest direction, N. Along a direction alone: on
+/// a redundant device without a moment on the tip.
 ///
-/// Forces f with |Jᵀ f| within the motors' torques fill a polytope. Its nearest boundary is the nearest of its faces, one
-/// pair a joint, and its farthest is a corner, where as many joints as there are directions give all that they have.
+/// Forces f with |Jᵀ f| within the motors' torques fill a polytope. Its nearest boundary is the nearest of its faces,
+/// one pair a joint, and its farthest is a corner, where as many joints as there are directions give all that they
+/// have.
 pub fn force_at(device: &Device<f64>, pose: &TaskPose) -> Option<(f64, f64)> {
     let jacobian = pose.jacobian.rows(0, pose.task);
     let motors = device.joints.iter().take(jacobian.ncols()).map(|joint| joint.motor);

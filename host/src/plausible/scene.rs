@@ -25,10 +25,10 @@ use serde::Serialize;
 use std::convert::Infallible;
 
 /// Hand speed (m/s) at which a wall's damping alone should not take all of the motors.
-const SLOW: f64 = 0.1;
-/// A wall whose force one encoder count changes by more than this is felt to buzz, N: its ripple is about half of it, root
-/// mean square (docs/encoder-steps.md).
-const BUZZ: f64 = 1.0;
+const SLOW_HAND: f64 = 0.1;
+/// A wall whose force one encoder count changes by more than this is felt to buzz, N: its ripple is about half of it,
+/// root mean square (docs/encoder-steps.md).
+const BUZZ_N: f64 = 1.0;
 /// Poses of each joint in which a device with so many joints is looked at.
 const PER_JOINT: [usize; 3] = [400, 60, 16];
 /// What a wall meets where the tip touches it.
@@ -225,7 +225,8 @@ pub fn at(device: &Device<f64>, scene: &Scene<f64>, index: usize, q: &[f64], del
     meets(device, scene, index, q, &normal.as_slice()[..pose.task], delay_samples)
 }
 
-/// Doubts about a wall's gains: more than the loop or the motors can render. `in_file`: the doubts have a place in a scene file.
+/// Doubts about a wall's gains: more than the loop or the motors can render. `in_file`: the doubts have a place in a
+/// scene file.
 pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> {
     let index = contact.wall;
     let doubt = |name: &'static str, text: String| Doubt {
@@ -264,10 +265,10 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> 
         );
         doubts.push(doubt("stiffness", text));
     }
-    if wall.damping * SLOW > force {
+    if wall.damping * SLOW_HAND > force {
         let text = format!(
-            "the damping of wall {index} asks for {} at {SLOW} m/s, and the motors have {} there",
-            with_unit(wall.damping * SLOW, "N"),
+            "the damping of wall {index} asks for {} at {SLOW_HAND} m/s, and the motors have {} there",
+            with_unit(wall.damping * SLOW_HAND, "N"),
             with_unit(force, "N")
         );
         doubts.push(doubt("damping", text));
@@ -279,7 +280,7 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> 
 fn buzzing(scene: &Scene<f64>, contact: &Contact) -> Option<Doubt> {
     let wall = scene.walls.get(contact.wall)?;
     // The wall that cannot be had anyway has its own doubt.
-    if contact.step_n <= BUZZ || wall.stiffness > contact.stable_to || wall.damping > contact.damping_to {
+    if contact.step_n <= BUZZ_N || wall.stiffness > contact.stable_to || wall.damping > contact.damping_to {
         return None;
     }
     let text = format!(
@@ -295,14 +296,14 @@ fn buzzing(scene: &Scene<f64>, contact: &Contact) -> Option<Doubt> {
     Some(Doubt::new(Key { table: "wall", index: Some(contact.wall), part: "", name: "damping" }, text))
 }
 
-/// Share of what is stable with it from which on a wall is near enough for that to matter.
-const NEAR: f64 = 0.25;
+/// A wall is near its limit from this share of the stable stiffness on.
+const NEAR_SHARE: f64 = 0.25;
 
-/// A washout with which less stiffness is stable than without any feed-forward, at the wall's own damping: one whose corner
-/// is not far below what the loop does.
+/// A washout with which less stiffness is stable than without any feed-forward, at the wall's own damping: one whose
+/// corner is not far below what the loop does.
 fn washed_away(device: &Device<f64>, scene: &Scene<f64>, contact: &Contact) -> Option<Doubt> {
     let wall = scene.walls.get(contact.wall)?;
-    if wall.feed_forward != FeedForward::Washout || wall.stiffness <= NEAR * contact.stable_to {
+    if wall.feed_forward != FeedForward::Washout || wall.stiffness <= NEAR_SHARE * contact.stable_to {
         return None;
     }
     let around = around(scene, wall, usual_delay(scene.rate_hz))?;
@@ -363,7 +364,8 @@ fn touched(device: &Device<f64>, surface: &Surface<f64>) -> Touched {
     }
 }
 
-/// How near a surface the tip comes, negative inside it, and how far off, m; none where the workspace could not be walked.
+/// How near a surface the tip comes, negative inside it, and how far off, m; none where the workspace could not be
+/// walked.
 fn distances(device: &Device<f64>, surface: &Surface<f64>) -> Option<(f64, f64)> {
     let grid = Reachable::of(device, PER_JOINT[device.mechanism.kind().spec().joints - 1], None).ok()?;
     let distances = grid.indices().filter_map(|index| {

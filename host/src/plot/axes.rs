@@ -153,8 +153,8 @@ impl PlotArea {
         canvas.circle(self.pixel(x, y), 3.2, "white", Stroke::solid(colour, 1.6));
     }
 
-    /// A legend that hides nothing: in the first corner of the frame where none of the lines and dots `drawn` (values)
-    /// passes below it, else under everything else, where the page grows for it.
+    /// A legend that hides nothing: in the first corner of the frame that is free of the lines and dots `drawn`
+    /// (values), else below the picture, which grows for it.
     pub fn clear_legend(&self, canvas: &mut Canvas, drawn: &[Vec<(f64, f64)>], entries: &[(Mark<'_>, String)]) {
         const GAP: f64 = 10.0;
         let (width, height) = Self::legend_size(entries);
@@ -217,7 +217,8 @@ impl PlotArea {
 /// Whether a line through these points (or the only one of them) has a part in the box between two corners.
 fn passes(line: &[(f64, f64)], low: (f64, f64), high: (f64, f64)) -> bool {
     let within = |from: (f64, f64), to: (f64, f64)| {
-        // The part of the line from 0 to 1 that lies between the left and the right edge, and of that between the others.
+        // The part of the line from 0 to 1 that lies between the left and the right edge, and of that between the
+        // others.
         let (mut enters, mut leaves) = (0.0_f64, 1.0_f64);
         for (from, to, low, high) in [(from.0, to.0, low.0, high.0), (from.1, to.1, low.1, high.1)] {
             if from == to {

@@ -106,8 +106,8 @@ impl Canvas {
         self.push(format_args!(r#"<polygon points="{points}" fill="{fill}" fill-opacity="{opacity}"/>"#));
     }
 
-    /// Filled areas of one colour, all turning the same way, outlined in it so that no seam shows between neighbours. Those
-    /// that share an edge become one shape; places are to a tenth of a pixel.
+    /// Filled areas of one colour, all turning the same way, outlined in it so that no seam shows between neighbours.
+    /// Those that share an edge become one shape; places are to a tenth of a pixel.
     pub fn tiles(&mut self, outlines: &[Vec<(f64, f64)>], fill: &str) {
         let mut path = String::new();
         let mut pen = (0, 0);
@@ -188,8 +188,8 @@ impl Canvas {
     }
 }
 
-/// Outlines of what the tiles cover together, in tenths of a pixel: an edge that two tiles share runs once each way, and
-/// what is left of the others closes again.
+/// Outlines of what the tiles cover together, in tenths of a pixel: an edge that two tiles share runs once each way,
+/// and what is left of the others closes again.
 fn merged(outlines: &[Vec<(f64, f64)>]) -> Vec<Vec<(i64, i64)>> {
     let tenths = |&(x, y): &(f64, f64)| ((10.0 * x).round() as i64, (10.0 * y).round() as i64);
     // From where to where, in order, so that a picture is the same every time.

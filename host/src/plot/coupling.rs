@@ -1,5 +1,5 @@
-//! The paper's Fig. 1 for any device and pose: the linkage with its motion along a normal, and how much the inertia couples
-//! in every direction, with the axes of the tip's inertia.
+//! The paper's Fig. 1 for any device and pose: the linkage with its motion along a normal, and how much the inertia
+//! couples in every direction, with the axes of the tip's inertia.
 //!
 //! In the plane the directions make a curve, in space a surface. With as many joints as task directions the coupling
 //! vanishes along the axes and is largest between the first and the last of them.

@@ -1,5 +1,5 @@
-//! The picture of what each effect takes: the largest stiffness without it beside that with everything, on a logarithmic
-//! scale, without and with the feed-forward.
+//! The picture of what each effect takes: the largest stiffness without it beside that with everything, on a
+//! logarithmic scale, without and with the feed-forward.
 
 use super::Picture;
 use super::canvas::{Anchor, Canvas, Stroke};

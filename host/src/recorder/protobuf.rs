@@ -116,7 +116,7 @@ enum Found<'a> {
     Eight([u8; 8]),
 }
 
-/// Takes the next field off a message: its number and what it holds; none at the end, or where it is none.
+/// Takes the next field off a message: its number and its content; `None` at the end and for what is not a field.
 fn next<'a>(bytes: &mut &'a [u8]) -> Option<(u64, Found<'a>)> {
     fn varint(bytes: &mut &[u8]) -> Option<u64> {
         let mut value = 0;

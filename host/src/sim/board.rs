@@ -5,19 +5,16 @@
 
 use super::around::Around;
 use super::device::{DeviceError, Options, SimulatedDevice, Support};
-use super::flash::SettingsFlash;
 use super::hand::{Hand, HandSettings};
+use super::machine::LocalMachine;
 use super::motor::MotorInput;
 use super::port::Port;
-use haptic_bridge::board::dispatch::{self, After, Described};
-use haptic_bridge::board::protocol::{FaultSeen, ForceAnswer, ForceRequest, Info, MAX_FRAME, PROTOCOL, Telemetry};
-use haptic_bridge::board::service::{Machine, Measured, Service};
-use haptic_bridge::board::settings::{Entry, Key};
+use haptic_bridge::board::dispatch::{self, After};
+use haptic_bridge::board::protocol::{FaultSeen, Info, MAX_FRAME, PROTOCOL, Telemetry};
+use haptic_bridge::board::service::Service;
 use haptic_bridge::board::telemetry::Packer;
 use haptic_bridge::drive::brushed::UNKNOWN_WINDING;
-use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
 use haptic_bridge::drive::stage::Bridge;
-use haptic_bridge::math::Minimax;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::Scene;
@@ -26,8 +23,8 @@ use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::{Counts, Currents};
-use haptic_bridge::servo::program::{Hardware, Program};
-use haptic_bridge::servo::{ARM_SECONDS, Command, HostAction, Reply, Rules, Servo, Status};
+use haptic_bridge::servo::program::Hardware;
+use haptic_bridge::servo::{ARM_SECONDS, HostAction, Rules, Servo, Status};
 
 /// Frequency that the PWM timers count at, as those of the real boards do, Hz.
 pub const TIMER_HZ: u32 = 168_000_000;
@@ -54,9 +51,9 @@ pub struct BoardOptions {
     /// Asks of a user what a real board asks: verified motors, limits, homing, polarity check. Its encoders then
     /// start at zero wherever the device stands; otherwise they know their angle.
     pub strict: bool,
-    /// What somebody does for the device from power-on until the motors carry it, as docs/bring-up.md asks of a user: while a
-    /// polarity check moves it, its weight is carried; after that it is carried back; and while the torque ramps up after arming,
-    /// it is held.
+    /// What somebody does for the device from power-on until the motors carry it, as docs/bring-up.md asks of a user:
+    /// while a polarity check moves it, its weight is carried; after that it is carried back; and while the torque
+    /// ramps up after arming, it is held.
     pub support: Support,
     /// Motor axes.
     pub axes: usize,
@@ -81,86 +78,32 @@ impl Default for BoardOptions {
     }
 }
 
-/// Speed of the joint that has the longest way while a device is carried back that a polarity check has moved, rad/s: so
-/// fast that the board does not take it for one at rest.
+/// Speed of the joint that has the longest way while a device is carried back that a polarity check has moved, rad/s:
+/// so fast that the board does not take it for one at rest.
 const BACK_SPEED: f64 = 1.0;
 
 /// How often the service looks at the servo, s.
 const POLL_SECONDS: f64 = 0.02;
 
-/// Everything that the service may reach while it answers.
-#[derive(Debug)]
-struct Innards {
-    servo: Servo<Box<Program<Minimax>>>,
-    flash: SettingsFlash,
-    carrier: Carrier,
-    options: BoardOptions,
-}
-
-impl Machine for Innards {
-    type Math = Minimax;
-    type Held = Box<Program<Minimax>>;
-
-    fn execute(&mut self, command: Command<Self::Held>) -> Reply<Self::Held> {
-        self.servo.execute(command)
-    }
-    fn status(&mut self) -> Status {
-        self.servo.status()
-    }
-    fn force(&mut self, request: &ForceRequest) -> ForceAnswer {
-        self.servo.force(request)
-    }
-    fn place(&mut self, program: Program<Minimax>) -> Result<Self::Held, Refusal> {
-        Ok(Box::new(program))
-    }
-    fn release(&mut self, _held: Self::Held) {}
-    fn retime(&mut self, rate_hz: f32) {
-        self.carrier = Carrier::for_rate(TIMER_HZ, rate_hz);
-    }
-    fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
-        self.flash.stage(key, entry)
-    }
-    fn staged(&mut self, key: Key) -> Option<Entry> {
-        self.flash.staged(key)
-    }
-    fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal> {
-        self.flash.commit(keys)
-    }
-    fn load(&mut self, key: Key) -> Option<Entry> {
-        self.flash.load(key)
-    }
-}
-
 /// What a board with torque that acts at once calls itself: whoever predicts its range must know.
 pub const IDEAL_BOARD: &str = "simulated-ideal";
 
-impl Innards {
-    fn board_name(&self) -> &'static str {
-        match self.options.drive {
-            DriveModel::Electric => "simulated",
-            DriveModel::Ideal => IDEAL_BOARD,
-        }
+/// How a board with these options introduces itself.
+fn info(options: &BoardOptions) -> Info {
+    let board = match options.drive {
+        DriveModel::Electric => "simulated",
+        DriveModel::Ideal => IDEAL_BOARD,
+    };
+    // Longer text is cut; these are short names of this tool's own.
+    Info {
+        protocol: PROTOCOL,
+        firmware: env!("CARGO_PKG_VERSION").chars().take(16).collect(),
+        board: board.chars().take(16).collect(),
+        serial: options.serial.chars().take(24).collect(),
     }
 }
 
-impl Described for Innards {
-    fn info(&self) -> Info {
-        // Longer text is cut; these are short names of this tool's own.
-        Info {
-            protocol: PROTOCOL,
-            firmware: env!("CARGO_PKG_VERSION").chars().take(16).collect(),
-            board: self.board_name().chars().take(16).collect(),
-            serial: self.options.serial.chars().take(24).collect(),
-        }
-    }
-
-    fn measured(&mut self) -> Measured {
-        let delay = self.options.delay / f64::from(self.carrier.divider);
-        Measured { carrier_hz: self.carrier.carrier_hz(), delay_samples: delay as f32, ..Measured::default() }
-    }
-}
-
-/// What nobody can raise the limits above: where the board takes its motors for real ones, the force of a real board.
+/// Limits that nobody can raise: those of a simulation, with a real board's tip force where its motors count as real.
 fn most(hardware: Hardware) -> Limits {
     let limits = Limits::default();
     if hardware.real { Limits { tip_force: MOST_TIP_FORCE, ..limits } } else { limits }
@@ -170,7 +113,8 @@ fn most(hardware: Hardware) -> Limits {
 #[derive(Debug)]
 pub struct SimulatedBoard {
     service: Service,
-    innards: Innards,
+    machine: LocalMachine,
+    options: BoardOptions,
     device: SimulatedDevice,
     hardware: Hardware,
     countdown: u32,
@@ -218,12 +162,8 @@ impl SimulatedBoard {
         let seen = Counts(device.counts());
         let mut board = Self {
             service: Service::new(hardware, most(hardware)),
-            innards: Innards {
-                servo: Servo::new(hardware, Rules::default()),
-                flash: SettingsFlash::default(),
-                carrier: Carrier::for_rate(TIMER_HZ, CARRIER_MIN_HZ as f32),
-                options: options.clone(),
-            },
+            machine: LocalMachine::new(hardware, info(&options), options.delay),
+            options: options.clone(),
             device,
             link: Port::new(options.send_buffer),
             hardware,
@@ -241,65 +181,71 @@ impl SimulatedBoard {
             carried_back: None,
         };
         board.support_anew();
-        board.service.boot(&mut board.innards);
+        board.service.boot(&mut board.machine);
         Ok(board)
     }
 
     /// Loads a device and a scene as the tool would, so that the board is ready to arm.
     pub fn load(&mut self, name: &str, description: &Description, scene: Option<Scene<f32>>) -> Result<(), Refusal> {
         let device = Device::new(name, description).map_err(|_| Refusal::BadDevice)?;
-        self.service.set_device(&mut self.innards, device)?;
+        self.service.set_device(&mut self.machine, device)?;
         match scene {
-            Some(scene) => self.service.set_scene(&mut self.innards, scene),
+            Some(scene) => self.service.set_scene(&mut self.machine, scene),
             None => Ok(()),
         }
     }
 
     /// Lets one control period pass.
     pub fn control_period(&mut self) {
-        match self.innards.options.drive {
+        match self.options.drive {
             DriveModel::Electric => {
-                for _ in 0..self.innards.carrier.divider {
+                for _ in 0..self.machine.carrier.divider {
                     self.carrier_period(1);
                 }
             }
-            DriveModel::Ideal => self.carrier_period(self.innards.carrier.divider.into()),
+            DriveModel::Ideal => self.carrier_period(self.machine.carrier.divider.into()),
         }
     }
 
     /// `carriers` periods of the carrier as one, with one sample and one set of duties.
     fn carrier_period(&mut self, carriers: u32) {
-        let carrier = 1.0 / f64::from(self.innards.carrier.carrier_hz());
+        let carrier = 1.0 / f64::from(self.machine.carrier.carrier_hz());
         let period = carrier * f64::from(carriers);
         let currents = Currents(self.device.currents().map(|current| current as f32));
         let bus_voltage = self.device.bus_voltage() as f32;
         let due = self.countdown == 0;
         let counts = Counts(self.device.counts());
-        let mut samples = Samples { counts, bus_voltage, currents, ..Samples::default() };
+        let samples = Samples { counts, bus_voltage, currents, ..Samples::default() };
         self.guard(&samples, carriers);
         if due {
-            self.countdown = self.innards.carrier.divider.into();
-            samples.index = core::array::from_fn(|axis| self.device.index()[axis].then_some(counts[axis]));
-            samples.fault = self.injected.take();
-            self.bridges = self.innards.servo.control(&samples).bridges;
+            self.countdown = self.machine.carrier.divider.into();
+            let index = self.device.index();
+            let marks = core::array::from_fn(|axis| index[axis].then_some(counts[axis]));
+            if index.contains(&true) {
+                self.machine.servo.mark(marks);
+            }
+            if let Some((fault, axis, value)) = self.injected.take() {
+                self.machine.servo.trip(fault, axis, value);
+            }
+            self.bridges = self.machine.servo.control(&samples).bridges;
             self.send_around();
             self.support();
         }
         self.countdown = self.countdown.saturating_sub(carriers);
-        let duties = self.innards.servo.duties(bus_voltage, &currents, false);
+        let duties = self.machine.servo.duties(bus_voltage, &currents, false);
         for _ in 0..carriers {
-            self.bridges &= self.innards.servo.sum_up(&samples).bridges;
+            self.bridges &= self.machine.servo.sum_up(&samples).bridges;
         }
         if due {
             self.record();
         }
-        let torques = self.innards.servo.frame().motors.torque;
-        let next = core::array::from_fn(|axis| match (self.bridges, self.innards.options.drive) {
+        let torques = self.machine.servo.frame().motors.torque;
+        let next = core::array::from_fn(|axis| match (self.bridges, self.options.drive) {
             (false, _) => MotorInput::Floating,
-            (true, DriveModel::Electric) => MotorInput::Duty(f64::from(duties[axis])),
+            (true, DriveModel::Electric) => MotorInput::Duty(f64::from(f32::from(duties[axis]))),
             (true, DriveModel::Ideal) => MotorInput::Torque(f64::from(torques[axis])),
         });
-        let delay = (carrier * self.innards.options.delay).min(period);
+        let delay = (carrier * self.options.delay).min(period);
         if delay > 0.0 {
             self.device.step(&self.drive, delay);
         }
@@ -323,7 +269,7 @@ impl SimulatedBoard {
     }
 
     fn send_around(&mut self) {
-        let armed = self.innards.servo.frame().state == State::Armed;
+        let armed = self.machine.servo.frame().state == State::Armed;
         if let Some(around) = &self.rounds
             && armed != self.going
         {
@@ -335,7 +281,7 @@ impl SimulatedBoard {
 
     /// The device as it is supported when the board starts; held, where it is to be homed.
     fn support_anew(&mut self) {
-        let support = self.innards.options.support;
+        let support = self.options.support;
         if support == Support::Held {
             self.device.place(self.device.start());
             self.seen = Counts(self.device.counts());
@@ -347,7 +293,7 @@ impl SimulatedBoard {
     /// What somebody does for the device in this state of the board.
     fn support(&mut self) {
         let now = self.device.support();
-        let state = self.innards.servo.frame().state;
+        let state = self.machine.servo.frame().state;
         let time = self.device.time();
         self.armed = (state == State::Armed).then(|| self.armed.unwrap_or(time));
         let ramped = self.armed.is_some_and(|armed| time >= armed + f64::from(ARM_SECONDS));
@@ -356,7 +302,7 @@ impl SimulatedBoard {
             (_, State::Armed) if ramped => Support::None,
             (_, State::Armed) => Support::Held,
             (_, State::CheckingPolarity) => Support::Carried,
-            (_, State::Disarmed | State::Fault) => self.innards.options.support,
+            (_, State::Disarmed | State::Fault) => self.options.support,
         };
         if wanted != now {
             self.device.set_support(wanted);
@@ -388,7 +334,7 @@ impl SimulatedBoard {
             let counts = Counts::from_fn(|axis| {
                 self.seen[axis].wrapping_add((moved[axis] * i64::from(nth) / i64::from(carriers)) as i32)
             });
-            self.bridges = self.innards.servo.guard(&Samples { counts, ..*seen }).bridges;
+            self.bridges = self.machine.servo.guard(&Samples { counts, ..*seen }).bridges;
         }
         self.seen = seen.counts;
     }
@@ -396,7 +342,7 @@ impl SimulatedBoard {
     /// Adds the step to the stream. A row that the host is too slow for is dropped before it is packed, as on the
     /// chip, so that a batch once numbered is also sent.
     fn record(&mut self) {
-        let frame = self.innards.servo.frame();
+        let frame = self.machine.servo.frame();
         if !self.packer.wants(frame.step) {
             return;
         }
@@ -408,7 +354,7 @@ impl SimulatedBoard {
     }
 
     fn poll(&mut self) {
-        if let Some(record) = self.service.poll(&mut self.innards) {
+        if let Some(record) = self.service.poll(&mut self.machine) {
             self.link.publish::<FaultSeen>(&record);
         }
         if let Some(batch) = self.packer.flush() {
@@ -464,7 +410,7 @@ impl SimulatedBoard {
     pub fn host_silence(&self) -> Option<(f64, f64)> {
         let rules = self.service.rules();
         let minds = rules.host_action != HostAction::Ignore && self.status().state == State::Armed;
-        minds.then(|| (f64::from(self.innards.servo.host_silent()), f64::from(rules.host_seconds)))
+        minds.then(|| (f64::from(self.machine.servo.host_silent()), f64::from(rules.host_seconds)))
     }
 
     /// The device behind the board.
@@ -481,12 +427,12 @@ impl SimulatedBoard {
     }
     /// The servo's state.
     pub fn status(&self) -> Status {
-        self.innards.servo.status()
+        self.machine.servo.status()
     }
 
     fn answer(&mut self, frame: &[u8]) {
         let mut out = [0; MAX_FRAME];
-        let (answer, after) = dispatch::answer(&mut self.service, &mut self.innards, frame, &mut out);
+        let (answer, after) = dispatch::answer(&mut self.service, &mut self.machine, frame, &mut out);
         // Rows of the stream so far go out before the answer that ends it.
         if matches!(after, After::Stream(..))
             && let Some(batch) = self.packer.flush()
@@ -509,17 +455,17 @@ impl SimulatedBoard {
 
     /// Does what pressing reset does: flash stays, everything else starts anew, motors off.
     fn restart(&mut self) {
-        self.innards.flash.restart();
+        self.machine.flash.restart();
         // RAM is not cleared, and motors do not cool by a reset.
-        let heat = *self.innards.servo.heat();
-        self.innards.servo = Servo::new(self.hardware, Rules::default());
-        self.innards.servo.start_heat(heat);
+        let heat = *self.machine.servo.heat();
+        self.machine.servo = Servo::new(self.hardware, Rules::default());
+        self.machine.servo.start_heat(heat);
         self.service = Service::new(self.hardware, most(self.hardware));
         self.drive = [MotorInput::Floating; 3];
         self.bridges = false;
         self.packer = Packer::default();
         self.support_anew();
-        self.service.boot(&mut self.innards);
+        self.service.boot(&mut self.machine);
     }
 
     /// Reports a fault from before a reset, as the chip does after a watchdog bite or a panic.

@@ -17,7 +17,8 @@ pub struct Options {
     pub start: Option<[f64; 3]>,
     /// The encoders know their angle at power-on, as if homed; otherwise they start at zero wherever the device stands.
     pub absolute_encoders: bool,
-    /// Longest integration step, s. At 5 µs a five-bar's energy drifts by less than 1e-9 in a second (host/tests/simulated_device.rs).
+    /// Longest integration step, s. At 5 µs a five-bar's energy drifts by less than 1e-9 in a second
+    /// (host/tests/simulated_device.rs).
     pub substep: f64,
     /// How far beyond its limits each joint hits a stop, rad; joints without limits have none.
     pub stop_margin: f64,
@@ -149,7 +150,12 @@ impl SimulatedDevice {
                 load.torque.iter_mut().zip(weight).for_each(|(torque, weight)| *torque += weight);
             }
             if self.support != Support::Held {
+                let q = self.plant.q();
                 self.plant.step(&load, h);
+                // A linkage that falls onto a singularity jams there: its equations have nothing to say beyond.
+                if !self.plant.q().iter().chain(&self.plant.qd()).all(|number| number.is_finite()) {
+                    self.plant.place(q, [0.0; 3]);
+                }
             }
             self.time += h;
         }

@@ -1,7 +1,7 @@
 //! Where tools come in to a board that is served: a pseudo-terminal or a TCP address.
 //!
-//! A second tool on TCP is told that the board is taken; on a pseudo-terminal a lock tells it. One that has held the board
-//! in silence gives way to it, and a request to disarm gets through in any case.
+//! A second tool on TCP is told that the board is taken; on a pseudo-terminal a lock tells it. One that has held the
+//! board in silence gives way to it, and a request to disarm gets through in any case.
 
 use crate::link::{Deframer, Occupied, encode, nothing_yet};
 use haptic_bridge::board::protocol::Disarm;

@@ -9,17 +9,22 @@ use std::collections::BTreeMap;
 pub struct SettingsFlash {
     /// The entries that count: what the next start reads.
     pub kept: BTreeMap<u8, Entry>,
+    /// Writing fails from now on.
+    pub broken: bool,
     staged: BTreeMap<u8, Entry>,
 }
 
 impl SettingsFlash {
     /// A flash that holds these entries.
     pub fn holding(kept: BTreeMap<u8, Entry>) -> Self {
-        Self { kept, staged: BTreeMap::new() }
+        Self { kept, ..Self::default() }
     }
 
     /// Puts an entry aside.
     pub fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
+        if self.broken {
+            return Err(Refusal::Flash);
+        }
         self.staged.insert(key as u8, Entry::from_slice(entry).map_err(|_| Refusal::Flash)?);
         Ok(())
     }
@@ -31,7 +36,7 @@ impl SettingsFlash {
 
     /// Makes the staged entries of these settings count, all of them or none, and forgets the others.
     pub fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal> {
-        if keys.iter().any(|key| !self.staged.contains_key(&(*key as u8))) {
+        if self.broken || keys.iter().any(|key| !self.staged.contains_key(&(*key as u8))) {
             return Err(Refusal::Flash);
         }
         let staged = std::mem::take(&mut self.staged);

@@ -28,8 +28,8 @@ pub enum Intent {
     Lead([f64; 3]),
 }
 
-/// How fast the aim of a hand that is led comes to where it is led, rad/s: a critically damped second-order lag of 50 ms,
-/// which is about how closely an arm follows a mouse, and takes the steps out of a mouse's 60 places a second.
+/// How fast the aim of a hand that is led comes to where it is led, rad/s: a critically damped second-order lag of 50
+/// ms, which is about how closely an arm follows a mouse, and takes the steps out of a mouse's 60 places a second.
 const LEAD: f64 = 40.0;
 
 /// The mechanics of a hand.

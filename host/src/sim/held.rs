@@ -2,7 +2,7 @@
 //! free of what a device would do with it. The servo is the firmware's own; nothing moves, and only its steps pass.
 
 use haptic_bridge::drive::stage::Bridge;
-use haptic_bridge::math::{Libm, Minimax};
+use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::{Description, Encoder};
 use haptic_bridge::model::device::Device;
@@ -11,6 +11,7 @@ use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::safety::refusal::Refusal;
+use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::Counts;
 use haptic_bridge::servo::program::{Hardware, Program};
@@ -19,7 +20,7 @@ use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
 /// Encoder counts in a turn: so many that their steps count for nothing.
-const COUNTS: f64 = 1.0e8;
+const FINE_COUNTS: f64 = 1.0e8;
 /// Control steps in which a servo that was just armed brings up its torque.
 const RAMP: u32 = 1_000;
 
@@ -83,7 +84,7 @@ impl Felt {
 /// The board.
 #[derive(Debug)]
 pub struct Held {
-    servo: Servo<Box<Program<Minimax>>>,
+    servo: Servo<Box<Program<BoardMath>>>,
     mechanism: AnyMechanism<f64>,
     q: [f64; 3],
     /// Joint angles per metre into the wall, rad/m.
@@ -99,7 +100,7 @@ impl Held {
     pub fn new(press: &Press<'_>) -> Result<Self, Refusal> {
         let mut description = *press.device;
         for joint in &mut description.joints {
-            joint.encoder = Some(Encoder { counts_per_turn: COUNTS, offset: 0.0, inverted: false });
+            joint.encoder = Some(Encoder { counts_per_turn: FINE_COUNTS, offset: 0.0, inverted: false });
             joint.limits = None;
         }
         let mechanism = AnyMechanism::<f64>::new(&description).map_err(|_| Refusal::BadDevice)?;
@@ -164,14 +165,14 @@ impl Held {
         }
     }
 
-    /// Force at the tip along the normal and across it, N, of joint torques (N m) less gravity's. On a redundant arm the
-    /// torque about the handle is not one.
+    /// Force at the tip along the normal and across it, N, of joint torques (N m) less gravity's. On a redundant arm
+    /// the torque about the handle is not one.
     pub fn force(&self, q: &[f64; 3], torque: &[f64; 3]) -> (f64, f64) {
         with_mechanism!(&self.mechanism, m => at_the_tip(m, q, torque, &self.normal))
     }
 
     fn rest(&mut self, q: &[f64; 3], steps: u32) {
-        let counts = Counts(q.map(|q| (q / std::f64::consts::TAU * COUNTS).round() as i32));
+        let counts = Counts(q.map(|q| (q / std::f64::consts::TAU * FINE_COUNTS).round() as i32));
         for _ in 0..steps {
             self.servo.control(&Samples { counts, bus_voltage: 24.0, ..Samples::default() });
             self.servo.duties(24.0, &[0.0; MAX_JOINTS], false);

@@ -56,8 +56,8 @@ impl MotorModel {
     }
 
     /// Advances by `h` at the speed `omega` (rad/s). Returns the torque that acts (N m) and the damping (N m s/rad)
-    /// that acts *beside* it: where there is no inductance, the back-EMF is handed to the integrator as damping, so that
-    /// any step is stable.
+    /// that acts *beside* it: where there is no inductance, the back-EMF is handed to the integrator as damping, so
+    /// that any step is stable.
     pub fn step(&mut self, drive: MotorInput, omega: f64, bridge: &PowerStage, h: f64) -> (f64, f64) {
         let Motor { torque_constant, inductance, back_emf, .. } = self.motor;
         match drive {

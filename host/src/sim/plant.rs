@@ -7,8 +7,8 @@
 //! A transmission (docs/model.md section 6) is a spring and a damper between a motor and its link, integrated by the
 //! same rule's implicit mean: stable however stiff it is, and without a loss of its own. A structural mode is a body on
 //! such a spring whose end velocity is eliminated from the same equations before they are solved: it costs a few
-//! products. Stribeck friction is dry friction of the bound that the speed at the step's start gives; cogging acts at the
-//! angle at its middle.
+//! products. Stribeck friction is dry friction of the bound that the speed at the step's start gives; cogging acts at
+//! the angle at its middle.
 
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::{
@@ -36,7 +36,7 @@ pub struct Plant {
     joints: usize,
     task: usize,
     viscous: [f64; 3],
-    /// The joints with what of their dry friction and cogging acts.
+    /// The joints, with the part of their dry friction and cogging that acts.
     dry: [Joint; 3],
     cogging: [Option<Cogging>; 3],
     stops: [(f64, f64); 3],
@@ -65,9 +65,9 @@ struct Swinging {
 }
 
 impl Swinging {
-    /// What it adds to its joint over a step of `h`, seen from the joint at `q` (rad) that moves with `qd` (rad/s): inertia
-    /// (kg m²) and momentum (N m s) on the two sides of M v⁺ = …, and its velocity at the end where the joint's is zero
-    /// then, with what each unit of the joint's adds.
+    /// What it adds to its joint over a step of `h`, seen from the joint at `q` (rad) that moves with `qd` (rad/s):
+    /// inertia (kg m²) and momentum (N m s) on the two sides of M v⁺ = …, and its velocity at the end where the joint's
+    /// is zero then, with what each unit of the joint's adds.
     fn over(&self, q: f64, qd: f64, h: f64) -> (f64, f64, f64, f64) {
         let inertia = self.mode.inertia;
         let mean = 0.5 * h * self.mode.viscous() + 0.25 * h * h * self.mode.stiffness();

@@ -1,7 +1,7 @@
 //! A simulated board behind a port that other programs open: a pseudo-terminal or a TCP address.
 //!
-//! One thread runs the board and owns it; others only carry bytes (`sim/door.rs`), through queues of a bounded length, so that a
-//! tool that floods or does not read costs no memory.
+//! One thread runs the board and owns it; others only carry bytes (`sim/door.rs`), through queues of a bounded length,
+//! so that a tool that floods or does not read costs no memory.
 
 use super::board::SimulatedBoard;
 use super::door::{BLOCK, DISARM_ANSWER, Event, Outgoing, ToolListener};
@@ -51,8 +51,8 @@ impl Hosted for SimulatedBoard {
 /// How simulated time passes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pace {
-    /// With the wall clock and never ahead of it, but for what one request or control period takes; when the computer is
-    /// too slow, later.
+    /// With the wall clock and never ahead of it, but for what one request or control period takes; when the computer
+    /// is too slow, later.
     RealTime,
     /// As fast as the computer can while a tool is connected and reads; no telemetry is dropped. Where the board turns
     /// its motors off when the tool is silent, simulated time does not run away from the tool: from a quarter of that

@@ -7,8 +7,8 @@ use serde::Serialize;
 /// The wall's settings that came before, held to the same margins.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Baseline {
-    /// Rate, estimator, cutoff, damping and feed-forward of the scene, with the largest stiffness within margins and ripple;
-    /// 0 where there is none.
+    /// Rate, estimator, cutoff, damping and feed-forward of the scene, with the largest stiffness within margins and
+    /// ripple; 0 where there is none.
     #[serde(flatten)]
     pub settings: Settings,
     /// Ripple at that stiffness, N.
@@ -25,8 +25,8 @@ pub const USUAL_RIPPLE_N: f64 = 0.1;
 /// The least ripple that is asked for where a scene's wall has less, N.
 pub const LEAST_RIPPLE_N: f64 = 0.002;
 
-/// The ripple that settings like these may have, in the search and on the simulated board: as much as the wall as it is written,
-/// and no less than the least.
+/// The ripple that settings like these may have, in the search and on the simulated board: as much as the wall as it is
+/// written, and no less than the least.
 pub fn ripple_like(question: &Question<'_>, written: &Settings) -> Result<(f64, f64), Failure> {
     let bound = |ripple_n: Option<f64>| ripple_n.unwrap_or(USUAL_RIPPLE_N).max(LEAST_RIPPLE_N);
     Ok((bound(ripple(question, written)?.ripple_n), bound(measured::ripple(question, written)?)))
@@ -49,7 +49,7 @@ pub fn baseline(question: &Question<'_>, written: &Settings) -> Result<Baseline,
     let keeps = Option::is_some;
     let mut best = at(most)?;
     if most > 0.0 && !keeps(&best) {
-        // Down from there, as far as it takes, but not below what keeps it as it is written.
+        // Go down from there until it keeps the limit, but not below the scene as written where that keeps it.
         let (mut low, mut high) = (0.0_f64, most);
         let mut step = most;
         best = None;

@@ -1,6 +1,6 @@
 //! Walls that were found, pressed once more on the simulated board: by another hand, through bridges and windings.
 
-use super::{BETTER, Found, SearchContext, Settings, by_stiffness};
+use super::{Found, STIFFNESS_RATIO, SearchContext, Settings, by_stiffness};
 use crate::error::Failure;
 use crate::sweep::Sweep;
 use std::collections::BTreeSet;
@@ -45,7 +45,8 @@ impl SearchContext<'_> {
     }
 }
 
-/// Of what was found the best of each estimator and feed-forward, as stiff as both presses let them be, the stiffest first.
+/// Of what was found the best of each estimator and feed-forward, as stiff as both presses let them be, the stiffest
+/// first.
 pub(super) fn confirmed(
     context: &SearchContext<'_>,
     mut all: Vec<Found>,
@@ -62,9 +63,9 @@ pub(super) fn confirmed(
     waiting.truncate(MOST_PRESSED);
     for (round, some) in waiting.chunks(PRESSED_AT_ONCE).enumerate() {
         // What no estimator's best comes near need not be known exactly.
-        let floor = super::TOLD * super::stiffest(&done).map_or(0.0, |found| found.settings.stiffness);
+        let floor = super::COMPARED_SHARE * super::stiffest(&done).map_or(0.0, |found| found.settings.stiffness);
         let results = sweep.map(&format!("on the board, round {}", round + 1), some, |found| {
-            let confirmed = context.confirm(found, floor * BETTER)?;
+            let confirmed = context.confirm(found, floor * STIFFNESS_RATIO)?;
             Ok(confirmed.map(|found| (found.settings.stiffness, found.ripple_n, found.board_ripple_n)))
         })?;
         done.extend(some.iter().zip(results).filter_map(|(found, result)| {

@@ -1,6 +1,6 @@
 //! What stops the wall that was found: what each limit alone would allow, and what lies beside it.
 
-use super::{BETTER, Found, SearchContext, Settings, ripple, three_digits};
+use super::{Found, STIFFNESS_RATIO, SearchContext, Settings, ripple, three_digits};
 use crate::analysis::error::AnalysisError;
 use crate::analysis::range::stiffnesses;
 use crate::error::Failure;
@@ -92,7 +92,11 @@ fn first(limits: &[Limit], settings: &Settings, damped: f64) -> &'static str {
     });
     let limit = least.map_or("", |limit| limit.limit);
     // More damping would let it be stiffer, and the motors do not have it.
-    if limit == "all margins together" && settings.damping * BETTER > damped { "motors and damping" } else { limit }
+    if limit == "all margins together" && settings.damping * STIFFNESS_RATIO > damped {
+        "motors and damping"
+    } else {
+        limit
+    }
 }
 
 /// The stiffness at which this wall first does not keep a ripple, as far as `factors` of its own are tried.
@@ -102,13 +106,13 @@ fn rippling(
     keeps: &dyn Fn(f64) -> Result<bool, Failure>,
 ) -> Result<Option<f64>, Failure> {
     let mut low = settings.stiffness;
-    for factor in [BETTER].iter().chain(factors) {
+    for factor in [STIFFNESS_RATIO].iter().chain(factors) {
         let mut high = factor * settings.stiffness;
         if keeps(high)? {
             low = high;
             continue;
         }
-        while high / low > BETTER {
+        while high / low > STIFFNESS_RATIO {
             let middle = (low * high).sqrt();
             if keeps(middle)? { low = middle } else { high = middle }
         }

@@ -2,12 +2,12 @@
 //!
 //! A torque constant that is larger than the file says is a device that is lighter by the same factor, which the
 //! controller does not know; so is a device whose every mass is smaller. An error of its distribution, some links and
-//! rotors too heavy and others too light in the file, changes Weff and spoils the feed-forward, which is computed from the
-//! file's: each of them is taken on the side on which the wall meets less. All margins act together, at both ends: light
-//! and strong, heavy and weak.
+//! rotors too heavy and others too light in the file, changes Weff and spoils the feed-forward, which is computed from
+//! the file's: each of them is taken on the side on which the wall meets less. All margins act together, at both ends:
+//! light and strong, heavy and weak.
 //!
-//! A hand makes a wall calmer where the controller knows nothing of the device's inertia; one that predicts takes the hand's
-//! mass for an error of its model. So the device of the file must be stable in hands, too ([`HANDS`]).
+//! A hand makes a wall calmer where the controller knows nothing of the device's inertia; one that predicts takes the
+//! hand's mass for an error of its model. So the device of the file must be stable in hands, too ([`HANDS`]).
 
 use crate::analysis::flexible::Hand;
 use crate::analysis::plant::Linearised;
@@ -38,8 +38,8 @@ pub struct Margins {
 }
 
 impl Default for Margins {
-    /// A torque constant from a data sheet (±10 %) that a magnet's warmth changes (another ±10 %), half a carrier period,
-    /// and masses that were computed and not weighed.
+    /// A torque constant from a data sheet (±10 %) that a magnet's warmth changes (another ±10 %), half a carrier
+    /// period, and masses that were computed and not weighed.
     fn default() -> Self {
         Self { gain: 1.25, delay_s: 25.0e-6, mass: 0.1, inertia: 0.1, hand: true }
     }
@@ -54,8 +54,8 @@ pub(super) struct Corner {
 }
 
 impl Corner {
-    /// The loop around it. Compensated damping is analysed where nobody holds the device; in a hand it is small beside the
-    /// hand's.
+    /// The loop around it. Compensated damping is analysed where nobody holds the device; in a hand it is small beside
+    /// the hand's.
     pub fn around(&self, around: &Loop) -> Loop {
         Loop {
             delay_samples: around.delay_samples + self.delay_s * around.rate_hz,
@@ -94,8 +94,8 @@ fn scaled(description: &Description, part: usize, factor: f64) -> Description {
     other
 }
 
-/// The description with every link, rotor and the handle off by `share`, each on the side on which a wall along `normal`
-/// meets less (or, `heavier`, more) with a controller that believes the file.
+/// The description with every link, rotor and the handle off by `share`, each on the side on which a wall along
+/// `normal` meets less (or, `heavier`, more) with a controller that believes the file.
 pub fn vertex(
     description: &Description,
     q: &[f64],
@@ -122,7 +122,7 @@ impl Margins {
     /// None.
     pub const NONE: Self = Self { gain: 1.0, delay_s: 0.0, mass: 0.0, inertia: 0.0, hand: false };
 
-    /// Refuses what is no margin.
+    /// Refuses values that are not margins.
     pub(super) fn check(&self) -> Result<(), Failure> {
         let share = |share: f64| (0.0..0.9).contains(&share);
         let fine = (1.0..=10.0).contains(&self.gain) && (0.0..=0.01).contains(&self.delay_s);
@@ -170,7 +170,8 @@ impl Margins {
                 transmission.motor_inertia *= gain * mass;
             }
             let mut believed = believed.clone();
-            // Damping that is compensated by more than there is drives the device: no margin on that is kept by any wall.
+            // Damping that is compensated by more than there is drives the device: no margin on that is kept by any
+            // wall.
             believed.viscous.clone_from(&device.viscous);
             Ok(Corner { device, believed, delay_s: self.delay_s })
         };

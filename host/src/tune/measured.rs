@@ -1,5 +1,5 @@
-//! Settings tried on the simulated board, with everything switched on: the firmware's own step behind the protocol, bridges
-//! and windings, friction, encoder steps.
+//! Settings tried on the simulated board, with everything switched on: the firmware's own step behind the protocol,
+//! bridges and windings, friction, encoder steps.
 
 use super::{Question, Settings};
 use crate::analysis::several::Member;
@@ -16,8 +16,8 @@ use haptic_bridge::render::scene::{Plane, Scene, Surface, Wall};
 use serde::Serialize;
 use std::time::Duration;
 
-/// How deep the hand aims (m), which its arm of 250 N/m makes 3 N, how far it slides (m), and when: how long it is waited
-/// for and watched, s.
+/// How deep the hand aims (m), which its arm of 250 N/m makes 3 N, how far it slides (m), and when: how long it is
+/// waited for and watched, s.
 const DEPTH: f64 = 0.012;
 const SLIDE: f64 = 0.02;
 const SETTLE: f64 = 1.5;

@@ -10,7 +10,8 @@ use serde::Serialize;
 pub struct Otherwise {
     /// Which.
     pub feed_forward: FeedForward,
-    /// The stiffest wall with it; none where it is softer by a third than the answer, or does not keep margins or ripple.
+    /// The stiffest wall with it; none where it is softer by a third than the answer, or does not keep margins or
+    /// ripple.
     pub best: Option<Found>,
     /// The answer's rate, estimator, cutoff and damping with it: the largest stiffness within margins and motors, N/m.
     pub allowed: f64,

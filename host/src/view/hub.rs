@@ -16,11 +16,11 @@ pub type PageId = u64;
 /// What the stage hears of a page.
 #[derive(Debug)]
 pub enum Event {
-    /// It is there.
+    /// It connected.
     Came(PageId),
-    /// It says something, or what was wrong with what it said.
+    /// It sent a message, or something that is not one: then the reason.
     Said(PageId, Result<FromPage, String>),
-    /// It is gone, for whatever reason.
+    /// It disconnected, for whatever reason.
     Gone(PageId),
 }
 

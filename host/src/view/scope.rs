@@ -119,8 +119,8 @@ pub struct Scope {
 }
 
 impl Scope {
-    /// An oscilloscope on a stream with these labels and this many rows a second, starting at row `now`. Errors say what
-    /// is wrong with the request.
+    /// An oscilloscope on a stream with these labels and this many rows a second, starting at row `now`. Errors say
+    /// what is wrong with the request.
     pub fn new(request: ScopeRequest, labels: &[String], rows_hz: f64, now: u64) -> Result<Self, String> {
         let column = |name: &String| {
             let found = labels.iter().position(|label| label == name);
@@ -180,7 +180,7 @@ impl Scope {
                 Some(self.window(ring, end, phase))
             }
             Some(_) => None,
-            // Nothing for two windows: what is there is shown, so that a level can be chosen by what one sees.
+            // No trigger for two windows: show the signal anyway, so that a level can be chosen by eye.
             None if !armed.trigger.once && ring.end() > armed.swept + 2 * self.rows => {
                 Some(self.window(ring, ring.end(), Phase::Waiting))
             }

@@ -1,5 +1,5 @@
-//! The predicted boundary of a wall's gains where the device is now, worked out beside the stage on a thread of its own; in
-//! a browser, which has none, when it is asked for (some milliseconds).
+//! The predicted boundary of a wall's gains where the device is now, worked out beside the stage on a thread of its
+//! own; in a browser, which has none, when it is asked for (some milliseconds).
 
 use crate::analysis::plant::Linearised;
 use crate::analysis::range::{BoundaryPoint, predict};

@@ -1,11 +1,11 @@
 //! The stage: the one thread that owns the board. It hears the pages, lets time pass, and shows what there is to see.
 //!
-//! One page commands, the others watch. The motors are on only while the page in command holds its key down and says so:
-//! a page that lets go, closes, or is not heard for [`SILENCE`] turns them off. Any page may turn them off. Should this
-//! process die, the board hears no heartbeat and turns them off by itself.
+//! One page commands, the others watch. The motors are on only while the page in command holds its key down and says
+//! so: a page that lets go, closes, or is not heard for [`SILENCE`] turns them off. Any page may turn them off. Should
+//! this process die, the board hears no heartbeat and turns them off by itself.
 //!
-//! It reads no clock: whoever calls [`Stage::turn`] says what time it is. The tool does so in a loop ([`Stage::run`]), the
-//! page as a file whenever the browser lets it (playground/).
+//! It reads no clock: whoever calls [`Stage::turn`] says what time it is. The tool does so in a loop ([`Stage::run`]),
+//! the page as a file whenever the browser lets it (playground/).
 
 mod recording;
 mod told;
@@ -37,8 +37,8 @@ use std::thread;
 use std::time::{Duration, Instant};
 use told::{in_words, plane_message};
 
-/// How long the page in command may be silent with its key down before the motors go off: as long as a board lets its host
-/// be silent, unless told otherwise. A page says six times in it that its key is down.
+/// How long the page in command may be silent with its key down before the motors go off: as long as a board lets its
+/// host be silent, unless told otherwise. A page says six times in it that its key is down.
 pub const SILENCE: Duration = Duration::from_millis(500);
 /// How long it may be silent at all before others may take command.
 const ABSENCE: Duration = Duration::from_secs(5);
@@ -198,8 +198,8 @@ impl Stage {
         Ok(())
     }
 
-    /// Does what is due at `now`, the time since the stage was opened: hears the pages, lets a few milliseconds pass, shows
-    /// what there is to see.
+    /// Does what is due at `now`, the time since the stage was opened: hears the pages, lets a few milliseconds pass,
+    /// shows what there is to see.
     pub fn turn(&mut self, now: Duration, events: &Receiver<Event>) -> Result<Turn, LinkError> {
         self.now = now;
         while let Ok(event) = events.try_recv() {

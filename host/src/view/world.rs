@@ -53,12 +53,13 @@ impl World {
         })
     }
 
-    /// The device of `haptic demo` in a pose and before a wall of its own: wherever the hand presses it, up to the motors' limit, the wall
-    /// buzzes without the feed-forward and is quiet with it, by prediction as well as when it is tried.
+    /// The device of `haptic demo` in a pose and before a wall of its own: wherever the hand presses it, up to the
+    /// motors' limit, the wall buzzes without the feed-forward and is quiet with it, by prediction as well as when it
+    /// is tried.
     ///
-    /// Friction of the joints can hold a wall that is unstable, and lets one swing on that is stable but near its boundary;
-    /// encoder steps make a stiff wall tremble. Both would decide in the feed-forward's place, so this device has little of
-    /// them, and pages are told.
+    /// Friction of the joints can hold a wall that is unstable, and lets one swing on that is stable but near its
+    /// boundary; encoder steps make a stiff wall tremble. Both would decide in the feed-forward's place, so this device
+    /// has little of them, and pages are told.
     pub fn demo() -> Result<Self, Failure> {
         let mut demo = Demo::shipped(1)?;
         let (sine, cosine) = 45.0_f64.to_radians().sin_cos();

@@ -1,7 +1,7 @@
 //! The same page as a file: no tool, no server. Tests that `cargo xtask test` runs once it has made the file.
 
 use super::devtools::{Browser, Tab};
-use super::{LAPTOP, by_the_wall, lead_into_the_wall, on, on_plane};
+use super::{LAPTOP, by_the_wall, drag_the_wall, lead_into_the_wall, on_plane};
 
 fn path() -> String {
     std::env::var("HAPTIC_PLAYGROUND")
@@ -95,16 +95,7 @@ fn as_a_file_gains_and_walls_are_dragged_and_devices_chosen() {
     let (from, to) = (on_plane(&mut browser, &tab, 80.0, 9100.0), on_plane(&mut browser, &tab, 40.0, 10e3));
     browser.drag(&tab, from, to);
     browser.until(&tab, "Math.abs(view.walls[0].damping - 40) < 1 && Math.abs(view.walls[0].stiffness - 10e3) < 200");
-    let handle = on(
-        &mut browser,
-        &tab,
-        "stage",
-        "view.frame.toX(wallHandle(view.walls[0])[0])",
-        "view.frame.toY(wallHandle(view.walls[0])[1])",
-    );
-    let before = browser.evaluate(&tab, "view.walls[0].values[1]").as_f64().unwrap();
-    browser.drag(&tab, handle, (handle.0, handle.1 + 60.0));
-    browser.until(&tab, &format!("view.walls[0].values[1] < {before} - 0.01"));
+    drag_the_wall(&mut browser, &tab);
     let count = browser.evaluate(&tab, "$('choice').length").as_u64().unwrap();
     assert!(count >= 5, "{count} devices");
     for choice in (0..count).rev() {

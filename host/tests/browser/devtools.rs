@@ -154,8 +154,8 @@ impl Browser {
     }
 
     /// Holds Space until an expression is true. A page that is not heard for half a second has let go, and after five
-    /// seconds it does not command any more; should this computer have been so slow, command is taken again, the hand is
-    /// led out of the wall, Space pressed anew, and the hand led back to `view.goal`, where the test wants it.
+    /// seconds it does not command any more; should this computer have been so slow, command is taken again, the hand
+    /// is led out of the wall, Space pressed anew, and the hand led back to `view.goal`, where the test wants it.
     pub fn hold_until(&mut self, tab: &Tab, expression: &str) {
         const ARMED: &str = "document.body.dataset.state === 'Armed'";
         let began = Instant::now();

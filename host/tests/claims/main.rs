@@ -107,9 +107,10 @@ fn velocity_terms_leave_a_moving_wall_as_stable_as_it_is() {
             assert!(change.abs() < most, "{terms:?} at {speed} m/s: {change}");
         }
     }
-    // A second linearisation, in numpy: M by differences of the links' places from the circles' meeting point alone, c by
-    // Christoffel's symbols of that M, J̇ by differences, b = c - M J⁻¹ J̇ q̇, the filter of each joint in direct form I, the
-    // hold by a matrix exponential, and the growing mode faster than 8 Hz bisected. N/m at these speeds, m/s:
+    // A second linearisation, in numpy: M by differences of the links' places from the circles' meeting point alone, c
+    // by Christoffel's symbols of that M, J̇ by differences, b = c - M J⁻¹ J̇ q̇, the filter of each joint in direct
+    // form I, the hold by a matrix exponential, and the growing mode faster than 8 Hz bisected. N/m at these speeds,
+    // m/s:
     const SPEEDS: [f64; 4] = [0.5, -0.5, 1.0, -1.0];
     for (law, known) in [
         (None, [18_650.8, 18_099.4, 18_912.4, 17_812.1]),

@@ -30,8 +30,8 @@ impl Moving {
         me * ((force - met) / e.dot(&me)) + b
     }
 
-    /// The loop's matrix over one sample, for a speed along the wall (m/s) and gains. States: joint angles and speeds, last
-    /// angles, and two filter states each for the wall's and the joints' velocities.
+    /// The loop's matrix over one sample, for a speed along the wall (m/s) and gains. States: joint angles and speeds,
+    /// last angles, and two filter states each for the wall's and the joints' velocities.
     fn matrix(&self, speed: f64, kp: f64, kd: f64, rate: f64, cutoff: f64) -> DMatrix<f64> {
         const H: f64 = 1.0e-5;
         let m = &self.mechanism;

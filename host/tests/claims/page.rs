@@ -9,13 +9,14 @@ use haptic::analysis::range::predict;
 use haptic::analysis::sampled::{LinearEstimator, Loop};
 use haptic::device_file::DeviceFile;
 use haptic::sim::{Load, Plant, Random};
-use haptic_bridge::math::{Libm, Minimax};
+use haptic_bridge::math::Libm;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism};
 use haptic_bridge::render::controller::{Controller, FULL_REGULARITY, PARALLEL_REGULARITY};
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
+use haptic_bridge::servo::compiled::BoardMath;
 use nalgebra::Vector2;
 use std::fmt::Write;
 
@@ -104,7 +105,7 @@ impl Run {
         let device = Device::<f32>::new("claims", &known).expect("a shipped device");
         let AnyMechanism::FiveBar(mechanism) = device.mechanism else { panic!("a five-bar") };
         let mut controller =
-            Controller::<f32, FiveBar<f32>, Minimax, 2>::new(mechanism, &device, &scene).expect("a sound scene");
+            Controller::<f32, FiveBar<f32>, BoardMath, 2>::new(mechanism, &device, &scene).expect("a sound scene");
         let per_rad = self.counts_per_turn / std::f64::consts::TAU;
         let counts = |q: [f64; 3]| [(q[0] * per_rad).round() as i32, (q[1] * per_rad).round() as i32];
 

@@ -1,8 +1,8 @@
-//! What README.md and docs/ tell a reader to type works as it is written. Their fenced blocks say in the info string how
-//! each is run, or why it cannot be:
+//! What README.md and docs/ tell a reader to type works as it is written. Their fenced blocks say in the info string
+//! how each is run, or why it cannot be:
 //!
-//! - `sh`: typed as it is. `sh board`: with a board connected; here it is a simulated one that asks for everything that a
-//!   real one asks for (`haptic sim --strict`), at HAPTIC_PORT, and `my-device.toml` and `my-scene.toml` are there.
+//! - `sh`: typed as it is. `sh board`: with a board connected; here it is a simulated one that asks for everything that
+//!   a real one asks for (`haptic sim --strict`), at HAPTIC_PORT, and `my-device.toml` and `my-scene.toml` are there.
 //! - `sh slow: REASON`: typed by the last stage of `cargo xtask test`, when the images are built.
 //! - `sh no-run: REASON`, `python no-run: REASON` and so on.
 //! - `toml device`, `toml scene`: a file that `haptic check` finds sound.

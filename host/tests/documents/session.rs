@@ -4,7 +4,8 @@
 //! `cargo run … --package haptic --`, are the tool of this very build; other calls of cargo run in the repository. What
 //! serves until Ctrl-C (`haptic sim`, `cargo xtask board`) stays while the rest of its block is typed, as in another
 //! terminal; another line that says Ctrl-C in its comment gets one after two seconds; one that says that it asks is
-//! answered with `y`; what a comment quotes after the word prints is in the output. The TCP port 7710 of the documents becomes one that is free here.
+//! answered with `y`; what a comment quotes after the word prints is in the output. The TCP port 7710 of the documents
+//! becomes one that is free here.
 
 use crate::blocks::{Block, Kind, root};
 use serialport::{SerialPort, TTYPort};

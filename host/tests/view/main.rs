@@ -197,7 +197,8 @@ impl Played {
         self.say(FromPage::Gains { wall: 0, stiffness, damping, feed_forward, beyond: true });
     }
 
-    /// The largest stable stiffness by prediction, N/m; asked of the newest boundary, which is worked out beside the stage.
+    /// The largest stable stiffness by prediction, N/m; asked of the newest boundary, which is worked out beside the
+    /// stage.
     fn stable_to(&mut self, feed_forward: FeedForward, damping: f32) -> f64 {
         let began = Instant::now();
         while self.plane.is_null() {
@@ -217,8 +218,8 @@ fn red(ripples: &[f64]) -> f64 {
     ripples.iter().filter(|ripple| **ripple > RED).count() as f64 / ripples.len() as f64
 }
 
-/// What the page is for: a hand presses the wall, one click takes the feed-forward away and the wall buzzes, another brings
-/// it back and the wall is quiet; however deep the hand presses, and also to the side of where it began.
+/// What the page is for: a hand presses the wall, one click takes the feed-forward away and the wall buzzes, another
+/// brings it back and the wall is quiet; however deep the hand presses, and also to the side of where it began.
 #[test]
 fn one_click_makes_the_wall_buzz_and_another_quiets_it_while_it_is_pressed() {
     let mut page = Played::demo();

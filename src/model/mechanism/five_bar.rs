@@ -11,8 +11,12 @@
 //! (com at the fraction s of the rod: α = m(1-s)² + I/r², β = m s(1-s) - I/r², γ = m s² + I/r²), so no distal angle is
 //! ever computed, and inertial forces need only the accelerations of elbow and tip.
 
-use super::{Mechanism, Regularity, SINE_FLOOR, Shaping, reciprocal};
-use crate::math::{Math, Real, cast};
+mod levers;
+
+pub(super) use levers::Levers;
+
+use super::{Mechanism, Regularity, SINE_FLOOR, Shaped, Shaping, WallTerms, effective, reciprocal, symmetric};
+use crate::math::{Angle, Math, Real, cast};
 use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
 use nalgebra::{Matrix2, Vector2};
@@ -39,11 +43,11 @@ pub struct FiveBar<T> {
     /// Smallest |u₁ x u₂| divided by, m².
     rods_floor: T,
     /// Rotor, proximal link and the rod's α lᵢ² about each motor, kg m².
-    arm_inertia: [T; 2],
+    pub(super) arm_inertia: [T; 2],
     /// The rods' β, kg.
-    rod_coupling: [T; 2],
+    pub(super) rod_coupling: [T; 2],
     /// γ₁ + γ₂ + handle, kg.
-    tip_mass: T,
+    pub(super) tip_mass: T,
     /// The mass that counts at each elbow, m_p c_p/l + m_d(1 - s), kg.
     pub(super) elbow_load: [T; 2],
     /// The mass that counts at the tip, m_d1 s_1 + m_d2 s_2 + handle, kg.
@@ -69,6 +73,18 @@ pub struct Pose<T: Real> {
     inverse_det: T,
     /// |sin| of the angle between the rods; 0 when they are in line or cannot reach each other.
     parallel: T,
+}
+
+/// A unit motion of the tip along a direction, and what it weighs.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Along<T: Real> {
+    /// E, rad/m.
+    pub e: Vector2<T>,
+    /// What of it the joints take by themselves, Iᵢ eᵢ + βᵢ cᵢ·n, kg m; the rest goes through the tip.
+    pub momentum: Vector2<T>,
+    /// What the arms add to the mass at the tip, kg: in task space, without passing through J, Λ = Γ 1 + Σ Aᵢ aᵢaᵢᵀ +
+    /// βᵢ(aᵢcᵢᵀ + cᵢaᵢᵀ) with aᵢ = uᵢ/kᵢ.
+    pub arms: T,
 }
 
 /// `v` turned left by 90°.
@@ -164,6 +180,38 @@ impl<T: Real> FiveBar<T> {
         })
     }
 
+    /// The pose at these angles, with `inverse` of a number whose size has this floor, and the root of `positive`.
+    #[inline(always)]
+    fn closed<K: Math<T>>(&self, q: &[Angle<T>; 2], inverse: impl Fn(T, T) -> T, positive: impl Fn(T) -> T) -> Pose<T> {
+        let half = T::from_f64(0.5);
+        let (s1, c1) = K::sin_cos_of(q[0]);
+        let (s2, c2) = K::sin_cos_of(q[1]);
+        let arm1 = Vector2::new(self.proximal[0] * c1, self.proximal[0] * s1);
+        let arm2 = Vector2::new(self.proximal[1] * c2, self.proximal[1] * s2);
+        // C→D and its squared length.
+        let span = Vector2::new(self.base + arm2[0] - arm1[0], arm2[1] - arm1[1]);
+        let span_squared = span.dot(&span);
+        let inverse_span = inverse(span_squared, T::EPSILON * T::EPSILON);
+        // u₁ x u₂ = r₁ r₂ sin(angle between the rods), by Heron's form of the height over C→D: the differences are of
+        // lengths, not of nearly equal products.
+        let det =
+            half * self.assembly * K::sqrt(positive((self.reach[0] - span_squared) * (span_squared - self.reach[1])));
+        let along = half + half * self.distal_difference * inverse_span;
+        let rod1 = span * along + left(&span) * (det * inverse_span);
+        let rod2 = rod1 - span;
+        let k1 = rod1.dot(&left(&arm1));
+        let k2 = rod2.dot(&left(&arm2));
+        Pose {
+            tip: Vector2::new(arm1[0] + rod1[0] - half * self.base, arm1[1] + rod1[1]),
+            arm: [arm1, arm2],
+            rod: [rod1, rod2],
+            k: [k1, k2],
+            inverse_k: [inverse(k1, self.elbow_floor), inverse(k2, self.elbow_floor)],
+            inverse_det: inverse(det, self.rods_floor),
+            parallel: (det * self.rods_scale).abs(),
+        }
+    }
+
     /// Jᵀ w.
     #[inline(always)]
     pub(super) fn transposed(pose: &Pose<T>, w: &Vector2<T>) -> Vector2<T> {
@@ -209,13 +257,41 @@ impl<T: Real> FiveBar<T> {
         a: Option<&Vector2<T>>,
     ) -> (Vector2<T>, Vector2<T>) {
         let [c1, c2] = pose.arm.map(|arm| left(&arm));
-        let elbow1 = c1 * qdd[0] - pose.arm[0] * (qd[0] * qd[0]);
-        let elbow2 = c2 * qdd[1] - pose.arm[1] * (qd[1] * qd[1]);
-        let at_tip = elbow1 * self.rod_coupling[0] + elbow2 * self.rod_coupling[1];
+        let of_tip = a.map_or(Vector2::zeros(), |a| a * self.tip_mass);
+        let at_tip = self.with_rods(pose, of_tip, Some(qd), qdd);
         let at_joints = Vector2::new(self.arm_inertia[0] * qdd[0], self.arm_inertia[1] * qdd[1]);
         let Some(a) = a else { return (at_tip, at_joints) };
         let with_tip = Vector2::new(self.rod_coupling[0] * c1.dot(a), self.rod_coupling[1] * c2.dot(a));
-        (at_tip + a * self.tip_mass, at_joints + with_tip)
+        (at_tip, at_joints + with_tip)
+    }
+
+    /// A unit motion of the tip along `n`.
+    #[inline(always)]
+    pub(super) fn along(&self, pose: &Pose<T>, n: &Vector2<T>) -> Along<T> {
+        let e = self.inverse(pose, n);
+        let with_tip = |i: usize| self.rod_coupling[i] * left(&pose.arm[i]).dot(n);
+        let (with1, with2) = (with_tip(0), with_tip(1));
+        let momentum = Vector2::new(self.arm_inertia[0] * e[0] + with1, self.arm_inertia[1] * e[1] + with2);
+        Along { e, momentum, arms: e[0] * (momentum[0] + with1) + e[1] * (momentum[1] + with2) }
+    }
+
+    /// `force` (N) with what the rods push the tip with where their elbows accelerate with the joints, by `qdd` at the joint
+    /// velocities `qd`, or from rest.
+    #[inline(always)]
+    pub(super) fn with_rods(
+        &self,
+        pose: &Pose<T>,
+        mut force: Vector2<T>,
+        qd: Option<&Vector2<T>>,
+        qdd: &Vector2<T>,
+    ) -> Vector2<T> {
+        for i in 0..2 {
+            force += left(&pose.arm[i]) * (self.rod_coupling[i] * qdd[i]);
+            if let Some(qd) = qd {
+                force -= pose.arm[i] * (self.rod_coupling[i] * (qd[i] * qd[i]));
+            }
+        }
+        force
     }
 
     /// The joint torques of a tip acceleration `a` (or none) and joint accelerations `qdd`, at joint velocities `qd`.
@@ -254,37 +330,18 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
     }
 
     #[inline(always)]
-    fn pose<K: Math<T>>(&self, q: &Vector2<T>) -> Pose<T> {
-        let half = T::from_f64(0.5);
-        let (s1, c1) = K::sin_cos(q[0]);
-        let (s2, c2) = K::sin_cos(q[1]);
-        let arm1 = Vector2::new(self.proximal[0] * c1, self.proximal[0] * s1);
-        let arm2 = Vector2::new(self.proximal[1] * c2, self.proximal[1] * s2);
-        // C→D and its squared length; elbows that coincide are kept apart by the tiniest length that still divides.
-        let span = Vector2::new(self.base + arm2[0] - arm1[0], arm2[1] - arm1[1]);
-        let span_squared = span.dot(&span);
-        let inverse = T::one() / span_squared.greater(T::EPSILON * T::EPSILON);
-        // Heron's form of the height over C→D: the differences are of lengths, not of nearly equal products.
-        // Rounding (or a pose that cannot close) may make it negative: clamped to zero, seen as parallel = 0.
-        let height_squared = ((self.reach[0] - span_squared) * (span_squared - self.reach[1])).greater(T::zero());
-        let height = half * K::sqrt(height_squared) * inverse;
-        let along = half + half * self.distal_difference * inverse;
-        let det = self.assembly * height * span_squared;
-        let rod1 = span * along + left(&span) * (self.assembly * height);
-        let rod2 = rod1 - span;
-        let k1 = rod1.dot(&left(&arm1));
-        let k2 = rod2.dot(&left(&arm2));
-        // u₁ x u₂ = r₁ r₂ sin(angle between the rods).
-        let inverse_det = reciprocal(det, self.rods_floor);
-        Pose {
-            tip: Vector2::new(arm1[0] + rod1[0] - half * self.base, arm1[1] + rod1[1]),
-            arm: [arm1, arm2],
-            rod: [rod1, rod2],
-            k: [k1, k2],
-            inverse_k: [reciprocal(k1, self.elbow_floor), reciprocal(k2, self.elbow_floor)],
-            inverse_det,
-            parallel: (det * self.rods_scale).abs(),
-        }
+    fn pose_at<K: Math<T>>(&self, q: &[Angle<T>; 2]) -> Pose<T> {
+        // Rounding (or a pose that cannot close) may make the height's square negative: clamped to zero, seen as
+        // parallel = 0. Elbows that coincide are kept apart by the tiniest length that still divides.
+        self.closed::<K>(q, reciprocal, |squared| squared.greater(T::zero()))
+    }
+
+    /// Such a pose takes no clamp: what cannot be divided by, or has no root, is not regular.
+    #[inline(always)]
+    fn regular_pose<K: Math<T>>(&self, q: &[Angle<T>; 2], least: &Regularity<T>) -> Option<Pose<T>> {
+        let pose = self.closed::<K>(q, |x, _| T::one() / x, |squared| squared);
+        let elbow = |i: usize| (pose.k[i] * self.elbow_scale[i]).abs();
+        (elbow(0) >= least.serial && elbow(1) >= least.serial && pose.parallel >= least.parallel).then_some(pose)
     }
 
     #[inline(always)]
@@ -365,19 +422,41 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
 
     #[inline(always)]
     fn shaping(&self, pose: &Pose<T>, n: &Vector2<T>) -> Shaping<T, 2> {
-        let e = self.inverse(pose, n);
-        let [c1, c2] = pose.arm.map(|arm| left(&arm));
-        let [b1, b2] = self.rod_coupling;
-        let (cn1, cn2) = (b1 * c1.dot(n), b2 * c2.dot(n));
-        let at_tip = n * self.tip_mass + c1 * (b1 * e[0]) + c2 * (b2 * e[1]);
-        let through_tip = Self::transposed(pose, &at_tip);
-        let (m1, m2) = (self.arm_inertia[0] * e[0] + cn1, self.arm_inertia[1] * e[1] + cn2);
-        Shaping {
-            e,
-            me: Vector2::new(m1 + through_tip[0], m2 + through_tip[1]),
-            // In task space, without passing through J: Λ = Γ I + Σ Aᵢ aᵢaᵢᵀ + βᵢ(aᵢcᵢᵀ + cᵢaᵢᵀ), aᵢ = uᵢ/kᵢ.
-            w_rr: self.tip_mass * n.dot(n) + e[0] * (m1 + cn1) + e[1] * (m2 + cn2),
+        let Along { e, momentum, arms } = self.along(pose, n);
+        let me = momentum + Self::transposed(pose, &self.with_rods(pose, n * self.tip_mass, None, &e));
+        Shaping { e, me, w_rr: self.tip_mass * n.dot(n) + arms }
+    }
+
+    #[inline(always)]
+    fn shaped(&self, pose: &Pose<T>, n: &Vector2<T>, force: T, qd: Option<&Vector2<T>>) -> Shaped<T, 2> {
+        let Along { e, momentum, arms } = self.along(pose, n);
+        // The tip's acceleration along n.
+        let s = force / (self.tip_mass + arms);
+        let (mut qdd, mut at_joints) = (e * s, momentum * s);
+        if let Some(qd) = qd {
+            // At these velocities the joints accelerate where the tip does not.
+            let bent = Self::joint_acceleration(pose, qd, &self.velocity(pose, qd), None);
+            qdd += bent;
+            at_joints += Vector2::new(self.arm_inertia[0] * bent[0], self.arm_inertia[1] * bent[1]);
         }
+        let at_tip = self.with_rods(pose, n * (self.tip_mass * s), qd, &qdd);
+        Shaped { e, torque: at_joints + Self::transposed(pose, &at_tip) }
+    }
+
+    #[inline(always)]
+    fn shaped_turning(
+        &self,
+        pose: &Pose<T>,
+        n: &Vector2<T>,
+        force: T,
+        qd: &Vector2<T>,
+        turning: &Vector2<T>,
+    ) -> Shaped<T, 2> {
+        let Along { e, arms, .. } = self.along(pose, n);
+        // All of the tip's acceleration at once.
+        let a = n * (force / (self.tip_mass + arms)) + turning;
+        let qdd = Self::joint_acceleration(pose, qd, &self.velocity(pose, qd), Some(&a));
+        Shaped { e, torque: self.inertial_torque(pose, qd, &qdd, Some(&a)) }
     }
 
     #[inline(always)]
@@ -395,6 +474,27 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
             inertia += a * a.transpose() * self.arm_inertia[i] + a * c.transpose() + c * a.transpose();
         }
         inertia
+    }
+
+    #[inline(always)]
+    fn wall_terms(&self, pose: &Pose<T>, basis: &Matrix2<T>, qd: &Vector2<T>) -> WallTerms<T, 2> {
+        let levers = Levers::new(self, pose);
+        let moving = |i: usize| levers.moving(&basis.column(i).into_owned());
+        let moving = [moving(0), moving(1)];
+        let bent = Self::joint_acceleration(pose, qd, &levers.velocity(qd), None);
+        let row = levers.transposed(&moving[0].n);
+        WallTerms {
+            e: Matrix2::from_columns(&[moving[0].e, moving[1].e]),
+            me: levers.momentum(&moving[0]),
+            // Λ holds the tip's mass in every direction.
+            w: symmetric(|i, j| {
+                let arms = moving[i].arms(&moving[j]);
+                if i == j { self.tip_mass + arms } else { arms }
+            }),
+            b: levers.bias(qd, &bent, Vector2::zeros(), &Vector2::from(self.gravity)),
+            row,
+            w_eff: effective(&levers.mass(), &row),
+        }
     }
 
     fn shape(&self, q: &Vector2<T>) -> [T; 2] {

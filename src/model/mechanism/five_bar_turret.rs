@@ -10,9 +10,9 @@
 //! J₀ = I₀ + a₁ y_C² + a₂ y_D² + 2 y_P(b₁ y_C + b₂ y_D) + c y_P². Half its gradient times q̇₀² are the centrifugal
 //! forces on elbows and tip.
 
-use super::five_bar::{self, FiveBar};
-use super::{Mechanism, Regularity, SINE_FLOOR, Shaping, reciprocal};
-use crate::math::{Math, Real, cast};
+use super::five_bar::{self, Along, FiveBar, Levers};
+use super::{Mechanism, Regularity, SINE_FLOOR, Shaped, Shaping, WallTerms, effective_turned, reciprocal, symmetric};
+use crate::math::{Angle, Math, Real, cast};
 use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
 use nalgebra::{Matrix3, Vector2, Vector3};
@@ -106,6 +106,34 @@ impl<T: Real> FiveBarTurret<T> {
         Spin { inertia: self.turret_inertia + y1 * elbow[0] + y2 * elbow[1] + y * tip, elbow, tip }
     }
 
+    /// The torques that let the tip go straight on at joint velocities `qd`, and hold the device's weight.
+    #[inline(always)]
+    fn bias(&self, pose: &Pose<T>, levers: &Levers<'_, T>, spin: &Spin<T>, qd: &Vector3<T>) -> Vector3<T> {
+        let (plane, joints, two) = (&pose.plane, linkage(qd), T::from_f64(2.0));
+        let tip = levers.velocity(&joints);
+        // The turret's centripetal and Coriolis accelerations, undone by the other joints.
+        let turning = qd[0] * qd[0];
+        let inward = plane.tip[1] * turning;
+        let bent = FiveBar::joint_acceleration(plane, &joints, &tip, Some(&Vector2::new(T::zero(), inward)));
+        let q0dd = -two * tip[1] * qd[0] * pose.inverse_y;
+        let [x, y] = self.plane.gravity;
+        let (g, across) = pose.to_plane(&Vector3::new(x, y, self.gravity_z));
+        let at_tip = Vector2::new(T::zero(), self.plane.tip_mass * inward - spin.tip * turning);
+        let arms = levers.bias(&joints, &bent, at_tip, &g);
+        // Velocities in y per joint rate are the elbows' x.
+        let [[x1, y1], [x2, y2]] = plane.arm.map(|arm| [arm[0], arm[1]]);
+        let (f1, f2) = (spin.elbow[0] * x1, spin.elbow[1] * x2);
+        let [b1, b2] = self.plane.rod_coupling;
+        let [w1, w2] = self.plane.elbow_load;
+        let half_rate = f1 * joints[0] + f2 * joints[1] + spin.tip * tip[1];
+        let weight = across * (w1 * y1 + w2 * y2 + self.plane.tip_load * plane.tip[1]);
+        Vector3::new(
+            spin.inertia * q0dd + two * qd[0] * half_rate - weight,
+            arms[0] + b1 * x1 * inward - f1 * turning,
+            arms[1] + b2 * x2 * inward - f2 * turning,
+        )
+    }
+
     /// The torques of given accelerations: `q0dd` of the turret, `qdd` and `a` of the linkage in its plane;
     /// `tip` is the tip's velocity in the plane.
     #[inline(always)]
@@ -187,10 +215,26 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
     }
 
     #[inline(always)]
-    fn pose<K: Math<T>>(&self, q: &Vector3<T>) -> Pose<T> {
-        let (sine, cosine) = K::sin_cos(q[0]);
-        let plane = self.plane.pose::<K>(&linkage(q));
+    fn pose_at<K: Math<T>>(&self, [turret, first, second]: &[Angle<T>; 3]) -> Pose<T> {
+        let (sine, cosine) = K::sin_cos_of(*turret);
+        let plane = self.plane.pose_at::<K>(&[*first, *second]);
         Pose { plane, sine, cosine, inverse_y: reciprocal(plane.tip[1], self.axis_floor) }
+    }
+
+    #[inline(always)]
+    fn regular_pose<K: Math<T>>(
+        &self,
+        [turret, first, second]: &[Angle<T>; 3],
+        least: &Regularity<T>,
+    ) -> Option<Pose<T>> {
+        let plane = self.plane.regular_pose::<K>(&[*first, *second], least)?;
+        let y = plane.tip[1];
+        if (y * self.reach_scale).abs() >= least.serial {
+            let (sine, cosine) = K::sin_cos_of(*turret);
+            Some(Pose { plane, sine, cosine, inverse_y: T::one() / y })
+        } else {
+            None
+        }
     }
 
     #[inline(always)]
@@ -281,6 +325,49 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
     }
 
     #[inline(always)]
+    fn shaped(&self, pose: &Pose<T>, n: &Vector3<T>, force: T, qd: Option<&Vector3<T>>) -> Shaped<T, 3> {
+        let (plane, two) = (&pose.plane, T::from_f64(2.0));
+        let (in_plane, normal) = pose.to_plane(n);
+        let Along { e, momentum, arms } = self.plane.along(plane, &in_plane);
+        let e0 = normal * pose.inverse_y;
+        let spin = self.spin(pose);
+        let w_rr = self.plane.tip_mass * in_plane.dot(&in_plane) + arms + spin.inertia * (e0 * e0);
+        // The tip's acceleration along n.
+        let s = force / w_rr;
+        let (mut q0dd, mut qdd, mut at_joints) = (e0 * s, e * s, momentum * s);
+        let mut at_tip = in_plane * (self.plane.tip_mass * s);
+        let (mut turret, mut joints) = (T::zero(), None);
+        if let Some(qd) = qd {
+            let of_arms = linkage(qd);
+            let tip = self.plane.velocity(plane, &of_arms);
+            let turning = qd[0] * qd[0];
+            // At these velocities the joints accelerate where the tip does not: the other joints undo the turret's
+            // centripetal and Coriolis accelerations.
+            let inward = plane.tip[1] * turning;
+            let bent = FiveBar::joint_acceleration(plane, &of_arms, &tip, Some(&Vector2::new(T::zero(), inward)));
+            let twice = two * qd[0];
+            q0dd -= tip[1] * twice * pose.inverse_y;
+            qdd += bent;
+            at_tip[1] += turning * (self.plane.tip_mass * plane.tip[1] - spin.tip);
+            // Velocities in y per joint rate are the elbows' x.
+            let [x1, x2] = plane.arm.map(|arm| arm[0]);
+            let [a1, a2] = self.plane.arm_inertia;
+            let [b1, b2] = self.plane.rod_coupling;
+            at_joints[0] += a1 * bent[0] + turning * (x1 * (b1 * plane.tip[1] - spin.elbow[0]));
+            at_joints[1] += a2 * bent[1] + turning * (x2 * (b2 * plane.tip[1] - spin.elbow[1]));
+            turret =
+                twice * (spin.elbow[0] * (x1 * of_arms[0]) + spin.elbow[1] * (x2 * of_arms[1]) + spin.tip * tip[1]);
+            joints = Some(of_arms);
+        }
+        let at_tip = self.plane.with_rods(plane, at_tip, joints.as_ref(), &qdd);
+        let linkage = at_joints + FiveBar::transposed(plane, &at_tip);
+        Shaped {
+            e: Vector3::new(e0, e[0], e[1]),
+            torque: Vector3::new(spin.inertia * q0dd + turret, linkage[0], linkage[1]),
+        }
+    }
+
+    #[inline(always)]
     fn velocity_torque(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
         let joints = linkage(qd);
         let tip = self.plane.velocity(&pose.plane, &joints);
@@ -309,6 +396,38 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
             across,
             yy * s * s + normal * c * c,
         )
+    }
+
+    #[inline(always)]
+    fn wall_terms(&self, pose: &Pose<T>, basis: &Matrix3<T>, qd: &Vector3<T>) -> WallTerms<T, 3> {
+        let (levers, spin) = (Levers::new(&self.plane, &pose.plane), self.spin(pose));
+        let b = self.bias(pose, &levers, &spin, qd);
+        let moving = |i: usize| {
+            let (in_plane, normal) = pose.to_plane(&basis.column(i).into_owned());
+            (levers.moving(&in_plane), normal)
+        };
+        let moving = [moving(0), moving(1), moving(2)];
+        // Λ holds the tip's mass in the plane and J₀/y² along its normal. What two directions have in common in the
+        // plane is what they have in common, 1 or 0, less what they have along the normal.
+        let mass = self.plane.tip_mass;
+        let more = spin.inertia * pose.inverse_y * pose.inverse_y - mass;
+        let w = |i: usize, j: usize| {
+            let ((a, normal_a), (b, normal_b)) = (&moving[i], &moving[j]);
+            let beside = more * *normal_a * *normal_b + a.arms(b);
+            if i == j { mass + beside } else { beside }
+        };
+        let e = |i: usize| Vector3::new(moving[i].1 * pose.inverse_y, moving[i].0.e[0], moving[i].0.e[1]);
+        let (first, normal) = &moving[0];
+        let (me, row) = (levers.momentum(first), levers.transposed(&first.n));
+        let lever = pose.plane.tip[1] * *normal;
+        WallTerms {
+            e: Matrix3::from_columns(&[e(0), e(1), e(2)]),
+            me: Vector3::new(spin.inertia * (*normal * pose.inverse_y), me[0], me[1]),
+            w: symmetric(w),
+            b,
+            row: Vector3::new(lever, row[0], row[1]),
+            w_eff: effective_turned(spin.inertia, lever, &levers.mass(), &row),
+        }
     }
 
     fn shape(&self, q: &Vector3<T>) -> [T; 2] {

@@ -2,7 +2,7 @@
 //! q.
 
 use super::{Mechanism, Regularity};
-use crate::math::{Math, Real, cast};
+use crate::math::{Angle, Math, Real, cast};
 use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
 use nalgebra::{SMatrix, SVector};
@@ -55,8 +55,8 @@ impl<T: Real> Mechanism<T, 1> for Paddle<T> {
     }
 
     #[inline(always)]
-    fn pose<K: Math<T>>(&self, q: &SVector<T, 1>) -> T {
-        self.length * q[0]
+    fn pose_at<K: Math<T>>(&self, [q]: &[Angle<T>; 1]) -> T {
+        self.length * q.radians
     }
     #[inline(always)]
     fn tip(&self, pose: &T) -> SVector<T, 1> {

@@ -11,8 +11,8 @@
 //! Sine and cosine are taken of q₁ and δ, and those of q₂ follow by the addition theorem: sin δ, by which J⁻¹ divides,
 //! then keeps all its digits when the arm is nearly stretched.
 
-use super::{Mechanism, Regularity, SINE_FLOOR, Shaping, reciprocal};
-use crate::math::{Math, Real, cast};
+use super::{Mechanism, Regularity, SINE_FLOOR, Shaping, WallTerms, effective_turned, reciprocal, symmetric};
+use crate::math::{Angle, Math, Real, cast};
 use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
@@ -121,6 +121,14 @@ impl<T: Real> Parallelogram<T> {
         Vector2::new(pose.fore.dot(v) * pose.inverse_sine * iu, -pose.upper.dot(v) * pose.inverse_sine * inverse_fore)
     }
 
+    /// M q̇.
+    #[inline(always)]
+    fn momentum(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
+        let off = self.coupling * pose.elbow_cosine;
+        let [a, c] = self.arm_inertia;
+        Vector3::new(self.spin(pose).0 * qd[0], a * qd[1] + off * qd[2], off * qd[1] + c * qd[2])
+    }
+
     /// The torques of joint accelerations `qdd` at joint velocities `qd`.
     #[inline(always)]
     fn inertial_torque(&self, pose: &Pose<T>, qd: &Vector3<T>, qdd: &Vector3<T>) -> Vector3<T> {
@@ -199,10 +207,10 @@ impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
     }
 
     #[inline(always)]
-    fn pose<K: Math<T>>(&self, q: &Vector3<T>) -> Pose<T> {
-        let (sine, cosine) = K::sin_cos(q[0]);
-        let (s1, c1) = K::sin_cos(q[1]);
-        let (elbow_sine, elbow_cosine) = K::sin_cos(q[2] - q[1]);
+    fn pose_at<K: Math<T>>(&self, q: &[Angle<T>; 3]) -> Pose<T> {
+        let (sine, cosine) = K::sin_cos_of(q[0]);
+        let (s1, c1) = K::sin_cos_of(q[1]);
+        let (elbow_sine, elbow_cosine) = K::sin_cos_of(q[2] - q[1]);
         let upper = Vector2::new(c1, s1);
         let fore = Vector2::new(c1 * elbow_cosine - s1 * elbow_sine, s1 * elbow_cosine + c1 * elbow_sine);
         let tip = upper * self.lengths[0] + fore * self.lengths[1];
@@ -294,9 +302,7 @@ impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
     #[inline(always)]
     fn shaping(&self, pose: &Pose<T>, n: &Vector3<T>) -> Shaping<T, 3> {
         let e = self.inverse(pose, n);
-        let off = self.coupling * pose.elbow_cosine;
-        let [a, c] = self.arm_inertia;
-        let me = Vector3::new(self.spin(pose).0 * e[0], a * e[1] + off * e[2], off * e[1] + c * e[2]);
+        let me = self.momentum(pose, &e);
         Shaping { e, me, w_rr: e.dot(&me) }
     }
 
@@ -336,6 +342,30 @@ impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
             -xy * s,
             xx * s * s + normal * c * c,
         )
+    }
+
+    #[inline(always)]
+    fn wall_terms(&self, pose: &Pose<T>, basis: &Matrix3<T>, qd: &Vector3<T>) -> WallTerms<T, 3> {
+        // The rows of J_plane⁻¹.
+        let upper = pose.fore * (pose.inverse_sine * self.inverse_lengths[0]);
+        let fore = pose.upper * (-pose.inverse_sine * self.inverse_lengths[1]);
+        let e = |i: usize| {
+            let (in_plane, normal) = pose.to_plane(&basis.column(i).into_owned());
+            Vector3::new(normal * pose.inverse_x, upper.dot(&in_plane), fore.dot(&in_plane))
+        };
+        let e = [e(0), e(1), e(2)];
+        let momenta = [self.momentum(pose, &e[0]), self.momentum(pose, &e[1]), self.momentum(pose, &e[2])];
+        let row = self.transpose(pose, &basis.column(0).into_owned());
+        let ([a, c], off) = (self.arm_inertia, self.coupling * pose.elbow_cosine);
+        let (turret, arms) = (self.spin(pose).0, Matrix2::new(a, off, off, c));
+        WallTerms {
+            e: Matrix3::from_columns(&e),
+            me: momenta[0],
+            w: symmetric(|i, j| e[i].dot(&momenta[j])),
+            b: self.velocity_torque(pose, qd) + self.gravity(pose),
+            row,
+            w_eff: effective_turned(turret, row[0], &arms, &Vector2::new(row[1], row[2])),
+        }
     }
 
     fn shape(&self, q: &Vector3<T>) -> [T; 2] {

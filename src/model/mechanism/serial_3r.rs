@@ -8,8 +8,8 @@
 //! The mass matrix in absolute rates has constants on its diagonal and a constant times the cosine of the angle between
 //! the two links off it (less the reflected rotor between neighbours); torques go back by sums, τᵢ = Σ_{j≥i} of them.
 
-use super::{Mechanism, Regularity, SINE_FLOOR, Shaping, reciprocal};
-use crate::math::{Math, Real, cast};
+use super::{Mechanism, Regularity, SINE_FLOOR, Shaping, WallTerms, effective, reciprocal};
+use crate::math::{Angle, Math, Real, cast};
 use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
 use nalgebra::{Matrix3, Vector2, Vector3};
@@ -179,10 +179,10 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
     }
 
     #[inline(always)]
-    fn pose<K: Math<T>>(&self, q: &Vector3<T>) -> Pose<T> {
-        let (s1, c1) = K::sin_cos(q[0]);
-        let (s12, c12) = K::sin_cos(q[1]);
-        let (s23, c23) = K::sin_cos(q[2]);
+    fn pose_at<K: Math<T>>(&self, q: &[Angle<T>; 3]) -> Pose<T> {
+        let (s1, c1) = K::sin_cos_of(q[0]);
+        let (s12, c12) = K::sin_cos_of(q[1]);
+        let (s23, c23) = K::sin_cos_of(q[2]);
         let turned = |v: &Vector2<T>, s: T, c: T| Vector2::new(v[0] * c - v[1] * s, v[1] * c + v[0] * s);
         let first = Vector2::new(c1, s1);
         let second = turned(&first, s12, c12);
@@ -191,7 +191,7 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
         let [l1, l2, l3] = self.lengths;
         let point = first * l1 + second * l2 + third * l3;
         Pose {
-            tip: Vector3::new(point[0], point[1], q[0] + q[1] + q[2]),
+            tip: Vector3::new(point[0], point[1], q[0].radians + q[1].radians + q[2].radians),
             link: [first, second, third],
             sine: [s12, s23, across[1]],
             cosine: [c12, c23, across[0]],
@@ -285,6 +285,36 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
         let point = e1 * (l1 * squares[0]) + e2 * (l2 * squares[1]) + e3 * (l3 * squares[2]);
         let momentum = self.momentum(pose, self.arm_rates(pose, &point), None);
         accumulate(&(momentum + self.centrifugal(pose, &squares)))
+    }
+
+    #[inline(always)]
+    fn wall_terms(&self, pose: &Pose<T>, basis: &Matrix3<T>, qd: &Vector3<T>) -> WallTerms<T, 3> {
+        // As `arm_rates`, for several velocities.
+        let first = pose.link[1] * (pose.inverse_sine * self.inverse_lengths[0]);
+        let second = pose.link[0] * (-pose.inverse_sine * self.inverse_lengths[1]);
+        let arms = |v: Vector2<T>| [first.dot(&v), second.dot(&v)];
+        // Along the wall's normal and across it the third link does not turn; for φ it does, about the tip.
+        let (n, one, zero) = (Vector2::new(basis[(0, 0)], basis[(1, 0)]), T::one(), T::zero());
+        let (along, across, about) = (arms(n), arms(left(&n)), arms(left(&pose.link[2]) * -self.lengths[2]));
+        let momentum = |rates: [T; 2], third| self.momentum(pose, rates, third);
+        let (pn, pt, pf) = (momentum(along, None), momentum(across, None), momentum(about, Some(one)));
+        let met = |p: &Vector3<T>, rates: [T; 2]| p[0] * rates[0] + p[1] * rates[1];
+        let (nn, nt, tt) = (met(&pn, along), met(&pn, across), met(&pt, across));
+        let (nf, tf, ff) = (met(&pn, about) + pn[2], met(&pt, about) + pt[2], met(&pf, about) + pf[2]);
+        let e = |rates: [T; 2], third| relative(&Vector3::new(rates[0], rates[1], third));
+        // Weff in absolute rates, which make the shortest mass matrix.
+        let moment = |i: usize| self.lengths[i] * (pose.link[i][0] * n[1] - pose.link[i][1] * n[0]);
+        let moments = Vector3::new(moment(0), moment(1), moment(2));
+        let ([m11, m22, m33], [m12, m23, m13]) = (self.inertia, self.off_diagonal(pose));
+        let mass = Matrix3::new(m11, m12, m13, m12, m22, m23, m13, m23, m33);
+        WallTerms {
+            e: Matrix3::from_columns(&[e(along, zero), e(across, zero), e(about, one)]),
+            me: accumulate(&pn),
+            w: Matrix3::new(nn, nt, nf, nt, tt, tf, nf, tf, ff),
+            b: self.velocity_torque(pose, qd) + self.gravity(pose),
+            row: accumulate(&moments),
+            w_eff: effective(&mass, &moments),
+        }
     }
 
     fn shape(&self, q: &Vector3<T>) -> [T; 2] {

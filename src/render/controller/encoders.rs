@@ -1,6 +1,7 @@
 //! Encoder counts in; joint angles and velocities out.
 
-use crate::math::Real;
+use super::{FULL_REGULARITY, KNOWN_TURN};
+use crate::math::{Angle, BinaryAngle, Real};
 use crate::model::device::{Device, Joint};
 use crate::render::velocity::{Coefficients, LowPass};
 use nalgebra::SVector;
@@ -9,8 +10,10 @@ use nalgebra::SVector;
 #[derive(Clone, Copy, Debug)]
 struct Encoding<T> {
     radians_per_count: T,
+    offset: T,
     /// Angular velocity of one count per control period, rad/s.
     speed_per_count: T,
+    binary: Binary,
     /// Counts after which the angle repeats, and the turns that they make.
     period: i32,
     turns: i32,
@@ -18,7 +21,42 @@ struct Encoding<T> {
     radians_per_part: T,
     /// Counts from zero up to which no whole turn has to be taken off.
     counts_unturned: u32,
-    offset: T,
+}
+
+/// Counts as binary angles.
+#[derive(Clone, Copy, Debug)]
+struct Binary {
+    /// Parts of a turn in a count: whole ones, and the rest in parts of 2³², at most half a part either way. Over the whole
+    /// range of the counter that is off by less than a part.
+    whole: u32,
+    rest: i32,
+    /// The angle at count zero.
+    offset: BinaryAngle,
+}
+
+impl Binary {
+    /// `period` counts make so many `turns`; where they make none, one count makes `radians`. `offset` in rad.
+    fn new(period: i32, turns: i32, radians: f64, offset: f64) -> Self {
+        // In parts of 2³² of a part.
+        let of_a_count = match (u64::try_from(period), u64::try_from(turns)) {
+            (Ok(period), Ok(turns)) if period > 0 && turns > 0 => {
+                let (whole, left) = ((turns << 32) / period, (turns << 32) % period);
+                let size = (whole << 32).wrapping_add(((left << 32) + period / 2) / period) as i64;
+                if radians < 0.0 { size.wrapping_neg() } else { size }
+            }
+            _ => (radians * (18_446_744_073_709_551_616.0 / core::f64::consts::TAU)) as i64,
+        };
+        let rest = of_a_count as i32;
+        let whole = (of_a_count.wrapping_sub(i64::from(rest)) >> 32) as u32;
+        Self { whole, rest, offset: BinaryAngle::of_radians(offset) }
+    }
+
+    /// The angle of so many counts: a multiplication for each half, no division, and no turn to take off.
+    #[inline(always)]
+    fn of(&self, counts: i32) -> BinaryAngle {
+        let rest = (i64::from(counts) * i64::from(self.rest)) >> 32;
+        BinaryAngle(self.offset.0.wrapping_add((counts as u32).wrapping_mul(self.whole)).wrapping_add(rest as u32))
+    }
 }
 
 impl<T: Real> Encoding<T> {
@@ -32,6 +70,7 @@ impl<T: Real> Encoding<T> {
         Self {
             radians_per_count: scale,
             speed_per_count: scale * rate,
+            binary: Binary::new(if repeats { period } else { 0 }, turns, scale.to_f64(), joint.offset.to_f64()),
             period,
             turns,
             radians_per_part: if repeats { scale / T::from_i32(turns) } else { scale },
@@ -68,12 +107,13 @@ pub(super) struct Encoders<T: Real, const N: usize> {
     joints: [Encoding<T>; N],
     zero: [i32; N],
     last: [i32; N],
-    primed: bool,
     filters: [LowPass<T>; N],
     /// Gain of the filters where only guard and telemetry look at them.
     watch: T,
     /// The largest velocity that the estimate shows of one single count, rad/s.
     one_count: [T; N],
+    /// Slower than this all velocity terms act, whatever the pose, rad/s.
+    sure: T,
     /// Whether something is rendered or compensated with joint velocities.
     moving: bool,
 }
@@ -87,53 +127,65 @@ impl<T: Real, const N: usize> Encoders<T, N> {
             joints: core::array::from_fn(|i| Encoding::new(&device.joints[i], coefficients.rate(), periodic)),
             zero: [0; N],
             last: [0; N],
-            primed: false,
             filters: [LowPass::default(); N],
             watch: T::zero(),
             one_count: [T::zero(); N],
+            sure: T::zero(),
             moving,
         };
         encoders.retune(coefficients);
         encoders
     }
 
-    /// Joint angles (rad), and the same wrapped to within a turn for the mechanism's sines.
+    /// Joint angles (rad), and the same for the mechanism's sines, whole turns taken off.
     #[inline(always)]
-    pub fn angles(&self, counts: &[i32; N]) -> (SVector<T, N>, SVector<T, N>) {
+    pub fn angles(&self, counts: &[i32; N]) -> (SVector<T, N>, [Angle<T>; N]) {
         let mut q = SVector::zeros();
-        let mut turned = SVector::zeros();
+        let mut angles = [Angle::of_radians(T::zero()); N];
         for i in 0..N {
             let joint = &self.joints[i];
             let relative = counts[i].wrapping_sub(self.zero[i]);
             q[i] = T::from_i32(relative) * joint.radians_per_count + joint.offset;
-            turned[i] = q[i];
-            if relative.unsigned_abs() > joint.counts_unturned {
-                turned[i] = joint.within_a_turn(relative) + joint.offset;
-            }
+            let turned = if relative.unsigned_abs() > joint.counts_unturned {
+                joint.within_a_turn(relative) + joint.offset
+            } else {
+                q[i]
+            };
+            angles[i] = Angle { radians: turned, binary: Some(joint.binary.of(relative)) };
         }
-        (q, turned)
+        (q, angles)
     }
 
     /// Filtered joint velocities from integer count differences, which wrap. Where nothing is rendered with them, only
     /// guard and telemetry watch, and a first-order filter at the same cutoff is enough.
     #[inline(always)]
-    pub fn velocities(&mut self, coefficients: &Coefficients<T>, counts: &[i32; N]) -> SVector<T, N> {
-        if !self.primed {
-            self.last = *counts;
-            self.primed = true;
-        }
-        let mut qd = SVector::zeros();
+    pub fn velocities(&mut self, counts: &[i32; N], filter: impl Fn(&mut LowPass<T>, T) -> T) -> SVector<T, N> {
+        let mut raw = SVector::<T, N>::zeros();
         for i in 0..N {
-            let moved = counts[i].wrapping_sub(self.last[i]);
-            let raw = T::from_i32(moved) * self.joints[i].speed_per_count;
-            qd[i] = if self.moving {
-                self.filters[i].step(coefficients, raw)
-            } else {
-                self.filters[i].step_first_order(self.watch, raw)
-            };
+            raw[i] = T::from_i32(counts[i].wrapping_sub(self.last[i])) * self.joints[i].speed_per_count;
         }
         self.last = *counts;
-        qd
+        if self.moving {
+            SVector::from_fn(|i, _| filter(&mut self.filters[i], raw[i]))
+        } else {
+            SVector::from_fn(|i, _| self.filters[i].step_first_order(self.watch, raw[i]))
+        }
+    }
+
+    /// Where the joints are as the velocities begin.
+    pub fn begin(&mut self, counts: &[i32; N]) {
+        self.last = *counts;
+        self.filters = [LowPass::default(); N];
+    }
+
+    /// Whether the velocity terms are known in full at these velocities (rad/s) wherever the feed-forward acts in full.
+    #[inline(always)]
+    pub fn surely_known(&self, qd: &SVector<T, N>) -> bool {
+        let mut known = true;
+        for i in 0..N {
+            known &= qd[i].abs() <= self.sure;
+        }
+        known
     }
 
     /// What of joint velocities (rad/s) is more than single counts, see [`beyond`].
@@ -142,14 +194,13 @@ impl<T: Real, const N: usize> Encoders<T, N> {
         SVector::from_fn(|i, _| beyond(qd[i], self.one_count[i]))
     }
 
-    /// Declares the joints to be at `q` (rad) for these counts. Velocities start anew.
+    /// Declares the joints to be at `q` (rad) for these counts.
     #[inline(never)]
     pub fn home(&mut self, counts: &[i32; N], q: &[T; N]) {
         for i in 0..N {
             let joint = &self.joints[i];
             self.zero[i] = counts[i].wrapping_sub(counts_of(q[i] - joint.offset, joint.radians_per_count));
         }
-        self.forget();
     }
 
     /// Counts that homing has subtracted.
@@ -162,15 +213,10 @@ impl<T: Real, const N: usize> Encoders<T, N> {
         self.zero = zero;
     }
 
-    /// Starts the velocities anew.
-    pub fn forget(&mut self) {
-        self.primed = false;
-        self.filters = [LowPass::default(); N];
-    }
-
     /// Takes over new coefficients between two steps.
     pub fn retune(&mut self, coefficients: &Coefficients<T>) {
         self.watch = coefficients.first_order_gain();
+        self.sure = T::from_f64(KNOWN_TURN * FULL_REGULARITY) / coefficients.lag();
         for (one_count, known) in self.one_count.iter_mut().zip(coefficients.one_count()) {
             *one_count = *known;
         }
@@ -275,6 +321,30 @@ mod tests {
                 let apart = f64::from(encoding.within_a_turn(count)) - right;
                 let apart = (apart - (apart / turn).round() * turn).abs();
                 assert!(apart <= turn / counts_per_turn + rounding(turn), "{counts_per_turn} at {count}: {apart} rad");
+            }
+        }
+    }
+
+    #[test]
+    fn binary_angles_are_right_over_the_whole_range_of_the_counter() {
+        let part = core::f64::consts::TAU / 4_294_967_296.0;
+        for counts_per_turn in [20_000.0, 10_752.5, 28_000.0 / 3.0, 2e4 * 1.1_f64.sqrt(), 62_831.853_071_795_86] {
+            for inverted in [false, true] {
+                let binary = encoding(counts_per_turn, inverted).binary;
+                for count in [0, 1, -1, 7, 4_999, -20_000, 123_456_789, i32::MAX, i32::MIN] {
+                    let left = left_of(count, counts_per_turn) * core::f64::consts::TAU / counts_per_turn;
+                    let right = if inverted { -left } else { left };
+                    let found = f64::from(binary.of(count).0) * part;
+                    let turns = (found - right) / core::f64::consts::TAU;
+                    // What the turns of a count that is no fraction are off by (see `repeats_after`), and rounding down
+                    // twice.
+                    let doubt = f64::from(count).abs() / f64::from(i32::MAX) * part.max(1.0e-4) + 2.0 * part;
+                    let apart = (turns - turns.round()) * core::f64::consts::TAU;
+                    assert!(apart.abs() <= doubt, "{counts_per_turn} at {count}: {apart} rad");
+                    if counts_per_turn == 20_000.0 || counts_per_turn == 10_752.5 {
+                        assert!(apart.abs() <= 2.0 * part, "{counts_per_turn} at {count}: {apart} rad");
+                    }
+                }
             }
         }
     }

@@ -4,7 +4,8 @@
 //! host's plane then go through the levels of [`crate::model::principal`] with those walls, as walls without the
 //! feed-forward do (docs/model.md section 2).
 
-use super::push::Push;
+use super::push::{Push, PushedPlane};
+use super::stiffness::Stiffness;
 use super::walls::depth_of;
 use crate::math::Real;
 use crate::model::principal::Pull;
@@ -22,8 +23,13 @@ pub(super) struct Guidance<T: Real> {
     /// Whether there is anything of it but a force of the host's, and whether there is that.
     pub any: bool,
     pub pushed: bool,
+    /// One or the other.
+    pub adds: bool,
     /// How it is shaped beside walls with the feed-forward; [`FeedForward::Off`] where the scene has none.
     together: FeedForward,
+    /// What the springs' stiffness is in all: in the plane, and their sum, N/m.
+    in_plane: Stiffness<T>,
+    stiffness: T,
     /// Of the springs' force, and of the plane's.
     washouts: [Washout<T>; 4],
 }
@@ -55,10 +61,17 @@ impl<T: Real> Guidance<T> {
             push: None,
             any: false,
             pushed: false,
+            adds: false,
             together: FeedForward::Off,
+            in_plane: Stiffness::none(),
+            stiffness: scene.springs.iter().fold(T::zero(), |sum, spring| sum + spring.stiffness),
             washouts: [Washout::default(); 4],
         };
+        for Spring { direction: [x, y, _], stiffness, .. } in &scene.springs {
+            guidance.in_plane.add_across(*x, *y, *stiffness);
+        }
         guidance.any = guidance.acts();
+        guidance.adds = guidance.any;
         guidance
     }
 
@@ -73,6 +86,7 @@ impl<T: Real> Guidance<T> {
         self.push = push.copied();
         self.any = self.acts();
         self.pushed = push.is_some();
+        self.adds = self.any || self.pushed;
         if push.is_none_or(|push| push.plane.is_absent()) {
             let [of_plane, ..] = &mut self.washouts;
             *of_plane = anew(of_plane);
@@ -132,9 +146,23 @@ impl<T: Real> Guidance<T> {
             beside.springs += spring_force(spring, place, velocity);
             beside.acts = true;
         }
-        let plane = self.push.as_ref().map(|push| &push.plane).filter(|plane| plane.stiffness > T::zero());
+        let plane = self.stiff_plane();
         let touched = plane.is_some_and(|plane| plane.depth(place) > T::zero());
         beside.plane = plane.map_or(T::zero(), |plane| plane.force(place, velocity));
+        self.shape(&mut beside, touched, gain);
+        beside
+    }
+
+    /// The host's plane where it is stiff.
+    #[inline(always)]
+    fn stiff_plane(&self) -> Option<&PushedPlane<T>> {
+        self.push.as_ref().map(|push| &push.plane).filter(|plane| plane.stiffness > T::zero())
+    }
+
+    /// Leaves of all that is stiff beside walls that have the feed-forward, α `gain`, the part that is shaped. `touched`:
+    /// whether the plane is.
+    #[inline(always)]
+    fn shape<const N: usize>(&mut self, beside: &mut Beside<T, N>, touched: bool, gain: T) {
         beside.acts |= touched;
         if self.together == FeedForward::Washout {
             let [of_plane, of_springs @ ..] = &mut self.washouts;
@@ -145,7 +173,53 @@ impl<T: Real> Guidance<T> {
         }
         beside.springs *= gain;
         beside.plane = if touched { beside.plane * gain } else { T::zero() };
-        beside
+    }
+
+    /// [`Guidance::force`], and with α = 1 [`Guidance::beside`], each spring's force worked out once.
+    #[inline(always)]
+    pub fn force_and_beside<const N: usize>(
+        &mut self,
+        place: &SVector<T, N>,
+        velocity: &SVector<T, N>,
+    ) -> (SVector<T, N>, Beside<T, N>) {
+        let mut beside = Beside::none();
+        let mut force = velocity * -self.field_damping;
+        for spring in &self.springs {
+            let of_spring = spring_force(spring, place, velocity);
+            force += of_spring;
+            if spring.stiffness > T::zero() {
+                beside.springs += of_spring;
+                beside.acts = true;
+            }
+        }
+        let mut touched = false;
+        if let Some(Push { plane, .. }) = &self.push {
+            let along = plane.force(place, velocity);
+            force += task_vector::<T, N>(&plane.normal) * along;
+            if plane.stiffness > T::zero() {
+                touched = plane.depth(place) > T::zero();
+                beside.plane = along;
+            }
+        }
+        if self.is_beside() {
+            self.shape(&mut beside, touched, T::one());
+        }
+        (force, beside)
+    }
+
+    /// What the springs' stiffness is in all, in the plane; nothing without any.
+    #[inline(always)]
+    pub fn in_plane(&self) -> Option<Stiffness<T>> {
+        (self.stiffness > T::zero()).then_some(self.in_plane)
+    }
+
+    /// The normal of the host's plane, the depth in it (m) at the tip position `place` (m) and its stiffness (N/m), where it is
+    /// stiff and touched.
+    #[inline(always)]
+    pub fn touched_plane<const N: usize>(&self, place: &SVector<T, N>) -> Option<(SVector<T, N>, T, T)> {
+        let plane = self.stiff_plane()?;
+        let depth = plane.depth(place);
+        (depth > T::zero()).then(|| (task_vector(&plane.normal), depth, plane.stiffness))
     }
 
     /// The force of `beside`, N.
@@ -157,10 +231,9 @@ impl<T: Real> Guidance<T> {
 
     /// How far the springs are stretched, and how deep the plane is touched, by what of their force is shaped, m.
     pub fn reach<const N: usize>(&self, beside: &Beside<T, N>) -> T {
-        let springs = self.springs.iter().fold(T::zero(), |sum, spring| sum + spring.stiffness);
         let plane = self.push.as_ref().map_or(T::zero(), |push| push.plane.stiffness);
         let most = beside.springs.iter().fold(T::zero(), |most, force| most.greater(force.abs()));
-        depth_of(most, springs).greater(depth_of(beside.plane, plane))
+        depth_of(most, self.stiffness).greater(depth_of(beside.plane, plane))
     }
 
     /// What is stiff at the tip position `place` (m): of the plane with the depth in it (m).

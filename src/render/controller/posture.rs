@@ -11,13 +11,12 @@ use crate::model::mechanism::Mechanism;
 use nalgebra::SVector;
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
-    /// The joint torques (N m) of the scene's posture at this task position (φ in its last entry) and these joint velocities
-    /// (rad/s): f = k sin(φ₀ - φ) - d φ̇, whose spring no turn of φ makes larger than k.
+    /// The joint torques (N m) of the scene's posture in this pose and at these joint velocities (rad/s): f = k sin(φ₀ - φ) - d φ̇, whose spring no turn of φ makes larger than k.
     #[inline(never)]
-    pub(super) fn posture_torque(&self, pose: &M::Pose, place: &SVector<T, N>, qd: &SVector<T, N>) -> SVector<T, N> {
+    pub(super) fn posture_torque(&self, pose: &M::Pose, qd: &SVector<T, N>) -> SVector<T, N> {
         let Some(held) = &self.posture else { return SVector::zeros() };
         let last = |of: &SVector<T, N>| of.iter().last().copied().unwrap_or_default();
-        let (sine, _) = K::sin_cos(held.orientation - last(place));
+        let (sine, _) = K::sin_cos(held.orientation - last(&self.mechanism.tip(pose)));
         let moment = held.stiffness * sine - held.damping * last(&self.mechanism.velocity(pose, qd));
         let turning = SVector::<T, N>::from_fn(|i, _| if i + 1 == N { moment } else { T::zero() });
         self.mechanism.transpose(pose, &turning)

@@ -19,11 +19,30 @@ mod together;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Running<T: Real> {
     wall: Wall<T>,
+    /// Distance up to which it acts (m), and the least force that it makes (N): zero, but without end where it is bilateral.
+    reach: T,
+    least: T,
     /// How its force is shaped where it acts together with others: its own feed-forward, or theirs if it has none.
     together: FeedForward,
+    /// Whether it has the feed-forward itself; and by what a newton presses it in, m: 0 without stiffness.
+    own: bool,
+    softness: T,
     velocity: Velocity<T>,
     washout: Washout<T>,
     passivity: Passivity<T>,
+}
+
+/// How one wall that is touched pulls with others.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pulled<T> {
+    /// N/m
+    pub stiffness: T,
+    /// Whether it has the feed-forward itself.
+    pub own: bool,
+    /// How deep the tip is in it, m.
+    pub depth: T,
+    /// The depth at which its stiffness alone would make what is shaped of its force, m.
+    pub reach: T,
 }
 
 /// What one wall does in one step.
@@ -41,43 +60,48 @@ pub(super) struct Pressed<T> {
 }
 
 impl<T: Real> Running<T> {
-    /// The wall at a contact. `known`: the velocity along its normal (m/s) by an estimator that watches joints;
-    /// `passivity`: whether the passivity controller is on; `gain`: the feed-forward's α.
+    /// The velocity along the normal (m/s) at this distance (m) by the wall's own low-pass, and how far the tip has come.
     #[inline(always)]
-    pub fn press<const N: usize>(
-        &mut self,
-        coefficients: &Coefficients<T>,
-        contact: &Contact<T, N>,
-        known: Option<T>,
-        passivity: bool,
-        gain: T,
-    ) -> Pressed<T> {
-        let wall = &self.wall;
-        let moved = self.velocity.moved(contact.distance);
-        let v = match known {
-            None => self.velocity.step(coefficients, contact.distance),
-            Some(velocity) => self.velocity.follow(contact.distance, velocity),
+    pub fn pass(&mut self, coefficients: &Coefficients<T>, distance: T) -> (T, T) {
+        (self.velocity.moved(distance), self.velocity.pass(coefficients, distance))
+    }
+
+    /// The same by any estimator. `known`: the velocity, by one that watches joints.
+    #[inline(always)]
+    fn approach(&mut self, coefficients: &Coefficients<T>, distance: T, known: Option<T>) -> (T, T) {
+        let moved = self.velocity.moved(distance);
+        let velocity = match known {
+            None => self.velocity.step(coefficients, distance),
+            Some(velocity) => self.velocity.follow(distance, velocity),
         };
+        (moved, velocity)
+    }
+
+    /// The wall at this distance (m), after it changed by `moved` (m) and at the velocity `v` (m/s). `passivity`: the control
+    /// rate (Hz) where the passivity controller is on; `gain`: the feed-forward's α.
+    #[inline(always)]
+    pub fn press(&mut self, distance: T, (moved, v): (T, T), passivity: Option<T>, gain: T) -> Pressed<T> {
+        let wall = &self.wall;
         let zero = T::zero();
         let mut pressed = Pressed { velocity: v, touched: false, force: zero, shaped: zero, passivity_damping: zero };
         // Comparisons here are written so that what is not a number stays one, and is found out.
-        let inside = contact.distance < zero;
-        if !inside && !wall.bilateral {
+        let inside = distance < self.reach;
+        if !inside {
             self.passivity.leave(moved);
             if self.together == FeedForward::Washout {
                 self.washout.step(zero);
             }
             return pressed;
         }
-        let mut force = -wall.stiffness * contact.distance - wall.damping * v;
+        let mut force = -wall.stiffness * distance - wall.damping * v;
         self.passivity.observe(moved);
-        if passivity {
-            let extra = self.passivity.damping(v, coefficients.rate());
+        if let Some(rate) = passivity {
+            let extra = self.passivity.damping(v, rate);
             force -= extra * v;
             pressed.passivity_damping = extra;
         }
-        if force < zero && !wall.bilateral {
-            force = zero;
+        if force < self.least {
+            force = self.least;
         }
         self.passivity.hold(force);
         pressed.touched = true;
@@ -88,6 +112,38 @@ impl<T: Real> Running<T> {
             FeedForward::Washout => self.washout.step(force) * gain,
         };
         pressed
+    }
+
+    /// Of wall `index` as it acts at a contact with the force `shaped` (N) through the feed-forward.
+    #[inline(always)]
+    pub fn acting<const N: usize>(&self, index: usize, contact: &Contact<T, N>, shaped: T) -> Active<T, N> {
+        Active {
+            wall: index,
+            normal: contact.normal,
+            shaped,
+            distance: contact.distance,
+            stiffness: self.wall.stiffness,
+            bilateral: self.wall.bilateral,
+            feed_forward: self.wall.feed_forward != FeedForward::Off,
+        }
+    }
+
+    /// Whether its force is shaped, by itself or with others.
+    #[inline(always)]
+    pub fn is_shaped(&self) -> bool {
+        self.together != FeedForward::Off
+    }
+
+    /// What of its stiffness acts at this distance (m), by the depth of the tip in it: without end where it acts on both
+    /// sides. `force`: what is shaped of its force, N.
+    #[inline(always)]
+    pub fn pull(&self, distance: T, force: T) -> Pulled<T> {
+        Pulled {
+            stiffness: self.wall.stiffness,
+            own: self.own,
+            depth: self.reach - distance,
+            reach: force.abs() * self.softness,
+        }
     }
 
     /// Energy it has taken up since it was touched, J.
@@ -182,6 +238,23 @@ pub(super) struct Active<T: Real, const N: usize> {
     pub normal: SVector<T, N>,
     /// The part of its force that is shaped, N.
     pub shaped: T,
+    /// Distance of the tip to it, m; negative inside it.
+    pub distance: T,
+    /// Its stiffness, N/m.
+    pub stiffness: T,
+    /// Whether it acts on both sides.
+    pub bilateral: bool,
+    /// Whether it has the feed-forward itself.
+    pub feed_forward: bool,
+}
+
+impl<T: Real, const N: usize> Active<T, N> {
+    /// A force (N) along a normal, that of a wall (by its index) or of none.
+    pub fn along(normal: &SVector<T, N>, shaped: T, wall: Option<usize>) -> Self {
+        let zero = T::zero();
+        let wall = wall.unwrap_or(MAX_WALLS);
+        Self { wall, normal: *normal, shaped, distance: zero, stiffness: zero, bilateral: false, feed_forward: true }
+    }
 }
 
 /// For what b of the feed-forward is asked.
@@ -212,9 +285,8 @@ pub(super) struct Touch<T: Real, const N: usize> {
     pub found: AtWalls<T>,
     /// The normal of the deepest.
     pub normal: SVector<T, N>,
-    /// The force that goes straight through Jᵀ (N), if there is one.
+    /// The force that goes straight through Jᵀ, N.
     pub plain: SVector<T, N>,
-    pub straight: bool,
     /// The first wall with the feed-forward: by itself, because one is the usual case and need not go through memory.
     pub first: Option<Active<T, N>>,
 }
@@ -232,9 +304,14 @@ impl<T: Real> Walls<T> {
                 _ => Washout::default(),
             };
             // The two vectors have the same capacity.
+            let (reach, least) = if wall.bilateral { (T::INFINITY, -T::INFINITY) } else { (T::zero(), T::zero()) };
             let _ = running.push(Running {
                 wall: *wall,
+                reach,
+                least,
                 together: wall.feed_forward,
+                own: false,
+                softness: T::zero(),
                 velocity: Velocity::default(),
                 washout,
                 passivity: Passivity::default(),
@@ -272,6 +349,8 @@ impl<T: Real> Walls<T> {
                 running.wash(washout);
             }
             running.together = together;
+            running.own = own != FeedForward::Off;
+            running.softness = depth_of(T::one(), running.wall.stiffness);
         }
     }
 
@@ -287,16 +366,18 @@ impl<T: Real> Walls<T> {
         along: Option<&SVector<T, N>>,
         more: &mut Vec<Active<T, N>, MAX_WALLS>,
     ) -> Touch<T, N> {
-        let mut found = AtWalls { shaping: T::one(), ..AtWalls::default() };
+        let mut found = AtWalls::none();
         if !self.running.is_empty() {
             found.distance = T::INFINITY;
         }
         let zeros = SVector::zeros();
-        let mut touch = Touch { found, normal: zeros, plain: zeros, straight: false, first: None };
+        let mut touch = Touch { found, normal: zeros, plain: zeros, first: None };
+        let passivity = self.passivity.then(|| coefficients.rate());
         for (index, running) in self.running.iter_mut().enumerate() {
             let contact = running.wall.surface.contact::<K, N>(place);
             let known = along.map(|velocity| contact.normal.dot(velocity));
-            let pressed = running.press(coefficients, &contact, known, self.passivity, self.gain);
+            let approach = running.approach(coefficients, contact.distance, known);
+            let pressed = running.press(contact.distance, approach, passivity, self.gain);
             // Written so that what is not a number stays one, and is found out.
             let shallower = contact.distance >= touch.found.distance;
             if !shallower {
@@ -311,13 +392,10 @@ impl<T: Real> Walls<T> {
             touch.found.wall_force += pressed.force;
             touch.found.energy += running.energy();
             touch.found.passivity_damping += pressed.passivity_damping;
-            if running.together != FeedForward::Full || self.gain != T::one() {
-                touch.plain += contact.normal * (pressed.force - pressed.shaped);
-                touch.straight = true;
-            }
+            touch.plain += contact.normal * (pressed.force - pressed.shaped);
             if running.together != FeedForward::Off {
-                let active = Active { wall: index, normal: contact.normal, shaped: pressed.shaped };
-                if touch.first.is_none() && running.wall.feed_forward != FeedForward::Off {
+                let active = running.acting(index, &contact, pressed.shaped);
+                if touch.first.is_none() && active.feed_forward {
                     touch.first = Some(active);
                 } else {
                     let _ = more.push(active);
@@ -327,15 +405,9 @@ impl<T: Real> Walls<T> {
         if touch.first.is_none() && !more.is_empty() {
             // Walls without the feed-forward alone.
             touch.plain += more.iter().fold(SVector::zeros(), |sum, a| sum + a.normal * a.shaped);
-            touch.straight = true;
             more.clear();
         }
         touch
-    }
-
-    /// Whether a contact's wall has the feed-forward itself.
-    fn has_feed_forward<const N: usize>(&self, a: &Active<T, N>) -> bool {
-        self.running.get(a.wall).is_some_and(|running| running.wall.feed_forward != FeedForward::Off)
     }
 
     /// The share of joint damping that is compensated: of several walls with the feed-forward, the share in their
@@ -407,9 +479,46 @@ impl<T: Real> Walls<T> {
         Some((only, self.passivity))
     }
 
+    /// All of them.
+    #[inline(always)]
+    pub fn all(&mut self) -> &mut [Running<T>] {
+        &mut self.running
+    }
+
+    /// Whether the passivity controller is on.
+    #[inline(always)]
+    pub fn passivity(&self) -> bool {
+        self.passivity
+    }
+
+    /// Whether every wall that has the feed-forward is stiff: what is rendered then follows their stiffness.
+    pub fn are_stiff(&self) -> bool {
+        let stiff = |wall: &Wall<T>| wall.feed_forward == FeedForward::Off || wall.stiffness > T::zero();
+        self.running.iter().all(|running| stiff(&running.wall))
+    }
+
+    /// Whether the scene has one ball alone, and that has the feed-forward.
+    pub fn is_lone_ball(&self) -> bool {
+        let [only] = self.running.as_slice() else { return false };
+        only.wall.surface.is_sphere() && only.own
+    }
+
+    /// Whether the scene has one wall alone, or none.
+    pub fn at_most_one(&self) -> bool {
+        self.running.len() <= 1
+    }
+
     /// α of the feed-forward.
     pub fn gain(&self) -> T {
         self.gain
+    }
+
+    /// Where the tip is at `place` (m), as every estimator begins: contact then is no motion.
+    #[inline(never)]
+    pub fn begin<K: Math<T>, const N: usize>(&mut self, place: &SVector<T, N>) {
+        for running in &mut self.running {
+            running.velocity = Velocity::resting_at(running.wall.surface.contact::<K, N>(place).distance);
+        }
     }
 
     /// Whether a one-sided wall is touched at the tip position `place`.
@@ -429,11 +538,10 @@ impl<T: Real> Walls<T> {
         self.agree();
     }
 
-    /// Starts all estimators anew.
+    /// Forgets what the washouts have seen; the estimators begin with [`Walls::begin`].
     #[inline(never)]
     pub fn forget(&mut self) {
         for running in &mut self.running {
-            running.velocity.forget();
             let mut fresh = Washout::default();
             fresh.retune(&running.washout);
             running.washout = fresh;

@@ -45,6 +45,12 @@ impl<T: Real> Shape<T> for Sphere<T> {
 }
 
 impl<T: Real> Sphere<T> {
+    /// Distance and normal, and the curvature by which the normal turns as the tip moves across it, 1/m: negative inside.
+    #[inline(always)]
+    pub(super) fn bent_contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> (Contact<T, N>, T) {
+        bent_contact::<T, K, N>(&self.arm(p), self.radius, self.inside)
+    }
+
     /// Centre to tip; coordinates beyond the task do not count.
     #[inline(always)]
     fn arm<const N: usize>(&self, p: &SVector<T, N>) -> SVector<T, N> {
@@ -60,12 +66,23 @@ pub(super) fn round_contact<T: Real, K: Math<T>, const N: usize>(
     radius: T,
     inside: bool,
 ) -> Contact<T, N> {
+    bent_contact::<T, K, N>(arm, radius, inside).0
+}
+
+/// [`round_contact`], and the curvature (1/m) that its normal turns by: ṅ is that times the velocity across n.
+#[inline(always)]
+fn bent_contact<T: Real, K: Math<T>, const N: usize>(
+    arm: &SVector<T, N>,
+    radius: T,
+    inside: bool,
+) -> (Contact<T, N>, T) {
     let length = K::sqrt(arm.dot(arm));
-    let normal = arm * (T::one() / length.greater(T::EPSILON * T::EPSILON));
+    let curvature = T::one() / length.greater(T::EPSILON * T::EPSILON);
+    let normal = arm * curvature;
     if inside {
-        Contact { distance: radius - length, normal: -normal }
+        (Contact { distance: radius - length, normal: -normal }, -curvature)
     } else {
-        Contact { distance: length - radius, normal }
+        (Contact { distance: length - radius, normal }, curvature)
     }
 }
 

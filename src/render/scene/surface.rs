@@ -81,9 +81,33 @@ impl<T: Real> Surface<T> {
     /// Distance and normal at the tip position `p` (m).
     #[inline(always)]
     pub fn contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N> {
+        let (distance, normal) = match self {
+            Self::Plane(plane) => {
+                let Contact { distance, normal } = plane.contact::<K, N>(p);
+                (distance, normal.map(|n| n))
+            }
+            curved => {
+                // Copies: what is handed to another function lies in memory, and the plane's numbers need not.
+                let p = *p;
+                let Contact { distance, normal } = curved.curved_contact::<K, N>(&p);
+                (distance, normal.map(|n| n))
+            }
+        };
+        Contact { distance, normal }
+    }
+
+    /// Whether it is a ball, or what is outside one.
+    pub(crate) fn is_sphere(&self) -> bool {
+        matches!(self, Self::Sphere(_))
+    }
+
+    /// [`Surface::contact`] of a ball, inlined, with the curvature that its normal turns by where the tip moves across it,
+    /// 1/m: negative inside. Any other shape counts as flat.
+    #[inline(always)]
+    pub(crate) fn bent_contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> (Contact<T, N>, T) {
         match self {
-            Self::Plane(plane) => plane.contact::<K, N>(p),
-            curved => curved.curved_contact::<K, N>(p),
+            Self::Sphere(sphere) => sphere.bent_contact::<K, N>(p),
+            other => (other.contact::<K, N>(p), T::zero()),
         }
     }
 

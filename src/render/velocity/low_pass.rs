@@ -5,7 +5,7 @@
 //! accuracy in f32 when the cutoff is a thousandth of the rate. (A direct form's gain is off by 1e-3 at
 //! 20 Hz/20 kHz, this by 4e-6; tests/velocity.rs.) Cost: one difference and nine multiply-adds a step.
 
-use super::{Coefficients, Estimator};
+use super::Coefficients;
 use crate::math::Real;
 
 /// A low-pass's two states.
@@ -16,19 +16,16 @@ pub struct LowPass<T> {
 }
 
 impl<T: Real> LowPass<T> {
-    /// One step. Of an estimator that watches joints: the low-pass that may stand behind it.
+    /// One step, of whichever kind the coefficients are. Of an estimator that watches joints: the low-pass that may stand
+    /// behind it.
     #[inline(always)]
     pub fn step(&mut self, coefficients: &Coefficients<T>, input: T) -> T {
-        match coefficients.kind {
-            Estimator::FirstOrder => self.step_first_order(coefficients.first, input),
-            Estimator::BackwardDifference => input,
-            _ => self.step_second_order(coefficients, input),
-        }
+        if coefficients.none { input } else { self.pass(coefficients, input) }
     }
 
-    /// One step of the Butterworth low-pass.
+    /// [`LowPass::step`] of coefficients that are known to be of a low-pass.
     #[inline(always)]
-    pub fn step_second_order(&mut self, coefficients: &Coefficients<T>, input: T) -> T {
+    pub fn pass(&mut self, coefficients: &Coefficients<T>, input: T) -> T {
         let high = input - self.low;
         let gain = coefficients.a2 * high - coefficients.loss * self.band;
         let rise = coefficients.a2 * self.band + coefficients.a3 * high;
@@ -57,36 +54,41 @@ impl<T: Real> LowPass<T> {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Velocity<T> {
     last: T,
-    primed: bool,
     filter: LowPass<T>,
 }
 
 impl<T: Real> Velocity<T> {
-    /// The velocity (per second) after this sample of the position; zero at the first.
+    /// At rest at this position.
+    pub fn resting_at(position: T) -> Self {
+        Self { last: position, filter: LowPass::default() }
+    }
+
+    /// The velocity (per second) after this sample of the position.
     #[inline(always)]
     pub fn step(&mut self, coefficients: &Coefficients<T>, position: T) -> T {
         let difference = self.moved(position);
         self.last = position;
-        self.primed = true;
         self.filter.step(coefficients, difference * coefficients.rate)
+    }
+
+    /// [`Velocity::step`] of coefficients that are known to be of a low-pass.
+    #[inline(always)]
+    pub fn pass(&mut self, coefficients: &Coefficients<T>, position: T) -> T {
+        let difference = self.moved(position);
+        self.last = position;
+        self.filter.pass(coefficients, difference * coefficients.rate)
     }
 
     /// Takes the velocity (per second) at this sample of the position from elsewhere, and would go on from there.
     pub fn follow(&mut self, position: T, velocity: T) -> T {
         self.last = position;
-        self.primed = true;
         self.filter = LowPass { band: T::zero(), low: velocity };
         velocity
     }
 
-    /// How far `position` is from the last sample; zero before the first. Call before [`Velocity::step`].
+    /// How far `position` is from the last sample. Call before [`Velocity::step`].
     #[inline(always)]
     pub fn moved(&self, position: T) -> T {
-        if self.primed { position - self.last } else { T::zero() }
-    }
-
-    /// Forgets the last sample, so that a position that is set anew (homing) is not a motion.
-    pub fn forget(&mut self) {
-        *self = Self::default();
+        position - self.last
     }
 }

@@ -6,13 +6,12 @@
 #![no_std]
 #![no_main]
 
-use haptic_bridge::math::Minimax;
-use haptic_bridge::servo::Servo;
-use haptic_bridge::servo::frame::{Outputs, Samples};
-use haptic_bridge::servo::joints::Currents;
-use haptic_bridge::servo::program::Program;
+use core::mem::MaybeUninit;
 
-type OnBoard = Servo<&'static mut Program<Minimax>>;
+use haptic_bridge::drive::carrier::Ticks;
+use haptic_bridge::servo::compiled::{self, BoardServo as OnBoard, Legs};
+use haptic_bridge::servo::frame::{Outputs, Samples, StepRecord};
+use haptic_bridge::servo::joints::Counts;
 
 unsafe extern "C" {
     /// Exists nowhere: its name is the linker's message.
@@ -24,40 +23,55 @@ fn panic(_: &core::panic::PanicInfo) -> ! {
     the_control_step_can_panic()
 }
 
-/// One control period, as the interrupt calls it.
+/// One control period, as the simulated board calls it.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
 pub extern "C" fn control_step(servo: &mut OnBoard, samples: &Samples, outputs: &mut Outputs) {
     *outputs = servo.control(samples);
 }
 
-/// The watch of a carrier period, as the interrupt calls it.
+/// What the interrupt calls of it while encoder counts are all that is known.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
-pub extern "C" fn carrier_guard(servo: &mut OnBoard, seen: &Samples, outputs: &mut Outputs) {
-    *outputs = servo.guard(seen);
+pub extern "C" fn carrier_render(servo: &mut OnBoard, counts: &Counts) {
+    compiled::render(servo, counts);
+}
+
+/// The rest of a crest with a step, as the interrupt calls it.
+// SAFETY: no other symbol of the image has this name.
+#[unsafe(no_mangle)]
+pub extern "C" fn carrier_crest(servo: &mut OnBoard, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
+    let on = compiled::crest(servo, seen, ticks, legs);
+    #[cfg(feature = "broken")]
+    {
+        legs[0] = legs[servo.status().step as usize];
+    }
+    on
+}
+
+/// Any crest, as the interrupt calls it.
+// SAFETY: no other symbol of the image has this name.
+#[unsafe(no_mangle)]
+pub extern "C" fn carrier_generally(
+    servo: &mut OnBoard,
+    seen: &Samples,
+    due: bool,
+    ticks: &Ticks,
+    legs: &mut Legs,
+) -> bool {
+    compiled::crest_generally(servo, seen, due, ticks, legs)
+}
+
+/// What it notes at a valley of the step before, as the interrupt calls it.
+// SAFETY: no other symbol of the image has this name.
+#[unsafe(no_mangle)]
+pub extern "C" fn carrier_notes(servo: &mut OnBoard, seen: &Samples, frame: Option<&mut MaybeUninit<StepRecord>>) {
+    compiled::note(servo, seen, frame);
 }
 
 /// What it sums up at a valley, as the interrupt calls it.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
 pub extern "C" fn carrier_sums(servo: &mut OnBoard, seen: &Samples, outputs: &mut Outputs) {
-    *outputs = servo.sum_up(seen);
-}
-
-/// One carrier period, as the interrupt calls it.
-// SAFETY: no other symbol of the image has this name.
-#[unsafe(no_mangle)]
-pub extern "C" fn carrier_step(
-    servo: &mut OnBoard,
-    bus_voltage: f32,
-    currents: &Currents,
-    late: bool,
-    duties: &mut [f32; 3],
-) {
-    *duties = servo.duties(bus_voltage, currents, late);
-    #[cfg(feature = "broken")]
-    {
-        duties[0] = currents[servo.status().step as usize];
-    }
+    *outputs = compiled::sum_up(servo, seen);
 }

@@ -1,5 +1,5 @@
-//! What the tip feels of a wall that is pressed beyond its motors: the board's servo, and for comparison the same torques
-//! limited joint by joint. Draws docs/results/saturation.svg: `cargo run --package figures --bin saturation`.
+//! What the tip feels of a wall that is pressed beyond its motors: the board's servo, and for comparison the same
+//! torques limited joint by joint. Draws docs/results/saturation.svg: `cargo run --package figures --bin saturation`.
 
 use haptic::device_file::DeviceFile;
 use haptic::plot::axes::{Axis, Mark, PlotArea};

@@ -9,7 +9,7 @@ use haptic::analysis::range::{BoundaryPoint, Range, predict, predict_several};
 use haptic::analysis::sampled::{AnalysisError, Loop};
 use haptic::analysis::several::{Member, WallSet};
 use haptic::device_file::DeviceFile;
-use haptic::error::{Failure, print};
+use haptic::error::Failure;
 use haptic::measure::campaign::Plan;
 use haptic::measure::excitation::{Excitation, millimetres};
 use haptic::measure::progress::{Point, Progress};
@@ -72,15 +72,7 @@ impl Theory {
             _ => Walls::Several(WallSet::at(&file.description, q, &walls, Admissible::default())?),
         };
         let mut line = format!("haptic range {} --q={}", args.device.display(), list(q));
-        for normal in &args.normal {
-            let _ = write!(line, " --normal={}", list(&normal.0));
-        }
-        if let (Some(share), true) = (&args.share, walls.len() > 1) {
-            let _ = write!(line, " --share {}", list(&share.0));
-        }
-        if let Some(without) = &args.no_feed_forward {
-            let _ = write!(line, " --no-feed-forward {}", list(&without.0));
-        }
+        line += &args.walls.line();
         let _ = write!(line, " --rate {} --cutoff {} --delay {}", args.rate, args.cutoff, around.delay_samples);
         if let Drive::Current { bandwidth_hz } = around.drive {
             line.push_str(" --drive current");
@@ -121,8 +113,8 @@ fn spread(point: &Point) -> f64 {
     if point.median() > 0.0 { (high - low) / point.median() } else { 0.0 }
 }
 
-/// Less than this part of theory's stiffness has another cause than what theory leaves out: that takes at most a fifth on the
-/// simulated board (docs/results/complete.md).
+/// Less than this part of theory's stiffness has another cause than what theory leaves out: that takes at most a fifth
+/// on the simulated board (docs/results/complete.md).
 const FAR_BELOW: f64 = 0.5;
 
 /// Everything that is told.
@@ -155,16 +147,10 @@ impl Report<'_> {
         let args = self.args;
         let warnings = self.far_below()?;
         warn(&warnings);
-        if args.svg.is_some() || args.png.is_some() {
-            let picture = self.picture()?;
-            args.svg.as_deref().map(|path| picture.save_svg(path)).transpose()?;
-            args.png.as_deref().map(|path| picture.save_png(path)).transpose()?;
+        if args.pictures.asked() {
+            args.pictures.save(&self.picture()?)?;
         }
-        if args.json {
-            let text = serde_json::to_string(&self.document(&warnings)?).map_err(Failure::impossible)?;
-            return print(&(text + "\n"));
-        }
-        print(&self.table()?)
+        args.json.answer(self.document(&warnings)?, &self.table()?)
     }
 
     /// A doubt about boundaries that are far below those of theory.
@@ -215,10 +201,10 @@ impl Report<'_> {
     fn setting(&self) -> [String; 2] {
         let joined = |values: &[f64]| list(values).replace(',', ", ");
         let (args, around) = (self.args, &self.theory.around);
-        let normals: Vec<String> = args.normal.iter().map(|normal| format!("({})", joined(&normal.0))).collect();
+        let normals: Vec<String> = args.walls.normals().map(|normal| format!("({})", joined(&normal.0))).collect();
         let mut place = format!("q = ({}) rad, n = {}", joined(&self.theory.q), normals.join(" + "));
-        if let (Some(share), true) = (&args.share, normals.len() > 1) {
-            let _ = write!(place, ", parts {}", joined(&share.0));
+        if let Some(parts) = args.walls.parts() {
+            let _ = write!(place, ", parts {}", joined(&parts.0));
         }
         [
             place,

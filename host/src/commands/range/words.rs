@@ -206,8 +206,8 @@ fn costs(domain: &Domain, off: &Domain) -> Option<(f64, f64)> {
     (off.area > 0.0 && (area < COSTLY_RATIO || stiffness < COSTLY_RATIO)).then_some((area, stiffness))
 }
 
-/// Doubts about a feed-forward that costs more than it brings: in full, and washed out at a corner (Hz). `washed` predicts
-/// the range with another corner.
+/// Doubts about a feed-forward that costs more than it brings: in full, and washed out at a corner (Hz). `washed`
+/// predicts the range with another corner.
 pub fn costly<E>(
     range: &Range,
     corner: Option<f64>,

@@ -1,6 +1,6 @@
 //! Contacts that act together, and how far each counts in what is rendered.
 
-use super::{Active, Walls};
+use super::Active;
 use crate::math::{Math, Real};
 use crate::model::principal::{Principal, Pull};
 use crate::render::controller::guidance::{Beside, Guidance};
@@ -21,51 +21,41 @@ pub const TOUCH_DEPTH: f64 = 1.0e-4;
 /// coupling; over a tenth of a millimetre it is tens of times as much (docs/model.md section 2).
 pub const TOUCH_SHARE: f64 = 2.0 / 3.0;
 
+/// As many as can act together.
+pub(in super::super) type Pulls<T, const N: usize> = Vec<Pull<T, N>, { MAX_WALLS + MAX_SPRINGS + 1 }>;
+
 /// Walls, springs and the host's plane that act together.
 #[derive(Clone, Debug)]
 pub(in super::super) struct Together<'a, T: Real, const N: usize> {
     first: &'a Active<T, N>,
     more: &'a [Active<T, N>],
     /// Those of the walls first.
-    pub pulls: Vec<Pull<T, N>, { MAX_WALLS + MAX_SPRINGS + 1 }>,
+    pub pulls: &'a [Pull<T, N>],
     pub principal: Principal<T, N>,
 }
 
-impl<T: Real, const N: usize> Together<'_, T, N> {
-    /// The walls, and what they pull with.
-    pub fn walls(&self) -> impl Iterator<Item = (&Active<T, N>, &Pull<T, N>)> {
-        core::iter::once(self.first).chain(self.more).zip(&self.pulls)
-    }
-}
-
-impl<T: Real> Walls<T> {
-    /// What contacts that act together render, at the tip position `place` (m).
+impl<'a, T: Real, const N: usize> Together<'a, T, N> {
+    /// What contacts that act together render, at the tip position `place` (m), in a task of `task` dimensions. `pulls`: an
+    /// empty list that it may keep.
     #[inline(always)]
-    pub fn together<'a, K: Math<T>, const N: usize>(
-        &self,
+    pub fn new<K: Math<T>>(
         first: &'a Active<T, N>,
         more: &'a [Active<T, N>],
         guidance: &Guidance<T>,
         beside: &Beside<T, N>,
         place: &SVector<T, N>,
         task: usize,
-    ) -> Together<'a, T, N> {
-        let mut pulls = Vec::new();
+        pulls: &'a mut Pulls<T, N>,
+    ) -> Self {
         let mut reach = if beside.acts { guidance.reach(beside) } else { T::zero() };
         for a in core::iter::once(first).chain(more) {
-            let stiffness = self.running.get(a.wall).map_or(T::zero(), |running| running.wall.stiffness);
-            reach = reach.greater(depth_of(a.shaped, stiffness));
+            reach = reach.greater(depth_of(a.shaped, a.stiffness));
         }
         let full = T::one() / (reach * T::from_f64(TOUCH_SHARE)).greater(T::from_f64(TOUCH_DEPTH));
         let grown = |depth: T| (depth * full).lesser(T::one()).greater(T::zero());
         for a in core::iter::once(first).chain(more) {
-            let stiffness = self.running.get(a.wall).map_or(T::zero(), |running| {
-                let wall = &running.wall;
-                let depth = -wall.surface.contact::<K, N>(place).distance;
-                if wall.bilateral { wall.stiffness } else { wall.stiffness * grown(depth) }
-            });
-            let feed_forward = self.has_feed_forward(a);
-            let _ = pulls.push(Pull { normal: a.normal, across: false, stiffness, feed_forward });
+            let stiffness = if a.bilateral { a.stiffness } else { a.stiffness * grown(-a.distance) };
+            let _ = pulls.push(Pull { normal: a.normal, across: false, stiffness, feed_forward: a.feed_forward });
         }
         if beside.acts {
             guidance.pulls(place, |pull, depth| {
@@ -73,8 +63,13 @@ impl<T: Real> Walls<T> {
                 let _ = pulls.push(Pull { stiffness, ..pull });
             });
         }
-        let principal = Principal::new::<K>(&pulls, task);
-        Together { first, more, pulls, principal }
+        let principal = Principal::new::<K>(pulls, task);
+        Self { first, more, pulls, principal }
+    }
+
+    /// The walls, and what they pull with.
+    pub fn walls(&self) -> impl Iterator<Item = (&Active<T, N>, &Pull<T, N>)> {
+        core::iter::once(self.first).chain(self.more).zip(self.pulls)
     }
 }
 

@@ -1,0 +1,79 @@
+//! The bridges begin to drive at an extreme of the carrier. Between two extremes a bridge whose ends follow one channel and
+//! its complement would give the motor the rest of one half of the period: most of an ampere for every such microsecond.
+
+use haptic::sim::Support;
+use haptic_bridge::board::telemetry::Fields;
+use haptic_bridge::safety::fault::Fault;
+use virtual_board::cases::CASES;
+use virtual_board::contact::{WallAt, scene};
+use virtual_board::range::rigid;
+use virtual_board::rig::Rig;
+use virtual_board::run::{MILLISECOND, SECOND};
+
+/// Most current while nothing is asked for yet, A: an interrupt begins some ticks after the extreme.
+const MOST: f64 = 0.2;
+
+#[test]
+fn no_current_flows_when_the_bridges_begin_to_drive() {
+    // Windings of 0.1 mH, in which currents rise quickly.
+    let bench = rigid();
+    for rate in [200, 1000, 7000, 20_000] {
+        let mut rig = Rig::with_file(bench.board, bench.file.clone(), |options| {
+            options.start = bench.file.description.home;
+        });
+        rig.load(&format!("rate_hz = {rate}\n"));
+        rig.with_simulated(|device| device.set_support(Support::Held));
+        rig.tool.home().expect("the device can be homed");
+        // Not always at the same instant of the carrier and of the step.
+        for pause in [0, 3, 11] {
+            rig.run(pause * MILLISECOND / 100);
+            rig.with(|stopped| stopped.hardware().peaks = virtual_board::broken::Peaks::default());
+            rig.tool.check_polarity().expect("the polarity check starts");
+            // It has not begun to ramp its torque up before the joint has rested.
+            rig.run(20 * MILLISECOND);
+            let (peak, driven) =
+                rig.with(|stopped| (stopped.hardware().peaks.current, !stopped.hardware().bridges_float()));
+            let status = rig.tool.status().expect("the board answers");
+            assert!(driven && status.fault.is_none(), "at {rate} Hz: {status:?}");
+            assert!(peak < MOST, "{peak} A at {rate} Hz");
+            rig.tool.disarm().expect("the board disarms");
+            rig.run(5 * MILLISECOND);
+        }
+    }
+}
+
+/// A rate beyond what three joints are told to sustain: while torque ramps up, steps take longer than usual.
+#[test]
+fn bridges_that_have_no_time_to_connect_are_told_of() {
+    let case = CASES[2];
+    for gravity in [true, false] {
+        let mut rig = Rig::with_device(case.board, case.device, |_| ());
+        rig.prepare("rate_hz = 20000\n");
+        rig.set_scene(&format!("rate_hz = 45000\ngravity_compensation = {gravity}\n"));
+        rig.tool.arm().expect("the board arms");
+        rig.run(SECOND);
+        let floats = rig.with(|stopped| stopped.hardware().bridges_float());
+        let status = rig.tool.status().expect("the board answers");
+        let fault = status.fault.map(|record| record.fault);
+        let expected = if floats { Some(Fault::ControlOverrun) } else { None };
+        assert_eq!(fault, expected, "gravity {gravity}: {status:?}");
+    }
+}
+
+/// At the rates that are told to be sustained, with telemetry of every step streaming already, as a tool that looks on
+/// asks for.
+#[test]
+fn boards_arm_at_their_highest_rates_while_they_are_looked_at() {
+    for (case, rate_hz) in [(CASES[0], 50_000), (CASES[2], 40_000), (CASES[4], 40_000)] {
+        let mut rig = Rig::with_device(case.board, case.device, |_| ());
+        rig.prepare("rate_hz = 20000\n");
+        let tip = rig.with_simulated(|device| device.tip());
+        let task = rig.file.as_ref().map_or(2, |file| file.spec().task);
+        let head = format!("rate_hz = {rate_hz}\ngravity_compensation = true\n");
+        rig.set_scene(&scene(&head, tip, task, &[WallAt::facing([0.0, -1.0, 0.0])]));
+        rig.tool.start_stream(Fields::USUAL, 1).expect("a stream starts");
+        rig.run(20 * MILLISECOND);
+        rig.arm();
+        assert!(rig.with(|stopped| !stopped.hardware().bridges_float()), "{} at {rate_hz} Hz", case.name());
+    }
+}

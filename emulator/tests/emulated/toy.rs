@@ -1,0 +1,40 @@
+//! A board that no image ships: `toy_board.rs` beside this, compiled into the firmware, and its wires.
+
+use virtual_board::boards::{EncoderWires, HalfBridge, MotorWires, Pin, Wiring};
+use virtual_board::contact::WallAt;
+use virtual_board::rig::Rig;
+
+static TOY: Wiring = Wiring {
+    name: "toy-board",
+    encoders: &[EncoderWires { timer: 4, pins: [Pin('B', 6), Pin('B', 7)], function: 2, index: Pin('C', 9) }],
+    motors: &[MotorWires {
+        timer: 1,
+        ends: [HalfBridge::Channel(1), HalfBridge::Complement(1)],
+        gates: [Pin('A', 8), Pin('B', 13), Pin('A', 8), Pin('B', 13)],
+        function: 1,
+        sensors: &[(10, 0.2)],
+    }],
+    enable: Pin('C', 6),
+    idle_brakes: true,
+    fault: Pin('B', 12),
+    fault_breaks: false,
+    bus: (13, 11.0),
+    drivers: &[],
+    bus_voltage: 24.0,
+    sensor_offsets: [0.0; 4],
+    dead_time: 0.0,
+};
+
+#[test]
+fn a_toy_board_is_one_file_and_renders_a_wall() {
+    let wall = WallAt { feed_forward: "off", ..WallAt::facing([-1.0, 0.0, 0.0]) };
+    let pressed = 2.0;
+    let mut rig = Rig::in_contact(&TOY, "hapkit-paddle", "", &[wall], pressed);
+    assert_eq!(rig.tool.info().board.as_str(), TOY.name);
+    assert_eq!(rig.tool.details().expect("the board answers").axes, 1);
+    assert_eq!(rig.tool.status().expect("the board answers").fault, None);
+    // What the motor holds at the tip is what the hand presses with, but for dry friction: 4 mN m on 70 mm.
+    let motor = rig.file.as_ref().and_then(|file| file.description.joints[0].motor).expect("a motor");
+    let held = rig.with_simulated(|device| device.currents()[0]) * motor.torque_constant / 0.07;
+    assert!((held.abs() - pressed).abs() < 0.06, "the motor holds {held} N");
+}

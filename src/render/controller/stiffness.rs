@@ -1,0 +1,45 @@
+//! Stiffness in the plane, of which the direction where it is the most is rendered.
+
+use crate::math::Real;
+
+/// A stiffness in the plane, Σ k n nᵀ, N/m.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Stiffness<T> {
+    /// Along x.
+    pub xx: T,
+    /// Between the two.
+    pub xy: T,
+    /// Along y.
+    pub yy: T,
+}
+
+impl<T: Real> Stiffness<T> {
+    /// None at all.
+    pub fn none() -> Self {
+        Self { xx: T::zero(), xy: T::zero(), yy: T::zero() }
+    }
+
+    /// Adds one along a normal.
+    #[inline(always)]
+    pub fn add(&mut self, x: T, y: T, k: T) {
+        let (kx, ky) = (k * x, k * y);
+        self.xx += kx * x;
+        self.xy += kx * y;
+        self.yy += ky * y;
+    }
+
+    /// Adds one in all directions across a line, or in every direction where that has no length: as
+    /// [`Pull`](crate::model::principal::Pull) has it, k (1 - d dᵀ)².
+    pub fn add_across(&mut self, x: T, y: T, k: T) {
+        let kd = k * (x * x + y * y - T::one() - T::one());
+        self.xx += k + kd * x * x;
+        self.xy += kd * x * y;
+        self.yy += k + kd * y * y;
+    }
+
+    /// nᵀ K n
+    #[inline(always)]
+    pub fn along(&self, x: T, y: T) -> T {
+        (self.xx * x + self.xy * y) * x + (self.xy * x + self.yy * y) * y
+    }
+}

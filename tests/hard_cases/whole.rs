@@ -1,0 +1,66 @@
+//! The whole of equation (4) as the analysis computes it, in double precision: everything that an `Inertia` holds.
+
+use super::singular::Row;
+use super::{Table, digits};
+use haptic_bridge::math::{Math, Real};
+use haptic_bridge::model::inertia::Inertia;
+use haptic_bridge::model::mechanism::Mechanism;
+use haptic_bridge::model::principal::Pull;
+use nalgebra::{SMatrix, SVector};
+
+/// Everything of one wall of unit normal `n` that pushes with 1 N, at the pose `q` moving at `qd` (rad/s).
+pub fn whole<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
+    m: &M,
+    q: &SVector<T, N>,
+    qd: &SVector<T, N>,
+    n: &SVector<T, N>,
+) -> Inertia<T, N> {
+    let n = n / K::sqrt(n.dot(n));
+    let wall = Pull { normal: n, across: false, stiffness: T::one(), feed_forward: true };
+    Inertia::new::<K, M>(m, &m.pose::<K>(q), qd, &[wall], &n)
+}
+
+/// Largest errors: of Weff relative to it, of all else as a share of the largest entry.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct WholeErrors {
+    pub w: f64,
+    pub w_eff: f64,
+    pub z: f64,
+    pub f_a: f64,
+    pub torque: f64,
+}
+
+impl WholeErrors {
+    /// Takes in the errors of `found` against `exact`.
+    pub fn grow<A: Real, B: Real, const N: usize>(&mut self, found: &Inertia<A, N>, exact: &Inertia<B, N>) {
+        self.w = self.w.max(share(&found.w, &exact.w));
+        self.w_eff = self.w_eff.max(share(&found.w_eff, &exact.w_eff));
+        self.z = self.z.max(share(&found.z, &exact.z));
+        self.f_a = self.f_a.max(share(&found.f_a, &exact.f_a));
+        self.torque = self.torque.max(share(&found.torque, &exact.torque));
+    }
+}
+
+fn share<A: Real, B: Real, const R: usize, const C: usize>(a: &SMatrix<A, R, C>, b: &SMatrix<B, R, C>) -> f64 {
+    let (a, b) = (a.map(|x| x.to_f64()), b.map(|x| x.to_f64()));
+    let error = (a - b).amax() / b.amax();
+    if error.is_nan() { f64::INFINITY } else { error }
+}
+
+/// The rows as the page shows them.
+pub fn table(rows: &[Row]) -> Table {
+    let mut table = Table::new(
+        "Equation (4) in the analysis",
+        "Everything that the analysis computes of (4) for one wall, `Inertia`, in f64 with the sines of `FineTable`, \
+         at the poses and normals of the first table and moving: largest errors against 106 bits, of Weff relative to \
+         it, of all else as a share of the largest entry.",
+        &["device", "singularity", "at", "W", "Weff", "z", "f_a", "torque"],
+    );
+    for row in rows {
+        let WholeErrors { w, w_eff, z, f_a, torque } = row.whole;
+        let mut cells = row.words().to_vec();
+        cells.extend([w, w_eff, z, f_a, torque].map(digits));
+        table.push(cells);
+    }
+    table
+}

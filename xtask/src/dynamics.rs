@@ -1,0 +1,98 @@
+//! The time of the equations of motion and of the whole of equation (4) on this computer, beside that of Pinocchio,
+//! which computes the same at the same states (host/benches/pinocchio.cpp).
+
+use std::collections::BTreeMap;
+use std::env;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::{Context as _, Result, ensure};
+use serde_json::Value;
+
+use crate::paths::{root, target_directory};
+use crate::toolchain::{cargo, run};
+
+/// As often the two take turns.
+const ROUNDS: usize = 7;
+
+/// By mechanism and row, the nanoseconds of the fastest round.
+type Times = BTreeMap<(String, String), f64>;
+
+/// Prints a table in Markdown: nanoseconds of one state, and how many times as long Pinocchio takes. `pinocchio` is
+/// where its headers and library are.
+pub fn compare(pinocchio: &Path) -> Result<()> {
+    let (ours, theirs) = (bench()?, peer(pinocchio)?);
+    let states = target_directory().join("dynamics-states.txt");
+    run(Command::new(&ours).current_dir(root()).arg("--states").stdout(File::create(&states)?))?;
+    let (mut our_times, mut their_times) = (Times::new(), Times::new());
+    for _ in 0..ROUNDS {
+        take(Command::new(&ours).current_dir(root()), &mut our_times)?;
+        take(Command::new(&theirs).stdin(File::open(&states)?), &mut their_times)?;
+    }
+    println!("| mechanism | row | ns | Pinocchio: ns | times |\n|---|---|--:|--:|--:|");
+    for ((mechanism, row), ours) in &our_times {
+        match their_times.get(&(mechanism.clone(), row.clone())) {
+            Some(theirs) => println!("| {mechanism} | {row} | {ours:.1} | {theirs:.0} | {:.1} |", theirs / ours),
+            None => println!("| {mechanism} | {row} | {ours:.1} | | |"),
+        }
+    }
+    Ok(())
+}
+
+/// Builds the benchmark as `cargo bench` does and says where it is.
+fn bench() -> Result<PathBuf> {
+    let build =
+        ["bench", "--locked", "--package", "haptic", "--bench", "dynamics", "--no-run", "--message-format", "json"];
+    let output = cargo().current_dir(root()).args(build).stderr(Stdio::inherit()).output()?;
+    ensure!(output.status.success(), "the benchmark does not compile");
+    let messages = String::from_utf8(output.stdout)?;
+    let executable = messages.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok()).find_map(|message| {
+        let of_bench = message["target"]["name"] == "dynamics";
+        of_bench.then(|| message["executable"].as_str().map(PathBuf::from)).flatten()
+    });
+    executable.context("cargo names no benchmark `dynamics`")
+}
+
+/// Builds Pinocchio's part, for this very processor, which the benchmark is not.
+fn peer(pinocchio: &Path) -> Result<PathBuf> {
+    ensure!(
+        pinocchio.join("include/pinocchio").is_dir(),
+        "no Pinocchio at {}: `pip install pin==4.1.0` in a virtual environment brings it, below \
+         lib/python3.*/site-packages/cmeel.prefix",
+        pinocchio.display()
+    );
+    let (include, library) = (pinocchio.join("include"), pinocchio.canonicalize()?.join("lib"));
+    let executable = target_directory().join("pinocchio");
+    run(Command::new(env::var("CXX").unwrap_or_else(|_| "c++".into()))
+        .args(["-std=c++17", "-O3", "-march=native", "-DNDEBUG", "-w"])
+        // For its variant of all joints.
+        .args(["-DBOOST_MPL_LIMIT_LIST_SIZE=30", "-DBOOST_MPL_CFG_NO_PREPROCESSED_HEADERS"])
+        .arg("-I")
+        .arg(&include)
+        .arg("-I")
+        .arg(include.join("eigen3"))
+        .arg(root().join("host/benches/pinocchio.cpp"))
+        .arg("-o")
+        .arg(&executable)
+        .arg("-L")
+        .arg(&library)
+        .arg(format!("-Wl,-rpath,{}", library.display()))
+        .arg("-lpinocchio_default"))?;
+    Ok(executable)
+}
+
+/// Runs either and adds what it prints: lines of a mechanism, nanoseconds and a row, which ends at a colon.
+fn take(command: &mut Command, times: &mut Times) -> Result<()> {
+    let output = command.stderr(Stdio::inherit()).output()?;
+    ensure!(output.status.success(), "{} failed", command.get_program().display());
+    for line in String::from_utf8(output.stdout)?.lines() {
+        let mut words = line.splitn(3, ' ');
+        let mut word = || words.next().with_context(|| format!("cannot read {line:?}"));
+        let (mechanism, nanoseconds, row) = (word()?, word()?.parse::<f64>()?, word()?);
+        let row = row.split(':').next().unwrap_or(row);
+        let fastest = times.entry((mechanism.into(), row.into())).or_insert(f64::INFINITY);
+        *fastest = fastest.min(nanoseconds);
+    }
+    Ok(())
+}
