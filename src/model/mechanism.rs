@@ -330,8 +330,8 @@ pub(crate) fn reciprocal<T: Real>(x: T, floor: T) -> T {
     if x < T::zero() { -limit } else { limit }
 }
 
-/// [`Mechanism::pose_at`], compiled once for each mechanism: a call costs little beside it, and a copy at every use would
-/// come out of the 256 KB that an image may fill.
+/// [`Mechanism::pose_at`], compiled once for each mechanism: a call costs little beside it, and every copy makes
+/// the image larger.
 #[inline(never)]
 pub(crate) fn shared_pose<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     mechanism: &M,

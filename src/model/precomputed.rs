@@ -262,7 +262,7 @@ impl<T: Real, const N: usize> MassModel<T, N> {
     }
 
     /// What a unit tip motion along `n` takes and weighs. Shared by single walls and corners: a call costs little
-    /// beside it, and a second copy for every mechanism would come out of the 256 KB that an image may fill.
+    /// beside it, and every copy makes the image larger.
     #[inline(never)]
     pub fn shaping<M: Mechanism<T, N>>(
         &self,

@@ -18,8 +18,9 @@ const RAM: Range<u64> = 0x2000_0000..0x2002_0000;
 /// Sectors 1 and 2, where the settings are.
 const SETTINGS: Range<u64> = 0x0800_4000..0x0800_C000;
 
-/// Most flash that an image may take: a quarter of the chip's, quick to send over USB.
-pub const FLASH_LIMIT: u64 = 256 * 1024;
+/// Most flash that an image may take: less than half of the chip's, quick to send over USB, and large enough that nobody
+/// bends the code for it.
+pub const FLASH_LIMIT: u64 = 384 * 1024;
 /// Most that statics and the reserved stack may take together: three quarters of the chip's SRAM.
 pub const RAM_LIMIT: u64 = 96 * 1024;
 
