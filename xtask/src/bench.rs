@@ -22,16 +22,16 @@ fn kept() -> PathBuf {
 }
 
 /// Builds the counting image; its path.
-fn image(install: bool) -> Result<PathBuf> {
-    let mut command = tools::provide(&[Use::Build], install)?.cargo(Use::Build);
+fn image() -> Result<PathBuf> {
+    let mut command = tools::provide(&[Use::Build])?.cargo(Use::Build);
     command.current_dir(root().join("firmware")).arg("--target-dir").arg(target_directory());
     run(command.args(["--locked", "--package", BINARY, "--profile", "firmware"]))?;
     Ok(target_directory().join(TARGET).join("firmware").join(BINARY))
 }
 
 /// Instructions by variant, as the emulated chip counts them, in the image's order.
-fn count(install: bool) -> Result<Vec<(String, u64)>> {
-    let image = image(install)?;
+fn count() -> Result<Vec<(String, u64)>> {
+    let image = image()?;
     let output = cargo()
         .current_dir(root().join("emulator"))
         .args(["run", "--quiet", "--locked", "--ignore-rust-version", "--bin", "count", "--"])
@@ -53,8 +53,8 @@ fn count(install: bool) -> Result<Vec<(String, u64)>> {
 }
 
 /// Counts everything, keeps the figures, and makes the report from them.
-pub fn refresh(install: bool) -> Result<()> {
-    let counted = count(install)?;
+pub fn refresh() -> Result<()> {
+    let counted = count()?;
     let variants: Vec<String> = counted
         .iter()
         .map(|(name, instructions)| format!("    {}", json!({"name": name, "instructions": instructions})))
@@ -77,7 +77,7 @@ pub fn refresh(install: bool) -> Result<()> {
 }
 
 /// Counts everything again and fails when a variant has grown by more than a twentieth over the kept figure.
-pub fn check(install: bool) -> Result<()> {
+pub fn check() -> Result<()> {
     let kept: Value = serde_json::from_str(&fs::read_to_string(kept()).context("benches/counts.json cannot be read")?)?;
     let kept: BTreeMap<&str, u64> = kept["variants"]
         .as_array()
@@ -85,7 +85,7 @@ pub fn check(install: bool) -> Result<()> {
         .iter()
         .filter_map(|variant| Some((variant["name"].as_str()?, variant["instructions"].as_u64()?)))
         .collect();
-    let counted = count(install)?;
+    let counted = count()?;
     let mut wrong = Vec::new();
     let mut less = 0;
     for (name, now) in &counted {

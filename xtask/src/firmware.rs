@@ -28,8 +28,8 @@ fn cargo(toolchain: Toolchain, purpose: Use, board: &str) -> Command {
 }
 
 /// Builds one image and keeps it under its board's name, with its checksum in it; its path.
-pub fn build(board: &str, install: bool) -> Result<PathBuf> {
-    let toolchain = tools::provide(&[Use::Build], install)?;
+pub fn build(board: &str) -> Result<PathBuf> {
+    let toolchain = tools::provide(&[Use::Build])?;
     run(&mut cargo(toolchain, Use::Build, board))?;
     let directory = target_directory().join(TARGET).join("firmware");
     let image = directory.join(format!("{BINARY}-{board}.elf"));
@@ -40,16 +40,16 @@ pub fn build(board: &str, install: bool) -> Result<PathBuf> {
 }
 
 /// Builds all images.
-pub fn build_all(install: bool) -> Result<Vec<PathBuf>> {
-    BOARDS.into_iter().map(|board| build(board, install)).collect()
+pub fn build_all() -> Result<Vec<PathBuf>> {
+    BOARDS.into_iter().map(build).collect()
 }
 
 /// Prints what the images occupy; an error when one is too large.
-pub fn size(install: bool) -> Result<()> {
+pub fn size() -> Result<()> {
     let mut over = Vec::new();
     let mut lines = Vec::new();
     for board in BOARDS {
-        let image = Image::read(&build(board, install)?)?;
+        let image = Image::read(&build(board)?)?;
         lines.push(format!(
             "{board:<14} {:>7} B of {FLASH_LIMIT}   {:>6} B of {RAM_LIMIT}  ({} statics, {} stack)",
             image.flash,
@@ -69,8 +69,8 @@ pub fn size(install: bool) -> Result<()> {
 }
 
 /// Lints what is compiled for the chip: the library, the firmware, the image that counts instructions.
-pub fn clippy(install: bool) -> Result<()> {
-    let toolchain = tools::provide(&[Use::Clippy], install)?;
+pub fn clippy() -> Result<()> {
+    let toolchain = tools::provide(&[Use::Clippy])?;
     for board in BOARDS.into_iter().chain([TOY]) {
         let with_it = ["--package", "haptic-bridge", "--package", "haptic-bridge-counting"];
         run(cargo(toolchain, Use::Clippy, board).args(with_it).args(["--", "-D", "warnings"]))?;
@@ -79,16 +79,16 @@ pub fn clippy(install: bool) -> Result<()> {
 }
 
 /// Builds and flashes through a debug probe, then shows the log.
-pub fn flash(board: &str, install: bool) -> Result<()> {
-    let image = build(board, install)?;
+pub fn flash(board: &str) -> Result<()> {
+    let image = build(board)?;
     run(Command::new("probe-rs").args(["run", "--chip", CHIP]).arg(image)).context(
         "probe-rs flashes the chip; `cargo install probe-rs-tools --locked` installs it, docs/flashing.md says the rest",
     )
 }
 
 /// Builds and writes an update file for the chip's USB boot loader.
-pub fn dfu(board: &str, install: bool) -> Result<()> {
-    let elf = build(board, install)?;
+pub fn dfu(board: &str) -> Result<()> {
+    let elf = build(board)?;
     let image = Image::read(&elf)?;
     let path = elf.with_extension("dfu");
     std::fs::write(&path, dfu::file(&image.segments, board))

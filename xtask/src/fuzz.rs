@@ -34,18 +34,15 @@ pub struct Options {
     /// Seconds that each target gets
     #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..))]
     seconds: u32,
-    /// What libFuzzer's choices start from; none is another one every time
-    #[arg(skip)]
-    seed: Option<u32>,
     /// Write docs/results/fuzz.md
     #[arg(long)]
     record: bool,
 }
 
 impl Options {
-    /// Every target for so many seconds, from the same seed every time: what a test run says is not up to chance.
+    /// Every target for so many seconds.
     pub fn short(seconds: u32) -> Self {
-        Self { targets: Vec::new(), seconds, seed: Some(1), record: false }
+        Self { targets: Vec::new(), seconds, record: false }
     }
 
     fn targets(&self) -> Vec<&'static str> {
@@ -64,8 +61,8 @@ struct Outcome {
 
 /// Builds the targets and runs them, as many at a time as there are processors. A finding is an error, with its input
 /// kept.
-pub fn run(options: &Options, install: bool) -> Result<()> {
-    tools::provide(&[Use::Fuzz], install)?;
+pub fn run(options: &Options) -> Result<()> {
+    tools::provide(&[Use::Fuzz])?;
     let occasion = report::occasion();
     let out = target_directory().join("fuzz");
     let program = build(&out)?;
@@ -130,7 +127,6 @@ fn fuzz(program: &Path, target: &str, out: &Path, options: &Options) -> Result<O
     let output = Command::new(program)
         .env("HAPTIC_FUZZ", target)
         .args(["-print_final_stats=1", "-max_len=4096", "-timeout=20", &format!("-max_total_time={}", options.seconds)])
-        .args(options.seed.map(|seed| format!("-seed={seed}")))
         .arg(format!("-artifact_prefix={}/{target}-", out.display()))
         .args([&corpus, &seeds(target)])
         .output()

@@ -39,9 +39,6 @@ use crate::firmware::{BOARDS, TOY};
 struct Arguments {
     #[command(subcommand)]
     command: Command,
-    /// Put missing Debian packages in place (as root)
-    #[arg(long, global = true)]
-    install: bool,
 }
 
 #[derive(Subcommand)]
@@ -78,21 +75,12 @@ enum Command {
         /// Where Pinocchio is: the folder with its include and lib
         pinocchio: PathBuf,
     },
-    /// Say whether everything that the tests need is on this computer, or what is missing
-    Tools,
-    /// Every test: this computer's, both images, the emulated board
-    Test,
-    /// Of these, the tests that run the images on the emulated board
-    TestBoard {
-        /// Further arguments of `cargo test`
-        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
-        rest: Vec<String>,
-    },
-    /// Of these, the library without the command line: that it compiles, and brings nothing that only the tool needs
-    Library,
-    /// Of these, the tests of the package for Python
-    Python {
-        /// Further arguments of pytest
+    /// The library, the tool, both images, each on the emulated board once; ten minutes from nothing
+    Test {
+        /// Instead what takes longer: everything, or one part
+        #[arg(long, value_name = "PART", num_args = 0..=1, value_parser = deep_part())]
+        deep: Option<Option<String>>,
+        /// With one part: further arguments of its program
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         rest: Vec<String>,
     },
@@ -109,13 +97,7 @@ enum Command {
     /// Some of them under Miri, which needs a nightly toolchain
     Miri,
     /// Build the page of `haptic view` as a file that needs no tool
-    Playground {
-        /// Then try it in a browser
-        #[arg(long)]
-        test: bool,
-    },
-    /// Licences, sources and known advisories of everything that is linked; with cargo-deny, today's too
-    Deny,
+    Playground,
     /// Check the formatting of every source here, whatever declares it
     Fmt,
     /// Build the tool anew and say what each format, view and interface adds to the time (some minutes)
@@ -154,6 +136,11 @@ enum Command {
     },
 }
 
+/// The parts of the deep tests, with what each one does.
+fn deep_part() -> PossibleValuesParser {
+    PossibleValuesParser::new(tests::PARTS.iter().map(|part| PossibleValue::new(part.name).help(part.what)))
+}
+
 /// The boards that ship, and the toy board of a test, which help does not show.
 fn any_image() -> PossibleValuesParser {
     let shipped = BOARDS.into_iter().map(PossibleValue::new);
@@ -161,8 +148,8 @@ fn any_image() -> PossibleValuesParser {
 }
 
 fn main() -> ExitCode {
-    let Arguments { command, install } = Arguments::parse();
-    match run(command, install) {
+    let Arguments { command } = Arguments::parse();
+    match run(command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("xtask: {error:#}");
@@ -171,40 +158,35 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(command: Command, install: bool) -> Result<()> {
+fn run(command: Command) -> Result<()> {
     match command {
-        Command::Fw { board: None } => firmware::build_all(install).map(drop),
-        Command::Fw { board: Some(board) } => firmware::build(&board, install).map(drop),
-        Command::Size => firmware::size(install),
-        Command::ClippyFw => firmware::clippy(install),
-        Command::Flash { board } => firmware::flash(&board, install),
-        Command::Dfu { board } => firmware::dfu(&board, install),
-        Command::NoPanic => no_panic::prove(install),
-        Command::Bench { check: false } => bench::refresh(install),
-        Command::Bench { check: true } => bench::check(install),
+        Command::Fw { board: None } => firmware::build_all().map(drop),
+        Command::Fw { board: Some(board) } => firmware::build(&board).map(drop),
+        Command::Size => firmware::size(),
+        Command::ClippyFw => firmware::clippy(),
+        Command::Flash { board } => firmware::flash(&board),
+        Command::Dfu { board } => firmware::dfu(&board),
+        Command::NoPanic => no_panic::prove(),
+        Command::Bench { check: false } => bench::refresh(),
+        Command::Bench { check: true } => bench::check(),
         Command::Dynamics { pinocchio } => dynamics::compare(&pinocchio),
-        Command::Tools => tools::check(install),
-        Command::Test => tests::all(install),
-        Command::TestBoard { rest } => tests::board(&rest, install),
-        Command::Library => library::alone(),
-        Command::Python { rest } => python::test(&rest, &python::ALONE, install),
-        Command::Timing => tests::measure("timing", &[], install),
-        Command::Fuzz(options) => fuzz::run(&options, install),
+        Command::Test { deep: None, rest } => tests::gate(&rest),
+        Command::Test { deep: Some(part), rest } => tests::deep(part.as_deref(), &rest),
+        Command::Timing => tests::measure("timing", &[]),
+        Command::Fuzz(options) => fuzz::run(&options),
         Command::Sanitize { rest } => undefined::sanitize(&rest),
         Command::Miri => undefined::miri(),
-        Command::Playground { test: false } => playground::build(install).map(drop),
-        Command::Playground { test: true } => playground::test(install),
+        Command::Playground => playground::build().map(drop),
         Command::BuildTimes => build_times::print(),
-        Command::Deny => deny::run(),
         Command::Fmt => format::check(),
-        Command::Soak(options) => soak::run(&options, install),
+        Command::Soak(options) => soak::run(&options),
         Command::Figures { cases } => report::figures(&cases),
         Command::Range { part, device, rate, motors } => {
             let asked: Vec<String> = [part, device, rate, motors].into_iter().flatten().collect();
-            tests::measure("range", &asked, install)
+            tests::measure("range", &asked)
         }
-        Command::Faults { faults } => tests::measure("faults", &faults, install),
-        Command::Board { rest } => tests::play(&rest, install),
+        Command::Faults { faults } => tests::measure("faults", &faults),
+        Command::Board { rest } => tests::play(&rest),
     }
 }
 
@@ -220,9 +202,11 @@ mod arguments {
 
     #[test]
     fn what_follows_goes_on_to_cargo() {
-        let parsed = Arguments::parse_from(["xtask", "test-board", "--install", "walls", "--nocapture"]);
-        assert!(parsed.install);
-        assert!(matches!(parsed.command, Command::TestBoard { rest } if rest == ["walls", "--nocapture"]));
+        let parsed = Arguments::parse_from(["xtask", "test", "--deep", "emulated", "walls", "--nocapture"]);
+        let Command::Test { deep: Some(Some(part)), rest } = parsed.command else { panic!("a part") };
+        assert_eq!((part.as_str(), &rest[..]), ("emulated", &["walls".into(), "--nocapture".into()][..]));
+        let all = Arguments::parse_from(["xtask", "test", "--deep"]).command;
+        assert!(matches!(all, Command::Test { deep: Some(None), rest } if rest.is_empty()));
         let parsed = Arguments::parse_from(["xtask", "board", "odrive-v3", "--fast"]);
         assert!(matches!(parsed.command, Command::Board { rest } if rest == ["odrive-v3", "--fast"]));
         assert!(Arguments::try_parse_from(["xtask", "fw", "no-such-board"]).is_err());

@@ -24,8 +24,8 @@ fn cargo(toolchain: Toolchain) -> Command {
 }
 
 /// Links the step alone, and reads the result.
-pub fn prove(install: bool) -> Result<()> {
-    let toolchain = tools::provide(&[Use::Build], install)?;
+pub fn prove() -> Result<()> {
+    let toolchain = tools::provide(&[Use::Build])?;
     run(&mut cargo(toolchain)).context("a panic is left in the control step; the linker's message above says so")?;
     let image = Image::read(&target_directory().join("no-panic").join(TARGET).join("release/no-panic"))?;
     let reach = image.reach(&[

@@ -14,8 +14,8 @@ const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsaf
                       style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'";
 
 /// Builds the file, and says where it is.
-pub fn build(install: bool) -> Result<PathBuf> {
-    let toolchain = tools::provide(&[Use::Playground], install)?;
+pub fn build() -> Result<PathBuf> {
+    let toolchain = tools::provide(&[Use::Playground])?;
     let mut command = toolchain.cargo_for_browsers("rustc");
     command.current_dir(root()).arg("--target-dir").arg(target_directory());
     run(command.args(["--locked", "--package", "haptic-playground", "--profile", "playground"]))?;
@@ -37,9 +37,9 @@ pub fn build(install: bool) -> Result<PathBuf> {
 }
 
 /// Builds it and opens it in a browser.
-pub fn test(install: bool) -> Result<()> {
-    tools::provide(&[Use::Page], install)?;
-    let path = build(install)?;
+pub fn test() -> Result<()> {
+    tools::provide(&[Use::Page])?;
+    let path = build()?;
     let test = ["test", "--locked", "--package", "haptic", "--test", "browser", "--", "--ignored", "as_a_file"];
     run(cargo().current_dir(root()).args(test).env("HAPTIC_PLAYGROUND", path))
 }

@@ -31,16 +31,12 @@ struct Optional {
     peers: Vec<String>,
 }
 
-/// What is built for these tests alone: together, so that the library is built once.
-pub const ALONE: [&str; 4] = ["--package", "haptic", "--package", "haptic-python"];
-/// What is built after the whole workspace has been tested: what has the features of that, which is there already.
-pub const AFTERWARDS: [&str; 4] = ["--workspace", "--lib", "--bins", "--tests"];
-
-/// Runs the tests of python/ on what `selection` builds; further arguments go to pytest.
-pub fn test(arguments: &[String], selection: &[&str], install: bool) -> Result<()> {
-    tools::provide(&[Use::Python], install)?;
+/// Runs the tests of python/; further arguments go to pytest.
+pub fn test(arguments: &[String]) -> Result<()> {
+    tools::provide(&[Use::Python])?;
     let package = root().join("python");
-    run(cargo().current_dir(root()).args(["build", "--locked"]).args(selection))?;
+    // Together, so that the library is built once.
+    run(cargo().current_dir(root()).args(["build", "--locked", "--package", "haptic", "--package", "haptic-python"]))?;
     let built = target_directory().join("debug");
     let place = target_directory().join("python");
     let inside = place.join("haptic_bridge");

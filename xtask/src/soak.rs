@@ -33,13 +33,13 @@ fn hours(text: &str) -> Result<f64, String> {
 }
 
 /// Runs a soak.
-pub fn run(options: &Options, install: bool) -> Result<()> {
+pub fn run(options: &Options) -> Result<()> {
     let Options { chip, record, .. } = *options;
     let hours = options.hours.unwrap_or(if chip { HOURS.1 } else { HOURS.0 });
     let occasion = report::occasion();
     let figures = target_directory().join("soak.md");
     if chip {
-        tests::measure("soak", &[hours.to_string(), figures.to_string_lossy().into_owned()], install)?;
+        tests::measure("soak", &[hours.to_string(), figures.to_string_lossy().into_owned()])?;
     } else {
         run_command(
             cargo()

@@ -164,7 +164,7 @@ impl Found {
             text += &format!("    {}\n", tool.name());
         }
         text += &format!(
-            "On Debian, as root (or with --install, which does the same):\n    {}\n",
+            "On Debian, as root:\n    {}\n",
             self.install_line(missing)
         );
         let by_hand = |tool: &&Tool| matches!(tool, Tool::Cpp | Tool::Browser | Tool::Python);
@@ -177,19 +177,23 @@ impl Found {
     }
 }
 
-/// Makes sure that everything these uses need is there, and installs it with `--install`, or as root on Debian where
-/// `CI` is set. Returns the toolchain for the chip.
-pub fn provide(uses: &[Use], install: bool) -> Result<Toolchain> {
-    let install = Path::new("/etc/debian_version").exists() && (install || env::var_os("CI").is_some() && is_root());
+/// Makes sure that everything these uses need is there. As root on Debian it installs what is missing: targets by rustup
+/// where that can download them, all else from Debian's packages. Returns the toolchain for the chip.
+pub fn provide(uses: &[Use]) -> Result<Toolchain> {
+    let install = Path::new("/etc/debian_version").exists() && is_root();
     let mut found = Found::now();
+    if install && !found.targets(uses).is_empty() && !found.missing(uses).is_empty() {
+        let targets = found.targets(uses);
+        eprintln!("installing {} with rustup", targets.join(" "));
+        if succeeds("rustup", &[&["target", "add"], &targets[..]].concat()) {
+            found = Found::now();
+        }
+    }
     // The link to the linker comes first and says which package brings the linker itself: two rounds.
     for _ in 0..2 {
         let missing = found.missing(uses);
         if missing.is_empty() || !install {
             break;
-        }
-        if !is_root() {
-            bail!("--install has to be run as root: it would do\n    {}", found.install_line(&missing));
         }
         let packages = found.packages(&missing);
         eprintln!("installing {}", packages.join(" "));
@@ -201,30 +205,10 @@ pub fn provide(uses: &[Use], install: bool) -> Result<Toolchain> {
     found.toolchain(uses)
 }
 
-/// The toolchain for these uses; an error that lists what is missing.
-pub fn found(uses: &[Use]) -> Result<Toolchain> {
-    Found::now().toolchain(uses)
-}
-
 /// What `cargo xtask test` does.
-pub const TEST: [Use; 4] = [Use::Build, Use::Fuzz, Use::Page, Use::Python];
-
-/// Reports whether everything that the tests need is there, and what is missing.
-pub fn check(install: bool) -> Result<()> {
-    let chip = match provide(&TEST, install)? {
-        Toolchain::Rustup => "rustup's compiler, which has the target",
-        Toolchain::Debian => "Debian's compiler, with the source of the core library and rust-lld",
-    };
-    let browsers = match found(&[Use::Playground]) {
-        Ok(Toolchain::Rustup) => "rustup's compiler, which has the target",
-        Ok(Toolchain::Debian) => "Debian's compiler, with the source of the standard library",
-        Err(_) => "no compiler: `cargo xtask playground` says what it takes",
-    };
-    println!(
-        "for the chip: {chip}\nfor the page as a file: {browsers}\nfor libFuzzer: a C++ compiler\nfor `haptic view`: a browser\nfor the package: Python\nnothing is missing"
-    );
-    Ok(())
-}
+pub const TEST: [Use; 1] = [Use::Build];
+/// What `cargo xtask test --deep` does.
+pub const DEEP: [Use; 5] = [Use::Build, Use::Fuzz, Use::Page, Use::Playground, Use::Python];
 
 fn succeeds(program: &str, arguments: &[&str]) -> bool {
     Command::new(program).args(arguments).output().is_ok_and(|output| output.status.success())
@@ -272,18 +256,18 @@ mod tests {
         Found { chip: false, browsers: false, runs: runs.to_vec(), linker: linker.map(Into::into) }
     }
 
-    /// What a fresh Debian had after `--install`: everything but the linker, whose package nothing depends on.
+    /// What a fresh Debian had after the first packages: everything but the linker, on which nothing depends.
     #[test]
     fn a_compiler_without_a_linker_is_found_out_before_it_compiles() {
         let after = found(&[Tool::Compiler, Tool::Cargo, Tool::Core, Tool::Cpp, Tool::Browser, Tool::Python], None);
-        let missing = after.missing(&TEST);
+        let missing = after.missing(&DEEP);
         assert_eq!(missing, [Tool::Linker]);
         assert_eq!(after.packages(&missing), ["rust-web-llvm"]);
         // With that the link is there, and leads nowhere.
         let then = found(&after.runs, Some("lld-22"));
-        assert_eq!(then.packages(&then.missing(&TEST)), ["lld-22"]);
+        assert_eq!(then.packages(&then.missing(&DEEP)), ["lld-22"]);
         let at_last = found(&[&after.runs[..], &[Tool::Linker]].concat(), Some("lld-22"));
-        assert!(at_last.missing(&TEST).is_empty());
+        assert!(at_last.missing(&DEEP).is_empty());
         // Lints need one tool more, and say so before they begin.
         assert_eq!(at_last.missing(&[Use::Clippy]), [Tool::Clippy]);
     }
@@ -291,8 +275,8 @@ mod tests {
     #[test]
     fn everything_that_is_missing_is_named_at_once_with_one_line_that_brings_it() {
         let bare = found(&[], None);
-        let missing = bare.missing(&TEST);
-        let text = bare.complaint(&TEST, &missing);
+        let missing = bare.missing(&DEEP);
+        let text = bare.complaint(&DEEP, &missing);
         for tool in &missing {
             assert!(text.contains(tool.name()), "{tool:?} in\n{text}");
         }
@@ -305,8 +289,10 @@ mod tests {
     fn what_rustup_has_is_not_asked_of_debian_and_nobody_needs_what_no_stage_uses() {
         let rustup = Found { chip: true, ..found(&[], None) };
         assert!(rustup.missing(&[Use::Build, Use::Clippy]).is_empty());
-        assert_eq!(rustup.missing(&TEST), [Tool::Cpp, Tool::Browser, Tool::Python]);
-        assert!(!rustup.complaint(&TEST, &[Tool::Cpp, Tool::Browser]).contains("rustup"));
+        assert!(rustup.missing(&TEST).is_empty());
+        let both = Found { browsers: true, ..rustup.clone() };
+        assert_eq!(both.missing(&DEEP), [Tool::Cpp, Tool::Browser, Tool::Python]);
+        assert!(!both.complaint(&DEEP, &[Tool::Cpp, Tool::Browser]).contains("rustup"));
         // The page as a file takes another target.
         let complaint = rustup.toolchain(&[Use::Playground]).unwrap_err().to_string();
         assert!(complaint.contains("rust-web-src") && complaint.ends_with("rustup target add wasm32-unknown-unknown"));

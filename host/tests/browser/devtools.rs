@@ -12,7 +12,7 @@ pub const PATIENCE: Duration = Duration::from_secs(90);
 
 const NAMES: [&str; 3] = ["chromium", "chromium-browser", "google-chrome"];
 const MISSING: &str = "no Chromium on this computer: apt-get install -y --no-install-recommends chromium (on Debian, as root; \
-                       `cargo xtask tools --install` does the same)";
+                       `cargo xtask test --deep browser` does the same as root)";
 
 /// A browser with a profile of its own.
 pub struct Browser {
