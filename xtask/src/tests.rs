@@ -45,7 +45,11 @@ pub const PARTS: [Part; 15] = [
     Part { name: "python", what: "The package for Python, with MuJoCo and Dask", run: python::test },
     Part { name: "fuzzing", what: "Wild input for everything that reads any", run: fuzzing },
     Part { name: "counts", what: "Instructions of the control step", run: |_| bench::check() },
-    Part { name: "emulated", what: "Everything that is tested of the images on the emulated chip", run: emulated_suite },
+    Part {
+        name: "emulated",
+        what: "Everything that is tested of the images on the emulated chip",
+        run: emulated_suite,
+    },
 ];
 
 /// What every change passes.

@@ -163,10 +163,7 @@ impl Found {
         for tool in missing {
             text += &format!("    {}\n", tool.name());
         }
-        text += &format!(
-            "On Debian, as root:\n    {}\n",
-            self.install_line(missing)
-        );
+        text += &format!("On Debian, as root:\n    {}\n", self.install_line(missing));
         let by_hand = |tool: &&Tool| matches!(tool, Tool::Cpp | Tool::Browser | Tool::Python);
         let rest: Vec<&str> = missing.iter().filter(by_hand).map(|tool| tool.name()).collect();
         if rest.len() < missing.len() {
