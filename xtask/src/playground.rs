@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::{Context as _, Result, ensure};
 
 use crate::paths::{root, target_directory};
-use crate::toolchain::{BROWSERS, Use, cargo, run};
+use crate::toolchain::{BROWSERS, Use, run};
 use crate::tools;
 
 /// What the file may do: run what is in it, worker and library included. Nothing of the network is for it.
@@ -34,14 +34,6 @@ pub fn build() -> Result<PathBuf> {
     fs::write(&path, &page).with_context(|| format!("cannot write {}", path.display()))?;
     println!("{}: {:.1} MB; open it in a browser", path.display(), 1e-6 * page.len() as f64);
     Ok(path)
-}
-
-/// Builds it and opens it in a browser.
-pub fn test() -> Result<()> {
-    tools::provide(&[Use::Page])?;
-    let path = build()?;
-    let test = ["test", "--locked", "--package", "haptic", "--test", "browser", "--", "--ignored", "as_a_file"];
-    run(cargo().current_dir(root()).args(test).env("HAPTIC_PLAYGROUND", path))
 }
 
 /// The page with everything in it.
