@@ -81,7 +81,10 @@ fn told(rows: &[Row], stiffness: f64) {
     let pressing = rows.iter().filter(|row| state(row) == f64::from(State::Armed as u8)).rev().take(200);
     let mean = |field| pressing.clone().map(|row| row.get(field)[0]).sum::<f64>() / 200.0;
     let (force, depth) = (mean(Field::WallForce), -mean(Field::Distance));
-    assert!((force - PUSH).abs() < 0.08 * PUSH && (depth * stiffness - force).abs() < 0.02 * PUSH, "{force} N, {depth} m");
+    assert!(
+        (force - PUSH).abs() < 0.08 * PUSH && (depth * stiffness - force).abs() < 0.02 * PUSH,
+        "{force} N, {depth} m"
+    );
     for row in rows {
         assert!(row.get(Field::WallForce)[0] == 0.0 || row.get(Field::Distance)[0] < 0.0, "{row:?}");
         let armed = state(row) == f64::from(State::Armed as u8);
