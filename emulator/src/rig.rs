@@ -78,7 +78,7 @@ impl Rig {
     ///
     /// # Panics
     ///
-    /// When the firmware does not come up on USB within two virtual seconds.
+    /// When the firmware does not come up on USB within two virtual seconds, or a bridge is on before.
     #[must_use]
     pub fn empty(kind: impl Into<&'static Wiring>) -> Self {
         Self::with_plant(kind.into(), Box::new(Dummy::default()), None)
@@ -116,6 +116,7 @@ impl Rig {
         let hardware = Hardware::new(kind, plant).expect("the board's description is sound");
         let mut board = VirtualBoard::start(firmware(kind), hardware).unwrap_or_else(|error| panic!("{error}"));
         assert!(board.run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready()), "no USB after two seconds");
+        assert!(!board.with(|stopped| stopped.hardware().peaks.driven), "a bridge was on before USB was ready");
         let shared = Shared::new(board);
         let tool = Board::over(shared.wire(), "virtual").unwrap_or_else(|error| panic!("{error}"));
         let mut rig = Self { kind, shared, tool, file };
