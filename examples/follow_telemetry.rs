@@ -1,4 +1,4 @@
-//! Follows what a board does and says what was lost: `cargo run --example follow_telemetry [PORT]`, by default on a
+//! Follows what a board does and says what was lost: `cargo run -p haptic --example follow_telemetry [PORT]`, by default on a
 //! simulated board. PORT is what `haptic --port` takes.
 
 use haptic::haptic_bridge::board::telemetry::Field;

@@ -1,4 +1,4 @@
-//! A hand presses into a wall: `cargo run --example press_a_wall`. Board, device and hand are simulated; to a real
+//! A hand presses into a wall: `cargo run -p haptic --example press_a_wall`. Board, device and hand are simulated; to a real
 //! board a program talks in the same way, opened by `Board::open(&"SERIAL_NUMBER".parse()?)`.
 
 use haptic::device_file::DeviceFile;
@@ -10,8 +10,9 @@ use std::time::Duration;
 
 /// Runs it.
 pub fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let device = DeviceFile::load("devices/coupled-five-bar.toml")?;
-    let scene = SceneFile::load("devices/scenes/coupled-five-bar/wall.toml", device.spec().task)?;
+    let device = DeviceFile::load(concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/coupled-five-bar.toml"))?;
+    let scene = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/scenes/coupled-five-bar/wall.toml");
+    let scene = SceneFile::load(scene, device.spec().task)?;
     let simulated = SharedBoard::new(ready_board(&device, BoardOptions::default())?);
     let mut board = Board::over(simulated.wire(), "sim")?;
     board.set_scene(&scene.scene()?)?;

@@ -1,4 +1,4 @@
-//! A program pushes: `cargo run --example push_from_the_host [PORT]`, by default on a simulated board. A spring between
+//! A program pushes: `cargo run -p haptic --example push_from_the_host [PORT]`, by default on a simulated board. A spring between
 //! the tip and where it was is computed here, and a floor 5 mm below it is handed to the board, which renders it at its
 //! own rate.
 

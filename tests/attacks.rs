@@ -1,6 +1,7 @@
 //! Attacks that once worked: one valid request each, on the whole service or the servo.
 
-mod rig;
+use crate::rig::board::Board;
+use crate::rig::{self, Rig, five_bar, hardware, rules, scene};
 use haptic_bridge::board::protocol::*;
 use haptic_bridge::board::settings::{self, Key};
 use haptic_bridge::model::precomputed::MassModelData;
@@ -9,8 +10,6 @@ use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::servo::{Command, HostAction, Rules};
 use nalgebra::{Matrix2, Vector2};
-use rig::board::Board;
-use rig::{Rig, five_bar, hardware, rules, scene};
 
 // ---- 1: a mass model that is no mass turns two walls round
 #[test]

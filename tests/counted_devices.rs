@@ -1,9 +1,8 @@
 //! The devices whose instructions are counted are those that ship: benches/chip/devices.rs has their numbers once more,
 //! because the image on the chip reads no TOML.
 
-use haptic::device_file::DeviceFile;
+use crate::common::device_file;
 use haptic_bridge::model::description::{Description, Joint};
-use std::path::Path;
 
 #[path = "../benches/chip/devices.rs"]
 mod devices;
@@ -29,8 +28,7 @@ fn the_devices_that_are_counted_are_those_that_ship() {
         ("serial-3r", devices::SERIAL_3R),
     ];
     for (name, counted) in counted {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("devices").join(format!("{name}.toml"));
-        let shipped = DeviceFile::load(path).expect("a device that ships").description;
+        let shipped = device_file::shipped(name);
         let numbers = |of: &Description| {
             let links = of
                 .links

@@ -1,15 +1,13 @@
 //! Limits act at every crest of the carrier, at every control rate, whatever the step is asked for and whatever filters
 //! the scene has.
 
-mod rig;
-
+use crate::rig::{self, RATE, RATES, Rig, hardware, limits, paddle, quiet, rules, scene, wall};
 use haptic_bridge::drive::stage::{Duty, MAX_DUTY};
 use haptic_bridge::render::velocity::{Coefficients, Estimator};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::Command;
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::{Counts, Currents};
-use rig::{RATE, RATES, Rig, hardware, limits, paddle, quiet, rules, scene, wall};
 
 #[test]
 fn limits_hold_whatever_the_step_is_asked_for() {

@@ -1,8 +1,7 @@
 //! What is fast is what is general, number for number: a crest in one pass against the same crest piece by piece, and a
 //! current loop far from its limits against the one for any time.
 
-mod rig;
-
+use crate::rig::{self, device, five_bar, hardware, paddle, scene, wall};
 use haptic_bridge::drive::brushed::Axis;
 use haptic_bridge::drive::carrier::Carrier;
 use haptic_bridge::drive::stage::{Bridge, Stage, Supply};
@@ -18,7 +17,6 @@ use haptic_bridge::servo::host_force::ForceRequest;
 use haptic_bridge::servo::joints::Currents;
 use haptic_bridge::servo::program::Program;
 use haptic_bridge::servo::{Command, HostAction, Rules, Servo};
-use rig::{device, five_bar, hardware, paddle, scene, wall};
 use std::collections::BTreeSet;
 
 /// Numbers drawn in turn.

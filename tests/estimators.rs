@@ -1,8 +1,7 @@
 //! The estimators that watch joints: each against its definition, with the counts of a real encoder, in the board's
 //! precision.
 
-mod rig;
-
+use crate::rig;
 use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::model::mechanism::AnyMechanism;
 use haptic_bridge::render::controller::Controller;

@@ -1,8 +1,8 @@
 //! A scene that replaces another while the motors are on: what acted before fades out without a step, and is held to
 //! the tip's limit wherever the tip goes meanwhile.
 
-mod rig;
-
+use crate::rig::statics::worth;
+use crate::rig::{Rig, five_bar, hardware, limits, rules, scene, wall};
 use haptic_bridge::board::protocol::{ForceDone, ForceRequest};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Spring, Surface, Wall};
@@ -10,8 +10,6 @@ use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::servo::{Command, Rules};
 use nalgebra::Vector2;
-use rig::statics::worth;
-use rig::{Rig, five_bar, hardware, limits, rules, scene, wall};
 
 /// Torque on its way through a current and back.
 const ROUNDING: f64 = 1.0e-3;

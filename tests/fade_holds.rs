@@ -1,15 +1,13 @@
 //! What fades, between the steps in which it is held to the tip's limit.
 
-mod rig;
-
+use crate::rig::statics::worth;
+use crate::rig::{Rig, five_bar, hardware, limits, rules, scene};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::render::scene::{Scene, Spring};
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::servo::{Command, Rules};
 use nalgebra::Vector2;
-use rig::statics::worth;
-use rig::{Rig, five_bar, hardware, limits, rules, scene};
 
 fn force(rig: &Rig) -> f64 {
     let frame = rig.servo.frame();

@@ -2,7 +2,7 @@
 //! rendered directions, on flat and on curved walls and in corners; with the washout a resting hand feels no sideways
 //! force.
 
-use haptic::device_file::DeviceFile;
+use crate::common::device_file;
 use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::model::description::{Description, Encoder};
 use haptic_bridge::model::device::Device;
@@ -19,8 +19,7 @@ const RATE: f64 = 1_000.0;
 const COUNTS: f64 = 1.0e9;
 
 fn shipped(name: &str) -> Description {
-    let path = format!("{}/devices/{name}.toml", env!("CARGO_MANIFEST_DIR"));
-    let mut device = DeviceFile::load(path).expect("a shipped device").description;
+    let mut device = device_file::shipped(name);
     for joint in &mut device.joints {
         joint.encoder = Some(Encoder { counts_per_turn: COUNTS, offset: 0.0, inverted: false });
     }

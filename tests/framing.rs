@@ -1,5 +1,6 @@
 //! Frames on the wire are those of COBS, as the `cobs` crate has it, whatever is in them and however they are cut.
 
+use crate::common::cases;
 use haptic_bridge::board::framing::{Decoder, encode, most_on_wire};
 use haptic_bridge::board::protocol::MAX_FRAME;
 use proptest::collection::vec;
@@ -76,6 +77,8 @@ fn what_is_no_frame_is_skipped_and_the_next_one_found() {
 }
 
 proptest! {
+    #![proptest_config(cases(256))]
+
     #[test]
     fn the_crate_reads_what_is_written_and_the_other_way_round(frame in bytes()) {
         let wire = on_wire(&frame);

@@ -4,12 +4,10 @@
 //! hardware or another part of the firmware finds reach the servo as `Servo::trip` and are provoked on the emulated
 //! chip by the tests of emulator/. A fault that is neither does not compile here.
 
-mod rig;
-
+use crate::rig::{self, RATE, Rig, five_bar, hardware, quiet, rules, scene, wall};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::joints::Counts;
 use haptic_bridge::servo::{Command, HostAction};
-use rig::{RATE, Rig, five_bar, hardware, quiet, rules, scene, wall};
 
 /// How a fault is provoked.
 enum Origin {
@@ -280,7 +278,7 @@ fn an_index_may_come_late_by_what_the_joint_moved_and_is_learned_only_at_rest() 
     assert_eq!(shown((0, 1_000), (0, 61_003)), None);
 }
 
-/// `UPDATE_DOCS=1 cargo test --test guard` writes it anew.
+/// `UPDATE_DOCS=1 cargo test guard` writes it anew.
 #[test]
 fn the_table_in_the_documentation_is_the_table_of_the_code() {
     const BEGIN: &str = "<!-- faults: written by tests/guard.rs -->\n";
@@ -292,7 +290,7 @@ fn the_table_in_the_documentation_is_the_table_of_the_code() {
     if std::env::var_os("UPDATE_DOCS").is_some() {
         std::fs::write(&path, format!("{head}{BEGIN}{}{END}{tail}", table())).expect("docs/safety.md can be written");
     } else {
-        assert_eq!(committed, table(), "run UPDATE_DOCS=1 cargo test --test guard");
+        assert_eq!(committed, table(), "run UPDATE_DOCS=1 cargo test guard");
     }
 }
 

@@ -1,10 +1,8 @@
 //! The control step over long times, far angles, wrapping counters, into singularities, and fed with what is no number.
 
-#[allow(dead_code, reason = "the page's rows are asserted in tests/hard_cases/")]
-#[path = "hard_cases/page.rs"]
-mod page;
-mod rig;
-
+use crate::common::device_file::shipped;
+use crate::hard_cases::rows::steps::{controller, counts, encoded, scene, three};
+use crate::rig::{self, Rig};
 use haptic_bridge::drive::stage::MAX_DUTY;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Description;
@@ -17,9 +15,6 @@ use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::servo::joints::Counts;
 use haptic_bridge::servo::program::Program;
 use nalgebra::{SVector, Vector2, Vector3};
-use page::shipped;
-use page::steps::{controller, counts, encoded, scene, three};
-use rig::Rig;
 
 const COUNTS_PER_TURN: i32 = 1_048_576;
 

@@ -1,14 +1,13 @@
 //! A motor's thermal budget holds whatever is said about the motor: devices with and without it, rules, restarts.
 
-mod rig;
-
+use crate::common::cases;
+use crate::rig::{self, Rig, hardware, paddle, rules, scene, wall};
 use core::sync::atomic::{AtomicU32, Ordering};
 use haptic_bridge::drive::heat::{Heat, KEPT, WORDS, keep, kept};
 use haptic_bridge::model::motor::Motor;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::servo::{Command, Rules};
 use proptest::prelude::*;
-use rig::{Rig, hardware, paddle, rules, scene, wall};
 
 /// A motor that stands `most` (A) for 4 s and `steady` (A) for ever.
 fn motor_of(most: f32, steady: f32) -> Heat {
@@ -230,7 +229,7 @@ fn event() -> impl Strategy<Value = Event> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(500) })]
+    #![proptest_config(cases(500))]
 
     /// Beside it the most that a motor can have cooled whatever counted when: the integral of i² - c² with the largest
     /// continuous current c that was allowed so far.

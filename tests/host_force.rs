@@ -1,8 +1,8 @@
 //! Force from the host: how long it lives, what is not taken and why, that it shares the limits with the walls, and
 //! that contacts move without a step of force.
 
-mod rig;
-
+use crate::rig::statics::{torques, worth};
+use crate::rig::{self, RATE, Rig, five_bar, hardware, rules, scene, wall};
 use haptic_bridge::board::protocol::{BadForce, ForceAnswer, ForceDone, ForceRequest, HostContact};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::host_force::{
@@ -11,8 +11,6 @@ use haptic_bridge::servo::host_force::{
 use haptic_bridge::servo::joints::Torques;
 use haptic_bridge::servo::{Command, HostAction, Rules};
 use nalgebra::Vector2;
-use rig::statics::{torques, worth};
-use rig::{RATE, Rig, five_bar, hardware, rules, scene, wall};
 
 /// What rounding does to a torque on its way through a current and back.
 const ROUNDING: f32 = 1.0e-5;

@@ -1,10 +1,8 @@
 //! A host that falls silent, and what the rules say about it.
 
-mod rig;
-
+use crate::rig::Rig;
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::{Command, HostAction};
-use rig::Rig;
 
 #[test]
 fn a_fault_while_the_host_is_only_listed_as_silent_is_told_as_itself() {

@@ -1,7 +1,6 @@
 //! A mechanism needs nothing but its own file: a toy one, and a wall on it.
 
-mod rig;
-
+use crate::rig;
 use haptic_bridge::math::{Angle, Math, Real};
 use haptic_bridge::model::catalogue::Spec;
 use haptic_bridge::model::description::{Description, DescriptionError};

@@ -3,10 +3,8 @@
 //! Mass matrix, gravity and tip are compared with rigid bodies placed one by one (common/bodies.rs); velocity terms
 //! with derivatives of the mass matrix; each hand-written kernel of the control step with the matrices it stands for.
 
-mod common;
-
-use common::bodies::{derivative, dynamics, place};
-use common::{Draw, NUMBERS, determinant, device, inverse};
+use crate::common::bodies::{derivative, dynamics, place};
+use crate::common::{Draw, NUMBERS, cases, determinant, device, inverse};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Description;
@@ -377,7 +375,7 @@ fn check_board(kind: Kind, numbers: &[f64]) -> Outcome {
 macro_rules! properties {
     ($($kind:ident: $exact:ident $board:ident;)*) => {
         proptest! {
-            #![proptest_config(ProptestConfig { cases: 96, max_global_rejects: 8192, ..ProptestConfig::default() })]
+            #![proptest_config(ProptestConfig { max_global_rejects: 8192, ..cases(96) })]
             $(
                 #[test]
                 fn $exact(numbers in prop::collection::vec(0.0..1.0, NUMBERS)) {

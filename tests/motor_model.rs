@@ -1,11 +1,9 @@
 //! What the model of a motor shows and what it does not mistake for a fault: sensors that lie or that a board has not,
 //! open and warm windings, encoders that stand still.
 
-mod rig;
-
+use crate::rig::{RATES, Rig, hardware, paddle, quiet, rules, scene, wall};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::Command;
-use rig::{RATES, Rig, hardware, paddle, quiet, rules, scene, wall};
 
 /// The largest current of motor 0 from here until the bridges float, A, and the fault; `None` where they do not within
 /// 50 ms.

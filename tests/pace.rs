@@ -1,5 +1,6 @@
 //! The pace of the control loop, looked at every 20 ms as the firmware does, for loops whose rate is known.
 
+use crate::common::cases;
 use haptic_bridge::safety::pace::{Pace, Verdict};
 use proptest::prelude::*;
 
@@ -101,6 +102,8 @@ fn no_number_makes_it_panic() {
 }
 
 proptest! {
+    #![proptest_config(cases(256))]
+
     /// Looks come up to a fifth of their time early or late, as a task's do.
     #[test]
     fn a_loop_at_its_rate_is_never_found_wrong(rate in 200_u32..50_000, share in 0.999_f64..1.001, late in prop::array::uniform16(0_u64..4_000)) {

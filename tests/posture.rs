@@ -2,9 +2,7 @@
 //!
 //! Expectations are Newton's law solved here, M q̈ + c + g = τ with the controller's torque, by elimination.
 
-mod common;
-
-use common::inverse;
+use crate::common::{device_file, inverse};
 use core::f64::consts::TAU;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::{Description, Encoder};
@@ -20,8 +18,7 @@ const RATE: f64 = 20_000.0;
 type Steps = Controller<f64, Serial3r<f64>, Libm, 3>;
 
 fn shipped(name: &str) -> Description {
-    let path = format!("{}/devices/{name}.toml", env!("CARGO_MANIFEST_DIR"));
-    let mut description = haptic::device_file::DeviceFile::load(path).expect("a shipped device").description;
+    let mut description = device_file::shipped(name);
     description.gravity = [0.0; 3];
     for joint in &mut description.joints {
         joint.encoder = Some(Encoder { counts_per_turn: COUNTS_PER_TURN, offset: 0.0, inverted: false });

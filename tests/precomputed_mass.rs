@@ -1,7 +1,7 @@
 //! Frozen and tabulated mass matrices: what they are worth against the closed form, and what a damaged one is refused
 //! for.
 
-use haptic::device_file::DeviceFile;
+use crate::common::device_file::shipped;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism};
 use haptic_bridge::model::precomputed::{
@@ -13,8 +13,8 @@ use nalgebra::SVector;
 
 const DEVICES: [&str; 4] = ["haply-2diy", "fictive-five-bar-turret", "phantom-premium-1.5", "serial-3r"];
 
-fn device(name: &str) -> DeviceFile {
-    DeviceFile::load(format!("{}/devices/{name}.toml", env!("CARGO_MANIFEST_DIR"))).unwrap()
+fn mechanism(name: &str) -> AnyMechanism<f64> {
+    AnyMechanism::new(&shipped(name)).expect("a sound device")
 }
 
 /// Largest difference of M E, relative to the largest entry, between a table and the closed form on a net of 63 x 63
@@ -61,9 +61,8 @@ fn every(interpolation: Interpolation, points: u8) -> Vec<f64> {
     DEVICES
         .iter()
         .map(|name| {
-            let device = device(name);
-            let home = device.description.home.unwrap();
-            with_mechanism!(&device.mechanism, m => worst(m, &home, interpolation, points))
+            let home = shipped(name).home.expect("a shipped device has a home");
+            with_mechanism!(&mechanism(name), m => worst(m, &home, interpolation, points))
         })
         .collect()
 }
@@ -94,8 +93,7 @@ fn a_table_within_the_memory_keeps_the_torque_of_every_device_within_a_thousandt
 
 #[test]
 fn outside_its_grid_a_table_is_the_closed_form() {
-    let device = device("haply-2diy");
-    let AnyMechanism::FiveBar(m) = device.mechanism else { panic!() };
+    let AnyMechanism::FiveBar(m) = mechanism("haply-2diy") else { panic!() };
     let grid = Grid::new(Interpolation::Bilinear, [4, 4], [2.0, 0.6], [2.5, 1.0], 3).unwrap();
     let values = vec![f64::NAN; grid.values(3)];
     let table = MassModel::table::<FiveBar<f64>>(&grid, &values).unwrap();
@@ -118,8 +116,7 @@ fn outside_its_grid_a_table_is_the_closed_form() {
 
 #[test]
 fn the_edges_of_the_grid_belong_to_it() {
-    let device = device("haply-2diy");
-    let AnyMechanism::FiveBar(m) = device.mechanism else { panic!() };
+    let AnyMechanism::FiveBar(m) = mechanism("haply-2diy") else { panic!() };
     for interpolation in [Interpolation::Bilinear, Interpolation::Bicubic] {
         // Spacing and corners are exact in binary.
         let grid = Grid::new(interpolation, [6, 6], [2.0, 0.5], [2.5, 1.0], 3).unwrap();
@@ -189,13 +186,8 @@ fn a_table_is_complete_only_when_every_chunk_came_in_order_and_unchanged() {
 
 #[test]
 fn the_boards_precision_costs_a_table_nothing() {
-    let device = device("haply-2diy");
-    let AnyMechanism::FiveBar(m) =
-        haptic_bridge::model::mechanism::AnyMechanism::<f32>::new(&device.description).unwrap()
-    else {
-        panic!()
-    };
-    let AnyMechanism::FiveBar(exact) = device.mechanism else { panic!() };
+    let Ok(AnyMechanism::FiveBar(m)) = AnyMechanism::<f32>::new(&shipped("haply-2diy")) else { panic!() };
+    let AnyMechanism::FiveBar(exact) = mechanism("haply-2diy") else { panic!() };
     let grid = Grid::<f32>::new(Interpolation::Bicubic, [15, 15], [2.0, 0.5], [2.6, 1.1], 3).unwrap();
     let mut values = vec![0.0; grid.values(3)];
     tabulate::<f32, BoardMath, _, 2>(&m, &grid, |index, value| values[index] = value);

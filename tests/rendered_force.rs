@@ -1,14 +1,12 @@
 //! What is recorded as force is what was asked for, what was left of it, and which motor fell short.
 
-mod rig;
-
+use crate::rig::{COUNTS, RATE, Rig, five_bar, hardware, rules, scene, wall};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::{FeedForward, Plane, Surface};
 use haptic_bridge::render::velocity::Washout;
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::servo::frame::{Motors, StepRecord};
 use haptic_bridge::servo::{Command, Rules};
-use rig::{COUNTS, RATE, Rig, five_bar, hardware, rules, scene, wall};
 
 /// A paddle of 0.1 m in a wall of 1 kN/m at -0.05 m, so many metres deep; its motor may push with 0.3 N m, so 3 N.
 fn pressed(depth: f64) -> Rig {

@@ -4,8 +4,8 @@
 //! The board of tests/rig/board.rs checks after each of them what no request may change: no torque but when armed,
 //! limits kept, none raised while the motors are on, no flash written and no timer set while they are.
 
-mod rig;
-
+use crate::rig::board::{Board, frame};
+use crate::rig::{self, device, five_bar};
 use haptic_bridge::board::protocol::*;
 use haptic_bridge::board::settings::{self, BoardName, Key};
 use haptic_bridge::board::telemetry::{Fields, StreamRequest};
@@ -21,8 +21,6 @@ use haptic_bridge::servo::{Command, Rules};
 use postcard_rpc::Endpoint;
 use postcard_rpc::header::VarHeader;
 use postcard_rpc::standard_icd::WireError;
-use rig::board::{Board, frame};
-use rig::{device, five_bar};
 
 /// The states a board can be in, as a tool meets them.
 #[derive(Clone, Copy, Debug, PartialEq)]

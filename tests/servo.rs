@@ -1,7 +1,6 @@
 //! What the servo refuses, what it keeps, and how it comes on and goes off.
 
-mod rig;
-
+use crate::rig::{self, RATE, Rig, five_bar, hardware, limits, paddle, rules, scene, wall};
 use core::f64::consts::TAU;
 use haptic_bridge::drive::stage::Duty;
 use haptic_bridge::render::controller::Gains;
@@ -12,7 +11,6 @@ use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::joints::{Counts, Torques};
 use haptic_bridge::servo::{ARM_SECONDS, Command, HostAction, Rules};
-use rig::{RATE, Rig, five_bar, hardware, limits, paddle, rules, scene, wall};
 
 fn gains(stiffness: f32, damping: f32, feed_forward: FeedForward) -> Command<rig::Held> {
     let washout = Washout::new(2.0, RATE).unwrap();
@@ -540,7 +538,7 @@ fn the_polarity_check_starts_with_a_clean_slate() {
 fn commands_in_any_order_never_move_a_disarmed_device() {
     use proptest::prelude::*;
     let command = (0_u8..10, any::<f32>());
-    proptest!(ProptestConfig::with_cases(200), |(script in proptest::collection::vec((command, -50_i32..50), 1..60))| {
+    proptest!(crate::common::cases(200), |(script in proptest::collection::vec((command, -50_i32..50), 1..60))| {
         let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 250.0)]));
         let mut armed = false;
         for ((which, number), moved) in script {

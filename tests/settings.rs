@@ -1,7 +1,6 @@
 //! Settings come back as they were, or are refused; a layout that changes without its version turns these tests red.
 
-mod rig;
-
+use crate::rig;
 use haptic_bridge::board::settings::{BoardName, Damage, Key, LONGEST_SETTING, Polarity, Setting, decode, encode};
 use haptic_bridge::checksum::crc32;
 use haptic_bridge::model::description::Description;
@@ -242,7 +241,7 @@ fn a_backup_in_words_of_that_time_reads_too() {
 }
 
 /// What boards in the field hold: these bytes were written once and must decode to the same values for ever, or their
-/// version must change. `UPDATE_GOLDEN=1 cargo test --test settings` rewrites them after a version was raised.
+/// version must change. `UPDATE_GOLDEN=1 cargo test settings` rewrites them after a version was raised.
 #[test]
 fn entries_written_by_earlier_firmware_are_byte_for_byte_what_this_one_writes() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/settings.txt");

@@ -1,8 +1,7 @@
 //! What stands between a joint's torque and its motor is anything that implements `Stage`: two toys, in the servo that
 //! ships. Limits, watch and thermal budget hold for them as for a brushed motor.
 
-mod rig;
-
+use crate::rig::{COUNTS, device, hardware, limits, paddle, rules, scene, wall};
 use haptic_bridge::drive::stage::{Bridge, Stage, Supply};
 use haptic_bridge::math::Math;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
@@ -13,7 +12,6 @@ use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::Currents;
 use haptic_bridge::servo::program::Program;
 use haptic_bridge::servo::{Command, Servo};
-use rig::{COUNTS, device, hardware, limits, paddle, rules, scene, wall};
 
 /// An amplifier that closes the current loop itself: its set-point is all that it is told.
 #[derive(Clone, Copy, Debug, Default)]

@@ -1,9 +1,7 @@
 //! Straight steps against the general one, whatever the device, the scene and the motion: the same numbers bit for bit, but
 //! for torques, which a straight step may put together in another order: those within a few roundings of their parts.
 
-mod common;
-
-use common::{Draw, NUMBERS, device};
+use crate::common::{Draw, NUMBERS, device};
 use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Encoder;

@@ -1,8 +1,7 @@
 //! A program that takes the place of another keeps what does not change with a scene. Whatever it keeps is what the same
 //! program has that comes first.
 
-mod rig;
-
+use crate::rig::{COUNTS, Rig, five_bar, hardware, limits, paddle, quiet, rules, scene, wall};
 use haptic_bridge::drive::carrier::Carrier;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::render::scene::Scene;
@@ -11,7 +10,6 @@ use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::Counts;
 use haptic_bridge::servo::{Command, Rules};
-use rig::{COUNTS, Rig, five_bar, hardware, limits, paddle, quiet, rules, scene, wall};
 
 /// Everything that is held ready of stages, bounds and limits.
 fn ready(rig: &Rig) -> String {

@@ -1,5 +1,6 @@
 //! Telemetry tells every step it holds, and what it does not hold can be counted exactly.
 
+use crate::common::cases;
 use haptic_bridge::board::telemetry::{BATCH_BYTES, Batch, Field, Fields, Frames, Packer, StreamRequest};
 use haptic_bridge::render::found::{At, AtWalls};
 use haptic_bridge::safety::fault::State;
@@ -97,6 +98,8 @@ fn fields_that_do_not_exist_are_not_sent() {
 }
 
 proptest! {
+    #![proptest_config(cases(256))]
+
     #[test]
     fn every_step_is_either_in_a_batch_or_counted_as_lost(
         divider in 1_u32..5,

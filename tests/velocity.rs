@@ -1,7 +1,6 @@
 //! The velocity estimators: the transfer function of the usual digital designs, in single precision as in double.
 
-mod rig;
-
+use crate::rig;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::velocity::{

@@ -3,9 +3,7 @@
 //! Expectations are equations of motion solved here: M q̈ + c + g = τ with the controller's torque, and inertias from
 //! J and M by elimination. Nothing of the library's inertia module is asked.
 
-mod common;
-
-use common::inverse;
+use crate::common::{device_file, inverse};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::{Description, Encoder};
 use haptic_bridge::model::device::Device;
@@ -23,9 +21,7 @@ const RATE: f64 = 50_000.0;
 
 /// Weightless, so that the walls' forces are all there is.
 fn shipped(name: &str) -> Description {
-    let path = format!("{}/devices/{name}.toml", env!("CARGO_MANIFEST_DIR"));
-    let file = haptic::device_file::DeviceFile::load(path).expect("a shipped device");
-    let mut description = file.description;
+    let mut description = device_file::shipped(name);
     description.gravity = [0.0; 3];
     for joint in &mut description.joints {
         joint.encoder = Some(Encoder { counts_per_turn: COUNTS_PER_TURN, offset: 0.0, inverted: false });

@@ -18,9 +18,6 @@ pub struct Body {
     inertia: Vector3<f64>,
 }
 
-/// A link in its plane: proximal end and direction.
-type InPlane = (Vector2<f64>, Vector2<f64>);
-
 /// The bodies of a device at joint angles `q`, and its task position (φ last on the redundant arm).
 pub fn place(device: &Description, q: &[f64]) -> (Vec<Body>, Vector3<f64>) {
     let g = device.geometry;

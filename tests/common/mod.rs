@@ -1,12 +1,28 @@
-//! What several tests share: devices drawn at random, and the mechanics of bodies from first principles.
-#![allow(dead_code)]
+//! What several tests share: devices that ship and devices drawn at random, the mechanics of bodies from first
+//! principles, and the seeds of random cases.
 
 pub mod bodies;
+pub mod device_file;
 
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::catalogue::{MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
 use haptic_bridge::model::description::{Description, Joint, Link};
 use nalgebra::SMatrix;
+use proptest::test_runner::{Config, RngSeed};
+use std::hash::{BuildHasher, RandomState};
+
+/// So many cases of a property, the same in every run; with `HAPTIC_FRESH_SEEDS` set, others in each, and
+/// `PROPTEST_RNG_SEED` brings those of a printed seed back.
+pub fn cases(cases: u32) -> Config {
+    let default = Config::default();
+    let rng_seed = match default.rng_seed {
+        RngSeed::Random if std::env::var_os("HAPTIC_FRESH_SEEDS").is_none() => RngSeed::Fixed(34),
+        RngSeed::Random => RngSeed::Fixed(RandomState::new().hash_one(0)),
+        asked => asked,
+    };
+    println!("PROPTEST_RNG_SEED={rng_seed}");
+    Config { cases, rng_seed, failure_persistence: None, ..default }
+}
 
 /// A stream of numbers in [0, 1) handed out one by one; a test case is a list of them, so that it can be shrunk.
 pub struct Draw<'a>(pub std::slice::Iter<'a, f64>);

@@ -1,28 +1,30 @@
-//! Reads the golden cases beside this file.
+//! The golden cases of one wall (model.json): twenty random devices and motions of every mechanism, computed outside this
+//! repository in the terms of `haptic model --json`.
 
+use haptic_bridge::model::catalogue::Kind;
 use serde_json::Value;
-use std::path::Path;
 
-/// The cases of `file` whose id is `mechanism-NNN`.
-pub fn cases(file: &str, mechanism: &str) -> Vec<Value> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(file);
-    let text = std::fs::read_to_string(&path).expect("the golden file is there");
-    let mut document: Value = serde_json::from_str(&text).expect("the golden file is JSON");
-    let Value::Array(cases) = document["cases"].take() else { panic!("{file} has no cases") };
-    let of_mechanism = |case: &Value| {
-        let id = text_of(&case["id"]).to_string();
-        id.rsplit_once('-').is_some_and(|(kind, _)| kind == mechanism)
-    };
-    cases.into_iter().filter(of_mechanism).collect()
-}
+/// What f64 may be off by of the largest entry, and the board's f32 of the largest torque.
+pub const F64_TOLERANCE: f64 = 1.0e-9;
+pub const F32_TOLERANCE: f64 = 2.0e-4;
 
-fn text_of(value: &Value) -> &str {
-    value.as_str().expect("a string")
+/// A quantity's name there, and its entries, rows one after the other.
+pub type Quantity = (&'static str, Vec<f64>);
+
+/// All cases.
+pub fn cases() -> Vec<Value> {
+    let mut document: Value = serde_json::from_str(include_str!("model.json")).expect("the golden file is JSON");
+    let Value::Array(cases) = document["cases"].take() else { panic!("no cases") };
+    for kind in Kind::ALL {
+        let of_kind = |case: &&Value| text(&case["id"]).rsplit_once('-').is_some_and(|(id, _)| id == kind.spec().name);
+        assert_eq!(cases.iter().filter(of_kind).count(), 20, "{kind:?}");
+    }
+    cases
 }
 
 /// A string of a case.
 pub fn text(value: &Value) -> &str {
-    text_of(value)
+    value.as_str().expect("a string")
 }
 
 /// A number of a case.
@@ -32,18 +34,19 @@ pub fn number(value: &Value) -> f64 {
 
 /// A list of numbers, rows one after the other.
 pub fn list(value: &Value) -> Vec<f64> {
-    value
-        .as_array()
-        .expect("a list")
-        .iter()
-        .flat_map(|entry| if entry.is_array() { list(entry) } else { vec![number(entry)] })
-        .collect()
+    value.as_array().map_or_else(|| vec![number(value)], |entries| entries.iter().flat_map(list).collect())
 }
 
-/// The largest difference over the largest entry of `scale`; the difference itself where everything is zero.
-pub fn worst(found: &[f64], expected: &[f64], scale: &[f64]) -> f64 {
-    assert_eq!(found.len(), expected.len(), "{found:?} against {expected:?}");
-    let largest = scale.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
-    let error = found.iter().zip(expected).fold(0.0_f64, |error, (a, b)| error.max((a - b).abs()));
-    if largest > 0.0 { error / largest } else { error }
+/// Each is what the case expects within this share of the largest entry, or of `tolerance` itself where all are zero.
+pub fn agree(case: &Value, found: &[Quantity], tolerance: f64) {
+    for (name, found) in found {
+        let expected = list(&case["expect"][*name]);
+        assert_eq!(found.len(), expected.len(), "{name}");
+        // A difference of two inertias: its digits are theirs.
+        let scale = if *name == "coupling" { list(&case["expect"]["w_rr"]) } else { expected.clone() };
+        let largest = scale.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
+        let error = found.iter().zip(&expected).fold(0.0_f64, |error, (a, b)| error.max((a - b).abs()));
+        let error = if largest > 0.0 { error / largest } else { error };
+        assert!(error <= tolerance, "{}: {name} is {found:?}, not {expected:?} ({error:e})", case["id"]);
+    }
 }

@@ -1,13 +1,12 @@
 //! A board that is the servo, the service and the dispatcher, and nothing else: frames in, frames out, one call a
 //! control period. What the safety tests and the fuzzer drive; after every call it holds itself to what no request may
 //! change.
-#![allow(dead_code, reason = "every test file uses its own part")]
+#![allow(dead_code, reason = "the library's tests, the tool's and the fuzzer each use their part")]
 
-use haptic::sim::{LocalMachine, SettingsFlash};
-use haptic_bridge::board::dispatch::{self, After};
-use haptic_bridge::board::protocol::{Info, MAX_FRAME, PROTOCOL};
-use haptic_bridge::board::service::Service;
-use haptic_bridge::board::settings::Entry;
+use haptic_bridge::board::dispatch::{self, After, Described};
+use haptic_bridge::board::protocol::{ForceAnswer, ForceRequest, Info, MAX_FRAME, PROTOCOL};
+use haptic_bridge::board::service::{Machine, Measured, Service};
+use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::board::telemetry::Packer;
 use haptic_bridge::drive::stage::{Bridge, MAX_DUTY};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
@@ -15,20 +14,92 @@ use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::Limits;
+use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::servo::frame::Samples;
-use haptic_bridge::servo::program::Hardware;
-use haptic_bridge::servo::{HostAction, Rules};
+use haptic_bridge::servo::program::{Hardware, Program};
+use haptic_bridge::servo::{Command, HostAction, Reply, Rules, Servo, Status};
 use postcard_rpc::Endpoint;
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use postcard_rpc::standard_icd::{ERROR_KEY, WireError};
 use serde::{Serialize, de::DeserializeOwned};
 use std::collections::BTreeMap;
 
-/// How it introduces itself.
-fn info() -> Info {
-    let text = |text: &str| text.chars().collect();
-    Info { protocol: PROTOCOL, firmware: text("0.0.0"), board: text("bench"), serial: "B1".chars().collect() }
+/// Settings in memory, by their keys.
+#[derive(Default)]
+pub struct Flash {
+    /// Those that count: what the next start reads.
+    pub kept: BTreeMap<u8, Entry>,
+    /// Writing fails from now on.
+    pub broken: bool,
+    staged: BTreeMap<u8, Entry>,
+}
+
+/// What the service reaches: the servo itself, and settings in memory. It panics at what the service must not do while
+/// the motors are on.
+pub struct Bench {
+    pub servo: Servo<Box<Program<BoardMath>>>,
+    pub flash: Flash,
+    /// How often the carrier was set: once for every program that came in force.
+    pub retimed: u32,
+}
+
+impl Bench {
+    fn writes(&self) -> Result<(), Refusal> {
+        assert!(!self.servo.status().state.drives(), "flash is written while the motors are on");
+        if self.flash.broken { Err(Refusal::Flash) } else { Ok(()) }
+    }
+}
+
+impl Machine for Bench {
+    type Math = BoardMath;
+    type Held = Box<Program<BoardMath>>;
+
+    fn execute(&mut self, command: Command<Self::Held>) -> Reply<Self::Held> {
+        self.servo.execute(command)
+    }
+    fn status(&mut self) -> Status {
+        self.servo.status()
+    }
+    fn force(&mut self, request: &ForceRequest) -> ForceAnswer {
+        self.servo.force(request)
+    }
+    fn place(&mut self, program: Program<BoardMath>) -> Result<Self::Held, Refusal> {
+        Ok(Box::new(program))
+    }
+    fn release(&mut self, _held: Self::Held) {}
+    fn retime(&mut self, _rate_hz: f32) {
+        assert!(!self.servo.status().state.drives(), "the timer is set while the motors are on");
+        self.retimed += 1;
+    }
+    fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
+        self.writes()?;
+        self.flash.staged.insert(key as u8, Entry::from_slice(entry).map_err(|_| Refusal::Flash)?);
+        Ok(())
+    }
+    fn staged(&mut self, key: Key) -> Option<Entry> {
+        self.flash.staged.get(&(key as u8)).cloned()
+    }
+    fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal> {
+        self.writes()?;
+        let mut staged = core::mem::take(&mut self.flash.staged);
+        let named: Option<Vec<_>> = keys.iter().map(|key| staged.remove_entry(&(*key as u8))).collect();
+        self.flash.kept.extend(named.ok_or(Refusal::Flash)?);
+        Ok(())
+    }
+    fn load(&mut self, key: Key) -> Option<Entry> {
+        self.flash.kept.get(&(key as u8)).cloned()
+    }
+}
+
+impl Described for Bench {
+    fn info(&self) -> Info {
+        let text = |text: &str| text.chars().collect();
+        Info { protocol: PROTOCOL, firmware: text("0.0.0"), board: text("bench"), serial: "B1".chars().collect() }
+    }
+    fn measured(&mut self) -> Measured {
+        Measured::default()
+    }
 }
 
 /// Whether anything that protects is looser in these rules than it was `before`.
@@ -57,7 +128,7 @@ fn looser(now: &Rules, before: &Rules) -> bool {
 
 /// The board.
 pub struct Board {
-    pub machine: LocalMachine,
+    pub machine: Bench,
     pub service: Service,
     pub samples: Samples,
     /// Index pulses that are seen until the next control period.
@@ -85,7 +156,11 @@ impl Board {
         let hardware = Hardware { axes: MAX_JOINTS, real, bus_sensed: true, bridge, timer_hz: 168_000_000 };
         let most = Limits::default();
         let mut board = Self {
-            machine: LocalMachine::new(hardware, info(), 0.5),
+            machine: Bench {
+                servo: Servo::new(hardware, Rules::default()),
+                flash: Flash { kept: flash, ..Flash::default() },
+                retimed: 0,
+            },
             service: Service::new(hardware, most),
             samples: Samples { bus_voltage: 24.0, ..Samples::default() },
             marks: None,
@@ -97,7 +172,6 @@ impl Board {
             most,
             plain: false,
         };
-        board.machine.flash = SettingsFlash::holding(flash);
         board.service.boot(&mut board.machine);
         board.tick();
         board

@@ -1,15 +1,14 @@
 //! Torques never jump: their slopes over the angle between walls, over their stiffness ratio and over depth stay below
 //! bounds that do not depend on how finely one looks.
 
-use super::{at, device, scaled, torque, torque_of_some};
-use haptic::device_file::DeviceFile;
-use haptic::model::Precision;
+use super::{Precision, Shipped, at, device, scaled, torque, torque_of_some};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Encoder;
 use haptic_bridge::model::device::Device;
-use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism};
 use haptic_bridge::render::controller::{Controller, TOUCH_DEPTH};
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
@@ -30,7 +29,7 @@ fn slope(low: f64, high: f64, steps: u32, mut f: impl FnMut(f64) -> Vec<f64>) ->
 }
 
 /// Devices, poses and bases (three directions across each other) to turn normals in.
-fn stages() -> Vec<(DeviceFile, Vec<f64>)> {
+fn stages() -> Vec<(Shipped, Vec<f64>)> {
     vec![
         (device("coupled-five-bar"), vec![2.6, 1.75]),
         (device("serial-3r"), vec![0.4, 0.9, 0.7]),
@@ -58,7 +57,7 @@ const SOME: [(bool, [bool; 3]); 6] = [
 ];
 
 /// N m for each newton straight through Jᵀ or by (4) along any one direction: what slopes are measured in.
-fn lever(device: &DeviceFile, q: &[f64]) -> f64 {
+fn lever(device: &Shipped, q: &[f64]) -> f64 {
     let task = device.spec().task;
     let mut most = 0.0_f64;
     for i in 0..64 {
@@ -122,7 +121,7 @@ fn torque_is_continuous_in_the_ratio_of_stiffness() {
 /// Torques of a scene's first step at a fixed pose: walls (normal, stiffness, depth in m).
 fn step<M: Mechanism<f64, N>, const N: usize>(
     m: M,
-    file: &DeviceFile,
+    file: &Shipped,
     q: &[f64],
     walls: &[(Vec<f64>, f64, f64)],
 ) -> Vec<f64> {
@@ -132,7 +131,7 @@ fn step<M: Mechanism<f64, N>, const N: usize>(
 /// Torque for each newton of wall `pushing`, m: by the board's step, 1 and 1.1 mm deep, where all of them count in
 /// full.
 pub fn lever_of_the_board(
-    file: &DeviceFile,
+    file: &Shipped,
     q: &[f64],
     walls: &[(Vec<f64>, f64)],
     with: &[bool],
@@ -150,7 +149,7 @@ pub fn lever_of_the_board(
 /// As [`step`], some of the walls without the feed-forward.
 fn step_of_some<M: Mechanism<f64, N>, const N: usize>(
     m: M,
-    file: &DeviceFile,
+    file: &Shipped,
     q: &[f64],
     walls: &[(Vec<f64>, f64, f64)],
     with: &[bool],
@@ -295,4 +294,55 @@ fn walls_in_one_plane_are_one_wall_and_their_order_does_not_matter() {
         let twice: Vec<f64> = back.iter().map(|t| 2.0 * t).collect();
         assert!(apart(&twice, &torque(&device, &q, &doubled, Precision::F64)) < 1.0e-10, "{}", device.name);
     }
+}
+
+#[test]
+fn the_feed_forward_of_several_walls_fades_near_a_singularity() {
+    // On the way to a stretched elbow the share is below one, and the torque between Jᵀ F and the shaped one.
+    let file = device("coupled-five-bar");
+    let Ok(AnyMechanism::FiveBar(m)) = AnyMechanism::<f32>::new(&file.description) else { panic!("a five-bar") };
+    let mut description = file.description;
+    for joint in &mut description.joints {
+        joint.encoder = Some(Encoder { counts_per_turn: 1_048_576.0, offset: 0.0, inverted: false });
+    }
+    let device = Device::<f32>::new("device", &description).expect("a sound device");
+    let walls = |feed_forward| {
+        [[0.6, 0.8, 0.0], [-0.8, 0.6, 0.0]].map(|normal| Wall {
+            surface: Surface::Plane(Plane { point: [0.0, 0.4, 0.0], normal }),
+            stiffness: if normal[0] > 0.0 { 50.0 } else { 20.0 },
+            damping: 0.0,
+            feed_forward,
+            washout_hz: 2.0,
+            damping_compensation: false,
+            bilateral: true,
+        })
+    };
+    let step = |q: [f64; 2], feed_forward| {
+        let scene = Scene { task: 2, walls: walls(feed_forward).into_iter().collect(), ..Scene::default() };
+        let mut controller =
+            Controller::<f32, FiveBar<f32>, BoardMath, 2>::new(m, &device, &scene).expect("a sound scene");
+        controller.step(&q.map(|q| (q / std::f64::consts::TAU * 1_048_576.0).round() as i32))
+    };
+    let (mut last, mut shares, mut changed) = (None::<SVector<f32, 2>>, Vec::new(), 0.0_f32);
+    // The right arm is turned until its elbow stretches.
+    for k in 0..600 {
+        let q = [2.6, 1.75 + 1.0e-3 * f64::from(k)];
+        let (full, off) = (step(q, FeedForward::Full), step(q, FeedForward::Off));
+        if full.parallel <= 0.2 {
+            break;
+        }
+        assert!(full.torque.iter().all(|t| t.is_finite()));
+        changed = changed.max((full.torque - off.torque).amax());
+        shares.push(full.shaping);
+        if full.shaping == 0.0 {
+            assert!((full.torque - off.torque).amax() <= 1.0e-5, "{} {}", full.torque, off.torque);
+        }
+        if let Some(last) = last {
+            assert!((full.torque - last).amax() < 0.25, "{k}: {} after {last}", full.torque);
+        }
+        last = Some(full.torque);
+    }
+    let partly = shares.iter().filter(|share| **share > 0.0 && **share < 1.0).count();
+    assert!(changed > 0.01 && shares.first() == Some(&1.0), "the walls are shaped: {changed} {:?}", shares.first());
+    assert!(partly > 3, "{partly} poses in the fade of {}", shares.len());
 }

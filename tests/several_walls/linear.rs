@@ -1,9 +1,7 @@
 //! Sampled loops of sets of walls, built here from M and J alone and judged by their eigenvalues.
 
 use super::continuity::lever_of_the_board;
-use super::{Random, at, device, scaled, torque_of_some};
-use haptic::device_file::DeviceFile;
-use haptic::model::Precision;
+use super::{Precision, Random, Shipped, at, device, scaled, torque_of_some};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::with_mechanism;
@@ -15,7 +13,7 @@ const CUTOFF: f64 = 100.0;
 const DAMPING_SECONDS: f64 = 3.0e-3;
 
 /// M and the tip rows of J at a pose, if it is well away from singularities.
-pub fn matrices(device: &DeviceFile, q: &[f64]) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
+pub fn matrices(device: &Shipped, q: &[f64]) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
     fn of<const N: usize, M: Mechanism<f64, N>>(m: &M, q: &[f64]) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
         let pose = m.pose::<Libm>(&SVector::from_column_slice(q));
         let regularity = m.regularity(&pose);
@@ -41,12 +39,12 @@ pub struct Case {
 
 impl Case {
     /// Walls (normal, stiffness) with the feed-forward, or plainly through Jᵀ.
-    pub fn new(device: &DeviceFile, q: &[f64], walls: &[(Vec<f64>, f64)], feed_forward: bool) -> Option<Self> {
+    pub fn new(device: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64)], feed_forward: bool) -> Option<Self> {
         Self::of_some(device, q, walls, &vec![feed_forward; walls.len()])
     }
 
     /// As [`Case::new`], the feed-forward being that of the walls that are `with` it.
-    pub fn of_some(device: &DeviceFile, q: &[f64], walls: &[(Vec<f64>, f64)], with: &[bool]) -> Option<Self> {
+    pub fn of_some(device: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64)], with: &[bool]) -> Option<Self> {
         let (mass, jacobian) = matrices(device, q)?;
         let task = jacobian.nrows();
         let normals = DMatrix::from_fn(walls.len(), task, |i, j| walls[i].0[j]);
@@ -144,7 +142,7 @@ pub fn limit(case: &Case, critical: f64) -> f64 {
     found
 }
 
-pub fn devices() -> Vec<DeviceFile> {
+pub fn devices() -> Vec<Shipped> {
     [
         "coupled-five-bar",
         "haply-2diy",
@@ -159,7 +157,7 @@ pub fn devices() -> Vec<DeviceFile> {
 }
 
 /// A regular pose near the device's home.
-pub fn pose(device: &DeviceFile, random: &mut Random) -> Vec<f64> {
+pub fn pose(device: &Shipped, random: &mut Random) -> Vec<f64> {
     let home = device.description.home.expect("a shipped device has a home");
     loop {
         let q: Vec<f64> = (0..device.spec().joints).map(|i| home[i] + random.between(-0.5, 0.5)).collect();

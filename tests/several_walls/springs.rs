@@ -2,8 +2,7 @@
 //! and the torques of the board's own step.
 
 use super::linear::{devices, matrices, pose};
-use super::{Random, at, device, scaled};
-use haptic::device_file::DeviceFile;
+use super::{Random, Shipped, at, device, scaled};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Encoder;
 use haptic_bridge::model::device::Device;
@@ -30,10 +29,10 @@ fn three(v: &[f64]) -> [f64; 3] {
 
 /// Torques of the board's first step where all of the set lies `shift` (m) from the tip; the plane 1 cm further along
 /// its normal.
-fn torque(file: &DeviceFile, q: &[f64], set: &Set, shift: &[f64]) -> DVector<f64> {
+fn torque(file: &Shipped, q: &[f64], set: &Set, shift: &[f64]) -> DVector<f64> {
     fn of<M: Mechanism<f64, N>, const N: usize>(
         m: M,
-        file: &DeviceFile,
+        file: &Shipped,
         q: &[f64],
         set: &Set,
         shift: &[f64],
@@ -100,7 +99,7 @@ fn stiffness(set: &Set, task: usize) -> DMatrix<f64> {
 
 /// Eigenvalues of the loop at a stiffness of 1 N/m: of the tip's acceleration per displacement, 1/s². The first by the
 /// board's torques, the second by Jᵀ alone.
-fn modes(file: &DeviceFile, q: &[f64], set: &Set) -> [Vec<Complex<f64>>; 2] {
+fn modes(file: &Shipped, q: &[f64], set: &Set) -> [Vec<Complex<f64>>; 2] {
     let (mass, jacobian) = matrices(file, q).expect("a regular pose");
     let task = jacobian.nrows();
     let step = 1.0e-3;
@@ -123,7 +122,7 @@ fn largest(modes: &[Complex<f64>]) -> f64 {
 
 /// Asserts that the set is as real masses, none lighter than without the feed-forward, and returns how much heavier the
 /// lightest is.
-fn heavier(file: &DeviceFile, q: &[f64], set: &Set) -> f64 {
+fn heavier(file: &Shipped, q: &[f64], set: &Set) -> f64 {
     let [board, plain] = modes(file, q, set);
     let without = largest(&plain);
     for mode in &board {
@@ -167,7 +166,7 @@ fn no_set_of_walls_and_springs_is_less_stable_with_the_feed_forward_than_without
 }
 
 /// The demo's wall, and a direction half way between its normal and Λ times that.
-fn between(file: &DeviceFile, q: &[f64]) -> (Vec<f64>, Vec<f64>) {
+fn between(file: &Shipped, q: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let n = at(75_f64.to_radians());
     let (mass, jacobian) = matrices(file, q).expect("a regular pose");
     let back = jacobian.try_inverse().expect("a square Jacobian");

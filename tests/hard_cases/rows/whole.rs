@@ -1,7 +1,5 @@
 //! The whole of equation (4) as the analysis computes it, in double precision: everything that an `Inertia` holds.
 
-use super::singular::Row;
-use super::{Table, digits};
 use haptic_bridge::math::{Math, Real};
 use haptic_bridge::model::inertia::Inertia;
 use haptic_bridge::model::mechanism::Mechanism;
@@ -45,22 +43,4 @@ fn share<A: Real, B: Real, const R: usize, const C: usize>(a: &SMatrix<A, R, C>,
     let (a, b) = (a.map(|x| x.to_f64()), b.map(|x| x.to_f64()));
     let error = (a - b).amax() / b.amax();
     if error.is_nan() { f64::INFINITY } else { error }
-}
-
-/// The rows as the page shows them.
-pub fn table(rows: &[Row]) -> Table {
-    let mut table = Table::new(
-        "Equation (4) in the analysis",
-        "Everything that the analysis computes of (4) for one wall, `Inertia`, in f64 with the sines of `FineTable`, \
-         at the poses and normals of the first table and moving: largest errors against 106 bits, of Weff relative to \
-         it, of all else as a share of the largest entry.",
-        &["device", "singularity", "at", "W", "Weff", "z", "f_a", "torque"],
-    );
-    for row in rows {
-        let WholeErrors { w, w_eff, z, f_a, torque } = row.whole;
-        let mut cells = row.words().to_vec();
-        cells.extend([w, w_eff, z, f_a, torque].map(digits));
-        table.push(cells);
-    }
-    table
 }

@@ -1,9 +1,9 @@
 //! Poses at a chosen conditioning of J on the way into each kind of singularity, and the routes' errors there.
 
-use super::double_double::{DoubleDouble, Series};
 use super::routes::{Errors, routes};
+use super::shipped;
 use super::whole::{WholeErrors, whole};
-use super::{Table, digits, shipped};
+use super::{Exact, ExactMath};
 use haptic_bridge::math::{FineTable, Libm, Real};
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::mechanism::Mechanism;
@@ -66,26 +66,10 @@ pub struct Row {
     pub board: Errors,
     /// Of double precision.
     pub double: Errors,
-    /// How far the routes disagree in 106 bits.
+    /// How far the routes disagree in the reference.
     pub reference: f64,
     /// Of the whole of (4) in double precision.
     pub whole: WholeErrors,
-}
-
-impl Row {
-    /// The device, and into which singularity how far.
-    pub fn words(&self) -> [String; 3] {
-        let at = match self.target {
-            Target::Condition(condition) => format!("cond {condition:.0e}"),
-            Target::Sine(sine) => format!("sine {sine:.2}"),
-        };
-        let what = match self.singularity {
-            Singularity::Elbow => "elbow",
-            Singularity::Axis => "axis",
-            Singularity::Rods => "rods",
-        };
-        [self.device.into(), what.into(), at]
-    }
 }
 
 /// A reproducible stream of numbers (Steele, Lea and Flood's SplitMix64).
@@ -226,7 +210,7 @@ fn row<A, B, C, const N: usize>(
 where
     A: Mechanism<f64, N>,
     B: Mechanism<f32, N>,
-    C: Mechanism<DoubleDouble, N>,
+    C: Mechanism<Exact, N>,
 {
     let mut random = Random(7);
     let mut row = Row {
@@ -258,11 +242,11 @@ where
                 n[i] = 0.0;
             }
             let qd: SVector<f32, N> = cast(&at_hand_speed(double, &cast(&q), random.vector(1.0)));
-            let exact = routes::<_, Series, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n));
+            let exact = routes::<_, ExactMath, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n));
             row.board.grow(&Errors::new(&routes::<_, BoardMath, _, N>(board, &q, &qd, &n), &exact));
             row.double.grow(&Errors::new(&routes::<_, Libm, _, N>(double, &cast(&q), &cast(&qd), &cast(&n)), &exact));
             let held = whole::<_, FineTable, _, N>(double, &cast(&q), &cast(&qd), &cast(&n));
-            row.whole.grow(&held, &whole::<_, Series, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n)));
+            row.whole.grow(&held, &whole::<_, ExactMath, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n)));
             row.reference = Errors::new(&exact, &exact).all().into_iter().fold(row.reference, f64::max);
         }
     }
@@ -301,42 +285,4 @@ pub fn all() -> Vec<Row> {
     .into_iter()
     .flat_map(|(name, device, singularity)| rows(name, &device, singularity))
     .collect()
-}
-
-/// The rows as the page shows them.
-pub fn table(rows: &[Row]) -> Table {
-    let mut table = Table::new(
-        "Into the singularities",
-        "Largest relative error in f32 with minimax sines (torques: share of the largest entry) over random poses on \
-         the way into a singularity and random normals, against 106 bits; the last two columns in f64. *elbow*: an arm \
-         stretches or folds (serial), *axis*: the tip comes onto the turret's axis (serial), *rods*: the closed loop \
-         stretches or folds (parallel). Moving: up to 1 rad/s at every joint and 0.5 m/s at the tip. cond J counts φ in mean link lengths. Rows \
-         without a pose (f32 angles are further apart than that) are left out.",
-        &[
-            "device",
-            "singularity",
-            "at",
-            "poses",
-            "least sine",
-            "Weff, Schur form",
-            "Weff, 1/(Jr M⁻¹ Jrᵀ)",
-            "Weff, 1/(nᵀ Λ⁻¹ n)",
-            "Wrr, T⁻¹ by elimination",
-            "Wrr, nᵀ Λ n",
-            "**Wrr, board**",
-            "Jᵀ n",
-            "**torque, board**",
-            "**moving, board**",
-            "f64: Schur",
-            "f64: moving",
-        ],
-    );
-    for row in rows {
-        let mut cells = row.words().to_vec();
-        cells.extend([row.poses.to_string(), digits(row.regularity)]);
-        cells.extend(row.board.all().map(digits));
-        cells.extend([row.double.w_eff_schur, row.double.torque_moving].map(digits));
-        table.push(cells);
-    }
-    table
 }

@@ -1,10 +1,9 @@
 //! Velocity estimators with cutoffs from a ten-thousandth to almost half of the rate, in f32.
 //!
 //! The library's state-variable form against the usual direct form of the same transfer function, both in f32, both fed
-//! the same positions as f32 holds them; the reference is the direct form in 106 bits.
+//! the same positions as f32 holds them; the truth is the direct form in the reference.
 
-use super::double_double::{DoubleDouble, Series};
-use super::{Table, digits};
+use super::{Exact, ExactMath};
 use haptic_bridge::math::{Math, Real};
 use haptic_bridge::render::velocity::{Coefficients, Estimator, Velocity};
 
@@ -20,7 +19,7 @@ pub struct Row {
     /// What the direct form in f32 makes of them.
     pub direct_swing: f64,
     pub direct_gain: f64,
-    /// How far the two forms differ in 106 bits.
+    /// How far the two forms differ in the reference.
     pub reference: f64,
 }
 
@@ -36,17 +35,18 @@ struct Direct<T> {
 }
 
 impl<T: Real> Direct<T> {
-    fn new(ratio: f64) -> Self {
-        let one: DoubleDouble = 1.0.into();
-        let (s, c) = Series::sin_cos(DoubleDouble::from(std::f64::consts::PI) * ratio.into());
+    /// With the exact coefficients in the numbers of the filter.
+    fn new(ratio: f64, rounded: impl Fn(Exact) -> T) -> Self {
+        let exact = Exact::from_f64;
+        let one = exact(1.0);
+        let (s, c) = ExactMath::sin_cos(exact(std::f64::consts::PI) * exact(ratio));
         let k = s / c;
-        let norm = one / (one + k * (k + std::f64::consts::SQRT_2.into()));
+        let root = exact(std::f64::consts::SQRT_2);
+        let norm = one / (one + k * (k + root));
         let b0 = k * k * norm;
-        let two: DoubleDouble = 2.0.into();
-        let a1 = two * (k * k - one) * norm;
-        let a2 = (one + k * (k - std::f64::consts::SQRT_2.into())) * norm;
-        let round = |x: DoubleDouble| T::from_f64(x.high) + T::from_f64(x.low);
-        Self { b: [round(b0), round(two * b0), round(b0)], a: [round(a1), round(a2)], s: [T::zero(); 2], last: None }
+        let b = [b0, exact(2.0) * b0, b0].map(&rounded);
+        let a = [exact(2.0) * (k * k - one) * norm, (one + k * (k - root)) * norm].map(rounded);
+        Self { b, a, s: [T::zero(); 2], last: None }
     }
 
     fn step(&mut self, position: T) -> T {
@@ -59,28 +59,27 @@ impl<T: Real> Direct<T> {
 }
 
 /// Largest errors over the last half of a motion, as shares of the largest velocity: (state variable in f32, direct
-/// form in f32, state variable in 106 bits).
+/// form in f32, state variable in the reference).
 fn errors(ratio: f64, motion: impl Fn(f64) -> f64) -> [f64; 3] {
     let steps = (20.0 / ratio).clamp(4_000.0, 100_000.0) as u32;
     let kind = Estimator::Butterworth;
     let valid = "a cutoff below half the rate";
     let board = Coefficients::<f32>::new(kind, RATE as f32, (ratio * RATE) as f32).expect(valid);
-    let exact =
-        Coefficients::<DoubleDouble>::new(kind, DoubleDouble::from_f64(RATE), DoubleDouble::from_f64(ratio * RATE))
-            .expect(valid);
+    let exact = Coefficients::<Exact>::new(kind, Exact::from_f64(RATE), Exact::from_f64(ratio * RATE)).expect(valid);
     let begin = motion(0.0) as f32;
-    let (mut v, mut check) = (Velocity::resting_at(begin), Velocity::resting_at(DoubleDouble::from(f64::from(begin))));
-    let (mut direct, mut reference) = (Direct::<f32>::new(ratio), Direct::<DoubleDouble>::new(ratio));
+    let (mut v, mut check) = (Velocity::resting_at(begin), Velocity::resting_at(Exact::from_f64(f64::from(begin))));
+    let (mut direct, mut reference) =
+        (Direct::<f32>::new(ratio, |x| x.to_f64() as f32), Direct::<Exact>::new(ratio, |x| x));
     let (mut worst, mut largest) = ([0.0_f64; 3], 0.0_f64);
     for k in 0..steps {
         let x = motion(f64::from(k) / f64::from(steps)) as f32;
-        let precise: DoubleDouble = f64::from(x).into();
-        let truth = reference.step(precise);
-        let found = [f64::from(v.step(&board, x)), f64::from(direct.step(x)), check.step(&exact, precise).high];
+        let precise = Exact::from_f64(f64::from(x));
+        let truth = reference.step(precise).to_f64();
+        let found = [f64::from(v.step(&board, x)), f64::from(direct.step(x)), check.step(&exact, precise).to_f64()];
         if k >= steps / 2 {
-            largest = largest.max(truth.high.abs());
+            largest = largest.max(truth.abs());
             for (worst, found) in worst.iter_mut().zip(found) {
-                *worst = worst.max((found - truth.high).abs());
+                *worst = worst.max((found - truth).abs());
             }
         }
     }
@@ -97,21 +96,4 @@ pub fn all() -> Vec<Row> {
             Row { ratio, swing, gain, direct_swing, direct_gain, reference: a.max(b) }
         })
         .collect()
-}
-
-/// The rows as the page shows them.
-pub fn table(rows: &[Row]) -> Table {
-    let mut table = Table::new(
-        "Velocity filters",
-        "The second-order Butterworth estimator at 20 kHz, f32 against 106 bits fed the same f32 positions; errors as \
-         shares of the largest velocity, over six swings across 20 cm and at constant speed once settled. The direct form \
-         (II transposed) is what textbooks give; the board runs the state-variable form.",
-        &["cutoff/rate", "**swing, board**", "**gain, board**", "swing, direct form", "gain, direct form"],
-    );
-    for row in rows {
-        let mut cells = vec![format!("{:e}", row.ratio)];
-        cells.extend([row.swing, row.gain, row.direct_swing, row.direct_gain].map(digits));
-        table.push(cells);
-    }
-    table
 }

@@ -1,10 +1,10 @@
 //! Inertia ratios up to a million, links of a millimetre and of ten metres, masses of a milligram and of 100 kg.
 
-use super::double_double::{DoubleDouble, Series};
 use super::routes::{Errors, Routes, routes};
+use super::shipped;
 use super::singular::{Random, cast};
-use super::{Table, digits, shipped};
-use haptic_bridge::math::Libm;
+use super::{Exact, ExactMath};
+use haptic_bridge::math::{Libm, Real};
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::servo::compiled::BoardMath;
@@ -31,7 +31,7 @@ fn row<A, B, C, const N: usize>((double, board, reference): (&A, &B, &C), device
 where
     A: Mechanism<f64, N>,
     B: Mechanism<f32, N>,
-    C: Mechanism<DoubleDouble, N>,
+    C: Mechanism<Exact, N>,
 {
     let mut random = Random(11);
     let mut row = Row { device, case, ratio: 0.0, board: Errors::default(), double: Errors::default() };
@@ -44,14 +44,14 @@ where
         }
         poses += 1;
         let qd: SVector<f32, N> = cast(&random.vector::<N>(1.0));
-        let mut worst: Option<(f64, SVector<f32, N>, Routes<DoubleDouble, N>)> = None;
+        let mut worst: Option<(f64, SVector<f32, N>, Routes<Exact, N>)> = None;
         for _ in 0..NORMALS {
             let mut n: SVector<f32, N> = cast(&random.vector::<N>(1.0));
             for i in A::SPEC.task..N {
                 n[i] = 0.0;
             }
-            let exact = routes::<_, Series, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n));
-            let ratio = (exact.w_rr_kernel / exact.w_eff_joint).high;
+            let exact = routes::<_, ExactMath, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n));
+            let ratio = (exact.w_rr_kernel / exact.w_eff_joint).to_f64();
             if worst.as_ref().is_none_or(|(most, ..)| ratio > *most) {
                 worst = Some((ratio, n, exact));
             }
@@ -145,42 +145,4 @@ pub fn all() -> Vec<Row> {
         }
     }
     rows
-}
-
-/// The rows as the page shows them.
-pub fn table(rows: &[Row]) -> Table {
-    let mut table = Table::new(
-        "Extreme devices",
-        "Shipped devices with every length and mass scaled (longest link, heaviest link), and with joint 0 made so heavy \
-         that Wrr/Weff reaches the ratio at the worst of 20 normals; random poses with sines above 0.2, moving at 1 \
-         rad/s. Errors in f32 against 106 bits.",
-        &[
-            "device",
-            "case",
-            "Wrr/Weff",
-            "Weff, Schur form",
-            "Weff, 1/(Jr M⁻¹ Jrᵀ)",
-            "**Wrr, board**",
-            "**torque, board**",
-            "**moving, board**",
-            "f64: moving",
-        ],
-    );
-    for row in rows {
-        let mut cells = vec![row.device.into(), row.case.clone(), format!("{:.3}", Short(row.ratio))];
-        let b = &row.board;
-        cells.extend([b.w_eff_schur, b.w_eff_joint, b.w_rr_kernel, b.torque, b.torque_moving].map(digits));
-        cells.push(digits(row.double.torque_moving));
-        table.push(cells);
-    }
-    table
-}
-
-/// A ratio in plain digits while it is small.
-struct Short(f64);
-
-impl std::fmt::Display for Short {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        if self.0 < 100.0 { write!(f, "{:.1}", self.0) } else { write!(f, "{:.0e}", self.0) }
-    }
 }

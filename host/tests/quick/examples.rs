@@ -1,12 +1,12 @@
 //! The example programs do what they say.
 
-#[path = "../examples/follow_telemetry.rs"]
+#[path = "../../../examples/follow_telemetry.rs"]
 mod follow_telemetry;
-#[path = "../examples/predict_range.rs"]
+#[path = "../../../examples/predict_range.rs"]
 mod predict_range;
-#[path = "../examples/press_a_wall.rs"]
+#[path = "../../../examples/press_a_wall.rs"]
 mod press_a_wall;
-#[path = "../examples/push_from_the_host.rs"]
+#[path = "../../../examples/push_from_the_host.rs"]
 mod push_from_the_host;
 
 #[test]
@@ -22,7 +22,7 @@ fn each_runs_to_its_end() {
 
 #[test]
 fn there_is_none_that_is_not_run() {
-    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("examples");
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples");
     let mut names: Vec<String> = std::fs::read_dir(folder)
         .expect("the folder of examples")
         .map(|entry| entry.expect("a readable entry").file_name().to_string_lossy().into_owned())

@@ -1,7 +1,7 @@
 //! The whole control step where it is hard: a hit at 10 m/s on a wall of 1e6 N/m, and a press on one.
 
+use super::shipped;
 use super::singular::Random;
-use super::{Table, digits, shipped};
 use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::model::description::{Description, Encoder};
 use haptic_bridge::model::device::Device;
@@ -203,21 +203,4 @@ pub fn all() -> Vec<Row> {
         each!(Paddle FiveBar FiveBarTurret Parallelogram Serial3r)
     })
     .collect()
-}
-
-/// The rows as the page shows them.
-pub fn table(rows: &[Row]) -> Table {
-    let mut table = Table::new(
-        "A wall of 1e6 N/m",
-        "The whole control step at 20 kHz, f32 against f64 fed the same encoder counts. *Hit*: ten runs at 10 m/s into a \
-         wall of 1e6 N/m and 100 N s/m, 1 cm deep, feed-forward in full with velocity terms and gravity; the torque's \
-         error as a share of the run's largest. *Press*: at rest, up to 1 mm deep; the force's error is the tip \
-         position's last digit in f32 times the stiffness.",
-        &["device", "largest force of the hit, N", "speed seen, m/s", "**hit, torque**", "**press, N**"],
-    );
-    for row in rows {
-        let cells = [format!("{:.0}", row.force), format!("{:.1}", row.speed), digits(row.hit), digits(row.press)];
-        table.push([row.device.to_string()].into_iter().chain(cells).collect());
-    }
-    table
 }

@@ -1,7 +1,6 @@
 //! Sets of walls on a simulated device in contact: the board's step in its own precision around the nonlinear linkage
 //! of the simulation, with limited motors.
 
-use super::device;
 use haptic::device_file::DeviceFile;
 use haptic::sim::{Hand, HandSettings, Intent, MotorInput, Options, SimulatedDevice, Waypoint};
 use haptic_bridge::model::description::Encoder;
@@ -14,11 +13,25 @@ use nalgebra::SVector;
 
 const RATE: f64 = 1_000.0;
 
+fn device(name: &str) -> DeviceFile {
+    DeviceFile::load(format!("{}/../devices/{name}.toml", env!("CARGO_MANIFEST_DIR"))).expect("a shipped device")
+}
+
+/// A unit vector at this angle, rad.
+fn at(angle: f64) -> Vec<f64> {
+    vec![angle.cos(), angle.sin()]
+}
+
+fn scaled(v: &[f64]) -> Vec<f64> {
+    let length = v.iter().map(|x| x * x).sum::<f64>().sqrt();
+    v.iter().map(|x| x / length).collect()
+}
+
 /// One wall: unit normal, share of stiffness and damping.
 type Facet = (Vec<f64>, f64);
 
 fn around(middle: f64, facets: &[(f64, f64)]) -> Vec<Facet> {
-    facets.iter().map(|(degrees, share)| (super::at(middle + degrees.to_radians()), *share)).collect()
+    facets.iter().map(|(degrees, share)| (at(middle + degrees.to_radians()), *share)).collect()
 }
 
 /// What walls through the tip's place do after a blow of 2 cm/s, or pressed on: the torque that still swings in the
@@ -216,7 +229,7 @@ fn a_press_that_is_quiet_without_velocity_terms_is_quiet_with_them() {
     let (mut pressed, mut quiet) = (0, 0);
     for stiffness in [2_000.0, 10_000.0, 15_000.0, 20_000.0] {
         for degrees in (0..12).map(|k| 15.0 + 30.0 * f64::from(k)) {
-            let normal = super::at(f64::to_radians(degrees));
+            let normal = at(f64::to_radians(degrees));
             for aim in [0.005, 0.01, 0.015, 0.02] {
                 let swing = |velocity_terms| {
                     let push = Some([-aim * normal[0], -aim * normal[1], 0.0]);
@@ -251,7 +264,7 @@ fn corners_that_are_stable_without_the_feed_forward_are_quiet_with_it() {
         (vec![(75.0, 1.0), (-15.0, 1.0), (30.0, 0.5)], 12_000.0),
     ] {
         let walls: Vec<Facet> =
-            angles.iter().map(|(degrees, share): &(f64, f64)| (super::at(degrees.to_radians()), *share)).collect();
+            angles.iter().map(|(degrees, share): &(f64, f64)| (at(degrees.to_radians()), *share)).collect();
         for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
             let run = Run { stiffness, damping: 0.002 * stiffness, ..demo(&file, feed_forward) };
             let swing = run.swing(&walls);
@@ -273,7 +286,7 @@ fn a_light_touch_beside_a_firm_press_is_quiet() {
         (165.0, 90.0, 2_000.0, 6_000.0),
         (75.0, -90.0, 2_000.0, 6_000.0),
     ] {
-        let [one, other] = [first, first + between].map(|degrees: f64| super::at(degrees.to_radians()));
+        let [one, other] = [first, first + between].map(|degrees: f64| at(degrees.to_radians()));
         for light in [0.02, 0.1] {
             let push = Some([0, 1, 2].map(|i| if i < 2 { -0.02 * (one[i] + light * other[i]) } else { 0.0 }));
             for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
@@ -292,9 +305,9 @@ fn a_light_touch_beside_a_firm_press_is_quiet() {
 #[test]
 fn a_spring_beside_a_wall_is_quiet_where_it_is_without_the_feed_forward() {
     let file = device("coupled-five-bar");
-    let normal = super::at(75_f64.to_radians());
+    let normal = at(75_f64.to_radians());
     for degrees in (0..12).map(|k| 15.0 * f64::from(k)) {
-        let line = super::at(f64::to_radians(degrees + 90.0));
+        let line = at(f64::to_radians(degrees + 90.0));
         for stiffness in [1_000.0, 4_000.0] {
             for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
                 let spring = Some(([0.0; 3], [line[0], line[1], 0.0], stiffness));
@@ -311,7 +324,7 @@ fn a_spring_beside_a_wall_is_quiet_where_it_is_without_the_feed_forward() {
 fn a_light_touch_of_a_wall_beside_a_stretched_spring_is_quiet() {
     let file = device("coupled-five-bar");
     for degrees in (0..12).map(|k| 15.0 + 30.0 * f64::from(k)) {
-        let n = super::at(f64::to_radians(degrees));
+        let n = at(f64::to_radians(degrees));
         let along = |far: f64| [far * n[0], far * n[1], 0.0];
         for far in [-0.02, 0.02] {
             for aim in [-0.021, -0.019, -0.01, 0.0, 0.015] {
@@ -338,11 +351,7 @@ fn edges_and_vertices_in_space_are_quiet_where_they_are_without() {
         (vec![(vec![0.6, 0.8, 0.0], 1.0), (vec![0.0, 0.6, 0.8], 1.0)], 2_000.0),
         (vec![(vec![1.0, 0.0, 0.0], 1.0), (vec![0.0, 1.0, 0.0], 0.3), (vec![0.0, 0.0, 1.0], 0.05)], 2_000.0),
         (
-            vec![
-                (super::scaled(&[0.1, 1.0, 0.0]), 1.0),
-                (super::scaled(&[-0.1, 1.0, 0.1]), 1.0),
-                (super::scaled(&[0.0, 1.0, -0.1]), 1.0),
-            ],
+            vec![(scaled(&[0.1, 1.0, 0.0]), 1.0), (scaled(&[-0.1, 1.0, 0.1]), 1.0), (scaled(&[0.0, 1.0, -0.1]), 1.0)],
             2_000.0,
         ),
     ] {
@@ -352,55 +361,4 @@ fn edges_and_vertices_in_space_are_quiet_where_they_are_without() {
             assert!(swing < QUIET, "{walls:?} {feed_forward:?}: {swing} N m");
         }
     }
-}
-
-#[test]
-fn the_feed_forward_of_several_walls_fades_near_a_singularity() {
-    // On the way to a stretched elbow the share is below one, and the torque between Jᵀ F and the shaped one.
-    let file = device("coupled-five-bar");
-    let Ok(AnyMechanism::FiveBar(m)) = AnyMechanism::<f32>::new(&file.description) else { panic!("a five-bar") };
-    let mut description = file.description;
-    for joint in &mut description.joints {
-        joint.encoder = Some(Encoder { counts_per_turn: 1_048_576.0, offset: 0.0, inverted: false });
-    }
-    let device = Device::<f32>::new("device", &description).expect("a sound device");
-    let walls = |feed_forward| {
-        [[0.6, 0.8, 0.0], [-0.8, 0.6, 0.0]].map(|normal| Wall {
-            surface: Surface::Plane(Plane { point: [0.0, 0.4, 0.0], normal }),
-            stiffness: if normal[0] > 0.0 { 50.0 } else { 20.0 },
-            damping: 0.0,
-            feed_forward,
-            washout_hz: 2.0,
-            damping_compensation: false,
-            bilateral: true,
-        })
-    };
-    let step = |q: [f64; 2], feed_forward| {
-        let scene = Scene { task: 2, walls: walls(feed_forward).into_iter().collect(), ..Scene::default() };
-        let mut controller =
-            Controller::<f32, FiveBar<f32>, BoardMath, 2>::new(m, &device, &scene).expect("a sound scene");
-        controller.step(&q.map(|q| (q / std::f64::consts::TAU * 1_048_576.0).round() as i32))
-    };
-    let (mut last, mut shares, mut changed) = (None::<SVector<f32, 2>>, Vec::new(), 0.0_f32);
-    // The right arm is turned until its elbow stretches.
-    for k in 0..600 {
-        let q = [2.6, 1.75 + 1.0e-3 * f64::from(k)];
-        let (full, off) = (step(q, FeedForward::Full), step(q, FeedForward::Off));
-        if full.parallel <= 0.2 {
-            break;
-        }
-        assert!(full.torque.iter().all(|t| t.is_finite()));
-        changed = changed.max((full.torque - off.torque).amax());
-        shares.push(full.shaping);
-        if full.shaping == 0.0 {
-            assert!((full.torque - off.torque).amax() <= 1.0e-5, "{} {}", full.torque, off.torque);
-        }
-        if let Some(last) = last {
-            assert!((full.torque - last).amax() < 0.25, "{k}: {} after {last}", full.torque);
-        }
-        last = Some(full.torque);
-    }
-    let partly = shares.iter().filter(|share| **share > 0.0 && **share < 1.0).count();
-    assert!(changed > 0.01 && shares.first() == Some(&1.0), "the walls are shaped: {changed} {:?}", shares.first());
-    assert!(partly > 3, "{partly} poses in the fade of {}", shares.len());
 }

@@ -4,10 +4,10 @@
 //! 106 bits (Lagrange's equations), so it shares nothing with the closed forms.
 
 use super::double_double::{DoubleDouble, Series};
-use super::routes::inverse;
-use super::singular::{Random, cast};
-use super::steps::{RATE, controller, encoded, scene, three};
-use super::{Table, digits, shipped};
+use super::rows::routes::inverse;
+use super::rows::singular::{Random, cast};
+use super::rows::steps::{RATE, controller, encoded, scene, three};
+use super::shipped;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::mechanism::Mechanism;
@@ -169,23 +169,4 @@ pub fn all() -> Vec<Row> {
         in_three_precisions!(&device, (a, b, c) => VelocityTerms::ALL.map(|(_, terms)| row((a, b, c), name, &device, terms)))
     })
     .collect()
-}
-
-/// The rows as the page shows them.
-pub fn table(rows: &[Row]) -> Table {
-    let mut table = Table::new(
-        "Velocity terms from estimated velocities",
-        "A tip sliding at 0.5 m/s along a wall that holds it with 5 N, at 20 kHz and a cutoff of 500 Hz, ten runs; all as shares \
-         of the largest torque. *Size*: what the velocity terms add. *Rounding*: f32 against f64 fed the same counts. *Against \
-         the truth*: f32 against (4) with the joints' true angles and velocities and velocity terms differentiated from M and J \
-         in 106 bits, so with what encoder steps make of the estimate and with what the terms leave out of it for the doubt of a \
-         count ([model.md](model.md)).",
-        &["device", "velocity terms", "size", "**rounding**", "against the truth, 20 000 counts", "2²⁰ counts"],
-    );
-    for row in rows {
-        let (terms, _) = VelocityTerms::ALL.into_iter().find(|(_, terms)| *terms == row.terms).expect("a choice");
-        let cells = [row.size, row.rounding, row.estimated[0], row.estimated[1]].map(digits);
-        table.push([row.device.to_string(), terms.to_string()].into_iter().chain(cells).collect());
-    }
-    table
 }

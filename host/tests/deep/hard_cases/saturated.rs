@@ -1,8 +1,8 @@
 //! Motors that cannot make what a wall asks for: what is left along the normal and across it, of the servo's f32
 //! torques.
 
-use super::singular::Random;
-use super::{Table, digits, shipped};
+use super::rows::singular::Random;
+use super::shipped;
 use haptic::sim::{Held, Press, WIDE};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
@@ -109,22 +109,4 @@ pub fn all() -> Vec<Row> {
         haptic_bridge::with_mechanism!(mechanism, m => [[0.3, 1.1], [0.05, 0.1]].map(|sines| row(m, name, &device, sines)))
     })
     .collect()
-}
-
-/// The rows as the page shows them.
-pub fn table(rows: &[Row]) -> Table {
-    let mut table = Table::new(
-        "Motors at their limit",
-        "A wall of 20 kN/m pressed up to 2 mm, in the whole servo, with motors that have room for the device's weight and 5 N \
-         along a random normal; twelve poses each in the open and near a singularity of an elbow. Errors against the largest \
-         force that fits, worked out joint by joint in f64, as a share of it; with the feed-forward it may be as much less as a \
-         64th of a motor's torque makes, which is kept for that. Across the normal nothing is asked for.",
-        &["device", "sine", "asked/possible", "**along, plain**", "**across, plain**", "**along, feed-forward**"],
-    );
-    for row in rows {
-        let sines = format!("{:.2} to {:.2}", row.sines[0], row.sines[1].min(1.0));
-        let errors = [row.along[0], row.across, row.along[1]].map(digits);
-        table.push([row.device.to_string(), sines, format!("{:.0}", row.beyond)].into_iter().chain(errors).collect());
-    }
-    table
 }

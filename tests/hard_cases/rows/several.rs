@@ -1,17 +1,18 @@
 //! Two walls at a small angle, or of very different stiffness: the control step in f32 against the law of docs/model.md
-//! section 2 written down once more, in accelerations, with the eigenvectors of two walls in closed form, in 106 bits.
+//! section 2 written down once more, in accelerations, with the eigenvectors of two walls in closed form, in the
+//! reference.
 
-use super::double_double::{DoubleDouble, Series};
 use super::routes::inverse;
+use super::shipped;
 use super::singular::{Random, cast};
 use super::steps::{controller, counts, encoded, three};
-use super::{Table, digits, shipped};
-use haptic_bridge::math::{Libm, Math};
+use super::{Exact, ExactMath};
+use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
 use haptic_bridge::servo::compiled::BoardMath;
-use nalgebra::{SMatrix, SVector};
+use nalgebra::SVector;
 
 /// Angles between the walls, rad.
 pub const ANGLES: [f64; 4] = [1e-4, 1e-3, 1e-2, 1e-1];
@@ -32,27 +33,27 @@ pub struct Row {
 }
 
 /// Joint torques for two walls (normal, stiffness, force), at rest: M J⁻¹ A F.
-fn law<M: Mechanism<DoubleDouble, N>, const N: usize>(
+fn law<M: Mechanism<Exact, N>, const N: usize>(
     m: &M,
-    q: &SVector<DoubleDouble, N>,
-    walls: &[(SVector<DoubleDouble, N>, DoubleDouble, DoubleDouble); 2],
-) -> SVector<DoubleDouble, N> {
-    let one = DoubleDouble::from(1.0);
-    let pose = m.pose::<Series>(q);
+    q: &SVector<Exact, N>,
+    walls: &[(SVector<Exact, N>, Exact, Exact); 2],
+) -> SVector<Exact, N> {
+    let one = Exact::from_f64(1.0);
+    let pose = m.pose::<ExactMath>(q);
     let (mass, back) = (m.mass(&pose), inverse(&m.jacobian(&pose)));
     let lambda = back.transpose() * mass * back;
     let mobility = inverse(&lambda);
 
     // K = k₁ n₁ n₁ᵀ + k₂ n₂ n₂ᵀ in the frame (a, b) that the two normals span.
     let [(n1, k1, f1), (n2, k2, f2)] = *walls;
-    let length = |v: &SVector<DoubleDouble, N>| Series::sqrt(v.dot(v));
+    let length = |v: &SVector<Exact, N>| ExactMath::sqrt(v.dot(v));
     let a = n1 / length(&n1);
     let rest = n2 - a * a.dot(&n2);
     let b = rest / length(&rest);
     let (c, s) = (a.dot(&n2), b.dot(&n2));
     let (aa, ab, bb) = (k1 * n1.dot(&n1) + k2 * c * c, k2 * c * s, k2 * s * s);
-    let half = DoubleDouble::from(0.5);
-    let root = Series::sqrt((aa - bb) * (aa - bb) + ab * ab * 4.0.into());
+    let half = Exact::from_f64(0.5);
+    let root = ExactMath::sqrt((aa - bb) * (aa - bb) + ab * ab * Exact::from_f64(4.0));
     let stiff = (aa + bb + root) * half;
     let soft = (aa * bb - ab * ab) / stiff;
     let e1 = a * (stiff - bb) + b * ab;
@@ -62,7 +63,7 @@ fn law<M: Mechanism<DoubleDouble, N>, const N: usize>(
     // A_R = Q (Qᵀ Λ Q)⁻¹ Qᵀ; a third direction has no stiffness, so s₂ = 1, and in the plane there is no level 2.
     let s1 = one - soft / stiff * (soft / stiff);
     let first = e1 / e1.dot(&(lambda * e1));
-    let second = |e: &SVector<DoubleDouble, N>| {
+    let second = |e: &SVector<Exact, N>| {
         if N == 2 {
             return mobility * e;
         }
@@ -80,7 +81,7 @@ fn row<A, B, C, const N: usize>(double: A, board: B, reference: C, name: &'stati
 where
     A: Mechanism<f64, N>,
     B: Mechanism<f32, N>,
-    C: Mechanism<DoubleDouble, N>,
+    C: Mechanism<Exact, N>,
 {
     let task = A::SPEC.task;
     ANGLES
@@ -135,16 +136,16 @@ where
                     };
                     let step = controller::<f32, BoardMath, _, N>(board, device, &scene).step(&counts(&q));
                     // The truth is at the angles and for the planes that the board was given.
-                    let angles: SVector<DoubleDouble, N> = cast(&step.q);
-                    let place = reference.tip(&reference.pose::<Series>(&angles));
+                    let angles: SVector<Exact, N> = cast(&step.q);
+                    let place = reference.tip(&reference.pose::<ExactMath>(&angles));
                     let given = [0, 1].map(|i| {
                         let Surface::Plane(plane) = walls[i].surface else { unreachable!("a plane") };
-                        let normal: SVector<DoubleDouble, N> = cast(&normals[i]);
-                        let mut distance = DoubleDouble::from(0.0);
+                        let normal: SVector<Exact, N> = cast(&normals[i]);
+                        let mut distance = Exact::from_f64(0.0);
                         for k in 0..task {
-                            distance += normal[k] * (place[k] - DoubleDouble::from(f64::from(plane.point[k])));
+                            distance += normal[k] * (place[k] - Exact::from_f64(f64::from(plane.point[k])));
                         }
-                        let stiffness = DoubleDouble::from(f64::from(stiffness[i]));
+                        let stiffness = Exact::from_f64(f64::from(stiffness[i]));
                         (normal, stiffness, -(stiffness * distance))
                     });
                     let right: SVector<f64, N> = cast(&law(&reference, &angles, &given));
@@ -173,32 +174,4 @@ pub fn all() -> Vec<Row> {
         in_three_precisions!(&device, (a, b, c) => row(a, b, c, name, &device))
     })
     .collect()
-}
-
-/// The rows as the page shows them.
-pub fn table(rows: &[Row]) -> Table {
-    let mut table = Table::new(
-        "Two walls at a small angle, or of very different stiffness",
-        "Largest error of the control step's torques in f32, as a share of the largest, at 40 random poses and normals; the \
-         reference is the law for several walls (docs/model.md section 2) written down a second time, in accelerations, with \
-         the walls' principal directions in closed form. Columns: how much stiffer the first wall is. The last column is the \
-         least share of a torque that the feed-forward changed.",
-        &["device", "angle, rad", "**as stiff**", "**1e2**", "**1e4**", "changed by the feed-forward"],
-    );
-    for row in rows {
-        let mut cells = vec![row.device.to_string(), digits(row.angle)];
-        cells.extend(row.torque.map(digits));
-        cells.push(digits(row.shaped));
-        table.push(cells);
-    }
-    table
-}
-
-/// A matrix of any precision is its own inverse's inverse: what the reference stands on.
-#[test]
-fn the_reference_inverts_to_thirty_digits() {
-    let mut random = Random(5);
-    let m = SMatrix::<DoubleDouble, 3, 3>::from_fn(|_, _| random.within(-1.0, 1.0).into());
-    let rest = m * inverse(&m) - SMatrix::identity();
-    assert!(rest.iter().all(|x| x.high.abs() < 1e-28), "{rest:?}");
 }

@@ -1,9 +1,9 @@
 //! Both kinds of singularity at once: an elbow near stretched or folded while the rods are near one line.
 
-use super::double_double::{DoubleDouble, Series};
 use super::routes::{Errors, routes};
+use super::shipped;
 use super::singular::{Random, at_hand_speed, cast, wide_five_bar};
-use super::{Table, digits, shipped};
+use super::{Exact, ExactMath};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::mechanism::Mechanism;
@@ -63,7 +63,7 @@ fn row<A, B, C, const N: usize>(
 where
     A: Mechanism<f64, N>,
     B: Mechanism<f32, N>,
-    C: Mechanism<DoubleDouble, N>,
+    C: Mechanism<Exact, N>,
 {
     let mut random = Random(17);
     let mut row = Row { device, share, poses: 0, board: Errors::default(), double: Errors::default() };
@@ -80,7 +80,7 @@ where
                 n[i] = 0.0;
             }
             let qd: SVector<f32, N> = cast(&at_hand_speed(double, &cast(&q), random.vector(1.0)));
-            let exact = routes::<_, Series, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n));
+            let exact = routes::<_, ExactMath, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n));
             row.board.grow(&Errors::new(&routes::<_, BoardMath, _, N>(board, &q, &qd, &n), &exact));
             row.double.grow(&Errors::new(&routes::<_, Libm, _, N>(double, &cast(&q), &cast(&qd), &cast(&n)), &exact));
         }
@@ -101,31 +101,4 @@ fn rows(name: &'static str, device: &Description) -> Vec<Row> {
 pub fn all() -> Vec<Row> {
     let turret = shipped("fictive-five-bar-turret");
     rows("five-bar (wide base)", &wide_five_bar()).into_iter().chain(rows("five-bar-turret", &turret)).collect()
-}
-
-/// The rows as the page shows them.
-pub fn table(rows: &[Row]) -> Table {
-    let mut table = Table::new(
-        "Two singularities at once",
-        "As the first table, at poses where an elbow is near stretched or folded and the rods are near one line together: \
-         both sines within 5 % of this share of those at which the feed-forward begins to fade (0.05 and 0.15).",
-        &[
-            "device",
-            "share",
-            "poses",
-            "**Wrr, board**",
-            "Jᵀ n",
-            "**torque, board**",
-            "**moving, board**",
-            "f64: moving",
-        ],
-    );
-    for row in rows {
-        let mut cells = vec![row.device.to_string(), format!("{:.1}", row.share), row.poses.to_string()];
-        let board = &row.board;
-        cells.extend([board.w_rr_kernel, board.plain, board.torque, board.torque_moving].map(digits));
-        cells.push(digits(row.double.torque_moving));
-        table.push(cells);
-    }
-    table
 }

@@ -1,11 +1,11 @@
 //! Fractional counts per turn over thousands of turns: the tip as the f32 step finds it, against angles n 2π/C that are
-//! reduced nowhere but in the sines, in 106 bits.
+//! reduced nowhere but in the sines.
 
-use super::double_double::{DoubleDouble, Series};
+use super::shipped;
 use super::singular::{Random, cast};
 use super::steps::{controller, encoded, scene, three};
-use super::{Table, digits, shipped};
-use haptic_bridge::math::Libm;
+use super::{Exact, ExactMath};
+use haptic_bridge::math::{Libm, Real};
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::scene::FeedForward;
@@ -26,14 +26,16 @@ pub struct Row {
     pub tip: [f64; 4],
 }
 
-/// 2π to 106 bits.
-const TURN: DoubleDouble = DoubleDouble { high: std::f64::consts::TAU, low: 2.449_293_598_294_706_4e-16 };
+/// 2π to more than the digits of f64.
+fn turn() -> Exact {
+    Exact::from_f64(std::f64::consts::TAU) + Exact::from_f64(2.449_293_598_294_706_4e-16)
+}
 
 fn row<A, B, C, const N: usize>(double: A, board: B, reference: C, name: &'static str, device: &Description) -> Vec<Row>
 where
     A: Mechanism<f64, N>,
     B: Mechanism<f32, N>,
-    C: Mechanism<DoubleDouble, N>,
+    C: Mechanism<Exact, N>,
 {
     let task = A::SPEC.task;
     let length = device.geometry[..3].iter().sum::<f64>() / 3.0;
@@ -63,8 +65,9 @@ where
                     let sign = if poses % 2 == 0 { 1 } else { -1 };
                     let share = q / std::f64::consts::TAU;
                     let counts = share.map(|x| ((x + f64::from(sign * turns)) * counts_per_turn).round() as i32);
-                    let angles = counts.map(|n| DoubleDouble::from(f64::from(n)) * TURN / counts_per_turn.into());
-                    let right: SVector<f64, N> = cast(&reference.tip(&reference.pose::<Series>(&angles)));
+                    let angles =
+                        counts.map(|n| Exact::from_f64(f64::from(n)) * turn() / Exact::from_f64(counts_per_turn));
+                    let right: SVector<f64, N> = cast(&reference.tip(&reference.pose::<ExactMath>(&angles)));
                     let found: SVector<f64, N> = cast(&controller.step(&counts.into()).tip);
                     for i in 0..task {
                         row.tip[index] = row.tip[index].max((found[i] - right[i]).abs() / length);
@@ -85,20 +88,4 @@ pub fn all() -> Vec<Row> {
             in_three_precisions!(&device, (a, b, c) => row(a, b, c, name, &device))
         })
         .collect()
-}
-
-/// The rows as the page shows them.
-pub fn table(rows: &[Row]) -> Table {
-    let mut table = Table::new(
-        "Fractional counts over thousands of turns",
-        "Largest error of the tip's coordinates in f32, in mean link lengths, at 60 random poses so many whole turns from \
-         home (every other one backwards), against angles in 106 bits from which no turn is taken off.",
-        &["device", "counts per turn", "at home", "100 turns", "1000 turns", "10 000 turns"],
-    );
-    for row in rows {
-        let mut cells = vec![row.device.to_string(), format!("{:.2}", row.counts_per_turn)];
-        cells.extend(row.tip.map(digits));
-        table.push(cells);
-    }
-    table
 }

@@ -1,0 +1,35 @@
+//! The rows that are asserted in bounds.rs and shown in docs/hard-cases.md. What a device gives in f32 with the
+//! coefficients that a board is sent, and in f64, is compared with the reference: the library's own code in the numbers
+//! of whoever includes this.
+#![allow(dead_code, reason = "only the page shows all of them")]
+
+use super::{Exact, ExactMath, shipped};
+use std::sync::LazyLock;
+
+/// What a device gives in f64, in f32 and in the reference's numbers.
+macro_rules! in_three_precisions {
+    ($description:expr, ($double:ident, $board:ident, $reference:ident) => $what:expr) => {{
+        let exact = haptic_bridge::model::mechanism::AnyMechanism::<super::Exact>::new($description);
+        haptic_bridge::with_mechanism!(exact.expect("a sound device"), $reference => {
+            let ($double, $board) = ($reference.cast::<f64>(), $reference.cast::<f32>());
+            $what
+        })
+    }};
+}
+pub mod double;
+pub mod extremes;
+pub mod filters;
+pub mod routes;
+pub mod several;
+pub mod singular;
+pub mod steps;
+pub mod turns;
+pub mod whole;
+
+pub static SINGULAR: LazyLock<Vec<singular::Row>> = LazyLock::new(singular::all);
+pub static EXTREMES: LazyLock<Vec<extremes::Row>> = LazyLock::new(extremes::all);
+pub static FILTERS: LazyLock<Vec<filters::Row>> = LazyLock::new(filters::all);
+pub static STEPS: LazyLock<Vec<steps::Row>> = LazyLock::new(steps::all);
+pub static SEVERAL: LazyLock<Vec<several::Row>> = LazyLock::new(several::all);
+pub static TURNS: LazyLock<Vec<turns::Row>> = LazyLock::new(turns::all);
+pub static DOUBLE: LazyLock<Vec<double::Row>> = LazyLock::new(double::all);

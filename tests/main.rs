@@ -1,0 +1,45 @@
+//! What the shared control library does: one statement about the device in each module's name.
+
+mod common;
+mod golden;
+mod rig;
+
+mod adding;
+mod attacks;
+mod counted_devices;
+mod crest_limits;
+mod crest_paths;
+mod drive;
+mod estimators;
+mod fade;
+mod fade_holds;
+mod feed_forward;
+mod floors;
+mod framing;
+mod golden_model;
+mod guard;
+mod hard_cases;
+mod hard_steps;
+mod heat;
+mod host_force;
+mod host_silence;
+mod mechanism;
+mod mechanism_properties;
+mod motor_model;
+mod pace;
+mod posture;
+mod power_cut;
+mod precomputed_mass;
+mod rendered_force;
+mod service;
+mod servo;
+mod settings;
+mod several_walls;
+mod shape;
+mod stages;
+mod straight_steps;
+mod takeover;
+mod telemetry;
+mod trigonometry;
+mod velocity;
+mod what_a_wall_meets;

@@ -1,0 +1,126 @@
+//! Walls that meet at an angle: what docs/model.md section 2 promises of them, held by loops and bounds that do not use
+//! the code under test. The feed-forward's torques alone come from it. Simulated devices that press such walls are in
+//! host/tests/deep/several_walls.rs.
+
+mod continuity;
+mod linear;
+mod springs;
+
+use crate::common::device_file;
+use haptic_bridge::math::{FineTable, Math, Real};
+use haptic_bridge::model::catalogue::Spec;
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::inertia::Inertia;
+use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::model::principal::Pull;
+use haptic_bridge::servo::compiled::BoardMath;
+use haptic_bridge::with_mechanism;
+use nalgebra::SVector;
+
+/// A shipped device.
+struct Shipped {
+    name: &'static str,
+    description: Description,
+    mechanism: AnyMechanism<f64>,
+}
+
+impl Shipped {
+    fn spec(&self) -> Spec {
+        self.description.kind.spec()
+    }
+}
+
+fn device(name: &'static str) -> Shipped {
+    let description = device_file::shipped(name);
+    Shipped { name, description, mechanism: AnyMechanism::new(&description).expect("a sound device") }
+}
+
+/// In which arithmetic to compute.
+#[derive(Clone, Copy)]
+enum Precision {
+    /// The board's.
+    F32,
+    F64,
+}
+
+/// A unit vector at this angle, rad.
+fn at(angle: f64) -> Vec<f64> {
+    vec![angle.cos(), angle.sin()]
+}
+
+fn scaled(v: &[f64]) -> Vec<f64> {
+    let length = v.iter().map(|x| x * x).sum::<f64>().sqrt();
+    v.iter().map(|x| x / length).collect()
+}
+
+/// Joint torques for walls of these normals, stiffness and forces, at rest and without what the device weighs.
+fn torque(device: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64, f64)], precision: Precision) -> Vec<f64> {
+    torque_of_some(device, q, walls, &vec![true; walls.len()], precision)
+}
+
+/// As [`torque`], some of the walls without the feed-forward.
+fn torque_of_some(
+    device: &Shipped,
+    q: &[f64],
+    walls: &[(Vec<f64>, f64, f64)],
+    with: &[bool],
+    precision: Precision,
+) -> Vec<f64> {
+    fn of<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
+        m: &M,
+        q: &[f64],
+        walls: &[(Vec<f64>, f64, f64)],
+        with: &[bool],
+    ) -> Vec<f64> {
+        let vector = |v: &[f64]| SVector::<T, N>::from_fn(|i, _| T::from_f64(v.get(i).copied().unwrap_or(0.0)));
+        let pose = m.pose::<K>(&vector(q));
+        let mut force = SVector::zeros();
+        let mut pulls = Vec::new();
+        for ((normal, stiffness, newtons), feed_forward) in walls.iter().zip(with) {
+            let (normal, stiffness) = (vector(normal), T::from_f64(*stiffness));
+            force += normal * T::from_f64(*newtons);
+            pulls.push(Pull { normal, across: false, stiffness, feed_forward: *feed_forward });
+        }
+        let of = |force| Inertia::new::<K, M>(m, &pose, &SVector::zeros(), &pulls, &force).torque;
+        (of(force) - of(SVector::zeros())).iter().map(|torque| torque.to_f64()).collect()
+    }
+    match precision {
+        Precision::F64 => with_mechanism!(&device.mechanism, m => of::<f64, FineTable, _, _>(m, q, walls, with)),
+        Precision::F32 => {
+            let mechanism = AnyMechanism::<f32>::new(&device.description).expect("a sound device");
+            with_mechanism!(&mechanism, m => of::<f32, BoardMath, _, _>(m, q, walls, with))
+        }
+    }
+}
+
+/// Numbers that look random and are the same on every machine.
+struct Random(u64);
+
+impl Random {
+    fn between(&mut self, low: f64, high: f64) -> f64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        low + (high - low) * ((self.0 >> 11) as f64 / (1_u64 << 53) as f64)
+    }
+
+    fn direction(&mut self, task: usize) -> Vec<f64> {
+        loop {
+            let v: Vec<f64> = (0..task).map(|_| self.between(-1.0, 1.0)).collect();
+            let square: f64 = v.iter().map(|x| x * x).sum();
+            if (0.01..1.0).contains(&square) {
+                return scaled(&v);
+            }
+        }
+    }
+
+    /// A unit vector within `angle` (rad) of `n`.
+    fn near(&mut self, n: &[f64], angle: f64) -> Vec<f64> {
+        loop {
+            let side = self.direction(n.len());
+            let v: Vec<f64> = n.iter().zip(&side).map(|(a, b)| a + angle.tan() * b).collect();
+            let v = scaled(&v);
+            if v.iter().zip(n).map(|(a, b)| a * b).sum::<f64>() >= angle.cos() {
+                return v;
+            }
+        }
+    }
+}
