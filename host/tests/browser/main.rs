@@ -3,7 +3,7 @@
 
 mod as_a_file;
 mod devtools;
-#[path = "../view/page.rs"]
+#[path = "../common/page.rs"]
 mod page;
 
 use devtools::{Browser, Tab};

@@ -1,0 +1,228 @@
+//! A person at a terminal, typing what a block says line by line.
+//!
+//! Every line goes to a shell as it is written, in a directory of its own with a copy of devices/. `haptic`, and
+//! `cargo run … --package haptic --`, are the tool of this very build; other calls of cargo run in the repository. What
+//! serves until Ctrl-C (`haptic sim`, `cargo xtask board`) stays while the rest of its block is typed, as in another
+//! terminal; another line that says Ctrl-C in its comment gets one after two seconds; one that says that it asks is
+//! answered with `y`; what a comment quotes after the word prints is in the output. The TCP port 7710 of the documents
+//! becomes one that is free here.
+
+use super::blocks::{Block, Kind, root};
+use serialport::{SerialPort, TTYPort};
+use std::fs::{self, File};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpListener;
+use std::os::unix::process::CommandExt;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::thread::{sleep, spawn};
+use std::time::{Duration, Instant};
+
+const TOOL: &str = env!("CARGO_BIN_EXE_haptic");
+/// How the documents call the tool in a checkout.
+const IN_A_CHECKOUT: &str = "cargo run --release --package haptic --";
+
+/// Types one block; what went wrong is the error.
+pub fn run(block: &Block, patience: Duration) -> Result<(), String> {
+    let mut session = Session::new(block.kind == Kind::Board, patience);
+    for command in block.commands() {
+        session.enter(&command).map_err(|error| format!("{}: `{command}`: {error}", block.place))?;
+    }
+    session.end().map_err(|error| format!("{}: {error}", block.place))
+}
+
+/// Asks `haptic check` about a block that is a file.
+pub fn check(block: &Block) -> Result<(), String> {
+    let place = tempfile::tempdir().unwrap();
+    let file = place.path().join("file.toml");
+    fs::write(&file, block.lines.join("\n") + "\n").unwrap();
+    let output = Command::new(TOOL).arg("check").arg(&file).output().unwrap();
+    if output.status.success() { Ok(()) } else { Err(format!("{}: {}", block.place, text(&output.stderr))) }
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+struct Session {
+    place: tempfile::TempDir,
+    environment: Vec<(String, String)>,
+    servers: Vec<(String, Child)>,
+    port: u16,
+    patience: Duration,
+}
+
+impl Session {
+    fn new(board: bool, patience: Duration) -> Self {
+        let place = tempfile::tempdir().unwrap();
+        copy(&root().join("devices"), &place.path().join("devices"));
+        fs::create_dir(place.path().join("bin")).unwrap();
+        std::os::unix::fs::symlink(TOOL, place.path().join("bin/haptic")).unwrap();
+        let path = format!("{}:{}", place.path().join("bin").display(), std::env::var("PATH").unwrap());
+        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let mut session = Self { place, environment: vec![("PATH".into(), path)], servers: Vec::new(), port, patience };
+        if board {
+            session.own_files();
+            let line = format!("haptic sim --strict --tcp {port} my-device.toml");
+            session.serve(&line).unwrap();
+            session.environment.push(("HAPTIC_PORT".into(), format!("tcp:127.0.0.1:{port}")));
+        }
+        session
+    }
+
+    /// A person's own files: a shipped device that somebody vouches for, and a scene for it.
+    fn own_files(&self) {
+        let shipped = fs::read_to_string(self.place.path().join("devices/coupled-five-bar.toml")).unwrap();
+        let own = shipped.replace("\n[joint.motor]\n", "\n[joint.motor]\nverified = true\n");
+        let own = own.replace("\n[[joint]]\n", "\n[[joint]]\nlimits = [-3.14, 3.14]\n");
+        assert!(own.matches("verified = true").count() == 2 && own.matches("limits = ").count() == 2);
+        fs::write(self.place.path().join("my-device.toml"), own).unwrap();
+        let scene = self.place.path().join("devices/scenes/coupled-five-bar/wall.toml");
+        fs::copy(scene, self.place.path().join("my-scene.toml")).unwrap();
+    }
+
+    fn enter(&mut self, line: &str) -> Result<(), String> {
+        let line = line.replace("7710", &self.port.to_string()).replace(IN_A_CHECKOUT, "haptic");
+        let (command, comment) = line.split_once(" #").unwrap_or((&line, ""));
+        if let Some((name, value)) = command.trim().strip_prefix("export ").and_then(|set| set.split_once('=')) {
+            self.environment.push((name.into(), value.into()));
+            return Ok(());
+        }
+        if command.starts_with("haptic sim") || command.starts_with("cargo xtask board") {
+            return self.serve(command);
+        }
+        let mut shell = self.shell(command);
+        let mut terminal = comment.contains("asks").then(|| TTYPort::pair().unwrap());
+        if let Some((_, slave)) = &terminal {
+            let name = slave.name().unwrap();
+            shell.stdin(File::options().read(true).write(true).open(name).unwrap());
+        }
+        let mut child = shell.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        if let Some((master, _)) = &mut terminal {
+            master.write_all(b"y\n").unwrap();
+        }
+        let said = [listen(child.stdout.take().unwrap()), listen(child.stderr.take().unwrap())];
+        if comment.contains("Ctrl-C") {
+            sleep(Duration::from_secs(2));
+            interrupt(&child);
+        }
+        let status = wait(&mut child, self.patience)?;
+        let said = said.map(|said| said.join().unwrap()).concat();
+        if status != Some(0) {
+            return Err(format!("exit code {status:?}, and said\n{said}"));
+        }
+        let promised = comment.split_once("prints ").map_or("", |(_, promised)| promised);
+        match promised.split('"').skip(1).step_by(2).find(|words| !said.contains(words)) {
+            Some(words) => Err(format!("does not print \"{words}\", but\n{said}")),
+            None => Ok(()),
+        }
+    }
+
+    fn shell(&self, command: &str) -> Command {
+        let mut shell = Command::new("sh");
+        // A shell's background jobs ignore Ctrl-C and hand that down to these tests; a reader's terminal does not.
+        let heard = if cfg!(target_os = "linux") { "env --default-signal=INT" } else { "" };
+        // In place of the shell, so that what ends is the command itself.
+        shell
+            .args(["-c", &format!("exec {heard} {command}")])
+            .envs(self.environment.iter().cloned())
+            .stdin(Stdio::null())
+            .process_group(0);
+        shell.current_dir(if command.starts_with("cargo ") { root() } else { self.place.path().into() });
+        shell
+    }
+
+    /// Starts what serves until Ctrl-C, and waits until it says where.
+    fn serve(&mut self, command: &str) -> Result<(), String> {
+        let mut child = self.shell(command).stdout(Stdio::piped()).spawn().unwrap();
+        let mut output = BufReader::new(child.stdout.take().unwrap());
+        let mut said = String::new();
+        while !said.contains("tcp:") && !said.contains("/dev/") {
+            if output.read_line(&mut said).unwrap_or(0) == 0 {
+                let status = wait(&mut child, Duration::from_secs(1))?;
+                return Err(format!("ended with exit code {status:?} before it said its port\n{said}"));
+            }
+        }
+        listen(output);
+        self.servers.push((command.into(), child));
+        Ok(())
+    }
+
+    /// Ctrl-C to everything that serves. A simulated board ends well; the emulated one has nothing to put in order.
+    fn end(mut self) -> Result<(), String> {
+        for (command, mut child) in std::mem::take(&mut self.servers) {
+            interrupt(&child);
+            let status = wait(&mut child, Duration::from_secs(20))?;
+            if status != Some(0) && command.starts_with("haptic") {
+                return Err(format!("`{command}` ended with exit code {status:?}"));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Drop for Session {
+    fn drop(&mut self) {
+        for (_, child) in &mut self.servers {
+            signal(child, "KILL");
+            let _ = child.wait();
+        }
+    }
+}
+
+/// To a command and whatever it started, as a terminal does.
+fn signal(child: &Child, name: &str) {
+    let _ = Command::new("sh").args(["-c", &format!("kill -{name} -{}", child.id())]).status();
+}
+
+fn interrupt(child: &Child) {
+    signal(child, "INT");
+}
+
+fn wait(child: &mut Child, patience: Duration) -> Result<Option<i32>, String> {
+    let begun = Instant::now();
+    while begun.elapsed() < patience {
+        if let Some(status) = child.try_wait().unwrap() {
+            return Ok(status.code());
+        }
+        sleep(Duration::from_millis(10));
+    }
+    signal(child, "KILL");
+    let _ = child.wait();
+    Err(format!("did not end within {} s", patience.as_secs()))
+}
+
+/// Reads to the end beside everything else, so that nothing waits for a reader.
+fn listen(mut output: impl Read + Send + 'static) -> std::thread::JoinHandle<String> {
+    spawn(move || {
+        let mut bytes = Vec::new();
+        let _ = output.read_to_end(&mut bytes);
+        text(&bytes)
+    })
+}
+
+fn copy(from: &Path, to: &Path) {
+    fs::create_dir_all(to).unwrap();
+    for entry in fs::read_dir(from).unwrap().map(Result::unwrap) {
+        let target = to.join(entry.file_name());
+        if entry.path().is_dir() {
+            copy(&entry.path(), &target);
+        } else {
+            fs::copy(entry.path(), target).unwrap();
+        }
+    }
+}
+
+#[test]
+fn a_line_that_fails_is_found_out() {
+    let block = |line: &str| Block { place: "x.md:1".into(), kind: Kind::Quick, lines: vec![line.into()] };
+    let run = |line: &str| run(&block(line), Duration::from_secs(2));
+    assert_eq!(run("haptic model devices/coupled-five-bar.toml --q 2.6,1.75   # a remark"), Ok(()));
+    let wrong = run("haptic model devices/coupled-five-bar.toml --no-such-option").unwrap_err();
+    assert!(wrong.contains("x.md:1") && wrong.contains("no-such-option"), "{wrong}");
+    assert!(run("haptic sim no-such-file.toml").unwrap_err().contains("exit code Some(2)"));
+    let line = "haptic model devices/haply-2diy.toml --normal 0,1 # prints";
+    assert_eq!(run(&format!("{line} \"buys next to nothing\"")), Ok(()));
+    assert!(run(&format!("{line} \"buys a lot\"")).unwrap_err().contains("does not print \"buys a lot\""));
+    assert!(run("sleep 20").unwrap_err().contains("did not end"));
+}
