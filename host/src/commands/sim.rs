@@ -112,12 +112,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
         }
         None => pseudo_terminal()?,
     };
+    let stop = interrupt::watch();
     let pace = if args.fast { Pace::AsFastAsItCan } else { Pace::RealTime };
     print(&format!(
         "a simulated board with {} is on {}\ntry: haptic info --port {}\nCtrl-C ends it\n",
         file.name, door.port, door.port
     ))?;
-    let stop = interrupt::watch();
     serve(&mut board, &door, pace, stop.flag());
     haptic::tell!("simulated {:.3} s", board.time());
     Ok(())

@@ -4,4 +4,6 @@
 #[cfg(unix)]
 pub mod documents;
 pub mod domains;
+pub mod page;
 pub mod sim;
+pub mod socket;
