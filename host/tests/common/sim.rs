@@ -13,13 +13,13 @@ pub fn file(name: &str) -> String {
 
 /// Waits until something is so, however slow the machine.
 pub fn until(what: &str, so: impl Fn() -> bool) {
-    for _ in 0..6_000 {
+    for _ in 0..30_000 {
         if so() {
             return;
         }
         std::thread::sleep(std::time::Duration::from_millis(10));
     }
-    panic!("{what}: not after a minute");
+    panic!("{what}: not after five minutes");
 }
 
 /// The tool, with these arguments.
@@ -66,7 +66,7 @@ impl Sim {
     /// Waits until the board's state is like this, however slow the machine.
     pub fn until(&self, so: impl Fn(&str) -> bool) {
         let mut state = String::new();
-        for _ in 0..600 {
+        for _ in 0..3_000 {
             let info = self.run(&["info", "--json"]).success().get_output().stdout.clone();
             let info: serde_json::Value = serde_json::from_slice(&info).unwrap();
             state = info["state"].as_str().unwrap().into();
@@ -75,7 +75,7 @@ impl Sim {
             }
             std::thread::sleep(std::time::Duration::from_millis(100));
         }
-        panic!("the board is still {state} after a minute");
+        panic!("the board is still {state} after five minutes");
     }
 
     /// Starts the tool on this board in the background.
