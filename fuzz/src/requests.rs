@@ -1,8 +1,8 @@
 //! The board's end of the link: any bytes, and any requests in any order, while anything happens to encoders, supply
 //! and motors. What must hold all along stands in tests/rig/board.rs.
 
-use crate::board::{Board, frame};
-use crate::shipped::shipped;
+use super::board::{Board, frame};
+use super::shipped::shipped;
 use haptic::link::Deframer;
 use haptic_bridge::board::framing::Decoder;
 use haptic_bridge::board::protocol::*;

@@ -1,0 +1,246 @@
+//! A person at a terminal, typing what a block says line by line.
+//!
+//! Every line goes to a shell as it is written, in a directory of its own with a copy of devices/. `haptic`, and
+//! `cargo run … --package haptic --`, are the tool of this very build; other calls of cargo run in the repository. What
+//! serves until Ctrl-C (`haptic sim`, `cargo xtask board`) stays while the rest of its block is typed, as in another
+//! terminal; another line that says Ctrl-C in its comment gets one once it listens to it; one that says that it asks is
+//! answered with `y`; what a comment quotes after the word prints is in the output. The TCP port 7710 of the documents
+//! becomes one that is free here.
+
+use super::blocks::{Block, Kind, root};
+use serialport::{SerialPort, TTYPort};
+use std::fs::{self, File};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::os::unix::process::CommandExt;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::thread::{sleep, spawn};
+use std::time::{Duration, Instant};
+
+const TOOL: &str = env!("CARGO_BIN_EXE_haptic");
+/// How the documents call the tool in a checkout.
+const IN_A_CHECKOUT: &str = "cargo run --release --package haptic --";
+
+/// Types one block; what went wrong is the error.
+pub fn run(block: &Block, patience: Duration) -> Result<(), String> {
+    let mut session = Session::new(block.kind == Kind::Board, patience);
+    for command in block.commands() {
+        session.enter(&command).map_err(|error| format!("{}: `{command}`: {error}", block.place))?;
+    }
+    session.end().map_err(|error| format!("{}: {error}", block.place))
+}
+
+/// Asks `haptic check` about a block that is a file.
+pub fn check(block: &Block) -> Result<(), String> {
+    let place = tempfile::tempdir().unwrap();
+    let file = place.path().join("file.toml");
+    fs::write(&file, block.lines.join("\n") + "\n").unwrap();
+    let output = Command::new(TOOL).arg("check").arg(&file).output().unwrap();
+    if output.status.success() { Ok(()) } else { Err(format!("{}: {}", block.place, text(&output.stderr))) }
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+struct Session {
+    place: tempfile::TempDir,
+    environment: Vec<(String, String)>,
+    servers: Vec<(String, Child)>,
+    /// In the place of 7710, once something serves.
+    port: String,
+    patience: Duration,
+}
+
+impl Session {
+    fn new(board: bool, patience: Duration) -> Self {
+        let place = tempfile::tempdir().unwrap();
+        copy(&root().join("devices"), &place.path().join("devices"));
+        fs::create_dir(place.path().join("bin")).unwrap();
+        std::os::unix::fs::symlink(TOOL, place.path().join("bin/haptic")).unwrap();
+        let path = format!("{}:{}", place.path().join("bin").display(), std::env::var("PATH").unwrap());
+        let (environment, port) = (vec![("PATH".into(), path)], "7710".into());
+        let mut session = Self { place, environment, servers: Vec::new(), port, patience };
+        if board {
+            session.own_files();
+            session.serve("haptic sim --strict --tcp 7710 my-device.toml").unwrap();
+            session.environment.push(("HAPTIC_PORT".into(), format!("tcp:127.0.0.1:{}", session.port)));
+        }
+        session
+    }
+
+    /// A person's own files: a shipped device that somebody vouches for, and a scene for it.
+    fn own_files(&self) {
+        let shipped = fs::read_to_string(self.place.path().join("devices/coupled-five-bar.toml")).unwrap();
+        let own = shipped.replace("\n[joint.motor]\n", "\n[joint.motor]\nverified = true\n");
+        let own = own.replace("\n[[joint]]\n", "\n[[joint]]\nlimits = [-3.14, 3.14]\n");
+        assert!(own.matches("verified = true").count() == 2 && own.matches("limits = ").count() == 2);
+        fs::write(self.place.path().join("my-device.toml"), own).unwrap();
+        let scene = self.place.path().join("devices/scenes/coupled-five-bar/wall.toml");
+        fs::copy(scene, self.place.path().join("my-scene.toml")).unwrap();
+    }
+
+    fn enter(&mut self, line: &str) -> Result<(), String> {
+        let line = line.replace(IN_A_CHECKOUT, "haptic");
+        if line.starts_with("haptic sim") || line.starts_with("cargo xtask board") {
+            return self.serve(line.split_once(" #").map_or(&line, |(command, _)| command));
+        }
+        let line = line.replace("7710", &self.port);
+        let (command, comment) = line.split_once(" #").unwrap_or((&line, ""));
+        if let Some((name, value)) = command.trim().strip_prefix("export ").and_then(|set| set.split_once('=')) {
+            self.environment.push((name.into(), value.into()));
+            return Ok(());
+        }
+        let mut shell = self.shell(command);
+        let mut terminal = comment.contains("asks").then(|| TTYPort::pair().unwrap());
+        if let Some((_, slave)) = &terminal {
+            let name = slave.name().unwrap();
+            shell.stdin(File::options().read(true).write(true).open(name).unwrap());
+        }
+        let mut child = shell.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        if let Some((master, _)) = &mut terminal {
+            master.write_all(b"y\n").unwrap();
+        }
+        let said = [listen(child.stdout.take().unwrap()), listen(child.stderr.take().unwrap())];
+        if comment.contains("Ctrl-C") {
+            let begun = Instant::now();
+            while !hears_interrupts(&mut child) && begun.elapsed() < self.patience {
+                sleep(Duration::from_millis(10));
+            }
+            // So that it is seen at work.
+            sleep(Duration::from_secs(1));
+            interrupt(&child);
+        }
+        let status = wait(&mut child, self.patience)?;
+        let said = said.map(|said| said.join().unwrap()).concat();
+        if status != Some(0) {
+            return Err(format!("exit code {status:?}, and said\n{said}"));
+        }
+        let promised = comment.split_once("prints ").map_or("", |(_, promised)| promised);
+        match promised.split('"').skip(1).step_by(2).find(|words| !said.contains(words)) {
+            Some(words) => Err(format!("does not print \"{words}\", but\n{said}")),
+            None => Ok(()),
+        }
+    }
+
+    fn shell(&self, command: &str) -> Command {
+        let mut shell = Command::new("sh");
+        // A shell's background jobs ignore Ctrl-C and hand that down to these tests; a reader's terminal does not.
+        let heard = if cfg!(target_os = "linux") { "env --default-signal=INT" } else { "" };
+        // In place of the shell, so that what ends is the command itself.
+        shell
+            .args(["-c", &format!("exec {heard} {command}")])
+            .envs(self.environment.iter().cloned())
+            .stdin(Stdio::null())
+            .process_group(0);
+        shell.current_dir(if command.starts_with("cargo ") { root() } else { self.place.path().into() });
+        shell
+    }
+
+    /// Starts what serves until Ctrl-C, and waits until it says where.
+    fn serve(&mut self, command: &str) -> Result<(), String> {
+        let mut child = self.shell(&command.replace("7710", "0")).stdout(Stdio::piped()).spawn().unwrap();
+        let mut output = BufReader::new(child.stdout.take().unwrap());
+        let mut said = String::new();
+        while !said.contains("tcp:") && !said.contains("/dev/") {
+            if output.read_line(&mut said).unwrap_or(0) == 0 {
+                let status = wait(&mut child, self.patience)?;
+                return Err(format!("ended with exit code {status:?} before it said its port\n{said}"));
+            }
+        }
+        if let Some((_, port)) = said.split_once("tcp:127.0.0.1:") {
+            self.port = port.chars().take_while(char::is_ascii_digit).collect();
+        }
+        listen(output);
+        self.servers.push((command.into(), child));
+        Ok(())
+    }
+
+    /// Ctrl-C to everything that serves. A simulated board ends well; the emulated one has nothing to put in order.
+    fn end(mut self) -> Result<(), String> {
+        for (command, mut child) in std::mem::take(&mut self.servers) {
+            interrupt(&child);
+            let status = wait(&mut child, self.patience)?;
+            if status != Some(0) && command.starts_with("haptic") {
+                return Err(format!("`{command}` ended with exit code {status:?}"));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Drop for Session {
+    fn drop(&mut self) {
+        for (_, child) in &mut self.servers {
+            signal(child, "KILL");
+            let _ = child.wait();
+        }
+    }
+}
+
+/// To a command and whatever it started, as a terminal does.
+fn signal(child: &Child, name: &str) {
+    let _ = Command::new("sh").args(["-c", &format!("kill -{name} -{}", child.id())]).status();
+}
+
+fn interrupt(child: &Child) {
+    signal(child, "INT");
+}
+
+/// Whether a command ends in order when it is interrupted, or has ended; where the system does not tell, as if it did.
+fn hears_interrupts(child: &mut Child) -> bool {
+    let Ok(status) = fs::read_to_string(format!("/proc/{}/status", child.id())) else { return true };
+    let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
+    let caught = caught.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    // The bit of SIGINT.
+    caught.is_none_or(|mask| mask & 2 != 0) || child.try_wait().unwrap().is_some()
+}
+
+fn wait(child: &mut Child, patience: Duration) -> Result<Option<i32>, String> {
+    let begun = Instant::now();
+    while begun.elapsed() < patience {
+        if let Some(status) = child.try_wait().unwrap() {
+            return Ok(status.code());
+        }
+        sleep(Duration::from_millis(10));
+    }
+    signal(child, "KILL");
+    let _ = child.wait();
+    Err(format!("did not end within {} s", patience.as_secs()))
+}
+
+/// Reads to the end beside everything else, so that nothing waits for a reader.
+fn listen(mut output: impl Read + Send + 'static) -> std::thread::JoinHandle<String> {
+    spawn(move || {
+        let mut bytes = Vec::new();
+        let _ = output.read_to_end(&mut bytes);
+        text(&bytes)
+    })
+}
+
+fn copy(from: &Path, to: &Path) {
+    fs::create_dir_all(to).unwrap();
+    for entry in fs::read_dir(from).unwrap().map(Result::unwrap) {
+        let target = to.join(entry.file_name());
+        if entry.path().is_dir() {
+            copy(&entry.path(), &target);
+        } else {
+            fs::copy(entry.path(), target).unwrap();
+        }
+    }
+}
+
+#[test]
+fn a_line_that_fails_is_found_out() {
+    let block = |line: &str| Block { place: "x.md:1".into(), kind: Kind::Quick, lines: vec![line.into()] };
+    let run = |line: &str| run(&block(line), Duration::from_secs(600));
+    assert_eq!(run("haptic model devices/coupled-five-bar.toml --q 2.6,1.75   # a remark"), Ok(()));
+    let wrong = run("haptic model devices/coupled-five-bar.toml --no-such-option").unwrap_err();
+    assert!(wrong.contains("x.md:1") && wrong.contains("no-such-option"), "{wrong}");
+    assert!(run("haptic sim no-such-file.toml").unwrap_err().contains("exit code Some(2)"));
+    let line = "haptic model devices/haply-2diy.toml --normal 0,1 # prints";
+    assert_eq!(run(&format!("{line} \"buys next to nothing\"")), Ok(()));
+    assert!(run(&format!("{line} \"buys a lot\"")).unwrap_err().contains("does not print \"buys a lot\""));
+    let endless = super::session::run(&block("sleep 1000"), Duration::ZERO);
+    assert!(endless.unwrap_err().contains("did not end"));
+}

@@ -1,0 +1,61 @@
+//! The stable domains of single walls that were computed independently (tests/golden/range.json).
+
+use haptic::analysis::plant::Drive;
+use haptic::analysis::sampled::{LinearEstimator, Loop, Mode};
+use haptic::device_file::DeviceFile;
+use serde_json::Value;
+
+/// A device at a pose, a wall and the loop around it.
+pub struct Case {
+    pub id: String,
+    pub file: DeviceFile,
+    /// rad.
+    pub q: Vec<f64>,
+    pub normal: Vec<f64>,
+    pub around: Loop,
+    /// Without and with the feed-forward.
+    pub expected: [(Mode, Known); 2],
+}
+
+/// What is known of a domain: kp (N/m) at each kd (N s/m), the area under it, where it ends.
+pub struct Known {
+    pub kd: Vec<f64>,
+    pub kp: Vec<f64>,
+    pub area: f64,
+    pub kd_max: f64,
+}
+
+/// All twenty.
+pub fn all() -> Vec<Case> {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/golden/range.json");
+    let golden: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+    let cases: Vec<Case> = golden["cases"].as_array().unwrap().iter().map(case).collect();
+    assert_eq!(cases.len(), 20);
+    cases
+}
+
+fn case(case: &Value) -> Case {
+    let number = |value: &Value| value.as_f64().unwrap();
+    let numbers = |value: &Value| value.as_array().unwrap().iter().map(number).collect::<Vec<f64>>();
+    let known = |key: &str| {
+        let expected = &case["expect"][key];
+        let points = expected["boundary"].as_array().unwrap();
+        let of = |name: &str| points.iter().map(|point| number(&point[name])).collect();
+        Known { kd: of("kd"), kp: of("kp"), area: number(&expected["area"]), kd_max: number(&expected["kd_max"]) }
+    };
+    let id = case["id"].as_str().unwrap().to_string();
+    Case {
+        file: DeviceFile::parse(case["device"].as_str().unwrap(), &id).unwrap(),
+        id,
+        q: numbers(&case["q"]),
+        normal: numbers(&case["normal"]),
+        around: Loop {
+            rate_hz: number(&case["rate"]),
+            delay_samples: number(&case["delay"]),
+            estimator: LinearEstimator::Butterworth(number(&case["cutoff"])),
+            drive: Drive::Ideal,
+            damping_compensation: false,
+        },
+        expected: [(Mode::Off, known("off")), (Mode::Full, known("full"))],
+    }
+}

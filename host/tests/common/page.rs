@@ -1,0 +1,98 @@
+//! `haptic view` in a process of its own, and what a page hears.
+#![allow(dead_code, reason = "every run uses its own part")]
+
+use assert_cmd::cargo::CommandCargoExt;
+use serde_json::Value;
+use std::io::{BufRead, BufReader};
+use std::process::{Child, Command, Stdio};
+
+/// The tool, serving its page.
+pub struct View {
+    child: Child,
+    /// What it says to open.
+    pub url: String,
+}
+
+impl View {
+    /// On this computer, at a port that is free.
+    pub fn start(arguments: &[&str]) -> Self {
+        let mut command = Command::cargo_bin("haptic").unwrap();
+        command.args(["view", "--listen", "127.0.0.1:0"]).args(arguments).stdout(Stdio::piped());
+        let mut child = command.env_remove("HAPTIC_PORT").spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let url = line.split_whitespace().nth(1).unwrap_or_else(|| panic!("{line:?}")).to_string();
+        Self { child, url }
+    }
+
+    /// Its process.
+    pub fn process(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Address and port.
+    pub fn address(&self) -> &str {
+        self.url.trim_start_matches("http://").split('/').next().unwrap()
+    }
+}
+
+impl Drop for View {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// The newest of each kind of message that a page has heard.
+#[derive(Default)]
+pub struct Heard {
+    pub you: u64,
+    pub hello: Value,
+    pub walls: Value,
+    pub springs: Value,
+    pub plane: Value,
+    pub picture: Value,
+    pub recorded: Option<String>,
+    pub lost: Option<String>,
+    /// Every refusal so far.
+    pub refused: Vec<Value>,
+    pub sweep: Vec<f32>,
+    pub sound: Vec<f32>,
+}
+
+impl Heard {
+    pub fn text(&mut self, text: &str) {
+        let message: Value = serde_json::from_str(text).unwrap();
+        let words = |key: &str| Some(message[key].as_str().unwrap().to_string());
+        match message["is"].as_str().unwrap() {
+            "you" => self.you = message["you"].as_u64().unwrap(),
+            "hello" => self.hello = message,
+            "walls" => (self.walls, self.springs) = (message["walls"].clone(), message["springs"].clone()),
+            "plane" => self.plane = message["plane"].clone(),
+            "picture" => self.picture = message,
+            "recorded" => self.recorded = words("words"),
+            "lost" => self.lost = words("why"),
+            "refused" => self.refused.push(message),
+            other => panic!("{other}"),
+        }
+    }
+
+    pub fn bytes(&mut self, bytes: &[u8]) {
+        let number = |four: &[u8]| f32::from_le_bytes(four.try_into().unwrap());
+        let numbers: Vec<f32> = bytes.chunks_exact(4).map(number).collect();
+        match numbers[0] {
+            1.0 => self.sweep = numbers,
+            2.0 => self.sound = numbers,
+            other => panic!("{other}"),
+        }
+    }
+
+    /// The newest refusal's words.
+    pub fn why(&self) -> &str {
+        self.refused.last().map_or("", |refused| refused["why"].as_str().unwrap())
+    }
+
+    pub fn state(&self) -> &str {
+        self.picture["state"].as_str().unwrap_or_default()
+    }
+}

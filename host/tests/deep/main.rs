@@ -1,0 +1,39 @@
+//! What takes minutes, processes that are killed, and documents made again: `cargo xtask test --deep PART` runs the
+//! module of that name.
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod claims;
+
+mod documents {
+    mod drawings;
+    mod long_blocks;
+    mod map_picture;
+}
+
+mod processes {
+    mod continued;
+    mod demo;
+    mod killed;
+    mod monitor;
+    mod view;
+}
+
+mod ranges {
+    mod complete;
+    mod measure_range_command;
+    mod measured_range;
+    mod published_steps;
+    mod sweep_costs;
+    mod undamped_constants;
+}
+
+mod soak;
+
+mod tune {
+    mod design;
+    mod plan;
+    mod tune;
+    mod tuned_devices;
+}

@@ -1,0 +1,115 @@
+//! `haptic view` on a board that comes and goes, with a page without a browser: a WebSocket that reads and says JSON.
+
+use crate::common::page::{Heard, View};
+use crate::common::sim::{file, haptic, until};
+use crate::common::socket::Socket;
+use serde_json::{Value, json};
+use std::io::ErrorKind;
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+use tungstenite::{Message, WebSocket};
+
+/// How long anything may take that is bound to happen: what hangs takes longer.
+const PATIENCE: Duration = Duration::from_secs(300);
+
+struct Page {
+    socket: WebSocket<TcpStream>,
+    heard: Heard,
+    /// Says that its key is down while it reads.
+    holding: bool,
+}
+
+impl Page {
+    /// One that has taken command.
+    fn in_command(view: &View) -> Self {
+        let stream = TcpStream::connect(view.address()).unwrap();
+        let (socket, _) = tungstenite::client(format!("ws://{}/live", view.address()), stream).unwrap();
+        socket.get_ref().set_read_timeout(Some(Duration::from_millis(20))).unwrap();
+        let mut page = Self { socket, heard: Heard::default(), holding: false };
+        page.take();
+        page
+    }
+
+    fn take(&mut self) {
+        self.say(json!({"do": "take"}));
+        self.until("command", |heard| heard.you > 0 && heard.picture["command"] == heard.you);
+    }
+
+    fn say(&mut self, message: Value) {
+        self.socket.send(Message::text(message.to_string())).unwrap();
+    }
+
+    /// Reads one message, if there is one.
+    fn read(&mut self) {
+        if self.holding {
+            self.say(json!({"do": "hold"}));
+        }
+        match self.socket.read() {
+            Ok(Message::Text(text)) => self.heard.text(&text),
+            Ok(_) => {}
+            Err(tungstenite::Error::Io(error))
+                if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted) => {}
+            Err(error) => panic!("{error}"),
+        }
+    }
+
+    fn until(&mut self, what: &str, is_so: impl Fn(&Heard) -> bool) {
+        let began = Instant::now();
+        while !is_so(&self.heard) {
+            assert!(began.elapsed() < PATIENCE, "{what}: {}\n{:?}", self.heard.picture, self.heard.refused);
+            self.read();
+        }
+    }
+
+    /// Presses the key and keeps it down; anew, should this computer have been too slow to say so in time.
+    fn arm(&mut self) {
+        self.holding = true;
+        let began = Instant::now();
+        while self.heard.state() != "Armed" {
+            assert!(began.elapsed() < PATIENCE, "{:?}", self.heard.refused);
+            if self.heard.picture["held"] == false {
+                self.say(json!({"do": "arm"}));
+            }
+            self.read();
+        }
+    }
+}
+
+/// The scene of a board that is switched off is gone, unless it was saved.
+#[test]
+fn a_board_that_is_lost_is_waited_for_also_where_it_comes_back_without_its_scene() {
+    let wall = file("scenes/coupled-five-bar/wall.toml");
+    let socket = Socket::empty();
+    socket.plug(&["--scene", &wall]);
+    let view = View::start(&["--port", &socket.address]);
+    let mut page = Page::in_command(&view);
+    page.arm();
+    for back in [&["--scene", &wall][..], &[]] {
+        socket.unplug();
+        page.until("its loss", |heard| heard.lost.is_some());
+        page.holding = false;
+        page.heard.hello = Value::Null;
+        socket.plug(back);
+        if back.is_empty() {
+            let told = |why: &String| why.contains("`haptic scene FILE`");
+            page.until("what to do", |heard| heard.lost.as_ref().is_some_and(told));
+            // Between two looks the board is free for others.
+            let scene = ["scene", &wall, "--port", &socket.address];
+            until("the scene", || haptic(&scene).output().unwrap().status.success());
+        }
+        page.until("its return", |heard| !heard.hello.is_null());
+        page.heard.picture = Value::Null;
+        page.until("nobody in command", |heard| heard.state() == "Disarmed" && heard.picture["command"].is_null());
+        page.heard.lost = None;
+        page.take();
+        page.arm();
+    }
+}
+
+#[test]
+fn a_folder_for_recordings_that_is_missing_is_told_at_the_start() {
+    let view = ["view", "--port", "sim", "--listen", "127.0.0.1:0", "--record-to", "/nonexistent"];
+    let refused = haptic(&view).timeout(PATIENCE).assert().code(1);
+    let said = String::from_utf8_lossy(&refused.get_output().stderr).into_owned();
+    assert!(said.contains("/nonexistent is not there; make the folder first"), "{said}");
+}

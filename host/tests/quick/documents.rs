@@ -1,0 +1,117 @@
+//! What README.md and docs/ tell a reader to type works as it is written, as far as it is quick, and what they say of
+//! commands and times is so. common/documents says how a block is tried.
+#![cfg(unix)]
+
+use crate::common::documents::blocks::{Block, Kind, blocks, documents, root};
+use crate::common::documents::{all, session};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::process::Command;
+use std::time::Duration;
+
+#[test]
+fn what_the_documents_say_to_type_works() {
+    let run = |block: &Block| session::run(block, Duration::from_secs(600));
+    assert!(all(|kind| *kind == Kind::Quick, run) >= 2, "README alone has two");
+}
+
+#[test]
+fn what_they_say_to_type_with_a_board_works() {
+    assert!(all(|kind| *kind == Kind::Board, |block| session::run(block, Duration::from_secs(600))) >= 1);
+}
+
+#[test]
+fn the_files_that_they_show_are_sound() {
+    assert!(all(|kind| *kind == Kind::File, session::check) >= 1, "docs/model.md shows one");
+}
+
+/// Lines too long for any test still begin in a checkout: none stops at a published picture, which is there, or at what
+/// the line before it has measured.
+#[test]
+fn published_command_lines_work_where_their_pictures_are() {
+    let (mut wrong, mut seen) = (Vec::new(), BTreeSet::new());
+    let lines = blocks(&root().join("docs/results.md")).unwrap().into_iter().flat_map(|block| block.commands());
+    for line in lines {
+        let after = |option: &str| line.split_once(option).and_then(|(_, rest)| rest.split_whitespace().next());
+        let picture = ["--svg ", "--png "].into_iter().find_map(after);
+        if picture.is_some_and(|path| root().join(path).exists()) && !line.contains("--force") {
+            wrong.push(format!("its picture exists: {line}"));
+        }
+        if line.starts_with("haptic measure-range") && !seen.insert(after("--progress ").map(str::to_string)) {
+            wrong.push(format!("another line has its progress file: {line}"));
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(seen.len() > 18 && !seen.contains(&None), "{seen:?}");
+}
+
+/// What docs/safety.md says in words of how soon broken sensors are seen holds for what was measured.
+#[test]
+fn the_times_of_the_motor_model_are_those_measured() {
+    let read = |name: &str| fs::read_to_string(root().join("docs").join(name)).unwrap();
+    let said = "at most 0.5 ms ([measured](results/faults.md)); sensors frozen while a hand moves at most 15, 11, 7 ms";
+    assert!(read("safety.md").contains(said));
+    let (mut frozen, mut soon) = (Vec::new(), 0);
+    for line in read("results/faults.md").lines() {
+        let cells: Vec<&str> = line.split('|').map(str::trim).collect();
+        let [_, broken, _, seen, after, ..] = cells[..] else { continue };
+        let Ok(after) = after.parse::<f64>() else { continue };
+        if broken == "current sensors frozen, hand moves" {
+            frozen.push(after);
+        } else if seen.contains("MotorModel") && !broken.contains("frozen") {
+            assert!(after <= 0.5, "{line}");
+            soon += 1;
+        }
+    }
+    assert!(soon >= 15, "{soon}");
+    assert_eq!(frozen.len(), 3, "{frozen:?}");
+    assert!(frozen.iter().zip([15.0, 11.0, 7.0]).all(|(found, said)| *found <= said), "{frozen:?}");
+}
+
+/// Words between backticks that begin with `haptic` or `cargo xtask` name commands and options that there are.
+#[test]
+fn commands_in_sentences_exist() {
+    let tool = |arguments: &[&str]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_haptic")).args(arguments).output().unwrap();
+        output.status.success().then(|| String::from_utf8(output.stdout).unwrap())
+    };
+    let xtask = fs::read_to_string(root().join("xtask/src/main.rs")).unwrap();
+    let mut help: BTreeMap<String, Option<String>> = BTreeMap::new();
+    let (mut wrong, mut seen) = (Vec::new(), 0);
+    for path in documents() {
+        let text = fs::read_to_string(&path).unwrap();
+        for quoted in text.split('`').skip(1).step_by(2) {
+            let words: Vec<&str> = quoted.split_whitespace().collect();
+            let complain = |what: &str| format!("{}: `{quoted}`: {what}", path.display());
+            match words.as_slice() {
+                ["haptic", name, rest @ ..] if name.chars().all(|c| c.is_ascii_lowercase() || c == '-') => {
+                    seen += 1;
+                    let help = help.entry((*name).into()).or_insert_with(|| tool(&[name, "--help"]));
+                    match help {
+                        None => wrong.push(complain("no such command")),
+                        Some(help) => {
+                            let options = rest.iter().map(|word| word.trim_start_matches('[').trim_end_matches(']'));
+                            for option in options.filter(|word| word.starts_with("--") && word.len() > 2) {
+                                let name = option.split('=').next().unwrap();
+                                if !help.split(|c: char| c.is_whitespace() || c == ',').any(|word| word == name) {
+                                    wrong.push(complain(&format!("no option {name}")));
+                                }
+                            }
+                        }
+                    }
+                }
+                ["cargo", "xtask", name, ..] => {
+                    seen += 1;
+                    // Words of the command line are variants there: test-board is TestBoard.
+                    let words = name.split('-').map(|word| word[..1].to_uppercase() + &word[1..]);
+                    if !xtask.contains(&format!("\n    {}", words.collect::<String>())) {
+                        wrong.push(complain("no such command"));
+                    }
+                }
+                _ => {}
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(seen > 50, "{seen}");
+}

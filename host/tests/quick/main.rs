@@ -1,0 +1,42 @@
+//! What every run of `cargo xtask test` asks of the tool: its library in this process and in virtual time, and each
+//! command once. Nothing here looks at a clock, and nothing takes more than a second or two.
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod backup;
+mod bad_files;
+mod board_commands;
+mod command_line;
+mod devices_with_weight;
+mod documents;
+mod faded_terms;
+mod haply;
+mod home;
+mod map_command;
+mod model_command;
+mod plausible;
+mod plot;
+mod precision;
+mod published;
+mod range_command;
+mod range_estimators;
+mod range_flexible;
+mod range_golden;
+mod range_model;
+mod range_several;
+mod range_several_flexible;
+mod record;
+mod replay;
+mod report;
+mod requests;
+mod ripple;
+mod session;
+mod shipped_scenes;
+mod simulated_board;
+mod simulated_device;
+mod single_counts;
+mod tools;
+mod view;
+mod what_is_held;
+mod why;
