@@ -113,11 +113,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
         None => pseudo_terminal()?,
     };
     let pace = if args.fast { Pace::AsFastAsItCan } else { Pace::RealTime };
+    let stop = interrupt::watch();
     print(&format!(
         "a simulated board with {} is on {}\ntry: haptic info --port {}\nCtrl-C ends it\n",
         file.name, door.port, door.port
     ))?;
-    let stop = interrupt::watch();
     serve(&mut board, &door, pace, stop.flag());
     haptic::tell!("simulated {:.3} s", board.time());
     Ok(())

@@ -37,6 +37,6 @@ mod soak;
 mod tune {
     mod design;
     mod plan;
-    mod tune;
+    mod settings;
     mod tuned_devices;
 }
