@@ -1,5 +1,5 @@
 //! haptic-bridge boards for programs in C. `include/hapticbridge.h` is made of this file by cbindgen, documentation and
-//! all: `UPDATE_DOCS=1 cargo test -p haptic-capi --test header`.
+//! all: `UPDATE_DOCS=1 cargo test -p haptic-capi header`.
 //!
 //! Nothing unwinds across the border: a panic becomes [`HB_BROKEN`], and dropping a session disarms its board.
 

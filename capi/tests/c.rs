@@ -1,5 +1,7 @@
 //! A program in C, compiled against the header and run with the shared library.
 
+mod header;
+
 use hapticbridge::{
     HB_BAD, HB_BAD_ARGUMENT, HB_FAILED, HB_OK, Request, State, hb_arm, hb_check_polarity, hb_close, hb_error,
     hb_exchange, hb_home, hb_load, hb_open, hb_wait_for_forces,

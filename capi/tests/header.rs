@@ -38,6 +38,6 @@ fn the_header_is_made_of_the_source() {
         std::fs::write(&header, &made).unwrap();
     }
     let kept = std::fs::read_to_string(header).unwrap();
-    assert_eq!(kept, made, "run UPDATE_DOCS=1 cargo test -p haptic-capi --test header");
+    assert_eq!(kept, made, "run UPDATE_DOCS=1 cargo test -p haptic-capi header");
     assert_eq!(made.matches("hb_board *").count(), 10, "every function is there");
 }

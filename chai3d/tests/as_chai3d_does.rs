@@ -46,12 +46,18 @@ fn a_sphere_pushes_the_tip_out_at_a_thousand_ticks_a_second() {
     let (program, folder) = prepare("sphere");
     let phantom = Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices/phantom-premium-1.5.toml");
     let phantom = format!("sim:{}", phantom.display());
-    for (port, name, axes) in [
+    let all = [
         ("sim", "haptic-bridge coupled-five-bar", None),
         ("sim", "haptic-bridge coupled-five-bar", Some("-x,y,0")),
         (&phantom, "haptic-bridge phantom-premium-1.5", None),
-    ] {
-        let said = said(&run(&program, &folder, port, axes));
+    ];
+    // Each waits for its ticks, so they run side by side.
+    let outputs = std::thread::scope(|scope| {
+        let (program, folder) = (&program, &folder);
+        all.map(|(port, _, axes)| scope.spawn(move || run(program, folder, port, axes))).map(|run| run.join().unwrap())
+    });
+    for ((port, name, _), output) in all.into_iter().zip(outputs) {
+        let said = said(&output);
         let number = |field: usize| said[field].parse::<f64>().unwrap();
         assert_eq!(said[0], name);
         assert!((0.02..0.4).contains(&number(1)), "radius {}", said[1]);

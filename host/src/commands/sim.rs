@@ -114,6 +114,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     };
     let stop = interrupt::watch();
     let pace = if args.fast { Pace::AsFastAsItCan } else { Pace::RealTime };
+    let stop = interrupt::watch();
     print(&format!(
         "a simulated board with {} is on {}\ntry: haptic info --port {}\nCtrl-C ends it\n",
         file.name, door.port, door.port

@@ -27,7 +27,7 @@ pub struct Known {
 
 /// All twenty.
 pub fn all() -> Vec<Case> {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/golden/range.json");
+    let path = super::root().join("tests/golden/range.json");
     let golden: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
     let cases: Vec<Case> = golden["cases"].as_array().unwrap().iter().map(case).collect();
     assert_eq!(cases.len(), 20);

@@ -1,5 +1,5 @@
-//! What tests of both runs need.
-#![allow(dead_code, reason = "every run uses its own part")]
+//! What tests of both runs need: the files that ship, and the tool as a person types it.
+#![allow(dead_code, unused_imports, reason = "every run uses its own part")]
 
 #[cfg(unix)]
 pub mod documents;
@@ -7,3 +7,48 @@ pub mod domains;
 pub mod page;
 pub mod sim;
 pub mod socket;
+
+use assert_cmd::Command;
+use haptic::device_file::DeviceFile;
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+
+/// The repository.
+pub fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap()
+}
+
+/// A file that ships, by its path in devices/.
+pub fn file(name: &str) -> String {
+    root().join("devices").join(name).display().to_string()
+}
+
+/// The device and scene files in a folder of devices/.
+pub fn files(folder: &str) -> Vec<PathBuf> {
+    let mut files: Vec<_> = std::fs::read_dir(file(folder)).unwrap().map(|entry| entry.unwrap().path()).collect();
+    files.retain(|path| path.extension().is_some_and(|extension| extension == "toml"));
+    files.sort();
+    files
+}
+
+/// A device that ships.
+pub fn shipped(name: &str) -> DeviceFile {
+    DeviceFile::load(file(&format!("{name}.toml"))).unwrap()
+}
+
+/// Every device that ships.
+pub fn all_shipped() -> Vec<DeviceFile> {
+    files("").into_iter().map(|path| DeviceFile::load(path).unwrap()).collect()
+}
+
+/// The tool, with these arguments, in the repository.
+pub fn haptic(arguments: &[&str]) -> Command {
+    let mut command = Command::cargo_bin("haptic").unwrap();
+    command.current_dir(root()).args(arguments).env_remove("HAPTIC_PORT");
+    command
+}
+
+/// The document that it prints.
+pub fn json(arguments: &[&str]) -> Value {
+    serde_json::from_slice(&haptic(arguments).arg("--json").assert().success().get_output().stdout).unwrap()
+}

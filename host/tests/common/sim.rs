@@ -1,32 +1,22 @@
-//! `haptic` and `haptic sim`, as a person types them.
+//! `haptic sim` in a process of its own.
 
-use assert_cmd::Command;
+pub use super::{file, haptic};
 use assert_cmd::cargo::CommandCargoExt;
 use std::io::{BufRead, BufReader};
-use std::path::PathBuf;
 use std::process::{Child, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
 
-/// A file that ships.
-pub fn file(name: &str) -> String {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../devices").join(name).display().to_string()
-}
+/// What only a hang reaches.
+pub const HANG: Duration = Duration::from_secs(600);
 
 /// Waits until something is so, however slow the machine.
-pub fn until(what: &str, so: impl Fn() -> bool) {
-    for _ in 0..30_000 {
-        if so() {
-            return;
-        }
-        std::thread::sleep(std::time::Duration::from_millis(10));
+pub fn until(what: &str, mut so: impl FnMut() -> bool) {
+    let began = Instant::now();
+    while !so() {
+        assert!(began.elapsed() < HANG, "{what}: not after {HANG:?}");
+        sleep(Duration::from_millis(10));
     }
-    panic!("{what}: not after five minutes");
-}
-
-/// The tool, with these arguments.
-pub fn haptic(arguments: &[&str]) -> Command {
-    let mut command = Command::cargo_bin("haptic").unwrap();
-    command.args(arguments);
-    command
 }
 
 /// `haptic sim …` in a process of its own.
@@ -65,17 +55,11 @@ impl Sim {
 
     /// Waits until the board's state is like this, however slow the machine.
     pub fn until(&self, so: impl Fn(&str) -> bool) {
-        let mut state = String::new();
-        for _ in 0..3_000 {
+        until("the board's state", || {
             let info = self.run(&["info", "--json"]).success().get_output().stdout.clone();
             let info: serde_json::Value = serde_json::from_slice(&info).unwrap();
-            state = info["state"].as_str().unwrap().into();
-            if so(&state) {
-                return;
-            }
-            std::thread::sleep(std::time::Duration::from_millis(100));
-        }
-        panic!("the board is still {state} after five minutes");
+            so(info["state"].as_str().unwrap())
+        });
     }
 
     /// Starts the tool on this board in the background.

@@ -34,6 +34,6 @@ mod soak;
 mod tune {
     mod design;
     mod plan;
-    mod tune;
+    mod settings;
     mod tuned_devices;
 }

@@ -3,11 +3,10 @@
 //! Two ways: a table of mistakes people make, each through the command itself, and every shipped file mutilated line by
 //! line, which no list of mistakes would cover.
 
-use assert_cmd::Command;
+use crate::common::{files, haptic};
 use haptic::device_file::DeviceFile;
 use haptic::scene_file::SceneFile;
 use haptic::toml_file::FileError;
-use std::path::{Path, PathBuf};
 
 const DEVICE: &str = r#"name = "example"
 mechanism = "five-bar"
@@ -85,20 +84,13 @@ stiffness = 100.0
 damping = 1.0
 "#;
 
-fn shipped(folder: &str) -> Vec<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices").join(folder);
-    let files = std::fs::read_dir(folder).expect("the folder is there").map(|entry| entry.expect("readable").path());
-    files.filter(|path| path.extension().is_some_and(|extension| extension == "toml")).collect()
-}
-
 /// What `haptic check` says on standard error about this device and scene; insists on exit code 2 and one line.
 fn refusal(device: &str, scene: &str) -> String {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let (device_path, scene_path) = (folder.path().join("device.toml"), folder.path().join("scene.toml"));
     std::fs::write(&device_path, device).expect("writable");
     std::fs::write(&scene_path, scene).expect("writable");
-    let mut command = Command::cargo_bin("haptic").expect("the command is built");
-    let output = command.arg("check").arg(device_path).arg(scene_path).output().expect("it runs");
+    let output = haptic(&["check"]).arg(device_path).arg(scene_path).output().expect("it runs");
     let said = String::from_utf8(output.stderr).expect("text");
     assert_eq!(output.status.code(), Some(2), "{said}");
     assert!(output.stdout.is_empty(), "it prints nothing on standard output");
@@ -305,8 +297,7 @@ fn a_file_that_is_not_there_or_not_text_is_refused_by_name() {
         (folder.path().to_path_buf(), "cannot be read"),
         (binary, "binary.toml:1:9: not UTF-8 text"),
     ] {
-        let mut command = Command::cargo_bin("haptic").expect("the command is built");
-        let output = command.arg("check").arg(path).output().expect("it runs");
+        let output = haptic(&["check"]).arg(path).output().expect("it runs");
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
         assert_eq!(output.status.code(), Some(2), "{said}");
         assert!(said.contains(word) && said.trim_end().lines().count() == 1, "{said}");
@@ -316,21 +307,21 @@ fn a_file_that_is_not_there_or_not_text_is_refused_by_name() {
 /// Every shipped file with its parser.
 type Parser = fn(&str) -> Result<(), FileError>;
 fn shipped_files() -> Vec<(String, Parser)> {
-    let mut files: Vec<(String, Parser)> = Vec::new();
-    for path in shipped("") {
+    let mut all: Vec<(String, Parser)> = Vec::new();
+    for path in files("") {
         let text = std::fs::read_to_string(&path).expect("readable");
         let task = DeviceFile::parse(&text, &path).expect("sound").spec().task;
-        files.push((text, |text| DeviceFile::parse(text, "device").map(drop)));
-        for scene in shipped(&format!("scenes/{}", path.file_stem().expect("a name").to_string_lossy())) {
+        all.push((text, |text| DeviceFile::parse(text, "device").map(drop)));
+        for scene in files(&format!("scenes/{}", path.file_stem().expect("a name").to_string_lossy())) {
             let parser: Parser = match task {
                 1 => |text| SceneFile::parse(text, "scene", 1).map(drop),
                 2 => |text| SceneFile::parse(text, "scene", 2).map(drop),
                 _ => |text| SceneFile::parse(text, "scene", 3).map(drop),
             };
-            files.push((std::fs::read_to_string(scene).expect("readable"), parser));
+            all.push((std::fs::read_to_string(scene).expect("readable"), parser));
         }
     }
-    files
+    all
 }
 
 /// The file with one line replaced.

@@ -1,6 +1,7 @@
 //! The commands that talk to a board, as a person types them, against a simulated board in another process.
 
-use crate::common::sim::{Sim, file, haptic};
+use crate::common::sim::{Sim, until};
+use crate::common::{file, haptic};
 use haptic::recorder::Recording;
 use predicates::prelude::*;
 use predicates::str::contains;
@@ -110,9 +111,7 @@ fn a_board_that_dies_while_streaming_leaves_a_whole_recording() {
     let csv = directory.path().join("cut.csv");
     let mut stream = sim.spawn(&["stream", "--rate", "20000", "--csv", csv.to_str().unwrap()]);
     // Pull the plug once there is something on disk.
-    while std::fs::metadata(&csv).map_or(0, |about| about.len()) < 100_000 {
-        std::thread::sleep(std::time::Duration::from_millis(10));
-    }
+    until("rows on disk", || std::fs::metadata(&csv).is_ok_and(|about| about.len() >= 100_000));
     sim.child.kill().unwrap();
     assert_eq!(stream.wait().unwrap().code(), Some(1));
     let mut said = String::new();

@@ -1,6 +1,7 @@
 //! The command line as a whole: help, pipes that close, numbers with a sign, JSON, the manual.
 
-use crate::common::sim::{Sim, file, haptic};
+use crate::common::sim::{HANG, Sim};
+use crate::common::{file, haptic};
 use predicates::prelude::*;
 use predicates::str::contains;
 use std::process::Command;
@@ -32,7 +33,7 @@ fn a_pipe_that_closes_ends_a_command_silently() {
         "help".to_string(),
     ] {
         // A byte is read, then nobody reads: a document may be one long line.
-        let line = format!("set -o pipefail; timeout 20 \"$0\" {command} | head -c 1 > /dev/null");
+        let line = format!("set -o pipefail; timeout 600 \"$0\" {command} | head -c 1 > /dev/null");
         let output = Command::new("bash").args(["-c", &line, program]).output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr);
         assert!(matches!(output.status.code(), Some(0 | 141)), "{command}: {:?} {said}", output.status);
@@ -159,11 +160,7 @@ fn what_cannot_be_is_refused_before_anything_starts() {
         .code(1)
         .stderr(contains("there is no such folder").and(contains("p.json").count(1)));
     assert!(!std::path::Path::new(wrong).exists());
-    haptic(&["sim", "--axes", "1"])
-        .timeout(std::time::Duration::from_secs(20))
-        .assert()
-        .code(2)
-        .stderr(contains("2 joints"));
+    haptic(&["sim", "--axes", "1"]).timeout(HANG).assert().code(2).stderr(contains("2 joints"));
     haptic(&["info", "--port", "SIM0001"]).assert().code(1).stderr(contains("serial number"));
 }
 

@@ -1,6 +1,7 @@
 //! A device with weight on a simulated board that asks for what a real one asks: somebody holds it until the motors
 //! carry it, and then they do.
 
+use crate::common::{files, shipped};
 use haptic::device_file::DeviceFile;
 use haptic::link::Board;
 use haptic::scene_file::SceneFile;
@@ -10,16 +11,10 @@ use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::servo::{ARM_SECONDS, HostAction, Rules};
-use std::path::{Path, PathBuf};
-
-fn devices() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices")
-}
 
 /// The scenes that ship for a device.
 fn scenes(name: &str, task: usize) -> Vec<SceneFile> {
-    let files = std::fs::read_dir(devices().join("scenes").join(name)).unwrap().map(|entry| entry.unwrap().path());
-    files.map(|path| SceneFile::load(&path, task).unwrap()).collect()
+    files(&format!("scenes/{name}")).into_iter().map(|path| SceneFile::load(&path, task).unwrap()).collect()
 }
 
 /// A strict board with this device, which somebody holds, and whatever its file lacks for a board.
@@ -67,7 +62,7 @@ fn stays_while_armed(shared: &SharedBoard, board: &mut Board, what: &str) {
 #[test]
 fn every_scene_that_ships_for_a_device_with_weight_runs_on_a_strict_board() {
     for name in ["phantom-premium-1.5", "serial-3r", "woodenhaptics", "fictive-five-bar-turret"] {
-        let file = DeviceFile::load(devices().join(format!("{name}.toml"))).unwrap();
+        let file = shipped(name);
         for scene in scenes(name, file.spec().task) {
             let (shared, mut board) = ready_to_arm(file.clone());
             let what = scene.path.display().to_string();
@@ -92,7 +87,7 @@ fn every_template_is_homed_checked_and_armed_on_a_strict_board_and_does_not_fall
 
 #[test]
 fn the_weight_of_a_device_is_carried_on_any_simulated_board_until_the_motors_carry_it() {
-    let file = DeviceFile::load(devices().join("woodenhaptics.toml")).unwrap();
+    let file = shipped("woodenhaptics");
     let [room] = &scenes("woodenhaptics", 3)
         .into_iter()
         .filter(|scene| scene.path.ends_with("room.toml"))
@@ -111,7 +106,7 @@ fn the_weight_of_a_device_is_carried_on_any_simulated_board_until_the_motors_car
 #[test]
 fn a_device_with_weight_is_held_until_it_is_armed_and_passes_the_polarity_check() {
     for name in ["phantom-premium-1.5", "serial-3r", "woodenhaptics", "fictive-five-bar-turret"] {
-        let file = DeviceFile::load(devices().join(format!("{name}.toml"))).unwrap();
+        let file = shipped(name);
         let (home, task) = (file.description.home.unwrap(), file.spec().task as u8);
         let (shared, mut board) = strict(file);
         board.set_scene(&Scene { task, ..Scene::default() }).unwrap();

@@ -4,20 +4,20 @@
 
 use crate::common::documents::blocks::{Block, Kind, blocks, documents, root};
 use crate::common::documents::{all, session};
+use crate::common::sim::HANG;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::process::Command;
-use std::time::Duration;
 
 #[test]
 fn what_the_documents_say_to_type_works() {
-    let run = |block: &Block| session::run(block, Duration::from_secs(600));
+    let run = |block: &Block| session::run(block, HANG);
     assert!(all(|kind| *kind == Kind::Quick, run) >= 2, "README alone has two");
 }
 
 #[test]
 fn what_they_say_to_type_with_a_board_works() {
-    assert!(all(|kind| *kind == Kind::Board, |block| session::run(block, Duration::from_secs(600))) >= 1);
+    assert!(all(|kind| *kind == Kind::Board, |block| session::run(block, HANG)) >= 1);
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! What the board leaves out where its velocity terms fade is told as an error.
 
+use crate::common::{file, shipped};
 use haptic::bench::error::{Law, Terms, Trigonometry, Way, errors, parts};
 use haptic::bench::precompute::Precomputed;
 use haptic::bench::probe::Probe;
@@ -14,7 +15,6 @@ use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
 use nalgebra::{Matrix2, Vector2};
 use std::f64::consts::TAU;
-use std::path::PathBuf;
 
 /// Control rates and cutoffs, Hz.
 const RATES: [(f64, f64); 2] = [(1_000.0, 100.0), (20_000.0, 500.0)];
@@ -26,10 +26,6 @@ struct Situation {
     normal: f64,
     /// The forces of motion at the tip, N, of a slide at 0.5 m/s, as an outside plant has them.
     known: f64,
-}
-
-fn file(name: &str) -> DeviceFile {
-    DeviceFile::load(PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(format!("../devices/{name}.toml"))).unwrap()
 }
 
 /// An encoder whose steps do not show.
@@ -152,7 +148,7 @@ fn law(device: &Device<f64>, terms: VelocityTerms, (rate_hz, cutoff_hz): (f64, f
 #[test]
 fn what_fades_is_an_error() {
     for Situation { device: name, q, normal, known } in SITUATIONS {
-        let (file, device) = (file(name), file(name).device().unwrap());
+        let (file, device) = (shipped(name), shipped(name).device().unwrap());
         let links = Links::of(&file);
         let probes = [probe(&links, q, normal)];
         let b = links.forces_of_motion(&Vector2::from(q), &(unit(normal + 90.0) * 0.5));
@@ -175,7 +171,7 @@ fn what_fades_is_an_error() {
 
 /// The torque of the board's step at the end of a slide.
 fn at_the_end(name: &str, q: [f64; 2], normal: f64, terms: VelocityTerms) -> Vector2<f64> {
-    let file = file(name);
+    let file = shipped(name);
     let (links, device) = (Links::of(&file), Device::<f64>::new("fine", &fine(&file)).unwrap());
     let AnyMechanism::FiveBar(mechanism) = device.mechanism else { panic!("a five-bar") };
     let (n, along) = (unit(normal), unit(normal + 90.0));
@@ -219,7 +215,7 @@ fn the_board_adds_nothing_where_its_estimates_lag_too_far_behind() {
 
 #[test]
 fn the_papers_law_is_held_against_itself() {
-    let file = file("coupled-five-bar");
+    let file = shipped("coupled-five-bar");
     let (links, device) = (Links::of(&file), file.device().unwrap());
     let (q, normal) = ([2.6, 1.75], 75.0);
     let probes = [probe(&links, q, normal)];
@@ -242,9 +238,8 @@ fn the_papers_law_is_held_against_itself() {
 
 #[test]
 fn a_plan_says_what_stays_of_the_forces_of_motion() {
-    let device = file("coupled-five-bar").device().unwrap();
-    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../devices/scenes/coupled-five-bar");
-    let mut scene = SceneFile::load(folder.join("wall.toml"), 2).unwrap().scene;
+    let device = shipped("coupled-five-bar").device().unwrap();
+    let mut scene = SceneFile::load(file("scenes/coupled-five-bar/wall.toml"), 2).unwrap().scene;
     (scene.rate_hz, scene.cutoff_hz) = RATES[0];
     let rendered = plan(&device, &scene, Budget::Percent(1.0), 0.5).unwrap();
     assert!(rendered.errors.force.max > 1.0, "{:?}", rendered.errors);

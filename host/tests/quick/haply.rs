@@ -1,7 +1,8 @@
 //! `haptic serve --haply` as programs made for Haply's service see it: frames with the keys that its official client
 //! needs, in lock-step, forces in both spellings.
 
-use crate::common::sim;
+use crate::common::haptic;
+use crate::common::sim::{Sim, until};
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -32,6 +33,16 @@ impl Server {
         let mut program = Program(socket);
         program.frame();
         Ok(program)
+    }
+
+    /// The next program, let in once the one before has left.
+    fn next(&self) -> Program {
+        let mut next = None;
+        until("the next program", || {
+            next = self.connect().ok();
+            next.is_some()
+        });
+        next.unwrap()
     }
 
     /// What a plain request is answered with: status line and document.
@@ -165,7 +176,7 @@ fn a_program_gets_everything_first_and_then_a_frame_for_each_message() {
 
 #[test]
 fn one_program_at_a_time_of_this_computer_and_the_motors_go_off_with_it() {
-    let board = sim::Sim::start(&[]);
+    let board = Sim::start(&[]);
     let server = Server::start(&board.port);
     let (status, devices) = server.get("/devices", "");
     let id = devices["inverse3"][0]["device_id"].clone();
@@ -181,7 +192,7 @@ fn one_program_at_a_time_of_this_computer_and_the_motors_go_off_with_it() {
     assert_eq!(started(), true);
     drop(program);
     // The server's own end: the next program finds the motors off.
-    let mut again = (0..2000).find_map(|_| server.connect().ok()).expect("let in after the one before has left");
+    let mut again = server.next();
     assert_eq!(again.ask(&json!({}))["inverse3"][0]["status"]["started"], false);
     // Who disarms the board meanwhile is not overruled by the program's next force.
     let forces = |program: &mut Program| {
@@ -191,16 +202,16 @@ fn one_program_at_a_time_of_this_computer_and_the_motors_go_off_with_it() {
     board.run(&["disarm"]).success();
     assert_eq!(forces(&mut again), Some(false), "armed again behind the back of whoever disarmed");
     drop(again);
-    let mut anew = (0..2000).find_map(|_| server.connect().ok()).expect("let in after the one before has left");
+    let mut anew = server.next();
     assert_eq!(forces(&mut anew), Some(true));
 }
 
 #[test]
 fn what_cannot_be_served_says_so() {
-    sim::haptic(&["serve", "--port", "sim"]).assert().code(2);
-    sim::haptic(&["serve", "--haply", "--port", "sim", "--axes", "x,x,0"]).assert().code(2);
+    haptic(&["serve", "--port", "sim"]).assert().code(2);
+    haptic(&["serve", "--haply", "--port", "sim", "--axes", "x,x,0"]).assert().code(2);
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let port = taken.local_addr().unwrap().port().to_string();
-    let said = sim::haptic(&["serve", "--haply", "--port", "sim", "--listen", &port]).assert().code(1);
+    let said = haptic(&["serve", "--haply", "--port", "sim", "--listen", &port]).assert().code(1);
     assert!(String::from_utf8_lossy(&said.get_output().stderr).contains("cannot listen on port"));
 }

@@ -1,6 +1,7 @@
 //! The pose that homing declares is the pose that is read, however coarse the encoder.
 
-use crate::common::sim::{Sim, file};
+use crate::common::file;
+use crate::common::sim::Sim;
 
 #[test]
 fn a_coarse_encoder_reads_home_where_home_is() {

@@ -10,6 +10,7 @@ mod board_commands;
 mod command_line;
 mod devices_with_weight;
 mod documents;
+mod every_command;
 mod faded_terms;
 mod haply;
 mod home;

@@ -1,30 +1,24 @@
 //! `haptic map` as other programs see it.
 
-use assert_cmd::Command;
-use serde_json::Value;
+use crate::common::{self, json};
 
-const DEVICE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/coupled-five-bar.toml");
-const TURRET: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/phantom-premium-1.5.toml");
+const DEVICE: &str = "devices/coupled-five-bar.toml";
+const TURRET: &str = "devices/phantom-premium-1.5.toml";
 
 fn haptic(arguments: &[&str]) -> assert_cmd::assert::Assert {
-    Command::cargo_bin("haptic").unwrap().args(arguments).assert()
-}
-
-fn json(arguments: &[&str]) -> Value {
-    let done = haptic(arguments).success();
-    serde_json::from_slice(&done.get_output().stdout).unwrap()
+    common::haptic(arguments).assert()
 }
 
 #[test]
 fn every_point_agrees_with_haptic_model() {
-    let map = json(&["map", DEVICE, "--normal", "0.6,-0.8", "--points", "100", "--json"]);
+    let map = json(&["map", DEVICE, "--normal", "0.6,-0.8", "--points", "100"]);
     let points = map["points"].as_array().unwrap();
     assert!(points.len() > 20);
     for point in points.iter().step_by(7) {
         let q: Vec<String> =
             point["q"].as_array().unwrap().iter().map(|v| format!("{:e}", v.as_f64().unwrap())).collect();
         let q = format!("--q={}", q.join(","));
-        let model = json(&["model", DEVICE, &q, "--normal", "0.6,-0.8", "--json"]);
+        let model = json(&["model", DEVICE, &q, "--normal", "0.6,-0.8"]);
         for (one, other) in [
             (&point["w_eff"], &model["w_eff"][0][0]),
             (&point["w_rr"], &model["w_rr"][0][0]),
@@ -41,7 +35,7 @@ fn every_point_agrees_with_haptic_model() {
 /// Behind its turret's axis a linkage is in another arm pose, whatever the grid.
 #[test]
 fn a_coarse_grid_steps_over_no_singularity() {
-    let map = json(&["map", TURRET, "--normal", "0,1,0", "--json"]);
+    let map = json(&["map", TURRET, "--normal", "0,1,0"]);
     let points = map["points"].as_array().unwrap();
     assert!(points.len() > 300, "{}", points.len());
     for point in points {
@@ -53,7 +47,7 @@ fn a_coarse_grid_steps_over_no_singularity() {
 
 #[test]
 fn a_point_has_the_documented_keys() {
-    let map = json(&["map", DEVICE, "--normal", "1,0", "--points", "30", "--json"]);
+    let map = json(&["map", DEVICE, "--normal", "1,0", "--points", "30"]);
     let keys: Vec<&String> = map["points"][0].as_object().unwrap().keys().collect();
     assert_eq!(
         keys,

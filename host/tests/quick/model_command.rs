@@ -1,18 +1,11 @@
 //! `haptic model` as another program meets it: one JSON document, exit codes, and singular poses told apart.
 
-use assert_cmd::Command;
+use crate::common::{file, haptic};
 use serde_json::Value;
-use std::path::Path;
 use std::process::Output;
 
-fn device(name: &str) -> String {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices").join(format!("{name}.toml"));
-    path.to_str().expect("a plain path").to_string()
-}
-
 fn model(name: &str, args: &[&str]) -> Output {
-    let mut command = Command::cargo_bin("haptic").expect("the command is built");
-    command.arg("model").arg(device(name)).args(args).output().expect("it runs")
+    haptic(&["model", &file(&format!("{name}.toml"))]).args(args).output().expect("it runs")
 }
 
 fn json(name: &str, args: &[&str]) -> Value {

@@ -1,15 +1,11 @@
 //! What parses but can hardly be meant is said, on standard error and in JSON; what is shipped is not doubted.
 
-use assert_cmd::Command;
+use crate::common::{self, file, files};
 use serde_json::Value;
-use std::path::{Path, PathBuf};
 
-fn devices() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices")
-}
-
+/// Exit code, standard output and standard error.
 fn haptic(arguments: &[&str]) -> (i32, String, String) {
-    let done = Command::cargo_bin("haptic").unwrap().args(arguments).output().unwrap();
+    let done = common::haptic(arguments).output().unwrap();
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
     (done.status.code().unwrap(), text(done.stdout), text(done.stderr))
 }
@@ -17,7 +13,7 @@ fn haptic(arguments: &[&str]) -> (i32, String, String) {
 /// The shipped device with one thing changed, checked with `--json`: the document and standard error.
 fn checked(changes: &[(&str, &str)], scene: Option<&str>) -> (Value, String) {
     let folder = tempfile::tempdir().unwrap();
-    let mut text = std::fs::read_to_string(devices().join("haply-2diy.toml")).unwrap();
+    let mut text = std::fs::read_to_string(file("haply-2diy.toml")).unwrap();
     for (from, to) in changes {
         assert!(text.contains(from), "{from}");
         text = text.replace(from, to);
@@ -63,7 +59,7 @@ fn wrong_units_are_doubted_at_their_line() {
         assert!(err.contains(found["text"].as_str().unwrap()), "{err}");
         assert!(err.lines().all(|line| line.starts_with("haptic: warning: ")), "{err}");
         // The line that is named is the line that was changed.
-        let mut text = std::fs::read_to_string(devices().join("haply-2diy.toml")).unwrap();
+        let mut text = std::fs::read_to_string(file("haply-2diy.toml")).unwrap();
         changes.iter().for_each(|(from, to)| text = text.replace(from, to));
         let line = text.lines().nth(found["line"].as_u64().unwrap() as usize - 1).unwrap().to_string();
         assert!(line.contains(key), "{line} is not {key}");
@@ -150,22 +146,10 @@ fn the_limit_that_is_named_is_that_of_haptic_range() {
     let contact = &json["scenes"][0]["contacts"][0];
     let q: Vec<String> =
         contact["q"].as_array().unwrap().iter().map(|v| format!("{:e}", v.as_f64().unwrap())).collect();
-    let device = devices().join("haply-2diy.toml");
+    let device = file("haply-2diy.toml");
     let q = format!("--q={}", q.join(","));
     let (code, out, err) = haptic(&[
-        "range",
-        device.to_str().unwrap(),
-        &q,
-        "--normal",
-        "0,-1",
-        "--rate",
-        "20000",
-        "--cutoff",
-        "500",
-        "--delay",
-        "0.5",
-        "--kd",
-        "6",
+        "range", &device, &q, "--normal", "0,-1", "--rate", "20000", "--cutoff", "500", "--delay", "0.5", "--kd", "6",
         "--json",
     ]);
     assert_eq!(code, 0, "{err}");
@@ -177,14 +161,10 @@ fn the_limit_that_is_named_is_that_of_haptic_range() {
 
 #[test]
 fn nothing_shipped_is_doubted() {
-    let toml = |folder: &Path| -> Vec<PathBuf> {
-        let found = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
-        found.filter(|path| path.extension().is_some_and(|e| e == "toml")).collect()
-    };
-    let shipped = toml(&devices());
+    let shipped = files("");
     assert!(shipped.len() >= 7);
     for device in shipped {
-        let scenes = toml(&devices().join("scenes").join(device.file_stem().unwrap()));
+        let scenes = files(&format!("scenes/{}", device.file_stem().unwrap().display()));
         let mut arguments = vec!["check", device.to_str().unwrap()];
         arguments.extend(scenes.iter().map(|path| path.to_str().unwrap()));
         let (code, out, err) = haptic(&arguments);
@@ -205,7 +185,7 @@ fn nothing_shipped_is_doubted() {
 #[test]
 fn reach_and_force_are_the_exact_ones_however_coarse_the_grid() {
     let summary = |name: &str| -> Value {
-        let (code, out, err) = haptic(&["check", devices().join(name).to_str().unwrap(), "--json"]);
+        let (code, out, err) = haptic(&["check", &file(name), "--json"]);
         assert_eq!(code, 0, "{err}");
         serde_json::from_str::<Value>(&out).unwrap()["summary"].clone()
     };
@@ -224,10 +204,10 @@ fn reach_and_force_are_the_exact_ones_however_coarse_the_grid() {
 #[test]
 fn both_largest_forces_are_the_same_number() {
     for name in ["phantom-premium-1.5", "haply-2diy", "coupled-five-bar", "capstan-pantograph", "woodenhaptics"] {
-        let path = devices().join(format!("{name}.toml"));
-        let (_, json, _) = haptic(&["check", path.to_str().unwrap(), "--json"]);
+        let path = file(&format!("{name}.toml"));
+        let (_, json, _) = haptic(&["check", &path, "--json"]);
         let high = serde_json::from_str::<Value>(&json).unwrap()["summary"]["force_at_home"]["high"].as_f64().unwrap();
-        let (_, said, _) = haptic(&["check", path.to_str().unwrap()]);
+        let (_, said, _) = haptic(&["check", &path]);
         let told = said.split("its motors make up to ").nth(1).unwrap().split(' ').next().unwrap();
         assert_eq!(format!("{high:.1}"), told, "{name}\n{said}");
     }
@@ -235,18 +215,18 @@ fn both_largest_forces_are_the_same_number() {
 
 #[test]
 fn model_doubts_angles_in_degrees() {
-    let device = devices().join("haply-2diy.toml");
-    let (code, _, err) = haptic(&["model", device.to_str().unwrap(), "--q", "132,48"]);
+    let device = file("haply-2diy.toml");
+    let (code, _, err) = haptic(&["model", &device, "--q", "132,48"]);
     assert!(code != 2 && err.contains("132 degrees are 2.3038 rad"), "{code} {err}");
 }
 
 #[test]
 fn a_scene_given_as_a_device_is_named_so_and_the_other_way_round() {
-    let device = devices().join("haply-2diy.toml");
-    let scene = devices().join("scenes/haply-2diy/wall-soft.toml");
-    let (code, _, err) = haptic(&["check", scene.to_str().unwrap()]);
+    let device = file("haply-2diy.toml");
+    let scene = file("scenes/haply-2diy/wall-soft.toml");
+    let (code, _, err) = haptic(&["check", &scene]);
     assert!(code == 2 && err.contains("looks like a scene file"), "{err}");
-    let (code, _, err) = haptic(&["check", device.to_str().unwrap(), device.to_str().unwrap()]);
+    let (code, _, err) = haptic(&["check", &device, &device]);
     assert!(code == 2 && err.contains("looks like a device file"), "{err}");
 }
 
@@ -288,10 +268,9 @@ fn a_new_file_passes_check_and_is_never_written_over() {
 
 #[test]
 fn doubts_about_what_was_typed_are_in_the_json_document_too() {
-    let device = devices().join("haply-2diy.toml");
-    let device = device.to_str().unwrap();
-    let range = ["range", device, "--normal", "0,1", "--rate", "1000", "--cutoff", "20", "--q=132,48", "--json"];
-    for arguments in [&["model", device, "--q=132,48", "--json"][..], &range] {
+    let device = file("haply-2diy.toml");
+    let range = ["range", &device, "--normal", "0,1", "--rate", "1000", "--cutoff", "20", "--q=132,48", "--json"];
+    for arguments in [&["model", &device, "--q=132,48", "--json"][..], &range] {
         let (code, out, err) = haptic(arguments);
         assert_eq!(code, 0, "{err}");
         let document: Value = serde_json::from_str(&out).unwrap();
@@ -300,19 +279,18 @@ fn doubts_about_what_was_typed_are_in_the_json_document_too() {
         assert!(warnings[0]["text"].as_str().unwrap().contains("132 degrees are 2.3038 rad"), "{err}");
     }
     // A document about which nothing is doubted has the keys of docs/model.md and no other.
-    let (_, out, _) = haptic(&["model", device, "--json"]);
+    let (_, out, _) = haptic(&["model", &device, "--json"]);
     assert_eq!(serde_json::from_str::<Value>(&out).unwrap().get("warnings"), None);
 }
 
 #[test]
 fn a_drawing_is_not_overwritten_unasked() {
     let folder = tempfile::tempdir().unwrap();
-    let device = devices().join("haply-2diy.toml");
-    let device = device.to_str().unwrap();
+    let device = file("haply-2diy.toml");
     for (option, name) in [("--svg", "a.svg"), ("--png", "a.png")] {
         let path = folder.path().join(name);
         std::fs::write(&path, "mine").unwrap();
-        let drawn = ["check", device, option, path.to_str().unwrap()];
+        let drawn = ["check", &device, option, path.to_str().unwrap()];
         let (code, _, err) = haptic(&drawn);
         assert_eq!(code, 1, "{err}");
         assert!(err.contains("exists") && err.contains("--force"), "{err}");
@@ -325,13 +303,13 @@ fn a_drawing_is_not_overwritten_unasked() {
 #[test]
 fn a_washout_that_costs_stability_is_doubted_with_a_corner_that_does_not() {
     let folder = tempfile::tempdir().unwrap();
-    let device = devices().join("capstan-pantograph.toml");
+    let device = file("capstan-pantograph.toml");
     let said = |corner: &str, feed_forward: &str| {
         let scene = folder.path().join("scene.toml");
         let wall = "[[wall]]\npoint = [0, 0.03]\nnormal = [0.6, 0.8]\nstiffness = 50\ndamping = 2\n";
         let law = format!("feed_forward = \"{feed_forward}\"\nwashout_hz = {corner}\n");
         std::fs::write(&scene, format!("rate_hz = 200\ncutoff_hz = 20\n{wall}{law}")).unwrap();
-        let (code, _, err) = haptic(&["check", device.to_str().unwrap(), scene.to_str().unwrap()]);
+        let (code, _, err) = haptic(&["check", &device, scene.to_str().unwrap()]);
         assert_eq!(code, 0, "{err}");
         err
     };

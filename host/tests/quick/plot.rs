@@ -1,7 +1,7 @@
 //! `haptic plot`: what is drawn is what was recorded. A recording of known functions is drawn, and the picture is read
 //! back by its own ticks and labels, without the code that drew it.
 
-use assert_cmd::Command;
+use crate::common::{haptic, json};
 use haptic::plot::axes::{Axis, Mark, PlotArea};
 use haptic::plot::canvas::Canvas;
 use predicates::str::contains;
@@ -106,10 +106,7 @@ fn the_picture_says_what_was_recorded() {
     let folder = tempfile::tempdir().unwrap();
     let (csv, svg, png) = (folder.path().join("a.csv"), folder.path().join("a.svg"), folder.path().join("a.png"));
     recording(&csv);
-    let plot = |more: &[&str]| {
-        let mut command = Command::cargo_bin("haptic").unwrap();
-        command.arg("plot").arg(&csv).args(more).assert()
-    };
+    let plot = |more: &[&str]| haptic(&["plot"]).arg(&csv).args(more).assert();
     let files = ["--svg", svg.to_str().unwrap(), "--png", png.to_str().unwrap()];
     plot(&files)
         .success()
@@ -221,16 +218,7 @@ fn the_phase_of_fast_rows_is_drawn_of_means() {
         text.push_str(&format!("{row},{},{},{}\n", row as f64 / 20e3, 1e-6 * row as f64, 0.02 + jump));
     }
     std::fs::write(&csv, text).unwrap();
-    let plot = |more: &[&str]| {
-        Command::cargo_bin("haptic")
-            .unwrap()
-            .arg("plot")
-            .arg(&csv)
-            .args(["--show", "phase"])
-            .args(more)
-            .assert()
-            .success()
-    };
+    let plot = |more: &[&str]| haptic(&["plot", "--show", "phase"]).arg(&csv).args(more).assert().success();
     plot(&["--svg", svg.to_str().unwrap()]);
     let text = std::fs::read_to_string(&svg).unwrap();
     assert!(text.contains("means over 21 rows"), "{text}");
@@ -250,10 +238,7 @@ fn what_never_moved_has_a_spectrum_at_the_floor() {
         .to_string();
     (0..3000).for_each(|row| text.push_str(&format!("{row},{},0\n", f64::from(row) / 1e3)));
     std::fs::write(&csv, text).unwrap();
-    let mut command = Command::cargo_bin("haptic").unwrap();
-    let drawn =
-        command.arg("plot").arg(&csv).args(["--signals", "distance_m", "--show", "spectrum", "--json"]).assert();
-    let json: serde_json::Value = serde_json::from_slice(&drawn.success().get_output().stdout).unwrap();
+    let json = json(&["plot", csv.to_str().unwrap(), "--signals", "distance_m", "--show", "spectrum"]);
     let points = json["panels"][0]["curves"][0]["pieces"][0].as_array().unwrap();
     assert!(points.len() > 100 && points.iter().all(|point| (point[1].as_f64().unwrap() + 120.0).abs() < 1e-9));
 }
@@ -264,8 +249,7 @@ fn what_cannot_be_drawn_is_refused_in_words() {
     let csv = folder.path().join("a.csv");
     recording(&csv);
     let refused = |more: &[&str], said: &str| {
-        let mut command = Command::cargo_bin("haptic").unwrap();
-        command.arg("plot").arg(&csv).args(more).assert().code(2).stderr(contains(said));
+        haptic(&["plot"]).arg(&csv).args(more).assert().code(2).stderr(contains(said));
     };
     refused(&["--signals", "nothing_n"], "no column nothing_n; it has step, time_s, torque0_n_m");
     refused(&["--from", "5"], "0 rows to draw; the recording has rows from 0 to 1.999 s");

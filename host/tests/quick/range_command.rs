@@ -1,21 +1,15 @@
 //! `haptic range` as other programs see it: its JSON, its pictures, its refusals.
 
-use assert_cmd::Command;
+use crate::common::{self, file, json};
 use serde_json::Value;
 
-const DEVICE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/serial-3r.toml");
+const DEVICE: &str = "devices/serial-3r.toml";
 
 fn haptic(arguments: &[&str]) -> assert_cmd::assert::Assert {
-    Command::cargo_bin("haptic").unwrap().args(arguments).assert()
+    common::haptic(arguments).assert()
 }
 
-fn json(arguments: &[&str]) -> Value {
-    let done = haptic(arguments).success();
-    serde_json::from_slice(&done.get_output().stdout).unwrap()
-}
-
-const POSE: [&str; 8] =
-    ["--q=0.6,0.9,-0.7", "--normal=-1,0.5", "--rate", "1000", "--cutoff", "20", "--json", "--undamped"];
+const POSE: [&str; 7] = ["--q=0.6,0.9,-0.7", "--normal=-1,0.5", "--rate", "1000", "--cutoff", "20", "--undamped"];
 
 #[test]
 fn the_document_has_the_documented_keys() {
@@ -38,7 +32,7 @@ fn a_host_that_is_too_late_is_told_in_its_own_seconds() {
 
 #[test]
 fn rate_and_cutoff_have_the_defaults_that_measure_range_has() {
-    let pose = ["--q=0.6,0.9,-0.7", "--normal=-1,0.5", "--json"];
+    let pose = ["--q=0.6,0.9,-0.7", "--normal=-1,0.5"];
     let said = json(&[&["range", DEVICE], &pose[..]].concat());
     assert_eq!(said, json(&[&["range", DEVICE, "--rate", "1000", "--cutoff", "20"], &pose[..]].concat()));
     for command in ["range", "measure-range"] {
@@ -72,7 +66,7 @@ fn a_picture_is_written_as_svg_and_png() {
 fn the_picture_says_what_its_symbols_stand_for() {
     let folder = tempfile::tempdir().unwrap();
     let svg = folder.path().join("range.svg");
-    let device = DEVICE.replace("serial-3r", "coupled-five-bar");
+    let device = file("coupled-five-bar.toml");
     let at = ["--q=2.6,1.75", "--normal=0.94,-0.34", "--rate", "1000", "--cutoff", "20", "--delay", "1"];
     let said =
         haptic(&[&["range", &device, "--washout", "2", "--svg", svg.to_str().unwrap()], &at[..]].concat()).success();
@@ -111,13 +105,13 @@ fn a_wall_that_a_computer_renders_stands_beside_the_boards_in_numbers_words_and_
     let svg = folder.path().join("host.svg");
     let board = ["range", DEVICE, "--q=0.6,0.9,-0.7", "--normal=-1,0.5", "--rate", "20000", "--cutoff", "500"];
     let host = ["--host-rate", "1000", "--host-delay", "0.00101", "--svg", svg.to_str().unwrap()];
-    let document = json(&[&board[..], &host, &["--json", "--kd", "0"]].concat());
+    let document = json(&[&board[..], &host, &["--kd", "0"]].concat());
     assert_eq!(
         (document["host"]["rate_hz"].as_f64(), document["host"]["delay_s"].as_f64()),
         (Some(1e3), Some(1.05e-3))
     );
     // At no damping no velocity acts, so this is a board of 1 kHz with 1.05 samples of delay.
-    let slow = ["--q=0.6,0.9,-0.7", "--normal=-1,0.5", "--delay", "1.05", "--kd", "0", "--json"];
+    let slow = ["--q=0.6,0.9,-0.7", "--normal=-1,0.5", "--delay", "1.05", "--kd", "0"];
     let slow = json(&[&["range", DEVICE], &slow[..]].concat());
     let kp = |domain: &Value| domain["boundary"][0]["kp"].as_f64().unwrap();
     assert!((kp(&document["host"]) / kp(&slow["off"]) - 1.0).abs() < 1e-6, "{document}");
@@ -157,8 +151,7 @@ fn what_is_wrong_is_refused_with_one_line() {
 #[test]
 fn a_feed_forward_that_costs_more_than_it_brings_is_warned_of() {
     // Cables of 300 Hz for a joint of 3e-4 kg m²: the feed-forward, made for a rigid device, drives their mode.
-    let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/coupled-five-bar.toml");
-    let text = std::fs::read_to_string(shipped).unwrap();
+    let text = std::fs::read_to_string(file("coupled-five-bar.toml")).unwrap();
     let soft = text.replacen("\"rigid\"", "{ stiffness = 1065.9, damping = 0.03694 }", 1).replacen(
         "\"rigid\"",
         "{ stiffness = 1065.9, damping = 0.02262 }",
@@ -168,13 +161,13 @@ fn a_feed_forward_that_costs_more_than_it_brings_is_warned_of() {
     let path = folder.path().join("soft.toml");
     std::fs::write(&path, soft).unwrap();
     let of = |device: &str| {
-        let pose = ["--q=2.6,1.75", "--normal=0.2588,0.9659", "--rate", "20000", "--cutoff", "500", "--json"];
+        let pose = ["--q=2.6,1.75", "--normal=0.2588,0.9659", "--rate", "20000", "--cutoff", "500"];
         json(&[&["range", device], &pose[..]].concat())
     };
     let found = of(path.to_str().unwrap());
     assert!(found["area_ratio"].as_f64().unwrap() < 0.7, "{}", found["area_ratio"]);
     assert!(found["warnings"][0]["text"].as_str().unwrap().contains("costs more than it brings"), "{found}");
-    let rigid = of(shipped);
+    let rigid = of("devices/coupled-five-bar.toml");
     assert!(rigid["area_ratio"].as_f64().unwrap() > 1.2 && rigid.get("warnings").is_none(), "{}", rigid["area_ratio"]);
 }
 
@@ -183,7 +176,7 @@ fn a_washout_that_costs_is_doubted_where_the_feed_forward_in_full_brings_much() 
     // Where Wrr is many times Weff, 2 Hz are no longer far below what a loop at 200 Hz does.
     let found = json(&[
         "range",
-        concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/capstan-pantograph.toml"),
+        "devices/capstan-pantograph.toml",
         "--q=2.968991857470883,0.19068693916888918",
         "--normal=-0.6056607432341015,-0.2794685223955733",
         "--rate",
@@ -194,7 +187,6 @@ fn a_washout_that_costs_is_doubted_where_the_feed_forward_in_full_brings_much() 
         "0.5",
         "--washout",
         "2",
-        "--json",
     ]);
     let number = |of: &str| found[of]["area"].as_f64().unwrap();
     assert!(number("washout") < 0.5 * number("off") && number("full") > 10.0 * number("off"), "{found}");

@@ -1,6 +1,7 @@
 //! Devices that are not ideal: transmissions that give, a hand on the tip, a difference over several samples
 //! (docs/model.md section 6).
 
+use crate::common::root;
 use haptic::analysis::flexible::{Flexible, Hand};
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::domain;
@@ -16,7 +17,7 @@ fn numbers(value: &Value) -> Vec<f64> {
 
 #[test]
 fn every_boundary_agrees_with_the_independent_one() {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/golden/real.json");
+    let path = root().join("tests/golden/real.json");
     let golden: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
     let cases = golden["cases"].as_array().unwrap();
     assert_eq!(cases.len(), 20);

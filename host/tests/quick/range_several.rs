@@ -3,7 +3,7 @@
 //! same sets to end there.
 
 use crate::common::domains::{self, Case, Known};
-use assert_cmd::Command;
+use crate::common::{file, haptic, json};
 use haptic::analysis::range::domain_of_several;
 use haptic::analysis::several::{Member, WallSet};
 use haptic::device_file::DeviceFile;
@@ -13,15 +13,6 @@ use serde_json::Value;
 
 fn numbers(value: &Value) -> Vec<f64> {
     value.as_array().unwrap().iter().map(|number| number.as_f64().unwrap()).collect()
-}
-
-fn json(arguments: &[&str]) -> Value {
-    let done = Command::cargo_bin("haptic").unwrap().args(arguments).arg("--json").assert().success();
-    serde_json::from_slice(&done.get_output().stdout).unwrap()
-}
-
-fn device(name: &str) -> String {
-    format!("{}/../devices/{name}.toml", env!("CARGO_MANIFEST_DIR"))
 }
 
 #[test]
@@ -121,7 +112,7 @@ const SETS: [Set; 8] = [
 #[test]
 fn sets_of_walls_end_where_independent_loops_do() {
     for (name, q, normals, shares, without, kd) in SETS {
-        let path = device(name);
+        let path = file(&format!("{name}.toml"));
         let share: Vec<f64> = shares.split(',').map(|part| part.parse().unwrap()).collect();
         let total: f64 = share.iter().sum();
         let share: Vec<f64> = share.iter().map(|part| part / total).collect();
@@ -203,7 +194,7 @@ fn sets_of_walls_are_measured_to_end_where_they_are_predicted_to() {
     for (index, (name, q, normals, shares, without, kd)) in measured.enumerate() {
         let progress = folder.path().join(format!("{index}.json"));
         let n: Vec<String> = normals.iter().map(|normal| format!("--normal={normal}")).collect();
-        let (path, q, kd) = (device(name), format!("--q={q}"), kd.to_string());
+        let (path, q, kd) = (file(&format!("{name}.toml")), format!("--q={q}"), kd.to_string());
         let mut all = vec!["measure-range", &path, "--port", "sim", &q, "--share", shares, "--kd", &kd];
         all.extend(n.iter().map(String::as_str));
         all.extend(without.iter().flat_map(|walls| ["--no-feed-forward", walls]));
@@ -230,11 +221,11 @@ fn sets_of_walls_are_measured_to_end_where_they_are_predicted_to() {
 
 #[test]
 fn walls_that_cannot_be_measured_together_are_refused_before_anything_moves() {
-    let path = device("coupled-five-bar");
+    let path = file("coupled-five-bar.toml");
     let folder = tempfile::tempdir().unwrap();
     let of = |extra: &[&str], says: &str| {
         let all = [&["measure-range", &path, "--port", "sim", "--normal=1,0"], extra].concat();
-        let done = Command::cargo_bin("haptic").unwrap().current_dir(&folder).args(all).assert().code(2);
+        let done = haptic(&all).current_dir(&folder).assert().code(2);
         let error = String::from_utf8(done.get_output().stderr.clone()).unwrap();
         assert!(error.contains(says), "{error}");
     };
@@ -248,7 +239,7 @@ fn walls_that_cannot_be_measured_together_are_refused_before_anything_moves() {
 
 #[test]
 fn shares_that_do_not_fit_are_refused() {
-    let path = device("coupled-five-bar");
+    let path = file("coupled-five-bar.toml");
     let of = |extra: &[&str], code: i32, says: &str| {
         let mut all = vec![
             "range",
@@ -262,7 +253,7 @@ fn shares_that_do_not_fit_are_refused() {
             "100",
         ];
         all.extend(extra);
-        let done = Command::cargo_bin("haptic").unwrap().args(all).assert().code(code);
+        let done = haptic(&all).assert().code(code);
         let error = String::from_utf8(done.get_output().stderr.clone()).unwrap();
         assert!(error.contains(says), "{error}");
     };

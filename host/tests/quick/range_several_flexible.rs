@@ -2,6 +2,7 @@
 //! transmissions are none, and sets of walls end where loops end that are built here, from M and J, with the motors and
 //! the hand as bodies of their own.
 
+use crate::common::shipped;
 use haptic::analysis::control_loop::Mode;
 use haptic::analysis::flexible::Hand;
 use haptic::analysis::plant::{Drive, Linearised};
@@ -32,8 +33,7 @@ fn around() -> Loop {
 /// A shipped device; with cables of so many Hz against each joint's motor, of which a third joint's and more have all
 /// of the inertia and a turret three tenths.
 fn device(name: &str, hz: Option<f64>) -> DeviceFile {
-    let path = format!("{}/../devices/{name}.toml", env!("CARGO_MANIFEST_DIR"));
-    let mut file = DeviceFile::load(path).unwrap();
+    let mut file = shipped(name);
     let spec = file.spec();
     for (index, joint) in file.description.joints[..spec.joints].iter_mut().enumerate() {
         let share = if spec.task == 3 && index == 0 { 0.3 } else { 1.0 };

@@ -1,6 +1,7 @@
 //! `haptic record`: what it writes is opened by the format's own library, whole or cut short by whatever cuts it short.
 
-use crate::common::sim::{self, Sim, file};
+use crate::common::file;
+use crate::common::sim::{Sim, until};
 use haptic::recorder::{Recording, protobuf};
 use mcap::MessageStream;
 use mcap::read::Options;
@@ -107,7 +108,7 @@ fn a_recording_whose_tool_is_killed_is_readable_to_its_last_full_chunk() {
     for (round, least) in [10_000, 2_000_000].into_iter().enumerate() {
         let path = folder.path().join(format!("{round}.mcap"));
         let mut tool = sim.spawn(&["record", path.to_str().unwrap()]);
-        sim::until("bytes on disk", || std::fs::metadata(&path).is_ok_and(|about| about.len() >= least));
+        until("bytes on disk", || std::fs::metadata(&path).is_ok_and(|about| about.len() >= least));
         tool.kill().unwrap();
         tool.wait().unwrap();
         let bytes = std::fs::read(&path).unwrap();
@@ -160,7 +161,7 @@ fn a_board_that_dies_leaves_a_whole_recording_that_says_so() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("cut.mcap");
     let mut tool = sim.spawn(&["record", path.to_str().unwrap(), "--fields", "q,state"]);
-    sim::until("bytes on disk", || std::fs::metadata(&path).is_ok_and(|about| about.len() >= 100_000));
+    until("bytes on disk", || std::fs::metadata(&path).is_ok_and(|about| about.len() >= 100_000));
     sim.child.kill().unwrap();
     assert_eq!(tool.wait().unwrap().code(), Some(1));
     let recording = Recording::load(&path).unwrap();

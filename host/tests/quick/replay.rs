@@ -1,7 +1,8 @@
 //! `haptic replay`: the control code does from a recording's counts what it did, to the bit, and says where it does
 //! not.
 
-use crate::common::sim::{Sim, file, haptic};
+use crate::common::sim::Sim;
+use crate::common::{file, haptic};
 use haptic::recorder::Recording;
 use predicates::prelude::*;
 use predicates::str::contains;

@@ -1,14 +1,10 @@
 //! The page of `haptic report` needs nothing else, and is what its own lines print.
 
-use assert_cmd::Command;
-use std::path::Path;
+use crate::common;
 
-fn root() -> std::path::PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
-}
-
+/// What it prints.
 fn haptic(arguments: &[&str]) -> String {
-    let output = Command::cargo_bin("haptic").unwrap().current_dir(root()).args(arguments).output().unwrap();
+    let output = common::haptic(arguments).output().unwrap();
     assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).unwrap()
 }
@@ -83,8 +79,7 @@ fn a_page_that_is_there_is_kept() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("page.html");
     std::fs::write(&path, "mine").unwrap();
-    let mut command = Command::cargo_bin("haptic").unwrap();
-    command.current_dir(root()).args(["report", "devices/hapkit-paddle.toml", "--out", path.to_str().unwrap()]);
-    command.assert().code(1);
+    let report = ["report", "devices/hapkit-paddle.toml", "--out", path.to_str().unwrap()];
+    common::haptic(&report).assert().code(1);
     assert_eq!(std::fs::read_to_string(path).unwrap(), "mine");
 }

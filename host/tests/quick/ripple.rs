@@ -1,17 +1,15 @@
 //! What encoder steps make of a pressed wall: against what was computed apart from this project's code, against the
 //! board's own control step, and by its limits.
 
-use assert_cmd::Command;
+use crate::common::{self, shipped};
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::ripple::{DampingRule, LIGHT_HAND, PUSH_N, Pressed};
 use haptic::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic::bench::estimators::{Comparison, ripple_of};
-use haptic::device_file::DeviceFile;
 use haptic::sweep::Sweep;
 use haptic_bridge::render::velocity::{Chosen, Estimator as Kind};
 use serde_json::Value;
 
-const DEVICE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/coupled-five-bar.toml");
 const Q: [f64; 2] = [2.6, 1.75];
 const NORMAL: [f64; 2] = [0.25881904510252074, 0.9659258262890683];
 
@@ -21,7 +19,7 @@ fn around(rate_hz: f64, estimator: LinearEstimator, delay_samples: f64) -> Loop 
 
 /// Runs `work` on the shipped device with so many counts per turn.
 fn pressed<T>(around: &Loop, counts: Option<f64>, work: impl FnOnce(&Pressed<'_>) -> T) -> T {
-    let mut file = DeviceFile::load(DEVICE).unwrap();
+    let mut file = shipped("coupled-five-bar");
     for encoder in file.description.joints.iter_mut().flat_map(|joint| &mut joint.encoder) {
         encoder.counts_per_turn = counts.unwrap_or(encoder.counts_per_turn);
     }
@@ -76,7 +74,7 @@ fn a_fast_loop_buzzes_far_below_its_linear_limit_with_coarse_encoders_only() {
 
 #[test]
 fn the_boards_own_step_ripples_alike() {
-    let mut file = DeviceFile::load(DEVICE).unwrap();
+    let mut file = shipped("coupled-five-bar");
     // There the hand presses with the same force all the time, and dry friction may hold the tip between two counts.
     file.description.joints.iter_mut().for_each(|joint| joint.coulomb = 0.0);
     for (rate_hz, cutoff_hz, wall) in [(1_000.0, 100.0, (15_000.0, 40.0)), (20_000.0, 500.0, (50_000.0, 150.0))] {
@@ -99,9 +97,9 @@ fn the_boards_own_step_ripples_alike() {
 }
 
 fn json(arguments: &[&str]) -> Value {
-    let pose = ["range", DEVICE, "--q=2.6,1.75", "--normal=0.2588,0.9659", "--json"];
-    let done = Command::cargo_bin("haptic").unwrap().args(pose).args(arguments).assert().success();
-    serde_json::from_slice(&done.get_output().stdout).unwrap()
+    common::json(
+        &[&["range", "devices/coupled-five-bar.toml", "--q=2.6,1.75", "--normal=0.2588,0.9659"], arguments].concat(),
+    )
 }
 
 #[test]
@@ -137,8 +135,8 @@ fn what_cannot_be_simulated_is_refused() {
         (&["--ripple", "1", "--normal", "1,0"][..], "--ripple or --wall with several --normal"),
         (&["--ripple", "1", "--damping-compensation"][..], "--damping-compensation"),
     ] {
-        let pose = ["range", DEVICE, "--q=2.6,1.75", "--normal=0.2588,0.9659"];
-        let done = Command::cargo_bin("haptic").unwrap().args(pose).args(arguments).assert().code(2);
+        let pose = ["range", "devices/coupled-five-bar.toml", "--q=2.6,1.75", "--normal=0.2588,0.9659"];
+        let done = common::haptic(&pose).args(arguments).assert().code(2);
         let told = String::from_utf8(done.get_output().stderr.clone()).unwrap();
         assert!(told.contains(said), "{told}");
     }

@@ -2,6 +2,7 @@
 //!
 //! Scenes live in devices/scenes/DEVICE/.
 
+use crate::common::files;
 use haptic::device_file::DeviceFile;
 use haptic::scene_file::SceneFile;
 use haptic_bridge::math::Libm;
@@ -9,30 +10,14 @@ use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
-use std::path::{Path, PathBuf};
-
-fn devices() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices")
-}
-
-fn toml_files(folder: &Path) -> Vec<PathBuf> {
-    let mut files: Vec<PathBuf> = std::fs::read_dir(folder)
-        .expect("the folder is there")
-        .map(|entry| entry.expect("readable").path())
-        .filter(|path| path.extension().is_some_and(|extension| extension == "toml"))
-        .collect();
-    files.sort();
-    files
-}
 
 /// Every shipped device with its scenes.
 fn shipped() -> Vec<(DeviceFile, Vec<SceneFile>)> {
-    toml_files(&devices())
+    files("")
         .into_iter()
         .map(|path| {
             let device = DeviceFile::load(&path).unwrap_or_else(|error| panic!("{error}"));
-            let folder = devices().join("scenes").join(path.file_stem().expect("a name"));
-            let scenes = toml_files(&folder)
+            let scenes = files(&format!("scenes/{}", device.name))
                 .iter()
                 .map(|scene| SceneFile::load(scene, device.spec().task).unwrap_or_else(|error| panic!("{error}")))
                 .collect();
@@ -77,7 +62,7 @@ fn home_is_outside_every_wall() {
 
 #[test]
 fn a_home_inside_a_wall_is_noticed() {
-    let device = DeviceFile::load(devices().join("haply-2diy.toml")).expect("sound");
+    let device = crate::common::shipped("haply-2diy");
     let home = device.description.home.expect("shipped devices have a home");
     // The home pose has its tip 0.114 m in front of the motors.
     let text = "[[wall]]\npoint = [0.0, 0.13]\nnormal = [0.0, -1.0]\nstiffness = 1\n\

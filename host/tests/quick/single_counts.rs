@@ -1,6 +1,6 @@
 //! Single encoder counts are no motion: the velocity terms, which grow with the square of it, do not act on them.
 
-use haptic::device_file::DeviceFile;
+use crate::common::{all_shipped, shipped};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::Mechanism;
@@ -10,15 +10,6 @@ use haptic_bridge::render::velocity::Estimator;
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 use std::f64::consts::TAU;
-use std::path::{Path, PathBuf};
-
-fn devices() -> Vec<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices");
-    let mut files: Vec<_> = folder.read_dir().unwrap().map(|entry| entry.unwrap().path()).collect();
-    files.retain(|file| file.extension().is_some_and(|extension| extension == "toml"));
-    files.sort();
-    files
-}
 
 /// A plane through the tip that pushes both ways, with the feed-forward in full.
 fn scene(tip: &[f64], task: usize, estimator: Estimator, velocity_terms: VelocityTerms) -> Scene<f64> {
@@ -67,11 +58,11 @@ fn added<M: Mechanism<f64, N>, const N: usize>(mechanism: &M, device: &Device<f6
 #[test]
 fn velocity_terms_do_not_act_on_single_counts() {
     let mut seen = 0;
-    for path in devices() {
-        let device = DeviceFile::load(path.clone()).unwrap().device().unwrap();
+    for file in all_shipped() {
+        let device = file.device().unwrap();
         for (name, estimator) in Estimator::ALL {
             let most = with_mechanism!(&device.mechanism, m => added(m, &device, *estimator));
-            assert!(most < 1e-9, "{}, {name}: {most} N m of one count", path.display());
+            assert!(most < 1e-9, "{}, {name}: {most} N m of one count", file.name);
             seen += 1;
         }
     }
@@ -81,8 +72,7 @@ fn velocity_terms_do_not_act_on_single_counts() {
 /// The mean torques (N m) of the velocity terms over the periods of the last count while a five-bar's joints turn
 /// evenly.
 fn of_turning(counts_per_turn: f64, speed: f64) -> SVector<f64, 2> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices/coupled-five-bar.toml");
-    let mut known = DeviceFile::load(folder).unwrap().description;
+    let mut known = shipped("coupled-five-bar").description;
     for joint in &mut known.joints[..2] {
         joint.encoder.as_mut().unwrap().counts_per_turn = counts_per_turn;
     }

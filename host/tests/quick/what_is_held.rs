@@ -1,7 +1,7 @@
 //! A redundant device meets its wall by what it holds, and every command says the same of it; a gain of the
 //! feed-forward does what it costs.
 
-use crate::common::sim::{file, haptic};
+use crate::common::{file, haptic, shipped};
 use haptic::analysis::map::map_holding;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::predict;
@@ -13,7 +13,7 @@ use haptic_bridge::model::admissible::Admissible;
 const NORMAL: [f64; 2] = [0.6, 0.8];
 
 fn arm() -> DeviceFile {
-    DeviceFile::load(file("serial-3r.toml")).unwrap()
+    shipped("serial-3r")
 }
 
 fn around(rate_hz: f64, cutoff_hz: f64) -> Loop {
@@ -100,7 +100,7 @@ fn the_stable_area_grows_with_the_square_of_what_is_met() {
 
 #[test]
 fn a_gain_of_two_makes_the_demos_wall_stiffer_and_beyond_its_limit_none_is_analysed() {
-    let five_bar = DeviceFile::load(file("coupled-five-bar.toml")).unwrap();
+    let five_bar = shipped("coupled-five-bar");
     let normal = [75.0_f64.to_radians().cos(), 75.0_f64.to_radians().sin()];
     let mut device = Linearised::at(&five_bar.description, &[2.6, 1.75], &normal).unwrap().undamped();
     // Found by independent computation: 22 994.941 N/m at 1, 29.9 kN/m and 0.357 kg at 2, the pole at 4.9.

@@ -10,6 +10,7 @@ use haptic::plot::why::draw;
 use haptic::sweep::Sweep;
 use haptic_bridge::model::description::{EncoderAt, Transmission};
 use nalgebra::{DMatrix, DVector};
+use std::hint::black_box;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 fn soft_and_held() -> Linearised {
@@ -101,7 +102,9 @@ fn results_come_in_the_order_of_the_things_whoever_is_first() {
     };
     let squares = cores::map(&things, &progress, |thing| {
         // The first are the slowest.
-        std::thread::sleep(std::time::Duration::from_micros(50 * (50 - thing)));
+        for step in 0..100_000 * (50 - thing) {
+            black_box(step);
+        }
         thing * thing
     });
     assert_eq!(squares, things.iter().map(|thing| thing * thing).collect::<Vec<_>>());

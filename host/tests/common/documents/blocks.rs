@@ -1,12 +1,8 @@
 //! The fenced blocks of a document, and what their info string says about running them.
 
+pub use super::super::root;
 use std::fs;
 use std::path::{Path, PathBuf};
-
-/// The repository.
-pub fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap()
-}
 
 /// How a block is tried.
 #[derive(Clone, Debug, PartialEq)]

@@ -2,6 +2,7 @@
 
 mod page;
 
+use crate::common::root;
 use haptic::device_file::DeviceFile;
 use haptic::link::Board;
 use haptic::sim::{BoardOptions, DriveModel, Options, SharedBoard, ready_board};
@@ -174,8 +175,7 @@ fn the_redundant_arms_gain_is_that_of_what_it_holds() {
 
 #[test]
 fn the_page_shows_what_the_code_gives() {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/claims.md");
-    let page = std::fs::read_to_string(path).unwrap();
+    let page = std::fs::read_to_string(root().join("docs/claims.md")).unwrap();
     let tables = tables();
     assert!(tables.lines().count() > 40);
     for line in tables.lines() {

@@ -1,14 +1,11 @@
 //! The pictures in docs/drawings/, the demo's and the maps in docs/results/ are what the tool draws now.
 
-use assert_cmd::Command;
+use crate::common::{file, files, haptic, root, shipped};
 use haptic::analysis::pose::TaskPose;
-use haptic::device_file::DeviceFile;
 use haptic::skeleton::{Turret, skeleton};
-use std::path::Path;
 
 #[test]
 fn the_drawings_of_the_documents_are_those_of_the_tool() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let folder = tempfile::tempdir().unwrap();
     for (drawing, device) in [
         ("paddle", "hapkit-paddle"),
@@ -19,22 +16,21 @@ fn the_drawings_of_the_documents_are_those_of_the_tool() {
         ("capstan-pantograph", "capstan-pantograph"),
     ] {
         let drawn = folder.path().join(drawing);
-        let device = root.join("devices").join(format!("{device}.toml"));
-        Command::cargo_bin("haptic").unwrap().arg("check").arg(device).arg("--svg").arg(&drawn).assert().success();
-        let kept = std::fs::read_to_string(root.join("docs/drawings").join(format!("{drawing}.svg"))).unwrap();
+        let device = file(&format!("{device}.toml"));
+        haptic(&["check", &device, "--svg"]).arg(&drawn).assert().success();
+        let kept = std::fs::read_to_string(root().join("docs/drawings").join(format!("{drawing}.svg"))).unwrap();
         assert!(
             std::fs::read_to_string(drawn).unwrap() == kept,
             "{drawing}.svg: docs/devices.md says how to draw it anew"
         );
     }
-    assert_eq!(std::fs::read_dir(root.join("docs/drawings")).unwrap().count(), 6);
+    assert_eq!(std::fs::read_dir(root().join("docs/drawings")).unwrap().count(), 6);
 }
 
 #[test]
 fn the_pictures_of_the_results_are_what_their_commands_draw() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let folder = tempfile::tempdir().unwrap();
-    let text = std::fs::read_to_string(root.join("docs/results.md")).unwrap();
+    let text = std::fs::read_to_string(root().join("docs/results.md")).unwrap();
     let mut lines: Vec<&str> =
         text.lines().filter(|line| line.starts_with("haptic map ") && line.contains(" docs/results/")).collect();
     assert_eq!(lines.len(), 2);
@@ -43,7 +39,7 @@ fn the_pictures_of_the_results_are_what_their_commands_draw() {
     lines.push(demo);
     let host = "haptic range devices/coupled-five-bar.toml --q 2.6,1.75 --normal 0.94,-0.34 --rate 20000 --cutoff 500 \
                 --delay 0.5 --host-rate 1000 --host-delay 0.001 --svg docs/results/host-wall.svg";
-    let told = std::fs::read_to_string(root.join("docs/host-force.md")).unwrap().replace("\\\n  ", "");
+    let told = std::fs::read_to_string(root().join("docs/host-force.md")).unwrap().replace("\\\n  ", "");
     assert!(told.contains(&host.replace("docs/results/", "")));
     lines.push(host);
     for line in lines {
@@ -54,8 +50,8 @@ fn the_pictures_of_the_results_are_what_their_commands_draw() {
         if !line.contains("--force") {
             words.push("--force".into());
         }
-        Command::cargo_bin("haptic").unwrap().current_dir(&root).args(words).assert().success();
-        let kept = std::fs::read(root.join(&published)).unwrap();
+        haptic(&words.iter().map(String::as_str).collect::<Vec<_>>()).assert().success();
+        let kept = std::fs::read(root().join(&published)).unwrap();
         assert!(std::fs::read(drawn).unwrap() == kept, "`{line}` draws {published} anew");
     }
 }
@@ -70,22 +66,10 @@ fn numbers(text: &str, key: &str) -> Vec<f64> {
 #[test]
 fn the_drawing_of_a_device_holds_all_of_its_reach() {
     let folder = tempfile::tempdir().unwrap();
-    let devices = Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices");
     let mut grounds = 0;
-    for entry in std::fs::read_dir(devices).unwrap().map(|entry| entry.unwrap().path()) {
-        if entry.extension().is_none_or(|extension| extension != "toml") {
-            continue;
-        }
+    for entry in files("") {
         let drawn = folder.path().join("drawn.svg");
-        let check = Command::cargo_bin("haptic")
-            .unwrap()
-            .arg("check")
-            .arg(&entry)
-            .arg("--svg")
-            .arg(&drawn)
-            .arg("--force")
-            .assert();
-        check.success();
+        haptic(&["check", "--force"]).arg(&entry).arg("--svg").arg(&drawn).assert().success();
         let svg = std::fs::read_to_string(&drawn).unwrap();
         let Some(ground) = svg.lines().find(|line| line.starts_with("<path transform")) else { continue };
         grounds += 1;
@@ -113,8 +97,7 @@ fn the_drawing_of_a_device_holds_all_of_its_reach() {
 #[test]
 fn every_drawn_tip_is_where_the_model_has_it() {
     for name in ["pantograph-mk2", "fictive-five-bar-turret", "phantom-premium-1.5", "serial-3r", "coupled-five-bar"] {
-        let path = format!("{}/../devices/{name}.toml", env!("CARGO_MANIFEST_DIR"));
-        let description = DeviceFile::load(path).unwrap().description;
+        let description = shipped(name).description;
         let mut seen = 0;
         for i in 0..200 {
             let angle = |step: f64| (f64::from(i) * step).sin() * 3.0;

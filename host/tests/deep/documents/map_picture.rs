@@ -1,6 +1,7 @@
 //! What a map shows is what `haptic model` computes: pixels against numbers, for every shipped device, with and without
 //! joint limits.
 
+use crate::common::all_shipped;
 use haptic::analysis::map::map;
 use haptic::device_file::DeviceFile;
 use haptic::model::{Precision, WallForce, evaluate_holding};
@@ -18,12 +19,6 @@ const SCALE: f64 = 2.0;
 const TOLERANCE: f64 = 0.06;
 /// Pixels around the pose's own in which its colour must be found: half the width of an ellipse's or a link's line.
 const AROUND: i32 = 6;
-
-fn shipped() -> Vec<DeviceFile> {
-    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices");
-    let paths = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
-    paths.filter(|p| p.extension().is_some_and(|e| e == "toml")).map(|p| DeviceFile::load(p).unwrap()).collect()
-}
 
 /// A generator of numbers in [0, 1): reproducible, and good enough to scatter poses.
 struct Scatter(u64);
@@ -100,7 +95,7 @@ fn allowed(description: &Description, q: &[f64]) -> bool {
 
 /// Shipped devices with a picture, and what a redundant one may hold.
 fn pictured() -> Vec<(DeviceFile, Admissible)> {
-    let devices = shipped().into_iter().filter(|file| file.spec().joints > 1);
+    let devices = all_shipped().into_iter().filter(|file| file.spec().joints > 1);
     devices
         .flat_map(|file| {
             let redundant = file.spec().joints > file.spec().task;
@@ -221,7 +216,7 @@ fn straight_from_home(file: &DeviceFile, q: &[f64], normal: &[f64], side: bool) 
 
 #[test]
 fn a_paddle_shows_its_arc_and_its_inertia() {
-    let paddle = shipped().into_iter().find(|file| file.name == "hapkit-paddle").unwrap();
+    let paddle = all_shipped().into_iter().find(|file| file.name == "hapkit-paddle").unwrap();
     let picture = haptic::plot::map::draw(&paddle.description, &paddle.name, &[1.0], Admissible::default()).unwrap();
     // 0.0008 kg m² at 70 mm.
     assert!(picture.svg().contains("163.3 g"), "{}", picture.svg());
@@ -246,7 +241,7 @@ fn nothing_is_cut_off(svg: &str, least: usize) {
 
 #[test]
 fn no_caption_of_a_map_is_cut_off() {
-    for file in shipped().into_iter().filter(|file| file.name != "hapkit-paddle") {
+    for file in all_shipped().into_iter().filter(|file| file.name != "hapkit-paddle") {
         let normal: Vec<f64> = (0..file.spec().task).map(|axis| f64::from(u8::from(axis == 0))).collect();
         let picture = haptic::plot::map::draw(&file.description, &file.name, &normal, Admissible::default()).unwrap();
         nothing_is_cut_off(picture.svg(), 4);
@@ -255,7 +250,7 @@ fn no_caption_of_a_map_is_cut_off() {
 
 #[test]
 fn no_caption_of_a_paddle_is_cut_off_with_limits_or_without() {
-    let mut paddle = shipped().into_iter().find(|file| file.name == "hapkit-paddle").unwrap();
+    let mut paddle = all_shipped().into_iter().find(|file| file.name == "hapkit-paddle").unwrap();
     for limits in [None, Some((-1.04, 1.04))] {
         paddle.description.joints[0].limits = limits;
         let picture =

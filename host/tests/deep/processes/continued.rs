@@ -1,7 +1,8 @@
 //! Whatever works for long can be interrupted at any place, goes on from its file, and comes to the same answer to the
 //! bit.
 
-use crate::common::sim::{self, file};
+use crate::common::sim::until;
+use crate::common::{file, haptic, shipped};
 use haptic::analysis::flexible::Hand;
 use haptic::analysis::map::map_swept;
 use haptic::analysis::plant::{Drive, Linearised};
@@ -10,7 +11,6 @@ use haptic::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic::analysis::why::why;
 use haptic::bench::estimators::{Comparison, compare};
 use haptic::design::place::places;
-use haptic::device_file::DeviceFile;
 use haptic::error::Failure;
 use haptic::sweep::Sweep;
 use haptic::tune::{Margins, Question, tune};
@@ -18,10 +18,6 @@ use haptic_bridge::model::admissible::Admissible;
 use std::fmt::Debug;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-
-fn shipped(name: &str) -> DeviceFile {
-    DeviceFile::load(file(&format!("{name}.toml"))).unwrap()
-}
 
 /// Asks at once, and interrupted again and again: `at_least` so often that it tells something.
 fn comes_to_the_same<R: Debug>(at_least: usize, step: usize, ask: impl Fn(&Sweep) -> Result<R, Failure>) {
@@ -114,7 +110,7 @@ fn ctrl_c_ends_a_command_in_order_and_the_same_line_goes_on() {
     let kept = folder.path().join("map.json");
     let device = file("coupled-five-bar.toml");
     let line = ["map", &device, "--normal", "0.6,0.8", "--points", "400000", "--json"];
-    let whole = sim::haptic(&line).output().unwrap().stdout;
+    let whole = haptic(&line).output().unwrap().stdout;
     let line = [&line[..], &["--continue", kept.to_str().unwrap()]].concat();
     let mut child = std::process::Command::new(assert_cmd::cargo::cargo_bin("haptic"))
         .args(&line)
@@ -122,7 +118,7 @@ fn ctrl_c_ends_a_command_in_order_and_the_same_line_goes_on() {
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    sim::until("the file", || kept.exists());
+    until("the file", || kept.exists());
     let killed = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     assert!(killed.success());
     let mut text = String::new();
@@ -130,11 +126,11 @@ fn ctrl_c_ends_a_command_in_order_and_the_same_line_goes_on() {
     assert_eq!(child.wait().unwrap().code(), Some(1), "{text}");
     assert!(text.contains("interrupted with") && text.contains("--continue"), "{text}");
     let other = [&line[..4], &["--points", "400001"], &line[6..]].concat();
-    let refused = String::from_utf8(sim::haptic(&other).assert().get_output().stderr.clone()).unwrap();
+    let refused = String::from_utf8(haptic(&other).assert().get_output().stderr.clone()).unwrap();
     if !text.contains("interrupted with 0 of") {
         assert!(refused.contains("holds results of `haptic map`"), "{refused}");
     }
-    let again = sim::haptic(&line).output().unwrap();
+    let again = haptic(&line).output().unwrap();
     assert!(again.status.success() && again.stdout == whole, "{}", String::from_utf8_lossy(&again.stderr));
     assert!(!kept.exists());
 }

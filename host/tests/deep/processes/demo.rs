@@ -1,6 +1,6 @@
 //! `haptic demo` says what its own runs show, and they are the same on every machine.
 
-use assert_cmd::Command;
+use crate::common::{haptic, json};
 use haptic::demo::{Demo, crossing, stiffness};
 use haptic_bridge::render::scene::FeedForward;
 
@@ -44,15 +44,7 @@ fn the_hand_feels_less_vibration_with_the_feed_forward_whatever_the_tremor() {
 fn the_command_prints_its_table_and_draws_its_picture() {
     let directory = tempfile::tempdir().unwrap();
     let svg = directory.path().join("demo.svg");
-    let output = Command::cargo_bin("haptic")
-        .unwrap()
-        .arg("demo")
-        .arg("--svg")
-        .arg(&svg)
-        .assert()
-        .success()
-        .get_output()
-        .clone();
+    let output = haptic(&["demo", "--svg"]).arg(&svg).assert().success().get_output().clone();
     let said = String::from_utf8(output.stdout).unwrap();
     for line in ["penetration, mm", "peak force, N", "highest stable stiffness", "predicted", "coupling", "bought"] {
         assert!(said.contains(line), "{line} is missing in\n{said}");
@@ -62,8 +54,7 @@ fn the_command_prints_its_table_and_draws_its_picture() {
     assert!(picture.starts_with("<svg") && picture.trim_end().ends_with("</svg>"));
     assert_eq!(picture.matches("<polyline").count(), 6, "three panels of two runs");
 
-    let again =
-        |more: &[&str]| Command::cargo_bin("haptic").unwrap().arg("demo").arg("--svg").arg(&svg).args(more).assert();
+    let again = |more: &[&str]| haptic(&["demo", "--svg"]).arg(&svg).args(more).assert();
     again(&[]).code(1);
     let json = again(&["--force", "--json"]).success().get_output().stdout.clone();
     let json: serde_json::Value = serde_json::from_slice(&json).unwrap();
@@ -104,15 +95,11 @@ fn numbers(said: &str, row: &str) -> Vec<f64> {
 fn the_lines_that_it_prints_give_its_numbers() {
     let directory = tempfile::tempdir().unwrap();
     let svg = directory.path().join("demo.svg");
-    let output = Command::cargo_bin("haptic").unwrap().arg("demo").arg("--svg").arg(&svg).output().unwrap();
+    let output = haptic(&["demo", "--svg"]).arg(&svg).output().unwrap();
     let said = String::from_utf8(output.stdout).unwrap();
     let run = |subcommand: &str| {
         let line = said.lines().find_map(|line| line.strip_prefix(&format!("    haptic {subcommand} "))).unwrap();
-        let mut command = Command::cargo_bin("haptic").unwrap();
-        command.current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/..")).arg(subcommand);
-        let output = command.args(line.split_whitespace()).arg("--json").output().unwrap();
-        assert!(output.status.success(), "haptic {subcommand} {line}");
-        serde_json::from_slice::<serde_json::Value>(&output.stdout).unwrap()
+        json(&[subcommand].into_iter().chain(line.split_whitespace()).collect::<Vec<_>>())
     };
     // To the last digit that is printed.
     let agree = |row: &str, lines: [f64; 2], digits: f64| {

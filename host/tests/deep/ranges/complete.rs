@@ -3,9 +3,8 @@
 //!
 //! `cargo test -p haptic --test complete -- --ignored --nocapture` measures the table of docs/results/complete.md.
 
-use assert_cmd::Command;
+use crate::common::{file, haptic};
 use serde_json::Value;
-use std::path::Path;
 
 /// Frequency of each joint's cable against its motor, Hz, and its share of critical damping.
 type Cable = (f64, f64);
@@ -17,8 +16,7 @@ const TURRET_MOTOR: f64 = 0.3;
 
 /// The shipped device with a cable at every joint.
 fn with_cables(device: &str, turret: bool, (hz, damped): Cable) -> String {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../devices/{device}.toml"));
-    let text = std::fs::read_to_string(path).unwrap();
+    let text = std::fs::read_to_string(file(&format!("{device}.toml"))).unwrap();
     let mut joint = 0;
     let mut soft = String::new();
     for line in text.lines() {
@@ -73,7 +71,7 @@ fn measured(
     let run = |arguments: &[&str]| {
         let (rate, cutoff) = (rate.to_string(), cutoff.to_string());
         let loop_ = ["--normal", normal, "--rate", &rate, "--cutoff", &cutoff, "--washout", "2", "--json"];
-        let done = Command::cargo_bin("haptic").unwrap().args(arguments).args(loop_).output().unwrap();
+        let done = haptic(arguments).args(loop_).output().unwrap();
         serde_json::from_slice::<Value>(&done.stdout).map_err(|_| {
             let told = String::from_utf8_lossy(&done.stderr).into_owned();
             told.lines().rev().find(|line| line.starts_with("error")).unwrap_or_default().to_string()
@@ -197,7 +195,7 @@ fn three_devices_with_everything_on() {
         std::fs::write(&path, with_everything(&with_cables(device, turret, CABLE))).unwrap();
         let loop_ = ["--normal", normal, "--rate", "5000", "--cutoff", "200", "--washout", "2", "--json"];
         let run = |arguments: &[&str]| {
-            let done = Command::cargo_bin("haptic").unwrap().args(arguments).args(loop_).output().unwrap();
+            let done = haptic(arguments).args(loop_).output().unwrap();
             serde_json::from_slice::<Value>(&done.stdout)
                 .unwrap_or_else(|_| panic!("{arguments:?}: {}", String::from_utf8_lossy(&done.stderr)))
         };

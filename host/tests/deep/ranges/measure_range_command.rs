@@ -1,7 +1,7 @@
 //! `haptic measure-range` on the simulated board that ships: friction, encoders and drive as they are.
 
-use crate::common::sim::{Sim, file};
-use assert_cmd::Command;
+use crate::common::sim::Sim;
+use crate::common::{file, haptic, root};
 use predicates::prelude::*;
 use predicates::str::contains;
 use serde_json::Value;
@@ -13,8 +13,7 @@ const SLOW: [&str; 4] = ["--rate", "1000", "--cutoff", "20"];
 
 fn measure(progress: &std::path::Path, rate: &[&str], more: &[&str]) -> assert_cmd::assert::Assert {
     let fixed = ["measure-range", DEVICE, "--port", "sim", "--normal", "0.6,0.8", "--kd", "15", "--json"];
-    let mut command = Command::cargo_bin("haptic").unwrap();
-    command.args(fixed).args(rate).args(more).arg("--progress").arg(progress).assert()
+    haptic(&fixed).args(rate).args(more).arg("--progress").arg(progress).assert()
 }
 
 #[test]
@@ -43,9 +42,8 @@ fn a_measurement_is_reported_kept_and_continued() {
 
     // Another damping is measured beside it, and alone told.
     let other = ["--kd", "16", "--feed-forward", "off", "--repeats", "1", "--pull", "2"];
-    let mut command = Command::cargo_bin("haptic").unwrap();
     let fixed = ["measure-range", DEVICE, "--port", "sim", "--normal", "0.6,0.8", "--json"];
-    let fourth = command.args(fixed).args(SLOW).args(other).arg("--progress").arg(&progress).assert().success();
+    let fourth = haptic(&fixed).args(SLOW).args(other).arg("--progress").arg(&progress).assert().success();
     let other: Value = serde_json::from_slice(&fourth.get_output().stdout).unwrap();
     let told: Vec<f64> = other["points"].as_array().unwrap().iter().map(|p| p["kd"].as_f64().unwrap()).collect();
     assert_eq!((told, other["theory"].as_str().unwrap().contains("--kd 15")), (vec![16.0], false));
@@ -76,8 +74,7 @@ fn what_makes_no_sense_is_refused_before_anything_moves() {
     // Its first words: before "repeats" or a port.
     measure(&nowhere, &SLOW, &[]).code(1).stderr(contains("there is no such folder; make the folder first"));
     let elsewhere = ["measure-range", DEVICE, "--port", "/dev/no-such-port", "--normal", "0.6,0.8", "--progress"];
-    let mut command = Command::cargo_bin("haptic").unwrap();
-    command.args(elsewhere).arg(&nowhere).assert().code(1).stderr(contains("no such folder"));
+    haptic(&elsewhere).arg(&nowhere).assert().code(1).stderr(contains("no such folder"));
     assert!(!progress.exists());
 }
 
@@ -91,7 +88,7 @@ fn arguments(line: &str) -> Vec<String> {
 /// Runs a line in a folder of its own, with more arguments.
 fn typed(line: &str, more: &[&str]) -> assert_cmd::assert::Assert {
     let folder = tempfile::tempdir().unwrap();
-    Command::cargo_bin("haptic").unwrap().current_dir(&folder).args(arguments(line)).args(more).assert()
+    haptic(&[]).current_dir(&folder).args(arguments(line)).args(more).assert()
 }
 
 fn document(assert: assert_cmd::assert::Assert) -> Value {
@@ -100,7 +97,7 @@ fn document(assert: assert_cmd::assert::Assert) -> Value {
 
 /// The measurements that a document tells its readers to type.
 fn lines(document: &str) -> Vec<String> {
-    let text = std::fs::read_to_string(format!("{}/../{document}", env!("CARGO_MANIFEST_DIR"))).unwrap();
+    let text = std::fs::read_to_string(root().join(document)).unwrap();
     let words =
         text.lines().map(|line| line.trim().trim_matches('`')).filter(|line| line.starts_with("haptic measure-range "));
     words.map(str::to_string).collect()
@@ -120,7 +117,7 @@ fn what_the_readme_says_ends_with_boundaries_near_those_of_theory() {
         assert!((0.97..2.5).contains(&share), "{point}");
     }
     // docs/results.md has the same line and what it gives.
-    let results = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/results.md")).unwrap();
+    let results = std::fs::read_to_string(root().join("docs/results.md")).unwrap();
     let row = results.lines().find(|row| row.contains(&format!("`{line}`"))).expect("a row with this line");
     let told = |key: &str| {
         let two = |mode: &str| {

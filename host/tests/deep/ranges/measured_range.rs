@@ -3,6 +3,7 @@
 //! Friction and hand are off, the drive is ideal and the encoders are fine: what is left is what the linear theory is
 //! about.
 
+use crate::common::shipped;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::domain;
 use haptic::analysis::sampled::{LinearEstimator, Loop, Mode};
@@ -96,8 +97,7 @@ fn an_interrupted_measurement_leaves_the_motors_off() {
 /// Theory and an independent simulation say that walls are stable up to 27.6 kN/m without the feed-forward and 32.0
 /// with.
 fn phantom(feed_forward: FeedForward, finer: f64) -> Result<Boundary, MeasureError> {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/phantom-premium-1.5.toml");
-    let mut file = DeviceFile::load(path).unwrap();
+    let mut file = shipped("phantom-premium-1.5");
     let world = World { friction: Friction::None, ideal_drive: true, ..World::default() };
     world.apply(&mut file);
     for joint in &mut file.description.joints {
@@ -145,8 +145,7 @@ fn with_fine_encoders_the_boundary_is_the_one_that_two_others_found() {
 /// stands is not.
 #[test]
 fn a_device_is_held_as_softly_as_its_cables_ask() {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/phantom-premium-1.5.toml");
-    let mut file = DeviceFile::load(path).unwrap();
+    let mut file = shipped("phantom-premium-1.5");
     let world = World { friction: Friction::Viscous, counts: Some(4_194_304.0), ..World::default() };
     world.apply(&mut file);
     for (joint, motor_inertia) in file.description.joints.iter_mut().zip([4.233e-4, 1.3548e-4, 1.3548e-4]) {

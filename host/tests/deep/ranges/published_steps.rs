@@ -2,12 +2,12 @@
 //! costs (docs/published.md). Orders and trends are held, not the factors: nobody has published the devices' friction
 //! and cables.
 
+use crate::common::shipped;
 use haptic::analysis::flexible::Hand;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::range::domain;
 use haptic::analysis::ripple::{DampingRule, LIGHT_HAND, PUSH_N, Pressed};
 use haptic::analysis::sampled::{LinearEstimator, Loop, Mode};
-use haptic::device_file::DeviceFile;
 use haptic::sweep::Sweep;
 
 /// What a finger feels of a steady force of some newtons, N rms.
@@ -20,8 +20,7 @@ fn pressed<T>(
     (rate_hz, estimator): (f64, LinearEstimator),
     work: impl FnOnce(&Pressed<'_>) -> T,
 ) -> T {
-    let path = format!("{}/../devices/{device}.toml", env!("CARGO_MANIFEST_DIR"));
-    let description = DeviceFile::load(path).unwrap().description;
+    let description = shipped(device).description;
     let q = description.home.unwrap()[..description.kind.spec().joints].to_vec();
     let device = Linearised::at(&description, &q, normal).unwrap().held(hand.unwrap_or_default());
     let around = Loop { rate_hz, delay_samples: 0.0, estimator, drive: Drive::Ideal, damping_compensation: false };

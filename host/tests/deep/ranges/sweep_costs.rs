@@ -4,7 +4,7 @@
 //! `cargo test --release --locked -p haptic --test sweep_costs -- --ignored --nocapture` prints them.
 #![cfg(target_os = "linux")]
 
-use assert_cmd::Command;
+use crate::common::haptic;
 
 /// Seconds of one core that the children of this process have used so far: clock ticks, which Linux shows as
 /// hundredths.
@@ -17,8 +17,7 @@ fn used() -> f64 {
 
 fn cost(arguments: &[&str]) -> f64 {
     let before = used();
-    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
-    Command::cargo_bin("haptic").unwrap().current_dir(root).args(arguments).assert().success();
+    haptic(arguments).assert().success();
     used() - before
 }
 

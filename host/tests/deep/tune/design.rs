@@ -1,5 +1,6 @@
 //! `haptic design` against formulas and brute force.
 
+use crate::common::shipped;
 use haptic::analysis::map::along;
 use haptic::analysis::plant::{Drive, Linearised};
 use haptic::analysis::pose::{TaskPose, unit_normal};
@@ -9,14 +10,9 @@ use haptic::design::place::places;
 use haptic::design::posture::postures;
 use haptic::design::sensitivity::{CHANGE, buys_most, sensitivities};
 use haptic::design::{clearance, stiffness_per_kilogram, within_limits};
-use haptic::device_file::DeviceFile;
 use haptic::sim::Random;
 use haptic::sweep::Sweep;
 use haptic_bridge::model::admissible::Admissible;
-
-fn shipped(name: &str) -> DeviceFile {
-    DeviceFile::load(format!("{}/../devices/{name}.toml", env!("CARGO_MANIFEST_DIR"))).unwrap()
-}
 
 const PHI: Admissible = Admissible::Orientation;
 

@@ -1,26 +1,21 @@
 //! Only what a scene needs: what the planner chooses, that it costs less for less, and that its error holds elsewhere.
 
+use crate::common::{file, shipped};
 use haptic::bench::counts::instructions;
 use haptic::bench::error::{Law, Terms, Trigonometry, Way, errors};
 use haptic::bench::probe::HAND_SPEED;
-use haptic::device_file::DeviceFile;
 use haptic::plan::{Budget, Plan, cost, plan, touched};
 use haptic::scene_file::SceneFile;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::{FeedForward, Scene, VelocityTerms};
 use std::collections::BTreeSet;
-use std::path::PathBuf;
-
-fn folder() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../devices")
-}
 
 fn device(name: &str) -> Device<f64> {
-    DeviceFile::load(folder().join(format!("{name}.toml"))).unwrap().device().unwrap()
+    shipped(name).device().unwrap()
 }
 
 fn scene(device: &Device<f64>, name: &str) -> SceneFile {
-    let path = folder().join("scenes").join(device.name.as_str()).join(format!("{name}.toml"));
+    let path = file(&format!("scenes/{}/{name}.toml", device.name));
     SceneFile::load(path, device.mechanism.kind().spec().task).unwrap()
 }
 

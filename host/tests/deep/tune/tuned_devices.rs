@@ -2,7 +2,7 @@
 //!
 //! `UPDATE_DOCS=1 cargo test --release --locked -p haptic --test tuned_devices -- --ignored` writes it anew.
 
-use assert_cmd::Command;
+use crate::common::{json, root};
 use serde_json::Value;
 use std::fmt::Write;
 
@@ -28,13 +28,7 @@ const HEAD: &str = "\
 fn tuned(device: &str, scene: &str) -> Value {
     let device_file = format!("devices/{device}.toml");
     let scene_file = format!("devices/scenes/{device}/{scene}.toml");
-    let said = Command::cargo_bin("haptic")
-        .unwrap()
-        .current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
-        .args(["tune", &device_file, "--scene", &scene_file, "--measure", "--json"])
-        .assert()
-        .success();
-    serde_json::from_slice(&said.get_output().stdout).unwrap()
+    json(&["tune", &device_file, "--scene", &scene_file, "--measure"])
 }
 
 fn row(device: &str, scene: &str, said: &Value) -> String {
@@ -78,8 +72,8 @@ fn the_table_is_what_the_command_finds() {
         let _ = writeln!(table, "{}", row(device, scene, &said));
         println!("{}", table.lines().last().unwrap());
     }
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/design.md");
-    let page = std::fs::read_to_string(path).unwrap();
+    let path = root().join("docs/design.md");
+    let page = std::fs::read_to_string(&path).unwrap();
     let (before, rest) = page.split_once("<!-- tuned: begin -->\n").unwrap();
     let (kept, after) = rest.split_once("<!-- tuned: end -->").unwrap();
     if std::env::var_os("UPDATE_DOCS").is_some() {

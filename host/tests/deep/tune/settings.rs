@@ -1,6 +1,6 @@
 //! `haptic tune` against what can be derived, and against a plain scan of all settings.
 
-use assert_cmd::Command;
+use crate::common::{haptic, json, root, shipped};
 use haptic::analysis::control_loop::CURRENT_LOOP_HZ;
 use haptic::analysis::flexible::Flexible;
 use haptic::analysis::plant::{Drive, Linearised};
@@ -15,10 +15,6 @@ use haptic_bridge::model::description::Description;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::render::velocity::{Chosen, Estimator};
 use nalgebra::{DMatrix, DVector};
-
-fn shipped(name: &str) -> DeviceFile {
-    DeviceFile::load(format!("{}/../devices/{name}.toml", env!("CARGO_MANIFEST_DIR"))).unwrap()
-}
 
 fn around(rate_hz: f64) -> Loop {
     Loop {
@@ -185,8 +181,7 @@ fn the_answer_is_the_stiffest_of_all_and_names_what_ends_it() {
 #[test]
 fn settings_that_are_there_are_never_beaten_by_worse_ones() {
     let (device, scene) = ("devices/capstan-pantograph.toml", "devices/scenes/capstan-pantograph/wall.toml");
-    let said = haptic(&["tune", device, "--scene", scene, "--rates", "20000", "--json"]).success();
-    let said: serde_json::Value = serde_json::from_slice(&said.get_output().stdout).unwrap();
+    let said = json(&["tune", device, "--scene", scene, "--rates", "20000"]);
     assert!(said["times"].as_f64().unwrap() >= 1.0, "{said}");
 }
 
@@ -228,35 +223,26 @@ fn the_scene_that_is_written_is_the_one_that_was_found() {
     }
 }
 
-fn haptic(arguments: &[&str]) -> assert_cmd::assert::Assert {
-    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
-    Command::cargo_bin("haptic").unwrap().current_dir(root).args(arguments).assert()
-}
-
 #[test]
 fn a_shipped_wall_becomes_more_than_twice_as_stiff_at_the_same_ripple() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("tuned.toml");
     let (device, scene) = ("devices/haply-2diy.toml", "devices/scenes/haply-2diy/wall-stiff.toml");
-    let words = ["tune", device, "--scene", scene, "--rates", "5000", "--json", "--out", out.to_str().unwrap()];
-    let said = haptic(&words).success().get_output().stdout.clone();
-    let said: serde_json::Value = serde_json::from_slice(&said).unwrap();
+    let words = ["tune", device, "--scene", scene, "--rates", "5000", "--out", out.to_str().unwrap()];
+    let said = json(&words);
     assert!(said["times"].as_f64().unwrap() > 2.0, "{said}");
     assert!(said["best"]["ripple_n"].as_f64() <= said["ripple_limit_n"].as_f64(), "{said}");
     // Loaded and drawn like any other scene, it has its place still.
-    haptic(&["check", device, out.to_str().unwrap()]).success();
+    haptic(&["check", device, out.to_str().unwrap()]).assert().success();
     let tuned = SceneFile::load(&out, 2).unwrap().scene;
     let plane = |scene: &haptic_bridge::render::scene::Scene<f64>| scene.walls[0].surface;
-    assert_eq!(
-        plane(&tuned),
-        plane(&SceneFile::load(format!("{}/../{scene}", env!("CARGO_MANIFEST_DIR")), 2).unwrap().scene)
-    );
+    assert_eq!(plane(&tuned), plane(&SceneFile::load(root().join(scene), 2).unwrap().scene));
     assert_eq!(Some(tuned.walls[0].stiffness), said["best"]["stiffness"].as_f64());
 }
 
 #[test]
 fn what_no_board_does_is_refused() {
-    let tune = |more: &[&str]| haptic(&[&["tune", "devices/haply-2diy.toml", "--normal=0,1"], more].concat());
+    let tune = |more: &[&str]| haptic(&[&["tune", "devices/haply-2diy.toml", "--normal=0,1"], more].concat()).assert();
     for (more, says) in [
         (&["--rates", "45000"][..], "no board was seen to hold"),
         (&["--gain-margin", "0.5"], "no margins"),
