@@ -12,6 +12,8 @@ mod documents {
     mod map_picture;
 }
 
+mod hard_cases;
+
 mod processes {
     mod continued;
     mod demo;
@@ -25,6 +27,7 @@ mod ranges {
     mod measure_range_command;
     mod measured_range;
     mod published_steps;
+    mod several_walls;
     mod sweep_costs;
     mod undamped_constants;
 }
