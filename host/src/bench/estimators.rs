@@ -4,7 +4,7 @@
 //! The controller is the board's own, in its precision; the device moves by its full equations with friction, torque
 //! follows half a carrier period late, and nothing limits it: motors and their limits are the same for every estimator.
 //! [`mod@crate::tune`] asks here as well. [`crate::analysis::ripple`] is another simulation because it has the loop of
-//! a prediction, with any drive, delay and linear estimator, where this one has the board's own step; tests/ripple.rs
+//! a prediction, with any drive, delay and linear estimator, where this one has the board's own step; host/tests/quick/ripple.rs
 //! holds both to each other.
 
 use crate::analysis::control_loop::usual_delay;

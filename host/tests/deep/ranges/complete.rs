@@ -1,7 +1,7 @@
 //! The simulated board with everything that is linear switched on (cables that give, joint damping, windings, current
 //! loops, carrier, the board's own step) meets the complete prediction within a tenth.
 //!
-//! `cargo test -p haptic --test complete -- --ignored --nocapture` measures the table of docs/results/complete.md.
+//! `cargo test -p haptic --test deep complete -- --ignored --nocapture` measures the table of docs/results/complete.md.
 
 use crate::common::{file, haptic};
 use serde_json::Value;

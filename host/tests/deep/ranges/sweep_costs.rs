@@ -1,7 +1,7 @@
 //! What long sweeps cost: the tables of docs/results.md, in seconds of one core, which other work on the computer
 //! hardly changes.
 //!
-//! `cargo test --release --locked -p haptic --test sweep_costs -- --ignored --nocapture` prints them.
+//! `cargo test --release --locked -p haptic --test deep sweep_costs -- --ignored --nocapture` prints them.
 #![cfg(target_os = "linux")]
 
 use crate::common::haptic;

@@ -1,6 +1,6 @@
 //! The table of docs/design.md: what `haptic tune` makes of a wall of each device that ships.
 //!
-//! `UPDATE_DOCS=1 cargo test --release --locked -p haptic --test tuned_devices -- --ignored` writes it anew.
+//! `UPDATE_DOCS=1 cargo test --release --locked -p haptic --test deep tuned_devices -- --ignored` writes it anew.
 
 use crate::common::{json, root};
 use serde_json::Value;
@@ -79,6 +79,6 @@ fn the_table_is_what_the_command_finds() {
     if std::env::var_os("UPDATE_DOCS").is_some() {
         std::fs::write(path, format!("{before}<!-- tuned: begin -->\n{table}<!-- tuned: end -->{after}")).unwrap();
     } else {
-        assert_eq!(kept, table, "run UPDATE_DOCS=1 cargo test --release -p haptic --test tuned_devices -- --ignored");
+        assert_eq!(kept, table, "run UPDATE_DOCS=1 cargo test --release -p haptic --test deep tuned_devices -- --ignored");
     }
 }
