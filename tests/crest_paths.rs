@@ -52,6 +52,9 @@ impl Drawn {
 
 const WILD: [f32; 8] = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, -0.0, 1.0e-40, 1.0e3, -1.0e3];
 
+/// Every how many crests all of a servo is told.
+const ASKED: u32 = 50;
+
 /// All of a value as text, where two floats are the same only if their bits are, or if neither is a number.
 fn told(value: &impl core::fmt::Debug) -> String {
     format!("{value:?}")
@@ -127,6 +130,7 @@ struct Pair {
     servos: [BoardServo; 2],
     legs: [Legs; 2],
     carrier: Carrier,
+    crests: u32,
 }
 
 impl Pair {
@@ -139,7 +143,7 @@ impl Pair {
             servo
         };
         let carrier = Carrier::for_rate(hardware().timer_hz, 20_000.0);
-        Self { servos: [servo(), servo()], legs: [Legs::default(); 2], carrier }
+        Self { servos: [servo(), servo()], legs: [Legs::default(); 2], carrier, crests: 0 }
     }
 
     /// The same command to both.
@@ -164,6 +168,7 @@ impl Pair {
 
     /// A crest and its valley, with a control step that is `due`, or not.
     fn crest(&mut self, seen: &Samples, due: bool) {
+        self.crests += 1;
         let ticks = self.carrier.ticks();
         if due {
             self.both(|servo| compiled::render(servo, &seen.counts));
@@ -185,12 +190,11 @@ impl Pair {
     }
 
     fn agree(&self, seen: &Samples) {
-        let [one, other] = &self.servos;
-        assert_eq!(
-            told(&(one.frame(), one.status(), one.heat())),
-            told(&(other.frame(), other.status(), other.heat())),
-            "{seen:?}"
-        );
+        let [one, other] = self.servos.each_ref().map(|servo| (servo.frame(), servo.status(), *servo.heat()));
+        // Text takes long; it alone tells zeros apart, and finds what is no number the same.
+        if one != other || self.crests.is_multiple_of(ASKED) {
+            assert_eq!(told(&one), told(&other), "{seen:?}");
+        }
     }
 
     fn state(&self) -> State {
@@ -282,9 +286,6 @@ fn drawn_scene(description: &Description, trouble: Trouble, drawn: &mut Drawn) -
     let gravity_compensation = trouble == Trouble::Weight || drawn.once_in(2.0);
     Scene { rate_hz: RATE, velocity_terms, gravity_compensation, ..scene(task, &walls) }
 }
-
-/// Every how many crests it is asked whether one is usual: telling all of a servo takes long.
-const ASKED: u32 = 50;
 
 /// One arming of a device, and what comes of it; how many of the crests that were asked about took one pass, and how many
 /// one in which the limits cut.

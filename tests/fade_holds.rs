@@ -62,15 +62,15 @@ fn most(rate: f32, speed: f32, begin: f32, every: u32) -> f64 {
     worst
 }
 
-#[test]
-fn what_fades_is_within_the_limit_at_every_rate() {
+/// At every rate and speed, with scenes that come where a part of the way is behind, and then so often again.
+fn fades(begins: &[u32], every: &[u32]) {
     let mut wrong = Vec::new();
     for rate in [200.0, 1_000.0, 5_000.0, 7_000.0, 10_000.0, 20_000.0, 50_000.0] {
         for speed in [2.0, 5.0, 10.0, 20.0, 50.0] {
-            for every in [0, 1, 2, 3, 5] {
-                let now = (0..12).map(|nth| most(rate, speed, 0.06 * nth as f32, every)).fold(0.0, f64::max);
+            for every in every {
+                let now = begins.iter().map(|nth| most(rate, speed, 0.06 * *nth as f32, *every)).fold(0.0, f64::max);
                 if now > 2.02 {
-                    wrong.push((rate, speed, every, now));
+                    wrong.push((rate, speed, *every, now));
                 }
             }
         }
@@ -79,7 +79,18 @@ fn what_fades_is_within_the_limit_at_every_rate() {
     for (rate, speed, every, now) in wrong.iter().take(40) {
         println!("{rate} Hz, {speed} rad/s, scene every {every}: {now:.3} N of 2 N");
     }
-    assert!(wrong.is_empty(), "{} of 175", wrong.len());
+    assert!(wrong.is_empty(), "{} of {}", wrong.len(), 35 * every.len());
+}
+
+#[test]
+fn what_fades_is_within_the_limit_at_every_rate() {
+    fades(&[0, 5, 10], &[0, 3]);
+}
+
+#[test]
+#[ignore = "ten times as long"]
+fn what_fades_is_within_the_limit_wherever_it_begins() {
+    fades(&[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11], &[0, 1, 2, 3, 5]);
 }
 
 #[test]

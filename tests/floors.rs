@@ -231,18 +231,22 @@ fn imports_go_down_only() {
 
 #[test]
 fn no_module_is_in_a_circle() {
+    let library = library();
     for name in [Source::module, Source::file] {
-        let circles = circles(&library(), name);
+        let circles = circles(&library, name);
         assert!(circles.is_empty(), "circles among {circles:#?}");
     }
     for folder in ["firmware/src", "emulator/src", "xtask/src", "host/src"] {
-        let circles = circles(&sources_of(folder), |source| source.floor().to_string());
-        assert!(circles.is_empty(), "{folder}: circles among {circles:#?}");
-    }
-    // The host's modules have files in them; those are in no circle either.
-    for name in [Source::module, Source::file] {
-        let circles = circles(&sources_of("host/src"), name);
-        assert!(circles.is_empty(), "host/src: circles among {circles:#?}");
+        let sources = sources_of(folder);
+        let mut names: Vec<fn(&Source) -> String> = vec![|source| source.floor().to_string()];
+        if folder == "host/src" {
+            // The host's modules have files in them; those are in no circle either.
+            names.extend([Source::module as fn(&Source) -> String, Source::file]);
+        }
+        for name in names {
+            let circles = circles(&sources, name);
+            assert!(circles.is_empty(), "{folder}: circles among {circles:#?}");
+        }
     }
 }
 

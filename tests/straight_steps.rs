@@ -211,7 +211,7 @@ fn wander<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
     let pace = draw.order(0.1, 60.0);
     let plane = pushed_plane::<T>(&mut draw, &place, M::SPEC.task);
     let plane = if draw.within(0.0, 1.0) < 0.5 { plane } else { PushedPlane::default() };
-    let mut push = None;
+    let (mut push, mut variant) = (None, String::new());
     let mut going: [f64; N] = draw.list(-1.0, 1.0);
     for nth in 0..STEPS {
         if let (true, Some(wall)) = (nth == STEPS / 2, scene.walls.first()) {
@@ -235,6 +235,9 @@ fn wander<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
         }
         let at = counts.map(|count| count as i32);
         let (fast, slow): (Step<T, N>, Step<T, N>) = (straight.step(&at), general.step_generally(&at));
+        if nth % (STEPS / 4) == 0 {
+            variant = format!("{straight:?}");
+        }
         let beside = besides::<T, M, K, N>(mechanism, &scene, push.as_ref(), &slow);
         let apart = roundings::<T, M, K, N>(mechanism, &fast, &slow, beside);
         assert!(apart <= ROUNDINGS, "{}: {apart} roundings at {at:?} of {scene:?}", M::SPEC.name);
@@ -242,7 +245,6 @@ fn wander<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
         // Where several walls' forces add up, the order is another, too.
         let fast = Step { torque: slow.torque, rendered: slow.rendered, force_squared: slow.force_squared, ..fast };
         assert_eq!(fast, slow, "{} at {at:?} of {scene:?}", M::SPEC.name);
-        let variant = format!("{straight:?}");
         seen.straight +=
             usize::from(["variant: Wall", "variant: Round", "variant: Several"].iter().any(|it| variant.contains(it)));
         let round = |wall: &Wall<T>| matches!(wall.surface, Surface::Sphere(_));
