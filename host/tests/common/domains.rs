@@ -59,3 +59,18 @@ fn case(case: &Value) -> Case {
         expected: [(Mode::Off, known("off")), (Mode::Full, known("full"))],
     }
 }
+
+/// Device, pose, normals, parts, walls without the feed-forward and damping of a set of walls.
+pub type Set = (&'static str, &'static str, &'static [&'static str], &'static str, Option<&'static str>, f64);
+
+/// Facets 2, 5 and 10 degrees apart, corners in the plane and in space.
+pub const SETS: [Set; 8] = [
+    ("coupled-five-bar", "2.6,1.75", &["0.2419219,0.9702957", "0.2756374,0.9612617"], "1,1", None, 15.0),
+    ("coupled-five-bar", "2.6,1.75", &["0.2419219,0.9702957", "0.3255682,0.9455186"], "1,1", None, 15.0),
+    ("coupled-five-bar", "2.6,1.75", &["0.9702957,-0.2419219", "0.9135455,-0.4067366"], "2,1", None, 15.0),
+    ("coupled-five-bar", "2.6,1.75", &["0.97,0.24", "0.24,-0.97"], "3,1", None, 15.0),
+    ("coupled-five-bar", "2.6,1.75", &["0.97,-0.24", "0.9,-0.45"], "3,1", Some("1"), 15.0),
+    ("phantom-premium-1.5", "0.3,0.9,-0.3", &["0.6,0.8,0", "0,0.6,0.8", "1,0,0.2"], "1,0.5,0.02", None, 2.0),
+    ("phantom-premium-1.5", "0.3,0.9,-0.3", &["0.6,0.8,0", "0,0.6,0.8", "1,0,0.2"], "1,0.5,0.3", Some("0,2"), 2.0),
+    ("serial-3r", "0.4,0.9,0.7", &["0.6,0.8", "-0.3,0.9"], "1,0.2", None, 2.0),
+];

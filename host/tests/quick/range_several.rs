@@ -1,8 +1,7 @@
 //! `haptic range` of several walls: one wall given twice is the wall (the independent domains hold it), sets of walls
-//! end where loops built here from M, J and the torques of `haptic model` end, and `haptic measure-range` finds the
-//! same sets to end there.
+//! end where loops built here from M, J and the torques of `haptic model` end.
 
-use crate::common::domains::{self, Case, Known};
+use crate::common::domains::{self, Case, Known, SETS};
 use crate::common::{file, haptic, json};
 use haptic::analysis::range::domain_of_several;
 use haptic::analysis::several::{Member, WallSet};
@@ -94,21 +93,6 @@ impl Independent {
     }
 }
 
-/// Device, pose, normals, parts, walls without the feed-forward and damping of a set of walls.
-type Set = (&'static str, &'static str, &'static [&'static str], &'static str, Option<&'static str>, f64);
-
-/// Facets 2, 5 and 10 degrees apart, corners in the plane and in space.
-const SETS: [Set; 8] = [
-    ("coupled-five-bar", "2.6,1.75", &["0.2419219,0.9702957", "0.2756374,0.9612617"], "1,1", None, 15.0),
-    ("coupled-five-bar", "2.6,1.75", &["0.2419219,0.9702957", "0.3255682,0.9455186"], "1,1", None, 15.0),
-    ("coupled-five-bar", "2.6,1.75", &["0.9702957,-0.2419219", "0.9135455,-0.4067366"], "2,1", None, 15.0),
-    ("coupled-five-bar", "2.6,1.75", &["0.97,0.24", "0.24,-0.97"], "3,1", None, 15.0),
-    ("coupled-five-bar", "2.6,1.75", &["0.97,-0.24", "0.9,-0.45"], "3,1", Some("1"), 15.0),
-    ("phantom-premium-1.5", "0.3,0.9,-0.3", &["0.6,0.8,0", "0,0.6,0.8", "1,0,0.2"], "1,0.5,0.02", None, 2.0),
-    ("phantom-premium-1.5", "0.3,0.9,-0.3", &["0.6,0.8,0", "0,0.6,0.8", "1,0,0.2"], "1,0.5,0.3", Some("0,2"), 2.0),
-    ("serial-3r", "0.4,0.9,0.7", &["0.6,0.8", "-0.3,0.9"], "1,0.2", None, 2.0),
-];
-
 #[test]
 fn sets_of_walls_end_where_independent_loops_do() {
     for (name, q, normals, shares, without, kd) in SETS {
@@ -182,39 +166,6 @@ impl Independent {
             rows: self.rows.clone(),
             levers: self.levers.clone(),
             share: self.share.clone(),
-        }
-    }
-}
-
-#[test]
-fn sets_of_walls_are_measured_to_end_where_they_are_predicted_to() {
-    let folder = tempfile::tempdir().unwrap();
-    // Without friction nothing stops the redundant arm's own motion, so its tip never rests.
-    let measured = SETS.into_iter().filter(|set| set.0 != "serial-3r");
-    for (index, (name, q, normals, shares, without, kd)) in measured.enumerate() {
-        let progress = folder.path().join(format!("{index}.json"));
-        let n: Vec<String> = normals.iter().map(|normal| format!("--normal={normal}")).collect();
-        let (path, q, kd) = (file(&format!("{name}.toml")), format!("--q={q}"), kd.to_string());
-        let mut all = vec!["measure-range", &path, "--port", "sim", &q, "--share", shares, "--kd", &kd];
-        all.extend(n.iter().map(String::as_str));
-        all.extend(without.iter().flat_map(|walls| ["--no-feed-forward", walls]));
-        all.extend(["--rate", "1000", "--cutoff", "100", "--pull", "0.1", "--torque-limit", "2", "--repeats", "1"]);
-        all.extend(["--frictionless", "--ideal-drive", "--counts", "8388608"]);
-        all.extend(["--progress", progress.to_str().unwrap()]);
-        let found = json(&all);
-        assert_eq!(found["walls"].as_array().unwrap().len(), normals.len());
-
-        // The line printed beside it is `haptic range` of the same set, behind the board's own delay.
-        let line = found["theory"].as_str().unwrap();
-        let predicted = json(&line.split(' ').skip(1).collect::<Vec<_>>());
-        let points = found["points"].as_array().unwrap();
-        assert_eq!(points.len(), 2);
-        for point in points {
-            let theory = predicted[point["mode"].as_str().unwrap()]["boundary"][0]["kp"].as_f64().unwrap();
-            assert_eq!(point["theory_kp"].as_f64(), Some(theory));
-            let off = point["kp"].as_f64().unwrap() / theory - 1.0;
-            // The search ends within half a percent; what is left is how long a slow growth takes to show.
-            assert!(off.abs() < 0.01, "{name} {normals:?}: {off:.4} off, {point}");
         }
     }
 }
