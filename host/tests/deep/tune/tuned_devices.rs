@@ -79,6 +79,9 @@ fn the_table_is_what_the_command_finds() {
     if std::env::var_os("UPDATE_DOCS").is_some() {
         std::fs::write(path, format!("{before}<!-- tuned: begin -->\n{table}<!-- tuned: end -->{after}")).unwrap();
     } else {
-        assert_eq!(kept, table, "run UPDATE_DOCS=1 cargo test --release -p haptic --test deep tuned_devices -- --ignored");
+        assert_eq!(
+            kept, table,
+            "run UPDATE_DOCS=1 cargo test --release -p haptic --test deep tuned_devices -- --ignored"
+        );
     }
 }
