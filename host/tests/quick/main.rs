@@ -37,5 +37,7 @@ mod shipped_scenes;
 mod simulated_board;
 mod simulated_device;
 mod single_counts;
+mod tools;
+mod view;
 mod what_is_held;
 mod why;
