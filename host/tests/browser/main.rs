@@ -2,13 +2,11 @@
 //! installs it. With HAPTIC_PICTURES set to a folder, pictures of the page are left there for a person to look at.
 
 mod as_a_file;
+#[path = "../common/mod.rs"]
+mod common;
 mod devtools;
-#[path = "../common/page.rs"]
-mod page;
-#[allow(dead_code, reason = "every run uses its own part")]
-#[path = "../common/sim.rs"]
-mod sim;
 
+use common::{page, sim};
 use devtools::{Browser, Tab};
 use page::View;
 use serde_json::Value;

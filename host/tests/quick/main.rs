@@ -4,6 +4,7 @@
 #[path = "../common/mod.rs"]
 mod common;
 
+mod any_order;
 mod backup;
 mod bad_files;
 mod board_commands;
@@ -32,7 +33,7 @@ mod range_several_flexible;
 mod record;
 mod replay;
 mod report;
-mod requests;
+
 mod ripple;
 mod saturation;
 mod session;
