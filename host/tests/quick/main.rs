@@ -33,7 +33,6 @@ mod range_several_flexible;
 mod record;
 mod replay;
 mod report;
-
 mod ripple;
 mod saturation;
 mod session;
