@@ -28,6 +28,7 @@ mod ranges {
     mod measure_range_command;
     mod measured_range;
     mod published_steps;
+    mod range_several_flexible;
     mod several_walls;
     mod sweep_costs;
     mod undamped_constants;
