@@ -27,6 +27,7 @@ mod ranges {
     mod measure_range_command;
     mod measured_range;
     mod published_steps;
+    mod range_several_flexible;
     mod sets_of_walls;
     mod several_walls;
     mod sweep_costs;

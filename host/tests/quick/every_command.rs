@@ -73,7 +73,7 @@ const BOARD: [Line; 25] = [
     ("dfu", "the board restarts into its boot loader"),
     ("plot contact.csv", "2000 rows over 0.100 s"),
     ("replay contact.csv", "2000 rows played, "),
-    ("info", "board       simulated, serial number SIM0001, on tcp:"),
+    ("info", "board       simulated \"bench\", serial number SIM0001"),
     ("stream --seconds 0.1", "    time_s "),
 ];
 
@@ -143,10 +143,10 @@ fn the_monitor() {
     command.args(["monitor", "--port", "sim"]).env("TERM", "xterm-256color");
     let mut child = command.stdin(end()).stdout(end()).stderr(end()).spawn().unwrap();
     let (mut screen, mut bytes) = (vt100::Parser::default(), [0; 4096]);
-    until("the device's name", || {
+    until("the scene", || {
         let count = rustix::io::read(&master, &mut bytes).unwrap();
         screen.process(&bytes[..count]);
-        screen.screen().contents().contains("coupled-five-bar")
+        screen.screen().contents().contains("wall 0 (plane)")
     });
     rustix::io::write(&master, b"q").unwrap();
     // It ends once somebody has read what it says at last.

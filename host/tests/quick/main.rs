@@ -29,7 +29,6 @@ mod range_flexible;
 mod range_golden;
 mod range_model;
 mod range_several;
-mod range_several_flexible;
 mod record;
 mod replay;
 mod report;
