@@ -137,11 +137,14 @@ fn the_monitor() {
     unlockpt(&master).unwrap();
     tcsetwinsize(&master, Winsize { ws_row: 24, ws_col: 80, ws_xpixel: 0, ws_ypixel: 0 }).unwrap();
     let path = ptsname(&master, Vec::new()).unwrap();
-    let slave = rustix::fs::open(path.as_c_str(), OFlags::RDWR | OFlags::NOCTTY, Mode::empty()).unwrap();
-    let end = || Stdio::from(slave.try_clone().unwrap());
-    let mut command = Command::new(env!("CARGO_BIN_EXE_haptic"));
-    command.args(["monitor", "--port", "sim"]).env("TERM", "xterm-256color");
-    let mut child = command.stdin(end()).stdout(end()).stderr(end()).spawn().unwrap();
+    let mut child = {
+        // Its other end is the tool's alone, so that reading ends with it.
+        let slave = rustix::fs::open(path.as_c_str(), OFlags::RDWR | OFlags::NOCTTY, Mode::empty()).unwrap();
+        let end = || Stdio::from(slave.try_clone().unwrap());
+        let mut command = Command::new(env!("CARGO_BIN_EXE_haptic"));
+        command.args(["monitor", "--port", "sim"]).env("TERM", "xterm-256color");
+        command.stdin(end()).stdout(end()).stderr(end()).spawn().unwrap()
+    };
     let (mut screen, mut bytes) = (vt100::Parser::default(), [0; 4096]);
     until("the scene", || {
         let count = rustix::io::read(&master, &mut bytes).unwrap();
@@ -149,8 +152,6 @@ fn the_monitor() {
         screen.screen().contents().contains("wall 0 (plane)")
     });
     rustix::io::write(&master, b"q").unwrap();
-    // It ends once somebody has read what it says at last.
-    drop(slave);
     while rustix::io::read(&master, &mut bytes).is_ok_and(|count| count > 0) {}
     assert!(child.wait().unwrap().success());
 }
