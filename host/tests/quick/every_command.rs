@@ -139,7 +139,8 @@ fn the_monitor() {
     let path = ptsname(&master, Vec::new()).unwrap();
     let mut child = {
         // Its other end is the tool's alone, so that reading ends with it.
-        let slave = rustix::fs::open(path.as_c_str(), OFlags::RDWR | OFlags::NOCTTY, Mode::empty()).unwrap();
+        let mode = OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC;
+        let slave = rustix::fs::open(path.as_c_str(), mode, Mode::empty()).unwrap();
         let end = || Stdio::from(slave.try_clone().unwrap());
         let mut command = Command::new(env!("CARGO_BIN_EXE_haptic"));
         command.args(["monitor", "--port", "sim"]).env("TERM", "xterm-256color");
