@@ -6,7 +6,7 @@ use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::interrupt;
 use haptic::scene_file::SceneFile;
-use haptic::sim::door::tcp;
+use haptic::sim::door::{Patience, tcp};
 use haptic::sim::server::{Pace, serve};
 use haptic::sim::{Around, BoardOptions, DriveModel, HandSettings, SHIPPED_DEVICE, Support, ready_board};
 use std::path::PathBuf;
@@ -106,7 +106,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let door = match &args.tcp {
         Some(text) => {
             let address = address(text, "--tcp")?;
-            tcp(address).map_err(|error| {
+            tcp(address, Patience::default()).map_err(|error| {
                 Failure::impossible(format!("cannot listen on {address}: {error}")).remedy("choose another --tcp PORT")
             })?
         }

@@ -21,7 +21,7 @@ use std::time::Duration;
 
 /// Values of a table that travel in one message.
 const TABLE_PIECE: usize = 64;
-/// How long a board may take over an answer.
+/// How long a board may take over an answer; one that is a process waits for its turn as well ([`Wire::slack`]).
 const ANSWER: Duration = Duration::from_secs(2);
 /// How long it may take when it writes flash: two sector erases of 16 KB and what is written (STM32F405 data sheet).
 const FLASH_ANSWER: Duration = Duration::from_secs(6);
@@ -76,7 +76,7 @@ impl Board {
         let port = port.into();
         // A tool that was killed may have left half a request in the board's buffer: end it first.
         client.end_frame()?;
-        let info = match client.call::<p::GetInfo>(&(), ANSWER) {
+        let info = match client.call::<p::GetInfo>(&(), ANSWER + client.slack()) {
             Err(_) if client.was_told_occupied() => return Err(LinkError::HeldByAnother(port)),
             other => other?,
         };
@@ -114,7 +114,7 @@ impl Board {
         E::Request: Serialize,
         E::Response: DeserializeOwned,
     {
-        self.client.call::<E>(request, timeout)
+        self.client.call::<E>(request, timeout + self.client.slack())
     }
 
     fn change<E: Endpoint<Response = Outcome>>(&mut self, request: &E::Request) -> Result<(), BoardError>

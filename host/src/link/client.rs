@@ -85,6 +85,11 @@ impl Client {
         self.wire.now()
     }
 
+    /// How much longer than the board an answer may take, see [`Wire::slack`].
+    pub fn slack(&self) -> Duration {
+        self.wire.slack()
+    }
+
     /// Stretches of bytes that were not frames.
     pub fn garbled(&self) -> u64 {
         self.deframer.garbled

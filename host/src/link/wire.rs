@@ -13,7 +13,15 @@ pub trait Wire: Send {
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize>;
     /// Time since some moment.
     fn now(&self) -> Duration;
+    /// How much longer than a board an answer may take on its way: nothing, but where a process on a computer that may
+    /// be busy answers in the board's place.
+    fn slack(&self) -> Duration {
+        Duration::ZERO
+    }
 }
+
+/// The slack of a simulated or emulated board in a process of its own.
+const PROCESS: Duration = Duration::from_secs(10);
 
 /// How long a board may leave a request unread before the wire counts as stuck. A flash erase stalls a board for
 /// half a second (STM32F405 data sheet, table 40: 16 KB sector).
@@ -35,6 +43,7 @@ fn gone(what: &str) -> io::Error {
 pub struct SerialWire {
     port: Box<dyn serialport::SerialPort>,
     began: Instant,
+    slack: Duration,
 }
 
 impl SerialWire {
@@ -42,14 +51,15 @@ impl SerialWire {
     pub fn open(path: &str) -> Result<Self, serialport::Error> {
         // Of a pseudo-terminal only the lock keeps other tools out: `haptic disarm` must be able to open it all the
         // same.
+        let process = is_pseudo_terminal(path);
         #[cfg(unix)]
-        let beside = if is_pseudo_terminal(path) { open_terminal(path).ok() } else { None };
+        let beside = if process { open_terminal(path).ok() } else { None };
         let port = serialport::new(path, 115_200).timeout(SEND_TIMEOUT).dtr_on_open(true).open()?;
         #[cfg(unix)]
         if let Some(beside) = beside {
             let _ = rustix::termios::ioctl_tiocnxcl(beside);
         }
-        Ok(Self { port, began: Instant::now() })
+        Ok(Self { port, began: Instant::now(), slack: if process { PROCESS } else { Duration::ZERO } })
     }
 }
 
@@ -73,11 +83,14 @@ impl Wire for SerialWire {
     fn now(&self) -> Duration {
         self.began.elapsed()
     }
+
+    fn slack(&self) -> Duration {
+        self.slack
+    }
 }
 
 /// Whether this path is a pseudo-terminal's: a simulated or emulated board, which the operating system shows as a
 /// serial port.
-#[cfg(unix)]
 pub(super) fn is_pseudo_terminal(path: &str) -> bool {
     std::fs::canonicalize(path).is_ok_and(|path| path.starts_with("/dev/pts") || path.starts_with("/dev/ttys"))
 }
@@ -152,5 +165,8 @@ impl Wire for TcpWire {
 
     fn now(&self) -> Duration {
         self.began.elapsed()
+    }
+    fn slack(&self) -> Duration {
+        PROCESS
     }
 }

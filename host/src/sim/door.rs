@@ -36,13 +36,27 @@ pub(super) const BLOCK: usize = 4096;
 const EVENTS: usize = 16;
 /// Connections that are looked at while one holds the board; for more the oldest that says nothing is closed.
 const KNOCKING: usize = 16;
-/// How long a tool may hold the board without a byte when another one asks for it: ours say something twenty times
-/// a second while they listen.
-const SILENCE: Duration = Duration::from_secs(3);
-/// How long a second tool waits for the first one to leave: one command after another is not two at once.
-const HANDOVER: Duration = Duration::from_millis(500);
+/// How long a connection that is turned away may take to say what it wants. One that says nothing keeps no other out.
+const REQUEST: Duration = Duration::from_secs(10);
 /// How long a tool that disarms past another one hears what the board says.
 pub(super) const DISARM_ANSWER: Duration = Duration::from_secs(1);
+
+/// How long tools are waited for at a TCP door.
+#[derive(Clone, Copy, Debug)]
+pub struct Patience {
+    /// How long a tool may hold the board without a byte when another one asks for it: ours say something twenty times
+    /// a second while they listen.
+    pub silence: Duration,
+    /// How long a second tool waits for the first one to leave: one command after another is not two at once.
+    pub handover: Duration,
+}
+
+impl Default for Patience {
+    fn default() -> Self {
+        Self { silence: Duration::from_secs(3), handover: Duration::from_millis(500) }
+    }
+}
+
 /// A door that tools come through.
 pub struct ToolListener {
     /// The word that a tool writes after `--port`.
@@ -92,7 +106,7 @@ pub fn pseudo_terminal() -> io::Result<ToolListener> {
 }
 
 /// Listens on a TCP address; port 0 takes any that is free. Only this computer is let in unless the address says more.
-pub fn tcp(address: SocketAddr) -> io::Result<ToolListener> {
+pub fn tcp(address: SocketAddr, patience: Patience) -> io::Result<ToolListener> {
     let listener = TcpListener::bind(address)?;
     let port = format!("tcp:{}", listener.local_addr()?);
     let (send, events) = sync_channel(EVENTS);
@@ -104,7 +118,7 @@ pub fn tcp(address: SocketAddr) -> io::Result<ToolListener> {
             let Some(seat) = knocking.enters(&stream) else { continue };
             let (send, holder, knocking) = (send.clone(), holder.clone(), knocking.clone());
             thread::spawn(move || {
-                if holder.admits(&stream, seat, &knocking) {
+                if holder.admits(&stream, seat, &knocking, patience) {
                     knocking.leaves(seat);
                     carry(stream, &send, &holder, seat);
                 } else {
@@ -149,20 +163,20 @@ impl Knocking {
         Some(seat)
     }
 
-    /// Waits for a first byte of a connection, for 10 ms; false when it is closed.
-    fn hears(&self, stream: &TcpStream, seat: u64) -> bool {
+    /// Waits for a first byte of a connection, for 10 ms, and says whether there is one; none when it is closed.
+    fn hears(&self, stream: &TcpStream, seat: u64) -> Option<bool> {
         let pause = Duration::from_millis(10);
         let _ = stream.set_read_timeout(Some(pause));
         match stream.peek(&mut [0]) {
-            Ok(0) => false,
+            Ok(0) => None,
             Ok(_) => {
                 let mut knocks = self.lock();
                 knocks.iter_mut().filter(|knock| knock.seat == seat).for_each(|knock| knock.spoke = true);
                 drop(knocks);
                 thread::sleep(pause);
-                true
+                Some(true)
             }
-            Err(error) => nothing_yet(&error),
+            Err(error) => nothing_yet(&error).then_some(false),
         }
     }
 
@@ -187,9 +201,11 @@ impl Holder {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Gives the board to this connection if it is free within [`HANDOVER`], or held in silence.
-    fn admits(&self, stream: &TcpStream, seat: u64, knocking: &Knocking) -> bool {
+    /// Gives the board to this connection if it becomes free in time; one that says something gets it as well where it
+    /// is held in silence.
+    fn admits(&self, stream: &TcpStream, seat: u64, knocking: &Knocking, patience: Patience) -> bool {
         let began = Instant::now();
+        let mut spoke = false;
         loop {
             {
                 let mut held = self.lock();
@@ -201,14 +217,15 @@ impl Holder {
                         return true;
                     }
                     // Its reading thread sees the end, and frees the board.
-                    Some(silent) if silent.heard.elapsed() > SILENCE => {
+                    Some(silent) if spoke && silent.heard.elapsed() > patience.silence => {
                         let _ = silent.stream.shutdown(Shutdown::Both);
                     }
                     Some(_) => {}
                 }
             }
-            if began.elapsed() > HANDOVER || !knocking.hears(stream, seat) {
-                return false;
+            match knocking.hears(stream, seat) {
+                Some(heard) if began.elapsed() <= patience.handover => spoke = heard,
+                _ => return false,
             }
         }
     }
@@ -252,14 +269,14 @@ fn tcp_outgoing(stream: &TcpStream) -> io::Result<Outgoing> {
 /// Hears what a second tool wants: `Some` request when it is to disarm, which gets through; else it is told that the
 /// board is taken. What it sends is read first: unread, it would make the system throw away what was written.
 pub fn turn_away(stream: &TcpStream) -> Option<Vec<u8>> {
-    let _ = stream.set_read_timeout(Some(HANDOVER));
+    let _ = stream.set_read_timeout(Some(REQUEST));
     let mut disarm = None;
     let mut deframer = Deframer::default();
     let mut buffer = [0; BLOCK];
     let mut reader = stream;
     let began = Instant::now();
     let mut asked = false;
-    while !asked && began.elapsed() < HANDOVER {
+    while !asked && began.elapsed() < REQUEST {
         let Ok(count @ 1..) = reader.read(&mut buffer) else { break };
         deframer.feed(&buffer[..count], |frame| {
             asked = true;
