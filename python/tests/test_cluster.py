@@ -30,7 +30,7 @@ class Unlucky:
     def gather(self, jobs):
         self.killed, process = next(iter(self.client.run(os.getpid).items()))
         os.kill(process, signal.SIGKILL)
-        distributed.wait(jobs, timeout=60)
+        distributed.wait(jobs, timeout=600)
         return self.client.gather(jobs)
 
 
@@ -42,7 +42,7 @@ def test_a_sweep_has_the_same_numbers_on_a_cluster_whose_workers_die(devices, mo
     with sweep.local() as cluster, distributed.Client(cluster) as client:
         unlucky = Unlucky(client)
         found = sweep.on_a_cluster(unlucky, text, q, normals)
-        client.wait_for_workers(2, timeout=60)
+        client.wait_for_workers(2, timeout=600)
         assert unlucky.killed not in client.run(os.getpid), "another worker took its place"
     assert len(found) == len(q) > 100
     np.testing.assert_array_equal(found, sweep.on_one_process(text, q, normals))

@@ -129,7 +129,7 @@ fn fuzz(program: &Path, target: &str, out: &Path, options: &Options) -> Result<O
     fs::create_dir_all(&corpus).with_context(|| format!("cannot make {}", corpus.display()))?;
     let output = Command::new(program)
         .env("HAPTIC_FUZZ", target)
-        .args(["-print_final_stats=1", "-max_len=4096", "-timeout=20", &format!("-max_total_time={}", options.seconds)])
+        .args(["-print_final_stats=1", "-max_len=4096", "-timeout=300", &format!("-max_total_time={}", options.seconds)])
         .args(options.seed.map(|seed| format!("-seed={seed}")))
         .arg(format!("-artifact_prefix={}/{target}-", out.display()))
         .args([&corpus, &seeds(target)])

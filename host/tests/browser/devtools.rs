@@ -7,8 +7,8 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 use tungstenite::{Message, WebSocket};
 
-/// How long anything may take that is bound to happen, on a computer that is busy with other tests.
-pub const PATIENCE: Duration = Duration::from_secs(90);
+/// How long anything may take that is bound to happen: what hangs takes longer.
+pub const PATIENCE: Duration = Duration::from_secs(300);
 
 const NAMES: [&str; 3] = ["chromium", "chromium-browser", "google-chrome"];
 const MISSING: &str = "no Chromium on this computer: apt-get install -y --no-install-recommends chromium (on Debian, as root; \
@@ -186,6 +186,24 @@ impl Browser {
         let down = u8::from(what != "mouseReleased");
         let event = json!({"type": what, "x": x, "y": y, "button": "left", "buttons": down, "clickCount": 1});
         self.ask(tab, "Input.dispatchMouseEvent", event);
+    }
+
+    /// Presses the mouse until an expression is true: anew, should this computer have been so slow that the page counted
+    /// as one that has let go.
+    pub fn press_until(&mut self, tab: &Tab, place: (f64, f64), expression: &str) {
+        let began = Instant::now();
+        loop {
+            self.mouse(tab, "mousePressed", place);
+            let pressed = Instant::now();
+            while pressed.elapsed() < Duration::from_secs(3) {
+                if self.evaluate(tab, expression) == true {
+                    return;
+                }
+                std::thread::sleep(Duration::from_millis(20));
+            }
+            self.not_beyond_patience(tab, began, expression);
+            self.mouse(tab, "mouseReleased", place);
+        }
     }
 
     pub fn drag(&mut self, tab: &Tab, from: (f64, f64), to: (f64, f64)) {

@@ -5,6 +5,9 @@ mod as_a_file;
 mod devtools;
 #[path = "../common/page.rs"]
 mod page;
+#[allow(dead_code, reason = "every run uses its own part")]
+#[path = "../common/sim.rs"]
+mod sim;
 
 use devtools::{Browser, Tab};
 use page::View;
@@ -114,8 +117,7 @@ fn a_key_that_is_held_arms_and_letting_go_disarms() {
     browser.until(&tab, off);
     // The button, by the mouse.
     let key = on(&mut browser, &tab, "key", "60", "30");
-    browser.mouse(&tab, "mousePressed", key);
-    browser.until(&tab, "view.last.held");
+    browser.press_until(&tab, key, "view.last.held");
     browser.mouse(&tab, "mouseReleased", key);
     browser.until(&tab, off);
     // Focus that goes elsewhere is a hand that may be elsewhere.
@@ -334,17 +336,8 @@ fn how_fast_the_page_is() {
     let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/");
     let (device, scene) = (format!("{root}coupled-five-bar.toml"), format!("{root}scenes/coupled-five-bar/wall.toml"));
     // Watching alone: the board is another process, and every one of its 20,000 steps a second is a row.
-    let mut sim = std::process::Command::new(env!("CARGO_BIN_EXE_haptic"));
-    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port().to_string();
-    let mut sim = sim
-        .args(["sim", &device, "--scene", &scene, "--tcp", &port])
-        .stdout(std::process::Stdio::null())
-        .spawn()
-        .unwrap();
-    while std::net::TcpStream::connect(format!("127.0.0.1:{port}")).is_err() {
-        std::thread::sleep(std::time::Duration::from_millis(50));
-    }
-    let view = View::start(&[&device, "--port", &format!("tcp:127.0.0.1:{port}"), "--rate", "20000"]);
+    let sim = sim::Sim::start(&[&device, "--scene", &scene]);
+    let view = View::start(&[&device, "--port", &sim.port, "--rate", "20000"]);
     let mut browser = Browser::start();
     let watch = |browser: &mut Browser, view: &View, what: &str| {
         let tab = browser.open(&view.url, LAPTOP, 1.0);
@@ -401,9 +394,7 @@ fn how_fast_the_page_is() {
         browser.close(&tab);
     };
     watch(&mut browser, &view, "watching a board");
-    drop(view);
-    sim.kill().unwrap();
-    sim.wait().unwrap();
+    drop((view, sim));
     let view = View::start(&[&device, "--port", "sim", "--scene", &scene]);
     watch(&mut browser, &view, "simulating the board in its own process as well");
 }

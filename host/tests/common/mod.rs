@@ -4,7 +4,9 @@
 #[cfg(unix)]
 pub mod documents;
 pub mod domains;
+pub mod page;
 pub mod sim;
+pub mod socket;
 
 use assert_cmd::Command;
 use haptic::device_file::DeviceFile;

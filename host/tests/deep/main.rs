@@ -15,11 +15,8 @@ mod documents {
 mod processes {
     mod continued;
     mod demo;
-    mod interrupted;
-    mod leftover_rows;
-    mod many_tools;
+    mod killed;
     mod monitor;
-    mod ports;
     mod view;
 }
 

@@ -36,5 +36,7 @@ mod shipped_scenes;
 mod simulated_board;
 mod simulated_device;
 mod single_counts;
+mod tools;
+mod view;
 mod what_is_held;
 mod why;

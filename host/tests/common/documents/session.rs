@@ -3,7 +3,7 @@
 //! Every line goes to a shell as it is written, in a directory of its own with a copy of devices/. `haptic`, and
 //! `cargo run … --package haptic --`, are the tool of this very build; other calls of cargo run in the repository. What
 //! serves until Ctrl-C (`haptic sim`, `cargo xtask board`) stays while the rest of its block is typed, as in another
-//! terminal; another line that says Ctrl-C in its comment gets one after two seconds; one that says that it asks is
+//! terminal; another line that says Ctrl-C in its comment gets one once it listens to it; one that says that it asks is
 //! answered with `y`; what a comment quotes after the word prints is in the output. The TCP port 7710 of the documents
 //! becomes one that is free here.
 
@@ -11,7 +11,6 @@ use super::blocks::{Block, Kind, root};
 use serialport::{SerialPort, TTYPort};
 use std::fs::{self, File};
 use std::io::{BufRead, BufReader, Read, Write};
-use std::net::TcpListener;
 use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -48,7 +47,8 @@ struct Session {
     place: tempfile::TempDir,
     environment: Vec<(String, String)>,
     servers: Vec<(String, Child)>,
-    port: u16,
+    /// In the place of 7710, once something serves.
+    port: String,
     patience: Duration,
 }
 
@@ -59,13 +59,12 @@ impl Session {
         fs::create_dir(place.path().join("bin")).unwrap();
         std::os::unix::fs::symlink(TOOL, place.path().join("bin/haptic")).unwrap();
         let path = format!("{}:{}", place.path().join("bin").display(), std::env::var("PATH").unwrap());
-        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-        let mut session = Self { place, environment: vec![("PATH".into(), path)], servers: Vec::new(), port, patience };
+        let (environment, port) = (vec![("PATH".into(), path)], "7710".into());
+        let mut session = Self { place, environment, servers: Vec::new(), port, patience };
         if board {
             session.own_files();
-            let line = format!("haptic sim --strict --tcp {port} my-device.toml");
-            session.serve(&line).unwrap();
-            session.environment.push(("HAPTIC_PORT".into(), format!("tcp:127.0.0.1:{port}")));
+            session.serve("haptic sim --strict --tcp 7710 my-device.toml").unwrap();
+            session.environment.push(("HAPTIC_PORT".into(), format!("tcp:127.0.0.1:{}", session.port)));
         }
         session
     }
@@ -82,14 +81,15 @@ impl Session {
     }
 
     fn enter(&mut self, line: &str) -> Result<(), String> {
-        let line = line.replace("7710", &self.port.to_string()).replace(IN_A_CHECKOUT, "haptic");
+        let line = line.replace(IN_A_CHECKOUT, "haptic");
+        if line.starts_with("haptic sim") || line.starts_with("cargo xtask board") {
+            return self.serve(line.split_once(" #").map_or(&line, |(command, _)| command));
+        }
+        let line = line.replace("7710", &self.port);
         let (command, comment) = line.split_once(" #").unwrap_or((&line, ""));
         if let Some((name, value)) = command.trim().strip_prefix("export ").and_then(|set| set.split_once('=')) {
             self.environment.push((name.into(), value.into()));
             return Ok(());
-        }
-        if command.starts_with("haptic sim") || command.starts_with("cargo xtask board") {
-            return self.serve(command);
         }
         let mut shell = self.shell(command);
         let mut terminal = comment.contains("asks").then(|| TTYPort::pair().unwrap());
@@ -103,7 +103,12 @@ impl Session {
         }
         let said = [listen(child.stdout.take().unwrap()), listen(child.stderr.take().unwrap())];
         if comment.contains("Ctrl-C") {
-            sleep(Duration::from_secs(2));
+            let begun = Instant::now();
+            while !hears_interrupts(&mut child) && begun.elapsed() < self.patience {
+                sleep(Duration::from_millis(10));
+            }
+            // So that it is seen at work.
+            sleep(Duration::from_secs(1));
             interrupt(&child);
         }
         let status = wait(&mut child, self.patience)?;
@@ -134,14 +139,17 @@ impl Session {
 
     /// Starts what serves until Ctrl-C, and waits until it says where.
     fn serve(&mut self, command: &str) -> Result<(), String> {
-        let mut child = self.shell(command).stdout(Stdio::piped()).spawn().unwrap();
+        let mut child = self.shell(&command.replace("7710", "0")).stdout(Stdio::piped()).spawn().unwrap();
         let mut output = BufReader::new(child.stdout.take().unwrap());
         let mut said = String::new();
         while !said.contains("tcp:") && !said.contains("/dev/") {
             if output.read_line(&mut said).unwrap_or(0) == 0 {
-                let status = wait(&mut child, Duration::from_secs(1))?;
+                let status = wait(&mut child, self.patience)?;
                 return Err(format!("ended with exit code {status:?} before it said its port\n{said}"));
             }
+        }
+        if let Some((_, port)) = said.split_once("tcp:127.0.0.1:") {
+            self.port = port.chars().take_while(char::is_ascii_digit).collect();
         }
         listen(output);
         self.servers.push((command.into(), child));
@@ -152,7 +160,7 @@ impl Session {
     fn end(mut self) -> Result<(), String> {
         for (command, mut child) in std::mem::take(&mut self.servers) {
             interrupt(&child);
-            let status = wait(&mut child, Duration::from_secs(20))?;
+            let status = wait(&mut child, self.patience)?;
             if status != Some(0) && command.starts_with("haptic") {
                 return Err(format!("`{command}` ended with exit code {status:?}"));
             }
@@ -177,6 +185,15 @@ fn signal(child: &Child, name: &str) {
 
 fn interrupt(child: &Child) {
     signal(child, "INT");
+}
+
+/// Whether a command ends in order when it is interrupted, or has ended; where the system does not tell, as if it did.
+fn hears_interrupts(child: &mut Child) -> bool {
+    let Ok(status) = fs::read_to_string(format!("/proc/{}/status", child.id())) else { return true };
+    let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
+    let caught = caught.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    // The bit of SIGINT.
+    caught.is_none_or(|mask| mask & 2 != 0) || child.try_wait().unwrap().is_some()
 }
 
 fn wait(child: &mut Child, patience: Duration) -> Result<Option<i32>, String> {
@@ -216,7 +233,7 @@ fn copy(from: &Path, to: &Path) {
 #[test]
 fn a_line_that_fails_is_found_out() {
     let block = |line: &str| Block { place: "x.md:1".into(), kind: Kind::Quick, lines: vec![line.into()] };
-    let run = |line: &str| run(&block(line), Duration::from_secs(2));
+    let run = |line: &str| run(&block(line), Duration::from_secs(600));
     assert_eq!(run("haptic model devices/coupled-five-bar.toml --q 2.6,1.75   # a remark"), Ok(()));
     let wrong = run("haptic model devices/coupled-five-bar.toml --no-such-option").unwrap_err();
     assert!(wrong.contains("x.md:1") && wrong.contains("no-such-option"), "{wrong}");
@@ -224,5 +241,6 @@ fn a_line_that_fails_is_found_out() {
     let line = "haptic model devices/haply-2diy.toml --normal 0,1 # prints";
     assert_eq!(run(&format!("{line} \"buys next to nothing\"")), Ok(()));
     assert!(run(&format!("{line} \"buys a lot\"")).unwrap_err().contains("does not print \"buys a lot\""));
-    assert!(run("sleep 20").unwrap_err().contains("did not end"));
+    let endless = super::session::run(&block("sleep 1000"), Duration::ZERO);
+    assert!(endless.unwrap_err().contains("did not end"));
 }

@@ -1,0 +1,49 @@
+//! A board that can be unplugged.
+
+use super::sim::Sim;
+use std::net::{Shutdown, TcpListener, TcpStream};
+use std::sync::{Arc, Mutex};
+use std::thread::spawn;
+
+/// An address behind which a simulated board is put, taken away, and another one put in its place.
+pub struct Socket {
+    /// As `--port` says it.
+    pub address: String,
+    board: Arc<Mutex<Option<Sim>>>,
+}
+
+impl Socket {
+    pub fn empty() -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = format!("tcp:{}", listener.local_addr().unwrap());
+        let board = Arc::new(Mutex::new(None::<Sim>));
+        let plugged = Arc::clone(&board);
+        spawn(move || {
+            for tool in listener.incoming().map(Result::unwrap) {
+                let port = plugged.lock().unwrap().as_ref().map(|sim| sim.port.replace("tcp:", ""));
+                if let Some(Ok(board)) = port.map(TcpStream::connect) {
+                    carry(tool.try_clone().unwrap(), board.try_clone().unwrap());
+                    carry(board, tool);
+                }
+            }
+        });
+        Self { address, board }
+    }
+
+    pub fn plug(&self, arguments: &[&str]) {
+        *self.board.lock().unwrap() = Some(Sim::start(arguments));
+    }
+
+    pub fn unplug(&self) {
+        *self.board.lock().unwrap() = None;
+    }
+}
+
+/// Carries bytes until one end is gone; then both are.
+fn carry(mut from: TcpStream, mut to: TcpStream) {
+    let _ = to.set_nodelay(true);
+    spawn(move || {
+        let _ = std::io::copy(&mut from, &mut to);
+        let _ = (from.shutdown(Shutdown::Both), to.shutdown(Shutdown::Both));
+    });
+}
