@@ -39,6 +39,12 @@ impl Socket {
     }
 }
 
+impl Drop for Socket {
+    fn drop(&mut self) {
+        self.unplug();
+    }
+}
+
 /// Carries bytes until one end is gone; then both are.
 fn carry(mut from: TcpStream, mut to: TcpStream) {
     let _ = to.set_nodelay(true);

@@ -282,7 +282,7 @@ fn after_a_measurement_that_was_killed_the_next_one_puts_the_scene_back_or_says_
     let folder = tempdir().unwrap();
     let (one, other) = (folder.path().join("one.json"), folder.path().join("other.json"));
     let device = file("coupled-five-bar.toml");
-    let first = measurement(&device, "--kd=5,10,15,20", &one);
+    let first = measurement(&device, "--kd=5,15,25", &one);
     let tool = sim.spawn(&first);
     in_the_middle(&one);
     killed(tool);
