@@ -1,7 +1,7 @@
 //! Tools that come second, go, are killed, flood or say nothing: the board is one tool's, the next one finds it as it
 //! was, and a request to disarm gets through. Where there is a real port, tools are waited for not at all or for an hour.
 
-use crate::common::sim::file;
+use crate::common::{file, shipped};
 use haptic::analysis::several::Member;
 use haptic::device_file::DeviceFile;
 use haptic::link::{Board, Deframer, LinkError, PortSpec, Wire, disarm_past, encode, fields};
@@ -9,7 +9,7 @@ use haptic::measure::{Law, MeasureError, MeasurementSetup, PreparedBoard};
 use haptic::scene_file::SceneFile;
 use haptic::sim::door::{Patience, ToolListener, tcp};
 use haptic::sim::server::{Pace, serve};
-use haptic::sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, SimulatedBoard, ready_board};
+use haptic::sim::{BoardOptions, SharedBoard, SimulatedBoard, ready_board};
 use haptic_bridge::board::protocol::{Disarm, GetDetails, GetInfo, Info, PROTOCOL};
 use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_bridge::safety::fault::{Fault, State};
@@ -29,7 +29,7 @@ const NOT_AT_ALL: Duration = Duration::ZERO;
 const AN_HOUR: Duration = Duration::from_secs(3600);
 
 fn device() -> DeviceFile {
-    DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap()
+    shipped("coupled-five-bar")
 }
 
 fn simulated() -> SimulatedBoard {

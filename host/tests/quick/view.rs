@@ -2,7 +2,7 @@
 //! oscilloscope, and whom it lets in.
 
 use crate::common::page::Heard;
-use haptic::device_file::DeviceFile;
+use crate::common::{file, shipped};
 use haptic::link::{Board, encode};
 use haptic::recorder::Recording;
 use haptic::scene_file::SceneFile;
@@ -381,15 +381,11 @@ fn a_page_records_what_it_sees_and_it_plays_once_more() {
     assert!(haptic::replay::replay(&recording).unwrap().is_same());
 }
 
-fn device(name: &str) -> DeviceFile {
-    DeviceFile::load(Path::new(&crate::common::sim::file(&format!("{name}.toml")))).unwrap()
-}
-
 #[test]
 fn the_page_is_told_of_springs_and_of_where_they_hold() {
-    let path = crate::common::sim::file("scenes/haply-2diy/groove.toml");
+    let path = file("scenes/haply-2diy/groove.toml");
     let scene = SceneFile::load(Path::new(&path), 2).unwrap().scene().unwrap();
-    let view = Played::in_command(World::simulate(device("haply-2diy"), Some(scene)).unwrap(), None);
+    let view = Played::in_command(World::simulate(shipped("haply-2diy"), Some(scene)).unwrap(), None);
     let page = view.heard(0);
     assert_eq!(page.springs[0]["stiffness"], 250.0, "{}", page.springs);
     // The line y = 0.115: straight above or below the tip.
@@ -401,7 +397,7 @@ fn the_page_is_told_of_springs_and_of_where_they_hold() {
 #[test]
 fn every_shipped_device_can_be_looked_at() {
     for name in ["hapkit-paddle", "haply-2diy", "phantom-premium-1.5", "serial-3r", "fictive-five-bar-turret"] {
-        let mut view = Played::in_command(World::simulate(device(name), None).unwrap(), None);
+        let mut view = Played::in_command(World::simulate(shipped(name), None).unwrap(), None);
         view.boundary();
         assert!(!view.heard(0).picture["geometry"]["bars"].as_array().unwrap().is_empty(), "{name}");
         assert_eq!(view.heard(0).hello["device"], name);

@@ -1,8 +1,9 @@
 //! `haptic monitor` in a real terminal: a pseudo-terminal whose screen is read as a person would.
 #![cfg(unix)]
 
-use crate::common::sim;
+use crate::common::sim::{HANG, until};
 use crate::common::socket::Socket;
+use crate::common::{file, haptic};
 
 use haptic::recorder::Recording;
 use rustix::event::{PollFd, PollFlags, poll};
@@ -13,9 +14,6 @@ use std::num::NonZero;
 use std::os::fd::OwnedFd;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
-
-/// How long anything may take that is bound to happen: what hangs takes longer.
-const PATIENCE: Duration = Duration::from_secs(300);
 
 fn size_of(count: u16) -> NonZero<u16> {
     NonZero::new(count).unwrap()
@@ -93,7 +91,7 @@ impl Terminal {
     fn until(&mut self, what: &str, so: impl Fn(&str) -> bool) {
         let began = Instant::now();
         while !so(&self.text()) {
-            assert!(began.elapsed() < PATIENCE, "{what}:\n{}", self.text());
+            assert!(began.elapsed() < HANG, "{what}:\n{}", self.text());
             assert!(self.read(), "{what}: it has ended\n{}", self.text());
         }
     }
@@ -108,7 +106,7 @@ impl Terminal {
             if let Some(status) = self.child.try_wait().unwrap() {
                 break status;
             }
-            assert!(began.elapsed() < PATIENCE, "{}", self.text());
+            assert!(began.elapsed() < HANG, "{}", self.text());
             self.read();
         };
         while self.read() {}
@@ -224,7 +222,7 @@ fn gains_that_are_predicted_to_be_unstable_are_asked_about_first() {
 /// The scene of a board that is switched off is gone, unless it was saved.
 #[test]
 fn a_board_that_is_unplugged_is_waited_for_also_where_it_comes_back_without_its_scene() {
-    let wall = sim::file("scenes/coupled-five-bar/wall.toml");
+    let wall = file("scenes/coupled-five-bar/wall.toml");
     let socket = Socket::empty();
     socket.plug(&["--scene", &wall]);
     let mut terminal = Terminal::start(&["--port", &socket.address], 30, 100);
@@ -238,7 +236,7 @@ fn a_board_that_is_unplugged_is_waited_for_also_where_it_comes_back_without_its_
             terminal.until("what to do", |text| text.contains("haptic scene FILE") && !text.contains("motors off"));
             // Between two looks the board is free for others.
             let scene = ["scene", &wall, "--port", &socket.address];
-            sim::until("the scene", || sim::haptic(&scene).output().unwrap().status.success());
+            until("the scene", || haptic(&scene).output().unwrap().status.success());
         }
         terminal.until("its return", |text| text.contains("motors off") && !text.contains("waiting for it"));
         terminal.shows("nobody commands");
@@ -251,6 +249,6 @@ fn a_board_that_is_unplugged_is_waited_for_also_where_it_comes_back_without_its_
 
 #[test]
 fn where_there_is_no_terminal_it_says_so() {
-    let refused = sim::haptic(&["monitor", "--port", "sim"]).assert().code(2);
+    let refused = haptic(&["monitor", "--port", "sim"]).assert().code(2);
     assert!(String::from_utf8_lossy(&refused.get_output().stderr).contains("no terminal"));
 }

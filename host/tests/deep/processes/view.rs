@@ -1,16 +1,14 @@
 //! `haptic view` on a board that comes and goes, with a page without a browser: a WebSocket that reads and says JSON.
 
 use crate::common::page::{Heard, View};
-use crate::common::sim::{file, haptic, until};
+use crate::common::sim::{HANG, until};
 use crate::common::socket::Socket;
+use crate::common::{file, haptic};
 use serde_json::{Value, json};
 use std::io::ErrorKind;
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 use tungstenite::{Message, WebSocket};
-
-/// How long anything may take that is bound to happen: what hangs takes longer.
-const PATIENCE: Duration = Duration::from_secs(300);
 
 struct Page {
     socket: WebSocket<TcpStream>,
@@ -56,7 +54,7 @@ impl Page {
     fn until(&mut self, what: &str, is_so: impl Fn(&Heard) -> bool) {
         let began = Instant::now();
         while !is_so(&self.heard) {
-            assert!(began.elapsed() < PATIENCE, "{what}: {}\n{:?}", self.heard.picture, self.heard.refused);
+            assert!(began.elapsed() < HANG, "{what}: {}\n{:?}", self.heard.picture, self.heard.refused);
             self.read();
         }
     }
@@ -66,7 +64,7 @@ impl Page {
         self.holding = true;
         let began = Instant::now();
         while self.heard.state() != "Armed" {
-            assert!(began.elapsed() < PATIENCE, "{:?}", self.heard.refused);
+            assert!(began.elapsed() < HANG, "{:?}", self.heard.refused);
             if self.heard.picture["held"] == false {
                 self.say(json!({"do": "arm"}));
             }
@@ -109,7 +107,7 @@ fn a_board_that_is_lost_is_waited_for_also_where_it_comes_back_without_its_scene
 #[test]
 fn a_folder_for_recordings_that_is_missing_is_told_at_the_start() {
     let view = ["view", "--port", "sim", "--listen", "127.0.0.1:0", "--record-to", "/nonexistent"];
-    let refused = haptic(&view).timeout(PATIENCE).assert().code(1);
+    let refused = haptic(&view).timeout(HANG).assert().code(1);
     let said = String::from_utf8_lossy(&refused.get_output().stderr).into_owned();
     assert!(said.contains("/nonexistent is not there; make the folder first"), "{said}");
 }
