@@ -112,7 +112,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
         }
         None => pseudo_terminal()?,
     };
-    let stop = interrupt::watch();
     let pace = if args.fast { Pace::AsFastAsItCan } else { Pace::RealTime };
     let stop = interrupt::watch();
     print(&format!(

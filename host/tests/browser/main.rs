@@ -1,16 +1,15 @@
 //! `haptic view` in a real browser, without a screen. A computer without Chromium fails here, with the line that
 //! installs it. With HAPTIC_PICTURES set to a folder, pictures of the page are left there for a person to look at.
 
+#[path = "../common/mod.rs"]
+mod common;
+
 mod as_a_file;
 mod devtools;
-#[path = "../common/page.rs"]
-mod page;
-#[allow(dead_code, reason = "every run uses its own part")]
-#[path = "../common/sim.rs"]
-mod sim;
 
+use common::page::View;
+use common::sim::Sim;
 use devtools::{Browser, Tab};
-use page::View;
 use serde_json::Value;
 
 const LAPTOP: (u32, u32) = (1366, 768);
@@ -336,7 +335,7 @@ fn how_fast_the_page_is() {
     let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/");
     let (device, scene) = (format!("{root}coupled-five-bar.toml"), format!("{root}scenes/coupled-five-bar/wall.toml"));
     // Watching alone: the board is another process, and every one of its 20,000 steps a second is a row.
-    let sim = sim::Sim::start(&[&device, "--scene", &scene]);
+    let sim = Sim::start(&[&device, "--scene", &scene]);
     let view = View::start(&[&device, "--port", &sim.port, "--rate", "20000"]);
     let mut browser = Browser::start();
     let watch = |browser: &mut Browser, view: &View, what: &str| {
