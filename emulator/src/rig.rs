@@ -17,7 +17,6 @@ use crate::boards::Wiring;
 use crate::hands::hold;
 use crate::hardware::Hardware;
 use crate::image::Firmware;
-use crate::log::Decoder;
 use crate::plant::{Dummy, Plant};
 use crate::run::{MILLISECOND, SECOND, StoppedBoard, VirtualBoard};
 use crate::wire::Shared;
@@ -240,13 +239,12 @@ impl Rig {
         self.with(|stopped| job(stopped.hardware().plant.device().expect("a simulated device")))
     }
 
-    /// What there is to know of a board that does not answer any more: its port's history, restarts and log.
+    /// What there is to know of a board that does not answer any more: its port's history and restarts.
     #[must_use]
     pub fn post_mortem(&self) -> String {
-        let (at, port, restarts, raw) = self
-            .with(|stopped| (stopped.at, stopped.usb().log().to_vec(), stopped.resets().to_vec(), stopped.take_log()));
-        let log = Decoder::new(firmware(self.kind)).map_or_else(Vec::new, |decoder| decoder.lines(&raw));
-        format!("at {at} ns\nport: {port:?}\nrestarts: {restarts:?}\nlog: {log:#?}")
+        let (at, port, restarts) =
+            self.with(|stopped| (stopped.at, stopped.usb().log().to_vec(), stopped.resets().to_vec()));
+        format!("at {at} ns\nport: {port:?}\nrestarts: {restarts:?}")
     }
 
     /// Virtual nanoseconds since power-on.

@@ -20,6 +20,8 @@ fn cargo(toolchain: Toolchain, feature: &str) -> Command {
     let mut command = toolchain.cargo(Use::Build);
     command.current_dir(root().join("firmware")).arg("--target-dir").arg(target_directory());
     command.args(["--locked", "--bin", "no-panic", "--profile", "firmware", "--features", feature]);
+    // As fast as the library that it is made of.
+    command.args(["--", "-Copt-level=3"]);
     command
 }
 
