@@ -66,7 +66,7 @@ pub fn gate(arguments: &[String]) -> Result<()> {
     })?;
     stage("images and their sizes", firmware::size)?;
     stage("no panic in the control step", no_panic::prove)?;
-    stage("images on the emulated chip", || board(&["gate::".into()]))?;
+    stage("images on the emulated chip", || board(&["--test", "emulated", "gate::"].map(String::from)))?;
     println!("-- all of it: {} s", began.elapsed().as_secs());
     Ok(())
 }

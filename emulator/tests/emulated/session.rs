@@ -1,22 +1,14 @@
 //! What a board keeps of a session, and what the largest one leaves free.
 
-use std::time::Duration;
 
-use haptic_bridge::board::protocol::PROTOCOL;
-use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::{Interpolation, TableChunk};
-use haptic_bridge::render::controller::Gains;
-use haptic_bridge::render::scene::FeedForward;
-use haptic_bridge::safety::fault::State;
-use haptic_bridge::safety::refusal::Refusal;
 
 use haptic::backup::{Backup, restore};
 use haptic::bench::precompute;
-use haptic::link::BoardError;
-use virtual_board::boards::{BoardKind, Wiring};
+use virtual_board::boards::BoardKind;
 use virtual_board::rig::Rig;
-use virtual_board::run::{MILLISECOND, SECOND};
+use virtual_board::run::SECOND;
 
 /// A wall beyond the home pose of the pantograph, at 20 kHz.
 pub const WALL: &str = "[[wall]]\npoint = [0.0, 0.13]\nnormal = [0.0, -1.0]\nstiffness = 2000.0\ndamping = 4.0\n";
