@@ -1,6 +1,5 @@
 //! What a board keeps of a session, and what the largest one leaves free.
 
-
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::{Interpolation, TableChunk};
 
