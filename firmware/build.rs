@@ -10,6 +10,13 @@ fn main() {
     println!("cargo::rustc-link-search={}", out.display());
     // --nmagic: sections are not aligned to pages, which flash does not have. link.x is cortex-m-rt's, defmt.x defmt's.
     for argument in ["--nmagic", "-Tlink.x", "-Tdefmt.x"] {
-        println!("cargo::rustc-link-arg-bins={argument}");
+        println!("cargo::rustc-link-arg-bin=haptic-bridge-firmware={argument}");
+    }
+    // Its entry points are kept; everything they do not reach is dropped.
+    for name in ["render", "crest", "generally", "notes", "sums"] {
+        println!("cargo::rustc-link-arg-bin=no-panic=--undefined=carrier_{name}");
+    }
+    for argument in ["--entry=control_step", "--gc-sections", "--nmagic"] {
+        println!("cargo::rustc-link-arg-bin=no-panic={argument}");
     }
 }

@@ -16,18 +16,21 @@ const STACK_LIMIT: u32 = 2800;
 /// The function that does not exist; its name is in the linker's message.
 const MISSING: &str = "the_control_step_can_panic";
 
-fn cargo(toolchain: Toolchain) -> Command {
+fn cargo(toolchain: Toolchain, feature: &str) -> Command {
     let mut command = toolchain.cargo(Use::Build);
-    command.current_dir(root().join("tests/no-panic")).args(["--locked", "--release"]);
-    command.arg("--target-dir").arg(target_directory().join("no-panic"));
+    command.current_dir(root().join("firmware")).arg("--target-dir").arg(target_directory());
+    command.args(["--locked", "--bin", "no-panic", "--profile", "firmware", "--features", feature]);
+    // As fast as the library that it is made of.
+    command.args(["--", "-Copt-level=3"]);
     command
 }
 
 /// Links the step alone, and reads the result.
 pub fn prove(install: bool) -> Result<()> {
     let toolchain = tools::provide(&[Use::Build], install)?;
-    run(&mut cargo(toolchain)).context("a panic is left in the control step; the linker's message above says so")?;
-    let image = Image::read(&target_directory().join("no-panic").join(TARGET).join("release/no-panic"))?;
+    run(&mut cargo(toolchain, "no-panic"))
+        .context("a panic is left in the control step; the linker's message above says so")?;
+    let image = Image::read(&target_directory().join(TARGET).join("firmware/no-panic"))?;
     let reach = image.reach(&[
         "control_step",
         "carrier_render",
@@ -45,7 +48,7 @@ pub fn prove(install: bool) -> Result<()> {
     println!("no indirect calls");
 
     // The proof must be able to fail: with one index that nothing bounds, the same image must not link.
-    let broken = cargo(toolchain).args(["--features", "broken"]).output().context("cannot run cargo")?;
+    let broken = cargo(toolchain, "broken").output().context("cannot run cargo")?;
     let message = String::from_utf8_lossy(&broken.stderr);
     ensure!(!broken.status.success() && message.contains(MISSING), "a step that can panic was not found out");
     println!("and a step with one unbounded index does not link");
