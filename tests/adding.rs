@@ -5,12 +5,13 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// What the product is made of.
-const PRODUCT: [&str; 12] = [
+const PRODUCT: [&str; 13] = [
     "src",
     "host/src",
     "firmware/src",
     "firmware/Cargo.toml",
     "emulator/src",
+    "emulator/programs/src",
     "xtask/src",
     "capi/src",
     "chai3d/src",
@@ -114,7 +115,7 @@ const ROWS: [Row; 11] = [
         stems: &["h_bridge_f405", "odrive_v3"],
         users: &[
             // What runs on one of them.
-            "emulator/src/bin/board.rs",
+            "emulator/programs/src/bin/board/main.rs",
             "emulator/src/campaign.rs",
             "emulator/src/cases.rs",
             "emulator/src/inject.rs",

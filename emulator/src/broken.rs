@@ -82,6 +82,8 @@ pub struct Peaks {
     pub speed: f64,
     /// The tip's way from where it was, m.
     pub travel: f64,
+    /// Whether a bridge was on.
+    pub driven: bool,
     from: Option<[f64; 3]>,
 }
 

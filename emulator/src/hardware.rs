@@ -205,6 +205,7 @@ impl Hardware {
         for (axis, motor) in wiring.motors.iter().enumerate() {
             self.drives[axis] = self.drive(wiring, motor, &spans[usize::from(motor.timer == 8)], enabled);
         }
+        self.peaks.driven |= !self.bridges_float();
         if spans[0].whole > 0 {
             self.plant.step(&self.broken.drives(self.drives), spans[0].whole as f64 * 1e-9);
             self.peaks.take(&mut *self.plant);

@@ -4,7 +4,6 @@
 //! [`count`] counts the instructions of marked stretches of a bench image.
 
 pub mod boards;
-pub mod bridge;
 pub mod broken;
 pub mod campaign;
 pub mod cases;
@@ -19,7 +18,6 @@ pub mod hardware;
 pub mod image;
 pub mod inject;
 pub mod load;
-pub mod log;
 pub mod noise;
 pub mod otg_core;
 pub mod plant;

@@ -17,7 +17,6 @@ use crate::boards::Wiring;
 use crate::hands::hold;
 use crate::hardware::Hardware;
 use crate::image::Firmware;
-use crate::log::Decoder;
 use crate::plant::{Dummy, Plant};
 use crate::run::{MILLISECOND, SECOND, StoppedBoard, VirtualBoard};
 use crate::wire::Shared;
@@ -78,7 +77,7 @@ impl Rig {
     ///
     /// # Panics
     ///
-    /// When the firmware does not come up on USB within two virtual seconds.
+    /// When the firmware does not come up on USB within two virtual seconds, or a bridge is on before.
     #[must_use]
     pub fn empty(kind: impl Into<&'static Wiring>) -> Self {
         Self::with_plant(kind.into(), Box::new(Dummy::default()), None)
@@ -116,6 +115,7 @@ impl Rig {
         let hardware = Hardware::new(kind, plant).expect("the board's description is sound");
         let mut board = VirtualBoard::start(firmware(kind), hardware).unwrap_or_else(|error| panic!("{error}"));
         assert!(board.run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready()), "no USB after two seconds");
+        assert!(!board.with(|stopped| stopped.hardware().peaks.driven), "a bridge was on before USB was ready");
         let shared = Shared::new(board);
         let tool = Board::over(shared.wire(), "virtual").unwrap_or_else(|error| panic!("{error}"));
         let mut rig = Self { kind, shared, tool, file };
@@ -239,13 +239,12 @@ impl Rig {
         self.with(|stopped| job(stopped.hardware().plant.device().expect("a simulated device")))
     }
 
-    /// What there is to know of a board that does not answer any more: its port's history, restarts and log.
+    /// What there is to know of a board that does not answer any more: its port's history and restarts.
     #[must_use]
     pub fn post_mortem(&self) -> String {
-        let (at, port, restarts, raw) = self
-            .with(|stopped| (stopped.at, stopped.usb().log().to_vec(), stopped.resets().to_vec(), stopped.take_log()));
-        let log = Decoder::new(firmware(self.kind)).map_or_else(Vec::new, |decoder| decoder.lines(&raw));
-        format!("at {at} ns\nport: {port:?}\nrestarts: {restarts:?}\nlog: {log:#?}")
+        let (at, port, restarts) =
+            self.with(|stopped| (stopped.at, stopped.usb().log().to_vec(), stopped.resets().to_vec()));
+        format!("at {at} ns\nport: {port:?}\nrestarts: {restarts:?}")
     }
 
     /// Virtual nanoseconds since power-on.

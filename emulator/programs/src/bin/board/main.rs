@@ -5,6 +5,9 @@
 //! `--fast` lets virtual time run as fast as the emulator goes instead of following the clock.
 //! Exit code 1: it could not be started; 2: the command is wrong.
 
+mod bridge;
+mod log;
+
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
@@ -12,12 +15,13 @@ use std::time::{Duration, Instant};
 use haptic::device_file::DeviceFile;
 use haptic::sim::{Options, PowerStage, SimulatedDevice};
 use virtual_board::boards::{BoardKind, Wiring};
-use virtual_board::bridge::{Outlet, TcpOutlet};
 use virtual_board::hardware::Hardware;
 use virtual_board::image::Firmware;
-use virtual_board::log::Decoder;
 use virtual_board::rig;
 use virtual_board::run::{MILLISECOND, SECOND, VirtualBoard};
+
+use crate::bridge::{Outlet, TcpOutlet};
+use crate::log::Decoder;
 
 struct Arguments {
     board: BoardKind,
@@ -102,7 +106,7 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     outlets.push(Box::new(tcp));
     #[cfg(unix)]
     {
-        let terminal = virtual_board::bridge::TerminalOutlet::new()?;
+        let terminal = bridge::TerminalOutlet::new()?;
         println!("port: {}", terminal.path());
         outlets.push(Box::new(terminal));
     }

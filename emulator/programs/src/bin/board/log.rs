@@ -2,7 +2,7 @@
 
 use defmt_decoder::{DecodeError, Table};
 
-use crate::image::Firmware;
+use virtual_board::image::Firmware;
 
 /// The log's strings, taken from an image.
 pub struct Decoder {
@@ -20,12 +20,6 @@ impl Decoder {
     #[must_use]
     pub fn reader(&self) -> Reader<'_> {
         Reader { stream: self.table.new_stream_decoder() }
-    }
-
-    /// Every line of a log that is there whole.
-    #[must_use]
-    pub fn lines(&self, raw: &[u8]) -> Vec<String> {
-        self.reader().feed(raw)
     }
 }
 
@@ -45,6 +39,25 @@ impl Reader<'_> {
                 Err(DecodeError::UnexpectedEof) => return lines,
                 Err(DecodeError::Malformed) => lines.push("(a part of the log that cannot be read)".to_owned()),
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use virtual_board::boards::BoardKind;
+    use virtual_board::rig::{Rig, firmware};
+
+    use super::Decoder;
+
+    #[test]
+    fn the_log_says_which_board_started() {
+        for kind in BoardKind::ALL {
+            let rig = Rig::empty(kind);
+            let raw = rig.with(|stopped| stopped.take_log());
+            let lines = Decoder::new(firmware(kind)).expect("the image logs");
+            let lines = lines.reader().feed(&raw);
+            assert!(lines.iter().any(|line| line.contains(kind.name())), "{lines:?}");
         }
     }
 }

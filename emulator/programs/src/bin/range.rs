@@ -31,7 +31,7 @@ fn main() -> ExitCode {
 
 fn run() -> Result<(), Box<dyn std::error::Error>> {
     let occasion = std::env::var("HAPTIC_OCCASION").unwrap_or_else(|_| "Undated".to_owned());
-    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
+    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs");
     let mut text = introduction(&occasion);
     for rate in RATES {
         let (progress, delay) = measured(rate)?;
