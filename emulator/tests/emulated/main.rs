@@ -7,6 +7,7 @@ mod boot;
 mod equality;
 mod faults;
 mod force;
+mod gate;
 mod injection;
 mod load;
 mod lying;

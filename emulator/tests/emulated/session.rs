@@ -1,4 +1,4 @@
-//! What a person does with a board, from plugging it in to disarming.
+//! What a board keeps of a session, and what the largest one leaves free.
 
 use std::time::Duration;
 
@@ -20,41 +20,6 @@ use virtual_board::run::{MILLISECOND, SECOND};
 
 /// A wall beyond the home pose of the pantograph, at 20 kHz.
 pub const WALL: &str = "[[wall]]\npoint = [0.0, 0.13]\nnormal = [0.0, -1.0]\nstiffness = 2000.0\ndamping = 4.0\n";
-
-#[test]
-fn a_session_from_info_to_disarm() {
-    let kind = BoardKind::OdriveV3;
-    let mut rig = Rig::with_device(kind, "pantograph-mk2", |_| ());
-    assert_eq!(rig.tool.info().protocol, PROTOCOL);
-    assert_eq!(rig.tool.info().board.as_str(), kind.name());
-    let details = rig.tool.details().expect("the board answers");
-    assert_eq!(usize::from(details.axes), Wiring::of(kind).motors.len());
-    assert!(details.real && details.device.is_none());
-
-    assert_eq!(refusal(rig.tool.arm()), Refusal::NoDevice);
-    rig.load(WALL);
-    assert_eq!(refusal(rig.tool.arm()), Refusal::NotHomed);
-    rig.tool.home().expect("the device can be homed");
-    assert_eq!(refusal(rig.tool.arm()), Refusal::PolarityUnchecked);
-    rig.ready();
-
-    let gains = Gains { wall: 0, stiffness: 1500.0, damping: 3.0, feed_forward: FeedForward::Full, washout_hz: 2.0 };
-    rig.tool.set_wall_gains(gains).expect("gains change while armed");
-    rig.tool.start_stream(Fields::USUAL, 20).expect("a stream starts");
-    let mut rows = Vec::new();
-    while rows.len() < 200 {
-        rows.extend(rig.tool.rows(Duration::from_millis(500)).expect("rows come"));
-    }
-    assert!(rows.windows(2).all(|pair| pair[1].step == pair[0].step + 20), "every twentieth step");
-    assert_eq!(rig.tool.losses().missing, 0);
-    rig.tool.stop_stream().expect("the stream stops");
-
-    rig.tool.disarm().expect("the board disarms");
-    rig.run(10 * MILLISECOND);
-    assert_eq!(rig.tool.status().expect("the board answers").state, State::Disarmed);
-    let drives = rig.with(|stopped| stopped.hardware().drives());
-    assert!(drives.iter().all(|drive| *drive == haptic::sim::MotorInput::Floating), "{drives:?}");
-}
 
 #[test]
 fn settings_survive_a_reset() {
@@ -113,11 +78,4 @@ fn a_backup_of_three_joints_is_put_in_force_and_leaves_stack_untouched() {
     assert_eq!(details.walls, 3);
     assert!(details.stack_free >= 8 * 1024, "{} of 52 KB were never touched", details.stack_free);
     assert!(rig.with(|stopped| stopped.resets().is_empty()), "{}", rig.post_mortem());
-}
-
-fn refusal(outcome: Result<(), BoardError>) -> Refusal {
-    match outcome {
-        Err(BoardError::Refused(refusal)) => refusal,
-        other => panic!("a refusal was expected, not {other:?}"),
-    }
 }

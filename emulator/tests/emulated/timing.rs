@@ -17,7 +17,7 @@ fn takes_what_is_recorded(nth: usize) {
     assert!(timing.unnamed.is_empty(), "emulator/src/stages.rs gives these to no stage: {:#?}", timing.unnamed);
     // In contact, with the feed-forward in full, a step does something of everything.
     for ((stage, _), mean) in STAGES.iter().zip(&timing.stages).filter(|((stage, _), _)| stage.starts_with("step: ")) {
-        assert!(*mean > 20.0, "{stage} takes {mean} instructions: {timing:?}");
+        assert!(*mean > 0.0, "{stage} is not there: {timing:?}");
     }
     let allowed = |recorded: u64| (recorded as f64 * GROWTH) as u64;
     assert!(timing.longest <= allowed(longest), "{}: {longest} recorded, {timing:?}", case.name());

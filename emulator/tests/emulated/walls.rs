@@ -41,18 +41,24 @@ fn push(rig: &Rig, newtons: f64) {
     });
 }
 
+fn gains(feed_forward: FeedForward, stiffness: f32, damping: f32) -> Gains<f32> {
+    Gains { wall: 0, stiffness, damping, feed_forward, washout_hz: 2.0 }
+}
+
 #[test]
 fn a_wall_holds_a_hand_at_the_depth_of_its_stiffness() {
-    for feed_forward in ["off", "washout", "full"] {
-        let (mut rig, height) = armed_at_a_wall(feed_forward, 0.005);
-        push(&rig, 2.0);
-        rig.run(3 * SECOND);
+    let (mut rig, height) = armed_at_a_wall("off", 0.005);
+    push(&rig, 2.0);
+    rig.run(3 * SECOND);
+    for feed_forward in [FeedForward::Off, FeedForward::Washout, FeedForward::Full] {
+        rig.tool.set_wall_gains(gains(feed_forward, 2000.0, 6.0)).expect("gains change in contact");
+        rig.run(SECOND);
         let (tip, tip_velocity) = rig.with_simulated(|device| (device.tip(), device.tip_velocity()));
         let status = rig.tool.status().expect("the board answers");
-        assert_eq!(status.fault, None, "{feed_forward}");
+        assert_eq!(status.fault, None, "{feed_forward:?}");
         let depth = tip[1] - height;
         // 2 N over 2000 N/m is 1 mm; what the current sensors and encoder steps leave uncertain is 8 %.
-        assert!((depth - 0.001).abs() < 8e-5, "{feed_forward}: {depth} m deep, tip {tip:?} at {tip_velocity:?}");
+        assert!((depth - 0.001).abs() < 8e-5, "{feed_forward:?}: {depth} m deep, tip {tip:?} at {tip_velocity:?}");
     }
 }
 
@@ -156,8 +162,7 @@ fn gains_that_change_in_contact_step_the_torque_by_what_they_explain() {
     rig.tool.start_stream(fields, 4).expect("a stream starts");
     let mut rows = Vec::new();
     for stiffness in [500.0, 800.0, 400.0, 600.0] {
-        let gains = Gains { wall: 0, stiffness, damping: 1.0, feed_forward: FeedForward::Full, washout_hz: 2.0 };
-        rig.tool.set_wall_gains(gains).expect("gains change in contact");
+        rig.tool.set_wall_gains(gains(FeedForward::Full, stiffness, 1.0)).expect("gains change in contact");
         let until = rows.len() + 400;
         while rows.len() < until {
             rows.extend(rig.tool.rows(Duration::from_millis(20)).expect("rows come"));
@@ -183,34 +188,36 @@ fn gains_that_change_in_contact_step_the_torque_by_what_they_explain() {
 #[test]
 fn the_feed_forward_on_the_chip_is_the_torque_that_the_analysis_asks_for() {
     for (kind, name) in [(BoardKind::OdriveV3, "pantograph-mk2"), (BoardKind::HBridgeF405, "phantom-premium-1.5")] {
-        for feed_forward in ["off", "full"] {
-            let normal = [-0.6, -0.8, 0.0];
-            let wall = WallAt { feed_forward, ..WallAt::facing(normal) };
-            // The hand carries the weight too.
-            let mut rig = Rig::in_contact(kind, name, "gravity_compensation = false\n", &[wall], 1.6);
-            let file = rig.file.clone().expect("a device");
-            let (joints, task) = (file.spec().joints, file.spec().task);
-            rig.tool
-                .start_stream(Fields(Field::Angle.bit() | Field::Torque.bit() | Field::WallForce.bit()), 20)
-                .expect("a stream");
+        let normal = [-0.6, -0.8, 0.0];
+        // The hand carries the weight too.
+        let mut rig = Rig::in_contact(kind, name, "gravity_compensation = false\n", &[WallAt::facing(normal)], 1.6);
+        let file = rig.file.clone().expect("a device");
+        let (joints, task) = (file.spec().joints, file.spec().task);
+        rig.tool
+            .start_stream(Fields(Field::Angle.bit() | Field::Torque.bit() | Field::WallForce.bit()), 20)
+            .expect("a stream");
+        for feed_forward in [FeedForward::Full, FeedForward::Off] {
+            rig.tool.set_wall_gains(gains(feed_forward, 500.0, 1.0)).expect("gains change in contact");
+            // Before the tip has slid away along the wall.
+            rig.run(10 * MILLISECOND);
             let rows = rig.tool.rows(Duration::from_millis(300)).expect("rows come");
             let row = &rows.last().expect("a row").values;
             let (q, torque, force) = (&row[..joints], &row[joints..2 * joints], row[2 * joints]);
             let device = Linearised::at(&file.description, q, &normal[..task]).expect("a regular pose");
             let shaped = device.shaped_torque();
-            let expected = if feed_forward == "full" { &shaped } else { &device.row };
+            let expected = if feed_forward == FeedForward::Full { &shaped } else { &device.row };
             let apart = (shaped.clone() - &device.row).amax();
             assert!(apart > 0.05 * device.row.amax(), "{name}: here the feed-forward changes nothing");
             for joint in 0..joints {
                 let error = (torque[joint] / force - expected[joint]).abs();
                 println!(
-                    "{name}, {feed_forward}, joint {joint}: {} N m/N, {} expected",
+                    "{name}, {feed_forward:?}, joint {joint}: {} N m/N, {} expected",
                     torque[joint] / force,
                     expected[joint]
                 );
                 assert!(
                     force > 0.2 && error < 0.02 * apart,
-                    "{name}, {feed_forward}, joint {joint}: {row:?}, {expected:?}"
+                    "{name}, {feed_forward:?}, joint {joint}: {row:?}, {expected:?}"
                 );
             }
         }

@@ -2,7 +2,6 @@
 
 use std::time::Duration;
 
-use haptic::sim::MotorInput;
 use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::safety::fault::Fault;
 use virtual_board::boards::{BoardKind, Wiring};
@@ -93,16 +92,5 @@ fn the_bus_voltage_is_read_within_a_converter_step() {
             let seen = f64::from(rig.tool.status().expect("it answers").bus_voltage);
             assert!((seen - volts).abs() <= 1.5 * step, "{}: {seen} V for {volts} V", kind.name());
         }
-    }
-}
-
-#[test]
-fn motors_float_until_the_board_is_armed() {
-    for kind in BoardKind::ALL {
-        let mut rig = Rig::with_device(kind, device_of(kind), |_| ());
-        rig.load(if kind == BoardKind::OdriveV3 { WALL } else { "" });
-        rig.run(20 * MILLISECOND);
-        let drives = rig.with(|stopped| stopped.hardware().drives());
-        assert_eq!(drives, [MotorInput::Floating; 3], "{}", kind.name());
     }
 }

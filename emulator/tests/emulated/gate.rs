@@ -1,0 +1,111 @@
+//! One session with each release image, from power-on to a fault: what every test run sees of the chip. The other
+//! modules look at each of these things in all its ways.
+
+use std::time::Duration;
+
+use haptic::link::{BoardError, Row};
+use haptic::sim::MotorInput;
+use haptic_bridge::board::protocol::PROTOCOL;
+use haptic_bridge::board::telemetry::{Field, Fields};
+use haptic_bridge::safety::fault::{Fault, State};
+use haptic_bridge::safety::refusal::Refusal;
+use virtual_board::boards::{BoardKind, Wiring};
+use virtual_board::contact::{WallAt, scene};
+use virtual_board::hands::push;
+use virtual_board::inject::off;
+use virtual_board::rig::Rig;
+use virtual_board::run::{MICROSECOND, MILLISECOND, SECOND};
+
+/// N, with which a hand leans on the wall.
+const PUSH: f64 = 1.0;
+/// A row each millisecond, which fits the link whatever else is on it.
+const DIVIDER: u32 = 20;
+
+/// A board whose power stage pulls its fault line calls that `fault`.
+fn session(kind: BoardKind, device: &str, fault: Fault) {
+    let mut rig = Rig::with_device(kind, device, |options| {
+        options.friction = false;
+        options.substep = 25e-6;
+    });
+    assert_eq!((rig.tool.info().protocol, rig.tool.info().board.as_str()), (PROTOCOL, kind.name()));
+    let details = rig.tool.details().expect("the board answers");
+    assert_eq!(usize::from(details.axes), Wiring::of(kind).motors.len());
+    assert!(details.real && details.device.is_none(), "{details:?}");
+
+    assert_eq!(refused(rig.tool.arm()), Refusal::NoDevice);
+    rig.load("");
+    assert_eq!(refused(rig.tool.arm()), Refusal::NotHomed);
+    rig.tool.home().expect("the device can be homed");
+    assert_eq!(refused(rig.tool.arm()), Refusal::PolarityUnchecked);
+
+    let head = "gravity_compensation = true\n";
+    rig.prepare(head);
+    let fields =
+        [Field::State, Field::Distance, Field::WallForce, Field::Torque].iter().fold(0, |set, field| set | field.bit());
+    rig.tool.start_stream(Fields(fields), DIVIDER).expect("a stream starts");
+    let start = rig.with_simulated(|device| device.tip());
+    let wall = WallAt { damping: 3.0, ..WallAt::facing([0.0, -1.0, 0.0]) };
+    rig.set_scene(&scene(head, start, rig.file.as_ref().map_or(2, |file| file.spec().task), &[wall]));
+    rig.arm();
+    rig.with_simulated(|device| push(device, [0.0, PUSH, 0.0], 0.2));
+    rig.run(SECOND);
+    let depth = rig.with_simulated(|device| device.tip())[1] - start[1] - wall.gap;
+    // What current sensors, encoder steps and a hand that trembles leave uncertain.
+    assert!((depth * wall.stiffness - PUSH).abs() < 0.08 * PUSH, "{depth} m deep");
+
+    rig.with(|stopped| stopped.hardware().fault_line_shorted = true);
+    rig.run(100 * MICROSECOND);
+    assert!(rig.with(off), "the bridges are on");
+    rig.run(10 * MILLISECOND);
+    assert_eq!(rig.with(|stopped| stopped.hardware().drives()), [MotorInput::Floating; 3]);
+    assert_eq!(refused(rig.tool.arm()), Refusal::Faulted(fault));
+    let status = rig.tool.status().expect("the board answers");
+    assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(fault)));
+
+    rig.tool.stop_stream().expect("the stream stops");
+    let rows = rig.tool.rows(Duration::ZERO).expect("rows came");
+    told(&rows, wall.stiffness);
+    assert!(rows.windows(2).all(|pair| pair[1].step == pair[0].step + DIVIDER), "a row is missing");
+    let (losses, details) = (rig.tool.losses(), rig.tool.details().expect("the board answers"));
+    assert_eq!((losses.received, losses.missing, losses.garbled), (rows.len() as u64, 0, 0), "{losses:?}");
+    assert_eq!(details.overruns, 0);
+    assert!(rig.with(|stopped| stopped.resets().is_empty()), "{}", rig.post_mortem());
+}
+
+/// Telemetry of all of it: off, armed, off; no force but in the wall, and there what the stiffness says.
+fn told(rows: &[Row], stiffness: f64) {
+    let state = |row: &Row| row.get(Field::State)[0];
+    let mut states: Vec<f64> = rows.iter().map(state).collect();
+    states.dedup();
+    assert_eq!(states, [State::Disarmed, State::Armed, State::Fault].map(|state| f64::from(state as u8)));
+    let pressing = rows.iter().filter(|row| state(row) == f64::from(State::Armed as u8)).rev().take(200);
+    let mean = |field| pressing.clone().map(|row| row.get(field)[0]).sum::<f64>() / 200.0;
+    let (force, depth) = (mean(Field::WallForce), -mean(Field::Distance));
+    assert!(
+        (force - PUSH).abs() < 0.08 * PUSH && (depth * stiffness - force).abs() < 0.02 * PUSH,
+        "{force} N, {depth} m"
+    );
+    for row in rows {
+        assert!(row.get(Field::WallForce)[0] == 0.0 || row.get(Field::Distance)[0] < 0.0, "{row:?}");
+        let armed = state(row) == f64::from(State::Armed as u8);
+        assert!(armed || row.get(Field::Torque).iter().all(|torque| *torque == 0.0), "{row:?}");
+    }
+}
+
+/// What a board refuses with.
+pub fn refused(outcome: Result<(), BoardError>) -> Refusal {
+    match outcome {
+        Err(BoardError::Refused(refusal)) => refusal,
+        other => panic!("a refusal was expected, not {other:?}"),
+    }
+}
+
+#[test]
+fn the_image_of_odrive_v3_renders_a_wall_and_lets_go_at_a_fault() {
+    session(BoardKind::OdriveV3, "pantograph-mk2", Fault::GateDriver);
+}
+
+#[test]
+fn the_image_of_h_bridge_f405_renders_a_wall_and_lets_go_at_a_fault() {
+    session(BoardKind::HBridgeF405, "phantom-premium-1.5", Fault::BreakInput);
+}
