@@ -196,9 +196,10 @@ fn the_feed_forward_on_the_chip_is_the_torque_that_the_analysis_asks_for() {
         rig.tool
             .start_stream(Fields(Field::Angle.bit() | Field::Torque.bit() | Field::WallForce.bit()), 20)
             .expect("a stream");
-        for feed_forward in [FeedForward::Off, FeedForward::Full] {
+        for feed_forward in [FeedForward::Full, FeedForward::Off] {
             rig.tool.set_wall_gains(gains(feed_forward, 500.0, 1.0)).expect("gains change in contact");
-            rig.run(SECOND / 2);
+            // Before the tip has slid away along the wall.
+            rig.run(10 * MILLISECOND);
             let rows = rig.tool.rows(Duration::from_millis(300)).expect("rows come");
             let row = &rows.last().expect("a row").values;
             let (q, torque, force) = (&row[..joints], &row[joints..2 * joints], row[2 * joints]);
