@@ -73,7 +73,8 @@ pub fn pseudo_terminal() -> io::Result<ToolListener> {
     // With no end of our own open, reads fail while no tool is connected: that is how a hang-up shows.
     drop(slave);
     master.set_timeout(Duration::from_millis(100))?;
-    let writer = master.try_clone_native()?;
+    // One for all tools: it outlasts them, because a tool that comes right after another may come unnoticed.
+    let writer = outgoing(master.try_clone_native()?, Lost::Block);
     let (send, events) = sync_channel(EVENTS);
     thread::spawn(move || {
         let mut connected = false;
@@ -83,8 +84,7 @@ pub fn pseudo_terminal() -> io::Result<ToolListener> {
                 Ok(count) if count > 0 => {
                     if !connected {
                         connected = true;
-                        let Ok(copy) = writer.try_clone_native() else { return };
-                        if send.send(Event::Connected(outgoing(copy))).is_err() {
+                        if send.send(Event::Connected(writer.clone())).is_err() {
                             return;
                         }
                     }
@@ -263,7 +263,7 @@ fn tcp_outgoing(stream: &TcpStream) -> io::Result<Outgoing> {
     stream.set_nodelay(true)?;
     let writer = stream.try_clone()?;
     writer.set_write_timeout(Some(Duration::from_millis(100)))?;
-    Ok(outgoing(writer))
+    Ok(outgoing(writer, Lost::Sink))
 }
 
 /// Hears what a second tool wants: `Some` request when it is to disarm, which gets through; else it is told that the
@@ -305,18 +305,25 @@ fn disarm_for(stream: TcpStream, request: Vec<u8>, send: &SyncSender<Event>) -> 
     Ok(())
 }
 
-/// A thread that writes blocks to `sink` until the sender is dropped or the sink is gone.
-fn outgoing(mut sink: impl Write + Send + 'static) -> Outgoing {
+/// What is lost where a sink refuses a block: the block alone, or the sink for good.
+#[derive(Clone, Copy, PartialEq)]
+enum Lost {
+    Block,
+    Sink,
+}
+
+/// A thread that writes blocks to `sink` until the sender is dropped or the sink is lost.
+fn outgoing(mut sink: impl Write + Send + 'static, lost: Lost) -> Outgoing {
     let (send, blocks) = sync_channel::<Vec<u8>>(BLOCKS);
     thread::spawn(move || {
         for block in blocks {
             let mut rest = block.as_slice();
             while !rest.is_empty() {
                 match sink.write(rest) {
-                    Ok(0) => return,
-                    Ok(count) => rest = &rest[count..],
+                    Ok(count @ 1..) => rest = &rest[count..],
                     Err(error) if nothing_yet(&error) => {}
-                    Err(_) => return,
+                    _ if lost == Lost::Block => break,
+                    _ => return,
                 }
             }
         }

@@ -65,7 +65,7 @@ impl Served {
     }
 
     fn open(&self) -> Board {
-        Board::open(&self.port).unwrap()
+        Board::open(&self.port).unwrap_or_else(|error| panic!("{:?}: {error}", self.port))
     }
 
     /// A board with its motors on.
