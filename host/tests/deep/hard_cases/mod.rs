@@ -28,6 +28,14 @@ use std::sync::LazyLock;
 static SLIDING: LazyLock<Vec<sliding::Row>> = LazyLock::new(sliding::all);
 static SATURATED: LazyLock<Vec<saturated::Row>> = LazyLock::new(saturated::all);
 
+/// Every mechanism that has more than one direction, with a device that ships.
+const MECHANISMS: [(&str, &str); 4] = [
+    ("five-bar", "coupled-five-bar"),
+    ("five-bar-turret", "fictive-five-bar-turret"),
+    ("parallelogram", "phantom-premium-1.5"),
+    ("serial-3r", "serial-3r"),
+];
+
 /// A device that ships.
 fn shipped(name: &str) -> Description {
     let path = format!("{}/../devices/{name}.toml", env!("CARGO_MANIFEST_DIR"));

@@ -90,12 +90,7 @@ fn row<M: Mechanism<f64, N>, const N: usize>(m: M, name: &'static str, device: &
 
 /// Every mechanism that has more than one direction: in the open, and where an elbow's feed-forward begins to fade.
 pub fn all() -> Vec<Row> {
-    [
-        ("five-bar", "coupled-five-bar"),
-        ("five-bar-turret", "fictive-five-bar-turret"),
-        ("parallelogram", "phantom-premium-1.5"),
-        ("serial-3r", "serial-3r"),
-    ]
+    super::MECHANISMS
     .into_iter()
     .flat_map(|(name, file)| {
         let mut device = shipped(file);

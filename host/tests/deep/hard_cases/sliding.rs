@@ -155,12 +155,7 @@ where
 
 /// Every mechanism that has more than one direction, under every law.
 pub fn all() -> Vec<Row> {
-    [
-        ("five-bar", "coupled-five-bar"),
-        ("five-bar-turret", "fictive-five-bar-turret"),
-        ("parallelogram", "phantom-premium-1.5"),
-        ("serial-3r", "serial-3r"),
-    ]
+    super::MECHANISMS
     .into_iter()
     .flat_map(|(name, file)| {
         // Its weight would only add the same on both sides.
