@@ -32,7 +32,7 @@ macro_rules! module {
 /// All parts of the deep tests, cheapest first.
 pub const PARTS: [Part; 15] = [
     Part { name: "licences", what: "Licences, sources and advisories of dependencies", run: |_| deny::run() },
-    Part { name: "clients", what: "The library without the command line", run: |_| library::alone() },
+    Part { name: "clients", what: "The library without the command line, and its examples", run: clients },
     Part { name: "properties", what: "The library's tests from seeds drawn anew", run: properties },
     module!("hard_cases", "Single precision against 106 bits"),
     module!("claims", "The figures of docs/claims.md"),
@@ -60,7 +60,9 @@ pub fn gate(arguments: &[String]) -> Result<()> {
     let began = Instant::now();
     stage("library", || run(cargo().current_dir(paths::root()).args(["test", "--locked"])))?;
     stage("tool, C and CHAI3D", || {
-        let packages = ["haptic", "haptic-capi", "haptic-chai3d", "xtask"].map(|name| ["--package", name]).concat();
+        let packages = ["haptic", "haptic-capi", "haptic-chai3d", "haptic-playground", "xtask"]
+            .map(|name| ["--package", name])
+            .concat();
         let targets = ["--lib", "--bins", "--test", "quick", "--test", "c", "--test", "as_chai3d_does"];
         run(cargo().current_dir(paths::root()).args(["test", "--locked"]).args(packages).args(targets))
     })?;
@@ -106,16 +108,30 @@ fn tool(module: &str, arguments: &[String]) -> Result<()> {
     run(test.args(arguments).env("HAPTIC_FRESH_SEEDS", "1"))
 }
 
+fn clients(arguments: &[String]) -> Result<()> {
+    library::alone()?;
+    let examples = ["test", "--locked", "--package", "haptic", "--doc"];
+    run(cargo().current_dir(paths::root()).args(examples).args(arguments))
+}
+
 fn properties(arguments: &[String]) -> Result<()> {
     let mut test = cargo();
-    test.current_dir(paths::root()).args(["test", "--locked", "--test", "library", "--", "--nocapture"]);
+    test.current_dir(paths::root()).args([
+        "test",
+        "--locked",
+        "--test",
+        "library",
+        "--",
+        "--include-ignored",
+        "--nocapture",
+    ]);
     run(test.args(arguments).env("HAPTIC_FRESH_SEEDS", "1"))
 }
 
 fn browser(arguments: &[String]) -> Result<()> {
     tools::provide(&[Use::Page])?;
     let page = playground::build()?;
-    let test = ["test", "--locked", "--package", "haptic", "--test", "browser", "--", "--include-ignored"];
+    let test = ["test", "--locked", "--package", "haptic", "--test", "browser", "--"];
     run(cargo().current_dir(paths::root()).args(test).args(arguments).env("HAPTIC_PLAYGROUND", page))
 }
 

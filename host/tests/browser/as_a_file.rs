@@ -20,7 +20,6 @@ fn opened() -> (Browser, Tab) {
 }
 
 #[test]
-#[ignore = "needs the file that `cargo xtask playground` makes: `cargo xtask test --deep browser` runs it"]
 fn as_a_file_it_is_alive_and_asks_nobody_for_anything() {
     let (mut browser, tab) = opened();
     let count = |browser: &mut Browser, what: &str| browser.evaluate(&tab, what).as_u64().unwrap();
@@ -47,7 +46,6 @@ fn as_a_file_it_is_alive_and_asks_nobody_for_anything() {
 }
 
 #[test]
-#[ignore = "needs the file that `cargo xtask playground` makes: `cargo xtask test --deep browser` runs it"]
 fn as_a_file_its_wall_buzzes_without_the_feed_forward_and_is_quiet_with_it() {
     let (mut browser, tab) = opened();
     let armed = "document.body.dataset.state === 'Armed'";
@@ -89,7 +87,6 @@ fn as_a_file_its_wall_buzzes_without_the_feed_forward_and_is_quiet_with_it() {
 }
 
 #[test]
-#[ignore = "needs the file that `cargo xtask playground` makes: `cargo xtask test --deep browser` runs it"]
 fn as_a_file_gains_and_walls_are_dragged_and_devices_chosen() {
     let (mut browser, tab) = opened();
     let (from, to) = (on_plane(&mut browser, &tab, 80.0, 9100.0), on_plane(&mut browser, &tab, 40.0, 10e3));
