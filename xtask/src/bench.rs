@@ -33,7 +33,7 @@ fn image() -> Result<PathBuf> {
 fn count() -> Result<Vec<(String, u64)>> {
     let image = image()?;
     let output = cargo()
-        .current_dir(root().join("emulator"))
+        .current_dir(root())
         .args(["run", "--quiet", "--locked", "--ignore-rust-version", "--bin", "count", "--"])
         .arg(image)
         .stderr(Stdio::inherit())

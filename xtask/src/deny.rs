@@ -16,7 +16,7 @@ use crate::toolchain::{cargo, run as run_command};
 /// Where every dependency comes from, as cargo names it.
 const REGISTRY: &str = "registry+https://github.com/rust-lang/crates.io-index";
 
-const WORKSPACES: [&str; 4] = [".", "firmware", "fuzz", "emulator"];
+const WORKSPACES: [&str; 3] = [".", "firmware", "fuzz"];
 
 /// Licences, sources and known advisories, then cargo-deny or how to get it.
 pub fn run() -> Result<()> {

@@ -27,11 +27,16 @@ fn cargo(toolchain: Toolchain, purpose: Use, board: &str) -> Command {
     command
 }
 
+/// Where the images are kept.
+pub fn directory() -> PathBuf {
+    target_directory().join(TARGET).join("firmware")
+}
+
 /// Builds one image and keeps it under its board's name, with its checksum in it; its path.
 pub fn build(board: &str) -> Result<PathBuf> {
     let toolchain = tools::provide(&[Use::Build])?;
     run(&mut cargo(toolchain, Use::Build, board))?;
-    let directory = target_directory().join(TARGET).join("firmware");
+    let directory = directory();
     let image = directory.join(format!("{BINARY}-{board}.elf"));
     std::fs::copy(directory.join(BINARY), &image).with_context(|| format!("cannot write {}", image.display()))?;
     seal(&image)?;

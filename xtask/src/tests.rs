@@ -4,11 +4,18 @@
 use std::process::Command;
 use std::time::Instant;
 
-use anyhow::{Result, ensure};
+use anyhow::{Result, anyhow, ensure};
 
 use crate::toolchain::{Use, cargo, run};
 use crate::{bench, deny, firmware, fuzz, library, no_panic, paths, playground, python, report, tools};
 
+/// The tests of the tool, of C and of CHAI3D, as cargo is asked for them.
+const TOOL: [&str; 8] = ["--lib", "--bins", "--test", "quick", "--test", "c", "--test", "as_chai3d_does"];
+/// The same and those of the emulated chip.
+const GATE: [&str; 10] =
+    ["--lib", "--bins", "--test", "quick", "--test", "c", "--test", "as_chai3d_does", "--test", "emulated"];
+/// Where tests and programs of the virtual board find the images.
+const IMAGES: &str = "HAPTIC_FIRMWARE_DIR";
 /// Seconds of fuzzing that each target gets in the deep tests.
 const FUZZ_SECONDS: u32 = 20;
 
@@ -58,17 +65,21 @@ pub fn gate(arguments: &[String]) -> Result<()> {
     // Before the first compile: what only a late stage needs would else be missed minutes later.
     tools::provide(&tools::TEST)?;
     let began = Instant::now();
-    stage("library", || run(cargo().current_dir(paths::root()).args(["test", "--locked"])))?;
-    stage("tool, C and CHAI3D", || {
-        let packages = ["haptic", "haptic-capi", "haptic-chai3d", "haptic-playground", "xtask"]
-            .map(|name| ["--package", name])
-            .concat();
-        let targets = ["--lib", "--bins", "--test", "quick", "--test", "c", "--test", "as_chai3d_does"];
-        run(cargo().current_dir(paths::root()).args(["test", "--locked"]).args(packages).args(targets))
+    // The images take a compiler's one thread for minutes, which the other tests leave free.
+    std::thread::scope(|scope| {
+        let images = scope.spawn(|| {
+            stage("images and their sizes", firmware::size)?;
+            stage("no panic in the control step", no_panic::prove)
+        });
+        stage("library", || run(cargo().current_dir(paths::root()).args(["test", "--locked"])))?;
+        // The emulated chip with them: what cargo is asked for together it compiles once.
+        stage("compiling tool, C, CHAI3D and emulated chip", || run(tests(&GATE).arg("--no-run")))?;
+        stage("tool, C and CHAI3D", || run(&mut tests(&TOOL)))?;
+        images.join().map_err(|_| anyhow!("the images' stages panicked"))?
     })?;
-    stage("images and their sizes", firmware::size)?;
-    stage("no panic in the control step", no_panic::prove)?;
-    stage("images on the emulated chip", || board(&["--test", "emulated", "gate::"].map(String::from)))?;
+    stage("images on the emulated chip", || {
+        run(tests(&GATE).args(["--", "gate::"]).env(IMAGES, firmware::directory()))
+    })?;
     println!("-- all of it: {} s", began.elapsed().as_secs());
     Ok(())
 }
@@ -103,9 +114,7 @@ fn stage(name: &str, work: impl FnOnce() -> Result<()>) -> Result<()> {
 
 /// A module of host/tests/deep.
 fn tool(module: &str, arguments: &[String]) -> Result<()> {
-    let mut test = cargo();
-    test.current_dir(paths::root()).args(["test", "--locked", "--package", "haptic", "--test", "deep", "--", module]);
-    run(test.args(arguments).env("HAPTIC_FRESH_SEEDS", "1"))
+    run(tests(&["--test", "deep", "--", module]).args(arguments).env("HAPTIC_FRESH_SEEDS", "1"))
 }
 
 fn clients(arguments: &[String]) -> Result<()> {
@@ -131,6 +140,7 @@ fn properties(arguments: &[String]) -> Result<()> {
 fn browser(arguments: &[String]) -> Result<()> {
     tools::provide(&[Use::Page])?;
     let page = playground::build()?;
+    run(cargo().current_dir(paths::root()).args(["test", "--locked", "--package", "haptic-playground"]))?;
     let test = ["test", "--locked", "--package", "haptic", "--test", "browser", "--"];
     run(cargo().current_dir(paths::root()).args(test).args(arguments).env("HAPTIC_PLAYGROUND", page))
 }
@@ -141,35 +151,38 @@ fn fuzzing(_: &[String]) -> Result<()> {
 
 /// All tests of the release images, and of one with a toy board. Further arguments go to `cargo test`.
 fn emulated_suite(arguments: &[String]) -> Result<()> {
+    firmware::build_all()?;
     firmware::build(firmware::TOY)?;
-    board(arguments)
+    run(tests(&["--test", "emulated"]).args(arguments).env(IMAGES, firmware::directory()))
 }
 
-/// Tests of the release images on the emulated chip.
-fn board(arguments: &[String]) -> Result<()> {
-    run(emulated("test")?.args(arguments))
+/// Tests of the tool and of the virtual board. The packages are always the same, and so are then their dependencies'
+/// features: each is compiled once.
+fn tests(targets: &[&str]) -> Command {
+    let packages = ["haptic", "haptic-capi", "haptic-chai3d", "virtual-board", "xtask"];
+    let mut test = cargo();
+    test.current_dir(paths::root()).args(["test", "--locked", "--ignore-rust-version"]);
+    test.args(packages.map(|name| ["--package", name]).concat()).args(targets);
+    test
 }
 
 /// The real firmware on an emulated board, for a person. Further arguments go to the board.
 pub fn play(arguments: &[String]) -> Result<()> {
-    run(emulated("run")?.args(["--quiet", "--bin", "board", "--"]).args(arguments))
+    run(program("board")?.args(arguments))
 }
 
 /// A program of the virtual board's that measures on the emulated chip and writes a document.
-pub fn measure(program: &str, arguments: &[String]) -> Result<()> {
-    let mut command = emulated("run")?;
-    command.args(["--quiet", "--bin", program, "--"]).args(arguments);
-    run(command.env("HAPTIC_OCCASION", report::occasion()))
+pub fn measure(name: &str, arguments: &[String]) -> Result<()> {
+    run(program(name)?.args(arguments).env("HAPTIC_OCCASION", report::occasion()))
 }
 
-/// A cargo call in the virtual board's workspace, which is one of its own because the emulator declares a newer
-/// compiler than it needs. Its tests and its program take the images from where this built them.
-fn emulated(call: &str) -> Result<Command> {
-    let images = firmware::build_all()?;
+/// A program of the virtual board's, which takes the images from where this built them. The emulator
+/// declares a newer compiler than it needs.
+fn program(name: &str) -> Result<Command> {
+    firmware::build_all()?;
     let mut command = cargo();
-    command.current_dir(paths::root().join("emulator")).args([call, "--locked", "--ignore-rust-version"]);
-    if let Some(directory) = images.first().and_then(|image| image.parent()) {
-        command.env("HAPTIC_FIRMWARE_DIR", directory);
-    }
+    command.current_dir(paths::root()).args(["run", "--quiet", "--locked", "--ignore-rust-version"]);
+    command.args(["--package", "virtual-board-programs", "--bin", name, "--"]);
+    command.env(IMAGES, firmware::directory());
     Ok(command)
 }

@@ -3,13 +3,7 @@
 use super::answer::Json;
 use super::port::{Port, numbers};
 use haptic::error::Failure;
-use haptic::link::BoardError;
-use haptic_bridge::safety::refusal::Refusal;
 use serde_json::json;
-use std::time::Duration;
-
-/// How long the device may take to come to rest.
-const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Declare the present pose to be the device's home pose
 ///
@@ -26,14 +20,7 @@ pub struct Args {
 /// Homes, and reports where the board believes the device to be.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.port.open()?;
-    // Somebody may be about to hold it still; a simulated hand carries it back after a polarity check.
-    let until = board.now() + PATIENCE;
-    while let Err(error) = board.home() {
-        if !matches!(error, BoardError::Refused(Refusal::Moving)) || board.now() >= until {
-            return Err(error.into());
-        }
-        board.rows(Duration::from_millis(20))?;
-    }
+    board.home_at_rest()?;
     // The next control step computes the new pose.
     let axes = board.device()?.map_or(0, |device| device.axes());
     let status = board.status()?;

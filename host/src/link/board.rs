@@ -13,6 +13,7 @@ use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::render::velocity::Estimator;
 use haptic_bridge::safety::fault::{FaultRecord, State};
+use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::{Rules, Status};
 use postcard_rpc::Endpoint;
 use serde::Serialize;
@@ -178,6 +179,18 @@ impl Board {
     /// Declares the present pose to be the device's home pose.
     pub fn home(&mut self) -> Result<(), BoardError> {
         self.change::<p::Home>(&())
+    }
+    /// Homes as soon as the device is at rest, for which it has a second of the board's time: somebody may be about to
+    /// hold it still, and a simulated hand carries it back after a polarity check.
+    pub fn home_at_rest(&mut self) -> Result<(), BoardError> {
+        let until = self.now() + Duration::from_secs(1) + self.client.slack();
+        while let Err(error) = self.home() {
+            if !matches!(error, BoardError::Refused(Refusal::Moving)) || self.now() >= until {
+                return Err(error);
+            }
+            self.rows(Duration::from_millis(20))?;
+        }
+        Ok(())
     }
     /// Starts the polarity check: each joint is moved by a small torque.
     pub fn check_polarity(&mut self) -> Result<(), BoardError> {

@@ -435,23 +435,3 @@ fn the_limit_of_the_tip_force_goes_as_high_as_the_safety_page_says() {
         }
     }
 }
-
-#[test]
-fn homing_straight_after_a_polarity_check_waits_until_the_device_is_back_at_home() {
-    let folder = tempfile::tempdir().unwrap();
-    let device = folder.path().join("mine.toml").display().to_string();
-    haptic(&["new", "five-bar", "--output", &device]).assert().success();
-    let vouched = std::fs::read_to_string(&device).unwrap().replace("verified = false", "verified = true");
-    std::fs::write(&device, vouched).unwrap();
-    // At the clock's pace: this board wants to hear its host twice a second of its own time.
-    let sim = Sim::start(&["--strict", &device]);
-    let home = || sim.run(&["home"]).success().get_output().stdout.clone();
-    let first = home();
-    sim.run(&["polarity", "--yes"]).success();
-    assert_eq!(home(), first);
-    // The next look finds it where homing has put it: it was home.
-    let info = sim.run(&["info", "--json"]).success().get_output().stdout.clone();
-    let info: Value = serde_json::from_slice(&info).unwrap();
-    let q: Vec<f64> = serde_json::from_value(info["q"].clone()).unwrap();
-    assert!((q[0] - 2.3).abs() < 1e-3 && (q[1] - 0.8415926).abs() < 1e-3, "{info}");
-}

@@ -11,6 +11,7 @@ use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::servo::{ARM_SECONDS, HostAction, Rules};
+use std::time::Duration;
 
 /// The scenes that ship for a device.
 fn scenes(name: &str, task: usize) -> Vec<SceneFile> {
@@ -42,6 +43,22 @@ fn ready_to_arm(file: DeviceFile) -> (SharedBoard, Board) {
     assert!(board.status().unwrap().polarity, "{name}: {:?}", board.status());
     assert_eq!(shared.lock().device().q(), home, "{name} is put back");
     (shared, board)
+}
+
+#[test]
+fn homing_straight_after_a_polarity_check_waits_until_the_device_is_back_at_home() {
+    let file = DeviceFile::parse(&template::device_file(Kind::FiveBar, "mine"), "mine.toml").unwrap();
+    let home = file.description.home.unwrap();
+    let (shared, mut board) = strict(file);
+    board.home_at_rest().unwrap();
+    board.check_polarity().unwrap();
+    assert!(board.wait_for_polarity().unwrap().passed().is_ok());
+    assert_ne!(shared.lock().device().q(), home, "the check has moved it");
+    board.home_at_rest().unwrap();
+    assert_eq!(shared.lock().device().q(), home);
+    board.rows(Duration::from_millis(20)).unwrap();
+    let q = board.status().unwrap().q;
+    assert!((f64::from(q[0]) - home[0]).abs() < 1e-3 && (f64::from(q[1]) - home[1]).abs() < 1e-3, "{q:?}");
 }
 
 /// Arms, and looks where the device is at the ramp's end and long after it.
