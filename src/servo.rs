@@ -24,6 +24,7 @@ use crate::drive::heat::Heat;
 use crate::drive::stage::{Stage, Supply};
 use crate::math::{Math, limited};
 use crate::model::catalogue::MAX_JOINTS;
+use crate::model::device::Leverage;
 use crate::render::found::Asked;
 use crate::render::scene::DEFAULT_RATE_HZ;
 use crate::safety::fault::{Fault, FaultRecord, State};
@@ -66,6 +67,9 @@ pub struct Servo<P, S = Axis> {
     /// What each joint may be asked for and needs no clamp, N m, and the square of what all of it may be at the tip, N².
     fitting: [f32; MAX_JOINTS],
     most_force_squared: f32,
+    /// What torques are worth at the tip, as of a fraction of a millisecond ago.
+    leverage: Leverage,
+    flow: budgets::Flow,
     now: Now,
     joints: [Joint<S>; MAX_JOINTS],
     /// What each joint may be asked for, N m.
@@ -129,6 +133,8 @@ where
             most_torque: Torques::default(),
             fitting: [0.0; MAX_JOINTS],
             most_force_squared: 0.0,
+            leverage: Leverage::default(),
+            flow: budgets::Flow::default(),
             supplied: 0.0,
             host_heard: 0,
             host_expected: 0,
@@ -424,7 +430,7 @@ where
     /// [`Servo::command`] of J joints.
     #[inline(always)]
     fn command_of<const J: usize>(&mut self, asked: &Asked<f32>, wanted: &[f32; MAX_JOINTS]) {
-        let left = asked.within::<J>(&self.most_torque, self.rules.limits.tip_force);
+        let left = asked.within::<J>(&self.most_torque, self.rules.limits.tip_force, &self.leverage);
         let rendered = Torques(asked.rendered.map(|r| left.share * r));
         self.cut = fade::Acted { gravity: left.gravity, rendered, share: left.share };
         self.cut_at = self.now.step;

@@ -283,13 +283,17 @@ impl Stage for Axis {
     }
 
     #[inline(always)]
-    fn settle(&mut self, bus_voltage: f32, speed: f32, raw: f32) {
+    fn settle(&mut self, bus_voltage: f32, given: f32, speed: f32, raw: f32) {
         self.integrator = limited(self.integrator, USABLE_DUTY * bus_voltage);
         self.missing += self.error_weight * (self.error - self.missing);
         let (reached, fading) = (self.reached.abs(), RECENT * self.recent);
         self.recent = if reached > fading { reached } else { fading };
-        // A speed that jumps is ahead of its filter.
-        self.emf_doubt = (EMF_DOUBT * speed.abs() + (raw - speed).abs()) * self.back_emf.abs();
+        // A speed that jumps is ahead of its filters.
+        self.emf_doubt = (EMF_DOUBT * speed.abs() + (speed - given).abs() + (raw - speed).abs()) * self.back_emf.abs();
+    }
+
+    fn driven_by(&self, speed: f32) -> f32 {
+        if self.resistance > 0.0 { self.back_emf * speed / self.resistance } else { 0.0 }
     }
 
     #[inline(always)]

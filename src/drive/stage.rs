@@ -107,8 +107,8 @@ pub trait Stage: Copy + Debug + Default {
         self.command(torque);
     }
 
-    /// What the legs do over the next carrier period, from the supply, what was sampled and the joint's filtered speed
-    /// (rad/s). Call once a carrier period. The period begins at the valley half a period after the sample or, where that is
+    /// What the legs do over the next carrier period, from the supply, what was sampled and the joint's speed (rad/s),
+    /// filtered so that a count does not push. Call once a carrier period. The period begins at the valley half a period after the sample or, where that is
     /// too soon (`late`), at the crest after it, and lasts until the next drive applies.
     fn drive(&mut self, supply: &Supply, sample: Self::Sample, speed: f32, late: bool) -> Self::Drive;
 
@@ -118,9 +118,14 @@ pub trait Stage: Copy + Debug + Default {
         Some(self.drive(supply, sample, speed, late))
     }
 
-    /// Sums up what the last drive from this bus voltage (V) showed, at this speed of the joint (rad/s), filtered and as it
-    /// is. Call at the valley after it.
-    fn settle(&mut self, _bus_voltage: f32, _speed: f32, _raw: f32) {}
+    /// Sums up what the last drive from this bus voltage (V) showed: the speed that it was given and the joint's filtered
+    /// one and the one as it is, rad/s. Call at the valley after it.
+    fn settle(&mut self, _bus_voltage: f32, _given: f32, _speed: f32, _raw: f32) {}
+
+    /// The current (A) that the back-EMF at a speed (rad/s) drives through the motor alone.
+    fn driven_by(&self, _speed: f32) -> f32 {
+        0.0
+    }
 
     /// The share of the bus voltage that stands across the motor then, signed: for telemetry.
     fn duty(drive: Self::Drive) -> f32;

@@ -205,14 +205,28 @@ fn torque_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
 pub struct Leverage([[f32; MAX_JOINTS]; 3]);
 
 impl Leverage {
-    /// |J⁻ᵀ τ|², N²: the square of the force at the tip that joint torques τ (N m) are worth. Along each task direction
-    /// that is, by virtual work, what they do on the joints while the tip moves there by a unit.
-    pub fn force_squared(&self, torque: &[f32; MAX_JOINTS]) -> f32 {
-        self.0.iter().fold(0.0, |sum, joints| {
-            let along: f32 = joints.iter().zip(torque).map(|(joint, torque)| joint * torque).sum();
-            sum + along * along
-        })
+    /// J⁻ᵀ τ, N: the force at the tip that the torques τ (N m) of the first N joints are worth, in the first N task
+    /// directions. Along each that is, by virtual work, what they do on the joints while the tip moves there by a unit.
+    #[inline(always)]
+    pub fn force<const N: usize>(&self, torque: &[f32; MAX_JOINTS]) -> [f32; N] {
+        core::array::from_fn(|direction| (0..N).fold(0.0, |sum, joint| sum + self.0[direction][joint] * torque[joint]))
     }
+
+    /// |J⁻ᵀ τ|², N², of all joints' torques τ (N m).
+    pub fn force_squared(&self, torque: &[f32; MAX_JOINTS]) -> f32 {
+        squared(&self.force::<MAX_JOINTS>(torque))
+    }
+
+    /// More than what an error of 1 N m of joint `joint` can be worth at the tip, N.
+    pub fn most_of(&self, joint: usize) -> f32 {
+        self.0.iter().fold(0.0, |sum, direction| sum + direction[joint].abs())
+    }
+}
+
+/// |f|².
+#[inline(always)]
+pub(crate) fn squared<const N: usize>(force: &[f32; N]) -> f32 {
+    force.iter().fold(0.0, |sum, along| sum + along * along)
 }
 
 #[inline(never)]

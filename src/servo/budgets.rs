@@ -1,13 +1,16 @@
-//! What is looked at at the carrier's valley, right after the drives of the crest before it: whether each motor is as its
-//! device file says; and, of one joint at a time in turn, what builds up over many carrier periods (heat, stalls, lost
+//! What is looked at at the carrier's valley, right after the drives of the crest before it: what the measured currents
+//! push with at the tip; whether each motor is as its device file says; and, of one joint at a time in turn, what builds up over many carrier periods (heat, stalls, lost
 //! encoders), all of which takes milliseconds at least.
 
 use super::Servo;
 use crate::drive::bits::left;
 use crate::drive::stage::Stage;
-use crate::math::{Math, limited};
-use crate::safety::fault::Fault;
+use crate::math::{Math, limited, sqrt};
+use crate::model::catalogue::MAX_JOINTS;
+use crate::model::device::squared;
+use crate::safety::fault::{Fault, State};
 use crate::servo::frame::{Outputs, Samples};
+use crate::servo::joints::{Counts, Torques};
 use crate::servo::program::Program;
 use core::ops::DerefMut;
 
@@ -44,6 +47,42 @@ impl Sums {
     }
 }
 
+/// Averaging time of the force that is held to the limit, s: a few carrier periods far above it trip.
+const FLOW_SECONDS: f32 = 5.0e-4;
+/// By how much measured currents may push more than what may be asked for: the current loop's overshoot.
+const FLOW_MARGIN: f32 = 1.1;
+/// What the mean of a current sensor over that time is known to be wrong by, A: its zero and its noise.
+const SENSOR_ERROR: f32 = 0.05;
+/// How often it is worked out anew what torques are worth at the tip, Hz: a tip at 1 m/s moves by an eighth of a
+/// millimetre meanwhile.
+const LEVERAGE_HZ: f32 = 8.0e3;
+
+/// What flows, as forces at the tip.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Flow {
+    /// Means of the torques that the measured currents make beyond the device's weight, N m, and the gain of a sample.
+    torque: Torques,
+    gain: f32,
+    /// The square of what they may push with, N².
+    most_squared: f32,
+    /// Valleys until leverage is worked out anew, and after how many it is.
+    left: u32,
+    every: u32,
+}
+
+impl Flow {
+    /// Forgets what flowed while the motors were on the last time.
+    pub(super) fn anew(&mut self) {
+        (self.torque, self.left) = (Torques::default(), 0);
+    }
+
+    /// Takes the carrier's period, s.
+    pub(super) fn set_period(&mut self, period: f32) {
+        self.gain = (period / FLOW_SECONDS).min(1.0);
+        self.every = (1.0 / (period * LEVERAGE_HZ)) as u32;
+    }
+}
+
 impl<P, K, S> Servo<P, S>
 where
     P: DerefMut<Target = Program<K, S>>,
@@ -71,6 +110,10 @@ where
                 3 => self.doubt::<3>(seen, supplied),
                 _ => self.doubt::<1>(seen, supplied),
             }
+            match self.flow.left.checked_sub(1) {
+                Some(left) => self.flow.left = left,
+                None => self.weigh(&seen.counts),
+            }
         }
         let joints = self.count();
         let i = if self.turn < joints { self.turn } else { 0 };
@@ -87,16 +130,47 @@ where
     #[inline(always)]
     fn doubt<const J: usize>(&mut self, seen: &Samples, supplied: Option<f32>) {
         let mut least = 0;
-        for (joint, current) in self.joints.iter_mut().zip(seen.currents.iter()).take(J) {
+        let held = self.held();
+        let motors = self.joints.iter_mut().zip(seen.currents.iter()).zip(self.flow.torque.iter_mut().zip(held.iter()));
+        for ((joint, current), (mean, held)) in motors.take(J) {
             joint.sums.squares += current * current;
+            *mean += self.flow.gain * (joint.stage.torque_of(*current) - held - *mean);
             if let Some(bus_voltage) = supplied {
                 let (strain, doubt) = joint.settle(bus_voltage);
                 least |= left(strain, doubt);
             }
         }
+        least |= left(squared(&self.leverage.force::<J>(&self.flow.torque)), self.flow.most_squared);
         if least < 0 {
             self.find_strained();
         }
+    }
+
+    /// What of the torques commanded holds the device against gravity, N m.
+    #[inline(always)]
+    fn held(&self) -> Torques {
+        match (self.weighs && self.state == State::Armed, self.was_cut()) {
+            (false, _) => Torques::default(),
+            (true, true) => self.cut.gravity,
+            (true, false) => Torques(self.now.found.asked.gravity),
+        }
+    }
+
+    /// Works out what torques are worth at the tip where these counts are, and what may flow there.
+    #[inline(never)]
+    pub(super) fn weigh(&mut self, counts: &Counts) {
+        let Some(program) = self.program.as_ref() else { return };
+        let zero = program.controller.zero();
+        let q = core::array::from_fn(|i| {
+            counts[i].wrapping_sub(zero[i]) as f32 * program.radians_per_count[i] + program.offsets[i]
+        });
+        self.leverage = program.mechanism.leverage::<K>(&q);
+        let joints = self.joints.iter().enumerate().take(self.count());
+        let error = joints.fold(0.0, |sum, (i, joint)| {
+            sum + self.leverage.most_of(i) * joint.stage.torque_of(SENSOR_ERROR).abs()
+        });
+        let most = FLOW_MARGIN * self.rules.limits.tip_force + error;
+        (self.flow.most_squared, self.flow.left) = (most * most, self.flow.every);
     }
 
     /// A motor is not as its device file says: finds out which, and turns the motors off.
@@ -104,6 +178,11 @@ where
     #[inline(never)]
     fn find_strained(&mut self) {
         let joints = self.count();
+        let flowing = squared(&self.leverage.force::<MAX_JOINTS>(&self.flow.torque));
+        if left(flowing, self.flow.most_squared) < 0 {
+            self.trip(Fault::ForceLimit, None, sqrt(flowing));
+            return;
+        }
         let strained = self.joints.iter().enumerate().take(joints).find_map(|(i, joint)| {
             let (strain, doubt) = joint.stage.strain();
             (left(strain, doubt) < 0).then_some((i, joint, strain))

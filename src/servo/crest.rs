@@ -26,6 +26,9 @@ const SLOWEST_HZ: f32 = 5.0;
 /// the joint has moved by a few counts.
 const COUNT_SHARE: f32 = 0.25;
 
+/// Largest share of the torque limit that a single count may push with when back-EMF is fed forward.
+const KICK_SHARE: f32 = 1.0 / 32.0;
+
 /// What two current sensors may differ by: a share of the current limit (gains, settling at the edge of the duty) and
 /// amperes (zeros, noise).
 const IMBALANCE_SHARE: f32 = 0.15;
@@ -40,8 +43,9 @@ const STANDSTILL: f32 = 1.0e-3;
 pub(super) struct Joint<S> {
     /// Count at the crest before.
     count: i32,
-    /// Filtered speed and the last one as it was, counts in a carrier period.
+    /// Filtered speed, the one that back-EMF is fed forward of, and the last one as it was, counts in a carrier period.
     speed: f32,
+    steady: f32,
     raw: f32,
     bounds: Bounds,
     pub(super) stage: S,
@@ -56,6 +60,8 @@ struct Bounds {
     jump: i32,
     /// Gain of the speed filter.
     gain: f32,
+    /// That of the one for back-EMF.
+    steady_gain: f32,
     /// Counts in a carrier period.
     speed: f32,
     /// Speed of a count in a carrier period, rad/s, with its sign.
@@ -85,6 +91,7 @@ impl<S: Stage> Joint<S> {
         let moved = count.wrapping_sub(self.count);
         self.raw = moved as f32;
         self.speed += self.bounds.gain * (self.raw - self.speed);
+        self.steady += self.bounds.steady_gain * (self.raw - self.steady);
         left_of(moved, self.bounds.jump)
     }
 
@@ -112,11 +119,17 @@ impl<S: Stage> Joint<S> {
         self.speed * self.bounds.radians
     }
 
+    /// The speed that back-EMF is fed forward of, rad/s.
+    #[inline(always)]
+    pub(super) fn steady_speed(&self) -> f32 {
+        self.steady * self.bounds.radians
+    }
+
     /// Sums up what its motor's last drive from this bus voltage (V) showed: [`Stage::strain`] from then on.
     #[inline(always)]
     pub(super) fn settle(&mut self, bus_voltage: f32) -> (f32, f32) {
         let (speed, raw) = (self.speed(), self.raw * self.bounds.radians);
-        self.stage.settle(bus_voltage, speed, raw);
+        self.stage.settle(bus_voltage, self.steady_speed(), speed, raw);
         self.stage.strain()
     }
 
@@ -178,6 +191,7 @@ where
         let limits = &self.rules.limits;
         let period = 1.0 / program.carrier_hz.max(1.0);
         self.crests.period = period;
+        self.flow.set_period(period);
         self.crests.power_gain = period / POWER_SECONDS;
         self.crests.most_power = limits.power;
         self.crests.bus = if self.hardware.bus_sensed {
@@ -206,11 +220,16 @@ where
         let size = scale.abs().max(f32::MIN_POSITIVE);
         let speed = self.rules.limits.speed[i].max(0.0) * period / size;
         let max_current = joint.stage.max_current();
+        let gain = (core::f32::consts::TAU * SPEED_HZ * period)
+            .min((COUNT_SHARE * speed).max(core::f32::consts::TAU * SLOWEST_HZ * period));
+        // The torque that a count would push with, were its back-EMF fed forward for a whole carrier period.
+        let kick = joint.stage.torque_of(joint.stage.driven_by(size / period)).abs();
         joint.bounds = Bounds {
             // Five times the speed limit is no motion any more, and more than noise of a count no noise.
             jump: ((5.0 * speed) as i32).max(4),
-            gain: (core::f32::consts::TAU * SPEED_HZ * period)
-                .min((COUNT_SHARE * speed).max(core::f32::consts::TAU * SLOWEST_HZ * period)),
+            gain,
+            // What a slower filter leaves of it the current loop takes out.
+            steady_gain: gain.min(KICK_SHARE * self.most_torque[i] / kick),
             speed,
             radians: scale * program.carrier_hz,
             // The loop may overshoot a little; half again as much as the limit is not the loop.
@@ -308,7 +327,7 @@ where
         #[allow(clippy::needless_range_loop, reason = "one number for four arrays")]
         for i in 0..J {
             let joint = &mut self.joints[i];
-            let Some(drive) = joint.stage.drive_easily(supply, samples[i], joint.speed(), late) else {
+            let Some(drive) = joint.stage.drive_easily(supply, samples[i], joint.steady_speed(), late) else {
                 return self.drive_rest(i, supply, late, samples, into, legs);
             };
             self.now.motors.duty[i] = S::duty(drive);
@@ -472,7 +491,7 @@ where
 /// What the legs of one motor do next, from a supply that is usable.
 #[inline(always)]
 pub(super) fn drive_one<S: Stage>(joint: &mut Joint<S>, supply: &Supply, sample: S::Sample, late: bool) -> S::Drive {
-    let speed = joint.speed();
+    let speed = joint.steady_speed();
     let easily = joint.stage.drive_easily(supply, sample, speed, late);
     easily.unwrap_or_else(|| joint.stage.drive(supply, sample, speed, late))
 }

@@ -320,5 +320,8 @@ where
         self.hear_host();
         self.joints.iter_mut().for_each(|joint| joint.sums.anew());
         self.crests.anew();
+        self.flow.anew();
+        let counts = self.now.counts;
+        self.weigh(&counts);
     }
 }

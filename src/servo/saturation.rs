@@ -6,7 +6,8 @@
 //! 1. what holds the device against gravity, each joint within its limit;
 //! 2. what renders the forces asked for, Jᵀ f, all joints by one factor: the force keeps its direction, and is no larger
 //!    than its own limit allows;
-//! 3. the feed-forward, of the force that is really rendered and as far as the limits leave room, by one factor again.
+//! 3. the feed-forward, of the force that is really rendered and as far as the limits leave room, by one factor again:
+//!    what it pushes aside at the tip counts towards the force's limit as well.
 //!
 //! A motor whose limit the force uses up leaves no room for the least feed-forward that points the same way, and all of it
 //! for the other way: the common factor would jump from 0 to 1 where that motor's own part passes zero. So the force
@@ -16,6 +17,8 @@ use super::Servo;
 use crate::drive::bits::left;
 use crate::drive::stage::Stage;
 use crate::math::{Math, limited, sqrt};
+use crate::model::catalogue::MAX_JOINTS;
+use crate::model::device::{Leverage, squared};
 use crate::render::found::Asked;
 use crate::servo::joints::Torques;
 use crate::servo::program::Program;
@@ -47,6 +50,11 @@ where
     pub(super) fn fits<const J: usize>(&self) -> i32 {
         let Asked { total, gravity, rendered, force_squared } = &self.now.found.asked;
         let mut least = left(*force_squared, self.most_force_squared);
+        let mut pushing = *total;
+        if self.weighs {
+            pushing.iter_mut().zip(gravity).take(J).for_each(|(total, gravity)| *total -= gravity);
+        }
+        least |= left(squared(&self.leverage.force::<J>(&pushing)), self.most_force_squared);
         if self.weighs {
             for (i, fitting) in self.fitting.iter().enumerate().take(J) {
                 // Where weight and force together fit whatever their signs, each of them does, and their sum.
@@ -63,10 +71,13 @@ where
 }
 
 impl Asked<f32> {
-    /// What is within ±`limit` (not negative) of each of the J joints, and of forces within `tip_force` (N, not negative).
+    /// What is within ±`limit` (not negative) of each of the J joints, and of forces within `tip_force` (N, not negative),
+    /// of which `leverage` tells what a torque is worth.
     #[inline(always)]
-    pub(super) fn within<const J: usize>(&self, limit: &Torques, tip_force: f32) -> Left {
+    pub(super) fn within<const J: usize>(&self, limit: &Torques, tip_force: f32, leverage: &Leverage) -> Left {
+        let pushing = core::array::from_fn(|i| self.total[i] - self.gravity[i]);
         let mut least = left(self.force_squared, tip_force * tip_force);
+        least |= left(squared(&leverage.force::<J>(&pushing)), tip_force * tip_force);
         for (i, limit) in limit.iter().enumerate().take(J) {
             let both = self.gravity[i] + self.rendered[i];
             least |= left(self.gravity[i], *limit) | left(both, *limit) | left(self.total[i], *limit);
@@ -74,7 +85,7 @@ impl Asked<f32> {
         if least >= 0 {
             Left { torque: Torques(self.total), gravity: Torques(self.gravity), share: 1.0 }
         } else {
-            self.cut::<J>(limit, tip_force)
+            self.cut::<J>(limit, tip_force, leverage)
         }
     }
 
@@ -109,16 +120,23 @@ impl Asked<f32> {
         self.total[i] - self.gravity[i] - self.rendered[i]
     }
 
+    /// The same of all joints.
+    #[inline(always)]
+    fn rests(&self) -> [f32; MAX_JOINTS] {
+        core::array::from_fn(|i| self.rest(i))
+    }
+
     #[allow(clippy::needless_range_loop, reason = "one number for four arrays")]
     #[inline(always)]
-    fn cut<const J: usize>(&self, limit: &Torques, tip_force: f32) -> Left {
+    fn cut<const J: usize>(&self, limit: &Torques, tip_force: f32, leverage: &Leverage) -> Left {
         let share = self.share::<J>(limit, tip_force);
         let (mut torque, mut gravity) = (Torques::default(), Torques::default());
         for i in 0..J {
             gravity[i] = limited(self.gravity[i], limit[i]);
             torque[i] = gravity[i] + share * self.rendered[i];
         }
-        let mut rest_share = share;
+        let (force, aside) = (leverage.force::<J>(&self.rendered), leverage.force::<J>(&self.rests()));
+        let mut rest_share = room_aside(&force.map(|along| share * along), &aside, tip_force, share);
         for i in 0..J {
             rest_share = room(torque[i], self.rest(i), limit[i], rest_share);
         }
@@ -157,13 +175,30 @@ fn room(base: f32, part: f32, limit: f32, most: f32) -> f32 {
     }
 }
 
+/// The largest share s, up to `share`, of the force `aside` with which it and `force` (N) are together within `most` (N),
+/// |force + s aside| ≤ most; 0 where they are no numbers.
+#[inline(always)]
+fn room_aside<const N: usize>(force: &[f32; N], aside: &[f32; N], most: f32, share: f32) -> f32 {
+    let (a, room) = (squared(aside), most * most - squared(force));
+    // A force that is at its limit may round to more.
+    let room = if room < 0.0 { 0.0 } else { room };
+    let b = (0..N).fold(0.0, |sum, i| sum + force[i] * aside[i]);
+    if a * share * share + 2.0 * b * share <= room {
+        return share;
+    }
+    // The positive root of a s² + 2 b s = room, without a difference of what is nearly the same.
+    let root = sqrt(b * b + a * room);
+    let found = if b > 0.0 { room / (b + root) } else { (root - b) / a };
+    if found > 0.0 && found < share { found } else { 0.0 }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn cut(gravity: [f32; 3], rendered: [f32; 3], rest: [f32; 3], limit: [f32; 3]) -> [f32; 3] {
         let total = core::array::from_fn(|i| gravity[i] + rendered[i] + rest[i]);
-        *Asked { total, gravity, rendered, force_squared: 0.0 }.within::<3>(&Torques(limit), 5.0).torque
+        *Asked { total, gravity, rendered, force_squared: 0.0 }.within::<3>(&Torques(limit), 5.0, &Leverage::default()).torque
     }
 
     #[test]
@@ -175,16 +210,16 @@ mod tests {
             rendered: [0.0, 6.0, 8.0],
             force_squared: 100.0,
         };
-        assert_eq!(*asked.within::<3>(&Torques([50.0; 3]), 5.0).torque, [1.0, 3.0 + 1.0, 4.0 + 0.5]);
-        assert_eq!(*asked.within::<3>(&Torques([50.0; 3]), 10.0).torque, asked.total, "10 N are within 10 N");
-        let less = asked.within::<3>(&Torques([50.0, 50.0, 2.0]), 5.0).torque;
+        assert_eq!(*asked.within::<3>(&Torques([50.0; 3]), 5.0, &Leverage::default()).torque, [1.0, 3.0 + 1.0, 4.0 + 0.5]);
+        assert_eq!(*asked.within::<3>(&Torques([50.0; 3]), 10.0, &Leverage::default()).torque, asked.total, "10 N are within 10 N");
+        let less = asked.within::<3>(&Torques([50.0, 50.0, 2.0]), 5.0, &Leverage::default()).torque;
         // 2 N m less a 64th for that joint's own feed-forward, of 8.
         let share = (2.0 - 2.0 / 64.0) / 8.0;
         assert_eq!(less[..2], [1.0, 6.0 * share + 2.0 / 64.0 * 2.0], "a joint may leave less than the force");
         for no_number in [f32::NAN, f32::INFINITY] {
             let asked = Asked { force_squared: no_number, ..asked };
             assert_eq!(
-                *asked.within::<3>(&Torques([50.0; 3]), 5.0).torque,
+                *asked.within::<3>(&Torques([50.0; 3]), 5.0, &Leverage::default()).torque,
                 [1.0, 0.0, 0.0],
                 "only what holds the device"
             );

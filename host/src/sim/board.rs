@@ -195,6 +195,17 @@ impl SimulatedBoard {
         }
     }
 
+    /// Lets one carrier period pass; call it alone, without [`SimulatedBoard::control_period`], while a control period
+    /// is under way.
+    pub fn carrier(&mut self) {
+        self.carrier_period(1);
+    }
+
+    /// Frequency of the carrier, Hz.
+    pub fn carrier_hz(&self) -> f64 {
+        self.machine.carrier.carrier_hz().into()
+    }
+
     /// Lets one control period pass.
     pub fn control_period(&mut self) {
         match self.options.drive {

@@ -4,6 +4,7 @@
 #[cfg(unix)]
 pub mod documents;
 pub mod domains;
+pub mod forces;
 pub mod page;
 pub mod sim;
 pub mod socket;

@@ -14,6 +14,7 @@ mod documents;
 mod every_command;
 mod examples;
 mod faded_terms;
+mod forces;
 mod golden_model;
 mod haply;
 mod home;

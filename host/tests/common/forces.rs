@@ -1,0 +1,125 @@
+//! What really pushes at the tip, in scenes and motions that are drawn.
+
+use haptic::device_file::DeviceFile;
+use haptic::link::Board;
+use haptic::sim::{BoardOptions, Hand, HandSettings, Intent, SharedBoard, Support, Waypoint, ready_board};
+use haptic_bridge::math::Libm;
+use haptic_bridge::model::mechanism::AnyMechanism;
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::safety::limits::GENTLE_FORCE;
+use haptic_bridge::servo::{HostAction, Rules};
+use std::collections::VecDeque;
+
+/// Numbers that one seed draws (xorshift64*).
+pub struct Draw(u64);
+
+impl Draw {
+    pub fn new(seed: u64) -> Self {
+        Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
+    }
+
+    /// From `low` to `high`.
+    pub fn between(&mut self, low: f64, high: f64) -> f64 {
+        self.0 ^= self.0 >> 12;
+        self.0 ^= self.0 << 25;
+        self.0 ^= self.0 >> 27;
+        low + (high - low) * ((self.0.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 11) as f64 / (1u64 << 53) as f64)
+    }
+
+    pub fn one<T: Copy>(&mut self, of: &[T]) -> T {
+        of[(self.between(0.0, of.len() as f64) as usize).min(of.len() - 1)]
+    }
+}
+
+/// The largest mean over 2 ms of the force (N) that the motors of a device push with at the tip beyond its weight, in a
+/// scene and a motion drawn by `seed`, and what was drawn. The currents, the angles and the torque constants are those of
+/// the simulated device itself and not what the board sees of them.
+pub fn largest(file: &DeviceFile, seed: u64) -> (f64, String) {
+    let mut draw = Draw::new(seed);
+    let weighs = file.description.gravity != [0.0; 3];
+    let options =
+        BoardOptions { support: if weighs { Support::Held } else { Support::None }, ..BoardOptions::default() };
+    let shared = SharedBoard::new(ready_board(file, options).unwrap());
+    let mut board = Board::over(shared.wire(), "sim").unwrap();
+    let mut rules: Rules = board.rules().unwrap();
+    rules.limits.tip_force = GENTLE_FORCE;
+    rules.host_action = HostAction::Ignore;
+    board.set_rules(&rules).unwrap();
+
+    let (tip, task) = (shared.lock().device().tip(), file.spec().task);
+    let rate = draw.one(&[200.0, 1_000.0, 4_000.0, 20_000.0, 40_000.0]);
+    let feed_forward = draw.one(&[FeedForward::Off, FeedForward::Full, FeedForward::Washout]);
+    let mut scene = Scene { task: task as u8, rate_hz: rate as f32, gravity_compensation: weighs, ..Scene::default() };
+    let walls = draw.one(&[0, 1, 1, 2]);
+    let stiffness = 10f64.powf(draw.between(2.0, 4.0));
+    let damping = draw.between(0.0, 0.01) * stiffness;
+    for _ in 0..walls {
+        let mut normal: [f64; 3] = core::array::from_fn(|axis| if axis < task { draw.between(-1.0, 1.0) } else { 0.0 });
+        let size = normal.iter().map(|along| along * along).sum::<f64>().sqrt().max(1e-3);
+        normal.iter_mut().for_each(|along| *along /= size);
+        let gap = draw.between(1e-3, 6e-3);
+        scene
+            .walls
+            .push(Wall {
+                surface: Surface::Plane(Plane {
+                    point: core::array::from_fn(|axis| (tip[axis] - gap * normal[axis]) as f32),
+                    normal: normal.map(|along| along as f32),
+                }),
+                stiffness: stiffness as f32,
+                damping: damping as f32,
+                feed_forward,
+                washout_hz: 2.0,
+                damping_compensation: false,
+                bilateral: false,
+            })
+            .unwrap();
+    }
+    let what = format!(
+        "{} seed {seed}: {rate} Hz, {walls} walls, {stiffness:.0} N/m, {damping:.1} N s/m, {feed_forward:?}",
+        file.name
+    );
+    if board.set_scene(&scene).is_err() || board.arm().is_err() {
+        return (0.0, what);
+    }
+    // Somebody moves the tip about, from slow to as fast as an arm is.
+    let reach = draw.between(0.002, 0.03);
+    let pace = draw.between(0.02, 0.3);
+    let path = (0..40)
+        .map(|nth| Waypoint {
+            time: f64::from(nth) * pace,
+            value: core::array::from_fn(|axis| {
+                tip[axis] + if axis < task && nth > 0 { draw.between(-reach, reach) } else { 0.0 }
+            }),
+        })
+        .collect();
+    {
+        let mut board = shared.lock();
+        let now = board.time();
+        let settings = HandSettings { seed, ..HandSettings::default() };
+        board.device_mut().set_hand(Hand::new(settings, Intent::Follow(path), tip, now));
+        board.run(0.6);
+    }
+    let mechanism = AnyMechanism::<f32>::new(&file.description).unwrap();
+    let (mut window, mut sum, mut most) = (VecDeque::new(), 0.0, 0.0_f64);
+    let mut board = shared.lock();
+    let carrier = 1.0 / board.carrier_hz();
+    let length = (2e-3 / carrier) as usize;
+    while board.time() < 1.4 {
+        board.carrier();
+        let device_now = board.device();
+        let (q, currents, weight) = (device_now.q(), device_now.currents(), device_now.plant().gravity());
+        let torque = core::array::from_fn(|i| {
+            let constant = file.description.joints[i].motor.map_or(0.0, |motor| motor.torque_constant);
+            (constant * currents[i] - if weighs { weight[i] } else { 0.0 }) as f32
+        });
+        let force = f64::from(mechanism.leverage::<Libm>(&q.map(|angle| angle as f32)).force_squared(&torque)).sqrt();
+        window.push_back(force);
+        sum += force;
+        if window.len() > length {
+            sum -= window.pop_front().unwrap_or(0.0);
+            most = most.max(sum / length as f64);
+        }
+    }
+    let state = board.status();
+    (most, format!("{what}: {most:.2} N, {:?} {:?}", state.state, state.fault.map(|record| record.fault)))
+}
