@@ -107,7 +107,7 @@ fn a_current_loop_far_from_its_limits_is_the_general_one() {
                 }
             }
             axis = whole;
-            axis.settle(supply.volts, speed, speed);
+            axis.settle(supply.volts, speed, speed, speed);
             current += 0.5 * (axis.asked() - current);
             if wild {
                 axis.rest();

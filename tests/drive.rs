@@ -65,7 +65,7 @@ impl Winding {
         for period in 0..periods {
             let late = late(period);
             let next = f32::from(axis.drive(&Supply::of(BUS), self.current, self.seen_speed, late));
-            axis.settle(BUS, self.seen_speed, self.seen_speed);
+            axis.settle(BUS, self.seen_speed, self.seen_speed, self.seen_speed);
             self.apply(self.duty, 0.5);
             seen(period, self.current);
             self.duty = if late { self.duty } else { next };

@@ -75,6 +75,18 @@ fn origin(fault: Fault) -> Origin {
             rig.turn(0, 0.6, 30.0);
             rig
         }),
+        Fault::ForceLimit => Step(|| {
+            // Nothing is commanded.
+            let mut rig = Rig::armed_with(|rules| rules.limits.tip_force = 0.02);
+            for _ in 0..(0.01 * RATE) as u32 {
+                rig.shown_current = Some(0.2);
+                rig.step();
+                if rig.state() == State::Fault {
+                    break;
+                }
+            }
+            rig
+        }),
         Fault::OverCurrent => Step(|| {
             let mut rig = Rig::armed();
             rig.shown_current = Some(6.0);
@@ -198,6 +210,9 @@ fn injection(fault: Fault) -> (&'static str, &'static str) {
         Fault::JointLimit => ("a joint turned past its limit", at_once),
         Fault::SpeedLimit => ("30 rad/s where 20 are allowed", "as a filter of 200 Hz reports it"),
         Fault::OverCurrent => ("6 A measured where 3 are allowed", at_once),
+        Fault::ForceLimit => {
+            ("currents that push with 0.2 N where 0.02 N are allowed", "as a mean over 0.5 ms exceeds it")
+        }
         Fault::ThermalBudget => ("2.9 A where 1 A may flow for ever", "when the budget is spent"),
         Fault::BusUnderVoltage => ("9.9 V where 10 are needed", at_once),
         Fault::BusOverVoltage => ("28.1 V where 28 are allowed", at_once),

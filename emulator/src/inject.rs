@@ -357,6 +357,19 @@ pub fn injection(fault: Fault) -> Injection {
             },
             5,
         ),
+        Fault::ForceLimit => chip(
+            "current sensors show 0.5 A more where 0.1 N are allowed at the tip",
+            || {
+                let mut rig = disarmed();
+                rules(&mut rig, |rules| rules.limits.tip_force = 0.1);
+                rig.arm_before("", &[WallAt { gap: 0.2, ..WallAt::facing([0.0, -1.0, 0.0]) }]);
+                rig
+            },
+            |rig| {
+                rig.with(|stopped| stopped.hardware().broken.sensor_extra[..2].fill(0.5));
+            },
+            5,
+        ),
         Fault::CurrentSensor => chip(
             "one of a motor's two shunts shows nothing while a hand pushes with 2.5 N",
             || pressed(2.5),

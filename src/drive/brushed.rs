@@ -48,6 +48,8 @@ const ERROR_WEIGHT: f32 = 1.0 / 4.0;
 const SLOW_ERROR_WEIGHT: f32 = 1.0 / 64.0;
 /// What is left after a carrier period of the largest current of late: the loop has forgotten it faster.
 const RECENT: f32 = 15.0 / 16.0;
+/// The same of the largest difference of late between the speed that is fed forward and the one that is seen.
+const SWING: f32 = 255.0 / 256.0;
 /// What such a lag may look like while a current is reversed, as a share of the voltage at the largest.
 const LAG_DOUBT: f32 = 1.3;
 
@@ -103,6 +105,8 @@ pub struct Axis {
     error_weight: f32,
     /// Voltage that the speed at the last sample needed may be off by, V.
     emf_doubt: f32,
+    /// The largest difference of late between the speed that is fed forward and the one that is seen, rad/s.
+    swing: f32,
     /// The largest current reached of late, A: what the integrator holds for a hot winding outlasts it.
     recent: f32,
     /// What a sound motor may differ by from its model at rest without current, V.
@@ -288,8 +292,10 @@ impl Stage for Axis {
         self.missing += self.error_weight * (self.error - self.missing);
         let (reached, fading) = (self.reached.abs(), RECENT * self.recent);
         self.recent = if reached > fading { reached } else { fading };
-        // A speed that jumps is ahead of its filters.
-        self.emf_doubt = (EMF_DOUBT * speed.abs() + (speed - given).abs() + (raw - speed).abs()) * self.back_emf.abs();
+        // A speed that jumps is ahead of its filters; between the counts of a coarse encoder it seems to be behind them.
+        let (ahead, fading) = ((speed - given).abs(), SWING * self.swing);
+        self.swing = if ahead > fading { ahead } else { fading };
+        self.emf_doubt = (EMF_DOUBT * speed.abs() + self.swing + (raw - speed).abs()) * self.back_emf.abs();
     }
 
     fn driven_by(&self, speed: f32) -> f32 {
@@ -326,6 +332,7 @@ impl Stage for Axis {
         self.recent = 0.0;
         self.target = 0.0;
         self.emf_doubt = 0.0;
+        self.swing = 0.0;
     }
 
     fn inherit(&mut self, other: &Self) {

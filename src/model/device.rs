@@ -7,8 +7,9 @@ use crate::model::mechanism::{AnyMechanism, Mechanism, shared_pose};
 use crate::model::motor::Motor;
 use crate::model::padding::{head, padded};
 use crate::model::precomputed::MassModel;
+use crate::model::solve::solve_symmetric;
 use heapless::String;
-use nalgebra::SVector;
+use nalgebra::{SMatrix, SVector};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
@@ -200,19 +201,20 @@ fn torque_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
     padded(&torque.data.0[0])
 }
 
-/// J⁻¹ at a pose, rad/m: a row for each task direction, zeros beyond the task.
+/// What joint torques τ (N m) push with at the tip, N: a row for each task direction, zeros beyond the task, 1/m. It is the
+/// force that a hand feels that holds the tip where it is: J⁻ᵀ τ, and (J M⁻¹ Jᵀ)⁻¹ J M⁻¹ τ of an arm with more joints than
+/// the tip has directions, whose other motion nobody holds.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Leverage([[f32; MAX_JOINTS]; 3]);
 
 impl Leverage {
-    /// J⁻ᵀ τ, N: the force at the tip that the torques τ (N m) of the first N joints are worth, in the first N task
-    /// directions. Along each that is, by virtual work, what they do on the joints while the tip moves there by a unit.
+    /// The force at the tip, N, that the torques τ (N m) of the first N joints are worth, in the first N task directions.
     #[inline(always)]
     pub fn force<const N: usize>(&self, torque: &[f32; MAX_JOINTS]) -> [f32; N] {
         core::array::from_fn(|direction| (0..N).fold(0.0, |sum, joint| sum + self.0[direction][joint] * torque[joint]))
     }
 
-    /// |J⁻ᵀ τ|², N², of all joints' torques τ (N m).
+    /// Its square, N², of all joints' torques τ (N m).
     pub fn force_squared(&self, torque: &[f32; MAX_JOINTS]) -> f32 {
         squared(&self.force::<MAX_JOINTS>(torque))
     }
@@ -232,10 +234,26 @@ pub(crate) fn squared<const N: usize>(force: &[f32; N]) -> f32 {
 #[inline(never)]
 fn leverage_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M, q: &[f32; MAX_JOINTS]) -> Leverage {
     let pose = shared_pose::<f32, K, M, N>(mechanism, &angles(q));
-    let mut rows = [[0.0; MAX_JOINTS]; 3];
-    for (direction, row) in rows.iter_mut().enumerate().take(M::SPEC.task) {
-        let unit = SVector::from_fn(|i, _| if i == direction { 1.0 } else { 0.0 });
-        *row = padded(&mechanism.inverse(&pose, &unit).data.0[0]);
+    let (mut rows, task) = ([[0.0; MAX_JOINTS]; 3], M::SPEC.task);
+    let unit = |direction| SVector::<f32, N>::from_fn(|i, _| if i == direction { 1.0 } else { 0.0 });
+    if task == N {
+        for (direction, row) in rows.iter_mut().enumerate().take(task) {
+            *row = padded(&mechanism.inverse(&pose, &unit(direction)).data.0[0]);
+        }
+        return Leverage(rows);
+    }
+    // By what a unit of each force of a hand moves the joints, M⁻¹ Jᵀ, and the tip, J M⁻¹ Jᵀ.
+    let mass = mechanism.mass(&pose);
+    let torques: [SVector<f32, N>; N] = core::array::from_fn(|direction| mechanism.transpose(&pose, &unit(direction)));
+    let moved: [SVector<f32, N>; N] = core::array::from_fn(|direction| solve_symmetric(&mass, &torques[direction]));
+    let tip = SMatrix::<f32, N, N>::from_fn(|i, j| match (i < task, j < task) {
+        (true, true) => torques[i].dot(&moved[j]),
+        _ => f32::from(u8::from(i == j)),
+    });
+    for joint in 0..N {
+        let along = SVector::from_fn(|direction, _| if direction < task { moved[direction][joint] } else { 0.0 });
+        let force = solve_symmetric(&tip, &along);
+        rows.iter_mut().zip(force.iter()).take(task).for_each(|(row, force)| row[joint] = *force);
     }
     Leverage(rows)
 }

@@ -50,9 +50,14 @@ impl Sums {
 /// Averaging time of the force that is held to the limit, s: a few carrier periods far above it trip.
 const FLOW_SECONDS: f32 = 5.0e-4;
 /// By how much measured currents may push more than what may be asked for: the current loop's overshoot.
-const FLOW_MARGIN: f32 = 1.1;
+const FLOW_MARGIN: f32 = 1.05;
+/// Largest share of the limit that the sensors' error may hide: near a singular pose a torque too small to be measured is
+/// a large force.
+const HIDDEN_SHARE: f32 = 0.05;
 /// What the mean of a current sensor over that time is known to be wrong by, A: its zero and its noise.
 const SENSOR_ERROR: f32 = 0.05;
+/// How long currents and that mean take to follow a limit that was lowered, s.
+const SETTLING_SECONDS: f32 = 5.0e-3;
 /// How often it is worked out anew what torques are worth at the tip, Hz: a tip at 1 m/s moves by an eighth of a
 /// millimetre meanwhile.
 const LEVERAGE_HZ: f32 = 8.0e3;
@@ -68,12 +73,20 @@ pub(super) struct Flow {
     /// Valleys until leverage is worked out anew, and after how many it is.
     left: u32,
     every: u32,
+    /// For how long what was allowed before a limit was lowered may still flow, s.
+    settling: f32,
 }
 
 impl Flow {
     /// Forgets what flowed while the motors were on the last time.
     pub(super) fn anew(&mut self) {
-        (self.torque, self.left) = (Torques::default(), 0);
+        *self = Self { gain: self.gain, every: self.every, ..Self::default() };
+    }
+
+    /// The limit may have been lowered: it acts on what is asked for at the next step, after `period` (s) at most, and the
+    /// currents and their means follow.
+    pub(super) fn settle(&mut self, period: f32) {
+        self.settling = period + SETTLING_SECONDS;
     }
 
     /// Takes the carrier's period, s.
@@ -166,11 +179,18 @@ where
         });
         self.leverage = program.mechanism.leverage::<K>(&q);
         let joints = self.joints.iter().enumerate().take(self.count());
-        let error = joints.fold(0.0, |sum, (i, joint)| {
-            sum + self.leverage.most_of(i) * joint.stage.torque_of(SENSOR_ERROR).abs()
-        });
-        let most = FLOW_MARGIN * self.rules.limits.tip_force + error;
-        (self.flow.most_squared, self.flow.left) = (most * most, self.flow.every);
+        let error = joints
+            .fold(0.0, |sum, (i, joint)| sum + self.leverage.most_of(i) * joint.stage.torque_of(SENSOR_ERROR).abs());
+        let limit = self.rules.limits.tip_force;
+        let most = FLOW_MARGIN * limit + error.min(HIDDEN_SHARE * limit);
+        let (flow, most) = (&mut self.flow, most * most);
+        flow.left = flow.every;
+        if flow.settling > 0.0 {
+            flow.settling -= (flow.every + 1) as f32 * self.crests.period;
+            flow.most_squared = flow.most_squared.max(most);
+        } else {
+            flow.most_squared = most;
+        }
     }
 
     /// A motor is not as its device file says: finds out which, and turns the motors off.

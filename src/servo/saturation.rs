@@ -198,7 +198,9 @@ mod tests {
 
     fn cut(gravity: [f32; 3], rendered: [f32; 3], rest: [f32; 3], limit: [f32; 3]) -> [f32; 3] {
         let total = core::array::from_fn(|i| gravity[i] + rendered[i] + rest[i]);
-        *Asked { total, gravity, rendered, force_squared: 0.0 }.within::<3>(&Torques(limit), 5.0, &Leverage::default()).torque
+        *Asked { total, gravity, rendered, force_squared: 0.0 }
+            .within::<3>(&Torques(limit), 5.0, &Leverage::default())
+            .torque
     }
 
     #[test]
@@ -210,8 +212,15 @@ mod tests {
             rendered: [0.0, 6.0, 8.0],
             force_squared: 100.0,
         };
-        assert_eq!(*asked.within::<3>(&Torques([50.0; 3]), 5.0, &Leverage::default()).torque, [1.0, 3.0 + 1.0, 4.0 + 0.5]);
-        assert_eq!(*asked.within::<3>(&Torques([50.0; 3]), 10.0, &Leverage::default()).torque, asked.total, "10 N are within 10 N");
+        assert_eq!(
+            *asked.within::<3>(&Torques([50.0; 3]), 5.0, &Leverage::default()).torque,
+            [1.0, 3.0 + 1.0, 4.0 + 0.5]
+        );
+        assert_eq!(
+            *asked.within::<3>(&Torques([50.0; 3]), 10.0, &Leverage::default()).torque,
+            asked.total,
+            "10 N are within 10 N"
+        );
         let less = asked.within::<3>(&Torques([50.0, 50.0, 2.0]), 5.0, &Leverage::default()).torque;
         // 2 N m less a 64th for that joint's own feed-forward, of 8.
         let share = (2.0 - 2.0 / 64.0) / 8.0;

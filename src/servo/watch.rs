@@ -39,6 +39,7 @@ where
         let tip_force = self.rules.limits.tip_force;
         self.most_force_squared = tip_force * tip_force;
         self.set_crest_bounds();
+        self.flow.settle(self.period);
         self.unsettled = MAX_JOINTS as u8;
     }
 

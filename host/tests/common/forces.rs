@@ -6,6 +6,7 @@ use haptic::sim::{BoardOptions, Hand, HandSettings, Intent, SharedBoard, Support
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::mechanism::AnyMechanism;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::GENTLE_FORCE;
 use haptic_bridge::servo::{HostAction, Rules};
 use std::collections::VecDeque;
@@ -49,7 +50,13 @@ pub fn largest(file: &DeviceFile, seed: u64) -> (f64, String) {
     let (tip, task) = (shared.lock().device().tip(), file.spec().task);
     let rate = draw.one(&[200.0, 1_000.0, 4_000.0, 20_000.0, 40_000.0]);
     let feed_forward = draw.one(&[FeedForward::Off, FeedForward::Full, FeedForward::Washout]);
-    let mut scene = Scene { task: task as u8, rate_hz: rate as f32, gravity_compensation: weighs, ..Scene::default() };
+    let mut scene = Scene {
+        task: task as u8,
+        rate_hz: rate as f32,
+        cutoff_hz: (rate * 0.2_f64.min(500.0 / rate)) as f32,
+        gravity_compensation: weighs,
+        ..Scene::default()
+    };
     let walls = draw.one(&[0, 1, 1, 2]);
     let stiffness = 10f64.powf(draw.between(2.0, 4.0));
     let damping = draw.between(0.0, 0.01) * stiffness;
@@ -78,9 +85,8 @@ pub fn largest(file: &DeviceFile, seed: u64) -> (f64, String) {
         "{} seed {seed}: {rate} Hz, {walls} walls, {stiffness:.0} N/m, {damping:.1} N s/m, {feed_forward:?}",
         file.name
     );
-    if board.set_scene(&scene).is_err() || board.arm().is_err() {
-        return (0.0, what);
-    }
+    board.set_scene(&scene).unwrap_or_else(|error| panic!("{what}: {error}"));
+    board.arm().unwrap_or_else(|error| panic!("{what}: {error}"));
     // Somebody moves the tip about, from slow to as fast as an arm is.
     let reach = draw.between(0.002, 0.03);
     let pace = draw.between(0.02, 0.3);
@@ -108,9 +114,11 @@ pub fn largest(file: &DeviceFile, seed: u64) -> (f64, String) {
         board.carrier();
         let device_now = board.device();
         let (q, currents, weight) = (device_now.q(), device_now.currents(), device_now.plant().gravity());
+        // What falls when the motors have been turned off is the device, and nothing pushes.
+        let carried = weighs && board.status().state == State::Armed;
         let torque = core::array::from_fn(|i| {
             let constant = file.description.joints[i].motor.map_or(0.0, |motor| motor.torque_constant);
-            (constant * currents[i] - if weighs { weight[i] } else { 0.0 }) as f32
+            (constant * currents[i] - if carried { weight[i] } else { 0.0 }) as f32
         });
         let force = f64::from(mechanism.leverage::<Libm>(&q.map(|angle| angle as f32)).force_squared(&torque)).sqrt();
         window.push_back(force);
