@@ -302,6 +302,15 @@ impl Stage for Axis {
         if self.resistance > 0.0 { self.back_emf * speed / self.resistance } else { 0.0 }
     }
 
+    /// What is in phase with the current: the inductance's part is a quarter of a turn off, and the back-EMF's is taken out.
+    fn resistance_of(&self, voltage: [f32; 2], current: [f32; 2], angle: [f32; 2], rate: f32) -> Option<(f32, f32)> {
+        // What is a cos + b sin has the derivative rate (b cos - a sin).
+        let turning = [rate * angle[1], -rate * angle[0]];
+        let left = [voltage[0] - self.back_emf * turning[0], voltage[1] - self.back_emf * turning[1]];
+        let squared = current[0] * current[0] + current[1] * current[1];
+        (squared > 0.0).then(|| ((left[0] * current[0] + left[1] * current[1]) / squared, self.resistance))
+    }
+
     #[inline(always)]
     fn duty(drive: Duty) -> f32 {
         drive.0

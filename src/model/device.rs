@@ -165,6 +165,13 @@ macro_rules! define {
                 }
             }
 
+            /// Row `i` of the mass matrix at `q` (rad), kg m²: the torque of joint i that an acceleration of each joint takes.
+            pub fn inertia_row<K: Math<f32>>(&self, q: &[f32; MAX_JOINTS], i: usize) -> [f32; MAX_JOINTS] {
+                match self {
+                    $(Self::$Variant(mechanism) => inertia_row_at::<K, _, $n>(mechanism, q, i),)*
+                }
+            }
+
             /// Jᵀ f, N m: the joint torques that make a force f (N, task frame) at the tip at `q` (rad).
             pub fn torque<K: Math<f32>>(&self, q: &[f32; MAX_JOINTS], force: &[f32; 3]) -> [f32; MAX_JOINTS] {
                 match self {
@@ -189,6 +196,15 @@ fn finite_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M, 
 /// Joint angles given in rad.
 fn angles<const N: usize>(q: &[f32; MAX_JOINTS]) -> [Angle<f32>; N] {
     head(q).map(Angle::of_radians)
+}
+
+fn inertia_row_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
+    mechanism: &M,
+    q: &[f32; MAX_JOINTS],
+    i: usize,
+) -> [f32; MAX_JOINTS] {
+    let mass = mechanism.mass(&shared_pose::<f32, K, M, N>(mechanism, &angles(q)));
+    core::array::from_fn(|j| mass.get((i, j)).copied().unwrap_or(0.0))
 }
 
 fn torque_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(

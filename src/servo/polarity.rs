@@ -1,8 +1,17 @@
-//! The polarity check: a small torque must move each joint the right way before a real device may be armed.
+//! The polarity check: before a real device may be armed, a small torque must move each joint the right way, and then swing
+//! it as its device file says.
+//!
+//! A joint that moved the right way is swung about the place where it stood, by a torque that alternates a few times a
+//! second (docs/safety.md, "What the polarity check measures"). Of angles, currents and voltages only what alternates with
+//! it is summed up, so that drifts, zeros of sensors and constant loads drop out. The part of the motion that is in phase
+//! with the torque is what inertia makes of it: friction moves in the other. So M q̈, with the file's M and the encoders' q,
+//! is the torque that really acted; over the one that the measured current and the file's torque constant make, it is 1
+//! where torque constant, gear ratio, current sensor, counts per turn and inertia belong together. What voltage takes the
+//! current is the winding's resistance, whatever the sensor's scale is.
 
 use super::Servo;
 use crate::drive::stage::Stage;
-use crate::math::Math;
+use crate::math::{Math, limited, sqrt};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::fault::{Fault, State};
 use crate::safety::refusal::Refusal;
@@ -26,10 +35,58 @@ pub const POLARITY_PATIENCE: f32 = 5.0;
 const REST_MOTION: f32 = 0.1 * POLARITY_MOTION;
 const REST_SECONDS: f32 = 0.2;
 
+/// By what factor the torque that acted may differ from the one of the file, either way: what a sound device of an honest
+/// file is measured to within.
+pub const TORQUE_DOUBT: f32 = 1.2;
+/// Share of the torque that moves one joint by which another one's may seem to be driven, too.
+pub const CROSS_DOUBT: f32 = 0.5;
+/// Share of the file's resistance by which the winding's may differ: copper gains 40 % per 100 K.
+pub const RESISTANCE_DOUBT: f32 = 0.35;
+/// Share of the voltage that the dead time takes by which that may be off once it has been made up for.
+const DEAD_TIME_DOUBT: f32 = 0.5;
+
+/// Largest share of a motor's torque that swings a joint.
+const SWING_SHARE: f32 = 0.5;
+/// What a swing takes of the torque that moved the joint: so much that friction does not hold it at either end.
+const SWING_EXCESS: f32 = 2.5;
+/// By how much a joint is swung to either side, rad, and at least how many counts.
+const SWING_ANGLE: f32 = 0.02;
+const SWING_COUNTS: f32 = 4.0;
+/// Angular frequencies of a swing, rad/s: above those of a device that is carried by a spring, and below those of cables.
+const SWING_RATES: (f32, f32) = (20.0, 200.0);
+/// Swings before what they do is summed up, and while it is.
+const SWINGS_BEFORE: f32 = 1.0;
+const SWINGS: f32 = 5.0;
+
+/// What alternates with the torque of a swing: in phase with it, and a quarter of a swing later.
+type Phasor = [f32; 2];
+
+/// A joint that is swung.
+#[derive(Clone, Copy, Debug, Default)]
+struct Swing {
+    /// Torque, N m, and angular frequency, rad/s.
+    torque: f32,
+    rate: f32,
+    /// What draws the joint back to where it stood, N m/rad, and brakes it, N m s/rad.
+    stiffness: f32,
+    damping: f32,
+    /// Since when, s.
+    seconds: f32,
+    /// Where it stood, rad: all joints.
+    about: [f32; MAX_JOINTS],
+    /// What was summed up: angles (rad), the torque of the current (N m), the current (A) and the voltage (V).
+    angles: [Phasor; MAX_JOINTS],
+    driven: Phasor,
+    current: Phasor,
+    voltage: Phasor,
+}
+
 /// Progress of the polarity check.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct PolarityCheck {
     pub(super) axis: usize,
+    /// Its second part, once the joint has moved the right way.
+    swing: Option<Swing>,
     seconds: f32,
     /// For how long the joint was waited for to come to rest, s.
     waited: f32,
@@ -64,24 +121,19 @@ where
     pub(super) fn check_polarity(&mut self) -> Torques {
         let none = Torques::default();
         let i = self.polarity.axis.min(MAX_JOINTS - 1);
+        if self.polarity.swing.is_some() {
+            return self.swing(i);
+        }
         if self.polarity.from.is_none() && !self.at_rest(i) {
             if self.polarity.waited >= POLARITY_PATIENCE {
                 self.trip(Fault::PolarityUnrest, Some(i as u8), self.now.found.at.q[i] - self.polarity.rests_at);
             }
             return none;
         }
-        let Some(program) = self.program.as_ref() else { return none };
-        let (joints, most) = (program.joints, self.joints[i].stage.max_torque());
+        let most = self.joints[i].stage.max_torque();
         let moved = self.now.found.at.q[i] - *self.polarity.from.get_or_insert(self.now.found.at.q[i]);
         if moved > POLARITY_MOTION {
-            if i + 1 >= joints {
-                self.off();
-                self.state = State::Disarmed;
-                self.polarity_known = true;
-            } else {
-                let next = (i + 1).min(MAX_JOINTS - 1);
-                self.polarity = PolarityCheck { axis: next, ..PolarityCheck::default() };
-            }
+            self.begin_swing(i);
             return none;
         }
         if moved < -POLARITY_MOTION {
@@ -94,17 +146,126 @@ where
             return none;
         }
         let share = POLARITY_SHARE * (self.polarity.seconds * (1.0 / POLARITY_SECONDS)).min(1.0);
+        self.within_tip_force(i, share * most)
+    }
+
+    /// A torque (N m) of joint `i` alone, as far as the limit of the force at the tip allows.
+    fn within_tip_force(&mut self, i: usize, wanted: f32) -> Torques {
         let mut torque = Torques::default();
+        let Some(program) = self.program.as_ref() else { return torque };
         // What a torque is worth at the tip is as it was while no count changes, and takes a pose to work out.
         if self.polarity.weighed_at != Some(self.now.counts) {
             torque[i] = 1.0;
             self.polarity.worth = program.mechanism.leverage::<K>(&self.now.found.at.q).force_squared(&torque);
             self.polarity.weighed_at = Some(self.now.counts);
         }
-        torque[i] = share * most;
+        torque[i] = wanted;
         let squared = self.polarity.worth * (torque[i] * torque[i]);
         torque[i] *= share_within(squared, self.rules.limits.tip_force);
         torque
+    }
+
+    /// Goes on with the next joint after joint `i`, or ends the check well.
+    fn pass_on(&mut self, i: usize) {
+        if i + 1 >= self.count() {
+            self.off();
+            self.state = State::Disarmed;
+            self.polarity_known = true;
+        } else {
+            let next = (i + 1).min(MAX_JOINTS - 1);
+            self.polarity = PolarityCheck { axis: next, ..PolarityCheck::default() };
+        }
+    }
+
+    /// Joint `i` moved the right way: chooses how to swing it.
+    fn begin_swing(&mut self, i: usize) {
+        let Some(program) = self.program.as_ref() else { return };
+        let q = self.now.found.at.q;
+        let inertia = program.mechanism.inertia_row::<K>(&q, i)[i].max(f32::MIN_POSITIVE);
+        let angle = SWING_ANGLE.max(SWING_COUNTS * program.radians_per_count[i].abs());
+        let most = SWING_SHARE * self.joints[i].stage.max_torque();
+        let moved_it = POLARITY_SHARE * self.polarity.seconds.min(POLARITY_SECONDS) * self.joints[i].stage.max_torque();
+        let wanted = (SWING_EXCESS * moved_it).min(most);
+        let rate = sqrt(wanted / (inertia * angle)).clamp(SWING_RATES.0, SWING_RATES.1);
+        let torque = wanted.max(inertia * angle * rate * rate).min(most);
+        let torque = self.within_tip_force(i, torque)[i];
+        let mut about = q;
+        about[i] = self.polarity.from.unwrap_or(q[i]);
+        // A quarter as fast as it is swung, and hardly ringing.
+        let back = 0.25 * rate;
+        let (stiffness, damping) = (inertia * back * back, 1.4 * inertia * back);
+        self.polarity.swing = Some(Swing { torque, rate, stiffness, damping, about, ..Swing::default() });
+    }
+
+    /// One step of the second part: the torque that swings joint `i`, with what the last step's was worth summed up.
+    fn swing(&mut self, i: usize) -> Torques {
+        let Some(mut swing) = self.polarity.swing else { return Torques::default() };
+        let turn = core::f32::consts::TAU / swing.rate;
+        let summed = (swing.seconds - SWINGS_BEFORE * turn) / (SWINGS * turn);
+        if summed >= 1.0 {
+            self.judge(i, &swing);
+            return Torques::default();
+        }
+        let (sine, cosine) = K::sin_cos(swing.rate * (swing.seconds % turn));
+        if summed > 0.0 {
+            // Weighed so that what changes slowly drops out.
+            let weight = 1.0 - K::sin_cos(core::f32::consts::TAU * summed).1;
+            let (now, stage) = (&self.now, &self.joints[i].stage);
+            let current = now.motors.current[i];
+            let add = |sum: &mut Phasor, value: f32| {
+                sum[0] += weight * cosine * value;
+                sum[1] += weight * sine * value;
+            };
+            for ((sum, q), about) in swing.angles.iter_mut().zip(now.found.at.q).zip(swing.about) {
+                add(sum, q - about);
+            }
+            add(&mut swing.driven, stage.torque_of(current));
+            add(&mut swing.current, current);
+            add(&mut swing.voltage, now.motors.duty[i] * now.motors.bus_voltage);
+        }
+        swing.seconds += self.period;
+        self.polarity.swing = Some(swing);
+        let back = swing.stiffness * (swing.about[i] - self.now.found.at.q[i]) - swing.damping * self.joints[i].speed();
+        let most = SWING_SHARE * self.joints[i].stage.max_torque();
+        self.within_tip_force(i, limited(swing.torque * cosine + back, most))
+    }
+
+    /// The swings of joint `i` are over: whether they were what the device file says.
+    fn judge(&mut self, i: usize, swing: &Swing) {
+        let Some(program) = self.program.as_ref() else { return };
+        let accelerated = |row: usize| {
+            let inertia = program.mechanism.inertia_row::<K>(&swing.about, row);
+            let rate = -swing.rate * swing.rate;
+            inertia.iter().zip(&swing.angles).fold([0.0; 2], |sum: Phasor, (inertia, angle)| {
+                [sum[0] + rate * inertia * angle[0], sum[1] + rate * inertia * angle[1]]
+            })
+        };
+        // The share of a phasor that is in phase with the torque that the current made.
+        let size = dot(swing.driven, swing.driven).max(f32::MIN_POSITIVE);
+        let in_phase = |phasor: Phasor| dot(phasor, swing.driven) / size;
+        let found = in_phase(accelerated(i));
+        let aside = (0..self.count()).filter(|row| *row != i).map(|row| (row, in_phase(accelerated(row))));
+        let astray = aside.fold((i, 0.0_f32), |most, next| if next.1.abs() > most.1.abs() { next } else { most });
+        let (bridge, stage) = (&self.hardware.bridge, &self.joints[i].stage);
+        let measured = (bridge.current_sensed && self.hardware.bus_sensed)
+            .then(|| stage.resistance_of(swing.voltage, swing.current, swing.angles[i], swing.rate))
+            .flatten();
+        let dead = DEAD_TIME_DOUBT * 2.0 * bridge.dead_time * program.carrier_hz * self.now.motors.bus_voltage;
+        // The first harmonic of what alternates with the current, over the sums' weight of it.
+        let amperes = sqrt(dot(swing.current, swing.current)) * self.period * swing.rate
+            / (core::f32::consts::PI * SWINGS);
+        let doubt = 4.0 / core::f32::consts::PI * dead / amperes;
+        if !(found <= TORQUE_DOUBT && found >= 1.0 / TORQUE_DOUBT) {
+            self.trip(Fault::TorqueMismatch, Some(i as u8), found);
+        } else if !(astray.1.abs() <= CROSS_DOUBT) {
+            self.trip(Fault::TorqueMismatch, Some(astray.0 as u8), astray.1);
+        } else if let Some((found, expected)) = measured
+            && !((found - expected).abs() <= RESISTANCE_DOUBT * expected + doubt)
+        {
+            self.trip(Fault::ResistanceMismatch, Some(i as u8), found);
+        } else {
+            self.pass_on(i);
+        }
     }
 
     /// Whether joint `i` has come to rest.
@@ -117,4 +278,9 @@ where
         }
         polarity.rested >= REST_SECONDS
     }
+}
+
+/// What two phasors have in phase.
+fn dot(one: Phasor, other: Phasor) -> f32 {
+    one[0] * other[0] + one[1] * other[1]
 }

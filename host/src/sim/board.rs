@@ -57,6 +57,10 @@ pub struct BoardOptions {
     pub support: Support,
     /// Motor axes.
     pub axes: usize,
+    /// The motor that each axis really drives, from 0.
+    pub motors: [usize; 3],
+    /// What each axis' current sensor shows of 1 A.
+    pub sensor_gain: [f64; 3],
     /// Bytes that wait for a host to read them; what comes on top of it is dropped and counted.
     pub send_buffer: usize,
     /// Serial number.
@@ -72,6 +76,8 @@ impl Default for BoardOptions {
             strict: false,
             support: Support::None,
             axes: 3,
+            motors: [0, 1, 2],
+            sensor_gain: [1.0; 3],
             send_buffer: 256 * 1024,
             serial: "SIM0001".into(),
         }
@@ -222,7 +228,9 @@ impl SimulatedBoard {
     fn carrier_period(&mut self, carriers: u32) {
         let carrier = 1.0 / f64::from(self.machine.carrier.carrier_hz());
         let period = carrier * f64::from(carriers);
-        let currents = Currents(self.device.currents().map(|current| current as f32));
+        let flowing = self.device.currents();
+        let shown = |axis: usize| self.options.sensor_gain[axis] * flowing[self.options.motors[axis]];
+        let currents = Currents::from_fn(|axis| shown(axis) as f32);
         let bus_voltage = self.device.bus_voltage() as f32;
         let due = self.countdown == 0;
         let counts = Counts(self.device.counts());
@@ -251,11 +259,14 @@ impl SimulatedBoard {
             self.record();
         }
         let torques = self.machine.servo.frame().motors.torque;
-        let next = core::array::from_fn(|axis| match (self.bridges, self.options.drive) {
-            (false, _) => MotorInput::Floating,
-            (true, DriveModel::Electric) => MotorInput::Duty(f64::from(f32::from(duties[axis]))),
-            (true, DriveModel::Ideal) => MotorInput::Torque(f64::from(torques[axis])),
-        });
+        let mut next = [MotorInput::Floating; 3];
+        for (axis, motor) in self.options.motors.into_iter().enumerate() {
+            next[motor] = match (self.bridges, self.options.drive) {
+                (false, _) => MotorInput::Floating,
+                (true, DriveModel::Electric) => MotorInput::Duty(f64::from(f32::from(duties[axis]))),
+                (true, DriveModel::Ideal) => MotorInput::Torque(f64::from(torques[axis])),
+            };
+        }
         let delay = (carrier * self.options.delay).min(period);
         if delay > 0.0 {
             self.device.step(&self.drive, delay);

@@ -19,6 +19,7 @@ mod golden_model;
 mod haply;
 mod home;
 mod map_command;
+mod measured;
 mod model_command;
 mod plausible;
 mod plot;
