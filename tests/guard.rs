@@ -25,6 +25,15 @@ fn pressing(stiffness: f32) -> Rig {
     rig
 }
 
+/// A polarity check of a motor that makes `factor` times the torque of its file with a winding of so many ohms.
+fn swung(factor: f64, resistance: f32) -> Rig {
+    let mut rig = Rig::ready(&quiet());
+    rig.resistance = resistance;
+    rig.execute(Command::CheckPolarity).unwrap();
+    rig::Body::of(&rig::paddle()).check(&mut rig, factor);
+    rig
+}
+
 fn origin(fault: Fault) -> Origin {
     use Origin::{Step, Told};
     match fault {
@@ -166,6 +175,8 @@ fn origin(fault: Fault) -> Origin {
             rig.run(2.2);
             rig
         }),
+        Fault::TorqueMismatch => Step(|| swung(1.5, 2.0)),
+        Fault::ResistanceMismatch => Step(|| swung(1.0, 3.0)),
         Fault::PolarityUnrest => Step(|| {
             let mut rig = Rig::ready(&quiet());
             rig.execute(Command::CheckPolarity).unwrap();
@@ -230,6 +241,8 @@ fn injection(fault: Fault) -> (&'static str, &'static str) {
         Fault::PolarityWrong => ("a joint that turns backward", at_once),
         Fault::PolarityNoMotion => ("a joint that does not turn", "after 2 s of it"),
         Fault::PolarityUnrest => ("a joint that a hand turns evenly", "never on: a joint is waited for without torque"),
+        Fault::TorqueMismatch => ("a motor half as strong again as its file", "when the joint was swung: some seconds"),
+        Fault::ResistanceMismatch => ("3 Ω where the file says 2", "when the joint was swung: some seconds"),
         Fault::SensorStale => ("a converter that stops", at_once),
         Fault::CurrentSensor => ("1 A between two sensors of a motor of 3 A", at_once),
         Fault::MotorModel => ("a current sensor that shows none", "as the loop's integrator grows: some 0.2 ms"),

@@ -9,6 +9,7 @@ use crate::rig::{self, device, five_bar};
 use haptic_bridge::board::protocol::*;
 use haptic_bridge::board::settings::{self, BoardName, Key};
 use haptic_bridge::board::telemetry::{Fields, StreamRequest};
+use haptic_bridge::model::description::Description;
 use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModelData, checksum};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::{FeedForward, Scene};
@@ -410,17 +411,27 @@ fn what_is_saved_is_in_force_after_a_restart_with_the_motors_off() {
     assert_eq!(settings::decode::<BoardName>(before.3[5].as_ref().unwrap()).unwrap().0.as_str(), "left hand");
 }
 
-/// Real motors, homed, and a joint that turns `way` under the test torque.
-fn polarity_check(board: &mut Board, way: i32) {
+/// A paddle whose motor makes no back-EMF: on this board currents flow as they are asked for, whatever turns.
+fn deaf_paddle() -> Description {
+    let mut paddle = rig::paddle();
+    paddle.joints[0].motor.as_mut().unwrap().back_emf = 0.0;
+    paddle
+}
+
+/// Real motors, homed, and a paddle that turns the one `way` or the other under its torque, with some friction.
+fn polarity_check(board: &mut Board, way: f64) {
     board.ask::<Home>(&()).unwrap().unwrap();
     board.ask::<CheckPolarity>(&()).unwrap().unwrap();
-    // The joint has to rest first.
-    (0..(0.3 * rig::RATE) as u32).for_each(|_| board.tick());
-    for _ in 0..8_000 {
+    let from = board.samples.counts[0];
+    let (mut q, mut qd, rate) = (0.0, 0.0, f64::from(rig::RATE));
+    for _ in 0..(20.0 * rate) as u32 {
         if !board.state().drives() {
             break;
         }
-        board.samples.counts[0] += way;
+        let torque = board.machine.servo.frame().motors.torque[0];
+        qd += (way * f64::from(torque) - 2.0e-3 * qd) / 1.0e-4 / rate;
+        q += qd / rate;
+        board.samples.counts[0] = from + (q / core::f64::consts::TAU * rig::COUNTS).round() as i32;
         board.tick();
     }
     let _ = board.service.poll(&mut board.machine);
@@ -428,13 +439,13 @@ fn polarity_check(board: &mut Board, way: i32) {
 
 #[test]
 fn a_polarity_check_counts_for_the_device_that_it_was_made_on_and_for_no_other() {
-    let device = rig::device(&rig::paddle());
-    let mut inverted = rig::paddle();
+    let device = rig::device(&deaf_paddle());
+    let mut inverted = deaf_paddle();
     if let Some(encoder) = &mut inverted.joints[0].encoder {
         encoder.inverted = true;
     }
     let mut board = Board::ready(true, &device, &quiet());
-    polarity_check(&mut board, 1);
+    polarity_check(&mut board, 1.0);
     for (loaded, known) in [(rig::device(&inverted), false), (rig::device(&rig::five_bar()), false), (device, true)] {
         board.ask::<SetDevice>(&loaded).unwrap().unwrap();
         (0..200).for_each(|_| board.tick());
@@ -478,8 +489,8 @@ fn forged(device: &DeviceData, wanted: u32) -> DeviceData {
 
 #[test]
 fn a_device_with_the_checksum_of_the_checked_one_is_not_taken_for_it() {
-    let device = rig::device(&rig::paddle());
-    let mut inverted = rig::paddle();
+    let device = rig::device(&deaf_paddle());
+    let mut inverted = deaf_paddle();
     if let Some(encoder) = &mut inverted.joints[0].encoder {
         encoder.inverted = true;
     }
@@ -488,7 +499,7 @@ fn a_device_with_the_checksum_of_the_checked_one_is_not_taken_for_it() {
     let known = |board: &mut Board| board.ask::<GetStatus>(&()).unwrap().polarity;
 
     let mut board = Board::ready(true, &device, &quiet());
-    polarity_check(&mut board, 1);
+    polarity_check(&mut board, 1.0);
     board.ask::<SetDevice>(&inverted).unwrap().unwrap();
     assert!(!known(&mut board), "loaded as {:?}", inverted.name);
     board.ask::<SetDevice>(&device).unwrap().unwrap();
@@ -507,13 +518,13 @@ fn a_device_with_the_checksum_of_the_checked_one_is_not_taken_for_it() {
 
 #[test]
 fn a_polarity_check_that_failed_is_not_undone_by_an_older_one_that_passed() {
-    let device = rig::device(&rig::paddle());
+    let device = rig::device(&deaf_paddle());
     let mut board = Board::ready(true, &device, &quiet());
-    polarity_check(&mut board, 1);
+    polarity_check(&mut board, 1.0);
     assert_eq!((board.state(), board.ask::<GetStatus>(&()).unwrap().polarity), (State::Disarmed, true));
     // Someone swaps the motor's wires, and the next check finds it.
     (0..200).for_each(|_| board.tick());
-    polarity_check(&mut board, -1);
+    polarity_check(&mut board, -1.0);
     let fault = board.ask::<GetStatus>(&()).unwrap().fault.map(|record| record.fault);
     assert_eq!(fault, Some(Fault::PolarityWrong));
     board.ask::<Clear>(&()).unwrap().unwrap();
@@ -541,7 +552,7 @@ fn a_fault_is_news_once_even_if_its_value_is_no_number() {
 
 /// The board's device with another mass: what a backup of another board holds.
 fn heavier() -> DeviceData {
-    let mut description = rig::paddle();
+    let mut description = deaf_paddle();
     description.joints[0].inertia *= 2.0;
     rig::device(&description)
 }

@@ -429,19 +429,16 @@ fn a_fault_from_outside_acts_before_the_next_duty() {
 fn the_polarity_check_moves_every_joint_in_turn_and_ends_disarmed() {
     let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
     rig.execute(Command::CheckPolarity).unwrap();
-    for joint in 0..2 {
-        rig.run(0.5);
+    let mut body = rig::Body::of(&five_bar());
+    let mut pushed = [false; 2];
+    while rig.state() == State::CheckingPolarity {
+        body.step(&mut rig, 1.0);
         let torque = rig.servo.frame().motors.torque;
-        assert!(torque[joint] > 0.0 && torque[1 - joint] == 0.0, "{torque:?}");
-        assert!(torque[joint] <= 0.25 * 0.3, "a small torque: {torque:?}");
-        let counts = rig.samples.counts[joint];
-        for _ in 0..210 {
-            rig.samples.counts[joint] += 1;
-            rig.step();
-        }
-        assert_eq!(rig.samples.counts[joint], counts + 210);
+        assert!(torque[0] == 0.0 || torque[1] == 0.0, "one joint at a time: {torque:?}");
+        assert!(torque[0].max(torque[1]) <= 0.5 * 0.3, "a small torque: {torque:?}");
+        pushed[usize::from(torque[1] != 0.0)] = true;
     }
-    assert_eq!(rig.state(), State::Disarmed);
+    assert_eq!((rig.state(), rig.fault(), pushed), (State::Disarmed, None, [true; 2]));
     assert!(rig.motors_off() && rig.servo.status().polarity);
 }
 
@@ -449,16 +446,16 @@ fn the_polarity_check_moves_every_joint_in_turn_and_ends_disarmed() {
 fn a_joint_that_glides_after_the_one_before_is_waited_for() {
     let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
     rig.execute(Command::CheckPolarity).unwrap();
-    rig.run(0.5);
-    rig.turn(0, 0.021, 0.5);
-    // Three seconds backwards, hardly braked, as a device almost without friction.
-    for step in 0..(3.0 * rig.rate) as u32 {
-        rig.samples.counts[1] -= i32::from(step % 10 == 0);
-        rig.step();
+    let mut body = rig::Body::of(&five_bar());
+    body.check_first(&mut rig);
+    // Three seconds backwards, as a device almost without friction.
+    for _ in 0..(3.0 * rig.rate) as u32 {
+        body.qd = [0.0, -0.05, 0.0];
+        body.step(&mut rig, 1.0);
     }
     assert_eq!(rig.state(), State::CheckingPolarity, "{:?}", rig.fault());
-    rig.run(0.5);
-    rig.turn(1, 0.1, 0.5);
+    body.qd = [0.0; 3];
+    body.check(&mut rig, 1.0);
     assert!(rig.servo.status().polarity, "{:?}", rig.fault());
 }
 
@@ -469,8 +466,7 @@ fn a_hand_that_moves_a_joint_passes_no_check_for_its_motor() {
         let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
         rig.execute(Command::CheckPolarity).unwrap();
         if joint == 1 {
-            rig.run(0.5);
-            rig.turn(0, 0.021, 0.5);
+            rig::Body::of(&five_bar()).check_first(&mut rig);
         }
         let counts = rig.samples.counts[joint];
         let per_step = speed / f64::from(rig.rate) / TAU * rig::COUNTS;

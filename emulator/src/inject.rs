@@ -7,6 +7,7 @@
 use std::f64::consts::PI;
 
 use haptic::sim::{Hand, Intent, SimulatedDevice, Waypoint};
+use haptic_bridge::model::motor::Motor;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::Fault;
@@ -339,6 +340,21 @@ pub fn injection(fault: Fault) -> Injection {
             },
             3_000,
         ),
+        Fault::TorqueMismatch => chip(
+            "current sensors that show two thirds, in the check of polarity",
+            disarmed,
+            |rig| {
+                rig.with(|stopped| stopped.hardware().broken.sensor_gain[..2].fill(0.67));
+                rig.tool.check_polarity().expect("the check starts");
+            },
+            30_000,
+        ),
+        Fault::ResistanceMismatch => chip(
+            "a winding with twice the resistance of the file, in the check of polarity",
+            || with_another_motor(|motor| motor.resistance *= 2.0),
+            |rig| rig.tool.check_polarity().expect("the check starts"),
+            30_000,
+        ),
         Fault::PolarityUnrest => chip(
             "a hand that moves the tip to and fro",
             disarmed,
@@ -507,12 +523,17 @@ fn marked() -> Rig {
 
 /// A device whose first motor turns the other way than its file says.
 fn swapped() -> Rig {
-    let file = device_file(FIVE_BAR);
-    let mut wired = file.clone();
-    if let Some(motor) = &mut wired.description.joints[0].motor {
+    with_another_motor(|motor| {
         motor.torque_constant = -motor.torque_constant;
         motor.back_emf = -motor.back_emf;
-    }
+    })
+}
+
+/// A board whose first motor is not the one of the device file.
+fn with_another_motor(change: impl FnOnce(&mut Motor<f64>)) -> Rig {
+    let file = device_file(FIVE_BAR);
+    let mut wired = file.clone();
+    wired.description.joints[0].motor.as_mut().map(change);
     let mut rig = Rig::with_file(BoardKind::OdriveV3, wired, |_| ());
     rig.file = Some(file);
     rig.load("");

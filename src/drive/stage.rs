@@ -133,7 +133,13 @@ pub trait Stage: Copy + Debug + Default {
     /// The winding's resistance (Ω) that a voltage (V) and a current (A) show which alternate with `rate` (rad/s) while the
     /// joint's angle (rad) does, each as its parts in phase with something and a quarter of a turn later; and the one that
     /// was expected. `None` where there is none.
-    fn resistance_of(&self, _voltage: [f32; 2], _current: [f32; 2], _angle: [f32; 2], _rate: f32) -> Option<(f32, f32)> {
+    fn resistance_of(
+        &self,
+        _voltage: [f32; 2],
+        _current: [f32; 2],
+        _angle: [f32; 2],
+        _rate: f32,
+    ) -> Option<(f32, f32)> {
         None
     }
 

@@ -54,6 +54,9 @@ const SWING_ANGLE: f32 = 0.02;
 const SWING_COUNTS: f32 = 4.0;
 /// Angular frequencies of a swing, rad/s: above those of a device that is carried by a spring, and below those of cables.
 const SWING_RATES: (f32, f32) = (20.0, 200.0);
+/// Largest share of the speed limit that a swing reaches, and at least how many control steps one takes.
+const SWING_SPEED: f32 = 0.5;
+const SWING_STEPS: f32 = 16.0;
 /// Swings before what they do is summed up, and while it is.
 const SWINGS_BEFORE: f32 = 1.0;
 const SWINGS: f32 = 5.0;
@@ -183,12 +186,17 @@ where
         let q = self.now.found.at.q;
         let inertia = program.mechanism.inertia_row::<K>(&q, i)[i].max(f32::MIN_POSITIVE);
         let angle = SWING_ANGLE.max(SWING_COUNTS * program.radians_per_count[i].abs());
-        let most = SWING_SHARE * self.joints[i].stage.max_torque();
-        let moved_it = POLARITY_SHARE * self.polarity.seconds.min(POLARITY_SECONDS) * self.joints[i].stage.max_torque();
-        let wanted = (SWING_EXCESS * moved_it).min(most);
-        let rate = sqrt(wanted / (inertia * angle)).clamp(SWING_RATES.0, SWING_RATES.1);
-        let torque = wanted.max(inertia * angle * rate * rate).min(most);
-        let torque = self.within_tip_force(i, torque)[i];
+        let largest = self.joints[i].stage.max_torque();
+        let moved_it = POLARITY_SHARE * (self.polarity.seconds * (1.0 / POLARITY_SECONDS)).min(1.0) * largest;
+        let excess = SWING_EXCESS * moved_it;
+        // The faster, the more current: that shows the winding, and friction less.
+        let wanted = self.within_tip_force(i, excess.max(POLARITY_SHARE * largest).min(SWING_SHARE * largest))[i];
+        let fastest = SWING_RATES
+            .1
+            .min(SWING_SPEED * self.rules.limits.speed[i] / angle)
+            .min(core::f32::consts::TAU / (SWING_STEPS * self.period));
+        let rate = sqrt(wanted / (inertia * angle)).min(fastest).max(SWING_RATES.0);
+        let torque = wanted.min(excess.max(inertia * angle * rate * rate));
         let mut about = q;
         about[i] = self.polarity.from.unwrap_or(q[i]);
         // A quarter as fast as it is swung, and hardly ringing.
@@ -252,8 +260,8 @@ where
             .flatten();
         let dead = DEAD_TIME_DOUBT * 2.0 * bridge.dead_time * program.carrier_hz * self.now.motors.bus_voltage;
         // The first harmonic of what alternates with the current, over the sums' weight of it.
-        let amperes = sqrt(dot(swing.current, swing.current)) * self.period * swing.rate
-            / (core::f32::consts::PI * SWINGS);
+        let amperes =
+            sqrt(dot(swing.current, swing.current)) * self.period * swing.rate / (core::f32::consts::PI * SWINGS);
         let doubt = 4.0 / core::f32::consts::PI * dead / amperes;
         if !(found <= TORQUE_DOUBT && found >= 1.0 / TORQUE_DOUBT) {
             self.trip(Fault::TorqueMismatch, Some(i as u8), found);

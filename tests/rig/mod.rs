@@ -3,10 +3,12 @@
 #![allow(dead_code, reason = "every test file uses its own part")]
 
 use haptic_bridge::drive::stage::Bridge;
+use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::catalogue::{MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
 use haptic_bridge::model::description::{Description, Encoder, Joint};
 use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::AnyMechanism;
 use haptic_bridge::model::motor::Motor;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use haptic_bridge::safety::fault::{Fault, State};
@@ -104,6 +106,66 @@ pub fn five_bar() -> Description {
         joints: [joint, joint, Joint::default()],
         handle_mass: 0.01,
         home: Some([2.4, 0.7, 0.0]),
+    }
+}
+
+/// A device that its motors move from home on: M q̈ = τ - B q̇, with 2 mN m s/rad in every joint.
+pub struct Body {
+    mechanism: AnyMechanism<f32>,
+    home: [f64; MAX_JOINTS],
+    joints: usize,
+    q: [f64; MAX_JOINTS],
+    pub qd: [f64; MAX_JOINTS],
+}
+
+impl Body {
+    pub fn of(description: &Description) -> Self {
+        let home = description.home.unwrap_or_default();
+        let joints = description.kind.spec().joints;
+        let mechanism = AnyMechanism::new(description).expect("a device that moves");
+        Self { mechanism, home, joints, q: home, qd: [0.0; MAX_JOINTS] }
+    }
+
+    /// One control period, in which a motor makes `factor` times the torque that its file says.
+    pub fn step(&mut self, rig: &mut Rig, factor: f64) {
+        let q = self.q.map(|angle| angle as f32);
+        let mass = nalgebra::Matrix3::from_fn(|i, j| match (i < self.joints, j < self.joints) {
+            (true, true) => f64::from(self.mechanism.inertia_row::<Libm>(&q, i)[j]),
+            _ => f64::from(u8::from(i == j)),
+        });
+        let torque = nalgebra::Vector3::from_fn(|i, _| {
+            if i < self.joints { factor * 0.1 * f64::from(rig.currents[i]) - 2.0e-3 * self.qd[i] } else { 0.0 }
+        });
+        let accelerated = mass.lu().solve(&torque).expect("a mass matrix");
+        for i in 0..self.joints {
+            self.qd[i] += accelerated[i] / f64::from(rig.rate);
+            self.q[i] += self.qd[i] / f64::from(rig.rate);
+            rig.samples.counts[i] = ((self.q[i] - self.home[i]) / core::f64::consts::TAU * COUNTS).round() as i32;
+        }
+        rig.step();
+    }
+
+    /// Until the polarity check waits for the joint after the first.
+    pub fn check_first(&mut self, rig: &mut Rig) {
+        let (mut pushed, mut waits) = (false, 0);
+        while waits < 50 {
+            self.step(rig, 1.0);
+            let idle = rig.servo.frame().motors.torque == Torques::default();
+            pushed |= !idle;
+            waits = if pushed && idle { waits + 1 } else { 0 };
+            assert_eq!(rig.state(), State::CheckingPolarity, "{:?}", rig.fault());
+        }
+    }
+
+    /// Until the polarity check is over.
+    pub fn check(&mut self, rig: &mut Rig, factor: f64) {
+        for _ in 0..(20.0 * rig.rate) as u32 {
+            if rig.state() != State::CheckingPolarity {
+                return;
+            }
+            self.step(rig, factor);
+        }
+        panic!("the check does not end");
     }
 }
 
