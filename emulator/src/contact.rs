@@ -7,7 +7,7 @@ use haptic::sim::{SimulatedDevice, Support};
 use haptic_bridge::board::telemetry::{Field, Fields};
 
 use crate::boards::Wiring;
-use crate::hands::{carry, hold, push};
+use crate::hands::{hang, hold, push};
 use crate::rig::Rig;
 use crate::run::{MILLISECOND, SECOND};
 
@@ -84,22 +84,13 @@ impl Rig {
     ///
     /// When the board refuses anything.
     pub fn prepare(&mut self, head: &str) -> [i32; 3] {
-        self.prepare_in(head, carry)
-    }
-
-    /// The same with this hand on the device while its polarity is checked.
-    ///
-    /// # Panics
-    ///
-    /// When the board refuses anything.
-    pub fn prepare_in(&mut self, head: &str, hand: fn(&mut SimulatedDevice)) -> [i32; 3] {
         self.load(head);
         self.with_simulated(|device| device.set_support(Support::Held));
         let home = self.counts();
         self.tool.home().expect("the device can be homed");
-        self.with_simulated(|device| device.set_support(Support::None));
-        self.with_simulated(hand);
+        self.with_simulated(hang);
         self.check_polarity();
+        self.with_simulated(|device| device.set_support(Support::None));
         self.with_simulated(hold);
         self.run(300 * MILLISECOND);
         home

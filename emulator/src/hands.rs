@@ -1,6 +1,6 @@
 //! What hands do with a simulated device.
 
-use haptic::sim::{Hand, HandSettings, Intent, SimulatedDevice, Waypoint};
+use haptic::sim::{Hand, HandSettings, Intent, SimulatedDevice, Support, Waypoint};
 
 /// A hand that gives way to nothing.
 #[must_use]
@@ -20,16 +20,13 @@ pub fn hold(device: &mut SimulatedDevice) {
     device.set_hand(Hand::new(firm(), Intent::Follow(here), device.tip(), device.time()));
 }
 
-/// A hand that carries what the firm one carried and gives way to anything else: the polarity check can move the tip.
-pub fn carry(device: &mut SimulatedDevice) {
-    let weight = vec![Waypoint { time: 0.0, value: device.hand_force() }];
-    device.set_hand(Hand::new(HandSettings::default(), Intent::Push(weight), device.tip(), device.time()));
-}
-
-/// A relaxed hand at rest: it gives way a little.
-pub fn grip(device: &mut SimulatedDevice) {
+/// Hangs a device as the polarity check asks: carried by what has no inertia, and held a little by a rubber band, for what
+/// nothing holds does not stay where it is when a sensor's zero is off.
+pub fn hang(device: &mut SimulatedDevice) {
+    let band = HandSettings { grip_stiffness: 20.0, grip_damping: 1.0, ..firm() };
     let here = vec![Waypoint { time: 0.0, value: device.tip() }];
-    device.set_hand(Hand::new(HandSettings::default(), Intent::Follow(here), device.tip(), device.time()));
+    device.set_support(Support::Carried);
+    device.set_hand(Hand::new(band, Intent::Follow(here), device.tip(), device.time()));
 }
 
 /// A firm hand that moves the tip to and fro by `reach` (m) for `seconds`.

@@ -28,7 +28,7 @@ use haptic_bridge::model::motor::Motor;
 use haptic_bridge::render::scene::FeedForward;
 
 use crate::boards::BoardKind;
-use crate::hands::{carry, grip, hold};
+use crate::hands::hold;
 use crate::rig::{Rig, device_file};
 use crate::run::MILLISECOND;
 
@@ -213,14 +213,7 @@ pub fn rig(bench: &Bench) -> Rig {
         options.substep = if bench.gives() { 5e-6 } else { 25e-6 };
         options.start = bench.file.description.home;
     });
-    if bench.file.description.gravity == [0.0; 3] {
-        // A loose hand on it for the polarity check: what nothing brakes never comes to rest between two joints. A
-        // device that would fall has one already.
-        rig.with_simulated(carry);
-    }
-    // What the zeros of shunts are off by would push a device without friction away under a loose hand.
-    let hand = if bench.board == BoardKind::OdriveV3 { grip } else { carry };
-    rig.prepare_in("", hand);
+    rig.prepare("");
     // Back to where the polarity check began.
     let pose = bench.pose();
     rig.with_simulated(move |device| {

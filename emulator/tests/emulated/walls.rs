@@ -14,7 +14,7 @@ use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::servo::Rules;
 use virtual_board::boards::BoardKind;
 use virtual_board::contact::{WallAt, scene};
-use virtual_board::hands::{carry, firm, hold, push as push_into};
+use virtual_board::hands::{firm, hang, hold, push as push_into};
 use virtual_board::rig::Rig;
 use virtual_board::run::{MILLISECOND, SECOND};
 
@@ -26,8 +26,7 @@ fn armed_at_a_wall(feed_forward: &str, inside: f64) -> (Rig, f64) {
     rig.load(&format!(
         "[[wall]]\npoint = [0.0, {height}]\nnormal = [0.0, -1.0]\nstiffness = 2000.0\ndamping = 6.0\nfeed_forward = \"{feed_forward}\"\n"
     ));
-    // A loose hand on it for the polarity check: what nothing brakes never comes to rest between two joints.
-    rig.with_simulated(carry);
+    rig.with_simulated(hang);
     rig.ready();
     (rig, height)
 }
