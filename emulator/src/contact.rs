@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use haptic::device_file::DeviceFile;
-use haptic::sim::{SimulatedDevice, Support};
+use haptic::sim::Support;
 use haptic_bridge::board::telemetry::{Field, Fields};
 
 use crate::boards::Wiring;

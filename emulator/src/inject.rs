@@ -376,9 +376,9 @@ pub fn injection(fault: Fault) -> Injection {
         Fault::ForceLimit => chip(
             "current sensors show 0.5 A more where 0.1 N are allowed at the tip",
             || {
-                let mut rig = disarmed();
+                let mut rig = free();
                 rules(&mut rig, |rules| rules.limits.tip_force = 0.1);
-                rig.arm_before("", &[WallAt { gap: 0.2, ..WallAt::facing([0.0, -1.0, 0.0]) }]);
+                rig.run(20 * MILLISECOND);
                 rig
             },
             |rig| {

@@ -10,6 +10,7 @@
 //! current is the winding's resistance, whatever the sensor's scale is.
 
 use super::Servo;
+use crate::drive::bits::left;
 use crate::drive::stage::Stage;
 use crate::math::{Math, limited, sqrt};
 use crate::model::catalogue::MAX_JOINTS;
@@ -252,8 +253,9 @@ where
         let size = dot(swing.driven, swing.driven).max(f32::MIN_POSITIVE);
         let in_phase = |phasor: Phasor| dot(phasor, swing.driven) / size;
         let found = in_phase(accelerated(i));
-        let aside = (0..self.count()).filter(|row| *row != i).map(|row| (row, in_phase(accelerated(row))));
-        let astray = aside.fold((i, 0.0_f32), |most, next| if next.1.abs() > most.1.abs() { next } else { most });
+        let others = (0..self.count()).filter(|row| *row != i);
+        let astray =
+            others.map(|row| (row, in_phase(accelerated(row)))).find(|(_, aside)| left(*aside, CROSS_DOUBT) < 0);
         let (bridge, stage) = (&self.hardware.bridge, &self.joints[i].stage);
         let measured = (bridge.current_sensed && self.hardware.bus_sensed)
             .then(|| stage.resistance_of(swing.voltage, swing.current, swing.angles[i], swing.rate))
@@ -263,12 +265,12 @@ where
         let amperes =
             sqrt(dot(swing.current, swing.current)) * self.period * swing.rate / (core::f32::consts::PI * SWINGS);
         let doubt = 4.0 / core::f32::consts::PI * dead / amperes;
-        if !(found <= TORQUE_DOUBT && found >= 1.0 / TORQUE_DOUBT) {
+        if !(1.0 / TORQUE_DOUBT..=TORQUE_DOUBT).contains(&found) {
             self.trip(Fault::TorqueMismatch, Some(i as u8), found);
-        } else if !(astray.1.abs() <= CROSS_DOUBT) {
-            self.trip(Fault::TorqueMismatch, Some(astray.0 as u8), astray.1);
+        } else if let Some((row, aside)) = astray {
+            self.trip(Fault::TorqueMismatch, Some(row as u8), aside);
         } else if let Some((found, expected)) = measured
-            && !((found - expected).abs() <= RESISTANCE_DOUBT * expected + doubt)
+            && left(found - expected, RESISTANCE_DOUBT * expected + doubt) < 0
         {
             self.trip(Fault::ResistanceMismatch, Some(i as u8), found);
         } else {

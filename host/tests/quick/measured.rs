@@ -10,13 +10,13 @@ use haptic_bridge::servo::{HostAction, Rules};
 
 /// How the polarity check of a board ends that was told `file`, whose device and wires are as `lie` makes them.
 fn checked(file: &DeviceFile, lie: impl FnOnce(&mut Description, &mut BoardOptions)) -> Result<(), FaultRecord> {
-    let mut told = file.description.clone();
+    let mut told = file.description;
     let home = told.home.unwrap();
     for (joint, home) in told.joints.iter_mut().zip(home) {
         joint.motor.iter_mut().for_each(|motor| motor.verified = true);
         joint.limits = Some((home - 1.5, home + 1.5));
     }
-    let mut wired = told.clone();
+    let mut wired = told;
     let mut options = BoardOptions { strict: true, support: Support::Held, ..BoardOptions::default() };
     lie(&mut wired, &mut options);
     let mut simulated = SimulatedBoard::new(&wired, options).unwrap();
