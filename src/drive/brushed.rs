@@ -232,6 +232,10 @@ impl Stage for Axis {
         self.max_current
     }
 
+    fn motor_current(&self) -> f32 {
+        self.motor_current
+    }
+
     fn max_torque(&self) -> f32 {
         self.max_current * self.torque_per_amp.abs()
     }

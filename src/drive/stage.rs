@@ -88,6 +88,11 @@ pub trait Stage: Copy + Debug + Default {
     /// The limit, A.
     fn max_current(&self) -> f32;
 
+    /// The motor's own limit, A.
+    fn motor_current(&self) -> f32 {
+        self.max_current()
+    }
+
     /// Torque at the limit, N m.
     fn max_torque(&self) -> f32;
 

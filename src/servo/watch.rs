@@ -16,6 +16,10 @@ pub const TRIPPING_SINE: f32 = 2.0e-3;
 /// Width of an index pulse, counts; the first one counts only if it was passed no faster than this in a step.
 pub const INDEX_WIDTH: u32 = 4;
 
+/// Share of a real motor's maximum current that may flow for ever where its rules name no continuous current: a quarter of
+/// the heat.
+pub const STEADY_SHARE: f32 = 0.5;
+
 /// Most steps until the silence of a host is looked at again: the counter of steps wraps at four times as many.
 const LOOK_AGAIN: u32 = 1 << 30;
 
@@ -53,7 +57,10 @@ where
         let (i, limits) = (usize::from(left), &self.rules.limits);
         if let (Some(joint), Some(heat)) = (self.joints.get_mut(i), self.heat.get_mut(i)) {
             joint.stage.limit(limits.current[i]);
-            heat.limit(joint.stage.max_current(), limits.continuous_current[i]);
+            let (steady, motor) = (limits.continuous_current[i], joint.stage.motor_current());
+            // Nobody has said what the motor stands who allows more than its maximum.
+            let steady = if self.hardware.real && steady > motor { STEADY_SHARE * motor } else { steady };
+            heat.limit(joint.stage.max_current(), steady);
             let largest = joint.stage.max_torque();
             joint.sums.set_limits(largest, limits.speed[i]);
             self.most_torque[i] = limits.torque[i].min(largest).max(0.0);
