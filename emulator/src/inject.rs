@@ -320,6 +320,15 @@ pub fn injection(fault: Fault) -> Injection {
             },
             500,
         ),
+        Fault::KeyReleased => chip(
+            "a key whose counter stands still",
+            in_contact,
+            |rig| {
+                rig.tool.hold_key(7).expect("a beat is never refused");
+                rig.run(MILLISECOND);
+            },
+            2_000,
+        ),
         Fault::PolarityWrong => chip(
             "a motor's two wires swapped",
             swapped,

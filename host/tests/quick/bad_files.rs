@@ -3,7 +3,7 @@
 //! Two ways: a table of mistakes people make, each through the command itself, and every shipped file mutilated line by
 //! line, which no list of mistakes would cover.
 
-use crate::common::{files, haptic};
+use crate::common::{file, files, haptic};
 use haptic::device_file::DeviceFile;
 use haptic::scene_file::SceneFile;
 use haptic::toml_file::FileError;
@@ -371,6 +371,32 @@ fn a_file_cut_short_anywhere_is_refused_or_sound_but_never_a_crash() {
                 let (line, _) = error.position.expect("a place in the file");
                 assert!(line <= text[..end].lines().count().max(1) + 1, "{error}");
             }
+        }
+    }
+}
+
+/// ESC begins what a terminal obeys: a name that holds it shall not move the cursor, nor rename the window.
+#[test]
+fn control_characters_of_a_file_do_not_reach_the_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("named.toml");
+    let shipped = std::fs::read_to_string(file("coupled-five-bar.toml")).unwrap();
+    let named = shipped.replace("name = \"coupled-five-bar\"", "name = \"a\\u001b[31m\\u009bb\\rc\"");
+    let wrong = named.replace("mechanism =", "\"\\u001b]0;x\\u0007\" = 1\nmechanism =");
+    for (text, success) in [(named, true), (wrong, false)] {
+        std::fs::write(&path, text).unwrap();
+        let path = path.to_str().unwrap();
+        for arguments in [
+            &["check", path][..],
+            &["model", path, "--q", "2.4,0.7"],
+            &["info", "--port", &format!("sim:{path}")],
+            &["device", path, "--port", "sim"],
+        ] {
+            let output = haptic(arguments).output().unwrap();
+            assert!(success || !output.status.success(), "{arguments:?}");
+            let said = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();
+            let wild = said.chars().find(|c| c.is_control() && *c != '\n');
+            assert_eq!(wild, None, "{arguments:?}: {said:?}");
         }
     }
 }
