@@ -30,7 +30,7 @@ pub struct Args {
     #[command(flatten)]
     port: Port,
     /// Motors on only while Space is held, until q
-    #[arg(long, conflicts_with = "json")]
+    #[arg(long)]
     key: bool,
     #[command(flatten)]
     json: Json,
@@ -42,7 +42,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let watched = board.rules()?.host_action;
     let stop = interrupt::watch();
     if args.key {
-        return hold(&mut board, stop);
+        return hold(&mut board, args.json, stop);
     }
     board.arm()?;
     let document = json!({ "state": "Armed", "ramp_seconds": ARM_SECONDS, "host_action": watched });
@@ -78,7 +78,10 @@ const LOOK: Duration = Duration::from_millis(20);
 const STATUS: Duration = Duration::from_millis(200);
 
 /// Motors on while Space is held, until `q`.
-fn hold(board: &mut Board, stop: Interrupt) -> Result<(), Failure> {
+fn hold(board: &mut Board, json: Json, stop: Interrupt) -> Result<(), Failure> {
+    if json.asked() {
+        return Err(Failure::wrong("--key and --json: nobody holds a key for a program"));
+    }
     if !std::io::stdin().is_terminal() {
         return Err(Failure::wrong("--key needs a terminal, in which somebody holds Space"));
     }
