@@ -29,7 +29,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         }
         // A tool that was about to leave has left by now, and more can be told.
         Ok(Stopped::Past) => match Board::open(port) {
-            Ok(board) => board,
+            Ok(board) => Box::new(board),
             Err(_) => return said_past(args.json),
         },
         Err(BoardError::Link(held @ (LinkError::HeldByAnother(_) | LinkError::PortBusy(_) | LinkError::Lost(_)))) => {

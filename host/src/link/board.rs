@@ -60,7 +60,7 @@ impl PolarityOutcome {
 /// A board whose motors [`Board::stop`] has turned off.
 pub enum Stopped {
     /// It is this tool's now.
-    Open(Board),
+    Open(Box<Board>),
     /// It speaks this version of the protocol, so nothing more can be asked of it.
     Unlike(u16),
     /// Another tool holds it.
@@ -106,7 +106,7 @@ impl Board {
             outcome => outcome??,
         }
         Ok(match Self::greet(client, port) {
-            Ok(board) => Stopped::Open(board),
+            Ok(board) => Stopped::Open(Box::new(board)),
             Err(LinkError::Version { board, .. }) => Stopped::Unlike(board),
             Err(_) => Stopped::Past,
         })
