@@ -413,7 +413,7 @@ impl Stage {
         match message {
             FromPage::Give {} => self.leave()?,
             FromPage::Release {} => self.disarm()?,
-            FromPage::Arm { count } => {
+            FromPage::Arm { count } if self.held.is_none() => {
                 self.board().hold_key(count)?;
                 if let Err(refused) = self.board().arm() {
                     self.forget_key();
@@ -422,11 +422,12 @@ impl Stage {
                 self.held = Some((count, self.now));
             }
             // Only a press arms: not a key that was down when something else turned the motors off.
-            FromPage::Hold { count } if self.held.is_some_and(|(before, _)| before != count) => {
-                self.held = Some((count, self.now));
-                self.board().hold_key(count)?;
+            FromPage::Arm { count } | FromPage::Hold { count } => {
+                if self.held.is_some_and(|(before, _)| before != count) {
+                    self.held = Some((count, self.now));
+                    self.board().hold_key(count)?;
+                }
             }
-            FromPage::Hold { .. } => {}
             FromPage::Clear {} => self.board().clear()?,
             FromPage::Record { on: true } => self.start_recording(id)?,
             FromPage::Record { on: false } => self.stop_recording(false),

@@ -229,6 +229,18 @@ fn a_board_lets_go_of_a_key_that_the_stage_no_longer_tells_of() {
     assert_eq!(view.state(), "Disarmed");
 }
 
+#[test]
+fn a_press_that_is_said_twice_is_one_and_its_key_is_held_on() {
+    let mut view = Played::demo();
+    view.arm(0);
+    view.say(0, json!({"do": "arm", "count": 3}));
+    view.play(1.0);
+    assert_eq!((view.state(), view.heard(0).refused.len()), ("Armed", 0));
+    view.pages[0].says = None;
+    view.play(0.5);
+    assert_eq!(view.state(), "Disarmed");
+}
+
 /// However much pages that only watch say, the key is heard when it is let go, and little of the rest.
 #[test]
 fn pages_that_flood_delay_nobody_who_lets_go_and_cost_little() {

@@ -156,7 +156,7 @@ fn pages_that_flood_cost_little_and_keep_nobody_from_letting_go() {
         over.store(true, std::sync::atomic::Ordering::SeqCst);
     });
     let memory = most_memory(view.process());
-    assert!(memory < 200_000, "{memory} kB");
+    assert!(memory < 100_000, "{memory} kB");
 }
 
 #[test]
