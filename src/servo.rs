@@ -35,8 +35,9 @@ use crate::servo::program::Program;
 use core::ops::DerefMut;
 use crest::Joint;
 pub use crest::SPEED_HZ;
-pub use requests::{Command, REST_SPEED, Reply, Status};
+pub use requests::{Beat, Command, REST_SPEED, Reply, Status};
 pub use rules::{HostAction, Rules};
+pub use watch::KEY_SECONDS;
 
 /// Seconds over which torque ramps up after arming.
 pub const ARM_SECONDS: f32 = 0.5;
@@ -80,6 +81,9 @@ pub struct Servo<P, S = Axis> {
     rate_since: u32,
     /// The step at which the host was heard the last time.
     host_heard: u32,
+    /// The counter of the dead man's key that a host tells of, if any, and the step at which it changed the last time.
+    key: Option<u32>,
+    key_heard: u32,
     rules: Rules,
     host: host_force::HostForce,
     /// What acted before the present scene, while it fades out.
@@ -138,6 +142,8 @@ where
             supplied: 0.0,
             host_heard: 0,
             host_expected: 0,
+            key: None,
+            key_heard: 0,
             first_index: [None; MAX_JOINTS],
             crests: crest::Crests::default(),
             host: host_force::HostForce::default(),
@@ -285,6 +291,7 @@ where
 
     fn off(&mut self) {
         self.let_go();
+        self.key = None;
         self.fade = fade::Fade::default();
         self.cut = fade::Acted::default();
         self.cut_at = self.now.step;

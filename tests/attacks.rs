@@ -71,10 +71,10 @@ fn a_mass_matrix_that_is_none_is_refused_or_pushes_out_of_a_corner() {
 // ---- 2, 3: flash and memory after a commit
 fn staged<S: settings::Setting>(board: &mut Board, value: &S) {
     let entry = settings::encode(value).unwrap();
-    board.ask::<StageEntry>(&WriteEntry { key: S::KEY, entry }).unwrap().unwrap();
+    board.ask::<StageEntry>(&WriteEntry { session: 1, key: S::KEY, entry }).unwrap().unwrap();
 }
 fn commit(board: &mut Board, keys: &[Key]) {
-    board.ask::<CommitEntries>(&keys.iter().copied().collect()).unwrap().unwrap();
+    board.ask::<CommitEntries>(&Commit { session: 1, keys: keys.iter().copied().collect() }).unwrap().unwrap();
 }
 fn restarted(board: &mut Board) -> Board {
     Board::with_flash(false, core::mem::take(&mut board.machine.flash.kept))

@@ -16,7 +16,7 @@ use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::host_force::ForceRequest;
 use haptic_bridge::servo::joints::Currents;
 use haptic_bridge::servo::program::Program;
-use haptic_bridge::servo::{Command, HostAction, Rules, Servo};
+use haptic_bridge::servo::{Beat, Command, HostAction, Rules, Servo};
 use std::collections::BTreeSet;
 
 /// Numbers drawn in turn.
@@ -342,7 +342,7 @@ fn episode(drawn: &mut Drawn, trouble: Trouble) -> ([u32; 2], Option<Fault>) {
             *current += (motors.duty[i] * seen.bus_voltage - 2.0 * *current - 0.1 * speed) * 50.0e-6 / 1.0e-3;
         }
         if crest % 20 == 0 && (trouble != Trouble::Silence || crest < begins) {
-            pair.ask(|| Command::HostAlive);
+            pair.ask(|| Command::Beat(Beat::Here));
         }
         let mut shown = seen;
         let (now, on) = (crest == begins, crest >= begins);

@@ -7,7 +7,7 @@
 use crate::rig::{self, RATE, Rig, five_bar, hardware, quiet, rules, scene, wall};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::joints::Counts;
-use haptic_bridge::servo::{Command, HostAction};
+use haptic_bridge::servo::{Beat, Command, HostAction};
 
 /// How a fault is provoked.
 enum Origin {
@@ -137,8 +137,16 @@ fn origin(fault: Fault) -> Origin {
         }),
         Fault::HostLost => Step(|| {
             let mut rig = Rig::armed_with(|rules| rules.host_action = HostAction::Disarm);
-            rig.execute(Command::HostAlive).unwrap();
+            rig.execute(Command::Beat(Beat::Here)).unwrap();
             rig.run(0.5);
+            rig
+        }),
+        Fault::KeyReleased => Step(|| {
+            let mut rig = Rig::armed();
+            for _ in 0..5 {
+                rig.execute(Command::Beat(Beat::Held(7))).unwrap();
+                rig.run(0.1);
+            }
             rig
         }),
         Fault::PowerLimit => Step(|| {
@@ -231,6 +239,9 @@ fn injection(fault: Fault) -> (&'static str, &'static str) {
         Fault::NotFinite => ("a current that is not a number", at_once),
         Fault::Singularity => ("elbows turned until the distal links are in line", at_once),
         Fault::HostLost => ("no heartbeat", "after the time in the rules"),
+        Fault::KeyReleased => {
+            ("a key whose counter stands still", "after 0.5 s, or the time in the rules where that is less")
+        }
         Fault::Watchdog => ("a task that stops", "by the reset"),
         Fault::StackOverflow => ("a stack that reaches its guard", "by the exception"),
         Fault::SettingsDamaged => ("entries with a wrong checksum at boot", "never on: seen before arming"),

@@ -95,14 +95,21 @@ macro_rules! ask {
 /// A request by name, and its answer in each of [`STATES`].
 type RequestCase = (&'static str, Ask, [Result<(), Refusal>; 6]);
 
+/// The tool that changes settings here.
+const SESSION: u32 = 4;
+
+fn commit(keys: &[Key]) -> Commit {
+    Commit { session: SESSION, keys: keys.iter().copied().collect() }
+}
+
 fn staged<S: settings::Setting>(board: &mut Board, value: &S) -> Result<(), Refusal> {
     let entry = settings::encode(value).expect("it fits");
-    board.ask::<StageEntry>(&WriteEntry { key: S::KEY, entry }).expect("understood")
+    board.ask::<StageEntry>(&WriteEntry { session: SESSION, key: S::KEY, entry }).expect("understood")
 }
 
 fn restore_rules(board: &mut Board) -> Result<(), Refusal> {
     staged(board, &rules(0.5))?;
-    board.ask::<CommitEntries>(&[Key::Rules].into_iter().collect()).expect("understood")
+    board.ask::<CommitEntries>(&commit(&[Key::Rules])).expect("understood")
 }
 
 /// What a board says of [`rules`] with a share above 1: the first number of the first limit.
@@ -144,18 +151,21 @@ fn table() -> Vec<RequestCase> {
         ("save", ask!(Save), while_off),
         (
             "stage a setting",
-            ask!(StageEntry, WriteEntry { key: Key::Rules, entry: settings::encode(&rules(0.5)).unwrap() }),
+            ask!(
+                StageEntry,
+                WriteEntry { session: SESSION, key: Key::Rules, entry: settings::encode(&rules(0.5)).unwrap() }
+            ),
             while_off,
         ),
         (
             "stage what is damaged",
-            ask!(StageEntry, WriteEntry { key: Key::Rules, entry: [1, 2, 3].into_iter().collect() }),
+            ask!(StageEntry, WriteEntry { session: SESSION, key: Key::Rules, entry: [1, 2, 3].into_iter().collect() }),
             [Refusal::BadEntry, Refusal::BadEntry, Refusal::BadEntry, On, On, Refusal::BadEntry].map(Err),
         ),
         ("restore", restore_rules, while_off),
         (
             "restore what was not staged",
-            ask!(CommitEntries, [Key::Rules].into_iter().collect::<KeyList>()),
+            ask!(CommitEntries, Commit { session: SESSION + 1, ..commit(&[Key::Rules]) }),
             [Refusal::BadEntry, Refusal::BadEntry, Refusal::BadEntry, On, On, Refusal::BadEntry].map(Err),
         ),
         ("name", ask!(SetName, "paddle".chars().collect::<Name>()), always),
@@ -198,7 +208,7 @@ fn what_only_asks_is_answered_in_every_state_and_changes_none() {
         board.ask::<GetInfo>(&()).unwrap();
         board.ask::<GetDetails>(&()).unwrap();
         board.ask::<GetFaults>(&()).unwrap();
-        board.ask::<Heartbeat>(&()).unwrap();
+        board.ask::<Heartbeat>(&Beat::Here).unwrap();
         // Of no force, with no time to live.
         board.ask::<Force>(&ForceRequest::default()).unwrap();
         assert_eq!(board.ask::<GetStatus>(&()).unwrap().state, before.1);
@@ -504,7 +514,7 @@ fn a_device_with_the_checksum_of_the_checked_one_is_not_taken_for_it() {
     assert!(!known(&mut board), "loaded as {:?}", inverted.name);
     board.ask::<SetDevice>(&device).unwrap().unwrap();
     assert!(known(&mut board));
-    let restored: KeyList = [Key::Device].into_iter().collect();
+    let restored = commit(&[Key::Device]);
     for (device, expected) in [(&inverted, false), (&device, true)] {
         staged(&mut board, device).unwrap();
         board.ask::<CommitEntries>(&restored).unwrap().unwrap();
@@ -569,7 +579,7 @@ fn a_restore_is_one_change_or_none() {
         board.machine.flash.broken = broken;
         board
     };
-    let both: KeyList = [Key::Rules, Key::Device].into_iter().collect();
+    let both = commit(&[Key::Rules, Key::Device]);
     let now = |board: &mut Board| (board.ask::<GetRules>(&()).unwrap(), board.ask::<GetDevice>(&()).unwrap());
 
     // The tool dies before it decides: nothing of it counts, not now and not after a restart.
@@ -598,6 +608,34 @@ fn a_restore_is_one_change_or_none() {
     assert!(!done.ask::<GetStatus>(&()).unwrap().homed, "another device has to be homed");
     done.ask::<Restart>(&()).unwrap().unwrap();
     assert_eq!(now(&mut done), (wild, Some(heavier())), "and so after a restart");
+}
+
+/// A tool dies after it has put settings aside; the next one commits, or puts others aside and commits.
+#[test]
+fn what_one_tool_has_put_aside_is_not_for_another_to_commit() {
+    let mut board = board(Now::Ready);
+    let before = board.ask::<GetRules>(&()).unwrap();
+    staged(&mut board, &rules(0.9)).unwrap();
+    let another = |keys: &[Key]| Commit { session: SESSION + 1, ..commit(keys) };
+    assert_eq!(board.ask::<CommitEntries>(&another(&[Key::Rules])).unwrap(), Err(Refusal::BadEntry));
+    let entry = settings::encode(&heavier()).unwrap();
+    board.ask::<StageEntry>(&WriteEntry { session: SESSION + 1, key: Key::Device, entry }).unwrap().unwrap();
+    let both = another(&[Key::Rules, Key::Device]);
+    assert_eq!(board.ask::<CommitEntries>(&both).unwrap(), Err(Refusal::BadEntry));
+    assert_eq!(board.ask::<GetRules>(&()).unwrap(), before);
+    // Nor is it for the first one once another has begun.
+    assert_eq!(board.ask::<CommitEntries>(&commit(&[Key::Rules])).unwrap(), Err(Refusal::BadEntry));
+    board.ask::<CommitEntries>(&another(&[Key::Device])).unwrap().unwrap();
+    assert_eq!(board.ask::<GetDevice>(&()).unwrap(), Some(heavier()));
+}
+
+/// A tool of any version stops a board of any version: these bytes never change.
+#[test]
+fn the_request_that_stops_a_board_is_the_same_in_every_version() {
+    use postcard_rpc::Endpoint as _;
+    assert_eq!(Disarm::REQ_KEY.to_bytes(), [50, 74, 208, 115, 197, 110, 140, 138]);
+    assert_eq!(GetInfo::REQ_KEY.to_bytes(), [116, 138, 31, 26, 121, 84, 162, 73]);
+    assert_eq!(postcard::to_stdvec(&Outcome::Ok(())).unwrap(), [0], "the body of its answer");
 }
 
 #[test]
@@ -657,7 +695,7 @@ fn a_table_that_was_sent_before_a_device_is_not_accepted_for_it() {
     let loaded = |board: &mut Board| board.ask::<SetDevice>(&second).unwrap().unwrap();
     let restored = |board: &mut Board| {
         staged(board, &second).unwrap();
-        board.ask::<CommitEntries>(&[Key::Device].into_iter().collect()).unwrap().unwrap();
+        board.ask::<CommitEntries>(&commit(&[Key::Device])).unwrap().unwrap();
     };
     for another in [&loaded as &dyn Fn(&mut Board), &restored] {
         let mut board = board(Now::Bare);

@@ -10,7 +10,7 @@ use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::joints::{Counts, Torques};
-use haptic_bridge::servo::{ARM_SECONDS, Command, HostAction, Rules};
+use haptic_bridge::servo::{ARM_SECONDS, Beat, Command, HostAction, Rules};
 
 fn gains(stiffness: f32, damping: f32, feed_forward: FeedForward) -> Command<rig::Held> {
     let washout = Washout::new(2.0, RATE).unwrap();
@@ -543,7 +543,7 @@ fn commands_in_any_order_never_move_a_disarmed_device() {
                 1 => Command::Disarm,
                 2 => Command::Clear,
                 3 => Command::Home,
-                4 => Command::HostAlive,
+                4 => Command::Beat([Beat::Here, Beat::Held(number.to_bits()), Beat::Released][moved.unsigned_abs() as usize % 3]),
                 5 => gains(number, number, FeedForward::Full),
                 6 => gains(number, 0.0, FeedForward::Washout),
                 7 => Command::Fault(FaultRecord { fault: Fault::GateDriver, axis: None, value: number, step: 0 }),

@@ -321,6 +321,18 @@ pub fn injection(fault: Fault) -> Injection {
             },
             500,
         ),
+        Fault::KeyReleased => chip(
+            "a key whose counter stands still",
+            in_contact,
+            |rig| {
+                rules(rig, |rules| rules.host_seconds = 0.1);
+                rig.tool.hold_key(7).expect("a beat is never refused");
+                rig.run(60 * MILLISECOND);
+                // The host goes on, and says the same of the key.
+                rig.tool.hold_key(7).expect("a beat is never refused");
+            },
+            500,
+        ),
         Fault::PolarityWrong => chip(
             "a motor's two wires swapped",
             swapped,

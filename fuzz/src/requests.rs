@@ -233,7 +233,6 @@ pub const TEMPLATES: &[Template] = &[
     (Home::REQ_KEY, nothing),
     (CheckPolarity::REQ_KEY, nothing),
     (Clear::REQ_KEY, nothing),
-    (Heartbeat::REQ_KEY, nothing),
     (Save::REQ_KEY, nothing),
     (Restart::REQ_KEY, nothing),
     (EnterDfu::REQ_KEY, nothing),
@@ -300,6 +299,12 @@ pub const TEMPLATES: &[Template] = &[
         let fields = if which & 1 == 0 { Fields::ALL } else { Fields(u32::from(which)) };
         bytes_of(&StreamRequest { fields, divider: u32::from(which >> 4), stream: u32::from(which) })
     }),
+    (Heartbeat::REQ_KEY, |which| {
+        bytes_of(
+            &[Beat::Here, Beat::Held(u32::from(which)), Beat::Held(u32::from(which)), Beat::Released]
+                [usize::from(which) % 4],
+        )
+    }),
     (ReadEntry::REQ_KEY, |which| bytes_of(&Key::ALL[usize::from(which) % Key::ALL.len()])),
     (StageEntry::REQ_KEY, |which| {
         let key = Key::ALL[usize::from(which) % Key::ALL.len()];
@@ -311,11 +316,11 @@ pub const TEMPLATES: &[Template] = &[
             Key::Polarity => encode(&Polarity(u32::from(which))),
             Key::Name => encode(&BoardName("bench".chars().collect())),
         };
-        bytes_of(&WriteEntry { key, entry: entry.unwrap_or_default() })
+        bytes_of(&WriteEntry { session: u32::from(which & 1), key, entry: entry.unwrap_or_default() })
     }),
     (CommitEntries::REQ_KEY, |which| {
         let named = Key::ALL.into_iter().enumerate().filter(|(at, _)| which >> at & 1 == 1);
-        bytes_of(&named.map(|(_, key)| key).collect::<KeyList>())
+        bytes_of(&Commit { session: u32::from(which & 1), keys: named.map(|(_, key)| key).collect() })
     }),
     (Force::REQ_KEY, |which| {
         let contact = HostContact { point: [0.0; 3], normal: [1.0, 0.0, 0.0], stiffness: 500.0, damping: 1.0 };

@@ -3,6 +3,7 @@
 //! Exit codes (docs/model.md section 5): 0 done, 1 it could not be done, 2 the command or a file is wrong.
 
 use core::fmt;
+use std::borrow::Cow;
 use std::process::ExitCode;
 
 /// Whose fault it was.
@@ -102,11 +103,28 @@ impl fmt::Display for Failure {
 
 impl std::error::Error for Failure {}
 
-/// Writes a finished document to standard output. A reader that went away (`haptic … | head`) is not an error.
+/// What a terminal can show of a text: whatever it would obey instead, such as the ESC in a name that a file or a board
+/// brought along, as it is written in JSON. Lines and tabs stay.
+pub fn visible(text: &str) -> Cow<'_, str> {
+    let obeyed = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
+    if !text.contains(obeyed) {
+        return text.into();
+    }
+    let mut shown = String::with_capacity(text.len() + 16);
+    for c in text.chars() {
+        match c {
+            c if obeyed(c) => shown.push_str(&format!("\\u{:04x}", u32::from(c))),
+            c => shown.push(c),
+        }
+    }
+    shown.into()
+}
+
+/// Writes a finished document to standard output, as [`visible`] shows it. A reader that went away (`haptic … | head`) is not an error.
 pub fn print(document: &str) -> Result<(), Failure> {
     use std::io::Write;
     let mut out = std::io::stdout().lock();
-    let written = out.write_all(document.as_bytes()).and_then(|()| out.flush());
+    let written = out.write_all(visible(document).as_bytes()).and_then(|()| out.flush());
     match written {
         Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
             Err(Failure::impossible(format!("standard output cannot be written: {error}")))
@@ -115,12 +133,22 @@ pub fn print(document: &str) -> Result<(), Failure> {
     }
 }
 
-/// Writes to standard error. A reader that went away (`haptic … 2>&1 | head`) or a full disk stops no command, least of
+/// Writes to standard error, as [`visible`] shows it. A reader that went away (`haptic … 2>&1 | head`) or a full disk stops no command, least of
 /// all one that has motors to turn off: what cannot be said is not said.
 pub fn say(text: fmt::Arguments<'_>) {
+    write_error(&visible(&text.to_string()));
+}
+
+/// The same over what the line of the terminal holds; `clear` leaves the line empty.
+pub fn say_over(text: fmt::Arguments<'_>, clear: bool) {
+    let end = if clear { "\x1b[2K\r" } else { "" };
+    write_error(&format!("\r{}{end}", visible(&text.to_string())));
+}
+
+fn write_error(text: &str) {
     use std::io::Write;
     let mut err = std::io::stderr().lock();
-    let _ = err.write_fmt(text).and_then(|()| err.flush());
+    let _ = err.write_all(text.as_bytes()).and_then(|()| err.flush());
 }
 
 /// A line on standard error, as `eprintln` but by [`say`]: it never panics.
@@ -137,5 +165,14 @@ mod tests {
     fn a_failure_is_one_line() {
         let failure = Failure::wrong("first\nsecond\t third").remedy("do\nthis");
         assert_eq!(failure.to_string(), "first second third; do this");
+    }
+
+    #[test]
+    fn what_a_terminal_would_obey_is_written_as_in_json() {
+        let name = "a\u{1b}[2J\u{9b}31m\r\u{7}\tb\nµ";
+        let shown = visible(name);
+        assert_eq!(shown, "a\\u001b[2J\\u009b31m\\u000d\\u0007\tb\nµ");
+        let json = format!("\"{}\"", visible("\u{9b}\u{7f}"));
+        assert_eq!(serde_json::from_str::<String>(&json).unwrap(), "\u{9b}\u{7f}", "a JSON text means the same");
     }
 }

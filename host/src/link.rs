@@ -15,7 +15,7 @@ mod session;
 mod telemetry;
 mod wire;
 
-pub use board::{Board, FORCE_PATIENCE, PolarityOutcome};
+pub use board::{Board, FORCE_PATIENCE, PolarityOutcome, Stopped};
 pub use client::{Client, Occupied, Sent, TopicFrame};
 pub use error::{BoardError, LinkError};
 pub use framing::{Deframer, MAX_FRAME, Packet, encode, envelope};

@@ -4,7 +4,7 @@
 //! It is one more page of the stage ([`crate::view::stage`]), in this process: everything that moves a board goes
 //! through the same messages, with the same questions and the same dead man's key. A terminal does not tell when a key
 //! is let go, but repeats one that is held: Space switches the motors on once it repeats, and they go off when it no
-//! longer does.
+//! longer does. Each Space that comes is counted, and the number goes as far as the board.
 
 pub mod screen;
 pub mod seen;
@@ -28,39 +28,48 @@ const STEP: f64 = 5e-4;
 /// A step of a gain.
 const TURN: f32 = 1.05;
 
-/// The dead man's key.
+/// The dead man's key of a terminal.
 #[derive(Debug, Default)]
-struct Held {
+pub struct HeldKey {
     /// When Space last came.
     pressed: Option<Instant>,
     /// Whether the motors were asked for.
     on: bool,
+    /// How often it has come, wrapping.
+    count: u32,
 }
 
-impl Held {
+impl HeldKey {
     /// Space has come: what to say.
-    fn press(&mut self, now: Instant) -> Option<FromPage> {
+    pub fn press(&mut self, now: Instant) -> Option<FromPage> {
         let repeats = self.pressed.is_some_and(|before| now.duration_since(before) <= REPEAT);
         self.pressed = Some(now);
+        self.count = self.count.wrapping_add(1);
         match (self.on, repeats) {
-            (true, _) => Some(FromPage::Hold {}),
+            (true, _) => Some(FromPage::Hold { count: self.count }),
             (false, true) => {
                 self.on = true;
-                Some(FromPage::Arm {})
+                Some(FromPage::Arm { count: self.count })
             }
             (false, false) => None,
         }
     }
 
     /// Time has passed: what to say.
-    fn wait(&mut self, now: Instant) -> Option<FromPage> {
+    pub fn wait(&mut self, now: Instant) -> Option<FromPage> {
         let silent = self.pressed.is_none_or(|before| now.duration_since(before) > LET_GO);
         (self.on && silent).then(|| self.release())
     }
 
-    fn release(&mut self) -> FromPage {
-        *self = Self::default();
+    /// It is let go: what to say.
+    pub fn release(&mut self) -> FromPage {
+        self.forget();
         FromPage::Release {}
+    }
+
+    /// Something else turned the motors off: the key has to be pressed anew.
+    pub fn forget(&mut self) {
+        (self.pressed, self.on) = (None, false);
     }
 }
 
@@ -81,7 +90,7 @@ pub fn run(hub: &Hub, stop: &AtomicBool) -> io::Result<()> {
 
 fn watch(terminal: &mut ratatui::DefaultTerminal, hub: &Hub, id: PageId, stop: &AtomicBool) -> io::Result<()> {
     let mut seen = Seen::default();
-    let mut held = Held::default();
+    let mut held = HeldKey::default();
     let mut here = Instant::now();
     let say = |message: FromPage| hub.said(id, Ok(message));
     say(FromPage::Take {});
@@ -96,9 +105,8 @@ fn watch(terminal: &mut ratatui::DefaultTerminal, hub: &Hub, id: PageId, stop: &
         if let Some(sweep) = waiting.scope {
             seen.sweep(&sweep);
         }
-        // Something else turned the motors off: the key has to be pressed anew.
         if held.on && seen.was_held() && !seen.held() {
-            held = Held::default();
+            held.forget();
         }
         seen.remember_held(held.on);
         while event::poll(Duration::ZERO)? {
@@ -115,7 +123,7 @@ fn watch(terminal: &mut ratatui::DefaultTerminal, hub: &Hub, id: PageId, stop: &
                     };
                     for message in words {
                         if matches!(message, FromPage::Disarm {}) {
-                            held = Held::default();
+                            held.forget();
                         }
                         say(message);
                     }
@@ -136,7 +144,8 @@ fn watch(terminal: &mut ratatui::DefaultTerminal, hub: &Hub, id: PageId, stop: &
     Ok(())
 }
 
-fn is_end(key: &KeyEvent) -> bool {
+/// Whether a key ends what the terminal shows: `q`, Ctrl-C, Ctrl-D.
+pub fn is_end(key: &KeyEvent) -> bool {
     let control = key.modifiers.contains(KeyModifiers::CONTROL);
     matches!(key.code, KeyCode::Char('q')) || control && matches!(key.code, KeyCode::Char('c' | 'd'))
 }
@@ -178,12 +187,12 @@ mod tests {
 
     #[test]
     fn only_a_key_that_repeats_arms_and_one_that_stops_lets_go() {
-        let (mut held, began) = (Held::default(), Instant::now());
+        let (mut held, began) = (HeldKey::default(), Instant::now());
         let at = |ms: u64| began + Duration::from_millis(ms);
         assert_eq!(held.press(at(0)), None, "one press alone does not hold");
         assert_eq!(held.wait(at(500)), None);
-        assert_eq!(held.press(at(600)), Some(FromPage::Arm {}));
-        assert_eq!(held.press(at(640)), Some(FromPage::Hold {}));
+        assert_eq!(held.press(at(600)), Some(FromPage::Arm { count: 2 }));
+        assert_eq!(held.press(at(640)), Some(FromPage::Hold { count: 3 }));
         assert_eq!(held.wait(at(1000)), None);
         assert_eq!(held.wait(at(1041)), Some(FromPage::Release {}));
         assert_eq!(held.wait(at(5000)), None);

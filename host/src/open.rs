@@ -2,19 +2,32 @@
 //! link knows nothing of simulations, whose boards speak through it.
 
 use crate::device_file::DeviceFile;
-use crate::link::{Board, LinkError, PortSpec, Wire, open_serial, open_tcp};
+use crate::link::{Board, BoardError, LinkError, PortSpec, Stopped, Wire, open_serial, open_tcp};
 use crate::sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, ready_board};
 use std::path::Path;
 
 impl Board {
     /// Finds and opens the board that `--port` means, and checks its protocol version.
     pub fn open(port: &PortSpec) -> Result<Self, LinkError> {
-        match port {
-            PortSpec::Find => open_serial(None).and_then(|(wire, path)| Self::over(wire, path)),
-            PortSpec::Serial(name) => open_serial(Some(name)).and_then(|(wire, path)| Self::over(wire, path)),
-            PortSpec::Tcp(address) => Self::over(open_tcp(address)?, format!("tcp:{address}")),
-            PortSpec::Sim(device) => Self::over(simulated(device.as_deref())?, "sim"),
-        }
+        let (wire, name) = wire(port)?;
+        Self::over(wire, name)
+    }
+
+    /// Turns the motors of the board that `port` means off, whatever version of the protocol it speaks. Where another
+    /// tool holds it, and that shows only at the port, this is an error, and [`crate::link::disarm_past`] a way.
+    pub fn stop(port: &PortSpec) -> Result<Stopped, BoardError> {
+        let (wire, name) = wire(port)?;
+        Self::stop_over(wire, name)
+    }
+}
+
+/// The wire that `port` means, and what messages call it.
+fn wire(port: &PortSpec) -> Result<(Box<dyn Wire>, String), LinkError> {
+    match port {
+        PortSpec::Find => open_serial(None),
+        PortSpec::Serial(name) => open_serial(Some(name)),
+        PortSpec::Tcp(address) => Ok((open_tcp(address)?, format!("tcp:{address}"))),
+        PortSpec::Sim(device) => Ok((simulated(device.as_deref())?, "sim".into())),
     }
 }
 

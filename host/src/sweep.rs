@@ -120,8 +120,8 @@ impl Sweep {
         let progress = |done: usize, _: usize| {
             if self.shown && things.len() > 1 {
                 let done = before + done;
-                let end = if done == things.len() { "\x1b[2K\r" } else { "" };
-                crate::error::say(format_args!("\r{stage}: {done} of {}{end}", things.len()));
+                let all = done == things.len();
+                crate::error::say_over(format_args!("{stage}: {done} of {}", things.len()), all);
             }
         };
         let failing = AtomicUsize::new(usize::MAX);

@@ -12,12 +12,11 @@
 use haptic::device_file::DeviceFile;
 use haptic::error::Failure;
 use haptic::scene_file::SceneFile;
-use haptic::view::hub::{Event, Hub, Message, PageId};
+use haptic::view::hub::{Hub, Message, PageId};
 use haptic::view::message::FromPage;
 use haptic::view::{Stage, Turn, World};
 use std::cell::RefCell;
 use std::collections::VecDeque;
-use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
 /// A shipped device, and what is around it.
@@ -70,17 +69,16 @@ struct Playground {
     stage: Stage,
     hub: Hub,
     page: PageId,
-    events: Receiver<Event>,
     /// What the page has not fetched.
     waiting: VecDeque<Message>,
 }
 
 impl Playground {
     fn open(choice: &Choice) -> Result<Self, Failure> {
-        let (hub, events) = Hub::new();
+        let hub = Hub::default();
         let page = hub.come().ok_or_else(|| Failure::impossible("no page is let in"))?;
         let stage = Stage::open(choice.world()?, hub.clone(), None, None)?;
-        Ok(Self { stage, hub, page, events, waiting: VecDeque::new() })
+        Ok(Self { stage, hub, page, waiting: VecDeque::new() })
     }
 }
 
@@ -155,7 +153,7 @@ pub extern "C" fn said() {
 pub extern "C" fn turn(milliseconds: f64) -> u32 {
     // A time that is not finite counts as none.
     let now = Duration::try_from_secs_f64(1e-3 * milliseconds).unwrap_or_default();
-    match with(|played| played.stage.turn(now, &played.events)) {
+    match with(|played| played.stage.turn(now)) {
         Some(Ok(Turn::Played)) => 1,
         Some(Ok(Turn::Ahead)) | None => 0,
         Some(Err(error)) => {
@@ -226,7 +224,7 @@ mod tests {
         for (index, name) in names.lines().enumerate() {
             assert!(open(index), "{name}: {}", String::from_utf8_lossy(&BUFFER.take()));
             say(r#"{"do":"take"}"#);
-            say(r#"{"do":"arm"}"#);
+            say(r#"{"do":"arm","count":1}"#);
             let (armed, refused) = play(0, 300);
             assert!(armed.contains(r#""state":"Armed""#) && refused.is_empty(), "{name}: {armed} {refused:?}");
             // The page is not heard for half a second.

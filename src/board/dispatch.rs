@@ -150,7 +150,7 @@ fn route<M: Described>(
     }
     serve! { request, out;
         GetStatus: |()| machine.status();
-        Heartbeat: |()| service.heartbeat(machine);
+        Heartbeat: |beat| service.heartbeat(machine, beat);
         Arm: |()| service.arm(machine);
         Disarm: |()| service.disarm(machine);
         SetGains: |gains| service.set_gains(machine, &gains);
@@ -175,7 +175,7 @@ fn route<M: Described>(
         Save: |()| service.save(machine);
         ReadEntry: |key| service.read_entry(machine, key);
         StageEntry: |entry| service.stage_entry(machine, &entry);
-        CommitEntries: |keys| service.commit_entries(machine, &keys);
+        CommitEntries: |commit| service.commit_entries(machine, &commit);
         SetName: |name| {
             service.set_name(name);
             Ok(())

@@ -4,7 +4,8 @@
 //! CDC-ACM serial port, a pseudo-terminal or TCP. A message's key is a hash of its path and of its types: a
 //! board that has another form of a message does not know its key, and answers that instead of misreading it. Whether
 //! tool and board speak the same protocol is asked first: [`GetInfo`], whose shape never changes, answers with
-//! [`PROTOCOL`].
+//! [`PROTOCOL`]. The request of [`Disarm`] never changes either, nor does the single zero in the body of its answer once
+//! the motors are off: any tool stops any board.
 
 use crate::board::settings::{Damage, Entry, Key};
 use crate::board::telemetry::{Batch, StreamRequest};
@@ -16,6 +17,7 @@ use crate::render::scene::Scene;
 use crate::render::velocity::Estimator;
 use crate::safety::fault::FaultRecord;
 use crate::safety::refusal::Refusal;
+pub use crate::servo::Beat;
 pub use crate::servo::host_force::{BadForce, ForceAnswer, ForceDone, ForceRequest, HostContact};
 use crate::servo::{Rules, Status};
 use heapless::{String, Vec};
@@ -24,7 +26,7 @@ use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 /// Version of this table. Raised by any change to it.
-pub const PROTOCOL: u16 = 8;
+pub const PROTOCOL: u16 = 9;
 
 /// Longest frame on the link, bytes, before what COBS adds.
 pub const MAX_FRAME: usize = 1536;
@@ -91,10 +93,21 @@ pub struct GainsRequest {
 /// A setting's bytes, to put aside until [`CommitEntries`] names its key.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct WriteEntry {
+    /// Whose it is: a number that the tool draws for each change. What another one has put aside is forgotten.
+    pub session: u32,
     /// Under which key.
     pub key: Key,
     /// As [`crate::board::settings::encode`] made it.
     pub entry: Entry,
+}
+
+/// Which of the settings that were put aside are to count.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Commit {
+    /// As in [`WriteEntry`]: what another session has put aside is refused as [`Refusal::BadEntry`].
+    pub session: u32,
+    /// Their keys.
+    pub keys: KeyList,
 }
 
 /// A device as it is sent.
@@ -136,13 +149,13 @@ endpoints! {
     | Disarm        | ()            | Outcome     | "haptic/disarm"    |
     | Clear         | ()            | Outcome     | "haptic/clear"     |
     | GetFaults     | ()            | FaultList   | "haptic/faults"    |
-    | Heartbeat     | ()            | ()          | "haptic/heartbeat" |
+    | Heartbeat     | Beat          | ()          | "haptic/heartbeat" |
     | Force         | ForceRequest  | ForceAnswer | "haptic/force"     |
     | Stream        | StreamRequest | Outcome     | "haptic/stream"    |
     | Save          | ()            | Outcome     | "haptic/save"      |
     | ReadEntry     | Key           | MaybeEntry  | "haptic/entry?"    |
     | StageEntry    | WriteEntry    | Outcome     | "haptic/entry"     |
-    | CommitEntries | KeyList       | Outcome     | "haptic/entries"   |
+    | CommitEntries | Commit        | Outcome     | "haptic/entries"   |
     | SetName       | Name          | Outcome     | "haptic/name"      |
     | EnterDfu      | ()            | Outcome     | "haptic/dfu"       |
     | Restart       | ()            | Outcome     | "haptic/restart"   |

@@ -5,7 +5,9 @@
 //! rules forbid reaches the servo, and the servo checks again what depends on the moment.
 
 use crate::board::configuration::{Configuration, nothing_to_feel, task};
-use crate::board::protocol::{Details, FaultList, ForceAnswer, ForceRequest, GainsRequest, KeyList, Name, WriteEntry};
+use crate::board::protocol::{
+    Beat, Commit, Details, FaultList, ForceAnswer, ForceRequest, GainsRequest, KeyList, Name, WriteEntry,
+};
 use crate::board::settings::{self, BoardName, Damage, Entry, Key, Polarity, Setting};
 use crate::math::Math;
 use crate::model::device::Device;
@@ -82,6 +84,8 @@ pub struct Service {
     damage: Vec<(Key, Damage), { Key::ALL.len() }>,
     faults: FaultList,
     last_fault: Option<FaultRecord>,
+    /// The session that has put entries aside last, and under which keys.
+    staged: (u32, KeyList),
 }
 
 impl Service {
@@ -108,6 +112,7 @@ impl Service {
             damage: Vec::new(),
             faults: FaultList::new(),
             last_fault: None,
+            staged: (0, KeyList::new()),
         }
     }
 
@@ -434,9 +439,9 @@ impl Service {
         machine.execute(Command::Clear).0
     }
 
-    /// The host is there.
-    pub fn heartbeat(&mut self, machine: &mut impl Machine) {
-        let _ = machine.execute(Command::HostAlive);
+    /// The host is there, and says how it is with its user's key.
+    pub fn heartbeat(&mut self, machine: &mut impl Machine, beat: Beat) {
+        let _ = machine.execute(Command::Beat(beat));
     }
 
     /// Faults since the board started, oldest first; the oldest give way.
@@ -497,15 +502,27 @@ impl Service {
             Key::Polarity => decoded::<Polarity>(entry).map(drop)?,
             Key::Name => decoded::<BoardName>(entry).map(drop)?,
         }
-        machine.stage(write.key, entry)
+        // What a tool that died has put aside is not for another to commit.
+        if self.staged.0 != write.session {
+            self.staged = (write.session, KeyList::new());
+        }
+        self.staged.1.retain(|key| *key != write.key);
+        machine.stage(write.key, entry)?;
+        // There are as many places as keys.
+        let _ = self.staged.1.push(write.key);
+        Ok(())
     }
 
     /// Puts the settings that were staged under these keys in force and into flash: all of them, or none. Settings that
     /// are not named stay as they are, but another device drops the mass model and a scene that does not fit it, and
     /// another scene the mass model. Flash then holds the same, so no limit is in force with a device that it was not
     /// meant for, nor after the next start.
-    pub fn commit_entries<Mc: Machine>(&mut self, machine: &mut Mc, keys: &KeyList) -> Result<(), Refusal> {
+    pub fn commit_entries<Mc: Machine>(&mut self, machine: &mut Mc, commit: &Commit) -> Result<(), Refusal> {
         must_be_off(machine)?;
+        let keys = &commit.keys;
+        if keys.iter().any(|key| commit.session != self.staged.0 || !self.staged.1.contains(key)) {
+            return Err(Refusal::BadEntry);
+        }
         let name: Option<BoardName> = self.taken(machine, keys)?;
         let (mut next, same_device) = self.restored(machine, keys)?;
         self.install(machine, &mut next, same_device, Some(keys))?;

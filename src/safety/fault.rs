@@ -165,6 +165,9 @@ faults! {
     /// A joint kept moving when the polarity check was to begin with it; value: rad from where it stood last.
     PolarityUnrest = 35, "a joint did not come to rest for the polarity check",
         "let the device stand still by itself, or hold it still for a moment, hands off while a motor pushes; then check again";
+    /// A dead man's key that was held is no longer told of; value: seconds since its counter changed.
+    KeyReleased = 36, "nobody was heard to hold the dead man's key any more",
+        "`haptic clear`, then press the key anew; if it comes while the key is down, the page, the network or the computer between key and board is too slow";
     /// The currents that are measured push harder at the tip than they may; value: N.
     ForceLimit = 38, "the measured currents push harder at the tip than its limit allows",
         "lower the damping or the stiffness; if it returns at rest, check the current sensors and the motor data in the device file";

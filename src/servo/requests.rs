@@ -44,10 +44,22 @@ pub enum Command<P> {
     PolarityKnown,
     /// Clears a latched fault.
     Clear,
-    /// The host is there.
-    HostAlive,
+    /// The host is there, and says how it is with the key that its user holds.
+    Beat(Beat),
     /// Latches a fault found elsewhere.
     Fault(FaultRecord),
+}
+
+/// A sign of life of a host.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub enum Beat {
+    /// It is there, and nobody holds a key with it. This neither feeds a key that is held nor lets it go.
+    Here,
+    /// A dead man's key is down, and whoever sees it has counted so far, wrapping. From the first of these on the motors
+    /// stay on only while the number changes: see [`KEY_SECONDS`](super::KEY_SECONDS).
+    Held(u32),
+    /// The key was let go: motors off, as by [`Command::Disarm`].
+    Released,
 }
 
 /// The answer to a command, with the program it replaced.
@@ -134,10 +146,7 @@ where
             Command::MayArm => self.may_arm(),
             Command::MayCheckPolarity => self.ready().map(drop),
             Command::Disarm => {
-                self.off();
-                if self.state != State::Fault {
-                    self.state = State::Disarmed;
-                }
+                self.disarm();
                 Ok(())
             }
             Command::CheckPolarity => self.start_polarity_check(),
@@ -154,7 +163,12 @@ where
                 self.hear_host();
                 Ok(())
             }
-            Command::HostAlive => {
+            Command::Beat(beat) => {
+                match beat {
+                    Beat::Here => {}
+                    Beat::Held(count) => self.hear_key(*count),
+                    Beat::Released => self.disarm(),
+                }
                 self.hear_host();
                 Ok(())
             }
@@ -307,6 +321,13 @@ where
         Ok(())
     }
 
+    fn disarm(&mut self) {
+        self.off();
+        if self.state != State::Fault {
+            self.state = State::Disarmed;
+        }
+    }
+
     fn arm(&mut self) -> Result<(), Refusal> {
         self.may_arm()?;
         self.fade.begin_anew();
@@ -317,6 +338,7 @@ where
 
     /// Starts everything that is summed up while the motors are on.
     pub(super) fn watch_anew(&mut self) {
+        self.forget_old_key();
         self.hear_host();
         self.joints.iter_mut().for_each(|joint| joint.sums.anew());
         self.crests.anew();

@@ -16,6 +16,9 @@ pub const TRIPPING_SINE: f32 = 2.0e-3;
 /// Width of an index pulse, counts; the first one counts only if it was passed no faster than this in a step.
 pub const INDEX_WIDTH: u32 = 4;
 
+/// Longest time for which the counter of a dead man's key may stand still while the motors are on, s, whatever the
+/// rules say of a silent host; `host_seconds` where that is shorter. A page says six times in it that its key is down.
+pub const KEY_SECONDS: f32 = 0.5;
 /// Share of a real motor's maximum current that may flow for ever where its rules name no continuous current: a quarter of
 /// the heat.
 pub const STEADY_SHARE: f32 = 0.5;
@@ -86,8 +89,33 @@ where
         self.now.step.wrapping_sub(self.host_heard) as f32 * self.period
     }
 
-    /// Sets the step after which the host has been silent for too long, or is looked at again.
+    /// The counter of a dead man's key was heard: only another number than the last says that somebody holds it.
+    pub(super) fn hear_key(&mut self, count: u32) {
+        if self.key != Some(count) {
+            (self.key, self.key_heard) = (Some(count), self.now.step);
+        }
+    }
+
+    /// For how long the counter of the key has stood still, and for how long it may, s; none without a key.
+    pub fn key_still(&self) -> Option<(f32, f32)> {
+        let still = self.now.step.wrapping_sub(self.key_heard) as f32 * self.period;
+        self.key.map(|_| (still, self.rules.host_seconds.min(KEY_SECONDS)))
+    }
+
+    /// Forgets a key that nobody has held for too long: it belongs to an arming that is over.
+    pub(super) fn forget_old_key(&mut self) {
+        if self.key_still().is_some_and(|(still, allowed)| still > allowed) {
+            self.key = None;
+        }
+    }
+
+    /// Sets the step after which the host, or the key that it tells of, has been silent for too long, or is looked at
+    /// again.
     fn expect_host(&mut self) {
+        let key = match self.key_still() {
+            Some((still, allowed)) => ((allowed - still) / self.period) as u32,
+            None => LOOK_AGAIN,
+        };
         let left = match self.rules.host_action {
             HostAction::Ignore => LOOK_AGAIN,
             // It is listed.
@@ -96,7 +124,7 @@ where
                 (((self.rules.host_seconds - self.host_silent()) / self.period) as u32).min(LOOK_AGAIN)
             }
         };
-        self.host_expected = self.now.step.wrapping_add(left);
+        self.host_expected = self.now.step.wrapping_add(left.min(key));
     }
 
     /// Negative where what the step of J joints found must be looked at: a number that is none, a singular pose, a host
@@ -177,6 +205,11 @@ where
                 }
                 _ => {}
             }
+            if let Some((still, allowed)) = self.key_still() {
+                note(still > allowed, Fault::KeyReleased, None, still);
+            }
+        } else {
+            self.forget_old_key();
         }
         self.expect_host();
         if let Some((fault, axis, value)) = first {

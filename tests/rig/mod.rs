@@ -19,7 +19,7 @@ use haptic_bridge::servo::frame::{Outputs, Samples};
 use haptic_bridge::servo::joints::{Counts, Currents, Torques};
 use haptic_bridge::servo::program::Hardware;
 use haptic_bridge::servo::program::Program;
-use haptic_bridge::servo::{Command, HostAction, Rules, Servo};
+use haptic_bridge::servo::{Beat, Command, HostAction, Rules, Servo};
 
 pub mod board;
 pub mod statics;
@@ -279,7 +279,7 @@ impl Rig {
     pub fn arm(&mut self) {
         self.execute(Command::Arm).expect("everything is in place");
         for _ in 0..(0.6 * self.rate) as u32 {
-            self.execute(Command::HostAlive).expect("never refused");
+            self.execute(Command::Beat(Beat::Here)).expect("never refused");
             self.step();
         }
         assert_eq!(self.state(), State::Armed, "{:?}", self.servo.status().fault);

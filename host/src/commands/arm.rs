@@ -3,11 +3,17 @@
 use super::answer::Json;
 use super::port::{Port, motors_off};
 use haptic::error::{Failure, print};
-use haptic::interrupt;
+use haptic::interrupt::{self, Interrupt};
+use haptic::link::Board;
+use haptic::monitor::{HeldKey, is_end};
+use haptic::view::message::FromPage;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::servo::{ARM_SECONDS, HostAction};
+use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind};
+use ratatui::crossterm::terminal;
 use serde_json::json;
-use std::time::Duration;
+use std::io::IsTerminal;
+use std::time::{Duration, Instant};
 
 /// Switch the motors on and render the scene, until Ctrl-C where the board watches its host
 ///
@@ -16,10 +22,16 @@ use std::time::Duration;
 /// board that it is there, and switches the motors off at Ctrl-C; if it is killed or unplugged, the board does that.
 /// `haptic stream --arm` does the same and shows telemetry. If they do not (`haptic rules --host ignore`), it returns
 /// at once, and the motors stay on until somebody switches them off.
+///
+/// With --key the motors are on only while Space is held in this terminal, and the board turns them off by itself half a
+/// second after it was last told so, whatever its rules say.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
     port: Port,
+    /// Motors on only while Space is held, until q
+    #[arg(long)]
+    key: bool,
     #[command(flatten)]
     json: Json,
 }
@@ -29,6 +41,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.port.open_to_stay()?;
     let watched = board.rules()?.host_action;
     let stop = interrupt::watch();
+    if args.key {
+        return hold(&mut board, args.json, stop);
+    }
     board.arm()?;
     let document = json!({ "state": "Armed", "ramp_seconds": ARM_SECONDS, "host_action": watched });
     let ramp = format!("armed: torque ramps up over {ARM_SECONDS} s");
@@ -55,6 +70,82 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     board.disarm()?;
     told(args.json, "disarmed: the motors are off\n")
+}
+
+/// Between two looks at the keys.
+const LOOK: Duration = Duration::from_millis(20);
+/// Between two looks at the board.
+const STATUS: Duration = Duration::from_millis(200);
+
+/// Motors on while Space is held, until `q`.
+fn hold(board: &mut Board, json: Json, stop: Interrupt) -> Result<(), Failure> {
+    if json.asked() {
+        return Err(Failure::wrong("--key and --json: nobody holds a key for a program"));
+    }
+    if !std::io::stdin().is_terminal() {
+        return Err(Failure::wrong("--key needs a terminal, in which somebody holds Space"));
+    }
+    print("hold Space: motors on; let go: motors off; q ends\n")?;
+    board.keep_alive();
+    terminal::enable_raw_mode().map_err(Failure::impossible)?;
+    let ended = while_held(board, stop);
+    let restored = terminal::disable_raw_mode();
+    haptic::error::say_over(format_args!(""), true);
+    let off = board.disarm();
+    ended?;
+    off?;
+    restored.map_err(Failure::impossible)?;
+    print("disarmed: the motors are off\n")
+}
+
+fn while_held(board: &mut Board, stop: Interrupt) -> Result<(), Failure> {
+    let rate = board.details()?.rate_hz;
+    let (mut key, mut on, mut looked) = (HeldKey::default(), false, Instant::now());
+    let shown = |words: &str| haptic::error::say_over(format_args!("{words:40}"), false);
+    while !stop.is_set() {
+        board.rows(LOOK)?;
+        let mut said = None;
+        while event::poll(Duration::ZERO).map_err(Failure::impossible)? {
+            match event::read().map_err(Failure::impossible)? {
+                Event::Key(pressed) if pressed.kind == KeyEventKind::Release => {}
+                Event::Key(pressed) if is_end(&pressed) => return Ok(()),
+                Event::Key(pressed) if pressed.code == KeyCode::Char(' ') => said = key.press(Instant::now()).or(said),
+                // Whatever else is pressed in a hurry is meant to stop them.
+                Event::Key(_) => said = Some(key.release()),
+                _ => {}
+            }
+        }
+        match said.or_else(|| key.wait(Instant::now())) {
+            Some(FromPage::Arm { count }) => {
+                board.hold_key(count)?;
+                board.arm()?;
+                on = true;
+                shown("motors on");
+            }
+            Some(FromPage::Hold { count }) if on => board.hold_key(count)?,
+            Some(FromPage::Release {}) => {
+                board.disarm()?;
+                on = false;
+                shown("motors off");
+            }
+            _ => {}
+        }
+        if on && looked.elapsed() > STATUS {
+            looked = Instant::now();
+            let status = board.status()?;
+            match status.fault {
+                Some(record) if status.state == State::Fault => return Err(motors_off(&record, rate)),
+                _ if status.state != State::Armed => {
+                    key.forget();
+                    board.forget_key();
+                    on = false;
+                    shown("disarmed from elsewhere");
+                }
+                _ => {}
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Says how it ended, where that is not a second JSON document.

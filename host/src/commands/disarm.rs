@@ -3,12 +3,12 @@
 use super::answer::Json;
 use super::port::{Port, fault_in_words};
 use haptic::error::Failure;
-use haptic::link::{Board, BoardError, LinkError, PortSpec, disarm_past};
+use haptic::link::{Board, BoardError, LinkError, PortSpec, Stopped, disarm_past};
 use serde_json::json;
 
 /// Switch the motors off; the device then moves freely (and falls, if it has weight)
 ///
-/// Gets through to a simulated or emulated board that another tool holds. A board on USB belongs to the tool that has
+/// Also of a board whose firmware is of another version than this tool. Gets through to a simulated or emulated board that another tool holds. A board on USB belongs to the tool that has
 /// its port open: end that tool, pull the cable, or use the emergency stop.
 #[derive(clap::Args)]
 pub struct Args {
@@ -20,14 +20,23 @@ pub struct Args {
 
 /// Disarms, and says so when a fault stays latched.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let mut board = match Board::open(args.port.spec()) {
-        Ok(board) => board,
-        Err(held @ (LinkError::HeldByAnother(_) | LinkError::PortBusy(_))) => {
-            return past(args.port.spec(), args.json, held);
+    let port = args.port.spec();
+    let mut board = match Board::stop(port) {
+        Ok(Stopped::Open(board)) => board,
+        Ok(Stopped::Unlike(version)) => {
+            let said = format!("disarmed: the motors are off; the board speaks protocol version {version}\n");
+            return args.json.answer(json!({ "state": "Disarmed" }), &said);
+        }
+        // A tool that was about to leave has left by now, and more can be told.
+        Ok(Stopped::Past) => match Board::open(port) {
+            Ok(board) => Box::new(board),
+            Err(_) => return said_past(args.json),
+        },
+        Err(BoardError::Link(held @ (LinkError::HeldByAnother(_) | LinkError::PortBusy(_) | LinkError::Lost(_)))) => {
+            return past(port, args.json, held);
         }
         Err(other) => return Err(other.into()),
     };
-    board.disarm()?;
     let mut report = "disarmed: the motors are off\n".to_string();
     let status = board.status()?;
     if let Some(record) = status.fault {
@@ -41,14 +50,16 @@ pub fn run(args: Args) -> Result<(), Failure> {
 /// Disarms past the tool that holds the board.
 fn past(port: &PortSpec, json: Json, held: LinkError) -> Result<(), Failure> {
     match disarm_past(port) {
-        Ok(()) => {
-            let said = "disarmed past the tool that holds the board: the motors are off\n";
-            json.answer(json!({ "state": "Disarmed" }), said)
-        }
+        Ok(()) => said_past(json),
         Err(BoardError::Link(LinkError::PortBusy(_))) => Err(Failure::from(held).remedy(
             "to disarm at once end that tool (Ctrl-C), pull the USB cable of a board whose rules watch the host, or use the \
              emergency stop",
         )),
         Err(other) => Err(other.into()),
     }
+}
+
+fn said_past(json: Json) -> Result<(), Failure> {
+    let said = "disarmed past the tool that holds the board: the motors are off\n";
+    json.answer(json!({ "state": "Disarmed" }), said)
 }

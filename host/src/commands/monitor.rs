@@ -42,14 +42,14 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     let stop = interrupt::watch().flag();
     let shown = Shown::of(args.port, args.device.as_ref(), args.scene.as_ref(), args.rate, args.record_to)?;
-    let (hub, events) = Hub::new();
+    let hub = Hub::default();
     let mut screen = None;
     let opened = || {
         let hub = hub.clone();
         screen = Some(thread::spawn(move || monitor::run(&hub, stop)));
         Ok(())
     };
-    let played = shown.play(&hub, &events, stop, opened, |_| {});
+    let played = shown.play(&hub, stop, opened, |_| {});
     // The terminal is itself again before anything is said on it.
     let ended = stop.swap(true, Ordering::SeqCst);
     let drawn = screen.map_or(Ok(Ok(())), thread::JoinHandle::join);

@@ -38,6 +38,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
             .remedy("end what listens there, such as Haply's own service, or choose another --listen PORT")
     })?;
     let url = listening.url().map_err(Failure::impossible)?;
-    print(&format!("{} is an Inverse3 for programs, at {url}\nCtrl-C ends it\n", device.id()))?;
+    let page = listening.url_for_pages().map_err(Failure::impossible)?;
+    print(&format!(
+        "{} is an Inverse3 for programs, at {url}\na page in a browser here uses {page}\nCtrl-C ends it\n",
+        device.id()
+    ))?;
     Ok(listening.serve(device, stop.flag())?)
 }

@@ -295,7 +295,7 @@ impl Follow {
             writer.flush()?;
             if std::io::stderr().is_terminal() {
                 let size = if self.sized { format!(", {}", bytes_in_words(writer.bytes())) } else { String::new() };
-                haptic::error::say(format_args!("\r{losses}{size}   "));
+                haptic::error::say_over(format_args!("{losses}{size}   "), false);
             }
         } else if losses.missing > self.shown.missing || losses.garbled > self.shown.garbled {
             haptic::tell!("{losses}");

@@ -7,14 +7,13 @@ use haptic::interrupt;
 use haptic::link::PortSpec;
 use haptic::output;
 use haptic::scene_file::SceneFile;
-use haptic::view::hub::{Event, Hub};
+use haptic::view::hub::Hub;
 use haptic::view::{PageListener, Reach, Stage, World};
 use haptic_bridge::render::scene::Scene;
 use std::fmt::Display;
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::Receiver;
 use std::thread;
 use std::time::Duration;
 
@@ -129,7 +128,6 @@ impl Shown {
     pub(super) fn play(
         &self,
         hub: &Hub,
-        events: &Receiver<Event>,
         stop: &AtomicBool,
         opened: impl FnOnce() -> Result<(), Failure>,
         lost: impl Fn(&str),
@@ -137,7 +135,7 @@ impl Shown {
         let mut stage = Stage::open(self.open()?, hub.clone(), self.rate, Some(self.folder.clone()))?;
         opened()?;
         loop {
-            let Err(error) = stage.run(events, stop) else { return Ok(()) };
+            let Err(error) = stage.run(stop) else { return Ok(()) };
             if matches!(self.port.spec(), PortSpec::Sim(_)) {
                 return Err(error.into());
             }
@@ -150,7 +148,7 @@ impl Shown {
                     return Err(error.into());
                 }
                 let told = serde_json::json!({"is": "lost", "why": why}).to_string();
-                hub.to_all(|outbox| outbox.messages.push_back(told.clone()));
+                hub.to_all(|outbox| outbox.tell(told.clone()));
                 thread::sleep(AGAIN);
                 match self.open_again(hub) {
                     Ok(back) => break back,
@@ -162,7 +160,7 @@ impl Shown {
                 }
             };
             // Nobody is in command of a board that has just come back.
-            while events.try_recv().is_ok() {}
+            hub.forget();
         }
     }
 }
@@ -171,7 +169,7 @@ impl Shown {
 pub fn run(args: Args) -> Result<(), Failure> {
     let stop = interrupt::watch();
     let shown = Shown::of(args.port, args.device.as_ref(), args.scene.as_ref(), args.rate, args.record_to)?;
-    let (hub, events) = Hub::new();
+    let hub = Hub::default();
     let opened = || {
         let door = match &args.listen {
             Some(text) => {
@@ -195,5 +193,5 @@ pub fn run(args: Args) -> Result<(), Failure> {
         door.serve(hub.clone());
         Ok(())
     };
-    shown.play(&hub, &events, stop.flag(), opened, |lost| haptic::tell!("{lost}; waiting for it"))
+    shown.play(&hub, stop.flag(), opened, |lost| haptic::tell!("{lost}; waiting for it"))
 }

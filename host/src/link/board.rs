@@ -57,6 +57,16 @@ impl PolarityOutcome {
     }
 }
 
+/// A board whose motors [`Board::stop`] has turned off.
+pub enum Stopped {
+    /// It is this tool's now.
+    Open(Box<Board>),
+    /// It speaks this version of the protocol, so nothing more can be asked of it.
+    Unlike(u16),
+    /// Another tool holds it.
+    Past,
+}
+
 /// An open board of this tool's protocol version.
 pub struct Board {
     client: Client,
@@ -66,17 +76,43 @@ pub struct Board {
     garbled_before: u64,
     heartbeat: bool,
     last_heartbeat: Duration,
+    /// The newest counter of the dead man's key that is down.
+    key: Option<u32>,
     force_patience: Duration,
+    /// By which the board tells what this tool has put aside from what another has.
+    session: u32,
     faults: Vec<FaultRecord>,
 }
 
 impl Board {
     /// A board behind an open wire; `port` is what messages call it.
     pub fn over(wire: Box<dyn Wire>, port: impl Into<String>) -> Result<Self, LinkError> {
+        Self::greet(Self::reach(wire)?, port.into())
+    }
+
+    fn reach(wire: Box<dyn Wire>) -> Result<Client, LinkError> {
         let mut client = Client::new(wire);
-        let port = port.into();
         // A tool that was killed may have left half a request in the board's buffer: end it first.
         client.end_frame()?;
+        Ok(client)
+    }
+
+    /// Turns the motors of a board behind an open wire off, before anything else is asked of it: of any version of the
+    /// protocol, and also where a server lets only this request past the tool that holds the board.
+    pub(crate) fn stop_over(wire: Box<dyn Wire>, port: impl Into<String>) -> Result<Stopped, BoardError> {
+        let (mut client, port) = (Self::reach(wire)?, port.into());
+        match client.call::<p::Disarm>(&(), ANSWER + client.slack()) {
+            Err(_) if client.was_told_occupied() => return Err(LinkError::HeldByAnother(port).into()),
+            outcome => outcome??,
+        }
+        Ok(match Self::greet(client, port) {
+            Ok(board) => Stopped::Open(Box::new(board)),
+            Err(LinkError::Version { board, .. }) => Stopped::Unlike(board),
+            Err(_) => Stopped::Past,
+        })
+    }
+
+    fn greet(mut client: Client, port: String) -> Result<Self, LinkError> {
         let info = match client.call::<p::GetInfo>(&(), ANSWER + client.slack()) {
             Err(_) if client.was_told_occupied() => return Err(LinkError::HeldByAnother(port)),
             other => other?,
@@ -92,7 +128,9 @@ impl Board {
             garbled_before: 0,
             heartbeat: false,
             last_heartbeat: Duration::ZERO,
+            key: None,
             force_patience: FORCE_PATIENCE,
+            session: unlike_any_before(),
             faults: Vec::new(),
         })
     }
@@ -202,7 +240,20 @@ impl Board {
     }
     /// Motors off.
     pub fn disarm(&mut self) -> Result<(), BoardError> {
+        self.key = None;
         self.change::<p::Disarm>(&())
+    }
+    /// A dead man's key is down: whoever sees it has counted to `count`, wrapping, and counts on while it is. Call this
+    /// with every new number, the first one before [`Board::arm`]. From then on the board turns its motors off, as a
+    /// fault, half a second after the number has changed the last time, however often this is called.
+    pub fn hold_key(&mut self, count: u32) -> Result<(), LinkError> {
+        self.key = Some(count);
+        self.last_heartbeat = self.now();
+        self.ask::<p::Heartbeat>(&p::Beat::Held(count), ANSWER)
+    }
+    /// The key is no longer told of: something else has turned the motors off.
+    pub fn forget_key(&mut self) {
+        self.key = None;
     }
     /// Asks for a force at the tip, joint torques or a contact, for as long as its lease runs; reads how the device is.
     /// What was not done says so in the answer.
@@ -250,13 +301,15 @@ impl Board {
     pub fn read_entry(&mut self, key: Key) -> Result<Option<Entry>, LinkError> {
         self.ask::<p::ReadEntry>(&key, ANSWER)
     }
-    /// Puts a setting's bytes aside until [`Board::commit_entries`] names its key.
+    /// Puts a setting's bytes aside until [`Board::commit_entries`] names its key. Only this `Board` can, and only
+    /// until another one puts something aside.
     pub fn stage_entry(&mut self, key: Key, entry: Entry) -> Result<(), BoardError> {
-        Ok(self.ask::<p::StageEntry>(&p::WriteEntry { key, entry }, FLASH_ANSWER)??)
+        Ok(self.ask::<p::StageEntry>(&p::WriteEntry { session: self.session, key, entry }, FLASH_ANSWER)??)
     }
     /// Puts the staged settings of these keys in force and into flash, as one change.
     pub fn commit_entries(&mut self, keys: &p::KeyList) -> Result<(), BoardError> {
-        Ok(self.ask::<p::CommitEntries>(keys, FLASH_ANSWER)??)
+        let commit = p::Commit { session: self.session, keys: keys.clone() };
+        Ok(self.ask::<p::CommitEntries>(&commit, FLASH_ANSWER)??)
     }
     /// Gives the board a name.
     pub fn set_name(&mut self, name: &p::Name) -> Result<(), BoardError> {
@@ -349,7 +402,7 @@ impl Board {
         let now = self.client.now();
         if self.heartbeat && now.saturating_sub(self.last_heartbeat) >= HEARTBEAT {
             self.last_heartbeat = now;
-            self.ask::<p::Heartbeat>(&(), ANSWER)?;
+            self.ask::<p::Heartbeat>(&self.key.map_or(p::Beat::Here, p::Beat::Held), ANSWER)?;
         }
         Ok(())
     }

@@ -3,6 +3,7 @@
 use super::error::LinkError;
 use super::framing::{Deframer, Packet, encode};
 use super::wire::Wire;
+use haptic_bridge::board::protocol::Disarm;
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use postcard_rpc::standard_icd::{ERROR_KEY, WireError};
 use postcard_rpc::{Endpoint, Key, Topic};
@@ -49,6 +50,10 @@ const MOST_UNDER_WAY: usize = 8;
 /// A request on its way.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sent(VarSeq);
+
+/// The answer to a request to disarm once the motors are off, whatever the protocol's version: its key is of that
+/// version's refusals, its body this.
+const STOPPED: &[u8] = &[0];
 
 /// A number that is most likely not the one drawn last, in this process or another.
 pub(super) fn unlike_any_before() -> u32 {
@@ -142,7 +147,8 @@ impl Client {
         let answered = self.answered(sent, E::PATH, timeout);
         self.under_way.retain(|(number, _)| *number != sent.0);
         let frame = answered?;
-        if frame.header.key == VarKey::Key8(E::RESP_KEY) {
+        let stopped = E::REQ_KEY == Disarm::REQ_KEY && frame.body == STOPPED;
+        if frame.header.key == VarKey::Key8(E::RESP_KEY) || stopped {
             return postcard::from_bytes(&frame.body).map_err(|_| LinkError::Unreadable { what: E::PATH });
         }
         let error: WireError =
@@ -195,7 +201,10 @@ impl Client {
         let (under_way, waiting, topics) = (&self.under_way, &mut self.answers, &mut self.topics);
         self.deframer.feed(&self.buffer[..count], |frame| {
             let VarHeader { key, seq_no } = frame.header;
-            let answers = |to: &(VarSeq, VarKey)| to.0 == seq_no && (to.1 == key || key == VarKey::Key8(ERROR_KEY));
+            let stopped = |to: VarKey| to == VarKey::Key8(Disarm::RESP_KEY) && frame.body == STOPPED;
+            let answers = |to: &(VarSeq, VarKey)| {
+                to.0 == seq_no && (to.1 == key || key == VarKey::Key8(ERROR_KEY) || stopped(to.1))
+            };
             if under_way.iter().any(answers) {
                 waiting.push_back(frame);
             } else {

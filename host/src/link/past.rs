@@ -13,7 +13,8 @@ use std::time::Duration;
 
 /// How long the answer to one request is waited for.
 const PATIENCE: Duration = Duration::from_millis(400);
-/// How often the request is sent at most where another tool may read the answer: for ten seconds.
+/// How often the request is sent at most where another tool may read the answer, or a crowd before a TCP door pushes a
+/// connection out: for ten seconds.
 const TRIES: usize = 25;
 
 /// Has the board at `port` disarm although another tool holds it.
@@ -21,15 +22,16 @@ const TRIES: usize = 25;
 /// Errors: [`LinkError::PortBusy`] where there is no way past the other tool; [`LinkError::Silent`] when the request
 /// was sent and no answer came.
 pub fn disarm_past(port: &PortSpec) -> Result<(), BoardError> {
-    let (wire, tries) = match port {
-        PortSpec::Tcp(address) => (ports::open_tcp(address)?, 1),
-        PortSpec::Serial(name) => (ports::open_beside(Some(name))?, TRIES),
-        PortSpec::Find | PortSpec::Sim(_) => (ports::open_beside(None)?, TRIES),
+    let open = || match port {
+        PortSpec::Tcp(address) => ports::open_tcp(address),
+        PortSpec::Serial(name) => ports::open_beside(Some(name)),
+        PortSpec::Find | PortSpec::Sim(_) => ports::open_beside(None),
     };
-    let mut client = Client::new(wire);
-    for _ in 1..tries {
+    let mut client = Client::new(open()?);
+    for _ in 1..TRIES {
         match client.call::<Disarm>(&(), PATIENCE) {
             Err(LinkError::Silent { .. }) => {}
+            Err(LinkError::Lost(_)) => client = Client::new(open()?),
             answered => return Ok(answered??),
         }
     }

@@ -4,6 +4,7 @@
 //! board in silence gives way to it, and a request to disarm gets through in any case.
 
 use crate::link::{Deframer, Occupied, encode, nothing_yet};
+use crate::places::{Place, Places};
 use haptic_bridge::board::protocol::Disarm;
 use postcard_rpc::Endpoint as _;
 use postcard_rpc::Topic;
@@ -21,9 +22,11 @@ pub(super) enum Event {
     Connected(Outgoing),
     Bytes(Vec<u8>),
     Gone,
-    /// A tool that found the board taken asks it to disarm: its request, and the way back.
-    Disarm(Vec<u8>, Outgoing),
 }
+
+/// A tool that found the board taken asks it to disarm: its request, and the way back. This has a queue of its own,
+/// which is looked at first: what the holder says, and how much of it, keeps it waiting for no longer than one block.
+pub(super) type Stop = (Vec<u8>, Outgoing);
 
 /// Bytes to the tool, carried by a thread of their own so that a tool that does not read stops nobody.
 pub(super) type Outgoing = SyncSender<Vec<u8>>;
@@ -34,8 +37,10 @@ const BLOCKS: usize = 8;
 pub(super) const BLOCK: usize = 4096;
 /// Blocks from a tool that wait for the board.
 const EVENTS: usize = 16;
-/// Connections that are looked at while one holds the board; for more the oldest that says nothing is closed.
+/// Connections that are looked at while one holds the board; for more one is closed, see [`Places`].
 const KNOCKING: usize = 16;
+/// Requests to disarm that wait for the board.
+pub(super) const STOPS: usize = KNOCKING;
 /// How long a connection that is turned away may take to say what it wants. One that says nothing keeps no other out.
 const REQUEST: Duration = Duration::from_secs(10);
 /// How long a tool that disarms past another one hears what the board says.
@@ -62,6 +67,7 @@ pub struct ToolListener {
     /// The word that a tool writes after `--port`.
     pub port: String,
     pub(super) events: Receiver<Event>,
+    pub(super) stops: Receiver<Stop>,
 }
 
 /// Opens a pseudo-terminal.
@@ -76,6 +82,8 @@ pub fn pseudo_terminal() -> io::Result<ToolListener> {
     // One for all tools: it outlasts them, because a tool that comes right after another may come unnoticed.
     let writer = outgoing(master.try_clone_native()?, Lost::Block);
     let (send, events) = sync_channel(EVENTS);
+    // Who disarms past another tool opens the terminal beside it: its request comes among that one's bytes.
+    let (_, stops) = sync_channel(STOPS);
     thread::spawn(move || {
         let mut connected = false;
         let mut buffer = [0; BLOCK];
@@ -102,7 +110,7 @@ pub fn pseudo_terminal() -> io::Result<ToolListener> {
             }
         }
     });
-    Ok(ToolListener { port, events })
+    Ok(ToolListener { port, events, stops })
 }
 
 /// Listens on a TCP address; port 0 takes any that is free. Only this computer is let in unless the address says more.
@@ -110,79 +118,70 @@ pub fn tcp(address: SocketAddr, patience: Patience) -> io::Result<ToolListener> 
     let listener = TcpListener::bind(address)?;
     let port = format!("tcp:{}", listener.local_addr()?);
     let (send, events) = sync_channel(EVENTS);
+    let (stop, stops) = sync_channel(STOPS);
     thread::spawn(move || {
         let holder = Holder::default();
-        let knocking = Knocking::default();
+        // Whom a tool on another computer comes from says nothing about it: there may be a relay between.
+        let places = Places::new(KNOCKING, KNOCKING);
         for stream in listener.incoming() {
             let Ok(stream) = stream else { continue };
-            let Some(seat) = knocking.enters(&stream) else { continue };
-            let (send, holder, knocking) = (send.clone(), holder.clone(), knocking.clone());
+            let Some(place) = places.enter(&stream) else { continue };
+            let (send, stop, holder) = (send.clone(), stop.clone(), holder.clone());
             thread::spawn(move || {
-                if holder.admits(&stream, seat, &knocking, patience) {
-                    knocking.leaves(seat);
-                    carry(stream, &send, &holder, seat);
-                } else {
-                    let request = turn_away(&stream);
-                    knocking.leaves(seat);
-                    if let Some(request) = request {
-                        let _ = disarm_for(stream, request, &send);
+                let request = match holder.admits(&stream, &place, patience) {
+                    Admission::Holds(seat) => {
+                        drop(place);
+                        return carry(stream, &send, &holder, seat);
                     }
+                    Admission::Stops(request) => Some(request),
+                    Admission::Refused => turn_away(&stream),
+                };
+                if let Some(request) = request {
+                    let _ = disarm_for(stream, request, &stop);
                 }
             });
         }
     });
-    Ok(ToolListener { port, events })
+    Ok(ToolListener { port, events, stops })
 }
 
-/// The connections that are looked at, oldest first.
-#[derive(Clone, Default)]
-struct Knocking(Arc<Mutex<Vec<Knock>>>);
-
-struct Knock {
-    seat: u64,
-    stream: TcpStream,
-    /// A tool speaks at once; what does not keeps no tool out.
-    spoke: bool,
+/// What a connection that is looked at has said so far.
+enum Heard {
+    Nothing,
+    /// Something, but no request to disarm.
+    Something,
+    /// That request.
+    Disarm(Vec<u8>),
+    /// It is closed.
+    Gone,
 }
 
-impl Knocking {
-    fn lock(&self) -> MutexGuard<'_, Vec<Knock>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// A number for the connection that no other has, none when there is no room because all speak.
-    fn enters(&self, stream: &TcpStream) -> Option<u64> {
-        static SEATS: AtomicU64 = AtomicU64::new(0);
-        let mut knocks = self.lock();
-        if knocks.len() >= KNOCKING {
-            let silent = knocks.iter().position(|knock| !knock.spoke)?;
-            let _ = knocks.remove(silent).stream.shutdown(Shutdown::Both);
-        }
-        let (seat, stream) = (SEATS.fetch_add(1, Ordering::SeqCst), stream.try_clone().ok()?);
-        knocks.push(Knock { seat, stream, spoke: false });
-        Some(seat)
-    }
-
-    /// Waits for a first byte of a connection, for 10 ms, and says whether there is one; none when it is closed.
-    fn hears(&self, stream: &TcpStream, seat: u64) -> Option<bool> {
-        let pause = Duration::from_millis(10);
-        let _ = stream.set_read_timeout(Some(pause));
-        match stream.peek(&mut [0]) {
-            Ok(0) => None,
-            Ok(_) => {
-                let mut knocks = self.lock();
-                knocks.iter_mut().filter(|knock| knock.seat == seat).for_each(|knock| knock.spoke = true);
-                drop(knocks);
-                thread::sleep(pause);
-                Some(true)
+/// Waits for the first bytes of a connection, for 10 ms, and leaves them unread.
+fn hears(stream: &TcpStream, place: &Place) -> Heard {
+    let pause = Duration::from_millis(10);
+    let _ = stream.set_read_timeout(Some(pause));
+    let mut bytes = [0; 64];
+    match stream.peek(&mut bytes) {
+        Ok(0) => Heard::Gone,
+        Ok(count) => {
+            place.spoke();
+            if let Some(request) = disarm_in(&bytes[..count]) {
+                return Heard::Disarm(request);
             }
-            Err(error) => nothing_yet(&error).then_some(false),
+            thread::sleep(pause);
+            Heard::Something
         }
+        Err(error) if nothing_yet(&error) => Heard::Nothing,
+        Err(_) => Heard::Gone,
     }
+}
 
-    fn leaves(&self, seat: u64) {
-        self.lock().retain(|knock| knock.seat != seat);
-    }
+/// The request to disarm, where that is the first that is asked for.
+fn disarm_in(bytes: &[u8]) -> Option<Vec<u8>> {
+    let mut first = None;
+    Deframer::default().feed(bytes, |frame| first = first.take().or(Some(frame)));
+    let asked = first.filter(|frame| frame.header.key == VarKey::Key8(Disarm::REQ_KEY))?;
+    Some(encode(&asked.header, &asked.body))
 }
 
 /// The connection that holds the board.
@@ -196,6 +195,16 @@ struct Held {
     heard: Instant,
 }
 
+/// Whether a connection gets the board.
+enum Admission {
+    /// It does, under this number.
+    Holds(u64),
+    /// It does not, and asks for the motors to go off.
+    Stops(Vec<u8>),
+    /// It does not.
+    Refused,
+}
+
 impl Holder {
     fn lock(&self) -> MutexGuard<'_, Option<Held>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
@@ -203,7 +212,8 @@ impl Holder {
 
     /// Gives the board to this connection if it becomes free in time; one that says something gets it as well where it
     /// is held in silence.
-    fn admits(&self, stream: &TcpStream, seat: u64, knocking: &Knocking, patience: Patience) -> bool {
+    fn admits(&self, stream: &TcpStream, place: &Place, patience: Patience) -> Admission {
+        static SEATS: AtomicU64 = AtomicU64::new(0);
         let began = Instant::now();
         let mut spoke = false;
         loop {
@@ -212,9 +222,10 @@ impl Holder {
                 match &*held {
                     None => {
                         let _ = stream.set_read_timeout(None);
-                        let Ok(stream) = stream.try_clone() else { return false };
+                        let Ok(stream) = stream.try_clone() else { return Admission::Refused };
+                        let seat = SEATS.fetch_add(1, Ordering::SeqCst);
                         *held = Some(Held { seat, stream, heard: Instant::now() });
-                        return true;
+                        return Admission::Holds(seat);
                     }
                     // Its reading thread sees the end, and frees the board.
                     Some(silent) if spoke && silent.heard.elapsed() > patience.silence => {
@@ -223,9 +234,12 @@ impl Holder {
                     Some(_) => {}
                 }
             }
-            match knocking.hears(stream, seat) {
-                Some(heard) if began.elapsed() <= patience.handover => spoke = heard,
-                _ => return false,
+            match hears(stream, place) {
+                Heard::Disarm(request) => return Admission::Stops(request),
+                Heard::Gone => return Admission::Refused,
+                _ if began.elapsed() > patience.handover => return Admission::Refused,
+                Heard::Nothing => spoke = false,
+                Heard::Something => spoke = true,
             }
         }
     }
@@ -296,12 +310,17 @@ pub fn turn_away(stream: &TcpStream) -> Option<Vec<u8>> {
 }
 
 /// Has the board disarm for a tool that does not hold it, and lets that tool hear the answer.
-fn disarm_for(stream: TcpStream, request: Vec<u8>, send: &SyncSender<Event>) -> io::Result<()> {
+fn disarm_for(stream: TcpStream, request: Vec<u8>, stop: &SyncSender<Stop>) -> io::Result<()> {
     let answers = tcp_outgoing(&stream)?;
-    let _ = send.send(Event::Disarm(request, answers));
+    let _ = stop.send((request, answers));
     stream.set_read_timeout(Some(DISARM_ANSWER))?;
     let mut reader = stream;
-    let _ = reader.read(&mut [0; BLOCK]);
+    // The request may still be unread: what follows it is the end.
+    let (mut buffer, mut deframer, mut after) = ([0; BLOCK], Deframer::default(), 0);
+    while after < 2 {
+        let Ok(count @ 1..) = reader.read(&mut buffer) else { break };
+        deframer.feed(&buffer[..count], |_| after += 1);
+    }
     Ok(())
 }
 

@@ -4,7 +4,7 @@
 //! so that a tool that floods or does not read costs no memory.
 
 use super::board::SimulatedBoard;
-use super::door::{BLOCK, DISARM_ANSWER, Event, Outgoing, ToolListener};
+use super::door::{BLOCK, DISARM_ANSWER, Event, Outgoing, STOPS, Stop, ToolListener};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, TryRecvError, TrySendError};
 use std::time::{Duration, Instant};
@@ -33,6 +33,9 @@ pub fn serve(board: &mut SimulatedBoard, door: &ToolListener, pace: Pace, stop: 
     let mut server = Server::new(board, pace);
     while !stop.load(Ordering::SeqCst) {
         let now = began.elapsed().as_secs_f64();
+        if let Ok(stop) = door.stops.try_recv() {
+            server.stop(now, stop);
+        }
         let due = server.due(now);
         let event = match due {
             Due::Nothing => {
@@ -118,12 +121,6 @@ impl<'a> Server<'a> {
                 self.tools.waiting = None;
                 self.board.hang_up();
             }
-            Some(Event::Disarm(request, answers)) => {
-                // Ends whatever the holder was in the middle of.
-                self.board.receive(&[0]);
-                self.board.receive(&request);
-                self.tools.guests.push((answers, now));
-            }
             None => {}
         }
         if due == Due::Time {
@@ -133,6 +130,18 @@ impl<'a> Server<'a> {
             self.board.run(SLICE);
         }
         self.tools.guests.retain(|(_, since)| now - since < DISARM_ANSWER.as_secs_f64());
+        self.tools.pass_on(self.board);
+    }
+
+    /// Has the board disarm for a tool that does not hold it.
+    fn stop(&mut self, now: f64, (request, answers): Stop) {
+        // Ends whatever the holder was in the middle of.
+        self.board.receive(&[0]);
+        self.board.receive(&request);
+        if self.tools.guests.len() >= STOPS {
+            self.tools.guests.remove(0);
+        }
+        self.tools.guests.push((answers, now));
         self.tools.pass_on(self.board);
     }
 }
@@ -284,7 +293,7 @@ mod tests {
         let (guest, told) = sync_channel(8);
         // In the middle of what the holder says.
         server.turn(0.0, Due::Events, Some(Event::Bytes(vec![1, 2, 3])));
-        server.turn(0.0, Due::Events, Some(Event::Disarm(request::<Disarm>(&()), guest)));
+        server.stop(0.0, (request::<Disarm>(&()), guest));
         assert_eq!(server.board.status().state, State::Disarmed);
         assert!(!told.try_recv().unwrap().is_empty());
         server.turn(1.5, Due::Events, None);

@@ -1,5 +1,8 @@
 //! The door: HTTP and WebSocket on one port of this computer.
 //!
+//! Who has not yet shown that he may come in has one of a few places for a short time, and gives it to whoever comes after
+//! him; who may has another. No page costs more than a bounded memory, or is listened to more often than it is its turn.
+//!
 //! `GET /` is the page, `GET /live` the WebSocket behind it. Only this computer is let in unless the address says more,
 //! and then only who knows the token. A page of another site that runs in the same browser is kept out as well: the
 //! request must name this server by its address (or `localhost`), and come from a page of this server.
@@ -7,6 +10,7 @@
 use super::hub::{self, Hub, PageId};
 use super::message::FromPage;
 use crate::link::nothing_yet;
+use crate::places::{Place, Places};
 use std::io::{self, Read, Write};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::sync::Arc;
@@ -26,14 +30,20 @@ const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 
 /// Longest head of a request, bytes.
 const HEAD: usize = 8192;
 /// How long a head may take to come.
-const HEAD_TIME: Duration = Duration::from_secs(5);
+const HEAD_TIME: Duration = Duration::from_secs(2);
+/// Connections at once whose head has not been read, and of these from one address: a browser opens six.
+const HANDSHAKES: (usize, usize) = (32, 8);
 /// Longest message of a page, bytes.
 const MESSAGE: usize = 16 * 1024;
 /// How long a page's thread listens before it looks for what waits for the page: 8 ms, half a picture.
 const LISTEN: Duration = Duration::from_millis(8);
+/// How many messages of a page it hears in that time; a page that says more waits.
+const MESSAGES: usize = 32;
+/// Most bytes that wait on their way to a page: some pictures with sweeps and sound.
+const UNREAD: usize = 4 * 1024 * 1024;
 /// How long a page may leave what it was sent unread.
 const SEND: Duration = Duration::from_secs(2);
-/// Connections at once, pages and others.
+/// Connections at once of those who may come in, pages and others.
 const CONNECTIONS: usize = 64;
 
 /// For whom an address that is printed is of use.
@@ -87,18 +97,15 @@ impl PageListener {
     pub fn serve(self, hub: Hub) {
         let token = Arc::new(self.token);
         let open = Arc::new(AtomicUsize::new(0));
+        let handshakes = Places::new(HANDSHAKES.0, HANDSHAKES.1);
         thread::spawn(move || {
             for stream in self.listener.incoming() {
                 let Ok(stream) = stream else { continue };
-                if open.fetch_add(1, Ordering::SeqCst) >= CONNECTIONS {
-                    open.fetch_sub(1, Ordering::SeqCst);
-                    continue;
-                }
+                let Some(place) = handshakes.enter(&stream) else { continue };
                 let (hub, token, open) = (hub.clone(), Arc::clone(&token), Arc::clone(&open));
                 thread::spawn(move || {
                     // A connection that fails is the browser's business: it says so and comes again.
-                    let _ = greet(stream, &hub, token.as_deref());
-                    open.fetch_sub(1, Ordering::SeqCst);
+                    let _ = greet(stream, place, &hub, token.as_deref(), &open);
                 });
             }
         });
@@ -122,7 +129,7 @@ fn local(all: IpAddr) -> IpAddr {
 }
 
 /// 128 bits that nobody guesses.
-fn token() -> io::Result<String> {
+pub(crate) fn token() -> io::Result<String> {
     let mut bytes = [0_u8; 16];
     getrandom::fill(&mut bytes).map_err(io::Error::other)?;
     Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
@@ -153,6 +160,11 @@ pub(crate) fn head(stream: &mut TcpStream) -> Option<Request> {
 /// Why a request is not served: status and words.
 type Refused = (&'static str, &'static str);
 
+/// The token that a request shows.
+pub(crate) fn shown_token(request: &Request) -> Option<&str> {
+    request.uri().query().unwrap_or_default().split('&').find_map(|part| part.strip_prefix("token="))
+}
+
 /// Whether a request comes from a page of this server, and from somebody who may.
 fn admit(request: &Request, token: Option<&str>) -> Result<(), Refused> {
     let header = |name: &str| request.headers().get(name).and_then(|value| value.to_str().ok());
@@ -164,14 +176,19 @@ fn admit(request: &Request, token: Option<&str>) -> Result<(), Refused> {
     if header("origin").is_some_and(|origin| origin != format!("http://{host}")) {
         return Err(("403 Forbidden", "this page belongs to another site"));
     }
-    let given = request.uri().query().unwrap_or_default().split('&').find_map(|part| part.strip_prefix("token="));
-    if token.is_some_and(|token| given != Some(token)) {
+    if token.is_some_and(|token| shown_token(request) != Some(token)) {
         return Err(("403 Forbidden", "the token is missing or wrong: open the address that `haptic view` printed"));
     }
     Ok(())
 }
 
-fn greet(mut stream: TcpStream, hub: &Hub, token: Option<&str>) -> tungstenite::Result<()> {
+fn greet(
+    mut stream: TcpStream,
+    place: Place,
+    hub: &Hub,
+    token: Option<&str>,
+    open: &AtomicUsize,
+) -> tungstenite::Result<()> {
     stream.set_nodelay(true)?;
     stream.set_write_timeout(Some(SEND))?;
     let Some(request) = head(&mut stream) else {
@@ -180,11 +197,15 @@ fn greet(mut stream: TcpStream, hub: &Hub, token: Option<&str>) -> tungstenite::
     if let Err(refused) = admit(&request, token) {
         return answer(&mut stream, refused);
     }
-    match request.uri().path() {
-        "/" => page(&mut stream),
-        "/live" => live(stream, &request, hub),
-        _ => answer(&mut stream, ("404 Not Found", "nothing is here; the page is at /")),
-    }
+    drop(place);
+    let ended = match (open.fetch_add(1, Ordering::SeqCst) < CONNECTIONS, request.uri().path()) {
+        (false, _) => answer(&mut stream, ("503 Service Unavailable", "too many connections are open")),
+        (true, "/") => page(&mut stream),
+        (true, "/live") => live(stream, &request, hub),
+        (true, _) => answer(&mut stream, ("404 Not Found", "nothing is here; the page is at /")),
+    };
+    open.fetch_sub(1, Ordering::SeqCst);
+    ended
 }
 
 fn page(stream: &mut TcpStream) -> tungstenite::Result<()> {
@@ -229,16 +250,28 @@ fn converse(
 ) -> tungstenite::Result<()> {
     write_response(&mut stream, response)?;
     stream.set_read_timeout(Some(LISTEN))?;
-    let config = WebSocketConfig::default().max_message_size(Some(MESSAGE)).max_frame_size(Some(MESSAGE));
+    let config = WebSocketConfig::default()
+        .max_message_size(Some(MESSAGE))
+        .max_frame_size(Some(MESSAGE))
+        .max_write_buffer_size(UNREAD);
     let mut socket = WebSocket::from_raw_socket(stream, Role::Server, Some(config));
     loop {
-        match socket.read() {
-            Ok(Message::Text(text)) => hub.said(id, FromPage::parse(&text)),
-            Ok(Message::Binary(_)) => hub.said(id, Err("not a message of this page: it is binary".into())),
-            Ok(Message::Close(_)) => return Ok(()),
-            Ok(_) => {}
-            Err(tungstenite::Error::Io(error)) if nothing_yet(&error) => {}
-            Err(error) => return Err(error),
+        let began = Instant::now();
+        for heard in 1..=MESSAGES {
+            match socket.read() {
+                Ok(Message::Text(text)) => hub.said(id, FromPage::parse(&text)),
+                Ok(Message::Binary(_)) => hub.said(id, Err("not a message of this page: it is binary".into())),
+                Ok(Message::Close(_)) => return Ok(()),
+                Ok(_) => {}
+                Err(tungstenite::Error::Io(error)) if nothing_yet(&error) => break,
+                Err(error) => return Err(error),
+            }
+            match LISTEN.checked_sub(began.elapsed()) {
+                // A page that has said so much says the rest when it is its turn again.
+                Some(left) if heard == MESSAGES => thread::sleep(left),
+                Some(_) => {}
+                None => break,
+            }
         }
         for message in hub.take(id).messages() {
             socket.write(match message {

@@ -14,9 +14,16 @@ pub enum FromPage {
     /// Give it back.
     Give {},
     /// The dead man's key was pressed: motors on.
-    Arm {},
+    Arm {
+        /// As in [`FromPage::Hold`].
+        count: u32,
+    },
     /// It is still down; said several times a second. Where it is not known to be, nothing happens: only a press arms.
-    Hold {},
+    Hold {
+        /// Counted up, wrapping, by whatever sees the key, each time that it sees the key down: the same number again
+        /// says nothing.
+        count: u32,
+    },
     /// It was let go: motors off.
     Release {},
     /// Motors off. Any page may.
@@ -109,14 +116,16 @@ mod tests {
 
     #[test]
     fn messages_are_read_and_what_is_none_is_refused() {
-        assert_eq!(FromPage::parse(r#"{"do":"arm"}"#), Ok(FromPage::Arm {}));
+        assert_eq!(FromPage::parse(r#"{"do":"arm","count":1}"#), Ok(FromPage::Arm { count: 1 }));
         assert_eq!(FromPage::parse(r#"{"do":"hand","at":null}"#), Ok(FromPage::Hand { at: None }));
         for bad in [
             "",
             "hold",
             "[]",
             r#"{"do":"jump"}"#,
-            r#"{"do":"hold","x":1}"#,
+            r#"{"do":"hold"}"#,
+            r#"{"do":"hold","count":-1}"#,
+            r#"{"do":"hold","count":1,"x":1}"#,
             r#"{"do":"sound"}"#,
             r#"{"do":"sound","on":1}"#,
             r#"{"do":"sound","on":true,"and":1}"#,

@@ -1,8 +1,9 @@
 //! The stage: the one thread that owns the board. It hears the pages, lets time pass, and shows what there is to see.
 //!
-//! One page commands, the others watch. The motors are on only while the page in command holds its key down and says
-//! so: a page that lets go, closes, or is not heard for [`SILENCE`] turns them off. Any page may turn them off. Should
-//! this process die, the board hears no heartbeat and turns them off by itself.
+//! One page commands, the others watch. The motors are on only while the page in command holds its key down and counts:
+//! a page that lets go, closes, or says no new number for [`SILENCE`] turns them off. Any page may turn them off. The
+//! number goes on to the board ([`Board::hold_key`]), which turns them off by itself where this process dies, is stopped,
+//! or comes too late to say it.
 //!
 //! It reads no clock: whoever calls [`Stage::turn`] says what time it is. The tool does so in a loop ([`Stage::run`]),
 //! the page as a file whenever the browser lets it (playground/).
@@ -32,14 +33,16 @@ use serde_json::json;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::Receiver;
 use std::thread;
 use std::time::{Duration, Instant};
 use told::{in_words, plane_message};
 
-/// How long the page in command may be silent with its key down before the motors go off: as long as a board lets its
-/// host be silent, unless told otherwise. A page says six times in it that its key is down.
-pub const SILENCE: Duration = Duration::from_millis(500);
+/// How many events are heard in a turn; what turns motors off comes first among them ([`Hub::next`]).
+const EVENTS: usize = 64;
+/// How long the page in command may be silent with its key down before the motors go off: a little less than what a board
+/// allows the key's counter ([`haptic_bridge::servo::KEY_SECONDS`]), where it is a fault. A page says five times in it
+/// that its key is down.
+pub const SILENCE: Duration = Duration::from_millis(450);
 /// How long it may be silent at all before others may take command.
 const ABSENCE: Duration = Duration::from_secs(5);
 /// Between two pictures: 60 a second.
@@ -89,8 +92,8 @@ pub struct Stage {
     scopes: BTreeMap<PageId, Scope>,
     listeners: Vec<PageId>,
     command: Option<(PageId, Duration)>,
-    /// When the key was last said to be down.
-    held: Option<Duration>,
+    /// The newest counter of the key that is down, and when it came.
+    held: Option<(u32, Duration)>,
     goal: Option<[f64; 2]>,
     state: State,
     fault: Option<String>,
@@ -174,8 +177,8 @@ impl Stage {
     }
 
     /// Plays until `stop` is set or the board is lost. The motors are off afterwards.
-    pub fn run(&mut self, events: &Receiver<Event>, stop: &AtomicBool) -> Result<(), LinkError> {
-        let played = self.play(events, stop);
+    pub fn run(&mut self, stop: &AtomicBool) -> Result<(), LinkError> {
+        let played = self.play(stop);
         self.stop_recording(played.is_err());
         // A board that is lost turns them off itself.
         let disarmed = self.board().disarm();
@@ -188,10 +191,10 @@ impl Stage {
         played
     }
 
-    fn play(&mut self, events: &Receiver<Event>, stop: &AtomicBool) -> Result<(), LinkError> {
+    fn play(&mut self, stop: &AtomicBool) -> Result<(), LinkError> {
         let (began, opened) = (Instant::now(), self.now);
         while !stop.load(Ordering::SeqCst) {
-            if self.turn(opened + began.elapsed(), events)? == Turn::Ahead {
+            if self.turn(opened + began.elapsed())? == Turn::Ahead {
                 thread::sleep(Duration::from_millis(1));
             }
         }
@@ -200,9 +203,10 @@ impl Stage {
 
     /// Does what is due at `now`, the time since the stage was opened: hears the pages, lets a few milliseconds pass,
     /// shows what there is to see.
-    pub fn turn(&mut self, now: Duration, events: &Receiver<Event>) -> Result<Turn, LinkError> {
+    pub fn turn(&mut self, now: Duration) -> Result<Turn, LinkError> {
         self.now = now;
-        while let Ok(event) = events.try_recv() {
+        for _ in 0..EVENTS {
+            let Some(event) = self.hub.next() else { break };
             self.hear(event)?;
         }
         self.watch_the_key()?;
@@ -270,7 +274,7 @@ impl Stage {
         let state = State::ALL.get(code).copied().unwrap_or_default();
         if state == State::Fault && (self.state != State::Fault || self.fault.is_none()) {
             self.fault = self.board().status()?.fault.as_ref().map(in_words);
-            self.held = None;
+            self.forget_key();
         }
         if state != State::Fault && self.state == State::Fault {
             self.fault = None;
@@ -279,7 +283,7 @@ impl Stage {
         let went_off = self.state == State::Armed && state == State::Disarmed && self.held.is_some();
         self.state = state;
         if went_off && self.board().status()?.state == State::Disarmed {
-            self.held = None;
+            self.forget_key();
             self.refuse_all("another tool turned the motors off");
         }
         Ok(())
@@ -287,7 +291,7 @@ impl Stage {
 
     /// The dead man's key: silence counts as letting go.
     fn watch_the_key(&mut self) -> Result<(), LinkError> {
-        if self.held.is_some_and(|said| self.now.saturating_sub(said) > SILENCE) {
+        if self.held.is_some_and(|(_, said)| self.now.saturating_sub(said) > SILENCE) {
             self.disarm()?;
             self.refuse_all("the page in command was not heard: motors off");
         }
@@ -295,6 +299,12 @@ impl Stage {
             self.leave()?;
         }
         Ok(())
+    }
+
+    /// The key is down no longer, or it is as if it were not.
+    fn forget_key(&mut self) {
+        self.held = None;
+        self.board().forget_key();
     }
 
     fn disarm(&mut self) -> Result<(), LinkError> {
@@ -332,6 +342,7 @@ impl Stage {
                 }
             }
             Event::Said(id, Err(why)) => self.refuse(id, &why),
+            Event::LeftOut(id, count) => self.refuse(id, &format!("too much at once: {count} messages were left out")),
             Event::Said(id, Ok(message)) => {
                 if let Some((holder, heard)) = &mut self.command
                     && *holder == id
@@ -390,7 +401,7 @@ impl Stage {
             _ => {}
         }
         if !self.commands(id) {
-            if !matches!(message, FromPage::Release {} | FromPage::Hold {}) {
+            if !matches!(message, FromPage::Release {} | FromPage::Hold { .. }) {
                 let why = match self.command {
                     Some(_) => "another page is in command; this one watches",
                     None => "nobody is in command: take it first",
@@ -402,12 +413,21 @@ impl Stage {
         match message {
             FromPage::Give {} => self.leave()?,
             FromPage::Release {} => self.disarm()?,
-            FromPage::Arm {} => {
-                self.board().arm()?;
-                self.held = Some(self.now);
+            FromPage::Arm { count } if self.held.is_none() => {
+                self.board().hold_key(count)?;
+                if let Err(refused) = self.board().arm() {
+                    self.forget_key();
+                    return Err(refused);
+                }
+                self.held = Some((count, self.now));
             }
             // Only a press arms: not a key that was down when something else turned the motors off.
-            FromPage::Hold {} => self.held = self.held.map(|_| self.now),
+            FromPage::Arm { count } | FromPage::Hold { count } => {
+                if self.held.is_some_and(|(before, _)| before != count) {
+                    self.held = Some((count, self.now));
+                    self.board().hold_key(count)?;
+                }
+            }
             FromPage::Clear {} => self.board().clear()?,
             FromPage::Record { on: true } => self.start_recording(id)?,
             FromPage::Record { on: false } => self.stop_recording(false),

@@ -3,7 +3,7 @@
 //! Two ways: a table of mistakes people make, each through the command itself, and every shipped file mutilated line by
 //! line, which no list of mistakes would cover.
 
-use crate::common::{files, haptic};
+use crate::common::{file, files, haptic};
 use haptic::device_file::DeviceFile;
 use haptic::scene_file::SceneFile;
 use haptic::toml_file::FileError;
@@ -372,5 +372,28 @@ fn a_file_cut_short_anywhere_is_refused_or_sound_but_never_a_crash() {
                 assert!(line <= text[..end].lines().count().max(1) + 1, "{error}");
             }
         }
+    }
+}
+
+/// ESC begins what a terminal obeys: what a file or its name holds shall not move the cursor, nor rename the window.
+#[test]
+fn control_characters_of_a_file_do_not_reach_the_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a\u{1b}[31m\u{9b}2J.toml");
+    let shipped = std::fs::read_to_string(file("coupled-five-bar.toml")).unwrap();
+    let wild = shipped.replace("mechanism =", "\"\\u001b]0;x\\u0007\" = 1\nmechanism =");
+    std::fs::write(&path, wild).unwrap();
+    let path = path.to_str().unwrap();
+    for arguments in [
+        &["check", path][..],
+        &["model", path, "--q", "2.4,0.7"],
+        &["info", "--port", &format!("sim:{path}")],
+        &["device", path, "--port", "sim"],
+    ] {
+        let output = haptic(arguments).output().unwrap();
+        let said = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();
+        assert!(!output.status.success() && !said.is_empty(), "{arguments:?}");
+        let wild = said.chars().find(|c| c.is_control() && *c != '\n');
+        assert_eq!(wild, None, "{arguments:?}: {said:?}");
     }
 }

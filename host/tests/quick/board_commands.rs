@@ -435,3 +435,59 @@ fn the_limit_of_the_tip_force_goes_as_high_as_the_safety_page_says() {
         }
     }
 }
+
+/// A board whose firmware is of another protocol version: it understands what never changes.
+struct Stranger {
+    port: String,
+    stopped: std::sync::mpsc::Receiver<()>,
+}
+
+impl Stranger {
+    fn plugged(protocol: u16) -> Self {
+        use haptic::link::{Deframer, encode};
+        use haptic_bridge::board::protocol::{Disarm, GetInfo, Info, Outcome};
+        use postcard_rpc::Endpoint as _;
+        use postcard_rpc::header::{VarHeader, VarKey};
+        use std::io::{Read, Write};
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let port = format!("tcp:{}", listener.local_addr().unwrap());
+        let (stop, stopped) = std::sync::mpsc::channel();
+        std::thread::spawn(move || {
+            for mut tool in listener.incoming().map(Result::unwrap) {
+                let (mut deframer, mut buffer) = (Deframer::default(), [0; 4096]);
+                while let Ok(count @ 1..) = tool.read(&mut buffer) {
+                    let mut answers = Vec::new();
+                    deframer.feed(&buffer[..count], |frame| {
+                        let answer = |key, body: &[u8]| {
+                            encode(&VarHeader { key: VarKey::Key8(key), seq_no: frame.header.seq_no }, body)
+                        };
+                        let [firmware, board] = ["9.9", "odrive-v3"].map(|word| word.chars().collect());
+                        let info = Info { protocol, firmware, board, serial: "A1".chars().collect() };
+                        if frame.header.key == VarKey::Key8(GetInfo::REQ_KEY) {
+                            answers.extend(answer(GetInfo::RESP_KEY, &postcard::to_stdvec(&info).unwrap()));
+                        } else if frame.header.key == VarKey::Key8(Disarm::REQ_KEY) {
+                            stop.send(()).unwrap();
+                            // The reasons for a refusal are others there, so the answer has another key.
+                            let done: Outcome = Ok(());
+                            let another = postcard_rpc::Key::for_path::<u64>("haptic/disarm");
+                            answers.extend(answer(another, &postcard::to_stdvec(&done).unwrap()));
+                        }
+                    });
+                    tool.write_all(&answers).unwrap();
+                }
+            }
+        });
+        Self { port, stopped }
+    }
+}
+
+#[test]
+fn a_board_of_another_version_is_disarmed_and_nothing_else() {
+    use haptic_bridge::board::protocol::PROTOCOL;
+    for protocol in [PROTOCOL - 1, PROTOCOL + 1] {
+        let board = Stranger::plugged(protocol);
+        haptic(&["disarm", "--port", &board.port]).assert().success().stdout(contains("the motors are off"));
+        assert!(board.stopped.try_recv().is_ok());
+        haptic(&["arm", "--port", &board.port]).assert().code(1).stderr(contains("protocol version"));
+    }
+}

@@ -182,8 +182,9 @@ fn one_program_at_a_time_of_this_computer_and_the_motors_go_off_with_it() {
     let id = devices["inverse3"][0]["device_id"].clone();
     assert!(status.contains("200") && !devices["inverse3"][0]["config"].is_null(), "{status}");
     assert!(server.get("/version", "").0.contains("200") && server.get("/else", "").0.contains("404"));
-    for page in ["Origin: http://evil.example\r\n", "Origin: null\r\n"] {
-        assert!(server.get("/devices", page).0.contains("403"));
+    // Pages in a browser, of another site or of whatever else listens on this computer.
+    for page in ["http://evil.example", "null", "http://localhost:3000", "http://127.0.0.1:3000"] {
+        assert!(server.get("/devices", &format!("Origin: {page}\r\n")).0.contains("403"), "{page}");
     }
     let started = || server.get("/devices", "").1["inverse3"][0]["status"]["started"].clone();
     let mut program = server.connect().unwrap();

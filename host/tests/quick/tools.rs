@@ -163,6 +163,22 @@ fn connections_that_say_nothing_neither_disturb_the_tool_that_holds_the_board_no
     assert_eq!(first.status().unwrap().state, State::Disarmed);
 }
 
+/// A byte each, and then nothing: none of them is a request, and none keeps one out.
+#[test]
+fn strangers_that_begin_to_speak_and_fall_silent_keep_out_no_request_to_disarm() {
+    let served = Served::on_tcp(AN_HOUR, AN_HOUR);
+    let mut first = served.armed();
+    let strangers = (0..100).map(|_| {
+        let mut stranger = served.connect();
+        // One that was turned away has closed its end.
+        let _ = stranger.write_all(&[1]);
+        stranger
+    });
+    let _crowd: Vec<_> = strangers.collect();
+    disarm_past(&served.port).unwrap();
+    assert_eq!(first.status().unwrap().state, State::Disarmed);
+}
+
 #[test]
 fn a_tool_that_speaks_takes_the_place_of_connections_that_say_nothing() {
     let served = Served::on_tcp(AN_HOUR, NOT_AT_ALL);

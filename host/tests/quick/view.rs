@@ -6,26 +6,25 @@ use crate::common::{file, shipped};
 use haptic::link::{Board, encode};
 use haptic::recorder::Recording;
 use haptic::scene_file::SceneFile;
-use haptic::view::hub::{Event, Hub, Message as Sent, PageId};
+use haptic::view::hub::{Hub, Message as Sent, PageId};
 use haptic::view::message::FromPage;
 use haptic::view::stability::Plane;
 use haptic::view::{PageListener, Stage, Turn, World};
 use haptic_bridge::board::protocol::Disarm;
 use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::safety::fault::{Fault, State};
 use postcard_rpc::Endpoint as _;
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use serde_json::{Value, json};
 use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
-use std::sync::mpsc::Receiver;
 use std::time::Duration;
 use tungstenite::{Message, WebSocket};
 
 /// A stage and its pages in this process: what time it is the test says, however busy the computer is.
 struct Played {
     stage: Stage,
-    events: Receiver<Event>,
     hub: Hub,
     simulated: bool,
     now: Duration,
@@ -41,10 +40,10 @@ struct Page {
 
 impl Played {
     fn of(world: World, folder: Option<&Path>) -> Self {
-        let (hub, events) = Hub::new();
+        let hub = Hub::default();
         let simulated = world.simulated.is_some();
         let stage = Stage::open(world, hub.clone(), None, folder.map(Into::into)).unwrap();
-        Self { stage, events, hub, simulated, now: Duration::ZERO, pages: Vec::new() }
+        Self { stage, hub, simulated, now: Duration::ZERO, pages: Vec::new() }
     }
 
     /// With a page in command.
@@ -76,8 +75,8 @@ impl Played {
 
     /// It presses the key and keeps it down.
     fn arm(&mut self, page: usize) {
-        self.pages[page].says = Some(FromPage::Hold {});
-        self.say(page, json!({"do": "arm"}));
+        self.pages[page].says = Some(FromPage::Hold { count: u32::MAX - 9 });
+        self.say(page, json!({"do": "arm", "count": u32::MAX - 9}));
         assert_eq!(self.state(), "Armed", "{:?}", self.pages[page].heard.refused);
     }
 
@@ -101,10 +100,13 @@ impl Played {
     /// Lets 6 ms pass.
     fn step(&mut self) {
         self.now += Duration::from_millis(6);
-        for page in &self.pages {
+        for page in &mut self.pages {
+            if let Some(FromPage::Hold { count }) = &mut page.says {
+                *count = count.wrapping_add(1);
+            }
             page.says.iter().for_each(|says| self.hub.said(page.id, Ok(says.clone())));
         }
-        while self.stage.turn(self.now, &self.events).unwrap() == Turn::Played && self.simulated {}
+        while self.stage.turn(self.now).unwrap() == Turn::Played && self.simulated {}
         for Page { id, heard, .. } in &mut self.pages {
             for message in self.hub.take(*id).messages() {
                 match message {
@@ -136,7 +138,7 @@ fn one_page_commands_and_the_others_watch() {
     let mut view = Played::demo();
     let (first, second) = (0, view.come());
     for message in [
-        json!({"do": "arm"}),
+        json!({"do": "arm", "count": 1}),
         json!({"do": "take"}),
         json!({"do": "clear"}),
         json!({"do": "give"}),
@@ -156,7 +158,7 @@ fn one_page_commands_and_the_others_watch() {
     assert_eq!(view.heard(second).walls, view.heard(first).walls);
     view.say(first, json!({"do": "give"}));
     assert!(view.heard(second).picture["command"].is_null());
-    view.say(first, json!({"do": "arm"}));
+    view.say(first, json!({"do": "arm", "count": 1}));
     assert_eq!(view.heard(first).why(), "nobody is in command: take it first");
     view.say(second, json!({"do": "take"}));
     assert_eq!(view.heard(first).picture["command"], view.pages[second].id);
@@ -172,15 +174,15 @@ fn the_motors_are_on_only_while_the_key_is_down() {
     view.say(0, json!({"do": "release"}));
     assert_eq!(view.state(), "Disarmed");
 
-    // Half a second of silence is letting go, and a key that is still down then does not arm.
+    // Nearly half a second of silence is letting go, and a key that is still down then does not arm.
     view.arm(0);
     view.pages[0].says = None;
-    view.play(0.48);
+    view.play(0.43);
     assert_eq!(view.state(), "Armed");
     view.play(0.05);
     assert_eq!(view.state(), "Disarmed");
     assert!(view.heard(0).why().contains("was not heard"), "{}", view.heard(0).why());
-    view.pages[0].says = Some(FromPage::Hold {});
+    view.pages[0].says = Some(FromPage::Hold { count: 0 });
     view.play(0.5);
     assert_eq!(view.state(), "Disarmed");
     // And after five seconds others may command.
@@ -189,6 +191,87 @@ fn the_motors_are_on_only_while_the_key_is_down() {
     assert!(!view.heard(0).picture["command"].is_null());
     view.play(0.2);
     assert!(view.heard(0).picture["command"].is_null());
+}
+
+/// What still says that the key is down and no longer sees it: a script that hangs in its sending, a queue.
+#[test]
+fn a_key_whose_counter_stands_still_is_let_go() {
+    let mut view = Played::demo();
+    view.arm(0);
+    view.pages[0].says = None;
+    for _ in 0..100 {
+        view.hub.said(view.pages[0].id, Ok(FromPage::Hold { count: 7 }));
+        view.step();
+    }
+    assert_eq!(view.state(), "Disarmed");
+    assert!(view.heard(0).why().contains("was not heard"), "{}", view.heard(0).why());
+}
+
+/// The board itself turns the motors off where the stage no longer does: its thread is starved, or the process stopped.
+/// This board ignores a silent host.
+#[test]
+fn a_board_lets_go_of_a_key_that_the_stage_no_longer_tells_of() {
+    let simulated = World::demo().unwrap().simulated.unwrap();
+    let board = Board::over(simulated.wire(), "a board").unwrap();
+    let mut view = Played::in_command(World::of(board, None), None);
+    view.arm(0);
+    view.play(1.0);
+    assert_eq!(simulated.lock().status().state, State::Armed);
+    simulated.lock().run(0.45);
+    assert_eq!(simulated.lock().status().state, State::Armed);
+    simulated.lock().run(0.06);
+    let status = simulated.lock().status();
+    assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::KeyReleased)));
+    // And only a new press arms again, once it is cleared.
+    view.play(0.1);
+    view.say(0, json!({"do": "clear"}));
+    view.play(0.5);
+    assert_eq!(view.state(), "Disarmed");
+}
+
+#[test]
+fn a_press_that_is_said_twice_is_one_and_its_key_is_held_on() {
+    let mut view = Played::demo();
+    view.arm(0);
+    view.say(0, json!({"do": "arm", "count": 3}));
+    view.play(1.0);
+    assert_eq!((view.state(), view.heard(0).refused.len()), ("Armed", 0));
+    view.pages[0].says = None;
+    view.play(0.5);
+    assert_eq!(view.state(), "Disarmed");
+}
+
+/// However much pages that only watch say, the key is heard when it is let go, and little of the rest.
+#[test]
+fn pages_that_flood_delay_nobody_who_lets_go_and_cost_little() {
+    let world = World::demo().unwrap();
+    let simulated = world.simulated.clone().unwrap();
+    let mut view = Played::in_command(world, None);
+    let watching = [view.come(), view.come(), view.come()];
+    view.arm(0);
+    let flood = |view: &mut Played| {
+        for page in watching {
+            for _ in 0..5_000 {
+                view.hub.said(view.pages[page].id, Err("noise".into()));
+                view.hub.said(view.pages[page].id, Ok(FromPage::Take {}));
+            }
+        }
+    };
+    for _ in 0..20 {
+        flood(&mut view);
+        view.step();
+    }
+    assert_eq!(view.state(), "Armed", "{:?}", view.heard(0).refused);
+    let before: Vec<usize> = watching.iter().map(|page| view.heard(*page).refused.len()).collect();
+    flood(&mut view);
+    view.pages[0].says = None;
+    view.hub.said(view.pages[0].id, Ok(FromPage::Release {}));
+    view.step();
+    assert_eq!(simulated.lock().status().state, State::Disarmed, "in the turn after it was said");
+    for (page, before) in watching.into_iter().zip(before) {
+        let heard = view.heard(page).refused.len() - before;
+        assert!(heard <= 64, "{heard} of 10,000 messages were heard in that turn");
+    }
 }
 
 #[test]
@@ -436,7 +519,7 @@ fn connect(url: &str) -> WebSocket<TcpStream> {
 
 #[test]
 fn the_page_is_served_to_whom_it_is_for() {
-    let url = listen("127.0.0.1:0", &Hub::new().0);
+    let url = listen("127.0.0.1:0", &Hub::default());
     let (host, _) = parts(&url);
     let get = |path: &str, more: &str| ask(host, &format!("GET {path} HTTP/1.1\r\nHost: {host}\r\n{more}\r\n"));
     let page = get("/", "");
@@ -452,7 +535,7 @@ fn the_page_is_served_to_whom_it_is_for() {
 
 #[test]
 fn other_computers_need_the_token() {
-    let hub = Hub::new().0;
+    let hub = Hub::default();
     let url = listen("0.0.0.0:0", &hub);
     let (host, query) = parts(&url);
     assert_eq!(query.len(), "?token=".len() + 32, "{url}");
@@ -464,6 +547,22 @@ fn other_computers_need_the_token() {
     while heard.you == 0 {
         assert!(read(&mut page, &mut heard));
     }
+}
+
+/// Who does not know the token takes no place of those who do.
+#[test]
+fn strangers_keep_no_page_out() {
+    let url = listen("0.0.0.0:0", &Hub::default());
+    let (host, query) = parts(&url);
+    // A letter each, and then nothing.
+    let stranger = |_| {
+        let mut stream = TcpStream::connect(host).unwrap();
+        let _ = stream.write_all(b"G");
+        stream
+    };
+    let _crowd: Vec<_> = (0..200).map(stranger).collect();
+    let page = ask(host, &format!("GET /{query} HTTP/1.1\r\nHost: {host}\r\n\r\n"));
+    assert!(page.starts_with("HTTP/1.1 200 "), "{page:?}");
 }
 
 /// Reads one message, if there is one; false when the connection has ended.
@@ -485,7 +584,7 @@ fn what_is_no_message_is_refused_and_nothing_ends() {
     let mut view = Played::of(World::demo().unwrap(), None);
     let url = listen("127.0.0.1:0", &view.hub);
     let (mut socket, mut heard) = (connect(&url), Heard::default());
-    let texts = ["", "{", "null", "[1]", r#"{"do":"fly"}"#, r#"{"do":"hold","x":1}"#].map(Message::text);
+    let texts = ["", "{", "null", "[1]", r#"{"do":"fly"}"#, r#"{"do":"hold","count":1,"x":1}"#].map(Message::text);
     for (count, message) in (1..).zip(texts.into_iter().chain([Message::binary(vec![1, 2, 3])])) {
         socket.send(message).unwrap();
         while heard.refused.len() < count {

@@ -166,12 +166,12 @@ impl Stage {
     }
 
     pub(super) fn say(&self, id: PageId, message: &Value) {
-        self.hub.to(id, |outbox| outbox.messages.push_back(message.to_string()));
+        self.hub.to(id, |outbox| outbox.tell(message.to_string()));
     }
 
     pub(super) fn say_to_all(&self, message: &Value) {
         let text = message.to_string();
-        self.hub.to_all(|outbox| outbox.messages.push_back(text.clone()));
+        self.hub.to_all(|outbox| outbox.tell(text.clone()));
     }
 
     pub(super) fn refuse(&self, id: PageId, why: &str) {

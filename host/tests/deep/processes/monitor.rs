@@ -1,7 +1,7 @@
 //! `haptic monitor` in a real terminal: a pseudo-terminal whose screen is read as a person would.
 #![cfg(unix)]
 
-use crate::common::sim::{HANG, until};
+use crate::common::sim::{HANG, Sim, until};
 use crate::common::socket::Socket;
 use crate::common::{file, haptic};
 
@@ -31,6 +31,10 @@ struct Terminal {
 impl Terminal {
     /// The tool in a session and terminal of its own.
     fn start(arguments: &[&str], rows: u16, columns: u16) -> Self {
+        Self::run(&[&["monitor"], arguments].concat(), rows, columns)
+    }
+
+    fn run(arguments: &[&str], rows: u16, columns: u16) -> Self {
         let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
         grantpt(&master).unwrap();
         unlockpt(&master).unwrap();
@@ -39,7 +43,7 @@ impl Terminal {
         let size = |rows, columns| Winsize { ws_row: rows, ws_col: columns, ws_xpixel: 0, ws_ypixel: 0 };
         tcsetwinsize(&master, size(rows, columns)).unwrap();
         let mut command = Command::new("setsid");
-        command.args(["--ctty", "--wait"]).arg(assert_cmd::cargo::cargo_bin("haptic")).arg("monitor").args(arguments);
+        command.args(["--ctty", "--wait"]).arg(assert_cmd::cargo::cargo_bin("haptic")).args(arguments);
         command.env("TERM", "xterm-256color").env_remove("HAPTIC_PORT");
         let end = || Stdio::from(slave.try_clone().unwrap());
         let child = command.stdin(end()).stdout(end()).stderr(end()).spawn().unwrap();
@@ -251,4 +255,21 @@ fn a_board_that_is_unplugged_is_waited_for_also_where_it_comes_back_without_its_
 fn where_there_is_no_terminal_it_says_so() {
     let refused = haptic(&["monitor", "--port", "sim"]).assert().code(2);
     assert!(String::from_utf8_lossy(&refused.get_output().stderr).contains("no terminal"));
+}
+
+#[test]
+fn arm_with_a_key_has_the_motors_on_only_while_space_is_held() {
+    let sim = Sim::start(&["--scene", &file("scenes/coupled-five-bar/wall.toml")]);
+    let mut terminal = Terminal::run(&["arm", "--key", "--port", &sim.port], 10, 80);
+    terminal.shows("hold Space");
+    for _ in 0..2 {
+        terminal.hold();
+        terminal.shows("motors on");
+        terminal.holding = None;
+        terminal.shows("motors off");
+    }
+    terminal.press("q");
+    let (status, text) = terminal.ended();
+    assert!(status.success() && text.contains("disarmed"), "{text}");
+    sim.until(|state| state == "Disarmed");
 }

@@ -15,6 +15,7 @@ struct Page {
     heard: Heard,
     /// Says that its key is down while it reads.
     holding: bool,
+    count: u32,
 }
 
 impl Page {
@@ -23,7 +24,7 @@ impl Page {
         let stream = TcpStream::connect(view.address()).unwrap();
         let (socket, _) = tungstenite::client(format!("ws://{}/live", view.address()), stream).unwrap();
         socket.get_ref().set_read_timeout(Some(Duration::from_millis(20))).unwrap();
-        let mut page = Self { socket, heard: Heard::default(), holding: false };
+        let mut page = Self { socket, heard: Heard::default(), holding: false, count: 0 };
         page.take();
         page
     }
@@ -40,7 +41,8 @@ impl Page {
     /// Reads one message, if there is one.
     fn read(&mut self) {
         if self.holding {
-            self.say(json!({"do": "hold"}));
+            self.count += 1;
+            self.say(json!({"do": "hold", "count": self.count}));
         }
         match self.socket.read() {
             Ok(Message::Text(text)) => self.heard.text(&text),
@@ -66,7 +68,7 @@ impl Page {
         while self.heard.state() != "Armed" {
             assert!(began.elapsed() < HANG, "{:?}", self.heard.refused);
             if self.heard.picture["held"] == false {
-                self.say(json!({"do": "arm"}));
+                self.say(json!({"do": "arm", "count": self.count}));
             }
             self.read();
         }
@@ -102,6 +104,59 @@ fn a_board_that_is_lost_is_waited_for_also_where_it_comes_back_without_its_scene
         page.take();
         page.arm();
     }
+}
+
+/// Largest memory that a process has had, kB.
+fn most_memory(process: u32) -> u64 {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap();
+    let line = status.lines().find(|line| line.starts_with("VmHWM:")).unwrap();
+    line.split_whitespace().nth(1).unwrap().parse().unwrap()
+}
+
+/// Three pages that only watch send as much as they can, for as long as this takes.
+#[test]
+fn pages_that_flood_cost_little_and_keep_nobody_from_letting_go() {
+    let view = View::start(&["--port", "sim"]);
+    let mut page = Page::in_command(&view);
+    let over = std::sync::atomic::AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        for _ in 0..3 {
+            let (view, over) = (&view, &over);
+            scope.spawn(move || {
+                let stream = TcpStream::connect(view.address()).unwrap();
+                let (mut socket, _) = tungstenite::client(format!("ws://{}/live", view.address()), stream).unwrap();
+                // Written past the library: one frame after another, of a message that is refused in words.
+                let stream = socket.get_mut();
+                stream.set_nonblocking(true).unwrap();
+                let mut frame = vec![0x81, 0x80 | 20, 0, 0, 0, 0];
+                frame.extend(br#"{"do":"take","x":12}"#);
+                let block = frame.repeat(2_000);
+                let (mut at, mut read) = (0, vec![0; 1 << 16]);
+                while !over.load(std::sync::atomic::Ordering::SeqCst) {
+                    use std::io::{Read, Write};
+                    let _ = stream.read(&mut read);
+                    match stream.write(&block[at..]) {
+                        Ok(count) => at = (at + count) % block.len(),
+                        Err(error) if error.kind() == ErrorKind::WouldBlock => std::thread::yield_now(),
+                        Err(_) => return,
+                    }
+                }
+            });
+        }
+        page.until("the others", |heard| heard.picture["pages"] == 4);
+        page.arm();
+        for _ in 0..300 {
+            page.heard.picture = Value::Null;
+            page.until("a picture", |heard| !heard.picture.is_null());
+        }
+        page.arm();
+        page.holding = false;
+        page.say(json!({"do": "release"}));
+        page.until("the motors off", |heard| heard.state() == "Disarmed");
+        over.store(true, std::sync::atomic::Ordering::SeqCst);
+    });
+    let memory = most_memory(view.process());
+    assert!(memory < 100_000, "{memory} kB");
 }
 
 #[test]
