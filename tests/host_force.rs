@@ -463,3 +463,66 @@ fn forces_tell_that_the_host_is_there_and_their_end_that_it_is_not() {
     rig.run(0.11);
     assert_eq!((rig.state(), rig.fault()), (State::Fault, Some(Fault::HostLost)));
 }
+
+/// Lets about so many control steps pass, in hops far below what the board itself looks at again.
+fn let_pass(rig: &mut Rig, mut steps: u64) {
+    while steps > 0 {
+        let hop = steps.min(1 << 28) as u32;
+        rig.servo.skip_steps(hop);
+        rig.run(0.001);
+        steps -= u64::from(hop);
+    }
+}
+
+#[test]
+fn a_host_pushes_on_however_long_the_rate_has_been_the_same() {
+    let mut rig = armed();
+    let push_now = |rig: &mut Rig, sequence: u32| {
+        let seen = look(rig).step;
+        rig.step();
+        let answer = rig.servo.force(&ForceRequest { seen: Some(seen), ..torque(sequence, 0.1) });
+        assert_eq!(answer.done, ForceDone::Taken, "at step {}, of one before", answer.step);
+        rig.run(0.05);
+        let late = ForceRequest { seen: Some(seen), ..torque(sequence + 1, 0.1) };
+        assert_eq!(rig.servo.force(&late).done, ForceDone::TooOld, "50 ms where 30 are its life");
+    };
+    push_now(&mut rig, 1);
+    // 29.8 h at 20 kHz, then 59.7 h, where the count of steps begins again, and as much once more.
+    for sequence in [3, 5, 7, 9] {
+        let left = (1 << 31) - u64::from(rig.servo.steps() & ((1 << 31) - 1));
+        let_pass(&mut rig, left - 1_000);
+        push_now(&mut rig, sequence);
+        let_pass(&mut rig, 1_000);
+        push_now(&mut rig, sequence + 10);
+    }
+    assert_eq!(rig.state(), State::Armed);
+}
+
+/// What is refused steers nothing: a program whose every request comes too late, or is wrong, has lost the device.
+#[test]
+fn only_a_request_that_is_taken_tells_the_board_that_its_host_is_there() {
+    let watched = Rules { host_action: HostAction::Disarm, host_seconds: 0.5, ..rules() };
+    let scene = scene(2, &[]);
+    for (refused, why) in [
+        (ForceRequest { hold: 0.0, fade: 0.0, ..request(2) }, ForceDone::Looked),
+        (torque(1, 0.1), ForceDone::NotNewer),
+        (torque(2, f32::NAN), ForceDone::Bad(BadForce::Torque)),
+        (ForceRequest { hold: 0.0, fade: 0.001, seen: Some(0), ..request(2) }, ForceDone::TooOld),
+    ] {
+        let mut rig = Rig::with(&five_bar(), &scene, hardware(), watched);
+        rig.arm();
+        for _ in 0..4 {
+            assert_eq!(rig.servo.force(&force(1, 0.0, 0.0)).done, ForceDone::Taken);
+            rig.run(0.45);
+        }
+        assert_eq!(rig.state(), State::Armed, "taken");
+        assert_eq!(rig.servo.force(&force(1, 0.0, 0.0)).done, ForceDone::Taken);
+        for _ in 0..6 {
+            if why != ForceDone::NotNewer || look(&mut rig).age.is_some() {
+                assert_eq!(rig.servo.force(&refused).done, why);
+            }
+            rig.run(0.09);
+        }
+        assert_eq!((rig.state(), rig.fault()), (State::Fault, Some(Fault::HostLost)), "{why:?}");
+    }
+}

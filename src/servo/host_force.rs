@@ -399,9 +399,9 @@ where
         if self.host.acts && request.sequence.wrapping_sub(self.host.request.sequence) as i32 <= 0 {
             return ForceDone::NotNewer;
         }
-        let age = age as f32 * self.period;
         // Steps before a change of rate took another time, which nobody counted.
-        let before = request.seen.is_some_and(|seen| (seen.wrapping_sub(self.rate_since) as i32) < 0);
+        let before = age as u32 > self.now.step.wrapping_sub(self.rate_since);
+        let age = age as f32 * self.period;
         if before || request.lease(age) <= 0.0 {
             return ForceDone::TooOld;
         }

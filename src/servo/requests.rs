@@ -209,7 +209,8 @@ where
         // Rates that differ by a rounding may have the same period, and carriers of their own.
         let same_carrier = self.program.as_ref().is_some_and(|old| old.carrier_hz == program.carrier_hz);
         let same_rate = period == self.period && same_carrier;
-        if period != self.period {
+        // Nobody counted for how long there was no program; nor was there a step that a host could have seen its device at.
+        if period != self.period || self.program.is_none() {
             (self.period, self.rate_since) = (period, self.now.step);
         }
         program.controller.set_passivity(self.rules.passivity);

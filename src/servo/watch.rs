@@ -125,6 +125,16 @@ where
             }
         };
         self.host_expected = self.now.step.wrapping_add(left.min(key));
+        self.forget_old_rates();
+    }
+
+    /// Lets the step since which the rate is the same follow, half of all steps behind, before the count of steps reaches
+    /// it again: nothing that a host has seen is older. There is a look at the host four times in that count.
+    fn forget_old_rates(&mut self) {
+        const HALF: u32 = 1 << 31;
+        if self.now.step.wrapping_sub(self.rate_since) > HALF {
+            self.rate_since = self.now.step.wrapping_sub(HALF);
+        }
     }
 
     /// Negative where what the step of J joints found must be looked at: a number that is none, a singular pose, a host
