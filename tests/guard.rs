@@ -212,7 +212,8 @@ fn origin(fault: Fault) -> Origin {
         | Fault::ClockFailure
         | Fault::SupplyDip
         | Fault::ImageDamaged
-        | Fault::RamDamaged => Told,
+        | Fault::RamDamaged
+        | Fault::WrongBoard => Told,
     }
 }
 
@@ -266,6 +267,7 @@ fn injection(fault: Fault) -> (&'static str, &'static str) {
         Fault::SupplyDip => ("3.3 V that fall below 2.9 V", "by the supply monitor's interrupt"),
         Fault::ImageDamaged => ("a bit of flash that changed", "never on: seen before arming"),
         Fault::RamDamaged => ("a word of RAM that changed", "never on: seen before arming"),
+        Fault::WrongBoard => ("a pin that is not wired as on this board", "never on: seen before arming"),
     }
 }
 

@@ -56,6 +56,8 @@ pub struct Wiring {
     pub motors: &'static [MotorWires],
     /// The pin that lets the power stages work, high for on.
     pub enable: Pin,
+    /// Every pin that leads to a gate, an input of a bridge or an enable line, of used and unused phases and of the brake.
+    pub power: &'static [Pin],
     /// What all axes do while it is on but the timer's outputs are idle: float (false) or brake (true).
     pub idle_brakes: bool,
     /// The pin that a power stage pulls low for a fault, and whether that line is the timer's break input.
@@ -104,6 +106,23 @@ static ODRIVE_V3: Wiring = Wiring {
         },
     ],
     enable: Pin('B', 12),
+    power: &[
+        Pin('A', 7),
+        Pin('A', 8),
+        Pin('A', 9),
+        Pin('A', 10),
+        Pin('B', 0),
+        Pin('B', 1),
+        Pin('B', 10),
+        Pin('B', 11),
+        Pin('B', 12),
+        Pin('B', 13),
+        Pin('B', 14),
+        Pin('B', 15),
+        Pin('C', 6),
+        Pin('C', 7),
+        Pin('C', 8),
+    ],
     idle_brakes: false,
     fault: Pin('D', 2),
     fault_breaks: false,
@@ -127,6 +146,7 @@ static H_BRIDGE_F405: Wiring = Wiring {
         h_bridge(3, [Pin('A', 10), Pin('B', 15)], &[(12, HALL)]),
     ],
     enable: Pin('C', 6),
+    power: &[Pin('A', 8), Pin('A', 9), Pin('A', 10), Pin('B', 13), Pin('B', 14), Pin('B', 15), Pin('C', 6)],
     idle_brakes: true,
     fault: Pin('B', 12),
     fault_breaks: true,
@@ -143,6 +163,16 @@ const fn h_bridge(channel: u8, [p, n]: [Pin; 2], sensors: &'static [(u8, f64)]) 
 }
 
 impl Wiring {
+    /// The pin that the bus divider holds.
+    #[must_use]
+    pub fn bus_pin(&self) -> Pin {
+        match self.bus.0 {
+            low @ 0..=7 => Pin('A', low),
+            middle @ 8..=9 => Pin('B', middle - 8),
+            high => Pin('C', high - 10),
+        }
+    }
+
     /// How a board is wired.
     #[must_use]
     pub fn of(kind: BoardKind) -> &'static Self {

@@ -14,6 +14,8 @@ pub struct Broken {
     pub sensor_frozen: [Option<f64>; 3],
     /// What the divider of the bus shows whatever the voltage is, V.
     pub bus_shown: Option<f64>,
+    /// From the next start on the chip's pin at that divider has no wire.
+    pub bus_cut: bool,
     /// Axes whose winding is open.
     pub open: [bool; 3],
     /// Bridges that stand at a duty whatever the chip and the enable line say.
@@ -33,6 +35,7 @@ impl Default for Broken {
             sensor_extra: [0.0; 4],
             sensor_frozen: [None; 3],
             bus_shown: None,
+            bus_cut: false,
             open: [false; 3],
             stuck_on: [None; 3],
             shake: [0; 3],
@@ -84,6 +87,8 @@ pub struct Peaks {
     pub travel: f64,
     /// Whether a bridge was on.
     pub driven: bool,
+    /// Whether the chip drove a pin of the power stage, or pulled it up.
+    pub touched: bool,
     from: Option<[f64; 3]>,
 }
 

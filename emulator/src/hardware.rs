@@ -38,6 +38,9 @@ const EDGE_SPACING: u64 = 250;
 
 /// `ARR` of a timer.
 const AUTO_RELOAD: u32 = 0x2C;
+/// `MODER` and `PUPDR` of a port.
+const PORT_MODE: u32 = 0x00;
+const PORT_PULLS: u32 = 0x0C;
 /// `BDTR` of an advanced timer, and its main output enable.
 const BREAK_AND_DEAD_TIME: u32 = 0x44;
 const MAIN_OUTPUT: u64 = 1 << 15;
@@ -176,6 +179,8 @@ impl Hardware {
             for (axis, wires) in wiring.encoders.iter().enumerate() {
                 self.show_phase(at, axis, wires);
             }
+            let held = Level::from(self.plant.bus_voltage() / wiring.bus.1 > MID_SUPPLY);
+            self.hold(wiring.bus_pin(), (!self.broken.bus_cut).then_some(held), at);
         }
         if at.0 >= self.next_step {
             self.advance_plant(wiring, at);
@@ -206,6 +211,7 @@ impl Hardware {
             self.drives[axis] = self.drive(wiring, motor, &spans[usize::from(motor.timer == 8)], enabled);
         }
         self.peaks.driven |= !self.bridges_float();
+        self.peaks.touched = self.peaks.touched || wiring.power.iter().any(|&pin| !self.is_let_alone(pin));
         if spans[0].whole > 0 {
             self.plant.step(&self.broken.drives(self.drives), spans[0].whole as f64 * 1e-9);
             self.peaks.take(&mut *self.plant);
@@ -294,10 +300,22 @@ impl Hardware {
     }
 
     fn put(&mut self, pin: Pin, level: Level, at: VirtualNanos) {
+        self.hold(pin, Some(level), at);
+    }
+
+    /// Holds a pin of the chip at a level from outside, or lets it go.
+    fn hold(&mut self, pin: Pin, level: Option<Level>, at: VirtualNanos) {
         let (port, pin) = place(pin);
         self.chip.drive_port(at, port, |port, registers, context| {
-            port.drive(pin, Some(level), registers, context);
+            port.drive(pin, level, registers, context);
         });
+    }
+
+    /// Whether the chip leaves a pin as its reset does: an input that is not pulled up.
+    fn is_let_alone(&self, Pin(port, number): Pin) -> bool {
+        let port = PORT_NAMES[(port as usize) - ('A' as usize)];
+        let field = |register| self.chip.register(port, register) >> (2 * number) & 0b11;
+        field(PORT_MODE) == 0 && field(PORT_PULLS) != 0b01
     }
 
     /// Gives each encoder that has counts to show one edge. Answers whether one still has.

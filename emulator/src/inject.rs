@@ -463,6 +463,12 @@ pub fn injection(fault: Fault) -> Injection {
             |rig| restarting(rig, |stopped| stopped.flip_in_flash(CODE, b"odrive-v3")),
             500,
         ),
+        Fault::WrongBoard => chip(
+            "the chip's pin at the bus divider cut off, then a reset",
+            disarmed,
+            |rig| restarting(rig, |stopped| stopped.hardware().broken.bus_cut = true),
+            500,
+        ),
         Fault::RamDamaged => chip(
             "one bit of the stack flipped while it is tested at a start",
             disarmed,
@@ -554,7 +560,11 @@ fn with_another_motor(change: impl FnOnce(&mut Motor<f64>)) -> Rig {
 }
 
 /// Runs to `microseconds` after a crest.
-fn after_crest(rig: &Rig, microseconds: u64) {
+///
+/// # Panics
+///
+/// When the carrier stands still.
+pub fn after_crest(rig: &Rig, microseconds: u64) {
     let now = rig.now();
     let crest = rig.with(|stopped| stopped.hardware().chip.advanced[0].hook.crest()).expect("the carrier runs");
     let period = 50 * MICROSECOND;

@@ -62,7 +62,7 @@ pub fn device_file(name: &str) -> DeviceFile {
 
 /// A board, and the tool connected to it.
 pub struct Rig {
-    /// The kind of board.
+    /// The kind of board that its image is for.
     pub kind: &'static Wiring,
     /// The board.
     pub shared: Shared,
@@ -81,6 +81,16 @@ impl Rig {
     #[must_use]
     pub fn empty(kind: impl Into<&'static Wiring>) -> Self {
         Self::with_plant(kind.into(), Box::new(Dummy::default()), None)
+    }
+
+    /// Boots the image of `kind` on a board of another kind, where nothing but standing encoders is at the connectors.
+    ///
+    /// # Panics
+    ///
+    /// As [`Rig::empty`].
+    #[must_use]
+    pub fn misplaced(kind: impl Into<&'static Wiring>, board: impl Into<&'static Wiring>, device: &str) -> Self {
+        Self::boot(kind.into(), board.into(), Box::new(Dummy::default()), Some(device_file(device)))
     }
 
     /// Boots `kind` with the device of the shipped file `name`, simulated with `change`d options.
@@ -112,7 +122,11 @@ impl Rig {
     }
 
     fn with_plant(kind: &'static Wiring, plant: Box<dyn Plant>, file: Option<DeviceFile>) -> Self {
-        let hardware = Hardware::new(kind, plant).expect("the board's description is sound");
+        Self::boot(kind, kind, plant, file)
+    }
+
+    fn boot(kind: &'static Wiring, board: &'static Wiring, plant: Box<dyn Plant>, file: Option<DeviceFile>) -> Self {
+        let hardware = Hardware::new(board, plant).expect("the board's description is sound");
         let mut board = VirtualBoard::start(firmware(kind), hardware).unwrap_or_else(|error| panic!("{error}"));
         assert!(board.run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready()), "no USB after two seconds");
         assert!(!board.with(|stopped| stopped.hardware().peaks.driven), "a bridge was on before USB was ready");

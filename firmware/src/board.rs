@@ -31,11 +31,26 @@ use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::Counts;
 
 use crate::gate::Gate;
+use crate::self_test::Pin;
+
+/// What tells a board from the others before any of its pins is driven: pins that something on the board holds at a
+/// level, and pins that lead nowhere. The chip pulls at each of them with its own 40 kohm, and a pin that leads nowhere
+/// follows. None of them leads to a gate, an enable line or an input of a bridge on any board: on a wrong one such a pin
+/// would be pulled towards on. EN_GATE of an ODrive, for one, would come to stand at 1.8 V between the chip's 40 kohm and
+/// the 50 kohm inside its two drivers.
+pub struct Signs {
+    /// Held at a level.
+    pub held: &'static [Pin],
+    /// Without anything.
+    pub open: &'static [Pin],
+}
 
 /// A motor-driver board.
 pub trait Board {
     /// Its name, as the host shows it.
     const NAME: &'static str;
+    /// What it is known by.
+    const SIGNS: Signs;
     /// Motors that it can drive, at most [`MAX_JOINTS`].
     const AXES: usize;
     /// What the drive needs to know of its bridges.
@@ -54,8 +69,10 @@ pub trait Board {
     /// Bridges off. Plain register writes: works in any state of the program, even in a fault handler.
     fn off();
 
-    /// Divides the chip. `carrier` is what the board starts with; nothing runs and nothing is driven yet.
-    fn split(p: Peripherals, carrier: Carrier) -> (Self::Io, Self::Gate, Common);
+    /// Divides the chip. `carrier` is what the board starts with; nothing runs and nothing is driven yet. Where the chip
+    /// is not on this `board`, no pin but USB's is touched, there is no power stage, and the pins that this image would
+    /// drive stay inputs until the next reset.
+    fn split(p: Peripherals, carrier: Carrier, board: bool) -> (Self::Io, Option<Self::Gate>, Common);
 }
 
 /// What the control interrupt owns of a board: encoders, conversions, bridges. Every function is bounded in time.

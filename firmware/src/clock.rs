@@ -48,14 +48,14 @@ pub fn brown_out_level() -> u8 {
 }
 
 /// From here on a crystal that stops is a non-maskable interrupt (RM0090 section 7.2.7), and a supply that falls below
-/// 2.9 V an interrupt (line 16, section 12.2.5) that no critical section holds back. [`crate::reset`] has both.
+/// 2.9 V an interrupt (line 16, section 12.2.5) that neither a critical section nor a control step holds back. [`crate::reset`] has both.
 fn watch() {
     pac::RCC.cr().modify(|w| w.set_csson(true));
     // embassy has reset the power controller.
     monitor_supply();
     pac::EXTI.rtsr(0).modify(|w| w.set_line(SUPPLY_LINE, true));
     pac::EXTI.imr(0).modify(|w| w.set_line(SUPPLY_LINE, true));
-    interrupt::PVD.set_priority(critical::CONTROL);
+    interrupt::PVD.set_priority(critical::SUPPLY);
     // SAFETY: its handler shares nothing with what it interrupts.
     unsafe { interrupt::PVD.enable() };
     if pac::PWR.csr1().read().pvdo() {

@@ -1,25 +1,34 @@
 //! Critical sections that never delay the control interrupt.
 //!
-//! The usual implementation masks every interrupt. This one raises `BASEPRI` instead, which masks all of them but those
-//! of priority 0, and priority 0 belongs to the control interrupt ([`CONTROL`]) and to a falling supply's, which ends
-//! in a reset. The price: the control interrupt must not touch anything that a critical section protects. It uses
-//! atomics, a ring with one writer and one reader, and requests that it takes one at a time; it never logs.
+//! The usual implementation masks every interrupt. This one raises `BASEPRI` instead, which masks the tasks' interrupts
+//! ([`OTHERS`]) alone. The three above them run inside critical sections, so they touch nothing that one protects and
+//! never log: a falling supply's ([`SUPPLY`]), which turns the bridges off and resets; the control interrupt
+//! ([`CONTROL`]), which uses atomics, a ring with one writer and one reader, and requests that it takes one at a time;
+//! and the watchdog's ([`WATCHDOG`]), which uses atomics.
 
 use cortex_m::register::{basepri, basepri_max};
 use embassy_stm32::interrupt::Priority;
 
-/// Priority of the control interrupt: the one that critical sections let through.
-pub const CONTROL: Priority = Priority::P0;
+/// Priority of a falling supply's interrupt. Like hard faults and the non-maskable interrupt, which end with the bridges
+/// off as well and are above all priorities, it does not wait for a control step to finish: that may take a period.
+pub const SUPPLY: Priority = Priority::P0;
+
+/// Priority of the control interrupt.
+pub const CONTROL: Priority = Priority::P1;
+
+/// Priority of the interrupt that feeds the watchdog: no task can hold it up, and a control interrupt that does not end
+/// does.
+pub const WATCHDOG: Priority = Priority::P2;
 
 /// Priority of all other interrupts.
 pub const OTHERS: Priority = Priority::P6;
 
-/// The highest priority that a critical section masks: level 1, in the upper four bits.
-const CEILING: u8 = 1 << 4;
+/// The highest priority that a critical section masks: level 3, in the upper four bits.
+const CEILING: u8 = 3 << 4;
 
 /// Gives every interrupt of the chip the lower priority, which after a reset all of them lack: an interrupt that keeps
-/// priority 0 would run inside critical sections. Call before anything enables an interrupt; the control interrupt
-/// takes its own afterwards.
+/// priority 0 would run inside critical sections. Call before anything enables an interrupt; the three that are above
+/// the others take theirs afterwards.
 pub fn lower_all() {
     // SAFETY: start-up code, no interrupt is enabled yet. The priority registers accept any value, also those of
     // interrupts that this chip lacks (ARMv7-M B3.4.9).
@@ -33,9 +42,9 @@ pub fn lower_all() {
 struct BasePriority;
 critical_section::set_impl!(BasePriority);
 
-// SAFETY: between acquire and release no interrupt of level 1 or lower urgency runs, and thread mode cannot be
-// preempted by another thread on this single core. Interrupts of level 0 never enter a critical section and share no
-// data that one protects (see the module's documentation). `basepri_max` only ever raises the mask and release restores
+// SAFETY: between acquire and release no interrupt of level 3 or lower urgency runs, and thread mode cannot be
+// preempted by another thread on this single core. Interrupts of levels 0 to 2 never enter a critical section and share
+// no data that one protects (see the module's documentation). `basepri_max` only ever raises the mask and release restores
 // what acquire found, so sections nest.
 unsafe impl critical_section::Impl for BasePriority {
     unsafe fn acquire() -> critical_section::RawRestoreState {

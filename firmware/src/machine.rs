@@ -36,7 +36,8 @@ pub struct BoardMachine {
     requests: Requests,
     /// Frames of the telemetry stream.
     pub frames: FrameReader,
-    gate: <This as Board>::Gate,
+    /// None where the board is not this image's.
+    gate: Option<<This as Board>::Gate>,
     storage: Storage,
     serial: &'static str,
     unused: Vec<&'static StaticCell<Program<BoardMath>>, PROGRAMS>,
@@ -48,7 +49,7 @@ impl BoardMachine {
     /// Call once.
     pub fn new(
         ends: servo::Ends,
-        gate: <This as Board>::Gate,
+        gate: Option<<This as Board>::Gate>,
         storage: Storage,
         serial: &'static str,
         carrier: Carrier,
@@ -89,9 +90,10 @@ impl BoardMachine {
             let _ = self.requests.ask(Request::Command(Command::Fault(record)));
             return Err(Refusal::Faulted(record.fault));
         }
+        let gate = self.gate.as_mut().ok_or(Refusal::NotSupported)?;
         // An earlier arming may have left the drivers up; nobody has watched them since the motors went off.
         lower_gate();
-        let raised = self.gate.raise();
+        let raised = gate.raise();
         servo::shared().gate_ready.store(raised.is_ok(), Ordering::Relaxed);
         match raised {
             Ok(()) => Ok(()),
@@ -113,7 +115,7 @@ impl BoardMachine {
         if !self.status().state.drives() {
             return lower_gate();
         }
-        let Err(error) = self.gate.check() else { return };
+        let Some(Err(error)) = self.gate.as_mut().map(Gate::check) else { return };
         // A fault that came meanwhile lowered the gate, which resets the drivers: lost registers are expected then.
         if servo::shared().gate_ready.load(Ordering::Relaxed) {
             defmt::error!("a gate driver is no longer as it was set: {}", error);

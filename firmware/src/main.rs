@@ -1,8 +1,8 @@
 //! The firmware of a haptic-bridge board: boot and task wiring, top to bottom.
 //!
 //! One interrupt does the control step ([`servo`]); everything else is Embassy tasks in thread mode. What may delay
-//! what: nothing delays the control interrupt (its priority is above all others and above critical sections, see
-//! [`critical`]); the control interrupt delays all else by its own length.
+//! what: nothing delays the control interrupt but what ends in a reset (see [`critical`]); the control interrupt delays
+//! all else by its own length.
 #![no_std]
 #![no_main]
 
@@ -74,7 +74,7 @@ async fn main(spawner: Spawner) {
         Hardware { axes: This::AXES, real: true, bus_sensed: true, bridge: This::BRIDGE, timer_hz: clock::TIMER_HZ };
     let rules = Rules { limits: This::LIMITS, ..Rules::default() };
     let carrier = Carrier::for_rate(clock::TIMER_HZ, CARRIER_MIN_HZ as f32);
-    let (io, gate, common) = This::split(chip, carrier);
+    let (io, gate, common) = This::split(chip, carrier, self_test::board());
     let servo = servo::start(io, hardware, rules, warmth::take());
     let storage = storage::open(common.flash);
     let fault = self_test::failed().or_else(|| start.fault());

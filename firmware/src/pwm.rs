@@ -8,6 +8,7 @@
 
 use embassy_stm32::gpio::{AfType, Flex, OutputType, Speed};
 use embassy_stm32::pac;
+use embassy_stm32::pac::gpio::Gpio;
 use embassy_stm32::pac::timer::{TimAdv, vals};
 
 use haptic_bridge::drive::carrier::Carrier;
@@ -17,6 +18,22 @@ pub fn outputs<const N: usize>(pins: [Flex<'static>; N], alternate_function: u8)
     for mut pin in pins {
         pin.set_as_af_unchecked(alternate_function, AfType::output(OutputType::PushPull, Speed::VeryHigh));
         core::mem::forget(pin);
+    }
+}
+
+/// Locks how pins of a port are configured until the next reset, once for all of its pins: mode, type, speed, pulls and
+/// alternate function (RM0090 section 8.3.6). What a locked output shows can still be written.
+pub fn lock(port: Gpio, pins: u16) {
+    const KEY: u32 = 1 << 16;
+    let pins = u32::from(pins);
+    // A write of anything else in between would start the sequence anew; no interrupt writes here.
+    for word in [KEY | pins, pins, KEY | pins] {
+        port.lckr().write(|w| w.0 = word);
+    }
+    // The first reading ends the sequence, the second one shows what came of it.
+    let _ = port.lckr().read();
+    if port.lckr().read().0 != KEY | pins {
+        defmt::error!("pins {=u32:#x} of a port are not locked", pins);
     }
 }
 
@@ -30,7 +47,8 @@ pub struct PwmConfig {
     pub break_input: bool,
 }
 
-/// Sets a timer up as a stopped carrier with its outputs off.
+/// Sets a timer up as a stopped carrier with its outputs off. Until its next reset nobody changes dead time, break input,
+/// idle levels, polarity or mode of its outputs; duties, period and the outputs' enable bit stay free.
 pub fn configure(timer: TimAdv, config: &PwmConfig, carrier: Carrier) {
     timer.cr1().write(|w| {
         w.set_cms(vals::Cms::CENTER_ALIGNED1);
@@ -61,6 +79,8 @@ pub fn configure(timer: TimAdv, config: &PwmConfig, carrier: Carrier) {
         w.set_ossr(vals::Ossr::IDLE_LEVEL);
         w.set_bkp(0, vals::Bkp::ACTIVE_LOW);
         w.set_bke(0, config.break_input);
+        // RM0090 section 17.4.18: by the first write of this register or never.
+        w.set_lock(vals::Lock::LEVEL3);
     });
     set_carrier(timer, carrier);
     timer.egr().write(|w| w.set_ug(true));

@@ -1,14 +1,22 @@
-//! What is tested before motors may arm: RAM before any of it is used, and the image in flash.
+//! What is tested before motors may arm: RAM before any of it is used, the image in flash, and, before any pin is driven,
+//! that the board is the one that the image is for.
 //!
 //! A board that fails goes on as far as it can and says so, but never arms: [`failed`] is asked at every arming and
 //! every check of polarity.
 
 use core::arch::global_asm;
 use core::ptr::addr_of;
-use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
+
+use embassy_stm32::pac;
+use embassy_stm32::pac::gpio::Gpio;
+use embassy_stm32::pac::gpio::vals::{Idr, Pupdr};
+use embassy_time::{Duration, block_for};
 
 use haptic_bridge::checksum::Crc32;
 use haptic_bridge::safety::fault::{Fault, FaultRecord};
+
+use crate::board::{Board, Signs, This};
 
 /// The first word that failed the RAM test, 0 where none did. The test writes it, start-up leaves it alone.
 #[unsafe(link_section = ".uninit.RAM_FAILED")]
@@ -106,12 +114,68 @@ pub fn image() {
     IMAGE_SOUND.store(sum.sum() == written, Ordering::Relaxed);
 }
 
+/// A pin of ports A to D: sixteen times its port's number, 0 for A, and its number there.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub struct Pin(u8);
+
+/// Time after which a pin follows a pull, us: 40 kohm, and a thousand times what a wire of a metre has (100 pF).
+const PULL_US: u64 = 500;
+
+/// The ports.
+const PORTS: [Gpio; 4] = [pac::GPIOA, pac::GPIOB, pac::GPIOC, pac::GPIOD];
+
+impl Pin {
+    /// Pin `number` of `port`.
+    pub const fn new(port: char, number: u8) -> Self {
+        Self((port as u8 - b'A') << 4 | number)
+    }
+
+    /// Whether nothing holds it, so that it follows the chip's own pulls, down and up and once more: what is held between
+    /// the two levels may look like either, and stays. Call while it is an input; leaves it one without a pull.
+    fn is_open(self) -> bool {
+        let (port, number) = (PORTS[usize::from(self.0 >> 4 & 3)], usize::from(self.0 & 15));
+        let pulls = [(Pupdr::PULL_DOWN, Idr::LOW), (Pupdr::PULL_UP, Idr::HIGH)];
+        let follows = pulls.into_iter().chain(pulls).all(|(pull, level)| {
+            port.pupdr().modify(|w| w.set_pupdr(number, pull));
+            block_for(Duration::from_micros(PULL_US));
+            port.idr().read().idr(number) == level
+        });
+        port.pupdr().modify(|w| w.set_pupdr(number, Pupdr::FLOATING));
+        follows
+    }
+}
+
+/// The pin that is not as on this image's board, [`UNTOLD`] before anybody looked, [`NONE`] where all are.
+static STRANGE_PIN: AtomicU8 = AtomicU8::new(UNTOLD);
+const UNTOLD: u8 = 0xFF;
+const NONE: u8 = 0xFE;
+
+/// Whether the chip is on the board that this image is for. Call once, while all pins are as a reset leaves them and the
+/// clock of the tasks runs; takes at most 4 ms.
+pub fn board() -> bool {
+    let Signs { held, open } = This::SIGNS;
+    let strange = held.iter().find(|pin| pin.is_open()).or_else(|| open.iter().find(|pin| !pin.is_open()));
+    STRANGE_PIN.store(strange.map_or(NONE, |pin| pin.0), Ordering::Relaxed);
+    if let Some(Pin(pin)) = strange {
+        let port = char::from(b'A' + (pin >> 4));
+        defmt::error!(
+            "this image is for {=str}, and this board is another: see pin P{=char}{=u8}",
+            This::NAME,
+            port,
+            pin & 15
+        );
+    }
+    strange.is_none()
+}
+
 /// What failed, if anything did.
 pub fn failed() -> Option<FaultRecord> {
     let address = RAM_FAILED.load(Ordering::Relaxed);
+    let strange = STRANGE_PIN.load(Ordering::Relaxed);
     let (fault, value) = match IMAGE_SOUND.load(Ordering::Relaxed) {
         _ if address != 0 => (Fault::RamDamaged, address as f32),
         false => (Fault::ImageDamaged, 0.0),
+        true if strange != NONE => (Fault::WrongBoard, f32::from(strange)),
         true => return None,
     };
     Some(FaultRecord { fault, axis: None, value, step: 0 })

@@ -1,4 +1,4 @@
-//! Feeds the watchdog, and only when everything that has to move has moved: the control interrupt since the last
+//! Has the watchdog fed, and only when everything that has to move has moved: the control interrupt since the last
 //! feeding, no more often than its rate says and, while the motors are on, no less often, and every task within its own
 //! time.
 
@@ -11,7 +11,7 @@ use haptic_bridge::safety::pace::{Pace, Verdict};
 use crate::servo;
 use crate::watchdog::{self, Watchdog};
 
-/// Time between feedings; the watchdog bites after 68 ms at the earliest.
+/// Time between looks; one is worth 100 ms to the watchdog.
 const PERIOD: Duration = Duration::from_millis(20);
 
 /// Longest time between two signs of life of a task, ms.
@@ -64,7 +64,7 @@ fn now_ms() -> u32 {
     Instant::now().as_millis() as u32
 }
 
-/// Feeds the watchdog for as long as all is well.
+/// Has the watchdog fed for as long as all is well.
 #[embassy_executor::task]
 pub async fn supervise(mut watchdog: Watchdog) -> ! {
     let mut ticker = Ticker::every(PERIOD);

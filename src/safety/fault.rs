@@ -168,6 +168,9 @@ faults! {
     /// A dead man's key that was held is no longer told of; value: seconds since its counter changed.
     KeyReleased = 36, "nobody was heard to hold the dead man's key any more",
         "`haptic clear`, then press the key anew; if it comes while the key is down, the page, the network or the computer between key and board is too slow";
+    /// The image is for another board than the chip is on; value: the pin that told, 16 times its port (0 for A) and its number.
+    WrongBoard = 37, "the firmware is for another board than this",
+        "flash this board's own image; if it is this board's, look at the wire of its bus divider";
     /// The currents that are measured push harder at the tip than they may; value: N.
     ForceLimit = 38, "the measured currents push harder at the tip than its limit allows",
         "lower the damping or the stiffness; if it returns at rest, check the current sensors and the motor data in the device file";

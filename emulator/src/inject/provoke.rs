@@ -92,7 +92,7 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     let status = rig.tool.status().expect("the board answers");
     assert_eq!((status.state, status.fault), (State::Disarmed, None), "{name} is not cleared");
     assert!(rig.with(off), "{name}: clearing turned the bridges on");
-    if matches!(fault, Fault::ImageDamaged | Fault::RamDamaged) {
+    if matches!(fault, Fault::ImageDamaged | Fault::RamDamaged | Fault::WrongBoard) {
         // Clearing it makes nothing whole, and nor does a device in the place of the one that the start forgot.
         rig.load("");
         rig.tool.home().unwrap_or_else(|error| panic!("{name}: {error}"));

@@ -9,7 +9,7 @@ use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
 use virtual_board::boards::BoardKind;
 use virtual_board::broken::Peaks;
-use virtual_board::inject::{off, run_instead};
+use virtual_board::inject::{after_crest, off, run_instead};
 use virtual_board::rig::Rig;
 use virtual_board::run::{MICROSECOND, MILLISECOND, SECOND};
 
@@ -94,6 +94,131 @@ fn the_break_input_cuts_the_outputs_without_the_processor() {
     assert_eq!(executed(), before, "the processor stood still");
 }
 
+/// Each image on the wires of the other board: PB12 is EN_GATE on the one and the break input, pulled up, on the other; PC6
+/// an axis's gate and the enable line.
+#[test]
+fn an_image_on_the_wrong_board_leaves_its_power_stage_alone_and_says_so() {
+    let [odrive, h_bridge] = [BoardKind::OdriveV3, BoardKind::HBridgeF405];
+    for (kind, board, strange) in [(odrive, h_bridge, 0x06), (h_bridge, odrive, 0x23)] {
+        let mut rig = Rig::misplaced(kind, board, "pantograph-mk2");
+        let let_alone = |rig: &Rig| rig.with(|stopped| !stopped.hardware().peaks.touched && off(stopped));
+        assert!(let_alone(&rig), "{} on {}", kind.name(), board.name());
+        let told = |rig: &mut Rig| {
+            let status = rig.tool.status().expect("the board answers");
+            status.fault.map(|record| (record.fault, record.value as u8))
+        };
+        assert_eq!(told(&mut rig), Some((Fault::WrongBoard, strange)), "{} on {}", kind.name(), board.name());
+        assert_eq!(rig.tool.info().board.as_str(), kind.name());
+        rig.load("");
+        assert_eq!(refused(rig.tool.arm()), Refusal::Faulted(Fault::WrongBoard));
+        // Clearing it makes it no other board; an image that takes the wrong pin for the bus may refuse for that.
+        rig.tool.clear().expect("the fault clears");
+        rig.tool.home().expect("homed");
+        let again = refused(rig.tool.check_polarity());
+        assert!(matches!(again, Refusal::Faulted(Fault::WrongBoard) | Refusal::BusVoltage), "{again}");
+        rig.run(SECOND / 10);
+        rig = rig.restarted();
+        assert_eq!(told(&mut rig), Some((Fault::WrongBoard, strange)));
+        assert!(let_alone(&rig), "{} on {}", kind.name(), board.name());
+    }
+}
+
+/// The step that it interrupts would take up to a period more.
+#[test]
+fn a_falling_supply_floats_the_bridges_in_the_middle_of_a_control_step() {
+    for kind in BoardKind::ALL {
+        let rig = armed(kind);
+        after_crest(&rig, 3);
+        rig.with(|stopped| stopped.supply(2_700));
+        let fell = rig.now();
+        while !rig.with(off) {
+            rig.run(MICROSECOND / 10);
+        }
+        let took = rig.now() - fell;
+        assert!(took <= 2 * MICROSECOND, "{}: {took} ns after the supply fell", kind.name());
+    }
+}
+
+/// A core that is held executes nothing while carrier and duties go on, as one that is locked up.
+#[test]
+fn a_core_that_stands_still_is_reset_within_twenty_milliseconds() {
+    for kind in BoardKind::ALL {
+        let rig = armed(kind);
+        rig.with(|stopped| stopped.hold(true));
+        rig.run(20 * MILLISECOND);
+        assert_eq!(rig.with(|stopped| stopped.resets().len()), 1, "{}", kind.name());
+        assert!(rig.with(off), "{}", kind.name());
+    }
+}
+
+/// Stores each value at its address and goes on where the task begins.
+fn stores(values: &[(u32, u32)], task: u32) -> Vec<u32> {
+    let mut code = Vec::new();
+    let literals = 2 * values.len() as u32 + 1;
+    for nth in 0..values.len() as u32 {
+        // Words from this pair of instructions, and from the next, to the literals: the counter reads a word ahead.
+        let to = literals + 2 * nth - (2 * nth + 1);
+        // ldr r2, [pc, #value]; ldr r3, [pc, #address]; str r2, [r3]; nop.
+        code.extend([(0x4B00 | (to + 1)) << 16 | 0x4A00 | to, 0xBF00_601A]);
+    }
+    // ldr.w pc, [pc, #task].
+    code.push((0xF000 | 8 * values.len() as u32) << 16 | 0xF8DF);
+    code.extend(values.iter().flat_map(|(value, address)| [*value, *address]));
+    code.push(task);
+    code
+}
+
+/// The advanced timers and the ports whose pins drive gates, and where their registers lie.
+const TIMERS: [(&str, u32); 2] = [("TIM1", 0x4001_0000), ("TIM8", 0x4001_0400)];
+const PORTS: [(&str, u32); 3] = [("GPIOA", 0x4002_0000), ("GPIOB", 0x4002_0400), ("GPIOC", 0x4002_0800)];
+/// CCMR1, CCMR2, CCER and BDTR of a timer; MODER and PUPDR of a port.
+const HOW_TIMERS_DRIVE: [u32; 4] = [0x18, 0x1C, 0x20, BREAK_AND_DEAD_TIME];
+const HOW_PINS_DRIVE: [u32; 2] = [0x00, 0x0C];
+
+#[test]
+fn nothing_that_runs_changes_how_gates_are_driven() {
+    for kind in BoardKind::ALL {
+        let mut rig = armed(kind);
+        rig.tool.disarm().expect("the board disarms");
+        let timers = if kind == BoardKind::OdriveV3 { &TIMERS[..] } else { &TIMERS[..1] };
+        let registers = timers.iter().map(|timer| (timer, &HOW_TIMERS_DRIVE[..]));
+        let registers = registers.chain(PORTS.iter().map(|port| (port, &HOW_PINS_DRIVE[..])));
+        let registers: Vec<(&'static str, u32, u32)> =
+            registers.flat_map(|((name, base), all)| all.iter().map(move |at| (*name, *base, *at))).collect();
+        let seen = |rig: &Rig| {
+            let registers = registers.clone();
+            rig.with(move |stopped| {
+                let read =
+                    |(name, base, at): (&str, u32, u32)| (base + at, stopped.hardware().chip.register(name, at) as u32);
+                registers.into_iter().map(read).collect::<Vec<_>>()
+            })
+        };
+        let before = seen(&rig);
+        let power = rig.kind.power;
+        let spoilt: Vec<(u32, u32)> = registers
+            .iter()
+            .zip(&before)
+            .map(|((name, _, at), (address, value))| {
+                let pins = power.iter().filter(|pin| name.ends_with(pin.0)).map(|pin| 0b11 << (2 * pin.1));
+                let fields = pins.fold(0, |all, field| all | field);
+                let value = match *at {
+                    // Inverted outputs; then neither dead time nor break.
+                    0x20 => value ^ 0xAAA,
+                    BREAK_AND_DEAD_TIME => 0,
+                    // Active whatever the count is.
+                    at if !name.starts_with("GPIO") => value | if at == 0x18 { 0x5050 } else { 0x0050 },
+                    // Outputs, or pulled up.
+                    _ => value & !fields | fields & 0x5555_5555,
+                };
+                (value, *address)
+            })
+            .collect();
+        run_instead(&rig, "10supervisor9supervise4POOL", move |task| stores(&spoilt, task));
+        rig.run(50 * MILLISECOND);
+        assert_eq!(seen(&rig), before, "{}", kind.name());
+    }
+}
+
 /// A board that is armed and whose task is replaced: the watchdog resets it, not before `least` ms and before `most`,
 /// and says so.
 fn bitten(task: &'static str, code: impl FnOnce(u32) -> Vec<u32>, least: u64, most: u64) {
@@ -127,7 +252,7 @@ fn the_watchdog_bites_when_the_control_interrupt_stops_though_every_task_goes_on
     // Disables interrupt 25 of the controller (TIM1's update, RM0090 table 61), then goes on where the task begins:
     // ldr r2, [pc, #8]; ldr r3, [pc, #12]; str r2, [r3]; nop; ldr.w pc, [pc, #8].
     let stub = |task| vec![0x4B03_4A02, 0xBF00_601A, 0xF008_F8DF, 1 << 25, 0xE000_E180, task];
-    bitten("10supervisor9supervise4POOL", stub, 40, 300);
+    bitten("10supervisor9supervise4POOL", stub, 3, 30);
 }
 
 #[test]

@@ -15,6 +15,7 @@ static TOY: Wiring = Wiring {
         sensors: &[(10, 0.2)],
     }],
     enable: Pin('C', 6),
+    power: &[Pin('A', 8), Pin('B', 13), Pin('C', 6)],
     idle_brakes: true,
     fault: Pin('B', 12),
     fault_breaks: false,

@@ -12,12 +12,13 @@ use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::Counts;
 
-use super::{Board, Common, Io};
+use super::{Board, Common, Io, Signs};
 use crate::adc;
 use crate::encoder;
 use crate::gate::{Gate, GateError};
 use crate::index;
 use crate::pwm;
+use crate::self_test::Pin;
 use crate::zeros::{Zeroing, Zeros, settle};
 
 /// Amperes per count of the converter: 0.2 V/A.
@@ -40,6 +41,8 @@ pub struct ToyBoard;
 
 impl Board for ToyBoard {
     const NAME: &'static str = "toy-board";
+    /// Its bus divider.
+    const SIGNS: Signs = Signs { held: &[Pin::new('C', 3)], open: &[] };
     const AXES: usize = 1;
     const BRIDGE: Bridge =
         Bridge { carrier_hz: CARRIER_MIN_HZ as f32, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true };
@@ -63,20 +66,25 @@ impl Board for ToyBoard {
         pwm::drive(pac::TIM1, false);
     }
 
-    fn split(p: Peripherals, carrier: Carrier) -> (Pins, EnableLine, Common) {
-        core::mem::forget(Output::new(p.PC6, Level::Low, Speed::Low));
+    fn split(p: Peripherals, carrier: Carrier, board: bool) -> (Pins, Option<EnableLine>, Common) {
         rcc::enable_and_reset::<peripherals::TIM1>();
         rcc::enable_and_reset::<peripherals::TIM4>();
         rcc::enable_and_reset::<peripherals::ADC1>();
         let config = pwm::PwmConfig { channels: [true, false, false], dead_time: 17, break_input: false };
         pwm::configure(pac::TIM1, &config, carrier);
-        pwm::outputs([Flex::new(p.PA8), Flex::new(p.PB13)], 1);
-        adc::inputs([Flex::new(p.PC0), Flex::new(p.PC3)]);
         adc::configure(pac::ADC1, &[10, 13]);
-        index::latch(INDEX_LINES[0]);
-        encoder::start(pac::TIM4, Flex::new(p.PB6), Flex::new(p.PB7), 2);
+        if board {
+            core::mem::forget(Output::new(p.PC6, Level::Low, Speed::Low));
+            pwm::outputs([Flex::new(p.PA8), Flex::new(p.PB13)], 1);
+            adc::inputs([Flex::new(p.PC0), Flex::new(p.PC3)]);
+            index::latch(INDEX_LINES[0]);
+            encoder::start(pac::TIM4, Flex::new(p.PB6), Flex::new(p.PB7), 2);
+        }
+        pwm::lock(pac::GPIOA, 1 << 8);
+        pwm::lock(pac::GPIOB, 1 << 13);
+        pwm::lock(pac::GPIOC, 1 << ENABLE);
         let common = Common { usb: (p.USB_OTG_FS, p.PA12, p.PA11), flash: p.FLASH, watchdog: p.IWDG };
-        (Pins { zeros: Zeros::new(), offset: 0.0, carrier }, EnableLine, common)
+        (Pins { zeros: Zeros::new(), offset: 0.0, carrier }, board.then_some(EnableLine), common)
     }
 }
 

@@ -16,12 +16,13 @@ use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::{Counts, Currents};
 
-use super::{Board, Common, Io};
+use super::{Board, Common, Io, Signs};
 use crate::adc;
 use crate::encoder;
 use crate::gate::{Gate, GateError};
 use crate::index;
 use crate::pwm;
+use crate::self_test::Pin;
 use crate::zeros::{Zeroing, Zeros, settle};
 
 /// Motors that it can drive.
@@ -63,6 +64,9 @@ pub struct HBridgeF405;
 
 impl Board for HBridgeF405 {
     const NAME: &'static str = "h-bridge-f405";
+    /// The bus divider holds PC3 with 0.9 kohm, with the supply on or off; PA6 is not wired here, and is the bus divider
+    /// of an ODrive.
+    const SIGNS: Signs = Signs { held: &[Pin::new('C', 3)], open: &[Pin::new('A', 6)] };
     const AXES: usize = AXES;
     /// What the drive needs to know. The dead time here costs no voltage (see [`DEAD_TIME_TICKS`]), so none is compensated.
     const BRIDGE: Bridge =
@@ -89,9 +93,7 @@ impl Board for HBridgeF405 {
         pwm::drive(pac::TIM1, false);
     }
 
-    fn split(p: Peripherals, carrier: Carrier) -> (Pins, EnableLine, Common) {
-        core::mem::forget(Output::new(p.PC6, Level::Low, Speed::Low));
-
+    fn split(p: Peripherals, carrier: Carrier, board: bool) -> (Pins, Option<EnableLine>, Common) {
         rcc::enable_and_reset::<peripherals::TIM1>();
         rcc::enable_and_reset::<peripherals::TIM2>();
         rcc::enable_and_reset::<peripherals::TIM3>();
@@ -99,25 +101,34 @@ impl Board for HBridgeF405 {
         rcc::enable_and_reset::<peripherals::ADC1>();
         rcc::enable_and_reset::<peripherals::ADC2>();
 
-        // Pulled up: a board without a break line is not held off by it.
-        let mut break_input = Flex::new(p.PB12);
-        break_input.set_as_af_unchecked(1, AfType::input(Pull::Up));
-        core::mem::forget(break_input);
         let config = pwm::PwmConfig { channels: [true; 3], dead_time: DEAD_TIME_TICKS, break_input: true };
         pwm::configure(pac::TIM1, &config, carrier);
-        let [a, b, c] = [Flex::new(p.PA8), Flex::new(p.PA9), Flex::new(p.PA10)];
-        pwm::outputs([a, b, c, Flex::new(p.PB13), Flex::new(p.PB14), Flex::new(p.PB15)], 1);
-
-        adc::inputs([Flex::new(p.PC0), Flex::new(p.PC1), Flex::new(p.PC2), Flex::new(p.PC3)]);
         adc::configure(pac::ADC1, &[10, 12]);
         adc::configure(pac::ADC2, &[11, 13]);
+        if board {
+            core::mem::forget(Output::new(p.PC6, Level::Low, Speed::Low));
+            // Pulled up: a board without a break line is not held off by it.
+            let mut break_input = Flex::new(p.PB12);
+            break_input.set_as_af_unchecked(1, AfType::input(Pull::Up));
+            core::mem::forget(break_input);
+            let [a, b, c] = [Flex::new(p.PA8), Flex::new(p.PA9), Flex::new(p.PA10)];
+            pwm::outputs([a, b, c, Flex::new(p.PB13), Flex::new(p.PB14), Flex::new(p.PB15)], 1);
+            adc::inputs([Flex::new(p.PC0), Flex::new(p.PC1), Flex::new(p.PC2), Flex::new(p.PC3)]);
+            index::latch(INDEX_LINES[0] | INDEX_LINES[1] | INDEX_LINES[2]);
+            encoder::start(TIM2, Flex::new(p.PA15), Flex::new(p.PB3), 1);
+            encoder::start(pac::TIM3, Flex::new(p.PB4), Flex::new(p.PB5), 2);
+            encoder::start(pac::TIM4, Flex::new(p.PB6), Flex::new(p.PB7), 2);
+        }
+        pwm::lock(pac::GPIOA, 0b111 << 8);
+        pwm::lock(pac::GPIOB, 0b1111 << BREAK);
+        pwm::lock(pac::GPIOC, 1 << ENABLE);
 
-        index::latch(INDEX_LINES[0] | INDEX_LINES[1] | INDEX_LINES[2]);
-        encoder::start(TIM2, Flex::new(p.PA15), Flex::new(p.PB3), 1);
-        encoder::start(pac::TIM3, Flex::new(p.PB4), Flex::new(p.PB5), 2);
-        encoder::start(pac::TIM4, Flex::new(p.PB6), Flex::new(p.PB7), 2);
         let io = Pins { zeros: Zeros::new(), offsets: [0.0; AXES], carrier };
-        (io, EnableLine, Common { usb: (p.USB_OTG_FS, p.PA12, p.PA11), flash: p.FLASH, watchdog: p.IWDG })
+        (
+            io,
+            board.then_some(EnableLine),
+            Common { usb: (p.USB_OTG_FS, p.PA12, p.PA11), flash: p.FLASH, watchdog: p.IWDG },
+        )
     }
 }
 

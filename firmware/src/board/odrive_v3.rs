@@ -18,7 +18,7 @@ use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::Counts;
 
-use super::{Board, Common, Io};
+use super::{Board, Common, Io, Signs};
 use crate::adc;
 use crate::clock::TIMER_HZ;
 use crate::drv8301::{self, Drv8301, Inputs};
@@ -26,6 +26,7 @@ use crate::encoder;
 use crate::gate::{Gate, GateError};
 use crate::index;
 use crate::pwm;
+use crate::self_test::Pin;
 use crate::zeros::{Zeroing, Zeros, settle};
 
 /// Motors that it can drive.
@@ -66,6 +67,9 @@ pub struct OdriveV3;
 
 impl Board for OdriveV3 {
     const NAME: &'static str = "odrive-v3";
+    /// The bus divider holds PA6 with 0.9 kohm, with the supply on or off. That there are two DRV8301 shows only once
+    /// EN_GATE is high: arming reads their registers back.
+    const SIGNS: Signs = Signs { held: &[Pin::new('A', 6)], open: &[] };
     const AXES: usize = AXES;
     /// What the drive needs to know. The current loop's bandwidth is a tenth of the slowest carrier over two pi, rounded
     /// down: with half a period of delay it keeps 60 degrees of phase margin at any carrier.
@@ -100,15 +104,7 @@ impl Board for OdriveV3 {
         pac::GPIOB.bsrr().write(|w| w.set_br(EN_GATE, true));
     }
 
-    fn split(p: Peripherals, carrier: Carrier) -> (Pins, Drivers, Common) {
-        // EN_GATE first: low, for good measure, before any gate signal has a driver.
-        core::mem::forget(Output::new(p.PB12, Level::Low, Speed::Low));
-        let mut fault = Flex::new(p.PD2);
-        fault.set_as_input(embassy_stm32::gpio::Pull::Up);
-        core::mem::forget(fault);
-        // The brake resistor's half bridge stays off.
-        core::mem::forget((Output::new(p.PB10, Level::Low, Speed::Low), Output::new(p.PB11, Level::Low, Speed::Low)));
-
+    fn split(p: Peripherals, carrier: Carrier, board: bool) -> (Pins, Option<Drivers>, Common) {
         rcc::enable_and_reset::<peripherals::TIM1>();
         rcc::enable_and_reset::<peripherals::TIM8>();
         rcc::enable_and_reset::<peripherals::TIM3>();
@@ -120,32 +116,45 @@ impl Board for OdriveV3 {
         for timer in TIMERS {
             pwm::configure(timer, &config, carrier);
         }
-        let [a, b, c] = [Flex::new(p.PA8), Flex::new(p.PA9), Flex::new(p.PA10)];
-        pwm::outputs([a, b, c, Flex::new(p.PB13), Flex::new(p.PB14), Flex::new(p.PB15)], 1);
-        let [a, b, c] = [Flex::new(p.PC6), Flex::new(p.PC7), Flex::new(p.PC8)];
-        pwm::outputs([a, b, c, Flex::new(p.PA7), Flex::new(p.PB0), Flex::new(p.PB1)], 3);
-
-        adc::inputs([Flex::new(p.PC0), Flex::new(p.PC1), Flex::new(p.PC2), Flex::new(p.PC3), Flex::new(p.PA6)]);
         // Phase B of both axes and the bus on one converter, phase C of both on the other.
         adc::configure(pac::ADC1, &[10, 13, 6]);
         adc::configure(pac::ADC2, &[11, 12]);
 
-        encoder::start(pac::TIM3, Flex::new(p.PB4), Flex::new(p.PB5), 2);
-        encoder::start(pac::TIM4, Flex::new(p.PB6), Flex::new(p.PB7), 2);
-        index::latch(INDEX_LINES[0] | INDEX_LINES[1]);
-        let io = Pins { zeros: Zeros::new(), offsets: [Offsets { current: 0.0, imbalance: 0.0 }; AXES], carrier };
+        let gate = board.then(|| {
+            // EN_GATE first: low, for good measure, before any gate signal has a driver.
+            core::mem::forget(Output::new(p.PB12, Level::Low, Speed::Low));
+            let mut fault = Flex::new(p.PD2);
+            fault.set_as_input(embassy_stm32::gpio::Pull::Up);
+            core::mem::forget(fault);
+            // The brake resistor's half bridge stays off.
+            let brake = [Output::new(p.PB10, Level::Low, Speed::Low), Output::new(p.PB11, Level::Low, Speed::Low)];
+            core::mem::forget(brake);
+            let [a, b, c] = [Flex::new(p.PA8), Flex::new(p.PA9), Flex::new(p.PA10)];
+            pwm::outputs([a, b, c, Flex::new(p.PB13), Flex::new(p.PB14), Flex::new(p.PB15)], 1);
+            let [a, b, c] = [Flex::new(p.PC6), Flex::new(p.PC7), Flex::new(p.PC8)];
+            pwm::outputs([a, b, c, Flex::new(p.PA7), Flex::new(p.PB0), Flex::new(p.PB1)], 3);
+            adc::inputs([Flex::new(p.PC0), Flex::new(p.PC1), Flex::new(p.PC2), Flex::new(p.PC3), Flex::new(p.PA6)]);
+            encoder::start(pac::TIM3, Flex::new(p.PB4), Flex::new(p.PB5), 2);
+            encoder::start(pac::TIM4, Flex::new(p.PB6), Flex::new(p.PB7), 2);
+            index::latch(INDEX_LINES[0] | INDEX_LINES[1]);
 
-        let mut config = spi::Config::default();
-        config.mode = spi::MODE_1;
-        config.frequency = Hertz(2_000_000);
-        let bus = Spi::new_blocking(p.SPI3, p.PC10, p.PC12, p.PC11, config);
-        let gate = Drivers {
-            bus,
-            drivers: [
-                Drv8301::new(Output::new(p.PC13, Level::High, Speed::Low)),
-                Drv8301::new(Output::new(p.PC14, Level::High, Speed::Low)),
-            ],
-        };
+            let mut config = spi::Config::default();
+            config.mode = spi::MODE_1;
+            config.frequency = Hertz(2_000_000);
+            Drivers {
+                bus: Spi::new_blocking(p.SPI3, p.PC10, p.PC12, p.PC11, config),
+                drivers: [
+                    Drv8301::new(Output::new(p.PC13, Level::High, Speed::Low)),
+                    Drv8301::new(Output::new(p.PC14, Level::High, Speed::Low)),
+                ],
+            }
+        });
+        pwm::lock(pac::GPIOA, 0b1111 << 7);
+        pwm::lock(pac::GPIOB, 0b11 | 0b11_1111 << 10);
+        pwm::lock(pac::GPIOC, 0b111 << 6);
+        pwm::lock(pac::GPIOD, 1 << N_FAULT);
+
+        let io = Pins { zeros: Zeros::new(), offsets: [Offsets { current: 0.0, imbalance: 0.0 }; AXES], carrier };
         (io, gate, Common { usb: (p.USB_OTG_FS, p.PA12, p.PA11), flash: p.FLASH, watchdog: p.IWDG })
     }
 }
