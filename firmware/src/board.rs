@@ -20,8 +20,12 @@ mod toy_board;
 #[cfg(feature = "toy-board")]
 pub use toy_board::ToyBoard as This;
 
+use embassy_stm32::pac;
+use embassy_stm32::pac::gpio::Gpio;
+use embassy_stm32::pac::gpio::vals::{Idr, Pupdr};
 use embassy_stm32::peripherals::{FLASH, IWDG, PA11, PA12, USB_OTG_FS};
 use embassy_stm32::{Peri, Peripherals};
+use embassy_time::{Duration, block_for};
 use haptic_bridge::drive::carrier::Carrier;
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
@@ -31,7 +35,37 @@ use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::Counts;
 
 use crate::gate::Gate;
-use crate::self_test::Pin;
+
+/// A pin of ports A to D: sixteen times its port's number, 0 for A, and its number there.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub struct Pin(pub(crate) u8);
+
+/// Time after which a pin follows a pull, us: 40 kohm, and a thousand times what a wire of a metre has (100 pF).
+const PULL_US: u64 = 500;
+
+/// The ports.
+const PORTS: [Gpio; 4] = [pac::GPIOA, pac::GPIOB, pac::GPIOC, pac::GPIOD];
+
+impl Pin {
+    /// Pin `number` of `port`.
+    pub const fn new(port: char, number: u8) -> Self {
+        Self((port as u8 - b'A') << 4 | number)
+    }
+
+    /// Whether nothing holds it, so that it follows the chip's own pulls, down and up and once more: what is held between
+    /// the two levels may look like either, and stays. Call while it is an input; leaves it one without a pull.
+    pub fn is_open(self) -> bool {
+        let (port, number) = (PORTS[usize::from(self.0 >> 4 & 3)], usize::from(self.0 & 15));
+        let pulls = [(Pupdr::PULL_DOWN, Idr::LOW), (Pupdr::PULL_UP, Idr::HIGH)];
+        let follows = pulls.into_iter().chain(pulls).all(|(pull, level)| {
+            port.pupdr().modify(|w| w.set_pupdr(number, pull));
+            block_for(Duration::from_micros(PULL_US));
+            port.idr().read().idr(number) == level
+        });
+        port.pupdr().modify(|w| w.set_pupdr(number, Pupdr::FLOATING));
+        follows
+    }
+}
 
 /// What tells a board from the others before any of its pins is driven: pins that something on the board holds at a
 /// level, and pins that lead nowhere. The chip pulls at each of them with its own 40 kohm, and a pin that leads nowhere

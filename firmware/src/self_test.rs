@@ -8,15 +8,10 @@ use core::arch::global_asm;
 use core::ptr::addr_of;
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 
-use embassy_stm32::pac;
-use embassy_stm32::pac::gpio::Gpio;
-use embassy_stm32::pac::gpio::vals::{Idr, Pupdr};
-use embassy_time::{Duration, block_for};
-
 use haptic_bridge::checksum::Crc32;
 use haptic_bridge::safety::fault::{Fault, FaultRecord};
 
-use crate::board::{Board, Signs, This};
+use crate::board::{Board, Pin, Signs, This};
 
 /// The first word that failed the RAM test, 0 where none did. The test writes it, start-up leaves it alone.
 #[unsafe(link_section = ".uninit.RAM_FAILED")]
@@ -112,37 +107,6 @@ pub fn image() {
     // SAFETY: a word of flash that the linker placed.
     let written = unsafe { addr_of!(_image_check).read_volatile() };
     IMAGE_SOUND.store(sum.sum() == written, Ordering::Relaxed);
-}
-
-/// A pin of ports A to D: sixteen times its port's number, 0 for A, and its number there.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub struct Pin(u8);
-
-/// Time after which a pin follows a pull, us: 40 kohm, and a thousand times what a wire of a metre has (100 pF).
-const PULL_US: u64 = 500;
-
-/// The ports.
-const PORTS: [Gpio; 4] = [pac::GPIOA, pac::GPIOB, pac::GPIOC, pac::GPIOD];
-
-impl Pin {
-    /// Pin `number` of `port`.
-    pub const fn new(port: char, number: u8) -> Self {
-        Self((port as u8 - b'A') << 4 | number)
-    }
-
-    /// Whether nothing holds it, so that it follows the chip's own pulls, down and up and once more: what is held between
-    /// the two levels may look like either, and stays. Call while it is an input; leaves it one without a pull.
-    fn is_open(self) -> bool {
-        let (port, number) = (PORTS[usize::from(self.0 >> 4 & 3)], usize::from(self.0 & 15));
-        let pulls = [(Pupdr::PULL_DOWN, Idr::LOW), (Pupdr::PULL_UP, Idr::HIGH)];
-        let follows = pulls.into_iter().chain(pulls).all(|(pull, level)| {
-            port.pupdr().modify(|w| w.set_pupdr(number, pull));
-            block_for(Duration::from_micros(PULL_US));
-            port.idr().read().idr(number) == level
-        });
-        port.pupdr().modify(|w| w.set_pupdr(number, Pupdr::FLOATING));
-        follows
-    }
 }
 
 /// The pin that is not as on this image's board, [`UNTOLD`] before anybody looked, [`NONE`] where all are.

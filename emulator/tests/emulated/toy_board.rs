@@ -12,13 +12,12 @@ use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::Counts;
 
-use super::{Board, Common, Io, Signs};
+use super::{Board, Common, Io, Pin, Signs};
 use crate::adc;
 use crate::encoder;
 use crate::gate::{Gate, GateError};
 use crate::index;
 use crate::pwm;
-use crate::self_test::Pin;
 use crate::zeros::{Zeroing, Zeros, settle};
 
 /// Amperes per count of the converter: 0.2 V/A.

@@ -16,13 +16,12 @@ use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::{Counts, Currents};
 
-use super::{Board, Common, Io, Signs};
+use super::{Board, Common, Io, Pin, Signs};
 use crate::adc;
 use crate::encoder;
 use crate::gate::{Gate, GateError};
 use crate::index;
 use crate::pwm;
-use crate::self_test::Pin;
 use crate::zeros::{Zeroing, Zeros, settle};
 
 /// Motors that it can drive.

@@ -18,7 +18,7 @@ use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::Counts;
 
-use super::{Board, Common, Io, Signs};
+use super::{Board, Common, Io, Pin, Signs};
 use crate::adc;
 use crate::clock::TIMER_HZ;
 use crate::drv8301::{self, Drv8301, Inputs};
@@ -26,7 +26,6 @@ use crate::encoder;
 use crate::gate::{Gate, GateError};
 use crate::index;
 use crate::pwm;
-use crate::self_test::Pin;
 use crate::zeros::{Zeroing, Zeros, settle};
 
 /// Motors that it can drive.
