@@ -162,7 +162,7 @@ fn stores(values: &[(u32, u32)], task: u32) -> Vec<u32> {
         code.extend([(0x4B00 | (to + 1)) << 16 | 0x4A00 | to, 0xBF00_601A]);
     }
     // ldr.w pc, [pc, #task].
-    code.push((0xF000 | 8 * values.len() as u32) << 16 | 0xF8DF);
+    code.push((0xF000 | (8 * values.len() as u32)) << 16 | 0xF8DF);
     code.extend(values.iter().flat_map(|(value, address)| [*value, *address]));
     code.push(task);
     code
