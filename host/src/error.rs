@@ -120,7 +120,8 @@ pub fn visible(text: &str) -> Cow<'_, str> {
     shown.into()
 }
 
-/// Writes a finished document to standard output, as [`visible`] shows it. A reader that went away (`haptic … | head`) is not an error.
+/// Writes a finished document to standard output, as [`visible`] shows it. A reader that went away (`haptic … | head`) is
+/// not an error.
 pub fn print(document: &str) -> Result<(), Failure> {
     use std::io::Write;
     let mut out = std::io::stdout().lock();
@@ -133,8 +134,8 @@ pub fn print(document: &str) -> Result<(), Failure> {
     }
 }
 
-/// Writes to standard error, as [`visible`] shows it. A reader that went away (`haptic … 2>&1 | head`) or a full disk stops no command, least of
-/// all one that has motors to turn off: what cannot be said is not said.
+/// Writes to standard error, as [`visible`] shows it. A reader that went away (`haptic … 2>&1 | head`) or a full disk stops
+/// no command, least of all one that has motors to turn off: what cannot be said is not said.
 pub fn say(text: fmt::Arguments<'_>) {
     write_error(&visible(&text.to_string()));
 }

@@ -113,8 +113,8 @@ pub trait Stage: Copy + Debug + Default {
     }
 
     /// What the legs do over the next carrier period, from the supply, what was sampled and the joint's speed (rad/s),
-    /// filtered so that a count does not push. Call once a carrier period. The period begins at the valley half a period after the sample or, where that is
-    /// too soon (`late`), at the crest after it, and lasts until the next drive applies.
+    /// filtered so that a count does not push. Call once a carrier period. The period begins at the valley half a period
+    /// after the sample or, where that is too soon (`late`), at the crest after it, and lasts until the next drive applies.
     fn drive(&mut self, supply: &Supply, sample: Self::Sample, speed: f32, late: bool) -> Self::Drive;
 
     /// [`Stage::drive`] with a usable supply, where that is soon done; else `None`, and nothing is changed.

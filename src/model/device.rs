@@ -165,10 +165,10 @@ macro_rules! define {
                 }
             }
 
-            /// Row `i` of the mass matrix at `q` (rad), kg m²: the torque of joint i that an acceleration of each joint takes.
-            pub fn inertia_row<K: Math<f32>>(&self, q: &[f32; MAX_JOINTS], i: usize) -> [f32; MAX_JOINTS] {
+            /// The mass matrix at `q` (rad), kg m², by rows; zeros beyond the joints.
+            pub fn inertia<K: Math<f32>>(&self, q: &[f32; MAX_JOINTS]) -> [[f32; MAX_JOINTS]; MAX_JOINTS] {
                 match self {
-                    $(Self::$Variant(mechanism) => inertia_row_at::<K, _, $n>(mechanism, q, i),)*
+                    $(Self::$Variant(mechanism) => inertia_at::<K, _, $n>(mechanism, q),)*
                 }
             }
 
@@ -198,13 +198,12 @@ fn angles<const N: usize>(q: &[f32; MAX_JOINTS]) -> [Angle<f32>; N] {
     head(q).map(Angle::of_radians)
 }
 
-fn inertia_row_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
+fn inertia_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
     mechanism: &M,
     q: &[f32; MAX_JOINTS],
-    i: usize,
-) -> [f32; MAX_JOINTS] {
+) -> [[f32; MAX_JOINTS]; MAX_JOINTS] {
     let mass = mechanism.mass(&shared_pose::<f32, K, M, N>(mechanism, &angles(q)));
-    core::array::from_fn(|j| mass.get((i, j)).copied().unwrap_or(0.0))
+    core::array::from_fn(|i| core::array::from_fn(|j| mass.get((i, j)).copied().unwrap_or(0.0)))
 }
 
 fn torque_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
@@ -217,9 +216,9 @@ fn torque_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
     padded(&torque.data.0[0])
 }
 
-/// What joint torques τ (N m) push with at the tip, N: a row for each task direction, zeros beyond the task, 1/m. It is the
-/// force that a hand feels that holds the tip where it is: J⁻ᵀ τ, and (J M⁻¹ Jᵀ)⁻¹ J M⁻¹ τ of an arm with more joints than
-/// the tip has directions, whose other motion nobody holds.
+/// What joint torques τ (N m) push with at the tip, N: a row for each task direction, zeros beyond the task, 1/m. It is
+/// the force that a hand feels that holds the tip where it is: J⁻ᵀ τ, and (J M⁻¹ Jᵀ)⁻¹ J M⁻¹ τ of an arm with more joints
+/// than the tip has directions, whose other motion nobody holds.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Leverage([[f32; MAX_JOINTS]; 3]);
 

@@ -1,12 +1,11 @@
 //! What is looked at at the carrier's valley, right after the drives of the crest before it: what the measured currents
-//! push with at the tip; whether each motor is as its device file says; and, of one joint at a time in turn, what builds up over many carrier periods (heat, stalls, lost
-//! encoders), all of which takes milliseconds at least.
+//! push with at the tip; whether each motor is as its device file says; and, of one joint at a time in turn, what builds
+//! up over many carrier periods (heat, stalls, lost encoders), all of which takes milliseconds at least.
 
 use super::Servo;
 use crate::drive::bits::left;
 use crate::drive::stage::Stage;
 use crate::math::{Math, limited, sqrt};
-use crate::model::catalogue::MAX_JOINTS;
 use crate::model::device::squared;
 use crate::safety::fault::{Fault, State};
 use crate::servo::frame::{Outputs, Samples};
@@ -173,11 +172,7 @@ where
     #[inline(never)]
     pub(super) fn weigh(&mut self, counts: &Counts) {
         let Some(program) = self.program.as_ref() else { return };
-        let zero = program.controller.zero();
-        let q = core::array::from_fn(|i| {
-            counts[i].wrapping_sub(zero[i]) as f32 * program.radians_per_count[i] + program.offsets[i]
-        });
-        self.leverage = program.mechanism.leverage::<K>(&q);
+        self.leverage = program.mechanism.leverage::<K>(&core::array::from_fn(|i| self.angle(i, counts[i])));
         let joints = self.joints.iter().enumerate().take(self.count());
         let error = joints
             .fold(0.0, |sum, (i, joint)| sum + self.leverage.most_of(i) * joint.stage.torque_of(SENSOR_ERROR).abs());
@@ -198,7 +193,7 @@ where
     #[inline(never)]
     fn find_strained(&mut self) {
         let joints = self.count();
-        let flowing = squared(&self.leverage.force::<MAX_JOINTS>(&self.flow.torque));
+        let flowing = self.leverage.force_squared(&self.flow.torque);
         if left(flowing, self.flow.most_squared) < 0 {
             self.trip(Fault::ForceLimit, None, sqrt(flowing));
             return;

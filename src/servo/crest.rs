@@ -481,7 +481,7 @@ where
     }
 
     /// Angle (rad) of a joint at a count.
-    fn angle(&self, joint: usize, count: i32) -> f32 {
+    pub(super) fn angle(&self, joint: usize, count: i32) -> f32 {
         let Some(program) = self.program.as_ref() else { return 0.0 };
         let relative = count.wrapping_sub(program.controller.zero()[joint]);
         relative as f32 * program.radians_per_count[joint] + program.offsets[joint]

@@ -16,7 +16,7 @@ use crate::math::{Math, limited, sqrt};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::fault::{Fault, State};
 use crate::safety::refusal::Refusal;
-use crate::servo::joints::{Counts, Torques};
+use crate::servo::joints::Torques;
 use crate::servo::program::Program;
 use crate::servo::saturation::share_within;
 use core::ops::DerefMut;
@@ -99,9 +99,6 @@ pub(super) struct PolarityCheck {
     rested: f32,
     /// Where the joint stood at its first step, rad.
     from: Option<f32>,
-    /// The square of the force at the tip that 1 N m of the joint is worth (N²), and for which counts.
-    worth: f32,
-    weighed_at: Option<Counts>,
 }
 
 impl<P, K, S> Servo<P, S>
@@ -154,18 +151,10 @@ where
     }
 
     /// A torque (N m) of joint `i` alone, as far as the limit of the force at the tip allows.
-    fn within_tip_force(&mut self, i: usize, wanted: f32) -> Torques {
+    fn within_tip_force(&self, i: usize, wanted: f32) -> Torques {
         let mut torque = Torques::default();
-        let Some(program) = self.program.as_ref() else { return torque };
-        // What a torque is worth at the tip is as it was while no count changes, and takes a pose to work out.
-        if self.polarity.weighed_at != Some(self.now.counts) {
-            torque[i] = 1.0;
-            self.polarity.worth = program.mechanism.leverage::<K>(&self.now.found.at.q).force_squared(&torque);
-            self.polarity.weighed_at = Some(self.now.counts);
-        }
         torque[i] = wanted;
-        let squared = self.polarity.worth * (torque[i] * torque[i]);
-        torque[i] *= share_within(squared, self.rules.limits.tip_force);
+        torque[i] *= share_within(self.leverage.force_squared(&torque), self.rules.limits.tip_force);
         torque
     }
 
@@ -185,7 +174,7 @@ where
     fn begin_swing(&mut self, i: usize) {
         let Some(program) = self.program.as_ref() else { return };
         let q = self.now.found.at.q;
-        let inertia = program.mechanism.inertia_row::<K>(&q, i)[i].max(f32::MIN_POSITIVE);
+        let inertia = program.mechanism.inertia::<K>(&q)[i][i].max(f32::MIN_POSITIVE);
         let angle = SWING_ANGLE.max(SWING_COUNTS * program.radians_per_count[i].abs());
         let largest = self.joints[i].stage.max_torque();
         let moved_it = POLARITY_SHARE * (self.polarity.seconds * (1.0 / POLARITY_SECONDS)).min(1.0) * largest;
@@ -242,10 +231,10 @@ where
     /// The swings of joint `i` are over: whether they were what the device file says.
     fn judge(&mut self, i: usize, swing: &Swing) {
         let Some(program) = self.program.as_ref() else { return };
+        let inertia = program.mechanism.inertia::<K>(&swing.about);
+        let rate = -swing.rate * swing.rate;
         let accelerated = |row: usize| {
-            let inertia = program.mechanism.inertia_row::<K>(&swing.about, row);
-            let rate = -swing.rate * swing.rate;
-            inertia.iter().zip(&swing.angles).fold([0.0; 2], |sum: Phasor, (inertia, angle)| {
+            inertia[row].iter().zip(&swing.angles).fold([0.0; 2], |sum: Phasor, (inertia, angle)| {
                 [sum[0] + rate * inertia * angle[0], sum[1] + rate * inertia * angle[1]]
             })
         };

@@ -129,8 +129,9 @@ impl Body {
     /// One control period, in which a motor makes `factor` times the torque that its file says.
     pub fn step(&mut self, rig: &mut Rig, factor: f64) {
         let q = self.q.map(|angle| angle as f32);
+        let inertia = self.mechanism.inertia::<Libm>(&q);
         let mass = nalgebra::Matrix3::from_fn(|i, j| match (i < self.joints, j < self.joints) {
-            (true, true) => f64::from(self.mechanism.inertia_row::<Libm>(&q, i)[j]),
+            (true, true) => f64::from(inertia[i][j]),
             _ => f64::from(u8::from(i == j)),
         });
         let torque = nalgebra::Vector3::from_fn(|i, _| {

@@ -10,7 +10,7 @@ use anyhow::{Context as _, Result, bail, ensure};
 use serde_json::{Value, json};
 
 use crate::paths::{root, target_directory};
-use crate::toolchain::{TARGET, Use, cargo, run};
+use crate::toolchain::{TARGET, Use, cargo, run, virtual_board};
 use crate::tools;
 
 const BINARY: &str = "haptic-bridge-counting";
@@ -32,13 +32,8 @@ fn image() -> Result<PathBuf> {
 /// Instructions by variant, as the emulated chip counts them, in the image's order.
 fn count() -> Result<Vec<(String, u64)>> {
     let image = image()?;
-    let output = cargo()
-        .current_dir(root())
-        .args(["run", "--quiet", "--locked", "--ignore-rust-version", "--bin", "count", "--"])
-        .arg(image)
-        .stderr(Stdio::inherit())
-        .output()
-        .context("cannot run the counter")?;
+    let output =
+        virtual_board("count").arg(image).stderr(Stdio::inherit()).output().context("cannot run the counter")?;
     ensure!(output.status.success(), "the counter failed ({})", output.status);
     let counted: Value = serde_json::from_slice(&output.stdout).context("the counter's output is not JSON")?;
     let variants = counted["variants"].as_array().context("the counter lists no variants")?;

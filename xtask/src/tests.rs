@@ -6,14 +6,11 @@ use std::time::Instant;
 
 use anyhow::{Result, anyhow, ensure};
 
-use crate::toolchain::{Use, cargo, run};
+use crate::toolchain::{Use, cargo, run, virtual_board};
 use crate::{bench, deny, firmware, fuzz, library, no_panic, paths, playground, python, report, tools};
 
 /// The tests of the tool, of C and of CHAI3D, as cargo is asked for them.
 const TOOL: [&str; 8] = ["--lib", "--bins", "--test", "quick", "--test", "c", "--test", "as_chai3d_does"];
-/// The same and those of the emulated chip.
-const GATE: [&str; 10] =
-    ["--lib", "--bins", "--test", "quick", "--test", "c", "--test", "as_chai3d_does", "--test", "emulated"];
 /// Where tests and programs of the virtual board find the images.
 const IMAGES: &str = "HAPTIC_FIRMWARE_DIR";
 /// Seconds of fuzzing that each target gets in the deep tests.
@@ -73,12 +70,12 @@ pub fn gate(arguments: &[String]) -> Result<()> {
         });
         stage("library", || run(cargo().current_dir(paths::root()).args(["test", "--locked"])))?;
         // The emulated chip with them: what cargo is asked for together it compiles once.
-        stage("compiling tool, C, CHAI3D and emulated chip", || run(tests(&GATE).arg("--no-run")))?;
+        stage("compiling tool, C, CHAI3D and emulated chip", || run(gate_tests().arg("--no-run")))?;
         stage("tool, C and CHAI3D", || run(&mut tests(&TOOL)))?;
         images.join().map_err(|_| anyhow!("the images' stages panicked"))?
     })?;
     stage("images on the emulated chip", || {
-        run(tests(&GATE).args(["--", "gate::"]).env(IMAGES, firmware::directory()))
+        run(gate_tests().args(["--", "gate::"]).env(IMAGES, firmware::directory()))
     })?;
     println!("-- all of it: {} s", began.elapsed().as_secs());
     Ok(())
@@ -156,6 +153,13 @@ fn emulated_suite(arguments: &[String]) -> Result<()> {
     run(tests(&["--test", "emulated"]).args(arguments).env(IMAGES, firmware::directory()))
 }
 
+/// All that the gate compiles for the tool and the emulated chip.
+fn gate_tests() -> Command {
+    let mut all = tests(&TOOL);
+    all.args(["--test", "emulated"]);
+    all
+}
+
 /// Tests of the tool and of the virtual board. The packages are always the same, and so are then their dependencies'
 /// features: each is compiled once.
 fn tests(targets: &[&str]) -> Command {
@@ -176,13 +180,10 @@ pub fn measure(name: &str, arguments: &[String]) -> Result<()> {
     run(program(name)?.args(arguments).env("HAPTIC_OCCASION", report::occasion()))
 }
 
-/// A program of the virtual board's, which takes the images from where this built them. The emulator
-/// declares a newer compiler than it needs.
+/// A program of the virtual board's that runs the images of the boards, which this builds.
 fn program(name: &str) -> Result<Command> {
     firmware::build_all()?;
-    let mut command = cargo();
-    command.current_dir(paths::root()).args(["run", "--quiet", "--locked", "--ignore-rust-version"]);
-    command.args(["--package", "virtual-board-programs", "--bin", name, "--"]);
+    let mut command = virtual_board(name);
     command.env(IMAGES, firmware::directory());
     Ok(command)
 }

@@ -122,6 +122,14 @@ pub fn cargo() -> Command {
     Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
 }
 
+/// A program of the virtual board's. The emulator declares a newer compiler than it needs.
+pub fn virtual_board(name: &str) -> Command {
+    let mut command = cargo();
+    command.current_dir(root()).args(["run", "--quiet", "--locked", "--ignore-rust-version"]);
+    command.args(["--package", "virtual-board-programs", "--bin", name, "--"]);
+    command
+}
+
 /// Runs a command to its end, naming it when it fails.
 pub fn run(command: &mut Command) -> Result<()> {
     let name = format!("{} {}", command.get_program().display(), join(command));

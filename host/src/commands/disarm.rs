@@ -8,8 +8,9 @@ use serde_json::json;
 
 /// Switch the motors off; the device then moves freely (and falls, if it has weight)
 ///
-/// Also of a board whose firmware is of another version than this tool. Gets through to a simulated or emulated board that another tool holds. A board on USB belongs to the tool that has
-/// its port open: end that tool, pull the cable, or use the emergency stop.
+/// Also of a board whose firmware is of another version than this tool. Gets through to a simulated or emulated board
+/// that another tool holds. A board on USB belongs to the tool that has its port open: end that tool, pull the cable, or
+/// use the emergency stop.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]

@@ -2,7 +2,7 @@
 
 use haptic::device_file::DeviceFile;
 use haptic::link::Board;
-use haptic::sim::{BoardOptions, Hand, HandSettings, Intent, SharedBoard, Support, Waypoint, ready_board};
+use haptic::sim::{BoardOptions, Hand, HandSettings, Intent, Random, SharedBoard, Support, Waypoint, ready_board};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::mechanism::AnyMechanism;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
@@ -11,32 +11,15 @@ use haptic_bridge::safety::limits::GENTLE_FORCE;
 use haptic_bridge::servo::{HostAction, Rules};
 use std::collections::VecDeque;
 
-/// Numbers that one seed draws (xorshift64*).
-pub struct Draw(u64);
-
-impl Draw {
-    pub fn new(seed: u64) -> Self {
-        Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
-    }
-
-    /// From `low` to `high`.
-    pub fn between(&mut self, low: f64, high: f64) -> f64 {
-        self.0 ^= self.0 >> 12;
-        self.0 ^= self.0 << 25;
-        self.0 ^= self.0 >> 27;
-        low + (high - low) * ((self.0.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 11) as f64 / (1u64 << 53) as f64)
-    }
-
-    pub fn one<T: Copy>(&mut self, of: &[T]) -> T {
-        of[(self.between(0.0, of.len() as f64) as usize).min(of.len() - 1)]
-    }
+fn one<T: Copy>(draw: &mut Random, of: &[T]) -> T {
+    of[(draw.uniform() * of.len() as f64) as usize]
 }
 
 /// The largest mean over 2 ms of the force (N) that the motors of a device push with at the tip beyond its weight, in a
 /// scene and a motion drawn by `seed`, and what was drawn. The currents, the angles and the torque constants are those of
 /// the simulated device itself and not what the board sees of them.
 pub fn largest(file: &DeviceFile, seed: u64) -> (f64, String) {
-    let mut draw = Draw::new(seed);
+    let mut draw = Random::new(seed);
     let weighs = file.description.gravity != [0.0; 3];
     let options =
         BoardOptions { support: if weighs { Support::Held } else { Support::None }, ..BoardOptions::default() };
@@ -48,8 +31,8 @@ pub fn largest(file: &DeviceFile, seed: u64) -> (f64, String) {
     board.set_rules(&rules).unwrap();
 
     let (tip, task) = (shared.lock().device().tip(), file.spec().task);
-    let rate = draw.one(&[200.0, 1_000.0, 4_000.0, 20_000.0, 40_000.0]);
-    let feed_forward = draw.one(&[FeedForward::Off, FeedForward::Full, FeedForward::Washout]);
+    let rate = one(&mut draw, &[200.0, 1_000.0, 4_000.0, 20_000.0, 40_000.0]);
+    let feed_forward = one(&mut draw, &[FeedForward::Off, FeedForward::Full, FeedForward::Washout]);
     let mut scene = Scene {
         task: task as u8,
         rate_hz: rate as f32,
@@ -57,7 +40,7 @@ pub fn largest(file: &DeviceFile, seed: u64) -> (f64, String) {
         gravity_compensation: weighs,
         ..Scene::default()
     };
-    let walls = draw.one(&[0, 1, 1, 2]);
+    let walls = one(&mut draw, &[0, 1, 1, 2]);
     let stiffness = 10f64.powf(draw.between(2.0, 4.0));
     let damping = draw.between(0.0, 0.01) * stiffness;
     for _ in 0..walls {

@@ -11,9 +11,6 @@ fn no_shipped_device_pushes_harder_than_its_limit_allows_whatever_scene_and_hand
     for file in all_shipped() {
         for seed in 0..count {
             let (most, what) = largest(&file, seed);
-            if std::env::var_os("HAPTIC_TELL").is_some() {
-                println!("{what}");
-            }
             if most > 1.1 * f64::from(GENTLE_FORCE) {
                 wrong.push(what);
             }
