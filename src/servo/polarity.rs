@@ -233,18 +233,15 @@ where
         let Some(program) = self.program.as_ref() else { return };
         let inertia = program.mechanism.inertia::<K>(&swing.about);
         let rate = -swing.rate * swing.rate;
-        let accelerated = |row: usize| {
-            inertia[row].iter().zip(&swing.angles).fold([0.0; 2], |sum: Phasor, (inertia, angle)| {
-                [sum[0] + rate * inertia * angle[0], sum[1] + rate * inertia * angle[1]]
-            })
-        };
-        // The share of a phasor that is in phase with the torque that the current made.
+        // The share of what the joints' accelerations take that is in phase with the torque that the current made.
         let size = dot(swing.driven, swing.driven).max(f32::MIN_POSITIVE);
-        let in_phase = |phasor: Phasor| dot(phasor, swing.driven) / size;
-        let found = in_phase(accelerated(i));
-        let others = (0..self.count()).filter(|row| *row != i);
-        let astray =
-            others.map(|row| (row, in_phase(accelerated(row)))).find(|(_, aside)| left(*aside, CROSS_DOUBT) < 0);
+        let acted = inertia.map(|row| {
+            let parts = row.iter().zip(&swing.angles);
+            parts.fold(0.0, |sum, (inertia, angle)| sum + rate * inertia * dot(*angle, swing.driven)) / size
+        });
+        let found = acted[i];
+        let mut others = acted.iter().enumerate().take(self.count()).filter(|(row, _)| *row != i);
+        let astray = others.find(|(_, aside)| left(**aside, CROSS_DOUBT) < 0);
         let (bridge, stage) = (&self.hardware.bridge, &self.joints[i].stage);
         let measured = (bridge.current_sensed && self.hardware.bus_sensed)
             .then(|| stage.resistance_of(swing.voltage, swing.current, swing.angles[i], swing.rate))
@@ -257,7 +254,7 @@ where
         if !(1.0 / TORQUE_DOUBT..=TORQUE_DOUBT).contains(&found) {
             self.trip(Fault::TorqueMismatch, Some(i as u8), found);
         } else if let Some((row, aside)) = astray {
-            self.trip(Fault::TorqueMismatch, Some(row as u8), aside);
+            self.trip(Fault::TorqueMismatch, Some(row as u8), *aside);
         } else if let Some((found, expected)) = measured
             && left(found - expected, RESISTANCE_DOUBT * expected + doubt) < 0
         {
