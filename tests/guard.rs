@@ -4,8 +4,9 @@
 //! hardware or another part of the firmware finds reach the servo as `Servo::trip` and are provoked on the emulated
 //! chip by the tests of emulator/. A fault that is neither does not compile here.
 
-use crate::rig::{self, RATE, Rig, five_bar, hardware, quiet, rules, scene, wall};
+use crate::rig::{self, Held, RATE, Rig, five_bar, hardware, paddle, quiet, rules, scene, wall};
 use haptic_bridge::safety::fault::{Fault, State};
+use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::joints::Counts;
 use haptic_bridge::servo::{Beat, Command, HostAction};
 
@@ -217,7 +218,7 @@ fn origin(fault: Fault) -> Origin {
     }
 }
 
-/// How it is provoked and how soon the bridges are off, in words, for docs/safety.md.
+/// How it is provoked and how soon the bridges are off, in words, for docs/faults.md.
 fn injection(fault: Fault) -> (&'static str, &'static str) {
     let at_once = "the same period";
     match fault {
@@ -271,7 +272,7 @@ fn injection(fault: Fault) -> (&'static str, &'static str) {
     }
 }
 
-/// The table of docs/safety.md.
+/// The table of docs/faults.md.
 fn table() -> String {
     let mut table = String::from(
         "| code | fault | what it says | provoked by | found by | motors off | remedy |\n|--:|---|---|---|---|---|---|\n",
@@ -319,17 +320,39 @@ fn an_index_may_come_late_by_what_the_joint_moved_and_is_learned_only_at_rest() 
     assert_eq!(shown((0, 1_000), (0, 61_003)), None);
 }
 
+/// What a sensor shows of a bridge that is off, it will be wrong by: no limit of what is measured holds that.
+#[test]
+fn a_sensor_that_is_off_its_zero_by_half_of_the_tips_limit_arms_nothing() {
+    let shown = |current: f32, command: fn() -> Command<Held>| {
+        let mut rig = Rig::with(&paddle(), &quiet(), hardware(), rules());
+        // The paddle's motor pushes with so much for each ampere.
+        let newtons = paddle().joints[0].motor.unwrap().torque_constant / paddle().geometry[0];
+        rig.rules.limits.tip_force = (2.0 * 0.1 * newtons) as f32;
+        let rules = rig.rules;
+        rig.execute(Command::Rules(rules)).unwrap();
+        rig.shown_current = Some(current);
+        rig.settle();
+        let asked = rig.execute(command());
+        (asked.err(), rig.servo.status().fault.map(|record| (record.fault, record.axis)))
+    };
+    for command in [|| Command::Arm, || Command::CheckPolarity] {
+        assert_eq!(shown(0.095, command), (None, None));
+        let found = (Some(Refusal::Faulted(Fault::StrayCurrent)), Some((Fault::StrayCurrent, Some(0))));
+        assert_eq!(shown(-0.105, command), found);
+    }
+}
+
 /// `UPDATE_DOCS=1 cargo test guard` writes it anew.
 #[test]
 fn the_table_in_the_documentation_is_the_table_of_the_code() {
     const BEGIN: &str = "<!-- faults: written by tests/guard.rs -->\n";
     const END: &str = "<!-- end of faults -->\n";
-    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/safety.md");
-    let text = std::fs::read_to_string(&path).expect("docs/safety.md is there");
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/faults.md");
+    let text = std::fs::read_to_string(&path).expect("docs/faults.md is there");
     let (head, rest) = text.split_once(BEGIN).expect("the table's begin");
     let (committed, tail) = rest.split_once(END).expect("the table's end");
     if std::env::var_os("UPDATE_DOCS").is_some() {
-        std::fs::write(&path, format!("{head}{BEGIN}{}{END}{tail}", table())).expect("docs/safety.md can be written");
+        std::fs::write(&path, format!("{head}{BEGIN}{}{END}{tail}", table())).expect("docs/faults.md can be written");
     } else {
         assert_eq!(committed, table(), "run UPDATE_DOCS=1 cargo test guard");
     }

@@ -8,7 +8,6 @@ use haptic_bridge::safety::fault::{Fault, State};
 use rigless::device::Level;
 
 use crate::boards::BoardKind;
-use crate::broken::{Broken, Peaks};
 use crate::contact::{WallAt, scene};
 use crate::hands::{hold, push};
 use crate::hardware::Hardware;
@@ -114,7 +113,7 @@ fn freeze(board: &mut Hardware) {
 }
 
 fn backward(board: &mut Hardware) {
-    board.broken.backward_from[0] = Some(board.plant.counts()[0]);
+    board.broken.share[0] = Some((board.plant.counts()[0], -1.0));
 }
 
 fn swap(board: &mut Hardware) {

@@ -8,7 +8,7 @@
 
 use std::num::{NonZeroU32, NonZeroU64};
 
-use haptic::sim::MotorInput;
+use haptic::sim::{Broken, MotorInput};
 use rigless::device::Level;
 use rigless::machine::{Board, Target, armv7m};
 use rigless::mcu::{Mcu, Operate};
@@ -21,11 +21,10 @@ use rigless::soc::stm32f427::peripherals::tim::Channel;
 use rigless::time::VirtualNanos;
 
 use crate::boards::{EncoderWires, HalfBridge, MotorWires, Pin, Wiring};
-use crate::broken::{Broken, Peaks};
 use crate::chip::Chip;
 use crate::chip::trigger::{REFERENCE_UV, Span};
 use crate::drv8301::Drv8301;
-use crate::plant::{Dummy, Plant};
+use crate::plant::{Dummy, Peaks, Plant};
 
 /// Instructions a second of virtual time: 168 MHz at two cycles an instruction, the middle of the 1.9 to 2.3 that a
 /// cycle estimate of a control step gives on a Cortex-M4F with flash wait states hidden.
@@ -72,6 +71,8 @@ pub struct Hardware {
     pub encoders_unplugged: [bool; 3],
     /// Edges of each encoder that its timer will still miss.
     pub edges_lost: [u32; 3],
+    /// From the next start on the chip's pin at the bus divider has no wire.
+    pub bus_cut: bool,
     /// What else is broken.
     pub broken: Broken,
     /// The most current, speed and travel since this was last set to its default.
@@ -111,6 +112,7 @@ impl Hardware {
             fault_line_shorted: false,
             encoders_unplugged: [false; 3],
             edges_lost: [0; 3],
+            bus_cut: false,
             broken: Broken::default(),
             peaks: Peaks::default(),
             encoders: [EncoderDrive::default(); 3],
@@ -180,7 +182,7 @@ impl Hardware {
                 self.show_phase(at, axis, wires);
             }
             let held = Level::from(self.plant.bus_voltage() / wiring.bus.1 > MID_SUPPLY);
-            self.hold(wiring.bus_pin(), (!self.broken.bus_cut).then_some(held), at);
+            self.hold(wiring.bus_pin(), (!self.bus_cut).then_some(held), at);
         }
         if at.0 >= self.next_step {
             self.advance_plant(wiring, at);
@@ -253,8 +255,7 @@ impl Hardware {
         for (axis, motor) in wiring.motors.iter().enumerate() {
             let gain = if wiring.drivers.is_empty() { Some(1.0) } else { self.driver(axis).gain() };
             for &(channel, volts_per_ampere) in motor.sensors {
-                let shown = self.broken.sensor_frozen[axis].unwrap_or(currents[axis]);
-                let current = self.broken.sensor_gain[nth] * shown + self.broken.sensor_extra[nth];
+                let current = self.broken.current(&currents, axis, nth);
                 let seen = gain
                     .map_or(0.0, |gain| MID_SUPPLY + wiring.sensor_offsets[nth] + gain * volts_per_ampere * current);
                 self.show_volts(channel, seen);

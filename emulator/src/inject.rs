@@ -466,7 +466,7 @@ pub fn injection(fault: Fault) -> Injection {
         Fault::WrongBoard => chip(
             "the chip's pin at the bus divider cut off, then a reset",
             disarmed,
-            |rig| restarting(rig, |stopped| stopped.hardware().broken.bus_cut = true),
+            |rig| restarting(rig, |stopped| stopped.hardware().bus_cut = true),
             500,
         ),
         Fault::RamDamaged => chip(

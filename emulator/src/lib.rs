@@ -4,7 +4,6 @@
 //! [`count`] counts the instructions of marked stretches of a bench image.
 
 pub mod boards;
-pub mod broken;
 pub mod campaign;
 pub mod cases;
 pub mod chip;

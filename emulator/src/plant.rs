@@ -87,3 +87,34 @@ impl Plant for Dummy {
         self.bus_voltage
     }
 }
+
+/// The most that there was since it was last set to nothing.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Peaks {
+    /// A winding's current, A.
+    pub current: f64,
+    /// A joint's speed, rad/s.
+    pub speed: f64,
+    /// The tip's way from where it was, m.
+    pub travel: f64,
+    /// Whether a bridge was on.
+    pub driven: bool,
+    /// Whether the chip drove a pin of the power stage, or pulled it up.
+    pub touched: bool,
+    from: Option<[f64; 3]>,
+}
+
+impl Peaks {
+    /// Takes what is.
+    pub fn take(&mut self, plant: &mut dyn Plant) {
+        let currents = plant.currents();
+        let Some(device) = plant.device() else { return };
+        let most = |values: [f64; 3]| values.iter().fold(0.0, |most: f64, value| most.max(value.abs()));
+        self.current = self.current.max(most(currents));
+        self.speed = self.speed.max(most(device.qd()));
+        let tip = device.tip();
+        let from = *self.from.get_or_insert(tip);
+        let way = tip.iter().zip(from).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+        self.travel = self.travel.max(way);
+    }
+}

@@ -6,6 +6,7 @@
 
 mod around;
 mod board;
+mod broken;
 mod device;
 pub mod door;
 mod encoder;
@@ -22,6 +23,7 @@ mod wire;
 
 pub use around::Around;
 pub use board::{BoardOptions, DriveModel, IDEAL_BOARD, SimulatedBoard, TIMER_HZ};
+pub use broken::Broken;
 pub use device::{DeviceError, Options, SimulatedDevice, Support};
 pub use encoder::EncoderModel;
 pub use flash::SettingsFlash;

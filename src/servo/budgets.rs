@@ -8,6 +8,7 @@ use crate::drive::stage::Stage;
 use crate::math::{Math, limited, sqrt};
 use crate::model::device::squared;
 use crate::safety::fault::{Fault, State};
+use crate::safety::refusal::Refusal;
 use crate::servo::frame::{Outputs, Samples};
 use crate::servo::joints::{Counts, Torques};
 use crate::servo::program::Program;
@@ -55,6 +56,8 @@ const FLOW_MARGIN: f32 = 1.05;
 const HIDDEN_SHARE: f32 = 0.05;
 /// What the mean of a current sensor over that time is known to be wrong by, A: its zero and its noise.
 const SENSOR_ERROR: f32 = 0.05;
+/// Share of the limit that what the sensors show of bridges that are off may be worth.
+const STRAY_SHARE: f32 = 0.5;
 /// How long currents and that mean take to follow a limit that was lowered, s.
 const SETTLING_SECONDS: f32 = 5.0e-3;
 /// How often it is worked out anew what torques are worth at the tip, Hz: a tip at 1 m/s moves by an eighth of a
@@ -126,6 +129,8 @@ where
                 Some(left) => self.flow.left = left,
                 None => self.weigh(&seen.counts),
             }
+        } else {
+            self.drift(seen, sensed);
         }
         let joints = self.count();
         let i = if self.turn < joints { self.turn } else { 0 };
@@ -136,6 +141,31 @@ where
         {
             self.trip(fault, Some(i as u8), value);
         }
+    }
+
+    /// What the sensors show while no bridge drives.
+    fn drift(&mut self, seen: &Samples, sensed: bool) {
+        for ((joint, current), mean) in self.joints.iter().zip(seen.currents.iter()).zip(self.flow.torque.iter_mut()) {
+            let shown = if sensed { joint.stage.torque_of(*current) } else { 0.0 };
+            *mean += self.flow.gain * (shown - *mean);
+        }
+    }
+
+    /// What the sensors show while no bridge drives flows through a bridge that is broken, or is what they will be wrong
+    /// by, which no limit of what is measured holds: as a force at the tip it must be less than half of the limit.
+    pub(super) fn find_stray(&mut self) -> Result<(), Refusal> {
+        let counts = self.now.counts;
+        self.weigh(&counts);
+        let most = STRAY_SHARE * self.rules.limits.tip_force;
+        if left(self.leverage.force_squared(&self.flow.torque), most * most) >= 0 {
+            return Ok(());
+        }
+        let worth = |i: usize, torque: &f32| self.leverage.most_of(i) * torque.abs();
+        let worst = self.joints.iter().zip(self.flow.torque.iter()).enumerate().take(self.count());
+        let worst = worst.max_by(|(i, (_, one)), (j, (_, other))| worth(*i, one).total_cmp(&worth(*j, other)));
+        let Some((i, (joint, torque))) = worst else { return Ok(()) };
+        self.trip(Fault::StrayCurrent, Some(i as u8), torque / joint.stage.torque_of(1.0));
+        Err(Refusal::Faulted(Fault::StrayCurrent))
     }
 
     /// Holds what the drives of J joints have left to what a sound motor leaves.

@@ -109,6 +109,7 @@ where
 {
     pub(super) fn start_polarity_check(&mut self) -> Result<(), Refusal> {
         self.ready()?;
+        self.find_stray()?;
         self.polarity = PolarityCheck::default();
         self.polarity_known = false;
         self.watch_anew();

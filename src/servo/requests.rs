@@ -331,6 +331,7 @@ where
 
     fn arm(&mut self) -> Result<(), Refusal> {
         self.may_arm()?;
+        self.find_stray()?;
         self.fade.begin_anew();
         self.watch_anew();
         self.state = State::Armed;

@@ -34,12 +34,13 @@ macro_rules! module {
 }
 
 /// All parts of the deep tests, cheapest first.
-pub const PARTS: [Part; 15] = [
+pub const PARTS: [Part; 16] = [
     Part { name: "licences", what: "Licences, sources and advisories of dependencies", run: |_| deny::run() },
     Part { name: "clients", what: "The library without the command line, and its examples", run: clients },
     Part { name: "properties", what: "The library's tests from seeds drawn anew", run: properties },
     module!("hard_cases", "Single precision against 106 bits"),
     module!("claims", "The figures of docs/claims.md"),
+    module!("lies", "Files, wires and sensors that are wrong, and forces in scenes drawn anew"),
     module!("tune", "What `tune` and `design` find, against brute force"),
     module!("ranges", "Measured ranges of stable walls"),
     module!("soak", "Minutes of contact with telemetry"),

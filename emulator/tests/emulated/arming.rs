@@ -27,7 +27,7 @@ fn no_current_flows_when_the_bridges_begin_to_drive() {
         // Not always at the same instant of the carrier and of the step.
         for pause in [0, 3, 11] {
             rig.run(pause * MILLISECOND / 100);
-            rig.with(|stopped| stopped.hardware().peaks = virtual_board::broken::Peaks::default());
+            rig.with(|stopped| stopped.hardware().peaks = virtual_board::plant::Peaks::default());
             rig.tool.check_polarity().expect("the polarity check starts");
             // It has not begun to ramp its torque up before the joint has rested.
             rig.run(20 * MILLISECOND);

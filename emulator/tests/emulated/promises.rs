@@ -8,8 +8,8 @@ use haptic_bridge::render::velocity::{Chosen, Estimator};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
 use virtual_board::boards::BoardKind;
-use virtual_board::broken::Peaks;
 use virtual_board::inject::{after_crest, off, run_instead};
+use virtual_board::plant::Peaks;
 use virtual_board::rig::Rig;
 use virtual_board::run::{MICROSECOND, MILLISECOND, SECOND};
 

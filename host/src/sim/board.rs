@@ -4,6 +4,7 @@
 //! the carrier's crest, control at every `divider`-th crest, duties in force half a carrier period later.
 
 use super::around::Around;
+use super::broken::Broken;
 use super::device::{DeviceError, Options, SimulatedDevice, Support};
 use super::hand::{Hand, HandSettings};
 use super::machine::LocalMachine;
@@ -57,10 +58,8 @@ pub struct BoardOptions {
     pub support: Support,
     /// Motor axes.
     pub axes: usize,
-    /// The motor that each axis really drives, from 0.
-    pub motors: [usize; 3],
-    /// What each axis' current sensor shows of 1 A.
-    pub sensor_gain: [f64; 3],
+    /// What is broken at power-on.
+    pub broken: Broken,
     /// Bytes that wait for a host to read them; what comes on top of it is dropped and counted.
     pub send_buffer: usize,
     /// Serial number.
@@ -76,8 +75,7 @@ impl Default for BoardOptions {
             strict: false,
             support: Support::None,
             axes: 3,
-            motors: [0, 1, 2],
-            sensor_gain: [1.0; 3],
+            broken: Broken::default(),
             send_buffer: 256 * 1024,
             serial: "SIM0001".into(),
         }
@@ -124,6 +122,8 @@ pub struct SimulatedBoard {
     device: SimulatedDevice,
     hardware: Hardware,
     countdown: u32,
+    /// How often the encoders were looked at.
+    looks: u64,
     /// Counts at the last crest.
     seen: Counts,
     drive: [MotorInput; 3],
@@ -174,6 +174,7 @@ impl SimulatedBoard {
             link: Port::new(options.send_buffer),
             hardware,
             countdown: 0,
+            looks: 0,
             seen,
             drive: [MotorInput::Floating; 3],
             bridges: false,
@@ -229,11 +230,12 @@ impl SimulatedBoard {
         let carrier = 1.0 / f64::from(self.machine.carrier.carrier_hz());
         let period = carrier * f64::from(carriers);
         let flowing = self.device.currents();
-        let shown = |axis: usize| self.options.sensor_gain[axis] * flowing[self.options.motors[axis]];
-        let currents = Currents::from_fn(|axis| shown(axis) as f32);
-        let bus_voltage = self.device.bus_voltage() as f32;
+        let broken = &self.options.broken;
+        let currents = Currents::from_fn(|axis| broken.current(&flowing, axis, axis) as f32);
+        let bus_voltage = broken.bus_shown.unwrap_or(self.device.bus_voltage()) as f32;
         let due = self.countdown == 0;
-        let counts = Counts(self.device.counts());
+        let counts = Counts(broken.counts(self.device.counts(), self.looks));
+        self.looks += 1;
         let samples = Samples { counts, bus_voltage, currents, ..Samples::default() };
         self.guard(&samples, carriers);
         if due {
@@ -260,8 +262,8 @@ impl SimulatedBoard {
         }
         let torques = self.machine.servo.frame().motors.torque;
         let mut next = [MotorInput::Floating; 3];
-        for (axis, motor) in self.options.motors.into_iter().enumerate() {
-            next[motor] = match (self.bridges, self.options.drive) {
+        for (axis, input) in next.iter_mut().enumerate() {
+            *input = match (self.bridges, self.options.drive) {
                 (false, _) => MotorInput::Floating,
                 (true, DriveModel::Electric) => MotorInput::Duty(f64::from(f32::from(duties[axis]))),
                 (true, DriveModel::Ideal) => MotorInput::Torque(f64::from(torques[axis])),
@@ -271,7 +273,7 @@ impl SimulatedBoard {
         if delay > 0.0 {
             self.device.step(&self.drive, delay);
         }
-        self.drive = next;
+        self.drive = self.options.broken.drives(next);
         if period > delay {
             self.device.step(&self.drive, period - delay);
         }
@@ -434,6 +436,16 @@ impl SimulatedBoard {
         let host = (rules.host_action != HostAction::Ignore).then(|| (servo.host_silent(), rules.host_seconds));
         let (silent, allowed) = servo.key_still().or(host).filter(|_| self.status().state == State::Armed)?;
         Some((f64::from(silent), f64::from(allowed)))
+    }
+
+    /// What is broken, to break more or to mend.
+    pub fn broken_mut(&mut self) -> &mut Broken {
+        &mut self.options.broken
+    }
+
+    /// How often the encoders were looked at: once each carrier period.
+    pub fn looks(&self) -> u64 {
+        self.looks
     }
 
     /// The device behind the board.

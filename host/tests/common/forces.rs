@@ -2,23 +2,33 @@
 
 use haptic::device_file::DeviceFile;
 use haptic::link::Board;
-use haptic::sim::{BoardOptions, Hand, HandSettings, Intent, Random, SharedBoard, Support, Waypoint, ready_board};
+use haptic::sim::{
+    BoardOptions, Hand, HandSettings, Intent, Random, SharedBoard, SimulatedBoard, Support, Waypoint, ready_board,
+};
 use haptic_bridge::math::Libm;
+use haptic_bridge::model::description::Description;
 use haptic_bridge::model::mechanism::AnyMechanism;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::GENTLE_FORCE;
 use haptic_bridge::servo::{HostAction, Rules};
 use std::collections::VecDeque;
+use std::ops::Range;
 
 fn one<T: Copy>(draw: &mut Random, of: &[T]) -> T {
     of[(draw.uniform() * of.len() as f64) as usize]
 }
 
+/// What pushes harder than 1.1 times the limit, with every shipped device and each of these seeds.
+pub fn too_hard(seeds: Range<u64>) -> Vec<String> {
+    let devices = super::all_shipped();
+    let drawn = seeds.flat_map(|seed| devices.iter().map(move |file| largest(file, seed)));
+    drawn.filter(|(most, _)| *most > 1.1 * f64::from(GENTLE_FORCE)).map(|(_, what)| what).collect()
+}
+
 /// The largest mean over 2 ms of the force (N) that the motors of a device push with at the tip beyond its weight, in a
-/// scene and a motion drawn by `seed`, and what was drawn. The currents, the angles and the torque constants are those of
-/// the simulated device itself and not what the board sees of them.
-pub fn largest(file: &DeviceFile, seed: u64) -> (f64, String) {
+/// scene and a motion drawn by `seed`, and what was drawn.
+fn largest(file: &DeviceFile, seed: u64) -> (f64, String) {
     let mut draw = Random::new(seed);
     let weighs = file.description.gravity != [0.0; 3];
     let options =
@@ -88,29 +98,51 @@ pub fn largest(file: &DeviceFile, seed: u64) -> (f64, String) {
         board.device_mut().set_hand(Hand::new(settings, Intent::Follow(path), tip, now));
         board.run(0.6);
     }
-    let mechanism = AnyMechanism::<f32>::new(&file.description).unwrap();
-    let (mut window, mut sum, mut most) = (VecDeque::new(), 0.0, 0.0_f64);
     let mut board = shared.lock();
-    let carrier = 1.0 / board.carrier_hz();
-    let length = (2e-3 / carrier) as usize;
+    let (mut push, mut most) = (Push::of(&file.description, &board), 0.0_f64);
     while board.time() < 1.4 {
         board.carrier();
-        let device_now = board.device();
-        let (q, currents, weight) = (device_now.q(), device_now.currents(), device_now.plant().gravity());
-        // What falls when the motors have been turned off is the device, and nothing pushes.
-        let carried = weighs && board.status().state == State::Armed;
-        let torque = core::array::from_fn(|i| {
-            let constant = file.description.joints[i].motor.map_or(0.0, |motor| motor.torque_constant);
-            (constant * currents[i] - if carried { weight[i] } else { 0.0 }) as f32
-        });
-        let force = f64::from(mechanism.leverage::<Libm>(&q.map(|angle| angle as f32)).force_squared(&torque)).sqrt();
-        window.push_back(force);
-        sum += force;
-        if window.len() > length {
-            sum -= window.pop_front().unwrap_or(0.0);
-            most = most.max(sum / length as f64);
-        }
+        most = most.max(push.take(&board).unwrap_or(0.0));
     }
     let state = board.status();
     (most, format!("{what}: {most:.2} N, {:?} {:?}", state.state, state.fault.map(|record| record.fault)))
+}
+
+/// What the motors push with at the tip of a simulated device beyond what carries its weight: a mean over 2 ms. The
+/// currents, the angles and the torque constants are those of the device itself and not what the board sees of them.
+pub struct Push {
+    truth: Description,
+    mechanism: AnyMechanism<f32>,
+    window: VecDeque<f64>,
+    sum: f64,
+    length: usize,
+}
+
+impl Push {
+    /// Of a board whose device is in truth this one.
+    pub fn of(truth: &Description, board: &SimulatedBoard) -> Self {
+        let mechanism = AnyMechanism::new(truth).unwrap();
+        let length = (2e-3 * board.carrier_hz()) as usize;
+        Self { truth: *truth, mechanism, window: VecDeque::new(), sum: 0.0, length }
+    }
+
+    /// Takes what is, once each carrier period: the mean, N, once there are 2 ms of it.
+    pub fn take(&mut self, board: &SimulatedBoard) -> Option<f64> {
+        let device = board.device();
+        let (q, currents, weight) = (device.q(), device.currents(), device.plant().gravity());
+        // What falls when the motors have been turned off is the device, and nothing pushes.
+        let carried = self.truth.gravity != [0.0; 3] && board.status().state == State::Armed;
+        let torque = core::array::from_fn(|i| {
+            let constant = self.truth.joints[i].motor.map_or(0.0, |motor| motor.torque_constant);
+            (constant * currents[i] - if carried { weight[i] } else { 0.0 }) as f32
+        });
+        let leverage = self.mechanism.leverage::<Libm>(&q.map(|angle| angle as f32));
+        let force = f64::from(leverage.force_squared(&torque)).sqrt();
+        self.window.push_back(force);
+        self.sum += force;
+        (self.window.len() > self.length).then(|| {
+            self.sum -= self.window.pop_front().unwrap_or(0.0);
+            self.sum / self.length as f64
+        })
+    }
 }

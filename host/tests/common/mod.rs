@@ -5,6 +5,7 @@
 pub mod documents;
 pub mod domains;
 pub mod forces;
+pub mod lies;
 pub mod page;
 pub mod sim;
 pub mod socket;

@@ -14,6 +14,8 @@ mod documents {
 
 mod hard_cases;
 
+mod lies;
+
 mod processes {
     mod continued;
     mod demo;
