@@ -4,6 +4,7 @@
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
+use haptic::sim::Broken;
 use haptic_bridge::safety::fault::{Fault, State};
 use rigless::device::Level;
 
@@ -12,6 +13,7 @@ use crate::contact::{WallAt, scene};
 use crate::hands::{hold, push};
 use crate::hardware::Hardware;
 use crate::inject::off;
+use crate::plant::Peaks;
 use crate::rig::Rig;
 use crate::run::{MICROSECOND, MILLISECOND};
 
