@@ -6,6 +6,9 @@ use std::path::Path;
 /// Largest file that is read, bytes. The largest shipped one has four thousand.
 pub const LARGEST: u64 = 1 << 20;
 
+/// Largest recording that is read, bytes: a quarter of an hour of all fields at 20 kHz.
+pub const LARGEST_RECORDING: u64 = 2 << 30;
+
 /// Reads a regular file (following links) of at most [`LARGEST`] bytes. A pipe or a device is refused before it is
 /// opened: it might never end, or never begin.
 pub fn read(path: &Path) -> Result<Vec<u8>, Error> {
@@ -14,6 +17,16 @@ pub fn read(path: &Path) -> Result<Vec<u8>, Error> {
         return Err(Error::other("it has more than 1 MiB, which no file of this kind has"));
     }
     Ok(bytes)
+}
+
+/// Reads a recording of at most [`LARGEST_RECORDING`] bytes. A larger one is refused before it is read.
+pub fn read_recording(path: &Path) -> Result<Vec<u8>, Error> {
+    if std::fs::metadata(path)?.len() > LARGEST_RECORDING {
+        return Err(Error::other(
+            "it has more than 2 GiB, and is read into memory: record fewer fields or every nth row, or plot a part of it",
+        ));
+    }
+    read_most(path, LARGEST_RECORDING)
 }
 
 /// Reads a regular file of any size: for those that this tool wrote.

@@ -334,7 +334,7 @@ impl Recording {
     /// Reads a file of either format. Errors name it.
     pub fn load(path: &Path) -> Result<Self, Failure> {
         let shown = path.display();
-        let bytes = std::fs::read(path).map_err(|error| {
+        let bytes = crate::input::read_recording(path).map_err(|error| {
             Failure::wrong(format!("{shown} cannot be read: {error}")).remedy("name a recording: a .mcap or .csv file")
         })?;
         let read = if bytes.starts_with(mcap::MAGIC) {

@@ -29,8 +29,9 @@ const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 
                       connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 /// Longest head of a request, bytes.
 const HEAD: usize = 8192;
-/// How long a head may take to come.
-const HEAD_TIME: Duration = Duration::from_secs(2);
+/// How long a head may take to come: browsers open connections before they use them. Who is silent goes first where places
+/// are short, so the time costs nobody anything.
+const HEAD_TIME: Duration = Duration::from_secs(10);
 /// Connections at once whose head has not been read, and of these from one address: a browser opens six.
 const HANDSHAKES: (usize, usize) = (32, 8);
 /// Longest message of a page, bytes.

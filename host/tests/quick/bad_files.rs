@@ -7,6 +7,7 @@ use crate::common::{file, files, haptic};
 use haptic::device_file::DeviceFile;
 use haptic::scene_file::SceneFile;
 use haptic::toml_file::FileError;
+use predicates::str::contains;
 
 const DEVICE: &str = r#"name = "example"
 mechanism = "five-bar"
@@ -395,5 +396,16 @@ fn control_characters_of_a_file_do_not_reach_the_terminal() {
         assert!(!output.status.success() && !said.is_empty(), "{arguments:?}");
         let wild = said.chars().find(|c| c.is_control() && *c != '\n');
         assert_eq!(wild, None, "{arguments:?}: {said:?}");
+    }
+}
+
+#[test]
+fn a_recording_that_no_memory_holds_is_refused_before_it_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("days.csv");
+    // It takes no room on the disk.
+    std::fs::File::create(&path).unwrap().set_len(16 << 30).unwrap();
+    for command in ["plot", "replay"] {
+        haptic(&[command, path.to_str().unwrap()]).assert().code(1).stderr(contains("more than 2 GiB"));
     }
 }
