@@ -12,6 +12,7 @@ pub mod seen;
 use crate::view::hub::{Hub, PageId};
 use crate::view::message::FromPage;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+use ratatui::crossterm::terminal;
 use seen::Seen;
 use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -67,10 +68,34 @@ impl HeldKey {
         FromPage::Release {}
     }
 
+    /// Reads the keys that came to a raw terminal: what to say, or `None` where it is to end.
+    pub fn listen(&mut self) -> io::Result<Option<Option<FromPage>>> {
+        let mut said = None;
+        while event::poll(Duration::ZERO)? {
+            match event::read()? {
+                Event::Key(key) if key.kind == KeyEventKind::Release => {}
+                Event::Key(key) if is_end(&key) => return Ok(None),
+                Event::Key(key) if key.code == KeyCode::Char(' ') => said = self.press(Instant::now()).or(said),
+                // Whatever else is pressed in a hurry is meant to stop them.
+                Event::Key(_) => said = Some(self.release()),
+                _ => {}
+            }
+        }
+        Ok(Some(said.or_else(|| self.wait(Instant::now()))))
+    }
+
     /// Something else turned the motors off: the key has to be pressed anew.
     pub fn forget(&mut self) {
         (self.pressed, self.on) = (None, false);
     }
+}
+
+/// Does something while this terminal gives every key at once and shows none.
+pub fn in_raw_terminal<T>(work: impl FnOnce() -> T) -> io::Result<T> {
+    terminal::enable_raw_mode()?;
+    let done = work();
+    terminal::disable_raw_mode()?;
+    Ok(done)
 }
 
 /// Shows a board in this terminal until `q`, or until `stop` is set; it is set afterwards.
@@ -145,7 +170,7 @@ fn watch(terminal: &mut ratatui::DefaultTerminal, hub: &Hub, id: PageId, stop: &
 }
 
 /// Whether a key ends what the terminal shows: `q`, Ctrl-C, Ctrl-D.
-pub fn is_end(key: &KeyEvent) -> bool {
+fn is_end(key: &KeyEvent) -> bool {
     let control = key.modifiers.contains(KeyModifiers::CONTROL);
     matches!(key.code, KeyCode::Char('q')) || control && matches!(key.code, KeyCode::Char('c' | 'd'))
 }

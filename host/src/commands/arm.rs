@@ -5,12 +5,10 @@ use super::port::{Port, motors_off};
 use haptic::error::{Failure, print};
 use haptic::interrupt::{self, Interrupt};
 use haptic::link::Board;
-use haptic::monitor::{HeldKey, is_end};
+use haptic::monitor::{HeldKey, in_raw_terminal};
 use haptic::view::message::FromPage;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::servo::{ARM_SECONDS, HostAction};
-use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind};
-use ratatui::crossterm::terminal;
 use serde_json::json;
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
@@ -87,14 +85,11 @@ fn hold(board: &mut Board, json: Json, stop: Interrupt) -> Result<(), Failure> {
     }
     print("hold Space: motors on; let go: motors off; q ends\n")?;
     board.keep_alive();
-    terminal::enable_raw_mode().map_err(Failure::impossible)?;
-    let ended = while_held(board, stop);
-    let restored = terminal::disable_raw_mode();
+    let ended = in_raw_terminal(|| while_held(board, stop)).map_err(Failure::impossible);
     haptic::error::say_over(format_args!(""), true);
     let off = board.disarm();
-    ended?;
+    ended??;
     off?;
-    restored.map_err(Failure::impossible)?;
     print("disarmed: the motors are off\n")
 }
 
@@ -104,18 +99,8 @@ fn while_held(board: &mut Board, stop: Interrupt) -> Result<(), Failure> {
     let shown = |words: &str| haptic::error::say_over(format_args!("{words:40}"), false);
     while !stop.is_set() {
         board.rows(LOOK)?;
-        let mut said = None;
-        while event::poll(Duration::ZERO).map_err(Failure::impossible)? {
-            match event::read().map_err(Failure::impossible)? {
-                Event::Key(pressed) if pressed.kind == KeyEventKind::Release => {}
-                Event::Key(pressed) if is_end(&pressed) => return Ok(()),
-                Event::Key(pressed) if pressed.code == KeyCode::Char(' ') => said = key.press(Instant::now()).or(said),
-                // Whatever else is pressed in a hurry is meant to stop them.
-                Event::Key(_) => said = Some(key.release()),
-                _ => {}
-            }
-        }
-        match said.or_else(|| key.wait(Instant::now())) {
+        let Some(said) = key.listen().map_err(Failure::impossible)? else { return Ok(()) };
+        match said {
             Some(FromPage::Arm { count }) => {
                 board.hold_key(count)?;
                 board.arm()?;

@@ -406,6 +406,6 @@ fn a_recording_that_no_memory_holds_is_refused_before_it_is_read() {
     // It takes no room on the disk.
     std::fs::File::create(&path).unwrap().set_len(16 << 30).unwrap();
     for command in ["plot", "replay"] {
-        haptic(&[command, path.to_str().unwrap()]).assert().code(1).stderr(contains("more than 2 GiB"));
+        haptic(&[command, path.to_str().unwrap()]).assert().code(2).stderr(contains("more than 2 GiB"));
     }
 }
