@@ -23,7 +23,7 @@ pub fn hold(device: &mut SimulatedDevice) {
 /// Hangs a device as the polarity check asks: carried by what has no inertia, and held a little by a rubber band, for what
 /// nothing holds does not stay where it is when a sensor's zero is off.
 pub fn hang(device: &mut SimulatedDevice) {
-    let band = HandSettings { grip_stiffness: 20.0, grip_damping: 1.0, ..firm() };
+    let band = HandSettings { grip_stiffness: 5.0, grip_damping: 0.5, ..firm() };
     let here = vec![Waypoint { time: 0.0, value: device.tip() }];
     device.set_support(Support::Carried);
     device.set_hand(Hand::new(band, Intent::Follow(here), device.tip(), device.time()));

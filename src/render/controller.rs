@@ -11,7 +11,7 @@
 
 use crate::math::{Angle, Math, Real};
 use crate::model::catalogue::MAX_JOINTS;
-use crate::model::device::Device;
+use crate::model::device::{Device, weigh_directions};
 use crate::model::mechanism::{Mechanism, Regularity, Shaping, shared_pose};
 use crate::model::precomputed::MassModel;
 use crate::model::principal::Principal;
@@ -318,6 +318,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let qd = self.encoders.velocities(counts, |filter, raw| filter.step(&self.coefficients, raw));
         Self::keep(&qd, &tip, found);
         found.parallel = regularity.parallel;
+        weigh_directions(&self.mechanism, &pose, &mut found.leverage);
         let mut begun = Begun { angles, qd, pose: &pose, place: task_part::<T, M, N>(&tip), regularity };
         let (mut torque, rendered, force) = self.anywhere(&mut begun, counts, found);
         let asked = &mut found.asked;

@@ -78,6 +78,8 @@ pub struct Found<T> {
     pub(crate) guided: Guided<T>,
     /// J⁻¹ n: joint motion per metre of tip motion along the normal of the deepest wall, rad/m; zero out of contact.
     pub motion: [T; MAX_JOINTS],
+    /// What torques of the joints are worth at the tip, by task directions, 1/m, where there are as many of both.
+    pub(crate) leverage: [[T; MAX_JOINTS]; 3],
     /// How far from a parallel singularity the pose is, see [`Regularity`](crate::model::mechanism::Regularity).
     pub parallel: T,
 }

@@ -6,7 +6,7 @@ use super::Servo;
 use crate::drive::bits::left;
 use crate::drive::stage::Stage;
 use crate::math::{Math, limited, sqrt};
-use crate::model::device::squared;
+use crate::model::device::{Leverage, squared};
 use crate::safety::fault::{Fault, State};
 use crate::safety::refusal::Refusal;
 use crate::servo::frame::{Outputs, Samples};
@@ -60,9 +60,9 @@ const SENSOR_ERROR: f32 = 0.05;
 const STRAY_SHARE: f32 = 0.5;
 /// How long currents and that mean take to follow a limit that was lowered, s.
 const SETTLING_SECONDS: f32 = 5.0e-3;
-/// How often it is worked out anew what torques are worth at the tip, Hz: a tip at 1 m/s moves by an eighth of a
-/// millimetre meanwhile.
-const LEVERAGE_HZ: f32 = 8.0e3;
+/// How often it is worked out anew what torques are worth at the tip, Hz: a tip at 1 m/s moves by half a millimetre
+/// meanwhile.
+const LEVERAGE_HZ: f32 = 2.0e3;
 
 /// What flows, as forces at the tip.
 #[derive(Clone, Copy, Debug, Default)]
@@ -127,7 +127,7 @@ where
             }
             match self.flow.left.checked_sub(1) {
                 Some(left) => self.flow.left = left,
-                None => self.weigh(&seen.counts),
+                None => self.weigh_again(&seen.counts),
             }
         } else {
             self.drift(seen, sensed);
@@ -155,7 +155,7 @@ where
     /// by, which no limit of what is measured holds: as a force at the tip it must be less than half of the limit.
     pub(super) fn find_stray(&mut self) -> Result<(), Refusal> {
         let counts = self.now.counts;
-        self.weigh(&counts);
+        self.weigh_again(&counts);
         let most = STRAY_SHARE * self.rules.limits.tip_force;
         if left(self.leverage.force_squared(&self.flow.torque), most * most) >= 0 {
             return Ok(());
@@ -191,18 +191,35 @@ where
     /// What of the torques commanded holds the device against gravity, N m.
     #[inline(always)]
     fn held(&self) -> Torques {
-        match (self.weighs && self.state == State::Armed, self.was_cut()) {
-            (false, _) => Torques::default(),
-            (true, true) => self.cut.gravity,
-            (true, false) => Torques(self.now.found.asked.gravity),
+        match self.state {
+            // What carries the weight may fade in a scene that carries none.
+            State::Armed if self.was_cut() => self.cut.gravity,
+            State::Armed if self.weighs => Torques(self.now.found.asked.gravity),
+            _ => Torques::default(),
+        }
+    }
+
+    /// Takes what torques are worth at the tip from the last control step, where that is not long ago and knows it.
+    #[inline(never)]
+    fn weigh_again(&mut self, counts: &Counts) {
+        if self.period * LEVERAGE_HZ <= 1.0 && self.program.as_ref().is_some_and(|program| program.finds_leverage) {
+            self.leverage = Leverage::found(self.now.found.leverage);
+            self.allow();
+        } else {
+            self.weigh(counts);
         }
     }
 
     /// Works out what torques are worth at the tip where these counts are, and what may flow there.
     #[inline(never)]
-    pub(super) fn weigh(&mut self, counts: &Counts) {
+    fn weigh(&mut self, counts: &Counts) {
         let Some(program) = self.program.as_ref() else { return };
         self.leverage = program.mechanism.leverage::<K>(&core::array::from_fn(|i| self.angle(i, counts[i])));
+        self.allow();
+    }
+
+    /// Works out what may flow at this leverage.
+    pub(super) fn allow(&mut self) {
         let joints = self.joints.iter().enumerate().take(self.count());
         let error = joints
             .fold(0.0, |sum, (i, joint)| sum + self.leverage.most_of(i) * joint.stage.torque_of(SENSOR_ERROR).abs());

@@ -11,6 +11,7 @@ use super::{ARM_SECONDS, Servo};
 use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
+use crate::model::device::Leverage;
 use crate::render::found::Asked;
 use crate::servo::joints::Torques;
 use crate::servo::program::Program;
@@ -56,8 +57,10 @@ pub(super) struct Fade {
     /// Whether a step of it was, and whether anything acted before.
     begun: bool,
     from_something: bool,
-    /// Torques that carried the device's weight.
-    weight: Torques,
+    /// The share of the device's weight that was carried, and that the last step carried: what carries it is of the pose
+    /// now, or torques of another would push beside all limits.
+    carried: f32,
+    carries: f32,
     /// Torques that rendered the scene before.
     scene: Torques,
     host: Lease,
@@ -115,12 +118,14 @@ where
             }
         }
         let aside = Torques::from_fn(|i| self.now.motors.torque[i] - gravity[i] - rendered[i]);
+        let carried = if self.fade.ramp < 1.0 { self.fade.carries } else { self.wanted_weight() };
         self.fade = Fade {
             ramp: 0.0,
             share: 0.0,
             begun: false,
             from_something: true,
-            weight: gravity,
+            carried,
+            carries: carried,
             scene: Torques::from_fn(|i| rendered[i] - host.torque[i]),
             host,
             aside,
@@ -138,19 +143,37 @@ where
         // What is asked for is held to the limit of the force at the tip by itself, as what fades out is below.
         let share = share_within(asked.force_squared, self.rules.limits.tip_force);
         self.fade.share = self.fade.ramp * share;
+        let before = if self.fade.from_something { self.fade.carried } else { 0.0 };
+        self.fade.carries = self.fade.part(before, self.wanted_weight());
         if !self.fade.from_something {
             return self.rise(asked, share);
         }
         self.fade.host.left -= self.period;
         self.hold_what_fades();
-        let (fade, before) = (&self.fade, self.fade.rendered());
+        let (fade, before, weight) = (&self.fade, self.fade.rendered(), self.weight(asked));
         let faded = Asked {
-            total: self.between(asked, share),
-            gravity: core::array::from_fn(|i| fade.part(fade.weight[i], asked.gravity[i])),
+            total: self.between(asked, &weight, share),
+            gravity: weight,
             rendered: core::array::from_fn(|i| fade.part(before[i], share * asked.rendered[i])),
             force_squared: 0.0,
         };
-        (faded, self.between(asked, 1.0))
+        (faded, self.between(asked, &weight, 1.0))
+    }
+
+    /// The share of the device's weight that the scene wants carried.
+    fn wanted_weight(&self) -> f32 {
+        if self.weighs { 1.0 } else { 0.0 }
+    }
+
+    /// What carries the weight now, N m. A scene that carries none does not say what it is.
+    fn weight(&self, asked: &Asked<f32>) -> [f32; MAX_JOINTS] {
+        let whole = match &self.program {
+            Some(program) if !self.weighs && self.fade.carries > 0.0 => {
+                program.mechanism.gravity::<K>(&self.now.found.at.q)
+            }
+            _ => asked.gravity,
+        };
+        whole.map(|torque| self.fade.carries * torque)
     }
 
     /// [`Servo::fade_in`] from nothing: with a `share` of what is asked beyond what carries the device.
@@ -178,7 +201,11 @@ where
         if rendered == Torques::default() && fade.aside == Torques::default() {
             return;
         }
-        let leverage = program.mechanism.leverage::<K>(&self.now.found.at.q);
+        let found = &self.now.found;
+        let leverage = match program.finds_leverage {
+            true => Leverage::found(found.leverage),
+            false => program.mechanism.leverage::<K>(&found.at.q),
+        };
         let share = share_within(leverage.force_squared(&rendered), self.rules.limits.tip_force);
         for part in fade.scene.iter_mut().chain(fade.host.torque.iter_mut()).chain(fade.aside.iter_mut()) {
             *part *= share;
@@ -191,12 +218,12 @@ where
         }
     }
 
-    /// All of it, with a `share` of what is asked beyond what carries the device.
-    fn between(&self, asked: &Asked<f32>, share: f32) -> [f32; MAX_JOINTS] {
+    /// All of it: the `weight`, and a `share` of what is asked beyond it.
+    fn between(&self, asked: &Asked<f32>, weight: &[f32; MAX_JOINTS], share: f32) -> [f32; MAX_JOINTS] {
         let (fade, rendered) = (&self.fade, self.fade.rendered());
         core::array::from_fn(|i| {
-            let from = fade.weight[i] + rendered[i] + fade.aside[i];
-            fade.part(from, asked.gravity[i] + share * (asked.total[i] - asked.gravity[i]))
+            let beyond = share * (asked.total[i] - asked.gravity[i]);
+            weight[i] + fade.part(rendered[i] + fade.aside[i], beyond)
         })
     }
 }

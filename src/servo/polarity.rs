@@ -31,6 +31,10 @@ pub const POLARITY_SECONDS: f32 = 1.0;
 /// hand moves, says nothing of this one's motor; a device almost without friction glides for seconds.
 pub const POLARITY_PATIENCE: f32 = 5.0;
 
+/// Time between two steps of the check, s, at least: a control step that takes a scene's forces and the check's sums too is
+/// long, and what is looked at takes milliseconds.
+const CHECK_PERIOD: f32 = 1.0e-4;
+
 /// A joint is at rest for it that stays within so much (rad) for so long (s). A speed would not do: between two counts of
 /// a coarse encoder, and where a joint turns back, it is nothing.
 const REST_MOTION: f32 = 0.1 * POLARITY_MOTION;
@@ -99,6 +103,12 @@ pub(super) struct PolarityCheck {
     rested: f32,
     /// Where the joint stood at its first step, rad.
     from: Option<f32>,
+    /// The mass matrix where it swings, kg m², once that is known.
+    inertia: Option<[[f32; MAX_JOINTS]; MAX_JOINTS]>,
+    /// Time between two steps of the check, s, control steps until the next, and what the motors are told until then.
+    pace: f32,
+    left: u32,
+    told: Torques,
 }
 
 impl<P, K, S> Servo<P, S>
@@ -117,10 +127,23 @@ where
         Ok(())
     }
 
+    /// What the motors are told in a control step of the check, which at high rates is not due in each.
+    pub(super) fn check_polarity(&mut self) -> Torques {
+        match self.polarity.left.checked_sub(1) {
+            Some(left) => self.polarity.left = left,
+            None => {
+                let steps = ((CHECK_PERIOD / self.period) as u32).max(1);
+                (self.polarity.left, self.polarity.pace) = (steps - 1, steps as f32 * self.period);
+                self.polarity.told = self.check_step();
+            }
+        }
+        self.polarity.told
+    }
+
     /// One step of the check: the torques that the motors are told; zero while it waits and when it has ended.
     #[cold]
     #[inline(never)]
-    pub(super) fn check_polarity(&mut self) -> Torques {
+    fn check_step(&mut self) -> Torques {
         let none = Torques::default();
         let i = self.polarity.axis.min(MAX_JOINTS - 1);
         if self.polarity.swing.is_some() {
@@ -134,15 +157,19 @@ where
         }
         let most = self.joints[i].stage.max_torque();
         let moved = self.now.found.at.q[i] - *self.polarity.from.get_or_insert(self.now.found.at.q[i]);
-        if moved > POLARITY_MOTION {
-            self.begin_swing(i);
+        if moved > POLARITY_MOTION || self.polarity.inertia.is_some() {
+            // A step of its own for each of both, because steps at high rates have little time.
+            match self.polarity.inertia {
+                Some(inertia) => self.begin_swing(i, &inertia),
+                None => self.find_inertia(i),
+            }
             return none;
         }
         if moved < -POLARITY_MOTION {
             self.trip(Fault::PolarityWrong, Some(i as u8), moved);
             return none;
         }
-        self.polarity.seconds += self.period;
+        self.polarity.seconds += self.polarity.pace;
         if self.polarity.seconds > 2.0 * POLARITY_SECONDS {
             self.trip(Fault::PolarityNoMotion, Some(i as u8), moved);
             return none;
@@ -171,11 +198,23 @@ where
         }
     }
 
+    /// Where the joints stand about which joint `i` swings, rad.
+    fn swung_about(&self, i: usize) -> [f32; MAX_JOINTS] {
+        let mut about = self.now.found.at.q;
+        about[i] = self.polarity.from.unwrap_or(about[i]);
+        about
+    }
+
+    /// Works out the mass matrix there.
+    fn find_inertia(&mut self, i: usize) {
+        let about = self.swung_about(i);
+        self.polarity.inertia = self.program.as_ref().map(|program| program.mechanism.inertia::<K>(&about));
+    }
+
     /// Joint `i` moved the right way: chooses how to swing it.
-    fn begin_swing(&mut self, i: usize) {
+    fn begin_swing(&mut self, i: usize, inertia: &[[f32; MAX_JOINTS]; MAX_JOINTS]) {
         let Some(program) = self.program.as_ref() else { return };
-        let q = self.now.found.at.q;
-        let inertia = program.mechanism.inertia::<K>(&q)[i][i].max(f32::MIN_POSITIVE);
+        let inertia = inertia[i][i].max(f32::MIN_POSITIVE);
         let angle = SWING_ANGLE.max(SWING_COUNTS * program.radians_per_count[i].abs());
         let largest = self.joints[i].stage.max_torque();
         let moved_it = POLARITY_SHARE * (self.polarity.seconds * (1.0 / POLARITY_SECONDS)).min(1.0) * largest;
@@ -185,11 +224,10 @@ where
         let fastest = SWING_RATES
             .1
             .min(SWING_SPEED * self.rules.limits.speed[i] / angle)
-            .min(core::f32::consts::TAU / (SWING_STEPS * self.period));
+            .min(core::f32::consts::TAU / (SWING_STEPS * self.polarity.pace));
         let rate = sqrt(wanted / (inertia * angle)).min(fastest).max(SWING_RATES.0);
         let torque = wanted.min(excess.max(inertia * angle * rate * rate));
-        let mut about = q;
-        about[i] = self.polarity.from.unwrap_or(q[i]);
+        let about = self.swung_about(i);
         // A quarter as fast as it is swung, and hardly ringing.
         let back = 0.25 * rate;
         let (stiffness, damping) = (inertia * back * back, 1.4 * inertia * back);
@@ -222,7 +260,7 @@ where
             add(&mut swing.current, current);
             add(&mut swing.voltage, now.motors.duty[i] * now.motors.bus_voltage);
         }
-        swing.seconds += self.period;
+        swing.seconds += self.polarity.pace;
         self.polarity.swing = Some(swing);
         let back = swing.stiffness * (swing.about[i] - self.now.found.at.q[i]) - swing.damping * self.joints[i].speed();
         let most = SWING_SHARE * self.joints[i].stage.max_torque();
@@ -232,30 +270,37 @@ where
     /// The swings of joint `i` are over: whether they were what the device file says.
     fn judge(&mut self, i: usize, swing: &Swing) {
         let Some(program) = self.program.as_ref() else { return };
-        let inertia = program.mechanism.inertia::<K>(&swing.about);
+        let inertia = self.polarity.inertia.unwrap_or_default();
         let rate = -swing.rate * swing.rate;
-        // The share of what the joints' accelerations take that is in phase with the torque that the current made.
-        let size = dot(swing.driven, swing.driven).max(f32::MIN_POSITIVE);
+        // What the joints' accelerations take.
         let acted = inertia.map(|row| {
             let parts = row.iter().zip(&swing.angles);
-            parts.fold(0.0, |sum, (inertia, angle)| sum + rate * inertia * dot(*angle, swing.driven)) / size
+            parts.fold([0.0; 2], |sum: Phasor, (inertia, angle)| {
+                [sum[0] + rate * inertia * angle[0], sum[1] + rate * inertia * angle[1]]
+            })
         });
-        let found = acted[i];
-        let mut others = acted.iter().enumerate().take(self.count()).filter(|(row, _)| *row != i);
-        let astray = others.find(|(_, aside)| left(**aside, CROSS_DOUBT) < 0);
+        // A current that is sampled just before it changes is that of the middle of the step before.
+        let (sine, cosine) = K::sin_cos(0.5 * self.polarity.pace * swing.rate);
+        let [along, across] = swing.driven;
+        let driven = [along * cosine + across * sine, across * cosine - along * sine];
+        // Of the torque that it made the part in phase with it: friction is in phase with the speed.
+        let found = dot(acted[i], acted[i]) / dot(acted[i], driven).max(f32::MIN_POSITIVE);
+        let share = |row: &Phasor| dot(*row, driven) / dot(driven, driven).max(f32::MIN_POSITIVE);
+        let mut others = acted.iter().map(share).enumerate().take(self.count()).filter(|(row, _)| *row != i);
+        let astray = others.find(|(_, aside)| left(*aside, CROSS_DOUBT) < 0);
         let (bridge, stage) = (&self.hardware.bridge, &self.joints[i].stage);
         let measured = (bridge.current_sensed && self.hardware.bus_sensed)
             .then(|| stage.resistance_of(swing.voltage, swing.current, swing.angles[i], swing.rate))
             .flatten();
         let dead = DEAD_TIME_DOUBT * 2.0 * bridge.dead_time * program.carrier_hz * self.now.motors.bus_voltage;
         // The first harmonic of what alternates with the current, over the sums' weight of it.
-        let amperes =
-            sqrt(dot(swing.current, swing.current)) * self.period * swing.rate / (core::f32::consts::PI * SWINGS);
+        let amperes = sqrt(dot(swing.current, swing.current)) * self.polarity.pace * swing.rate
+            / (core::f32::consts::PI * SWINGS);
         let doubt = 4.0 / core::f32::consts::PI * dead / amperes;
         if !(1.0 / TORQUE_DOUBT..=TORQUE_DOUBT).contains(&found) {
             self.trip(Fault::TorqueMismatch, Some(i as u8), found);
         } else if let Some((row, aside)) = astray {
-            self.trip(Fault::TorqueMismatch, Some(row as u8), *aside);
+            self.trip(Fault::TorqueMismatch, Some(row as u8), aside);
         } else if let Some((found, expected)) = measured
             && left(found - expected, RESISTANCE_DOUBT * expected + doubt) < 0
         {
@@ -268,8 +313,8 @@ where
     /// Whether joint `i` has come to rest.
     fn at_rest(&mut self, i: usize) -> bool {
         let (polarity, q) = (&mut self.polarity, self.now.found.at.q[i]);
-        polarity.waited += self.period;
-        polarity.rested += self.period;
+        polarity.waited += polarity.pace;
+        polarity.rested += polarity.pace;
         if (q - polarity.rests_at).abs() > REST_MOTION {
             (polarity.rests_at, polarity.rested) = (q, 0.0);
         }

@@ -153,6 +153,8 @@ pub struct Program<K, S = Axis> {
     pub(crate) axes: [S; MAX_JOINTS],
     /// Whether gravity is compensated.
     pub(crate) weighs: bool,
+    /// Whether the controller's steps find what torques are worth at the tip.
+    pub(crate) finds_leverage: bool,
     pub(crate) joints: usize,
     pub(crate) limits: [Option<(f32, f32)>; MAX_JOINTS],
     pub(crate) home: Option<[f32; MAX_JOINTS]>,
@@ -212,6 +214,7 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
             mechanism: device.mechanism,
             axes,
             weighs: scene.gravity_compensation && device.weight,
+            finds_leverage: device.mechanism.kind().spec().task == joints,
             joints,
             limits: core::array::from_fn(|i| device.joints[i].limits),
             home: device.home,

@@ -345,7 +345,6 @@ where
         self.joints.iter_mut().for_each(|joint| joint.sums.anew());
         self.crests.anew();
         self.flow.anew();
-        let counts = self.now.counts;
-        self.weigh(&counts);
+        self.allow();
     }
 }

@@ -15,6 +15,7 @@
 use super::{Controller, FULL_REGULARITY, PARALLEL_REGULARITY, task_part};
 use crate::math::{Math, Real};
 use crate::model::catalogue::MAX_JOINTS;
+use crate::model::device::weigh_directions;
 use crate::model::mechanism::{Mechanism, Regularity, Shaped};
 use crate::model::precomputed::MassModel;
 use crate::render::controller::walls::{Acting, Active};
@@ -51,6 +52,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let qd = self.encoders.velocities(counts, |filter, raw| filter.pass(&self.coefficients, raw));
         Self::keep(&qd, &tip, found);
         found.parallel = self.mechanism.regularity(&pose).parallel;
+        weigh_directions(&self.mechanism, &pose, &mut found.leverage);
         // Without weight that stays zero from where the steps began.
         if self.gravity {
             put(&self.mechanism.gravity(&pose), &mut found.asked.gravity);
