@@ -5,6 +5,7 @@ use crate::rig::statics::worth;
 use crate::rig::{Rig, five_bar, hardware, limits, rules, scene, wall};
 use haptic_bridge::board::protocol::{ForceDone, ForceRequest};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::description::Description;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Spring, Surface, Wall};
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::Limits;
@@ -264,7 +265,6 @@ fn weight_that_is_compensated_from_a_scene_on_takes_nothing_out_of_the_limit() {
         let with = |scene: Scene<f32>, on| Scene { gravity_compensation: on, ..scene };
         let mut rig = Rig::with(&heavy, &with(pulled(tip, &[[1.9, 0.0]]), before), hardware(), gentle(2.0));
         rig.arm();
-        let carried = weight(&rig.servo.frame().at.q);
         rig.load(&heavy, &with(scene(2, &[]), after), true).expect("free space");
         for step in 1..=900 {
             rig.samples.counts[0] += 3;
@@ -275,8 +275,8 @@ fn weight_that_is_compensated_from_a_scene_on_takes_nothing_out_of_the_limit() {
             }
             let frame = rig.servo.frame();
             let ramp = f64::from(step) / 1_000.0;
-            let held =
-                carried * if before { 1.0 - ramp } else { 0.0 } + weight(&frame.at.q) * if after { ramp } else { 0.0 };
+            let share = if before { 1.0 - ramp } else { 0.0 } + if after { ramp } else { 0.0 };
+            let held = weight(&frame.at.q) * share;
             let rest = Vector2::new(frame.motors.torque[0], frame.motors.torque[1]).map(f64::from) - held;
             let force = worth(&frame.at.q, rest).norm();
             assert!(force <= 2.0 + 0.02, "{force} N at step {step}, {before} to {after}: {frame:?}");
@@ -304,4 +304,35 @@ fn a_scene_that_comes_as_the_ramp_ends_turns_no_force_round() {
         }
         assert!(force(&rig).norm() < ROUNDING, "a scene after {steps} steps: {}", force(&rig));
     }
+}
+
+/// A wall that is dragged about replaces the scene many times a second. What carries the weight is of the pose now
+/// meanwhile: torques of another pose would push beside every limit.
+#[test]
+fn scenes_that_keep_coming_carry_the_weight_where_the_tip_is() {
+    let mut heavy = Description { gravity: [0.0, -9.81, 0.0], ..five_bar() };
+    heavy.links.iter_mut().for_each(|link| link.mass = 0.2);
+    let scene = Scene { gravity_compensation: true, ..scene(2, &[]) };
+    let armed = || {
+        let mut rig = Rig::with(&heavy, &scene, hardware(), gentle(2.0));
+        rig.arm();
+        rig
+    };
+    let (mut replaced, mut left_alone) = (armed(), armed());
+    let began = torques(&replaced);
+    for _ in 0..12 {
+        replaced.load(&heavy, &scene, true).expect("the same scene");
+        for rig in [&mut replaced, &mut left_alone] {
+            let counts = rig.samples.counts[0];
+            for step in 1..=20 {
+                rig.samples.counts[0] = counts - step;
+                rig.step();
+            }
+        }
+        for (one, other) in torques(&replaced).iter().zip(torques(&left_alone)) {
+            assert!((one - other).abs() < 1e-6, "{one} {other}");
+        }
+    }
+    let moved = (0..2).map(|i| (torques(&replaced)[i] - began[i]).abs()).fold(0.0, f32::max);
+    assert!(moved > 1e-3, "the weight is another one here: {moved}");
 }
