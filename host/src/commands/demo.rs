@@ -145,12 +145,13 @@ fn report(demo: &Demo, results: &Results) -> String {
     let Results { inertia, crossings: [without, with], limits: [low, high] } = results;
     let mut text = format!(
         "{}: a simulated board at {:.0} Hz, spoken to over the board's own protocol.\n\
-         A hand presses onto a wall of {:.1} kN/m and {:.0} N s/m, slides 30 mm along it and lifts off; twice, with the same\n\
+         A hand presses onto a wall of {:.1} kN/m and {:.0} N s/m, slides {:.0} mm along it and lifts off; twice, with the same\n\
          tremor (seed {}). The feed-forward is the paper's equation (4) behind a {} Hz washout.\n\n",
         demo.file.name,
         demo.rate_hz,
         demo.stiffness / 1000.0,
         demo.damping,
+        1e3 * haptic::demo::crossing::SLIDE,
         demo.seed,
         demo.washout_hz
     );

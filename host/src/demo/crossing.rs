@@ -12,8 +12,8 @@ use std::time::Duration;
 const ABOVE: f64 = 0.006;
 /// How far below its surface the hand aims, m: its arm's 250 N/m then press with about 5 N.
 const AIM: f64 = 0.02;
-/// How far it slides, m: away from where the device's distal links come in line.
-const SLIDE: f64 = -0.03;
+/// How far it slides, m: short of where the device's distal links come in line.
+pub const SLIDE: f64 = 0.02;
 /// When the hand begins to move (the torque's ramp after arming is over), s after arming.
 const BEGIN: f64 = 0.6;
 /// When it has come to its aim.
