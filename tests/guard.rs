@@ -342,6 +342,27 @@ fn a_sensor_that_is_off_its_zero_by_half_of_the_tips_limit_arms_nothing() {
     }
 }
 
+/// A limit that was lowered gives what flows time to follow, once.
+#[test]
+fn rules_that_are_sent_again_and_again_put_no_force_limit_off() {
+    let mut rig = Rig::armed_with(|rules| rules.limits.tip_force = 0.2);
+    rig.rules.limits.tip_force = 0.1;
+    let settling = |rig: &Rig| {
+        let all = format!("{:?}", rig.servo);
+        let rest = all.split_once("settling: ").expect("it is held there").1;
+        rest[..rest.find([',', ' ']).expect("it ends")].parse::<f32>().expect("a number")
+    };
+    for step in 0..(0.02 * RATE) as u32 {
+        if step % (0.002 * RATE) as u32 == 0 {
+            let rules = rig.rules;
+            rig.execute(Command::Rules(rules)).expect("no looser");
+            assert!(step > 0 || settling(&rig) > 0.0);
+        }
+        rig.step();
+    }
+    assert!(settling(&rig) <= 0.0, "{}", settling(&rig));
+}
+
 /// `UPDATE_DOCS=1 cargo test guard` writes it anew.
 #[test]
 fn the_table_in_the_documentation_is_the_table_of_the_code() {

@@ -106,7 +106,9 @@ impl std::error::Error for Failure {}
 /// What a terminal can show of a text: whatever it would obey instead, such as the ESC in a name that a file or a board
 /// brought along, as it is written in JSON. Lines and tabs stay.
 pub fn visible(text: &str) -> Cow<'_, str> {
-    let obeyed = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
+    // Control characters, and marks that turn the direction of what follows.
+    let turning = |c: char| matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+    let obeyed = |c: char| c.is_control() && !matches!(c, '\n' | '\t') || turning(c);
     if !text.contains(obeyed) {
         return text.into();
     }

@@ -85,7 +85,7 @@ impl Flow {
         *self = Self { gain: self.gain, every: self.every, ..Self::default() };
     }
 
-    /// The limit may have been lowered: it acts on what is asked for at the next step, after `period` (s) at most, and the
+    /// The limit was lowered: it acts on what is asked for at the next step, after `period` (s) at most, and the
     /// currents and their means follow.
     pub(super) fn settle(&mut self, period: f32) {
         self.settling = period + SETTLING_SECONDS;

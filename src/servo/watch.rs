@@ -44,9 +44,12 @@ where
     pub(super) fn begin_bounds(&mut self) {
         self.expect_host();
         let tip_force = self.rules.limits.tip_force;
+        // The same limit again gives what flows no more time.
+        if tip_force * tip_force < self.most_force_squared || !self.state.drives() {
+            self.flow.settle(self.period);
+        }
         self.most_force_squared = tip_force * tip_force;
         self.set_crest_bounds();
-        self.flow.settle(self.period);
         self.unsettled = MAX_JOINTS as u8;
     }
 
