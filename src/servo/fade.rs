@@ -57,10 +57,9 @@ pub(super) struct Fade {
     /// Whether a step of it was, and whether anything acted before.
     begun: bool,
     from_something: bool,
-    /// The share of the device's weight that was carried, and that the last step carried: what carries it is of the pose
-    /// now, or torques of another would push beside all limits.
+    /// The share of the device's weight that was carried: what carries it is of the pose now, or torques of another would
+    /// push beside all limits.
     carried: f32,
-    carries: f32,
     /// Torques that rendered the scene before.
     scene: Torques,
     host: Lease,
@@ -118,14 +117,13 @@ where
             }
         }
         let aside = Torques::from_fn(|i| self.now.motors.torque[i] - gravity[i] - rendered[i]);
-        let carried = if self.fade.ramp < 1.0 { self.fade.carries } else { self.wanted_weight() };
+        let carried = self.carries();
         self.fade = Fade {
             ramp: 0.0,
             share: 0.0,
             begun: false,
             from_something: true,
             carried,
-            carries: carried,
             scene: Torques::from_fn(|i| rendered[i] - host.torque[i]),
             host,
             aside,
@@ -143,8 +141,6 @@ where
         // What is asked for is held to the limit of the force at the tip by itself, as what fades out is below.
         let share = share_within(asked.force_squared, self.rules.limits.tip_force);
         self.fade.share = self.fade.ramp * share;
-        let before = if self.fade.from_something { self.fade.carried } else { 0.0 };
-        self.fade.carries = self.fade.part(before, self.wanted_weight());
         if !self.fade.from_something {
             return self.rise(asked, share);
         }
@@ -160,20 +156,20 @@ where
         (faded, self.between(asked, &weight, 1.0))
     }
 
-    /// The share of the device's weight that the scene wants carried.
-    fn wanted_weight(&self) -> f32 {
-        if self.weighs { 1.0 } else { 0.0 }
+    /// The share of the device's weight that this step carries.
+    fn carries(&self) -> f32 {
+        let before = if self.fade.from_something { self.fade.carried } else { 0.0 };
+        self.fade.part(before, if self.weighs { 1.0 } else { 0.0 })
     }
 
     /// What carries the weight now, N m. A scene that carries none does not say what it is.
     fn weight(&self, asked: &Asked<f32>) -> [f32; MAX_JOINTS] {
+        let carries = self.carries();
         let whole = match &self.program {
-            Some(program) if !self.weighs && self.fade.carries > 0.0 => {
-                program.mechanism.gravity::<K>(&self.now.found.at.q)
-            }
+            Some(program) if !self.weighs && carries > 0.0 => program.mechanism.gravity::<K>(&self.now.found.at.q),
             _ => asked.gravity,
         };
-        whole.map(|torque| self.fade.carries * torque)
+        whole.map(|torque| carries * torque)
     }
 
     /// [`Servo::fade_in`] from nothing: with a `share` of what is asked beyond what carries the device.
