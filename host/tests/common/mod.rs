@@ -54,3 +54,9 @@ pub fn haptic(arguments: &[&str]) -> Command {
 pub fn json(arguments: &[&str]) -> Value {
     serde_json::from_slice(&haptic(arguments).arg("--json").assert().success().get_output().stdout).unwrap()
 }
+
+/// Sends a signal to a process, by the name that a shell's own `kill` gives it: the program `kill` is not everywhere.
+pub fn signal(child: &std::process::Child, name: &str) {
+    let line = format!("kill -{name} {}", child.id());
+    assert!(std::process::Command::new("sh").args(["-c", &line]).status().unwrap().success());
+}

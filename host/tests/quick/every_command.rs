@@ -3,14 +3,14 @@
 #![cfg(unix)]
 
 use crate::common::sim::{Sim, until};
-use crate::common::{haptic, root};
+use crate::common::{haptic, root, signal};
 use rustix::fs::{Mode, OFlags};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{Winsize, tcsetwinsize};
 use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 
 /// What is typed, and how the first line begins that it prints.
 type Line = (&'static str, &'static str);
@@ -113,10 +113,6 @@ fn every_command_with_a_board() {
     each(&BOARD, folder().path(), &Sim::start(&["--fast"]).port);
 }
 
-fn interrupt(child: &Child) {
-    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
-}
-
 #[test]
 fn every_command_that_serves() {
     for (line, begins) in SERVING {
@@ -125,7 +121,7 @@ fn every_command_that_serves() {
         let mut said = String::new();
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut said).unwrap();
         assert!(said.starts_with(begins), "haptic {line}\n{said}");
-        interrupt(&child);
+        signal(&child, "INT");
         assert!(child.wait().unwrap().success(), "haptic {line}");
     }
 }

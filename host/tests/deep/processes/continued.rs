@@ -2,7 +2,7 @@
 //! bit.
 
 use crate::common::sim::until;
-use crate::common::{file, haptic, shipped};
+use crate::common::{file, haptic, shipped, signal};
 use haptic::analysis::flexible::Hand;
 use haptic::analysis::map::map_swept;
 use haptic::analysis::plant::{Drive, Linearised};
@@ -119,8 +119,7 @@ fn ctrl_c_ends_a_command_in_order_and_the_same_line_goes_on() {
         .spawn()
         .unwrap();
     until("the file", || kept.exists());
-    let killed = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
-    assert!(killed.success());
+    signal(&child, "INT");
     let mut text = String::new();
     std::io::Read::read_to_string(&mut child.stderr.take().unwrap(), &mut text).unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(1), "{text}");

@@ -3,7 +3,7 @@
 #![cfg(unix)]
 
 use crate::common::sim::{Sim, until};
-use crate::common::{file, haptic};
+use crate::common::{file, haptic, signal};
 use assert_cmd::cargo::cargo_bin;
 use haptic::link::Board;
 use haptic::measure::before::Before;
@@ -18,11 +18,6 @@ use std::process::{Child, Command, Stdio};
 use std::thread::sleep;
 use std::time::Duration;
 use tempfile::tempdir;
-
-fn signal(child: &Child, name: &str) {
-    let sent = Command::new("sh").args(["-c", &format!("kill -{name} {}", child.id())]).status().unwrap();
-    assert!(sent.success());
-}
 
 /// Waits until a file holds so many bytes.
 fn grown(path: &Path, bytes: u64) {
