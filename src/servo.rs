@@ -35,7 +35,7 @@ use crate::servo::program::Program;
 use core::ops::DerefMut;
 use crest::Joint;
 pub use crest::SPEED_HZ;
-pub use requests::{Beat, Command, REST_SPEED, Reply, Status};
+pub use requests::{Beat, Command, Press, REST_SPEED, Reply, Status};
 pub use rules::{HostAction, Rules};
 pub use watch::KEY_SECONDS;
 
@@ -81,9 +81,8 @@ pub struct Servo<P, S = Axis> {
     rate_since: u32,
     /// The step at which the host was heard the last time.
     host_heard: u32,
-    /// The counter of the dead man's key that a host tells of, if any, and the step at which it changed the last time.
-    key: Option<u32>,
-    key_heard: u32,
+    /// The dead man's key that holds the motors on, if any, as it was seen at the latest.
+    key: Option<Press>,
     rules: Rules,
     host: host_force::HostForce,
     /// What acted before the present scene, while it fades out.
@@ -143,7 +142,6 @@ where
             host_heard: 0,
             host_expected: 0,
             key: None,
-            key_heard: 0,
             first_index: [None; MAX_JOINTS],
             crests: crest::Crests::default(),
             host: host_force::HostForce::default(),

@@ -8,7 +8,7 @@ use crate::rig::{self, Held, RATE, Rig, five_bar, hardware, paddle, quiet, rules
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::joints::Counts;
-use haptic_bridge::servo::{Beat, Command, HostAction};
+use haptic_bridge::servo::{Beat, Command, HostAction, Press};
 
 /// How a fault is provoked.
 enum Origin {
@@ -144,8 +144,9 @@ fn origin(fault: Fault) -> Origin {
         }),
         Fault::KeyReleased => Step(|| {
             let mut rig = Rig::armed();
+            let press = Press { holder: 7, seen: rig.servo.steps() };
             for _ in 0..5 {
-                rig.execute(Command::Beat(Beat::Held(7))).unwrap();
+                rig.execute(Command::Beat(Beat::Held(press))).unwrap();
                 rig.run(0.1);
             }
             rig
@@ -242,7 +243,7 @@ fn injection(fault: Fault) -> (&'static str, &'static str) {
         Fault::Singularity => ("elbows turned until the distal links are in line", at_once),
         Fault::HostLost => ("no heartbeat", "after the time in the rules"),
         Fault::KeyReleased => {
-            ("a key whose counter stands still", "after 0.5 s, or the time in the rules where that is less")
+            ("a key that is not seen down again", "0.5 s after it was, or the time in the rules where that is less")
         }
         Fault::Watchdog => ("a task that stops", "by the reset"),
         Fault::StackOverflow => ("a stack that reaches its guard", "by the exception"),

@@ -112,6 +112,16 @@ fn restore_rules(board: &mut Board) -> Result<(), Refusal> {
     board.ask::<CommitEntries>(&commit(&[Key::Rules])).expect("understood")
 }
 
+/// What a tool says of its key that is down now.
+fn press(board: &mut Board) -> Press {
+    Press { holder: SESSION, seen: board.ask::<Heartbeat>(&Beat::Here).expect("understood") }
+}
+
+fn arm_held(board: &mut Board) -> Result<(), Refusal> {
+    let press = press(board);
+    board.ask::<ArmHeld>(&press).expect("understood")
+}
+
 /// What a board says of [`rules`] with a share above 1: the first number of the first limit.
 fn too_high(share: f32) -> Refusal {
     let value = share * Limits::default().torque[0];
@@ -126,6 +136,7 @@ fn table() -> Vec<RequestCase> {
     let while_off = [ok, ok, ok, Err(On), Err(On), ok];
     vec![
         ("arm", ask!(Arm), [Err(NoDevice), ok, Err(NotHomed), Err(On), Err(On), fault]),
+        ("arm with a key", arm_held, [Err(NoDevice), ok, Err(NotHomed), Err(On), Err(On), fault]),
         ("check polarity", ask!(CheckPolarity), [Err(NoDevice), ok, Err(NotHomed), Err(On), Err(On), fault]),
         ("home", ask!(Home), [Err(NoDevice), ok, ok, Err(On), Err(On), fault]),
         ("disarm", ask!(Disarm), always),
@@ -219,15 +230,23 @@ fn what_only_asks_is_answered_in_every_state_and_changes_none() {
 /// A board readies its gate drivers only for what the servo will not refuse, so it asks before.
 #[test]
 fn whether_it_may_be_armed_is_answered_as_arming_is_and_changes_nothing() {
-    type Commands = [fn() -> Command<Box<Program<BoardMath>>>; 2];
-    let pairs: [Commands; 2] =
-        [[|| Command::MayArm, || Command::Arm], [|| Command::MayCheckPolarity, || Command::CheckPolarity]];
+    fn not_yet(press: Press) -> Press {
+        Press { seen: press.seen + 1, ..press }
+    }
+    type Commands = [fn(Press) -> Command<Box<Program<BoardMath>>>; 2];
+    let pairs: [Commands; 4] = [
+        [|_| Command::MayArm, |_| Command::Arm],
+        [Command::MayArmHeld, Command::ArmHeld],
+        [|press| Command::MayArmHeld(not_yet(press)), |press| Command::ArmHeld(not_yet(press))],
+        [|_| Command::MayCheckPolarity, |_| Command::CheckPolarity],
+    ];
     for (now, [may, does]) in STATES.into_iter().flat_map(|now| pairs.map(|pair| (now, pair))) {
         let mut board = board(now);
+        let press = press(&mut board);
         let before = (configuration(&mut board), board.ask::<GetStatus>(&()).unwrap());
-        let answer = board.machine.servo.execute(may()).0;
+        let answer = board.machine.servo.execute(may(press)).0;
         assert_eq!((configuration(&mut board), board.ask::<GetStatus>(&()).unwrap()), before, "{now:?}");
-        assert_eq!(answer, board.machine.servo.execute(does()).0, "{now:?}");
+        assert_eq!(answer, board.machine.servo.execute(does(press)).0, "{now:?}");
     }
 }
 
@@ -238,8 +257,8 @@ fn own_endpoints() -> impl Iterator<Item = (&'static str, postcard_rpc::Key)> {
 
 #[test]
 fn the_table_above_leaves_no_endpoint_out() {
-    // Those of the two tests before: 18 that change something, 10 that ask.
-    assert_eq!(own_endpoints().count(), 28, "an endpoint was added: add it to the tests of this file");
+    // Those of the two tests before: 19 that change something, 10 that ask.
+    assert_eq!(own_endpoints().count(), 29, "an endpoint was added: add it to the tests of this file");
 }
 
 #[test]

@@ -10,7 +10,7 @@ use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::joints::{Counts, Torques};
-use haptic_bridge::servo::{ARM_SECONDS, Beat, Command, HostAction, Rules};
+use haptic_bridge::servo::{ARM_SECONDS, Beat, Command, HostAction, Press, Rules};
 
 fn gains(stiffness: f32, damping: f32, feed_forward: FeedForward) -> Command<rig::Held> {
     let washout = Washout::new(2.0, RATE).unwrap();
@@ -538,19 +538,21 @@ fn commands_in_any_order_never_move_a_disarmed_device() {
         let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 250.0)]));
         let mut armed = false;
         for ((which, number), moved) in script {
+            let press = Press { holder: number.to_bits() & 1, seen: rig.servo.steps().wrapping_sub(number.to_bits() >> 22) };
             let command = match which {
+                0 if moved > 0 => Command::ArmHeld(press),
                 0 => Command::Arm,
                 1 => Command::Disarm,
                 2 => Command::Clear,
                 3 => Command::Home,
-                4 => Command::Beat([Beat::Here, Beat::Held(number.to_bits()), Beat::Released][moved.unsigned_abs() as usize % 3]),
+                4 => Command::Beat([Beat::Here, Beat::Held(press), Beat::Released][moved.unsigned_abs() as usize % 3]),
                 5 => gains(number, number, FeedForward::Full),
                 6 => gains(number, 0.0, FeedForward::Washout),
                 7 => Command::Fault(FaultRecord { fault: Fault::GateDriver, axis: None, value: number, step: 0 }),
                 8 => Command::Rules(Rules { passivity: number > 0.0, ..rules() }),
                 _ => Command::PolarityKnown,
             };
-            let arming = matches!(command, Command::Arm);
+            let arming = matches!(command, Command::Arm | Command::ArmHeld(_));
             let outcome = rig.execute(command);
             armed = (arming && outcome.is_ok()) || (armed && rig.state() == State::Armed);
             rig.samples.counts[0] += moved;

@@ -322,14 +322,15 @@ pub fn injection(fault: Fault) -> Injection {
             500,
         ),
         Fault::KeyReleased => chip(
-            "a key whose counter stands still",
+            "a key that is not seen down again",
             in_contact,
             |rig| {
                 rules(rig, |rules| rules.host_seconds = 0.1);
-                rig.tool.hold_key(7).expect("a beat is never refused");
+                let seen = rig.tool.status().expect("the board answers").step;
+                rig.tool.hold_key(seen).expect("a beat is never refused");
                 rig.run(60 * MILLISECOND);
                 // The host goes on, and says the same of the key.
-                rig.tool.hold_key(7).expect("a beat is never refused");
+                rig.tool.hold_key(seen).expect("a beat is never refused");
             },
             500,
         ),

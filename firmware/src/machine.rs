@@ -133,6 +133,7 @@ impl Machine for BoardMachine {
         let status = self.status();
         let question = match command {
             Command::Arm => Some(Command::MayArm),
+            Command::ArmHeld(press) => Some(Command::MayArmHeld(press)),
             Command::CheckPolarity => Some(Command::MayCheckPolarity),
             _ => None,
         };

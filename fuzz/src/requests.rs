@@ -158,7 +158,7 @@ fn send(board: &mut Board, key: postcard_rpc::Key, body: &[u8]) -> u32 {
     let before = board.state().drives();
     let answer = board.answer(&frame(key, body));
     assert!(answer.is_some(), "every frame with a header is answered");
-    let asked_to_move = key == Arm::REQ_KEY || key == CheckPolarity::REQ_KEY;
+    let asked_to_move = [Arm::REQ_KEY, ArmHeld::REQ_KEY, CheckPolarity::REQ_KEY].contains(&key);
     assert!(before || asked_to_move || !board.state().drives(), "motors on without being asked");
     // The next request may come before the next control step.
     let ticks = body.first().map_or(2, |byte| byte % 3);
@@ -220,6 +220,10 @@ fn scene(which: u8) -> haptic_bridge::render::scene::Scene<f32> {
 
 fn device(which: u8) -> DeviceData {
     shipped()[usize::from(which) % shipped().len()].device.clone()
+}
+
+fn press(which: u8) -> Press {
+    Press { holder: u32::from(which & 4), seen: u32::from(which) }
 }
 
 fn table(count: usize) -> Vec<f32> {
@@ -299,11 +303,10 @@ pub const TEMPLATES: &[Template] = &[
         let fields = if which & 1 == 0 { Fields::ALL } else { Fields(u32::from(which)) };
         bytes_of(&StreamRequest { fields, divider: u32::from(which >> 4), stream: u32::from(which) })
     }),
+    (ArmHeld::REQ_KEY, |which| bytes_of(&press(which))),
     (Heartbeat::REQ_KEY, |which| {
-        bytes_of(
-            &[Beat::Here, Beat::Held(u32::from(which)), Beat::Held(u32::from(which)), Beat::Released]
-                [usize::from(which) % 4],
-        )
+        let held = Beat::Held(press(which));
+        bytes_of(&[Beat::Here, held, held, Beat::Released][usize::from(which) % 4])
     }),
     (ReadEntry::REQ_KEY, |which| bytes_of(&Key::ALL[usize::from(which) % Key::ALL.len()])),
     (StageEntry::REQ_KEY, |which| {

@@ -106,9 +106,18 @@ impl std::error::Error for Failure {}
 /// What a terminal can show of a text: whatever it would obey instead, such as the ESC in a name that a file or a board
 /// brought along, as it is written in JSON. Lines and tabs stay.
 pub fn visible(text: &str) -> Cow<'_, str> {
-    // Control characters, and marks that turn the direction of what follows.
-    let turning = |c: char| matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
-    let obeyed = |c: char| c.is_control() && !matches!(c, '\n' | '\t') || turning(c);
+    escaped(text, &['\n', '\t'])
+}
+
+/// The same of a name that stands in a line and shall begin none of its own.
+pub fn on_one_line(name: &str) -> Cow<'_, str> {
+    escaped(name, &[])
+}
+
+fn escaped<'t>(text: &'t str, kept: &[char]) -> Cow<'t, str> {
+    // Control characters, and marks that turn the direction of what follows or separate lines.
+    let marks = |c: char| matches!(c, '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+    let obeyed = |c: char| (c.is_control() || marks(c)) && !kept.contains(&c);
     if !text.contains(obeyed) {
         return text.into();
     }
@@ -175,6 +184,7 @@ mod tests {
         let name = "a\u{1b}[2J\u{9b}31m\r\u{7}\tb\nµ";
         let shown = visible(name);
         assert_eq!(shown, "a\\u001b[2J\\u009b31m\\u000d\\u0007\tb\nµ");
+        assert_eq!(on_one_line(name), "a\\u001b[2J\\u009b31m\\u000d\\u0007\\u0009b\\u000aµ");
         let json = format!("\"{}\"", visible("\u{9b}\u{7f}"));
         assert_eq!(serde_json::from_str::<String>(&json).unwrap(), "\u{9b}\u{7f}", "a JSON text means the same");
     }

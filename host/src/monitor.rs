@@ -4,7 +4,7 @@
 //! It is one more page of the stage ([`crate::view::stage`]), in this process: everything that moves a board goes
 //! through the same messages, with the same questions and the same dead man's key. A terminal does not tell when a key
 //! is let go, but repeats one that is held: Space switches the motors on once it repeats, and they go off when it no
-//! longer does. Each Space that comes is counted, and the number goes as far as the board.
+//! longer does. With each Space goes the newest control step that was known before it came, as far as the board.
 
 pub mod screen;
 pub mod seen;
@@ -36,8 +36,8 @@ pub struct HeldKey {
     pressed: Option<Instant>,
     /// Whether the motors were asked for.
     on: bool,
-    /// How often it has come, wrapping.
-    count: u32,
+    /// The newest control step that was known when no key was left in the terminal: whatever comes was pressed later.
+    seen: u32,
 }
 
 impl HeldKey {
@@ -45,19 +45,19 @@ impl HeldKey {
     pub fn press(&mut self, now: Instant) -> Option<FromPage> {
         let repeats = self.pressed.is_some_and(|before| now.duration_since(before) <= REPEAT);
         self.pressed = Some(now);
-        self.count = self.count.wrapping_add(1);
         match (self.on, repeats) {
-            (true, _) => Some(FromPage::Hold { count: self.count }),
+            (true, _) => Some(FromPage::Hold { seen: self.seen }),
             (false, true) => {
                 self.on = true;
-                Some(FromPage::Arm { count: self.count })
+                Some(FromPage::Arm { seen: self.seen })
             }
             (false, false) => None,
         }
     }
 
-    /// Time has passed: what to say.
-    pub fn wait(&mut self, now: Instant) -> Option<FromPage> {
+    /// No key is left in the terminal, and the board has told this control step before: what to say.
+    pub fn wait(&mut self, now: Instant, step: u32) -> Option<FromPage> {
+        self.seen = step;
         let silent = self.pressed.is_none_or(|before| now.duration_since(before) > LET_GO);
         (self.on && silent).then(|| self.release())
     }
@@ -68,8 +68,9 @@ impl HeldKey {
         FromPage::Release {}
     }
 
-    /// Reads the keys that came to a raw terminal: what to say, or `None` where it is to end.
-    pub fn listen(&mut self) -> io::Result<Option<Option<FromPage>>> {
+    /// Reads the keys that came to a raw terminal, where the board has told this control step: what to say, or `None` where
+    /// it is to end.
+    pub fn listen(&mut self, step: u32) -> io::Result<Option<Option<FromPage>>> {
         let mut said = None;
         while event::poll(Duration::ZERO)? {
             match event::read()? {
@@ -81,7 +82,8 @@ impl HeldKey {
                 _ => {}
             }
         }
-        Ok(Some(said.or_else(|| self.wait(Instant::now()))))
+        let waited = self.wait(Instant::now(), step);
+        Ok(Some(said.or(waited)))
     }
 
     /// Something else turned the motors off: the key has to be pressed anew.
@@ -156,7 +158,7 @@ fn watch(terminal: &mut ratatui::DefaultTerminal, hub: &Hub, id: PageId, stop: &
                 _ => {}
             }
         }
-        held.wait(Instant::now()).into_iter().for_each(say);
+        held.wait(Instant::now(), seen.step()).into_iter().for_each(say);
         if here.elapsed() > Duration::from_secs(1) {
             here = Instant::now();
             say(FromPage::Here {});
@@ -215,12 +217,13 @@ mod tests {
         let (mut held, began) = (HeldKey::default(), Instant::now());
         let at = |ms: u64| began + Duration::from_millis(ms);
         assert_eq!(held.press(at(0)), None, "one press alone does not hold");
-        assert_eq!(held.wait(at(500)), None);
-        assert_eq!(held.press(at(600)), Some(FromPage::Arm { count: 2 }));
-        assert_eq!(held.press(at(640)), Some(FromPage::Hold { count: 3 }));
-        assert_eq!(held.wait(at(1000)), None);
-        assert_eq!(held.wait(at(1041)), Some(FromPage::Release {}));
-        assert_eq!(held.wait(at(5000)), None);
+        assert_eq!(held.wait(at(500), 10), None);
+        // However many Spaces were waiting in the terminal, and for how long: none is known to be newer than the last look.
+        assert_eq!(held.press(at(600)), Some(FromPage::Arm { seen: 10 }));
+        assert_eq!(held.press(at(640)), Some(FromPage::Hold { seen: 10 }));
+        assert_eq!(held.wait(at(1000), 20), None);
+        assert_eq!(held.wait(at(1041), 21), Some(FromPage::Release {}));
+        assert_eq!(held.wait(at(5000), 99), None);
         assert_eq!(held.press(at(5000)), None, "and it begins anew");
         assert_eq!(held.press(at(6001)), None, "two presses far apart do not hold");
     }

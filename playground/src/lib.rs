@@ -224,8 +224,10 @@ mod tests {
         for (index, name) in names.lines().enumerate() {
             assert!(open(index), "{name}: {}", String::from_utf8_lossy(&BUFFER.take()));
             say(r#"{"do":"take"}"#);
-            say(r#"{"do":"arm","count":1}"#);
-            let (armed, refused) = play(0, 300);
+            let (picture, _) = play(0, 100);
+            let step = picture.split(r#""step":"#).nth(1).unwrap().split(',').next().unwrap();
+            say(&format!(r#"{{"do":"arm","seen":{step}}}"#));
+            let (armed, refused) = play(100, 200);
             assert!(armed.contains(r#""state":"Armed""#) && refused.is_empty(), "{name}: {armed} {refused:?}");
             // The page is not heard for half a second.
             let (silent, refused) = play(300, 300);

@@ -151,7 +151,8 @@ fn route<M: Described>(
     serve! { request, out;
         GetStatus: |()| machine.status();
         Heartbeat: |beat| service.heartbeat(machine, beat);
-        Arm: |()| service.arm(machine);
+        Arm: |()| service.arm(machine, None);
+        ArmHeld: |press| service.arm(machine, Some(press));
         Disarm: |()| service.disarm(machine);
         SetGains: |gains| service.set_gains(machine, &gains);
         SetScene: |scene| service.set_scene(machine, scene);

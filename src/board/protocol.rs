@@ -17,8 +17,8 @@ use crate::render::scene::Scene;
 use crate::render::velocity::Estimator;
 use crate::safety::fault::FaultRecord;
 use crate::safety::refusal::Refusal;
-pub use crate::servo::Beat;
 pub use crate::servo::host_force::{BadForce, ForceAnswer, ForceDone, ForceRequest, HostContact};
+pub use crate::servo::{Beat, Press};
 use crate::servo::{Rules, Status};
 use heapless::{String, Vec};
 use postcard_rpc::{TopicDirection, endpoints, topics};
@@ -26,7 +26,7 @@ use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 /// Version of this table. Raised by any change to it.
-pub const PROTOCOL: u16 = 9;
+pub const PROTOCOL: u16 = 10;
 
 /// Longest frame on the link, bytes, before what COBS adds.
 pub const MAX_FRAME: usize = 1536;
@@ -124,6 +124,8 @@ pub type FaultList = Vec<FaultRecord, FAULT_HISTORY>;
 pub type MaybeEntry = Option<Entry>;
 /// Settings by their keys.
 pub type KeyList = Vec<Key, { Key::ALL.len() }>;
+/// The control step at which a request was heard, counted since boot, wrapping.
+pub type Step = u32;
 /// A board's name, as people call it.
 pub type Name = String<32>;
 
@@ -146,10 +148,11 @@ endpoints! {
     | Home          | ()            | Outcome     | "haptic/home"      |
     | CheckPolarity | ()            | Outcome     | "haptic/polarity"  |
     | Arm           | ()            | Outcome     | "haptic/arm"       |
+    | ArmHeld       | Press         | Outcome     | "haptic/arm-held"  |
     | Disarm        | ()            | Outcome     | "haptic/disarm"    |
     | Clear         | ()            | Outcome     | "haptic/clear"     |
     | GetFaults     | ()            | FaultList   | "haptic/faults"    |
-    | Heartbeat     | Beat          | ()          | "haptic/heartbeat" |
+    | Heartbeat     | Beat          | Step        | "haptic/heartbeat" |
     | Force         | ForceRequest  | ForceAnswer | "haptic/force"     |
     | Stream        | StreamRequest | Outcome     | "haptic/stream"    |
     | Save          | ()            | Outcome     | "haptic/save"      |

@@ -6,7 +6,7 @@
 
 use crate::board::configuration::{Configuration, nothing_to_feel, task};
 use crate::board::protocol::{
-    Beat, Commit, Details, FaultList, ForceAnswer, ForceRequest, GainsRequest, KeyList, Name, WriteEntry,
+    Beat, Commit, Details, FaultList, ForceAnswer, ForceRequest, GainsRequest, KeyList, Name, Press, Step, WriteEntry,
 };
 use crate::board::settings::{self, BoardName, Damage, Entry, Key, Polarity, Setting};
 use crate::math::Math;
@@ -417,15 +417,15 @@ impl Service {
         Ok(())
     }
 
-    /// Motors on.
-    pub fn arm(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
+    /// Motors on, for as long as this key is held, if any.
+    pub fn arm(&mut self, machine: &mut impl Machine, key: Option<Press>) -> Result<(), Refusal> {
         if self.configuration.device.is_none() {
             return Err(Refusal::NoDevice);
         }
         if self.configuration.scene.is_none() {
             return Err(Refusal::NoScene);
         }
-        machine.execute(Command::Arm).0
+        machine.execute(key.map_or(Command::Arm, Command::ArmHeld)).0
     }
 
     /// Motors off.
@@ -439,9 +439,11 @@ impl Service {
         machine.execute(Command::Clear).0
     }
 
-    /// The host is there, and says how it is with its user's key.
-    pub fn heartbeat(&mut self, machine: &mut impl Machine, beat: Beat) {
+    /// The host is there, and says how it is with its user's key. It is told the step, with which it can say when it saw
+    /// that key.
+    pub fn heartbeat(&mut self, machine: &mut impl Machine, beat: Beat) -> Step {
         let _ = machine.execute(Command::Beat(beat));
+        machine.status().step
     }
 
     /// Faults since the board started, oldest first; the oldest give way.

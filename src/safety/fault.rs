@@ -165,7 +165,7 @@ faults! {
     /// A joint kept moving when the polarity check was to begin with it; value: rad from where it stood last.
     PolarityUnrest = 35, "a joint did not come to rest for the polarity check",
         "let the device stand still by itself, or hold it still for a moment, hands off while a motor pushes; then check again";
-    /// A dead man's key that was held is no longer told of; value: seconds since its counter changed.
+    /// A dead man's key that was held is no longer told of; value: seconds since it was seen down.
     KeyReleased = 36, "nobody was heard to hold the dead man's key any more",
         "`haptic clear`, then press the key anew; if it comes while the key is down, the page, the network or the computer between key and board is too slow";
     /// The image is for another board than the chip is on; value: the pin that told, 16 times its port (0 for A) and its number.

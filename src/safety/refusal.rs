@@ -65,6 +65,8 @@ pub enum Refusal {
     NotSupported,
     /// The flash failed in the middle of a change: the next start shows the old settings or the new ones.
     Unsettled,
+    /// The dead man's key that shall hold the motors on was seen down too long ago.
+    KeyTooOld,
 }
 
 impl core::fmt::Display for Refusal {
@@ -112,6 +114,10 @@ impl core::fmt::Display for Refusal {
                  shows whether the old ones or the new ones were kept",
             ),
             Self::NotSupported => f.write_str("this board cannot do that"),
+            Self::KeyTooOld => f.write_str(
+                "the press of the key took longer to come than a key may be silent: press it anew; if that happens again, \
+                 the page, the network or the computer between key and board is too slow",
+            ),
         }
     }
 }

@@ -32,8 +32,12 @@ pub enum Command<P> {
     Home,
     /// Motors on.
     Arm,
+    /// Motors on, for as long as this key is held.
+    ArmHeld(Press),
     /// Answers as [`Command::Arm`] would, and changes nothing: what readies the power stage asks first.
     MayArm,
+    /// The same for [`Command::ArmHeld`].
+    MayArmHeld(Press),
     /// Motors off.
     Disarm,
     /// Moves each joint by a small torque to see that it turns the right way.
@@ -50,14 +54,24 @@ pub enum Command<P> {
     Fault(FaultRecord),
 }
 
+/// A dead man's key that somebody saw down, and not before when. Motors that it holds go off
+/// [`KEY_SECONDS`](super::KEY_SECONDS) after `seen`, however late it comes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+pub struct Press {
+    /// Who holds it: a number that a tool draws. One key has one holder.
+    pub holder: u32,
+    /// The newest control step that whoever sees the key had been told of before: in the answer to a [`Beat`], for example.
+    pub seen: u32,
+}
+
 /// A sign of life of a host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum Beat {
-    /// It is there, and nobody holds a key with it. This neither feeds a key that is held nor lets it go.
+    /// It is there. This neither feeds a key that is held nor lets it go.
     Here,
-    /// A dead man's key is down, and whoever sees it has counted so far, wrapping. From the first of these on the motors
-    /// stay on only while the number changes: see [`KEY_SECONDS`](super::KEY_SECONDS).
-    Held(u32),
+    /// A key is down. It feeds the one that holds the motors on; motors that are on without a key are held by it from now
+    /// on.
+    Held(Press),
     /// The key was let go: motors off, as by [`Command::Disarm`].
     Released,
 }
@@ -142,8 +156,10 @@ where
             Command::Coefficients(coefficients) => self.with_program(|p| p.controller.set_coefficients(coefficients)),
             Command::Rules(rules) => self.set_rules(rules),
             Command::Home => self.home(),
-            Command::Arm => self.arm(),
-            Command::MayArm => self.may_arm(),
+            Command::Arm => self.arm(None),
+            Command::ArmHeld(press) => self.arm(Some(*press)),
+            Command::MayArm => self.may_arm(None),
+            Command::MayArmHeld(press) => self.may_arm(Some(*press)),
             Command::MayCheckPolarity => self.ready().map(drop),
             Command::Disarm => {
                 self.disarm();
@@ -166,7 +182,7 @@ where
             Command::Beat(beat) => {
                 match beat {
                     Beat::Here => {}
-                    Beat::Held(count) => self.hear_key(*count),
+                    Beat::Held(press) => self.hear_key(*press),
                     Beat::Released => self.disarm(),
                 }
                 self.hear_host();
@@ -311,13 +327,16 @@ where
         Ok(program)
     }
 
-    fn may_arm(&self) -> Result<(), Refusal> {
+    fn may_arm(&self, key: Option<Press>) -> Result<(), Refusal> {
         let program = self.ready()?;
         if self.hardware.real && !self.polarity_known {
             return Err(Refusal::PolarityUnchecked);
         }
         if program.controller.inside_a_wall(&self.now.counts) {
             return Err(Refusal::InsideWall);
+        }
+        if key.is_some_and(|key| !self.is_fresh(key)) {
+            return Err(Refusal::KeyTooOld);
         }
         Ok(())
     }
@@ -329,10 +348,11 @@ where
         }
     }
 
-    fn arm(&mut self) -> Result<(), Refusal> {
-        self.may_arm()?;
+    fn arm(&mut self, key: Option<Press>) -> Result<(), Refusal> {
+        self.may_arm(key)?;
         self.find_stray()?;
         self.fade.begin_anew();
+        self.key = key;
         self.watch_anew();
         self.state = State::Armed;
         Ok(())
@@ -340,7 +360,6 @@ where
 
     /// Starts everything that is summed up while the motors are on.
     pub(super) fn watch_anew(&mut self) {
-        self.forget_old_key();
         self.hear_host();
         self.joints.iter_mut().for_each(|joint| joint.sums.anew());
         self.crests.anew();

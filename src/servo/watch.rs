@@ -1,7 +1,7 @@
 //! What must turn the motors off and only a control step can show: numbers that are not finite, poses, marks, silence.
 //! Limits are held to once a carrier period, in [`super::crest`]; what builds up is in [`super::budgets`].
 
-use super::{HostAction, Servo};
+use super::{HostAction, Press, Servo};
 use crate::drive::bits::{left, left_between};
 use crate::drive::stage::Stage;
 use crate::math::Math;
@@ -16,8 +16,9 @@ pub const TRIPPING_SINE: f32 = 2.0e-3;
 /// Width of an index pulse, counts; the first one counts only if it was passed no faster than this in a step.
 pub const INDEX_WIDTH: u32 = 4;
 
-/// Longest time for which the counter of a dead man's key may stand still while the motors are on, s, whatever the
-/// rules say of a silent host; `host_seconds` where that is shorter. A page says six times in it that its key is down.
+/// How long ago a dead man's key that holds the motors on may have been seen down, s, whatever the rules say of a silent
+/// host; `host_seconds` where that is shorter. Of this a page takes up to 0.17 s where no network delays it: a step is told
+/// every 50 ms and shown every 17 ms, and the key is told of every 80 ms and at every picture.
 pub const KEY_SECONDS: f32 = 0.5;
 /// Share of a real motor's maximum current that may flow for ever where its rules name no continuous current: a quarter of
 /// the heat.
@@ -92,31 +93,42 @@ where
         self.now.step.wrapping_sub(self.host_heard) as f32 * self.period
     }
 
-    /// The counter of a dead man's key was heard: only another number than the last says that somebody holds it.
-    pub(super) fn hear_key(&mut self, count: u32) {
-        if self.key != Some(count) {
-            (self.key, self.key_heard) = (Some(count), self.now.step);
+    /// A dead man's key was told of: it counts by when it was seen, not by when that was heard.
+    pub(super) fn hear_key(&mut self, press: Press) {
+        let steps = |key: Press| self.now.step.wrapping_sub(key.seen);
+        let newer = match self.key {
+            // One key has one holder.
+            Some(key) => key.holder == press.holder && steps(press) < steps(key),
+            None => self.state.drives(),
+        };
+        if newer {
+            self.key = Some(press);
         }
     }
 
-    /// For how long the counter of the key has stood still, and for how long it may, s; none without a key.
-    pub fn key_still(&self) -> Option<(f32, f32)> {
-        let still = self.now.step.wrapping_sub(self.key_heard) as f32 * self.period;
-        self.key.map(|_| (still, self.rules.host_seconds.min(KEY_SECONDS)))
+    /// How long ago the key was seen down at the latest, and how long ago that may be, s; none without a key.
+    pub fn key_age(&self) -> Option<(f32, f32)> {
+        self.key.map(|key| self.age(key))
     }
 
-    /// Forgets a key that nobody has held for too long: it belongs to an arming that is over.
-    pub(super) fn forget_old_key(&mut self) {
-        if self.key_still().is_some_and(|(still, allowed)| still > allowed) {
-            self.key = None;
-        }
+    fn age(&self, key: Press) -> (f32, f32) {
+        let steps = self.now.step.wrapping_sub(key.seen);
+        (steps as f32 * self.period, self.rules.host_seconds.min(KEY_SECONDS))
+    }
+
+    /// Whether a key was seen down as short a while ago as one that holds the motors on must be.
+    pub(super) fn is_fresh(&self, key: Press) -> bool {
+        let (age, allowed) = self.age(key);
+        // Steps before a change of rate took another time, which nobody counted.
+        let known = self.now.step.wrapping_sub(key.seen) <= self.now.step.wrapping_sub(self.rate_since);
+        known && age <= allowed
     }
 
     /// Sets the step after which the host, or the key that it tells of, has been silent for too long, or is looked at
     /// again.
     fn expect_host(&mut self) {
-        let key = match self.key_still() {
-            Some((still, allowed)) => ((allowed - still) / self.period) as u32,
+        let key = match self.key_age() {
+            Some((age, allowed)) => ((allowed - age) / self.period) as u32,
             None => LOOK_AGAIN,
         };
         let left = match self.rules.host_action {
@@ -218,11 +230,9 @@ where
                 }
                 _ => {}
             }
-            if let Some((still, allowed)) = self.key_still() {
-                note(still > allowed, Fault::KeyReleased, None, still);
+            if let Some((age, allowed)) = self.key_age() {
+                note(age > allowed, Fault::KeyReleased, None, age);
             }
-        } else {
-            self.forget_old_key();
         }
         self.expect_host();
         if let Some((fault, axis, value)) = first {

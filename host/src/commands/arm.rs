@@ -22,7 +22,7 @@ use std::time::{Duration, Instant};
 /// at once, and the motors stay on until somebody switches them off.
 ///
 /// With --key the motors are on only while Space is held in this terminal, and the board turns them off by itself half a
-/// second after it was last told so, whatever its rules say.
+/// second after the last Space that reached it, whatever its rules say and however slow the way to it is.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -99,15 +99,14 @@ fn while_held(board: &mut Board, stop: Interrupt) -> Result<(), Failure> {
     let shown = |words: &str| haptic::error::say_over(format_args!("{words:40}"), false);
     while !stop.is_set() {
         board.rows(LOOK)?;
-        let Some(said) = key.listen().map_err(Failure::impossible)? else { return Ok(()) };
+        let Some(said) = key.listen(board.step()).map_err(Failure::impossible)? else { return Ok(()) };
         match said {
-            Some(FromPage::Arm { count }) => {
-                board.hold_key(count)?;
-                board.arm()?;
+            Some(FromPage::Arm { seen }) => {
+                board.arm_held(seen)?;
                 on = true;
                 shown("motors on");
             }
-            Some(FromPage::Hold { count }) if on => board.hold_key(count)?,
+            Some(FromPage::Hold { seen }) if on => board.hold_key(seen)?,
             Some(FromPage::Release {}) => {
                 board.disarm()?;
                 on = false;
@@ -122,7 +121,6 @@ fn while_held(board: &mut Board, stop: Interrupt) -> Result<(), Failure> {
                 Some(record) if status.state == State::Fault => return Err(motors_off(&record, rate)),
                 _ if status.state != State::Armed => {
                     key.forget();
-                    board.forget_key();
                     on = false;
                     shown("disarmed from elsewhere");
                 }

@@ -3,7 +3,7 @@
 use super::answer::Json;
 use super::port::{Port, fault_in_words, numbers, scene_in_words, state_in_words, wall_in_words};
 use haptic::digits::print_json;
-use haptic::error::{Failure, print};
+use haptic::error::{Failure, on_one_line, print};
 use haptic_bridge::safety::fault::Fault;
 use serde_json::json;
 
@@ -42,7 +42,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         }));
     }
     let mut report = String::new();
-    let mut line = |name: &str, value: String| report.push_str(&format!("{name:<12}{value}\n"));
+    let mut line = |name: &str, value: String| report.push_str(&format!("{name:<12}{}\n", on_one_line(&value)));
     let name = if details.name.is_empty() { String::new() } else { format!(" \"{}\"", details.name) };
     line("board", format!("{}{name}, serial number {}, on {}", info.board, info.serial, board.port()));
     line("firmware", format!("{}, protocol {}", info.firmware, info.protocol));

@@ -2,7 +2,7 @@
 
 use super::answer::Json;
 use haptic::digits::print_json;
-use haptic::error::{Failure, print};
+use haptic::error::{Failure, on_one_line, print};
 use haptic::link::boards;
 use serde_json::json;
 
@@ -25,7 +25,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     let mut report = String::new();
     for board in &boards {
-        report.push_str(&format!("{}  {}  serial number {}\n", board.path, board.kind, board.serial));
+        let [kind, serial] = [&board.kind, &board.serial].map(|name| on_one_line(name));
+        report.push_str(&format!("{}  {kind}  serial number {serial}\n", board.path));
     }
     if boards.is_empty() {
         report.push_str("no boards found\n");

@@ -2,7 +2,7 @@
 
 use super::answer::Json;
 use super::port::Port;
-use haptic::error::Failure;
+use haptic::error::{Failure, on_one_line};
 use serde_json::json;
 
 /// Show what a board is called, or call it something else
@@ -22,7 +22,8 @@ pub struct Args {
 pub fn run(args: Args) -> Result<(), Failure> {
     let Some(name) = &args.name else {
         let name = args.port.open()?.details()?.name;
-        let said = if name.is_empty() { "this board has no name\n".into() } else { format!("{name}\n") };
+        let said =
+            if name.is_empty() { "this board has no name\n".into() } else { format!("{}\n", on_one_line(&name)) };
         return args.json.answer(json!({ "name": name }), &said);
     };
     if name.chars().any(char::is_control) {

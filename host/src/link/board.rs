@@ -75,11 +75,11 @@ pub struct Board {
     rows: Rows,
     garbled_before: u64,
     heartbeat: bool,
-    last_heartbeat: Duration,
-    /// The newest counter of the dead man's key that is down.
-    key: Option<u32>,
+    last_heartbeat: Option<Duration>,
+    /// The step that the board told in answer to the newest heartbeat.
+    step: u32,
     force_patience: Duration,
-    /// By which the board tells what this tool has put aside from what another has.
+    /// By which the board tells what this tool has put aside, and whose key it holds, from what another has and does.
     session: u32,
     faults: Vec<FaultRecord>,
 }
@@ -127,8 +127,8 @@ impl Board {
             rows: Rows::default(),
             garbled_before: 0,
             heartbeat: false,
-            last_heartbeat: Duration::ZERO,
-            key: None,
+            last_heartbeat: None,
+            step: 0,
             force_patience: FORCE_PATIENCE,
             session: unlike_any_before(),
             faults: Vec::new(),
@@ -240,20 +240,22 @@ impl Board {
     }
     /// Motors off.
     pub fn disarm(&mut self) -> Result<(), BoardError> {
-        self.key = None;
         self.change::<p::Disarm>(&())
     }
-    /// A dead man's key is down: whoever sees it has counted to `count`, wrapping, and counts on while it is. Call this
-    /// with every new number, the first one before [`Board::arm`]. From then on the board turns its motors off, as a
-    /// fault, half a second after the number has changed the last time, however often this is called.
-    pub fn hold_key(&mut self, count: u32) -> Result<(), LinkError> {
-        self.key = Some(count);
-        self.last_heartbeat = self.now();
-        self.ask::<p::Heartbeat>(&p::Beat::Held(count), ANSWER)
+    /// The newest control step that the board has told in answer to a heartbeat, see [`Board::keep_alive`]: with it,
+    /// whoever sees a dead man's key says when.
+    pub fn step(&self) -> u32 {
+        self.step
     }
-    /// The key is no longer told of: something else has turned the motors off.
-    pub fn forget_key(&mut self) {
-        self.key = None;
+    /// Motors on for as long as a dead man's key is held. `seen` is the newest [`Board::step`] that whoever sees the key
+    /// knew of before the key was seen down. Half a second after that step the board turns its motors off, as a fault,
+    /// unless [`Board::hold_key`] has told of a newer one; it refuses to arm where that is over already.
+    pub fn arm_held(&mut self, seen: u32) -> Result<(), BoardError> {
+        self.change::<p::ArmHeld>(&p::Press { holder: self.session, seen })
+    }
+    /// The key is still down, see [`Board::arm_held`]. Only this `Board` can say so of the key that it armed with.
+    pub fn hold_key(&mut self, seen: u32) -> Result<(), LinkError> {
+        self.heartbeat(p::Beat::Held(p::Press { holder: self.session, seen }))
     }
     /// Asks for a force at the tip, joint torques or a contact, for as long as its lease runs; reads how the device is.
     /// What was not done says so in the answer.
@@ -400,10 +402,15 @@ impl Board {
 
     fn beat(&mut self) -> Result<(), LinkError> {
         let now = self.client.now();
-        if self.heartbeat && now.saturating_sub(self.last_heartbeat) >= HEARTBEAT {
-            self.last_heartbeat = now;
-            self.ask::<p::Heartbeat>(&self.key.map_or(p::Beat::Here, p::Beat::Held), ANSWER)?;
+        if self.heartbeat && self.last_heartbeat.is_none_or(|last| now.saturating_sub(last) >= HEARTBEAT) {
+            self.heartbeat(p::Beat::Here)?;
         }
+        Ok(())
+    }
+
+    fn heartbeat(&mut self, beat: p::Beat) -> Result<(), LinkError> {
+        self.last_heartbeat = Some(self.now());
+        self.step = self.ask::<p::Heartbeat>(&beat, ANSWER)?;
         Ok(())
     }
 }

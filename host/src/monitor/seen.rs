@@ -222,6 +222,11 @@ impl Seen {
         !self.picture["recording"].is_null()
     }
 
+    /// The newest control step that was told.
+    pub fn step(&self) -> u32 {
+        self.picture["step"].as_u64().unwrap_or(0) as u32
+    }
+
     /// Whether the stage holds the motors on for a key.
     pub fn held(&self) -> bool {
         self.picture["held"] == true

@@ -1,7 +1,7 @@
 //! What a recording is of: read from the board once, written at the head of every file.
 
 use crate::backup::SavedSetting;
-use crate::error::Failure;
+use crate::error::{Failure, on_one_line};
 use crate::link::Board;
 use crate::output;
 use crate::words::{nth_step, wall_in_words};
@@ -27,7 +27,7 @@ impl About {
         let details = board.details()?;
         let info = board.info().clone();
         let (device, scene, rules) = (board.device()?, board.scene()?, board.rules()?);
-        let name = if details.name.is_empty() { String::new() } else { format!(" \"{}\"", details.name) };
+        let name = if details.name.is_empty() { String::new() } else { format!(" \"{}\"", on_one_line(&details.name)) };
         let mut text = format!(
             "haptic-bridge recording, fields in docs/telemetry.md\n\
              date {}\n\
@@ -37,11 +37,11 @@ impl About {
              control rate {} Hz, every {}, delay {} samples\n",
             output::date(),
             env!("CARGO_PKG_VERSION"),
-            info.firmware,
+            on_one_line(&info.firmware),
             info.protocol,
-            info.board,
-            info.serial,
-            details.device.as_deref().unwrap_or("none"),
+            on_one_line(&info.board),
+            on_one_line(&info.serial),
+            on_one_line(details.device.as_deref().unwrap_or("none")),
             details.rate_hz,
             nth_step(divider),
             details.delay_samples,

@@ -429,12 +429,12 @@ impl SimulatedBoard {
         self.injected = Some((fault, axis, value));
     }
 
-    /// For how long the host has sent no heartbeat, or nothing new of the key that is held with it, and for how long it
-    /// may before the board acts, s; none while the board would not.
+    /// For how long the host has sent no heartbeat, or how long ago the key that it tells of was seen down, and for how
+    /// long that may be before the board acts, s; none while the board would not.
     pub fn host_silence(&self) -> Option<(f64, f64)> {
         let (rules, servo) = (self.service.rules(), &self.machine.servo);
         let host = (rules.host_action != HostAction::Ignore).then(|| (servo.host_silent(), rules.host_seconds));
-        let (silent, allowed) = servo.key_still().or(host).filter(|_| self.status().state == State::Armed)?;
+        let (silent, allowed) = servo.key_age().or(host).filter(|_| self.status().state == State::Armed)?;
         Some((f64::from(silent), f64::from(allowed)))
     }
 

@@ -94,14 +94,14 @@ struct Page {
     left_out: u64,
     /// It lets the key go, or turns the motors off; of both the second.
     stops: Option<FromPage>,
-    /// The newest counter of its key: that of an older message would say that somebody holds it who no longer does.
+    /// What it said of its key the last time: an older message says less.
     holds: Option<u32>,
 }
 
 impl Page {
     fn hears(&mut self, message: Result<FromPage, String>) {
         match message {
-            Ok(FromPage::Hold { count }) => self.holds = Some(count),
+            Ok(FromPage::Hold { seen }) => self.holds = Some(seen),
             message => {
                 if self.said.len() >= SAID {
                     self.said.pop_front();
@@ -123,7 +123,7 @@ impl Page {
         if left_out > 0 {
             return Some(Event::LeftOut(id, left_out));
         }
-        let said = self.said.pop_front().or_else(|| self.holds.take().map(|count| Ok(FromPage::Hold { count })));
+        let said = self.said.pop_front().or_else(|| self.holds.take().map(|seen| Ok(FromPage::Hold { seen })));
         said.map(|said| Event::Said(id, said))
     }
 }
@@ -304,7 +304,7 @@ mod tests {
     fn what_turns_motors_off_is_heard_first_and_no_key_that_was_pressed_before_it_is() {
         for (page, stop) in [(1, FromPage::Release {}), (1, FromPage::Disarm {}), (2, FromPage::Disarm {})] {
             let hub = known(3);
-            for message in [FromPage::Take {}, FromPage::Arm { count: 1 }, FromPage::Hold { count: 2 }] {
+            for message in [FromPage::Take {}, FromPage::Arm { seen: 1 }, FromPage::Hold { seen: 2 }] {
                 hub.said(1, Ok(message));
             }
             (0..10_000).for_each(|_| hub.said(3, Err("noise".into())));
@@ -345,12 +345,11 @@ mod tests {
         assert_eq!(heard.last(), Some(&Event::Said(1, Err("99999".into()))));
     }
 
-    /// A queue of counters would go on feeding a key long after it was let go.
     #[test]
-    fn of_a_key_that_is_held_only_the_newest_counter_waits() {
+    fn of_a_key_that_is_held_only_the_newest_message_waits() {
         let hub = known(1);
-        (0..1_000).for_each(|count| hub.said(1, Ok(FromPage::Hold { count })));
-        assert_eq!((hub.next(), hub.next()), (said(1, FromPage::Hold { count: 999 }), None));
+        (0..1_000).for_each(|seen| hub.said(1, Ok(FromPage::Hold { seen })));
+        assert_eq!((hub.next(), hub.next()), (said(1, FromPage::Hold { seen: 999 }), None));
     }
 
     #[test]

@@ -16,13 +16,13 @@ pub enum FromPage {
     /// The dead man's key was pressed: motors on.
     Arm {
         /// As in [`FromPage::Hold`].
-        count: u32,
+        seen: u32,
     },
     /// It is still down; said several times a second. Where it is not known to be, nothing happens: only a press arms.
     Hold {
-        /// Counted up, wrapping, by whatever sees the key, each time that it sees the key down: the same number again
-        /// says nothing.
-        count: u32,
+        /// The control step of the newest picture that whatever sees the key had before it saw it down: by this the board
+        /// knows how long ago that was.
+        seen: u32,
     },
     /// It was let go: motors off.
     Release {},
@@ -116,7 +116,7 @@ mod tests {
 
     #[test]
     fn messages_are_read_and_what_is_none_is_refused() {
-        assert_eq!(FromPage::parse(r#"{"do":"arm","count":1}"#), Ok(FromPage::Arm { count: 1 }));
+        assert_eq!(FromPage::parse(r#"{"do":"arm","seen":1}"#), Ok(FromPage::Arm { seen: 1 }));
         assert_eq!(FromPage::parse(r#"{"do":"hand","at":null}"#), Ok(FromPage::Hand { at: None }));
         for bad in [
             "",
@@ -124,8 +124,8 @@ mod tests {
             "[]",
             r#"{"do":"jump"}"#,
             r#"{"do":"hold"}"#,
-            r#"{"do":"hold","count":-1}"#,
-            r#"{"do":"hold","count":1,"x":1}"#,
+            r#"{"do":"hold","seen":-1}"#,
+            r#"{"do":"hold","seen":1,"x":1}"#,
             r#"{"do":"sound"}"#,
             r#"{"do":"sound","on":1}"#,
             r#"{"do":"sound","on":true,"and":1}"#,

@@ -1,9 +1,9 @@
 //! The stage: the one thread that owns the board. It hears the pages, lets time pass, and shows what there is to see.
 //!
-//! One page commands, the others watch. The motors are on only while the page in command holds its key down and counts:
-//! a page that lets go, closes, or says no new number for [`SILENCE`] turns them off. Any page may turn them off. The
-//! number goes on to the board ([`Board::hold_key`]), which turns them off by itself where this process dies, is stopped,
-//! or comes too late to say it.
+//! One page commands, the others watch. The motors are on only while the page in command holds its key down: a page that
+//! lets go, closes, or was not heard to see the key for [`SILENCE`] turns them off. Any page may turn them off. With its
+//! key a page says the newest control step that it had been shown when it saw the key, and this goes on to the board
+//! ([`Board::hold_key`]): whatever is slow or stands still on this way round, the board knows how old the press is.
 //!
 //! It reads no clock: whoever calls [`Stage::turn`] says what time it is. The tool does so in a loop ([`Stage::run`]),
 //! the page as a file whenever the browser lets it (playground/).
@@ -39,10 +39,10 @@ use told::{in_words, plane_message};
 
 /// How many events are heard in a turn; what turns motors off comes first among them ([`Hub::next`]).
 const EVENTS: usize = 64;
-/// How long the page in command may be silent with its key down before the motors go off: a little less than what a board
-/// allows the key's counter ([`haptic_bridge::servo::KEY_SECONDS`]), where it is a fault. A page says five times in it
-/// that its key is down.
-pub const SILENCE: Duration = Duration::from_millis(450);
+/// How long ago, by the board's steps, the page in command may have seen its key down before the motors go off: less than
+/// what a board allows ([`haptic_bridge::servo::KEY_SECONDS`]), where it is a fault, by a heartbeat and a turn of this
+/// stage.
+pub const SILENCE: Duration = Duration::from_millis(400);
 /// How long it may be silent at all before others may take command.
 const ABSENCE: Duration = Duration::from_secs(5);
 /// Between two pictures: 60 a second.
@@ -92,8 +92,8 @@ pub struct Stage {
     scopes: BTreeMap<PageId, Scope>,
     listeners: Vec<PageId>,
     command: Option<(PageId, Duration)>,
-    /// The newest counter of the key that is down, and when it came.
-    held: Option<(u32, Duration)>,
+    /// Of the key that is down, the newest step that its page had been shown.
+    held: Option<u32>,
     goal: Option<[f64; 2]>,
     state: State,
     fault: Option<String>,
@@ -274,7 +274,7 @@ impl Stage {
         let state = State::ALL.get(code).copied().unwrap_or_default();
         if state == State::Fault && (self.state != State::Fault || self.fault.is_none()) {
             self.fault = self.board().status()?.fault.as_ref().map(in_words);
-            self.forget_key();
+            self.held = None;
         }
         if state != State::Fault && self.state == State::Fault {
             self.fault = None;
@@ -283,7 +283,7 @@ impl Stage {
         let went_off = self.state == State::Armed && state == State::Disarmed && self.held.is_some();
         self.state = state;
         if went_off && self.board().status()?.state == State::Disarmed {
-            self.forget_key();
+            self.held = None;
             self.refuse_all("another tool turned the motors off");
         }
         Ok(())
@@ -291,7 +291,8 @@ impl Stage {
 
     /// The dead man's key: silence counts as letting go.
     fn watch_the_key(&mut self) -> Result<(), LinkError> {
-        if self.held.is_some_and(|(_, said)| self.now.saturating_sub(said) > SILENCE) {
+        let age = |seen: u32| f64::from(self.world.board.step().wrapping_sub(seen)) / self.scene.rate_hz;
+        if self.held.is_some_and(|seen| age(seen) > SILENCE.as_secs_f64()) {
             self.disarm()?;
             self.refuse_all("the page in command was not heard: motors off");
         }
@@ -299,12 +300,6 @@ impl Stage {
             self.leave()?;
         }
         Ok(())
-    }
-
-    /// The key is down no longer, or it is as if it were not.
-    fn forget_key(&mut self) {
-        self.held = None;
-        self.board().forget_key();
     }
 
     fn disarm(&mut self) -> Result<(), LinkError> {
@@ -413,19 +408,15 @@ impl Stage {
         match message {
             FromPage::Give {} => self.leave()?,
             FromPage::Release {} => self.disarm()?,
-            FromPage::Arm { count } if self.held.is_none() => {
-                self.board().hold_key(count)?;
-                if let Err(refused) = self.board().arm() {
-                    self.forget_key();
-                    return Err(refused);
-                }
-                self.held = Some((count, self.now));
+            FromPage::Arm { seen } if self.held.is_none() => {
+                self.board().arm_held(seen)?;
+                self.held = Some(seen);
             }
             // Only a press arms: not a key that was down when something else turned the motors off.
-            FromPage::Arm { count } | FromPage::Hold { count } => {
-                if self.held.is_some_and(|(before, _)| before != count) {
-                    self.held = Some((count, self.now));
-                    self.board().hold_key(count)?;
+            FromPage::Arm { seen } | FromPage::Hold { seen } => {
+                if self.held.is_some_and(|before| before != seen) {
+                    self.held = Some(seen);
+                    self.board().hold_key(seen)?;
                 }
             }
             FromPage::Clear {} => self.board().clear()?,

@@ -95,4 +95,9 @@ impl Heard {
     pub fn state(&self) -> &str {
         self.picture["state"].as_str().unwrap_or_default()
     }
+
+    /// The control step of the newest picture.
+    pub fn step(&self) -> u32 {
+        self.picture["step"].as_u64().unwrap_or(0) as u32
+    }
 }

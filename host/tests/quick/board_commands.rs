@@ -2,6 +2,7 @@
 
 use crate::common::sim::{Sim, until};
 use crate::common::{file, haptic};
+use haptic::link::Board;
 use haptic::recorder::Recording;
 use predicates::prelude::*;
 use predicates::str::contains;
@@ -315,6 +316,14 @@ fn a_name_lasts_over_a_restart_once_it_is_saved() {
     said(&["arm"]);
     said(&["restart", "--yes"]);
     sim.run(&["info", "--json"]).success().stdout(contains("\"Disarmed\""));
+    // A name that another program gave it begins no line of its own, on the screen or in a recording.
+    let name = "hand\nstate       armed";
+    Board::open(&sim.port.parse().unwrap()).unwrap().set_name(&name.try_into().unwrap()).unwrap();
+    for words in [&["info"][..], &["name"], &["stream", "--csv", "-", "--seconds", "0.01"]] {
+        let text = said(words);
+        let lines = text.lines().filter(|line| line.trim_start_matches("# ").starts_with("state "));
+        assert!(text.contains(r"hand\u000astate") && lines.count() == usize::from(words == ["info"]), "{text}");
+    }
 }
 
 #[test]

@@ -130,6 +130,33 @@ fn a_session_that_is_dropped_leaves_the_motors_off() {
 }
 
 #[test]
+fn a_key_is_held_by_the_board_that_armed_with_it_alone_and_a_late_press_arms_nothing() {
+    let (shared, mut session) = session();
+    session.set_scene(&Scene { task: 2, rate_hz: 1_000.0, cutoff_hz: 50.0, ..Scene::default() }).unwrap();
+    let mut other = Board::over(shared.wire(), "sim").unwrap();
+    let hold = |board: &mut Board| {
+        for _ in 0..6 {
+            board.rows(Duration::from_millis(100)).unwrap();
+            board.hold_key(board.step()).unwrap();
+        }
+        shared.lock().status().state
+    };
+    session.keep_alive();
+    other.keep_alive();
+    session.rows(Duration::from_millis(60)).unwrap();
+    let seen = session.step();
+    session.arm_held(seen).unwrap();
+    assert_eq!(hold(&mut session), State::Armed);
+    assert_eq!(hold(&mut other), State::Fault);
+    session.clear().unwrap();
+    let seen = session.step();
+    shared.lock().run(0.6);
+    let refused = session.arm_held(seen).unwrap_err();
+    assert!(refused.to_string().contains("press it anew"), "{refused}");
+    assert!(!shared.lock().status().state.drives());
+}
+
+#[test]
 fn a_force_accelerates_the_tip_its_own_way_and_ends_with_its_lease() {
     for (x, y) in [(0.5, 0.0), (0.0, 0.5), (-0.4, -0.3)] {
         let (shared, mut session) = armed();

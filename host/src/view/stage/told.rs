@@ -16,6 +16,7 @@ use serde_json::{Value, json};
 struct Picture<'a> {
     is: &'static str,
     time: f64,
+    step: u32,
     state: &'static str,
     geometry: &'a Geometry,
     numbers: &'a Numbers,
@@ -57,6 +58,7 @@ impl Stage {
         let picture = Picture {
             is: "picture",
             time: self.world.board.now().as_secs_f64(),
+            step: self.world.board.step(),
             state: crate::recorder::STATES[self.state as usize],
             geometry: &geometry,
             numbers: &numbers,

@@ -15,7 +15,6 @@ struct Page {
     heard: Heard,
     /// Says that its key is down while it reads.
     holding: bool,
-    count: u32,
 }
 
 impl Page {
@@ -24,7 +23,7 @@ impl Page {
         let stream = TcpStream::connect(view.address()).unwrap();
         let (socket, _) = tungstenite::client(format!("ws://{}/live", view.address()), stream).unwrap();
         socket.get_ref().set_read_timeout(Some(Duration::from_millis(20))).unwrap();
-        let mut page = Self { socket, heard: Heard::default(), holding: false, count: 0 };
+        let mut page = Self { socket, heard: Heard::default(), holding: false };
         page.take();
         page
     }
@@ -41,8 +40,7 @@ impl Page {
     /// Reads one message, if there is one.
     fn read(&mut self) {
         if self.holding {
-            self.count += 1;
-            self.say(json!({"do": "hold", "count": self.count}));
+            self.say(json!({"do": "hold", "seen": self.heard.step()}));
         }
         match self.socket.read() {
             Ok(Message::Text(text)) => self.heard.text(&text),
@@ -68,7 +66,7 @@ impl Page {
         while self.heard.state() != "Armed" {
             assert!(began.elapsed() < HANG, "{:?}", self.heard.refused);
             if self.heard.picture["held"] == false {
-                self.say(json!({"do": "arm", "count": self.count}));
+                self.say(json!({"do": "arm", "seen": self.heard.step()}));
             }
             self.read();
         }
