@@ -4,7 +4,6 @@ mod bench;
 mod build_times;
 #[path = "../../src/checksum.rs"]
 mod checksum;
-mod deny;
 mod dfu;
 mod dynamics;
 mod firmware;

@@ -7,7 +7,7 @@ use std::time::Instant;
 use anyhow::{Result, anyhow, ensure};
 
 use crate::toolchain::{Use, cargo, run, virtual_board};
-use crate::{bench, deny, firmware, fuzz, library, no_panic, paths, playground, python, report, tools};
+use crate::{bench, firmware, fuzz, library, no_panic, paths, playground, python, report, tools};
 
 /// The tests of the tool, of C and of CHAI3D, as cargo is asked for them.
 const TOOL: [&str; 8] = ["--lib", "--bins", "--test", "quick", "--test", "c", "--test", "as_chai3d_does"];
@@ -34,8 +34,7 @@ macro_rules! module {
 }
 
 /// All parts of the deep tests, cheapest first.
-pub const PARTS: [Part; 16] = [
-    Part { name: "licences", what: "Licences, sources and advisories of dependencies", run: |_| deny::run() },
+pub const PARTS: [Part; 15] = [
     Part { name: "clients", what: "The library without the command line, and its examples", run: clients },
     Part { name: "properties", what: "The library's tests from seeds drawn anew", run: properties },
     module!("hard_cases", "Single precision against 106 bits"),

@@ -5,7 +5,7 @@
 //! the file whole: what a killed tool or a full disk leaves is read to the last of them.
 
 use super::about::About;
-use super::protobuf::{Field as Packed, Kind, describe, text, value};
+use super::protobuf::{Field as Packed, Type, describe};
 use super::{RecordError, Recording, STATES, protobuf};
 use crate::error::Failure;
 use crate::link::{Column, Losses};
@@ -14,6 +14,7 @@ use haptic_bridge::board::telemetry::Field;
 use mcap::records::{MessageHeader, Metadata, Record};
 use mcap::write::NoSeek;
 use mcap::{McapError, WriteOptions, Writer};
+use prost_reflect::MessageDescriptor;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
@@ -58,12 +59,12 @@ pub struct McapRecorder {
     /// Bytes of the file in whole chunks, and whether it can be cut back to them.
     whole: u64,
     cut: bool,
-    fields: Vec<Packed>,
+    row: MessageDescriptor,
+    event: MessageDescriptor,
     channels: [u16; 2],
     /// This computer's clock at the first row, ns since 1970.
     began: u64,
     sequence: u32,
-    message: Vec<u8>,
     gathered: usize,
     /// Rows in the file, and in the chunk.
     rows: u64,
@@ -77,12 +78,12 @@ impl std::fmt::Debug for McapRecorder {
     }
 }
 
-fn kind(column: &Column) -> Kind {
+fn kind(column: &Column) -> Type {
     match (column.field, column.axis) {
-        (Field::State, 0) => Kind::Enum,
-        (Field::State | Field::Saturated, _) => Kind::Uint32,
-        (Field::Counts, _) => Kind::Sfixed32,
-        _ => Kind::Float,
+        (Field::State, 0) => Type::Enum,
+        (Field::State | Field::Saturated, _) => Type::Uint32,
+        (Field::Counts, _) => Type::Sfixed32,
+        _ => Type::Float,
     }
 }
 
@@ -94,10 +95,13 @@ fn misused(error: McapError) -> RecordError {
 impl McapRecorder {
     /// Creates the file and writes what the recording is of.
     pub fn create(path: &Path, about: &About, columns: &[Column], overwrite: Overwrite) -> Result<Self, Failure> {
-        let fields: Vec<Packed> = [("step".to_string(), Kind::Uint32), ("time_s".into(), Kind::Double)]
+        let fields: Vec<Packed> = [("step".to_string(), Type::Uint32), ("time_s".into(), Type::Double)]
             .into_iter()
             .chain(columns.iter().map(|column| (column.label.clone(), kind(column))))
             .collect();
+        let states = if fields.iter().any(|(_, kind)| *kind == Type::Enum) { &STATES[..] } else { &[] };
+        let row = describe("Row", &fields, states).map_err(Failure::impossible)?;
+        let event = describe("Event", &[("text".into(), Type::String)], &[]).map_err(Failure::impossible)?;
         let pending = Pending::default();
         let begin = || -> Result<_, McapError> {
             let mut writer = WriteOptions::new()
@@ -106,14 +110,12 @@ impl McapRecorder {
                 .disable_seeking(true)
                 .create(NoSeek::new(pending.clone()))?;
             writer.write_metadata(&Metadata { name: HEAD.into(), metadata: about.map() })?;
-            let words = if fields.iter().any(|(_, kind)| *kind == Kind::Enum) { &STATES[..] } else { &[] };
-            let rows = describe("Row", &fields, ("State", words));
-            let events = describe("Event", &[("text".into(), Kind::Text)], ("", &[]));
-            let mut channel = |topic, schema: &str, description: &[u8]| -> Result<u16, McapError> {
-                let schema = writer.add_schema(schema, "protobuf", description)?;
+            let mut channel = |topic, message: &MessageDescriptor| -> Result<u16, McapError> {
+                let set = message.parent_pool().encode_to_vec();
+                let schema = writer.add_schema(message.full_name(), "protobuf", &set)?;
                 writer.add_channel(schema, topic, "protobuf", &BTreeMap::new())
             };
-            let channels = [channel("/rows", "haptic.Row", &rows)?, channel("/events", "haptic.Event", &events)?];
+            let channels = [channel("/rows", &row)?, channel("/events", &event)?];
             writer.flush()?;
             Ok((writer, channels))
         };
@@ -126,11 +128,11 @@ impl McapRecorder {
             path: path.into(),
             whole: 0,
             cut,
-            fields,
+            row,
+            event,
             channels,
             began: 0,
             sequence: 0,
-            message: Vec::new(),
             gathered: 0,
             rows: 0,
             waiting: 0,
@@ -146,7 +148,7 @@ impl McapRecorder {
         Ok(recorder)
     }
 
-    fn say(&mut self, channel: usize, time: f64) -> Result<(), RecordError> {
+    fn say(&mut self, channel: usize, time: f64, message: &[u8]) -> Result<(), RecordError> {
         if self.began == 0 {
             let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
             self.began = u64::try_from(now.as_nanos()).unwrap_or(1).max(1);
@@ -159,28 +161,23 @@ impl McapRecorder {
             log_time,
             publish_time: log_time,
         };
-        self.writer.write_to_known_channel(&header, &self.message).map_err(misused)?;
-        self.gathered += self.message.len();
+        self.writer.write_to_known_channel(&header, message).map_err(misused)?;
+        self.gathered += message.len();
         Ok(())
     }
 
     /// Adds a row: its step, its time since the first (s), and a number for each column.
     pub fn row(&mut self, step: u32, time: f64, row: &[f64]) -> Result<(), RecordError> {
-        self.message.clear();
-        let numbers = [f64::from(step), time].into_iter().chain(row.iter().copied());
-        for (index, ((_, kind), number)) in self.fields.iter().zip(numbers).enumerate() {
-            value(&mut self.message, index as u64 + 1, *kind, number);
-        }
-        self.say(0, time)?;
+        let message = protobuf::pack(&self.row, [f64::from(step), time].into_iter().chain(row.iter().copied()));
+        self.say(0, time, &message)?;
         self.waiting += 1;
         if self.gathered >= CHUNK { self.flush() } else { Ok(()) }
     }
 
     /// Adds what happened at a time since the first row, s.
     pub fn event(&mut self, time: f64, words: &str) -> Result<(), RecordError> {
-        self.message.clear();
-        text(&mut self.message, 1, words);
-        self.say(1, time)
+        let message = protobuf::pack_text(&self.event, words);
+        self.say(1, time, &message)
     }
 
     /// Ends the chunk and writes it; where there is no room for it, the file keeps the chunks before it.
@@ -266,7 +263,7 @@ pub fn parse(bytes: &[u8]) -> Result<Recording, String> {
     let records = mcap::read::ChunkFlattener::new_with_options(bytes, options).map_err(|error| error.to_string())?;
     let mut recording = Recording { torn: true, ..Recording::default() };
     let mut schemas: BTreeMap<u16, (String, Vec<u8>)> = BTreeMap::new();
-    let mut rows: Option<(u16, Vec<(u64, Packed)>)> = None;
+    let mut rows: Option<(u16, MessageDescriptor)> = None;
     let mut events = None;
     for record in records {
         // Whatever is behind the last whole record belongs to none.
@@ -279,20 +276,24 @@ pub fn parse(bytes: &[u8]) -> Result<Recording, String> {
             Record::Schema { header, data } if header.encoding == "protobuf" => {
                 schemas.insert(header.id, (header.name, data.into_owned()));
             }
-            Record::Channel(channel) => match (channel.topic.as_str(), schemas.get(&channel.schema_id)) {
-                ("/rows", Some((name, set))) => {
-                    let fields = protobuf::described(set, name.rsplit('.').next().unwrap_or(name));
-                    recording.columns = fields.iter().map(|(_, (name, _))| name.clone()).collect();
-                    rows = Some((channel.id, fields));
+            Record::Channel(channel) => {
+                let message = schemas.get(&channel.schema_id).and_then(|(name, set)| protobuf::described(set, name));
+                match (channel.topic.as_str(), message) {
+                    ("/rows", Some(message)) => {
+                        recording.columns = protobuf::names(&message);
+                        rows = Some((channel.id, message));
+                    }
+                    ("/events", Some(message)) => events = Some((channel.id, message)),
+                    _ => {}
                 }
-                ("/events", _) => events = Some(channel.id),
-                _ => {}
-            },
-            Record::Message { header, data } => match &rows {
-                Some((id, fields)) if *id == header.channel_id => {
-                    recording.rows.push(protobuf::values(&data, fields));
+            }
+            Record::Message { header, data } => match (&rows, &events) {
+                (Some((id, message)), _) if *id == header.channel_id => {
+                    recording.rows.push(protobuf::values(message, &data));
                 }
-                _ if events == Some(header.channel_id) => recording.about.extend(protobuf::first_text(&data)),
+                (_, Some((id, message))) if *id == header.channel_id => {
+                    recording.about.extend(protobuf::first_text(message, &data));
+                }
                 _ => {}
             },
             Record::Footer(_) => recording.torn = false,

@@ -1,255 +1,145 @@
-//! As much of protocol buffers as a recording needs: messages of plain numbers and texts, and their description.
-//!
-//! The description is a `FileDescriptorSet`, which is what an MCAP file carries as the schema of such messages. Its
-//! fields' numbers are those of descriptor.proto.
+//! A recording's messages as protocol buffers: plain numbers and texts, beside the `FileDescriptorSet` that describes them,
+//! which is what an MCAP file carries as their schema.
 
-/// What a field holds, by its number in descriptor.proto.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
-    /// 64-bit float.
-    Double = 1,
-    /// 32-bit float.
-    Float = 2,
-    /// Unsigned, 32 bits, as short as it can be.
-    Uint32 = 13,
-    /// One of a few.
-    Enum = 14,
-    /// Text.
-    Text = 9,
-    /// Signed, 32 bits.
-    Sfixed32 = 15,
-}
+use prost_reflect::prost::Message as _;
+use prost_reflect::prost_types::field_descriptor_proto::Label;
+use prost_reflect::prost_types::{
+    DescriptorProto, EnumDescriptorProto, EnumValueDescriptorProto, FieldDescriptorProto, FileDescriptorProto,
+};
+use prost_reflect::{DescriptorPool, DynamicMessage, MessageDescriptor, Value};
 
-impl Kind {
-    const ALL: [Self; 6] = [Self::Double, Self::Float, Self::Uint32, Self::Enum, Self::Text, Self::Sfixed32];
-
-    /// How its bytes are told apart on the wire.
-    fn wire(self) -> u64 {
-        match self {
-            Self::Uint32 | Self::Enum => 0,
-            Self::Double => 1,
-            Self::Text => 2,
-            Self::Float | Self::Sfixed32 => 5,
-        }
-    }
-}
+pub use prost_reflect::prost_types::field_descriptor_proto::Type;
 
 /// A field of a message: its name and kind. Fields are numbered from 1 in their order.
-pub type Field = (String, Kind);
+pub type Field = (String, Type);
 
-fn varint(out: &mut Vec<u8>, mut value: u64) {
-    while value >= 0x80 {
-        out.push(value as u8 | 0x80);
-        value >>= 7;
-    }
-    out.push(value as u8);
-}
-
-fn number(out: &mut Vec<u8>, field: u64, value: u64) {
-    varint(out, field << 3);
-    varint(out, value);
-}
-
-/// A text, or a message within one.
-pub fn text(out: &mut Vec<u8>, field: u64, bytes: impl AsRef<[u8]>) {
-    let bytes = bytes.as_ref();
-    varint(out, field << 3 | 2);
-    varint(out, bytes.len() as u64);
-    out.extend(bytes);
-}
-
-/// A number, as its field's kind has it.
-pub fn value(out: &mut Vec<u8>, field: u64, kind: Kind, value: f64) {
-    varint(out, field << 3 | kind.wire());
-    match kind {
-        Kind::Double => out.extend(value.to_le_bytes()),
-        Kind::Float => out.extend((value as f32).to_le_bytes()),
-        Kind::Sfixed32 => out.extend((value as i64 as i32).to_le_bytes()),
-        Kind::Uint32 | Kind::Enum => varint(out, u64::from(value as u32)),
-        Kind::Text => varint(out, 0),
-    }
-}
-
-/// Describes a message `haptic.NAME` and the words of its enum fields, which are all of one enum, `haptic.WORDS`.
-pub fn describe(name: &str, fields: &[Field], words: (&str, &[&str])) -> Vec<u8> {
-    let mut message = Vec::new();
-    text(&mut message, 1, name);
-    for (index, (field, kind)) in fields.iter().enumerate() {
-        let mut described = Vec::new();
-        text(&mut described, 1, field);
-        number(&mut described, 3, index as u64 + 1);
-        // Optional: there is at most one.
-        number(&mut described, 4, 1);
-        number(&mut described, 5, *kind as u64);
-        if *kind == Kind::Enum {
-            text(&mut described, 6, format!(".haptic.{}", words.0));
-        }
-        text(&mut described, 10, field);
-        text(&mut message, 2, described);
-    }
-    let mut file = Vec::new();
-    text(&mut file, 1, format!("haptic/{}.proto", name.to_lowercase()));
-    text(&mut file, 2, "haptic");
-    text(&mut file, 4, message);
-    if !words.1.is_empty() {
-        let mut choice = Vec::new();
-        text(&mut choice, 1, words.0);
-        for (index, word) in words.1.iter().enumerate() {
-            let mut described = Vec::new();
-            text(&mut described, 1, word);
-            number(&mut described, 2, index as u64);
-            text(&mut choice, 2, described);
-        }
-        text(&mut file, 5, choice);
-    }
-    text(&mut file, 12, "proto3");
-    let mut set = Vec::new();
-    text(&mut set, 1, file);
-    set
-}
-
-/// One field as it stands in a message.
-enum Found<'a> {
-    Number(u64),
-    Bytes(&'a [u8]),
-    Four([u8; 4]),
-    Eight([u8; 8]),
-}
-
-/// Takes the next field off a message: its number and its content; `None` at the end and for what is not a field.
-fn next<'a>(bytes: &mut &'a [u8]) -> Option<(u64, Found<'a>)> {
-    fn varint(bytes: &mut &[u8]) -> Option<u64> {
-        let mut value = 0;
-        for shift in (0..64).step_by(7) {
-            let (first, rest) = bytes.split_first()?;
-            *bytes = rest;
-            value |= u64::from(first & 0x7f) << shift;
-            if first & 0x80 == 0 {
-                return Some(value);
-            }
-        }
-        None
-    }
-    let tag = varint(bytes)?;
-    let found = match tag & 7 {
-        0 => Found::Number(varint(bytes)?),
-        1 => {
-            let (eight, rest) = bytes.split_first_chunk()?;
-            *bytes = rest;
-            Found::Eight(*eight)
-        }
-        2 => {
-            let length = usize::try_from(varint(bytes)?).ok()?;
-            let (found, rest) = bytes.split_at_checked(length)?;
-            *bytes = rest;
-            Found::Bytes(found)
-        }
-        5 => {
-            let (four, rest) = bytes.split_first_chunk()?;
-            *bytes = rest;
-            Found::Four(*four)
-        }
-        _ => return None,
+/// Describes a message `haptic.NAME`. Fields of the kind [`Type::Enum`] are `haptic.State`, with these words.
+///
+/// # Errors
+///
+/// Names that are not an identifier of the format, or that come twice.
+pub fn describe(name: &str, fields: &[Field], states: &[&str]) -> Result<MessageDescriptor, String> {
+    let field = |(index, (name, kind)): (usize, &Field)| FieldDescriptorProto {
+        name: Some(name.clone()),
+        number: Some(index as i32 + 1),
+        label: Some(Label::Optional.into()),
+        r#type: Some((*kind).into()),
+        type_name: (*kind == Type::Enum).then(|| ".haptic.State".into()),
+        json_name: Some(name.clone()),
+        ..FieldDescriptorProto::default()
     };
-    Some((tag >> 3, found))
+    let state = |(number, word): (usize, &&str)| EnumValueDescriptorProto {
+        name: Some((*word).into()),
+        number: Some(number as i32),
+        options: None,
+    };
+    let state = EnumDescriptorProto {
+        name: Some("State".into()),
+        value: states.iter().enumerate().map(state).collect(),
+        ..EnumDescriptorProto::default()
+    };
+    let file = FileDescriptorProto {
+        name: Some(format!("haptic/{}.proto", name.to_lowercase())),
+        package: Some("haptic".into()),
+        message_type: vec![DescriptorProto {
+            name: Some(name.into()),
+            field: fields.iter().enumerate().map(field).collect(),
+            ..DescriptorProto::default()
+        }],
+        enum_type: if states.is_empty() { Vec::new() } else { vec![state] },
+        syntax: Some("proto3".into()),
+        ..FileDescriptorProto::default()
+    };
+    let mut pool = DescriptorPool::new();
+    pool.add_file_descriptor_proto(file).map_err(|error| error.to_string())?;
+    let message = format!("haptic.{name}");
+    pool.get_message_by_name(&message).ok_or_else(|| format!("{message} is not described"))
 }
 
-/// The fields that a description gives a message, as far as their kinds are known here; with their numbers.
-pub fn described(mut set: &[u8], message: &str) -> Vec<(u64, Field)> {
-    let mut fields = Vec::new();
-    while let Some((field, Found::Bytes(mut file))) = next(&mut set) {
-        while let Some((inner, found)) = next(&mut file) {
-            if let (1, 4, Found::Bytes(described)) = (field, inner, found) {
-                let (name, mut found) = one_message(described);
-                if name == message {
-                    fields.append(&mut found);
-                }
-            }
-        }
-    }
-    fields
+/// The message of this full name that a schema describes.
+pub fn described(set: &[u8], message: &str) -> Option<MessageDescriptor> {
+    DescriptorPool::decode(set).ok()?.get_message_by_name(message)
 }
 
-fn one_message(mut described: &[u8]) -> (String, Vec<(u64, Field)>) {
-    let (mut name, mut fields) = (String::new(), Vec::new());
-    while let Some((field, found)) = next(&mut described) {
-        match (field, found) {
-            (1, Found::Bytes(text)) => name = String::from_utf8_lossy(text).into(),
-            (2, Found::Bytes(mut one)) => {
-                let (mut name, mut number, mut kind) = (String::new(), 0, None);
-                while let Some((part, found)) = next(&mut one) {
-                    match (part, found) {
-                        (1, Found::Bytes(text)) => name = String::from_utf8_lossy(text).into(),
-                        (3, Found::Number(value)) => number = value,
-                        (5, Found::Number(value)) => kind = Kind::ALL.into_iter().find(|kind| *kind as u64 == value),
-                        _ => {}
-                    }
-                }
-                fields.extend(kind.map(|kind| (number, (name, kind))));
-            }
-            _ => {}
-        }
-    }
-    (name, fields)
+/// The names of a message's fields, in the order of their numbers.
+pub fn names(message: &MessageDescriptor) -> Vec<String> {
+    message.fields().map(|field| field.name().to_owned()).collect()
 }
 
-/// A message's numbers in the order of `fields`: 0 where one is left out, as proto3 has it; NaN in the place of a text.
-pub fn values(mut message: &[u8], fields: &[(u64, Field)]) -> Vec<f64> {
-    let mut row: Vec<f64> =
-        fields.iter().map(|(_, (_, kind))| if *kind == Kind::Text { f64::NAN } else { 0.0 }).collect();
-    while let Some((field, found)) = next(&mut message) {
-        let Some(column) = fields.iter().position(|(number, _)| *number == field) else { continue };
-        row[column] = match (fields[column].1.1, found) {
-            (Kind::Double, Found::Eight(bytes)) => f64::from_le_bytes(bytes),
-            (Kind::Float, Found::Four(bytes)) => f32::from_le_bytes(bytes).into(),
-            (Kind::Sfixed32, Found::Four(bytes)) => i32::from_le_bytes(bytes).into(),
-            (Kind::Uint32 | Kind::Enum, Found::Number(value)) => f64::from(value as u32),
-            _ => f64::NAN,
-        };
+/// A message with one number for each field, in the order of their numbers, as its kind has it.
+pub fn pack(message: &MessageDescriptor, numbers: impl IntoIterator<Item = f64>) -> Vec<u8> {
+    let mut packed = DynamicMessage::new(message.clone());
+    for (field, number) in message.fields().zip(numbers) {
+        packed.set_field(
+            &field,
+            match field.kind() {
+                prost_reflect::Kind::Float => Value::F32(number as f32),
+                prost_reflect::Kind::Uint32 => Value::U32(number as u32),
+                prost_reflect::Kind::Sfixed32 => Value::I32(number as i32),
+                prost_reflect::Kind::Enum(_) => Value::EnumNumber(number as i32),
+                _ => Value::F64(number),
+            },
+        );
     }
-    row
+    packed.encode_to_vec()
+}
+
+/// A message of one text.
+pub fn pack_text(message: &MessageDescriptor, text: &str) -> Vec<u8> {
+    let mut packed = DynamicMessage::new(message.clone());
+    message.fields().for_each(|field| packed.set_field(&field, Value::String(text.into())));
+    packed.encode_to_vec()
+}
+
+/// A message's numbers in the order of its fields' numbers: 0 where one is left out, as proto3 has it; NaN in the place of
+/// what is no number, and throughout where the message is not whole.
+pub fn values(message: &MessageDescriptor, bytes: &[u8]) -> Vec<f64> {
+    let whole = DynamicMessage::decode(message.clone(), bytes);
+    let number = |field| match whole.as_ref().ok().map(|whole| whole.get_field(&field).into_owned()) {
+        Some(Value::F64(number)) => number,
+        Some(Value::F32(number)) => number.into(),
+        Some(Value::U32(number)) => number.into(),
+        Some(Value::I32(number) | Value::EnumNumber(number)) => number.into(),
+        _ => f64::NAN,
+    };
+    message.fields().map(number).collect()
 }
 
 /// The first text of a message.
-pub fn first_text(mut message: &[u8]) -> Option<String> {
-    while let Some((_, found)) = next(&mut message) {
-        if let Found::Bytes(bytes) = found {
-            return Some(String::from_utf8_lossy(bytes).into());
-        }
-    }
-    None
+pub fn first_text(message: &MessageDescriptor, bytes: &[u8]) -> Option<String> {
+    let whole = DynamicMessage::decode(message.clone(), bytes).ok()?;
+    message.fields().find_map(|field| whole.get_field(&field).as_str().map(Into::into))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn fields(fields: &[(&str, Type)]) -> Vec<Field> {
+        fields.iter().map(|(name, kind)| (name.to_string(), *kind)).collect()
+    }
+
     #[test]
     fn what_is_packed_is_unpacked_by_its_description() {
-        let fields: Vec<Field> =
-            [("step", Kind::Uint32), ("time_s", Kind::Double), ("q0", Kind::Float), ("n", Kind::Sfixed32)]
-                .map(|(name, kind)| (name.to_string(), kind))
-                .into();
-        let set = describe("Row", &fields, ("State", &["Off", "On"]));
-        let found = described(&set, "Row");
-        assert_eq!(found.iter().map(|(_, field)| field.clone()).collect::<Vec<_>>(), fields);
-        assert_eq!(described(&set, "Column"), []);
+        let kinds = [("step", Type::Uint32), ("time_s", Type::Double), ("q0", Type::Float), ("n", Type::Sfixed32)];
+        let written = describe("Row", &fields(&kinds), &[]).unwrap();
+        let set = written.parent_pool().encode_to_vec();
+        let read = described(&set, "haptic.Row").unwrap();
+        assert_eq!(names(&read), kinds.map(|(name, _)| name));
+        assert!(described(&set, "haptic.Column").is_none());
         let row = [4e9, -0.1, f64::from(0.1_f32), -2_147_483_648.0];
-        let mut message = Vec::new();
-        for ((number, (_, kind)), number_of_row) in found.iter().zip(row) {
-            value(&mut message, *number, *kind, number_of_row);
-        }
-        assert_eq!(values(&message, &found), row);
-        assert_eq!(values(&message[..3], &found)[1..], [0.0; 3], "what is not there is 0");
+        assert_eq!(values(&read, &pack(&written, row)), row);
+        assert_eq!(values(&read, &[])[1..], [0.0; 3], "what is not there is 0");
     }
 
     /// The bytes of docs.protobuf's own example: a message with field 1 set to 150 is 08 96 01.
     #[test]
     fn numbers_are_packed_as_the_format_says() {
-        let mut out = Vec::new();
-        value(&mut out, 1, Kind::Uint32, 150.0);
-        assert_eq!(out, [0x08, 0x96, 0x01]);
-        text(&mut out, 2, "testing");
-        assert_eq!(out[3..], [0x12, 0x07, 0x74, 0x65, 0x73, 0x74, 0x69, 0x6e, 0x67]);
+        let row = describe("Row", &fields(&[("a", Type::Uint32)]), &[]).unwrap();
+        assert_eq!(pack(&row, [150.0]), [0x08, 0x96, 0x01]);
+        let event = describe("Event", &fields(&[("text", Type::String)]), &[]).unwrap();
+        let packed = pack_text(&event, "testing");
+        assert_eq!(packed, [0x0a, 0x07, 0x74, 0x65, 0x73, 0x74, 0x69, 0x6e, 0x67]);
+        assert_eq!(first_text(&event, &packed).as_deref(), Some("testing"));
     }
 }
