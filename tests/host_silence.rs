@@ -178,7 +178,7 @@ fn motors_are_off_half_a_second_after_a_key_was_let_go_however_slow_the_link_is(
         while rig.servo.steps() < let_go + steps(5.0) {
             let now = rig.servo.steps();
             let way = if now < began + steps(1.0) { at_first } else { later };
-            if now < let_go && (now - began) % steps(0.02) == 0 {
+            if now < let_go && (now - began).is_multiple_of(steps(0.02)) {
                 under_way.push_back((now + steps(way), Press { holder: 1, seen: now.saturating_sub(steps(way)) }));
             }
             while let Some((_, press)) = under_way.pop_front_if(|(due, _)| *due <= now) {
