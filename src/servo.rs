@@ -101,6 +101,8 @@ pub struct Servo<P, S = Axis> {
     /// Where index pulses were seen since the last step.
     marks: Option<[Option<i32>; MAX_JOINTS]>,
     polarity: polarity::PolarityCheck,
+    /// The counts of the home at which the polarity was found, see `polarity_known`.
+    checked_zero: Counts,
     fault: Option<FaultRecord>,
 }
 
@@ -126,6 +128,7 @@ where
             steady: -1,
             marks: None,
             polarity: polarity::PolarityCheck::default(),
+            checked_zero: Counts::default(),
             fault: None,
             now: Now::default(),
             joints: [Joint::default(); MAX_JOINTS],
