@@ -60,7 +60,7 @@ const SWING_EXCESS: f32 = 2.5;
 /// By how much a joint is swung to either side, rad, and at least how many counts.
 const SWING_ANGLE: f32 = 0.02;
 const SWING_COUNTS: f32 = 4.0;
-/// By how many times that it may be found away from where it stood: a sound joint that glides into its swing gets to 3.
+/// By how many times that it may be found away from where it stood: hapkit-paddle glides into its swing and gets to 1.6.
 const SWING_TRAVEL: f32 = 4.0;
 /// What the home of each joint may be wrong by, rad, while the check still keeps to the limit of the force at the tip; and
 /// the least share of what the believed pose allows that this leaves, because near a stretched pose it would be nothing.
