@@ -65,8 +65,9 @@ pub struct Servo<P, S = Axis> {
     supplied: f32,
     /// The step after which the host has been silent for too long.
     host_expected: u32,
-    /// What each joint may be asked for and needs no clamp, N m, and the square of what all of it may be at the tip, N².
+    /// What each joint may be asked for and needs no clamp, N m, and what all of it may be at the tip, N, with its square.
     fitting: [f32; MAX_JOINTS],
+    most_force: f32,
     most_force_squared: f32,
     /// What torques are worth at the tip, as of a fraction of a millisecond ago.
     leverage: Leverage,
@@ -100,6 +101,8 @@ pub struct Servo<P, S = Axis> {
     /// Where index pulses were seen since the last step.
     marks: Option<[Option<i32>; MAX_JOINTS]>,
     polarity: polarity::PolarityCheck,
+    /// The counts of the home at which the polarity was found, see `polarity_known`.
+    checked_zero: Counts,
     fault: Option<FaultRecord>,
 }
 
@@ -125,6 +128,7 @@ where
             steady: -1,
             marks: None,
             polarity: polarity::PolarityCheck::default(),
+            checked_zero: Counts::default(),
             fault: None,
             now: Now::default(),
             joints: [Joint::default(); MAX_JOINTS],
@@ -135,6 +139,7 @@ where
             cut_at: 0,
             most_torque: Torques::default(),
             fitting: [0.0; MAX_JOINTS],
+            most_force: 0.0,
             most_force_squared: 0.0,
             leverage: Leverage::default(),
             flow: budgets::Flow::default(),
@@ -441,7 +446,7 @@ where
     /// [`Servo::command`] of J joints.
     #[inline(always)]
     fn command_of<const J: usize>(&mut self, asked: &Asked<f32>, wanted: &[f32; MAX_JOINTS]) {
-        let left = asked.within::<J>(&self.most_torque, self.rules.limits.tip_force, &self.leverage);
+        let left = asked.within::<J>(&self.most_torque, self.most_force, &self.leverage);
         let rendered = Torques(asked.rendered.map(|r| left.share * r));
         self.cut = fade::Acted { gravity: left.gravity, rendered, share: left.share };
         self.cut_at = self.now.step;

@@ -1,13 +1,18 @@
 //! Limits act at every crest of the carrier, at every control rate, whatever the step is asked for and whatever filters
 //! the scene has.
 
-use crate::rig::{self, RATE, RATES, Rig, hardware, limits, paddle, quiet, rules, scene, wall};
+use crate::rig::{self, RATE, RATES, Rig, five_bar, hardware, limits, paddle, quiet, rules, scene, wall};
 use haptic_bridge::drive::stage::{Duty, MAX_DUTY};
+use haptic_bridge::math::Libm;
+use haptic_bridge::model::description::Encoder;
+use haptic_bridge::model::mechanism::AnyMechanism;
+use haptic_bridge::render::scene::{Plane, Surface, Wall};
 use haptic_bridge::render::velocity::{Coefficients, Estimator};
 use haptic_bridge::safety::fault::{Fault, State};
-use haptic_bridge::servo::Command;
+use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::{Counts, Currents};
+use haptic_bridge::servo::{Command, Rules};
 
 #[test]
 fn limits_hold_whatever_the_step_is_asked_for() {
@@ -144,4 +149,43 @@ fn power_is_what_the_motors_give_not_what_the_scene_asks_for() {
     rig.turn(0, -0.8, 3.0);
     rig.turn(0, 0.85, 3.0);
     assert_eq!((rig.state(), rig.fault()), (State::Armed, None));
+}
+
+/// Cranks on capstans with 706 counts per turn, towards their stretched pose, where each count makes the same torques worth
+/// up to an eighth more. The tip presses a wall beside it beyond the limit meanwhile.
+#[test]
+fn a_count_of_a_coarse_encoder_neither_trips_the_force_limit_nor_lets_more_flow() {
+    const PER_TURN: f64 = 705.882;
+    let mut coarse = five_bar();
+    coarse.geometry = [0.025, 0.063, 0.063, 0.075, 0.075, 1.0];
+    let stands_at = [2.897_247, 0.244_346, 0.0];
+    coarse.home = Some(stands_at);
+    for joint in &mut coarse.joints[..2] {
+        joint.encoder = Some(Encoder { counts_per_turn: PER_TURN, offset: 0.0, inverted: false });
+        joint.limits = Some((-3.3, 3.3));
+    }
+    let beside = Wall {
+        surface: Surface::Plane(Plane { point: [-2e-5, 0.0, 0.0], normal: [1.0, 0.0, 0.0] }),
+        ..wall(0.0, 500_000.0)
+    };
+    let rules = Rules { limits: Limits { tip_force: 5.0, ..limits() }, ..rules() };
+    let mut rig = Rig::with(&coarse, &scene(2, &[beside]), hardware(), rules);
+    let mechanism = AnyMechanism::<f32>::new(&coarse).expect("a sound mechanism");
+    let home = rig.samples.counts;
+    rig.arm();
+    let mut most = 0.0_f32;
+    for moved in 1..=12 {
+        let (before, now) = (rig.samples.counts, Counts([home[0] + moved + 1, home[1] - moved, 0]));
+        // The edge where the counts change, up to which what was commanded flows.
+        let edge = core::array::from_fn(|i| {
+            let counts = 0.5 * f64::from(before[i] + now[i] - 2 * home[i]);
+            (stands_at[i] + counts / PER_TURN * core::f64::consts::TAU) as f32
+        });
+        let torque = rig.currents.map(|current| 0.1 * current);
+        most = most.max(mechanism.leverage::<Libm>(&edge).force_squared(&torque).sqrt());
+        rig.samples.counts = now;
+        rig.run(0.02);
+        assert_eq!(rig.fault(), None, "after {moved} counts");
+    }
+    assert!(most > 4.8 && most < 5.05, "{most} N");
 }

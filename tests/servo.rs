@@ -498,6 +498,24 @@ fn the_polarity_check_asks_no_more_force_than_the_tip_may_make_and_looks_at_no_a
 }
 
 #[test]
+fn a_home_elsewhere_asks_for_the_polarity_check_again() {
+    let mut rig = Rig::ready(&scene(1, &[]));
+    let at_home = rig.samples.counts;
+    let mut home_at = |angle: f64| {
+        rig.turn(0, angle, 1.0);
+        rig.settle();
+        rig.execute(Command::Home).expect("at rest");
+        rig.servo.status().polarity
+    };
+    // A person who puts it back by hand, again and again.
+    assert!(home_at(0.015) && home_at(-0.015) && home_at(0.015));
+    assert!(!home_at(0.03), "as far from the home that was checked, however little from the last");
+    assert!(!home_at(0.0), "nobody knows what was between");
+    assert_eq!(rig.samples.counts, at_home);
+    assert_eq!(rig.execute(Command::Arm), Err(Refusal::PolarityUnchecked));
+}
+
+#[test]
 fn a_joint_that_turns_the_wrong_way_or_not_at_all_fails_the_polarity_check() {
     let mut rig = Rig::ready(&scene(1, &[]));
     rig.execute(Command::CheckPolarity).unwrap();

@@ -182,6 +182,15 @@ impl Campaign {
         rig.run(50 * MILLISECOND);
         rig.tool.clear().expect("nothing is broken any more");
         rig.tool.home().expect("the device is at rest");
+        if !rig.tool.status().expect("the board answers").polarity {
+            // Counts were lost: its home is elsewhere now, as the board counts.
+            rig.check_hanging();
+            rig.with_simulated(move |device| {
+                device.place(home);
+                hold(device);
+            });
+            rig.run(50 * MILLISECOND);
+        }
         rig.set_scene(&self.scene);
         rig.tool.arm().expect("the board arms");
         rig.with_simulated(|device| push(device, [0.0, PUSH, 0.0], 0.3));

@@ -88,12 +88,21 @@ impl Rig {
         self.with_simulated(|device| device.set_support(Support::Held));
         let home = self.counts();
         self.tool.home().expect("the device can be homed");
-        self.with_simulated(hang);
-        self.check_polarity();
-        self.with_simulated(|device| device.set_support(Support::None));
+        self.check_hanging();
         self.with_simulated(hold);
         self.run(300 * MILLISECOND);
         home
+    }
+
+    /// Has the polarity checked of a device that hangs meanwhile.
+    ///
+    /// # Panics
+    ///
+    /// When the board refuses, or the check fails.
+    pub fn check_hanging(&mut self) {
+        self.with_simulated(hang);
+        self.check_polarity();
+        self.with_simulated(|device| device.set_support(Support::None));
     }
 
     /// The encoders' counts as the board has them: what turned before it started is not in them.

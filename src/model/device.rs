@@ -1,6 +1,6 @@
 //! A device as the board knows it: lumped mechanism, encoders, motors, limits. Plain data, ready to use.
 
-use crate::math::{Angle, Math, Real, cast};
+use crate::math::{Angle, Math, Real, cast, sqrt};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::description::{Description, DescriptionError};
 use crate::model::mechanism::{AnyMechanism, Mechanism, shared_pose};
@@ -251,6 +251,17 @@ impl Leverage {
     /// Its square, N², of all joints' torques τ (N m).
     pub fn force_squared(&self, torque: &[f32; MAX_JOINTS]) -> f32 {
         squared(&self.force::<MAX_JOINTS>(torque))
+    }
+
+    /// By what share a torque of one joint is worth more or less at the tip than it `was`: of the joint where that is most.
+    /// 0 where nothing is known.
+    pub fn changed_from(&self, was: &Self) -> f32 {
+        let worth = |of: &Self, joint: usize| squared(&of.0.map(|direction| direction[joint]));
+        let most = (0..MAX_JOINTS).fold(1.0, |most: f32, joint| {
+            let (now, then) = (worth(self, joint), worth(was, joint));
+            if now > 0.0 && then > 0.0 { most.max(now / then).max(then / now) } else { most }
+        });
+        sqrt(most) - 1.0
     }
 
     /// More than what an error of 1 N m of joint `joint` can be worth at the tip, N.

@@ -174,7 +174,8 @@ faults! {
     /// The currents that are measured push harder at the tip than they may; value: N.
     ForceLimit = 38, "the measured currents push harder at the tip than its limit allows",
         "lower the damping or the stiffness; if it returns at rest, check the current sensors and the motor data in the device file";
-    /// A joint is not driven by its motor's current as the device file says; value: the torque that acted over the file's.
+    /// A joint is not driven by its motor's current as the device file says; value: the torque that acted over the file's, or how many
+    /// times as far as planned a joint was swung.
     TorqueMismatch = 39, "a joint's motion does not fit its motor's current",
         "the value is the torque that acted over the file's: check torque_constant with its gear ratio, the motors' order, counts_per_turn, the inertias and the current sensor, hands off; then check again";
     /// A winding's resistance is not the device file's; value: Ω.

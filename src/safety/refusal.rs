@@ -35,7 +35,7 @@ pub enum Refusal {
     NoMotor(u8),
     /// A joint's motor data have not been verified.
     MotorNotVerified(u8),
-    /// The polarity check has not been made with this device.
+    /// The polarity check has not been made with this device, homed where it is.
     PolarityUnchecked,
     /// A joint is outside its limits.
     OutsideLimits(u8),
@@ -91,7 +91,7 @@ impl core::fmt::Display for Refusal {
                 "the motor of joint {joint} is not verified: check its numbers, then set `verified = true` in the device file"
             ),
             Self::PolarityUnchecked => {
-                f.write_str("motor polarity has not been checked with this device: run `haptic polarity`")
+                f.write_str("motor polarity has not been checked with this device and this home: run `haptic polarity`")
             }
             Self::OutsideLimits(joint) => write!(f, "joint {joint} is outside its limits: move it back by hand"),
             Self::InsideWall => f.write_str("the tip is inside a wall: move it out by hand"),

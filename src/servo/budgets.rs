@@ -64,6 +64,11 @@ const SETTLING_SECONDS: f32 = 5.0e-3;
 /// meanwhile.
 const LEVERAGE_HZ: f32 = 2.0e3;
 
+/// By what share leverage may change at once before less is asked for: what the limit of what flows leaves to it.
+const CHANGE_FREE: f32 = 0.02;
+/// What is left of the largest change of late at the next.
+const CHANGE_KEPT: f32 = 0.75;
+
 /// What flows, as forces at the tip.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Flow {
@@ -72,6 +77,9 @@ pub(super) struct Flow {
     gain: f32,
     /// The square of what they may push with, N².
     most_squared: f32,
+    /// By what share leverage changed at once of late: with a count of a coarse encoder, where links are nearly in line, by
+    /// a tenth, and the joint was half of that nearer all along.
+    change: f32,
     /// Valleys until leverage is worked out anew, and after how many it is.
     left: u32,
     every: u32,
@@ -202,28 +210,34 @@ where
     /// Takes what torques are worth at the tip from the last control step, where that is not long ago and knows it.
     #[inline(never)]
     fn weigh_again(&mut self, counts: &Counts) {
+        let was = self.leverage;
         if self.period * LEVERAGE_HZ <= 1.0 && self.program.as_ref().is_some_and(|program| program.finds_leverage) {
             self.leverage = Leverage::found(self.now.found.leverage);
-            self.allow();
         } else {
             self.weigh(counts);
         }
+        let change = self.leverage.changed_from(&was).min(1.0);
+        if change > 0.0 {
+            self.flow.change = change.max(CHANGE_KEPT * self.flow.change);
+        }
+        self.allow();
     }
 
-    /// Works out what torques are worth at the tip where these counts are, and what may flow there.
+    /// Works out what torques are worth at the tip where these counts are.
     #[inline(never)]
     fn weigh(&mut self, counts: &Counts) {
         let Some(program) = self.program.as_ref() else { return };
         self.leverage = program.mechanism.leverage::<K>(&core::array::from_fn(|i| self.angle(i, counts[i])));
-        self.allow();
     }
 
-    /// Works out what may flow at this leverage.
+    /// Works out what may flow at this leverage, and what may be asked for: what is still within the limit once leverage has
+    /// changed as of late.
     pub(super) fn allow(&mut self) {
         let joints = self.joints.iter().enumerate().take(self.count());
         let error = joints
             .fold(0.0, |sum, (i, joint)| sum + self.leverage.most_of(i) * joint.stage.torque_of(SENSOR_ERROR).abs());
         let limit = self.rules.limits.tip_force;
+        self.set_most_force(limit / (1.0 + (self.flow.change - CHANGE_FREE).max(0.0)));
         let most = FLOW_MARGIN * limit + error.min(HIDDEN_SHARE * limit);
         let (flow, most) = (&mut self.flow, most * most);
         flow.left = flow.every;

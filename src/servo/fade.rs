@@ -139,7 +139,7 @@ where
         self.fade.begun = true;
         self.fade.ramp = (self.fade.ramp + self.period * (1.0 / ARM_SECONDS)).min(1.0);
         // What is asked for is held to the limit of the force at the tip by itself, as what fades out is below.
-        let share = share_within(asked.force_squared, self.rules.limits.tip_force);
+        let share = share_within(asked.force_squared, self.most_force);
         self.fade.share = self.fade.ramp * share;
         if !self.fade.from_something {
             return self.rise(asked, share);
@@ -202,7 +202,7 @@ where
             true => Leverage::found(found.leverage),
             false => program.mechanism.leverage::<K>(&found.at.q),
         };
-        let share = share_within(leverage.force_squared(&rendered), self.rules.limits.tip_force);
+        let share = share_within(leverage.force_squared(&rendered), self.most_force);
         for part in fade.scene.iter_mut().chain(fade.host.torque.iter_mut()).chain(fade.aside.iter_mut()) {
             *part *= share;
         }

@@ -23,8 +23,11 @@ use core::ops::DerefMut;
 
 /// Largest share of a motor's torque that the polarity check applies.
 pub const POLARITY_SHARE: f32 = 0.25;
-/// Joint motion that decides the polarity check, rad.
+/// Joint motion that decides the polarity check, rad: backward it is wrong; forward a quarter of it is enough to swing the
+/// joint, and at least so many counts, because a joint that is still being pushed gathers speed.
 pub const POLARITY_MOTION: f32 = 0.02;
+const FORWARD_MOTION: f32 = 0.25 * POLARITY_MOTION;
+const FORWARD_COUNTS: f32 = 1.5;
 /// Time the polarity check takes to reach its torque, s; it gives up after twice this.
 pub const POLARITY_SECONDS: f32 = 1.0;
 /// How long it waits at most for a joint to come to rest before its turn, s. What the joint before has thrown about, or a
@@ -57,6 +60,12 @@ const SWING_EXCESS: f32 = 2.5;
 /// By how much a joint is swung to either side, rad, and at least how many counts.
 const SWING_ANGLE: f32 = 0.02;
 const SWING_COUNTS: f32 = 4.0;
+/// By how many times that it may be found away from where it stood: hapkit-paddle glides into its swing and gets to 1.6.
+const SWING_TRAVEL: f32 = 4.0;
+/// What the home of each joint may be wrong by, rad, while the check still keeps to the limit of the force at the tip; and
+/// the least share of what the believed pose allows that this leaves, because near a stretched pose it would be nothing.
+const HOME_DOUBT: f32 = 0.15;
+const DOUBTED_SHARE: f32 = 0.3;
 /// Angular frequencies of a swing, rad/s: above those of a device that is carried by a spring, and below those of cables.
 const SWING_RATES: (f32, f32) = (20.0, 200.0);
 /// Largest share of the speed limit that a swing reaches, and at least how many control steps one takes.
@@ -75,6 +84,8 @@ struct Swing {
     /// Torque, N m, and angular frequency, rad/s.
     torque: f32,
     rate: f32,
+    /// How far from where it stood it may be found, rad.
+    reach: f32,
     /// What draws the joint back to where it stood, N m/rad, and brakes it, N m s/rad.
     stiffness: f32,
     damping: f32,
@@ -103,6 +114,9 @@ pub(super) struct PolarityCheck {
     rested: f32,
     /// Where the joint stood at its first step, rad.
     from: Option<f32>,
+    /// How many of the poses about it were looked at, and the share of the largest torque that they allow.
+    looked: u32,
+    allowed: f32,
     /// The mass matrix where it swings, kg m², once that is known.
     inertia: Option<[[f32; MAX_JOINTS]; MAX_JOINTS]>,
     /// Time between two steps of the check, s, control steps until the next, and what the motors are told until then.
@@ -149,7 +163,7 @@ where
         if self.polarity.swing.is_some() {
             return self.swing(i);
         }
-        if self.polarity.from.is_none() && !self.at_rest(i) {
+        if self.polarity.from.is_none() && !(self.at_rest(i) && self.has_looked_around(i)) {
             if self.polarity.waited >= POLARITY_PATIENCE {
                 self.trip(Fault::PolarityUnrest, Some(i as u8), self.now.found.at.q[i] - self.polarity.rests_at);
             }
@@ -157,7 +171,8 @@ where
         }
         let most = self.joints[i].stage.max_torque();
         let moved = self.now.found.at.q[i] - *self.polarity.from.get_or_insert(self.now.found.at.q[i]);
-        if moved > POLARITY_MOTION || self.polarity.inertia.is_some() {
+        let count = self.program.as_ref().map_or(0.0, |program| program.radians_per_count[i].abs());
+        if moved > FORWARD_MOTION.max(FORWARD_COUNTS * count) || self.polarity.inertia.is_some() {
             // A step of its own for each of both, because steps at high rates have little time.
             match self.polarity.inertia {
                 Some(inertia) => self.begin_swing(i, &inertia),
@@ -178,10 +193,28 @@ where
         self.within_tip_force(i, share * most)
     }
 
-    /// A torque (N m) of joint `i` alone, as far as the limit of the force at the tip allows.
+    /// Looks at one of the poses at which the device may stand in truth, for what they allow joint `i` to push with; whether
+    /// it has looked at all. Between those corners leverage is less: it grows towards singular poses.
+    fn has_looked_around(&mut self, i: usize) -> bool {
+        let Some(program) = self.program.as_ref() else { return false };
+        let (corner, tip_force) = (self.polarity.looked, self.rules.limits.tip_force);
+        let mut largest = Torques::default();
+        largest[i] = self.joints[i].stage.max_torque();
+        let off = |j: usize| if corner >> j & 1 == 0 { HOME_DOUBT } else { -HOME_DOUBT };
+        let leverage = program.mechanism.leverage::<K>(&core::array::from_fn(|j| self.now.found.at.q[j] + off(j)));
+        let there = share_within(leverage.force_squared(&largest), tip_force);
+        let here = share_within(self.leverage.force_squared(&largest), tip_force);
+        let before = if corner == 0 { 1.0 } else { self.polarity.allowed };
+        self.polarity.allowed = before.min(there).max(DOUBTED_SHARE * here);
+        self.polarity.looked = corner + 1;
+        self.polarity.looked >= 1 << self.count
+    }
+
+    /// A torque (N m) of joint `i` alone, as far as the limit of the force at the tip allows it here and around.
     fn within_tip_force(&self, i: usize, wanted: f32) -> Torques {
+        let most = self.polarity.allowed * self.joints[i].stage.max_torque();
         let mut torque = Torques::default();
-        torque[i] = wanted;
+        torque[i] = limited(wanted, most.min(self.most_torque[i]));
         torque[i] *= share_within(self.leverage.force_squared(&torque), self.rules.limits.tip_force);
         torque
     }
@@ -191,11 +224,30 @@ where
         if i + 1 >= self.count() {
             self.off();
             self.state = State::Disarmed;
-            self.polarity_known = true;
+            self.know_polarity();
         } else {
             let next = (i + 1).min(MAX_JOINTS - 1);
             self.polarity = PolarityCheck { axis: next, ..PolarityCheck::default() };
         }
+    }
+
+    /// The polarity is known, at the present home where there is one.
+    pub(super) fn know_polarity(&mut self) {
+        self.polarity_known = true;
+        if let Some(program) = self.program.as_ref().filter(|_| self.homed) {
+            self.checked_zero = program.controller.zero();
+        }
+    }
+
+    /// The device was homed: what was found stays known where home is still within what the joints were swung by there,
+    /// because the mass matrix of that pose made a torque of their motion.
+    pub(super) fn keep_polarity_near_its_home(&mut self) {
+        let Some(program) = self.program.as_ref() else { return };
+        let zero = program.controller.zero();
+        self.polarity_known &= program.radians_per_count.iter().enumerate().take(program.joints).all(|(i, radians)| {
+            let off = zero[i].wrapping_sub(self.checked_zero[i]) as f32 * radians;
+            off.abs() <= swing_angle(*radians)
+        });
     }
 
     /// Where the joints stand about which joint `i` swings, rad.
@@ -215,7 +267,7 @@ where
     fn begin_swing(&mut self, i: usize, inertia: &[[f32; MAX_JOINTS]; MAX_JOINTS]) {
         let Some(program) = self.program.as_ref() else { return };
         let inertia = inertia[i][i].max(f32::MIN_POSITIVE);
-        let angle = SWING_ANGLE.max(SWING_COUNTS * program.radians_per_count[i].abs());
+        let angle = swing_angle(program.radians_per_count[i]);
         let largest = self.joints[i].stage.max_torque();
         let moved_it = POLARITY_SHARE * (self.polarity.seconds * (1.0 / POLARITY_SECONDS)).min(1.0) * largest;
         let excess = SWING_EXCESS * moved_it;
@@ -231,12 +283,18 @@ where
         // A quarter as fast as it is swung, and hardly ringing.
         let back = 0.25 * rate;
         let (stiffness, damping) = (inertia * back * back, 1.4 * inertia * back);
-        self.polarity.swing = Some(Swing { torque, rate, stiffness, damping, about, ..Swing::default() });
+        let reach = SWING_TRAVEL * angle;
+        self.polarity.swing = Some(Swing { torque, rate, reach, stiffness, damping, about, ..Swing::default() });
     }
 
     /// One step of the second part: the torque that swings joint `i`, with what the last step's was worth summed up.
     fn swing(&mut self, i: usize) -> Torques {
         let Some(mut swing) = self.polarity.swing else { return Torques::default() };
+        let strayed = self.now.found.at.q[i] - swing.about[i];
+        if left(strayed, swing.reach) < 0 {
+            self.trip(Fault::TorqueMismatch, Some(i as u8), SWING_TRAVEL * strayed / swing.reach);
+            return Torques::default();
+        }
         let turn = core::f32::consts::TAU / swing.rate;
         let summed = (swing.seconds - SWINGS_BEFORE * turn) / (SWINGS * turn);
         if summed >= 1.0 {
@@ -262,7 +320,7 @@ where
         }
         swing.seconds += self.polarity.pace;
         self.polarity.swing = Some(swing);
-        let back = swing.stiffness * (swing.about[i] - self.now.found.at.q[i]) - swing.damping * self.joints[i].speed();
+        let back = -swing.stiffness * strayed - swing.damping * self.joints[i].speed();
         let most = SWING_SHARE * self.joints[i].stage.max_torque();
         self.within_tip_force(i, limited(swing.torque * cosine + back, most))
     }
@@ -320,6 +378,11 @@ where
         }
         polarity.rested >= REST_SECONDS
     }
+}
+
+/// By how much a joint with this count (rad) is swung to either side, rad.
+fn swing_angle(radians_per_count: f32) -> f32 {
+    SWING_ANGLE.max(SWING_COUNTS * radians_per_count.abs())
 }
 
 /// What two phasors have in phase.

@@ -167,7 +167,7 @@ where
             }
             Command::CheckPolarity => self.start_polarity_check(),
             Command::PolarityKnown => {
-                self.polarity_known = true;
+                self.know_polarity();
                 Ok(())
             }
             Command::Clear => {
@@ -282,6 +282,7 @@ where
         let program = self.program.as_mut().ok_or(Refusal::NoDevice)?;
         program.controller.home(&self.now.counts, &home);
         self.homed = true;
+        self.keep_polarity_near_its_home();
         self.first_index = [None; MAX_JOINTS];
         self.set_bounds();
         Ok(())

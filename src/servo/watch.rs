@@ -49,9 +49,14 @@ where
         if tip_force * tip_force < self.most_force_squared || !self.state.drives() {
             self.flow.settle(self.period);
         }
-        self.most_force_squared = tip_force * tip_force;
+        self.set_most_force(tip_force);
         self.set_crest_bounds();
         self.unsettled = MAX_JOINTS as u8;
+    }
+
+    /// What may be asked for at the tip from now on, N.
+    pub(super) fn set_most_force(&mut self, force: f32) {
+        (self.most_force, self.most_force_squared) = (force, force * force);
     }
 
     /// Puts the new rules in force for the next joint that is not yet held to them; whether there are more such. While the

@@ -80,14 +80,20 @@ fn largest(file: &DeviceFile, seed: u64) -> (f64, String) {
     );
     board.set_scene(&scene).unwrap_or_else(|error| panic!("{what}: {error}"));
     board.arm().unwrap_or_else(|error| panic!("{what}: {error}"));
-    // Somebody moves the tip about, from slow to as fast as an arm is.
+    // Somebody moves the tip about, from slow to as fast as an arm is, and more or less into the first wall.
     let reach = draw.between(0.002, 0.03);
     let pace = draw.between(0.02, 0.3);
+    let press = draw.between(0.0, 0.01);
+    let into = match scene.walls.first().map(|wall| wall.surface) {
+        Some(Surface::Plane(plane)) => plane.normal.map(|along| -press * f64::from(along)),
+        _ => [0.0; 3],
+    };
     let path = (0..40)
         .map(|nth| Waypoint {
             time: f64::from(nth) * pace,
             value: core::array::from_fn(|axis| {
-                tip[axis] + if axis < task && nth > 0 { draw.between(-reach, reach) } else { 0.0 }
+                let about = if axis < task { into[axis] + draw.between(-reach, reach) } else { 0.0 };
+                tip[axis] + if nth > 0 { about } else { 0.0 }
             }),
         })
         .collect();

@@ -113,7 +113,7 @@ fn inertias(wired: &mut Description, factor: f64) {
     wired.handle_mass *= factor;
 }
 
-fn counts(wired: &mut Description, factor: f64) {
+pub fn counts(wired: &mut Description, factor: f64) {
     wired.joints.iter_mut().filter_map(|joint| joint.encoder.as_mut()).for_each(|it| it.counts_per_turn *= factor);
 }
 
@@ -170,32 +170,61 @@ fn homed(file: &DeviceFile, lie: &Lie) -> (SharedBoard, Board, Description) {
     (shared, board, wired)
 }
 
-/// How the polarity check ends.
-fn checked(shared: &SharedBoard, board: &mut Board) -> Result<(), FaultRecord> {
+/// How the polarity check ends, and after every carrier period what there was `to_see`.
+fn checked(
+    shared: &SharedBoard,
+    board: &mut Board,
+    mut to_see: impl FnMut(&SimulatedBoard),
+) -> Result<(), FaultRecord> {
     board.check_polarity().unwrap();
-    for _ in 0..600 {
-        shared.lock().run(0.1);
-        let status = shared.lock().status();
-        match (status.state, status.polarity, status.fault) {
-            (State::CheckingPolarity, ..) => {}
-            (_, true, None) => return Ok(()),
-            (_, _, Some(record)) => return Err(record),
-            other => panic!("{other:?}"),
-        }
+    let mut board = shared.lock();
+    let most = board.time() + 60.0;
+    while board.status().state == State::CheckingPolarity {
+        assert!(board.time() < most, "the check does not end");
+        board.carrier();
+        to_see(&board);
     }
-    panic!("the check does not end");
+    let status = board.status();
+    match (status.polarity, status.fault) {
+        (true, None) => Ok(()),
+        (_, Some(record)) => Err(record),
+        other => panic!("{other:?}"),
+    }
 }
 
 /// Whether the polarity check finds something wrong.
 pub fn refused(file: &DeviceFile, lie: &Lie) -> Result<(), FaultRecord> {
     let (shared, mut board, _) = homed(file, lie);
-    checked(&shared, &mut board)
+    checked(&shared, &mut board, |_| ())
+}
+
+/// What a polarity check does until it ends.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Moved {
+    /// The largest mean over 2 ms of the motors' push at the tip, N.
+    pub push: f64,
+    /// How far it takes a joint from where that stood, rad.
+    pub travel: f64,
+}
+
+/// How the polarity check ends, and what it does until then.
+pub fn moved(file: &DeviceFile, lie: &Lie) -> (Result<(), FaultRecord>, Moved) {
+    let (shared, mut board, wired) = homed(file, lie);
+    let mut push = Push::of(&wired, &shared.lock());
+    let start = shared.lock().device().q();
+    let mut moved = Moved::default();
+    let ended = checked(&shared, &mut board, |board| {
+        moved.push = moved.push.max(push.take(board).unwrap_or(0.0));
+        let turned = board.device().q().into_iter().zip(start).map(|(q, start)| (q - start).abs());
+        moved.travel = turned.fold(moved.travel, f64::max);
+    });
+    (ended, moved)
 }
 
 /// What comes of a lie where a hand presses against a wall of 1000 N/m at 1 kHz with 4 N and goes to and fro along it.
 pub fn outcome(file: &DeviceFile, lie: &Lie) -> Outcome {
     let (shared, mut board, wired) = homed(file, lie);
-    if let Err(record) = checked(&shared, &mut board) {
+    if let Err(record) = checked(&shared, &mut board, |_| ()) {
         return Outcome::Refused(record);
     }
     shared.lock().run(0.5);

@@ -1,8 +1,10 @@
 //! What a device file says is measured before a board arms: files, wires and sensors that lie.
 
-use crate::common::lies::{LIES, Lie, When, refused};
+use crate::common::lies::{LIES, Lie, When, counts, moved, refused};
 use crate::common::{all_shipped, shipped};
+use haptic_bridge::model::description::Description;
 use haptic_bridge::safety::fault::Fault;
+use haptic_bridge::safety::limits::GENTLE_FORCE;
 
 #[test]
 fn every_shipped_device_passes_as_its_file_says() {
@@ -54,4 +56,39 @@ fn a_board_does_not_arm_with_a_device_that_is_not_its_files() {
         }
     }
     assert!(missed.is_empty(), "{}", missed.join("\n"));
+}
+
+#[test]
+fn a_check_with_ten_times_too_many_counts_in_the_file_stops_near_where_it_began() {
+    let lie = Lie { what: "a tenth of the file's counts", when: When::Always(|wired, _| counts(wired, 0.1)) };
+    let mut wrong = Vec::new();
+    for name in ["hapkit-paddle", "pantograph-mk2", "woodenhaptics"] {
+        let (ended, moved) = moved(&shipped(name), &lie);
+        if !ended.is_err_and(|record| SAYING.contains(&record.fault)) || moved.travel > 0.2 {
+            wrong.push(format!("{name}: {ended:?}, {moved:?}"));
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn a_home_that_is_wrong_makes_no_check_push_harder_than_the_limit_by_a_tenth() {
+    let file = shipped("capstan-pantograph");
+    let homed_off =
+        |lie| moved(&file, &Lie { what: "the device stands elsewhere than at home", when: When::Always(lie) });
+    let pushed = [
+        homed_off(|wired, _| stand(wired, [0.2, 0.0])),
+        homed_off(|wired, _| stand(wired, [0.0, -0.2])),
+        homed_off(|wired, _| stand(wired, [0.1, -0.1])),
+        homed_off(|wired, _| stand(wired, [-0.2, 0.0])),
+    ];
+    for (ended, moved) in pushed {
+        assert!(moved.push > 1.0 && moved.push < 1.1 * f64::from(GENTLE_FORCE), "{ended:?}, {moved:?}");
+    }
+}
+
+/// Puts a device so far (rad) from home.
+fn stand(wired: &mut Description, off: [f64; 2]) {
+    let home = wired.home.iter_mut().flatten();
+    home.zip(off).for_each(|(home, off)| *home += off);
 }
