@@ -2,8 +2,8 @@
 //! long until the bridges float, and what a hand in the device would have felt until then.
 
 use std::collections::BTreeSet;
-use std::fmt::Write as _;
 
+use haptic::output::csv_line;
 use haptic::sim::Broken;
 use haptic_bridge::safety::fault::{Fault, State};
 use rigless::device::Level;
@@ -237,7 +237,7 @@ fn disabled(stopped: &mut crate::run::StoppedBoard<'_>) -> bool {
     board.wiring.is_some_and(|wiring| board.level(wiring.enable) == Level::Low)
 }
 
-/// The rows of a case at a rate: the worst of every number over the phases.
+/// The row of a case at a rate: the worst of every number over the phases.
 #[must_use]
 pub fn row(case: &Case, rate: u32, outcomes: &[Outcome]) -> String {
     let names: BTreeSet<&str> = outcomes.iter().map(|outcome| outcome.fault.map_or("nobody", Fault::name)).collect();
@@ -248,20 +248,18 @@ pub fn row(case: &Case, rate: u32, outcomes: &[Outcome]) -> String {
         true => "not in 300 ms".to_owned(),
         false => format!("{:.2}", most(|outcome| outcome.after as f64 * 1e-6)),
     };
-    format!(
-        "| {} | {rate} | {} | {after} | {:.2} | {:.1} | {:.2} |",
+    csv_line([
         case.what,
-        names.join(", "),
-        most(|outcome| outcome.peaks.current),
-        most(|outcome| outcome.peaks.speed),
-        most(|outcome| outcome.peaks.travel * 1e3)
-    )
+        &rate.to_string(),
+        &names.join(", "),
+        &after,
+        &format!("{:.2}", most(|outcome| outcome.peaks.current)),
+        &format!("{:.1}", most(|outcome| outcome.peaks.speed)),
+        &format!("{:.2}", most(|outcome| outcome.peaks.travel * 1e3)),
+    ])
 }
 
-/// What the campaign's part of the document begins with.
-pub const HEADING: &str = "\n## What lies and breaks, at three rates\n";
-
-/// The whole campaign as the document's part; the rates run side by side.
+/// The whole campaign, as docs/results/broken.csv has it; the rates run side by side.
 ///
 /// # Panics
 ///
@@ -273,7 +271,7 @@ pub fn table() -> String {
         let rows = CASES.iter().map(|case| {
             let outcomes: Vec<_> = (0..PHASES).map(|phase| campaign.run(case, phase)).collect();
             let row = row(case, rate, &outcomes);
-            println!("{row}");
+            print!("{row}");
             row
         });
         rows.collect::<Vec<_>>()
@@ -281,19 +279,17 @@ pub fn table() -> String {
     let columns = std::thread::scope(|scope| {
         RATES.map(|rate| scope.spawn(move || at_rate(rate))).map(|run| run.join().expect("a board that behaves"))
     });
-    let mut text = format!(
-        "{HEADING}\n\
-         A pantograph-mk2 held against a wall by 0.8 N, its motors allowed 3 A; each thing broken at ten instants of the\n\
-         control period (emulator/src/campaign.rs), in the first motor or encoder. A hand that moves pulls along the wall as hard\n\
-         as into it. The worst of the ten: time until the gate drivers are disabled, looked at every 25 us, the true current\n\
-         of a winding, speed of a joint and way of the tip until then, or within 300 ms where nobody saw it.\n\n\
-         | broken | control rate, Hz | seen by | off after, ms | current, A | speed, rad/s | way, mm |\n\
-         |---|--:|---|--:|--:|--:|--:|\n",
-    );
+    let mut text = csv_line([
+        "broken",
+        "control rate (Hz)",
+        "seen by",
+        "off after (ms)",
+        "current (A)",
+        "speed (rad/s)",
+        "way (mm)",
+    ]);
     for case in 0..CASES.len() {
-        for column in &columns {
-            let _ = writeln!(text, "{}", column[case]);
-        }
+        columns.iter().for_each(|column| text += &column[case]);
     }
     text
 }

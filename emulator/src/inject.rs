@@ -26,7 +26,7 @@ mod report;
 mod stub;
 
 pub use provoke::{Outcome, off, provoke};
-pub use report::{document, how, row, table};
+pub use report::{how, row, table};
 pub use stub::run_instead;
 use stub::{NMI_FLAG, SUPERVISOR, wire_to_nmi};
 

@@ -31,3 +31,11 @@ pub mod timing;
 pub mod trace;
 pub mod usb;
 pub mod wire;
+
+use std::path::{Path, PathBuf};
+
+/// Where the table NAME.csv is kept.
+#[must_use]
+pub fn results(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../docs/results/{name}.csv"))
+}

@@ -7,7 +7,6 @@
 //! joint. Motors, current sensors and the board's current loops are there.
 
 use std::f64::consts::TAU;
-use std::fmt::Write as _;
 
 use haptic::analysis::map;
 use haptic::analysis::plant::{Drive, Linearised};
@@ -19,6 +18,7 @@ use haptic::device_file::DeviceFile;
 use haptic::measure::campaign::{self, Plan};
 use haptic::measure::progress::Progress;
 use haptic::measure::{Law, MeasureError, MeasurementSetup, PreparedBoard};
+use haptic::output::csv_line;
 use haptic::plot::Picture;
 use haptic::plot::range::{Contents, MeasuredPoint, draw};
 use haptic::sim::Hand;
@@ -320,12 +320,23 @@ pub fn whole(rate: Rate, mode: FeedForward, mut told: impl FnMut(usize)) -> Resu
 /// prediction.
 const BELOW: [f64; 2] = [0.4, 0.7];
 
-/// The head of the table that [`with_cables`] fills.
-pub const CABLE_HEAD: &str = "| device | board | rate, cutoff | delay, samples | kd, N s/m | feed-forward | measured, N/m | predicted, N/m | off by |\n\
-     |---|---|---|---|---|---|---|---|---|";
+/// The head of docs/results/complete-chip.csv, which [`with_cables`] fills.
+pub const CABLE_HEAD: [&str; 11] = [
+    "device",
+    "board",
+    "rate (Hz)",
+    "cutoff (Hz)",
+    "drive",
+    "delay (samples)",
+    "kd (N s/m)",
+    "feed-forward",
+    "measured (N/m)",
+    "predicted (N/m)",
+    "off by (%)",
+];
 
 /// The largest stable stiffness of walls before a device of [`CABLED`] at `rate`, for one damping and each
-/// feed-forward. `told` hears every row of the table in docs/results/complete.md.
+/// feed-forward. `told` hears every row of the table.
 ///
 /// # Errors
 ///
@@ -359,13 +370,20 @@ pub fn with_cables(
             let expected = predicted(&bench, rate, delay, Some(&[kd])).of(mode).boundary[0].kp;
             let (name, board) = device;
             let Rate { rate_hz, cutoff_hz } = rate;
-            let without = if back_emf { "" } else { ", no back-EMF" };
             let apart = 100.0 * (found / expected - 1.0);
-            told(&format!(
-                "| {name} | {} | {rate_hz}, {cutoff_hz} Hz{without} | {delay:.3} | {kd} | {} | {found:.0} | {expected:.0} | {apart:+.1} % |",
+            told(&csv_line([
+                name,
                 board.name(),
-                mode.name()
-            ));
+                &rate_hz.to_string(),
+                &cutoff_hz.to_string(),
+                if back_emf { "" } else { "no back-EMF" },
+                &format!("{delay:.3}"),
+                &kd.to_string(),
+                mode.name(),
+                &format!("{found:.0}"),
+                &format!("{expected:.0}"),
+                &format!("{apart:+.1}"),
+            ]));
         }
         Ok(())
     })
@@ -377,26 +395,24 @@ fn area(progress: &Progress, mode: FeedForward) -> f64 {
     progress.of(mode).iter().map(|point| point.median() * cell).sum()
 }
 
-/// What the section of docs/results.md begins with.
-#[must_use]
-pub fn introduction(occasion: &str) -> String {
-    format!(
-        "{occasion}. `cargo xtask range`: the unmodified release image of `{}` on the emulated chip, the shipped\n\
-         coupled-five-bar with direct drives of {} ohm and {} mH at q = (2.6, 1.75), along the normal of the largest Wrr/Weff,\n\
-         no friction, no hand, 2^20 edges a turn; `haptic::measure` through the board's own protocol, the median of {REPEATS}\n\
-         repeats. The theory is that of `haptic range --drive current` with the delay that the board reports. Apart: median less\n\
-         theory, in percent of the theory's highest stiffness. A test asks in every run whether walls at 95 % of the theory are\n\
-         stable and at 105 % are not.\n",
-        BOARD.name(),
-        MOTOR.resistance,
-        MOTOR.inductance * 1e3,
-    )
-}
+/// The head of docs/results/range-chip.csv, which [`section`] fills.
+pub const HEAD: [&str; 9] = [
+    "rate (Hz)",
+    "cutoff (Hz)",
+    "feed-forward",
+    "kd (N s/m)",
+    "median kp (N/m)",
+    "lowest",
+    "highest",
+    "theory",
+    "apart (%)",
+];
 
-/// The part of docs/results.md for a whole measurement at `rate`, and its picture.
+/// The rows for a whole measurement at `rate`, what docs/results.md says of them, and its picture.
 #[must_use]
-pub fn section(rate: Rate, progress: &Progress, delay: f64) -> (String, Picture) {
+pub fn section(rate: Rate, progress: &Progress, delay: f64) -> (String, String, Picture) {
     let bench = rigid();
+    let Rate { rate_hz, cutoff_hz } = rate;
     let range = predicted(&bench, rate, delay, None);
     let mut rows = String::new();
     let mut furthest: f64 = 0.0;
@@ -409,24 +425,24 @@ pub fn section(rate: Rate, progress: &Progress, delay: f64) -> (String, Picture)
             let (low, high) = point.bounds();
             let apart = 100.0 * (point.median() - theory.kp) / top;
             furthest = furthest.max(apart.abs());
-            let _ = writeln!(
-                rows,
-                "| {} | {:.2} | {:.1} | {low:.1} | {high:.1} | {:.1} | {apart:+.1} % |",
+            rows += &csv_line([
+                &rate_hz.to_string(),
+                &cutoff_hz.to_string(),
                 mode.name(),
-                point.kd,
-                point.median(),
-                theory.kp
-            );
+                &format!("{:.2}", point.kd),
+                &format!("{:.1}", point.median()),
+                &format!("{low:.1}"),
+                &format!("{high:.1}"),
+                &format!("{:.1}", theory.kp),
+                &format!("{apart:+.1}"),
+            ]);
         }
     }
     let measured = area(progress, FeedForward::Full) / area(progress, FeedForward::Off);
     let inertias = (range.w_rr / range.w_eff).powi(2);
-    let Rate { rate_hz, cutoff_hz } = rate;
-    let text = format!(
-        "\n### At {rate_hz} Hz, cutoff {cutoff_hz} Hz\n\n\
-         Area with the feed-forward over without: **{measured:.3}** measured, {:.3} predicted, (Wrr/Weff)² = {inertias:.3}.\n\
-         Furthest apart: {furthest:.1} %.\n\n\
-         | feed-forward | kd (N s/m) | median kp (N/m) | lowest | highest | theory | apart |\n|---|--:|--:|--:|--:|--:|--:|\n{rows}",
+    let told = format!(
+        "{rate_hz} Hz: area with the feed-forward over without {measured:.3}, {:.3} predicted, (Wrr/Weff)² = \
+         {inertias:.3}; furthest apart {furthest:.1} %",
         range.area_ratio,
     );
     let dots = |mode| -> Vec<MeasuredPoint> {
@@ -448,5 +464,5 @@ pub fn section(rate: Rate, progress: &Progress, delay: f64) -> (String, Picture)
         measured_off: &dots(FeedForward::Off),
         measured_full: &dots(FeedForward::Full),
     });
-    (text, picture)
+    (rows, told, picture)
 }

@@ -119,14 +119,15 @@ fn report(seconds: u64, rows: u64, touches: &[Touch], (before, after): (u32, u32
         "{:.2} virtual hours of contact at {RATE} Hz, current loops at 20 kHz: {} touches of the wall, {rows} rows of \
          telemetry, one for every step, none missing, none twice; no period missed, no fault, no restart. Stack never used: \
          {before} bytes at the beginning, {after} at the end.\n\n\
-         | from minute | largest force, N | impulse of a touch, N s |\n|--:|--:|--:|\n",
+         | ten minutes | largest force, N | impulse of a touch, N s |\n|--:|--:|--:|\n",
         seconds as f64 / 3600.0,
         touches.len(),
     );
-    for (nth, part) in touches[SETTLED..].chunks((ROW / CYCLE) as usize).enumerate() {
-        let [peak, impulse] = span(part);
-        let from = nth as u32 * ROW / 60;
-        let _ = writeln!(text, "| {from} | {:.3} to {:.3} | {:.4} to {:.4} |", peak.0, peak.1, impulse.0, impulse.1);
+    let settled = &touches[SETTLED..];
+    let parts: Vec<&[Touch]> = settled.chunks((ROW / CYCLE) as usize).collect();
+    for (part, touches) in [("the first", parts[0]), ("the last", parts[parts.len() - 1]), ("all", settled)] {
+        let [peak, impulse] = span(touches);
+        let _ = writeln!(text, "| {part} | {:.3} to {:.3} | {:.4} to {:.4} |", peak.0, peak.1, impulse.0, impulse.1);
     }
     text
 }

@@ -1,13 +1,12 @@
 //! What the control interrupt takes, entry to exit, in instructions of the unmodified image: by stage, mean, worst,
 //! jitter.
 //!
-//! `cargo xtask timing` measures every [`Case`] and writes the table that docs/results.md leads to; a test measures
-//! some of them again and compares.
+//! `cargo xtask timing` measures every [`Case`] and writes the tables of docs/results/timing.md; a test measures some of
+//! them again and compares.
 
 use std::collections::BTreeSet;
-use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
 
+use haptic::output::csv_line;
 use haptic_bridge::board::telemetry::Fields;
 
 use crate::cases::{CASES, Case, SCENES};
@@ -153,35 +152,16 @@ impl Rig {
     }
 }
 
-/// Where the table is kept.
-#[must_use]
-pub fn document() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/results/timing.md")
-}
-
 const LONGEST: &str = "longest";
 const VALLEY: &str = "longest at a valley, a request";
 
-/// The document for these timings of [`CASES`].
+/// The stages by these timings of [`CASES`], a column for each case: timing.csv.
 #[must_use]
 pub fn table(timings: &[Timing]) -> String {
-    let mut text = "# The control interrupt in instructions\n\n\
-        Written by `cargo xtask timing`: the release images on the emulated chip, armed, in contact, every wall with the\n\
-        feed-forward in full and velocity terms unless its name says otherwise, telemetry of every step streaming; 25 ms of\n\
-        each case, every instruction of the interrupt from its first to the one that returns, given to the function of the\n\
-        source that it came from (emulator/src/stages.rs). Stages are means over the steps, which run at the carrier's crests,\n\
-        or over the valleys half a carrier period later, where what the motors do not wait for is done: telemetry is written,\n\
-        and what builds up is looked at. Requests of the tasks (at least 50 a second, for the status) are carried out there, too.\n\
-        Jitter is the longest step less the shortest. Waiting for the converters is time, not work: its count depends on the\n\
-        emulator's speed, and the sums are without it. Instructions are no cycles: those of the longest step are an estimate by\n\
-        ARM's timings and a model of the flash and its accelerator (emulator/src/cycles.rs), with the exception's own. At 20 kHz\n\
-        a period has 8,400 of them.\n\n"
-        .to_owned();
+    let mut text = csv_line(std::iter::once("instructions".to_owned()).chain(CASES.iter().map(Case::name)));
     let mut row = |name: &str, cells: Vec<String>| {
-        let _ = writeln!(text, "| {name} | {} |", cells.join(" | "));
+        text += &csv_line(std::iter::once(name.to_owned()).chain(cells));
     };
-    row("", CASES.iter().map(Case::name).collect());
-    row("---", CASES.iter().map(|_| "--:".to_owned()).collect());
     let stages = |at_valleys: bool, row: &mut dyn FnMut(&str, Vec<String>)| {
         let wanted = |stage: &str| stage != REQUEST && stage.starts_with(AT_VALLEYS) == at_valleys;
         for (nth, (stage, _)) in STAGES.iter().enumerate().filter(|(_, (stage, _))| wanted(stage)) {
@@ -190,7 +170,7 @@ pub fn table(timings: &[Timing]) -> String {
     };
     stages(false, &mut row);
     let each = |value: fn(&Timing) -> u64| timings.iter().map(|timing| value(timing).to_string()).collect();
-    row("**mean**", timings.iter().map(|timing| format!("{:.0}", timing.mean)).collect());
+    row("mean", timings.iter().map(|timing| format!("{:.0}", timing.mean)).collect());
     row("shortest", each(|timing| timing.shortest));
     row(LONGEST, each(|timing| timing.longest));
     row("jitter", each(|timing| timing.longest - timing.shortest));
@@ -216,29 +196,26 @@ pub fn table(timings: &[Timing]) -> String {
     text
 }
 
-/// What follows the table: every other kind of scene on a five-bar, by these timings of [`SCENES`].
+/// Every other kind of scene on a five-bar, by these timings of [`SCENES`]: timing-scenes.csv.
 #[must_use]
 pub fn scenes(timings: &[Timing]) -> String {
-    let Case { board, device, rate_hz, .. } = SCENES[0];
-    let mut text = format!(
-        "\n## Every other kind of scene\n\n\
-        On {} with a {device} at {} kHz: instructions of a step, entry to exit.\n\n\
-        | the tip meets | mean | shortest | longest | aimed at, mean | cycles of the longest, with the flash as set |\n\
-        | --- | --: | --: | --: | --: | --: |\n",
-        board.name(),
-        rate_hz / 1000
-    );
+    let mut text = csv_line([
+        "the tip meets",
+        "mean",
+        "shortest",
+        "longest",
+        "aimed at, mean",
+        "cycles of the longest, with the flash as set",
+    ]);
     for (case, timing) in SCENES.iter().zip(timings) {
-        let _ = writeln!(
-            text,
-            "| {} | {:.0} | {} | {} | {} | {} |",
+        text += &csv_line([
             case.meets.name(),
-            timing.mean,
-            timing.shortest,
-            timing.longest,
-            case.verdict(timing),
-            timing.cycles[1]
-        );
+            &format!("{:.0}", timing.mean),
+            &timing.shortest.to_string(),
+            &timing.longest.to_string(),
+            &case.verdict(timing),
+            &timing.cycles[1].to_string(),
+        ]);
     }
     text
 }
@@ -250,14 +227,10 @@ impl Case {
     }
 }
 
-/// What follows those tables: what a new scene takes that comes with the motors on.
+/// What a new scene takes that comes with the motors on, for 5 ms from the request on: timing-new-scenes.csv.
 #[must_use]
 pub fn replacements() -> String {
-    let mut text = "\n## A new scene with the motors on\n\n\
-        Instructions from the request on, for 5 ms: it is checked in one valley and taken over in the next, and what acted\n\
-        before fades for half a second.\n\n\
-        | | longest at a valley | longest step | median step |\n| --- | --: | --: | --: |\n"
-        .to_owned();
+    let mut text = csv_line(["case", "longest at a valley", "longest step", "median step"]);
     for case in [&CASES[0], &CASES[2], &CASES[4]] {
         let mut rig = case.rig(case.rate_hz);
         let runs = rig.trace_control_while(|rig| {
@@ -275,43 +248,42 @@ pub fn replacements() -> String {
         let of = |lengths: &[usize], at: usize| lengths.get(at).map_or("none".to_owned(), usize::to_string);
         let valley = valleys.iter().max().map_or("none".to_owned(), usize::to_string);
         let (longest, median) = (of(&steps, steps.len().saturating_sub(1)), of(&steps, steps.len() / 2));
-        let _ = writeln!(text, "| {} | {valley} | {longest} | {median} |", case.name());
+        text += &csv_line([case.name(), valley, longest, median]);
     }
     text
 }
 
-/// What follows the tables: the rates that a five-bar and two kinds of three joints sustain.
+/// The rates that a five-bar and two kinds of three joints sustain: timing-rates.csv.
 #[must_use]
 pub fn rates() -> String {
-    let mut text = "\n## Rates\n\n\
-        The highest control rate at which no period is missed in 200 ms of contact, every step's usual telemetry asked for\n\
-        (tried in steps of 5 kHz from 50 down to 10), and the rows of usual telemetry a second that come without a loss at\n\
-        20 kHz in a second of it. Beside them the highest rates at which no period is missed while four new scenes come with\n\
-        the motors on, while a host moves a plane beside the board's wall, and while the limit of the tip's force cuts in\n\
-        every step; above them the motors may turn off with `ControlOverrun`. The emulated core executes 84 million\n\
-        instructions a second, two cycles each.\n\n\
-        | | highest control rate | aimed at | with new scenes | with a host's plane | with a limit that cuts | rows a second without loss | aimed at |\n\
-        | --- | --: | --: | --: | --: | --: | --: | --: |\n"
-        .to_owned();
+    let mut text = csv_line([
+        "case",
+        "highest control rate (Hz)",
+        "aimed at",
+        "with new scenes",
+        "with a host's plane",
+        "with a limit that cuts",
+        "rows a second without loss",
+        "rows aimed at",
+    ]);
     for (case, rate, rows) in [(&CASES[0], "50000", "20000"), (&CASES[2], "35000", ""), (&CASES[4], "35000", "")] {
         let cell = |found: Option<u32>| found.map_or("none".to_owned(), |found| found.to_string());
         let (highest, whole) = (cell(highest_rate(case)), cell(rows_without_loss(case)));
         let (scenes, plane) = (cell(highest_for(case, takes_scenes)), cell(highest_for(case, takes_a_plane)));
         let cuts = cell(highest_for(case, takes_cuts));
-        let _ =
-            writeln!(text, "| {} | {highest} | {rate} | {scenes} | {plane} | {cuts} | {whole} | {rows} |", case.name());
+        text += &csv_line([&case.name(), &highest, rate, &scenes, &plane, &cuts, &whole, rows]);
     }
     text
 }
 
-/// The longest step of `case` that the table `text` records, and the longest run at a valley.
+/// The longest step of `case` that [`table`] records in `text`, and the longest run at a valley.
 #[must_use]
 pub fn recorded(text: &str, case: &Case) -> Option<(u64, u64)> {
-    let cells = |name: &str| -> Option<Vec<&str>> {
-        let line = text.lines().find(|line| line.starts_with(&format!("| {name} |")))?;
-        Some(line.trim_matches('|').split('|').map(str::trim).collect())
+    let column = CASES.iter().position(|other| other.name() == case.name())?;
+    let number = |name: &str| {
+        // Cells of numbers have no commas.
+        let cells = text.lines().find_map(|line| line.strip_prefix(&csv_line([name]).replace('\n', ",")))?;
+        cells.split(',').nth(column)?.parse().ok()
     };
-    let column = cells("")?.iter().position(|cell| *cell == case.name())?;
-    let number = |name: &str| cells(name)?.get(column)?.parse().ok();
     Some((number(LONGEST)?, number(VALLEY)?))
 }

@@ -51,6 +51,15 @@ fn folder_of(target: &Path) -> &Path {
     target.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
+/// A line of a table in CSV (RFC 4180): what holds a comma or a quote stands between quotes.
+pub fn csv_line<C: AsRef<str>>(cells: impl IntoIterator<Item = C>) -> String {
+    let quoted = |cell: C| match cell.as_ref() {
+        text if text.contains([',', '"']) => format!("\"{}\"", text.replace('"', "\"\"")),
+        text => text.to_owned(),
+    };
+    cells.into_iter().map(quoted).collect::<Vec<_>>().join(",") + "\n"
+}
+
 /// Writes a whole document.
 pub fn write(path: &Path, bytes: &[u8], overwrite: Overwrite) -> Result<(), Failure> {
     match place(path, overwrite)? {

@@ -83,7 +83,7 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         rest: Vec<String>,
     },
-    /// Count the control interrupt's instructions, stage by stage, into docs/results/timing.md
+    /// Count the control interrupt's instructions, stage by stage, into the tables of docs/results/timing.md
     Timing,
     /// Wild input for everything that reads any, guided by coverage
     Fuzz(fuzz::Options),
@@ -103,17 +103,17 @@ enum Command {
     BuildTimes,
     /// Simulated hours of contact with telemetry: nothing lost, no drift, no growth
     Soak(soak::Options),
-    /// Measure ranges of stable walls on simulated boards and draw them, into docs/results.md (some minutes)
+    /// Measure ranges of stable walls on simulated boards and draw them, into docs/results (some minutes)
     Figures {
-        /// The cases to run; all, and the document, when none is named
+        /// The cases to run; all, and the files, when none is named
         cases: Vec<String>,
     },
-    /// Measure the range of stable walls on the emulated board, into docs/results.md (half an hour)
+    /// Measure the range of stable walls on the emulated board, into docs/results/range-chip.csv (half an hour)
     Range {
-        /// Instead print what it is with cables at the joints (docs/results/complete.md)
+        /// Instead what it is with cables at the joints, into docs/results/complete-chip.csv (half an hour)
         #[arg(value_parser = PossibleValuesParser::new(["cables"]))]
         part: Option<String>,
-        /// With cables: only this device
+        /// With cables: only this device, printed alone
         device: Option<String>,
         /// With cables: only at this control rate, Hz
         rate: Option<String>,
@@ -121,10 +121,10 @@ enum Command {
         #[arg(value_parser = PossibleValuesParser::new(["no-emf"]))]
         motors: Option<String>,
     },
-    /// Bring every fault about on the emulated board, into docs/results/faults.md (an hour)
+    /// Bring every fault about on the emulated board, into docs/results/faults.csv and broken.csv (an hour)
     Faults {
         /// Only these, by code or name, and only print what came of them; `list`: how each is brought about, or why it
-        /// cannot be; `lying`: the document's second part alone
+        /// cannot be; `lying`: broken.csv alone
         faults: Vec<String>,
     },
     /// The real firmware on an emulated board with a simulated device, to talk to

@@ -44,7 +44,7 @@ pub fn run(options: &Options) -> Result<()> {
         run_command(
             cargo()
                 .current_dir(root())
-                .args(["test", "--locked", "--release", "--package", "haptic", "--test", "soak"])
+                .args(["test", "--locked", "--release", "--package", "haptic", "--test", "deep", "--", "soak::"])
                 .env("HAPTIC_SOAK_SECONDS", format!("{:.0}", hours * 3600.0))
                 .env("HAPTIC_SOAK_REPORT", &figures),
         )?;

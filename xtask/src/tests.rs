@@ -7,7 +7,7 @@ use std::time::Instant;
 use anyhow::{Result, anyhow, ensure};
 
 use crate::toolchain::{Use, cargo, run, virtual_board};
-use crate::{bench, firmware, fuzz, library, no_panic, paths, playground, python, report, tools};
+use crate::{bench, firmware, fuzz, library, no_panic, paths, playground, python, tools};
 
 /// The tests of the tool, of C and of CHAI3D, as cargo is asked for them.
 const TOOL: [&str; 8] = ["--lib", "--bins", "--test", "quick", "--test", "c", "--test", "as_chai3d_does"];
@@ -177,7 +177,7 @@ pub fn play(arguments: &[String]) -> Result<()> {
 
 /// A program of the virtual board's that measures on the emulated chip and writes a document.
 pub fn measure(name: &str, arguments: &[String]) -> Result<()> {
-    run(program(name)?.args(arguments).env("HAPTIC_OCCASION", report::occasion()))
+    run(program(name)?.args(arguments))
 }
 
 /// A program of the virtual board's that runs the images of the boards, which this builds.

@@ -1,7 +1,8 @@
-//! Regenerates the impedance-range and map figures and their section of docs/results.md, by running the very command
-//! lines that the section lists: `cargo xtask figures`. It takes some minutes. With names of cases it runs these and
-//! prints their rows.
+//! Regenerates the impedance-range and map figures of docs/results.md and their tables, by running the very command
+//! lines that it writes into docs/results/ranges.sh: `cargo xtask figures`. It takes some minutes. With names of cases it
+//! runs these and prints their rows.
 
+use haptic::output::csv_line;
 use serde_json::Value;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -76,16 +77,6 @@ const CORNERS: [&str; 6] = ["0.5", "1", "2", "5", "10", "20"];
 /// Devices and normals of the maps.
 const MAPS: [(&str, &str); 2] = [("coupled-five-bar", "1,0"), ("phantom-premium-1.5", "1,1,0")];
 
-/// Where the generated section of docs/results.md begins and ends.
-const BEGIN: &str = "<!-- impedance range: begin, written by docs/figures/src/main.rs -->";
-const END: &str = "<!-- impedance range: end -->";
-
-/// Which line is whose.
-const ORDER: &str = "In the order of the tables: the cases, the washout at 0.5, 2 and 10 Hz, what the theory leaves out from \"nothing\" to the last row.";
-
-/// Why no test types the lines.
-const DURATION: &str = "a quarter of a minute to minutes each; `cargo xtask figures` runs them all";
-
 /// Processes that run at a time.
 const AT_A_TIME: usize = 2;
 
@@ -156,146 +147,98 @@ fn area(answer: &Value, mode: &str, key: &str) -> Result<f64, Error> {
 fn main() -> Result<(), Error> {
     let root = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
     let wanted: Vec<String> = std::env::args().skip(1).collect();
-    let mut section = String::from(HEADING);
     let theory = measured(&root, &THEORY, &wanted)?;
+    let mut cases = csv_line(["case", "deviation off (%)", "deviation full (%)", "area ratio predicted", "measured"]);
     for (case, answer) in &theory {
         let (off, full) = ("off", "full");
         let [cutoff, rate] = ["cutoff_hz", "rate_hz"].map(|key| answer[key].to_string());
         let ratio = |key| Ok::<f64, Error>(area(answer, full, key)? / area(answer, off, key)?);
-        let row = format!(
-            "| {} Hz, cutoff {} Hz ({}) | {:.2} % | {:.2} % | {:.3} | {:.3} |",
-            rate.trim_end_matches(".0"),
-            cutoff.trim_end_matches(".0"),
-            case.name,
-            100.0 * area(answer, off, "furthest")?,
-            100.0 * area(answer, full, "furthest")?,
-            ratio("theory")?,
-            ratio("measured")?
+        told(
+            &mut cases,
+            &[
+                format!("{} Hz, cutoff {} Hz", rate.trim_end_matches(".0"), cutoff.trim_end_matches(".0")),
+                format!("{:.2}", 100.0 * area(answer, off, "furthest")?),
+                format!("{:.2}", 100.0 * area(answer, full, "furthest")?),
+                format!("{:.3}", ratio("theory")?),
+                format!("{:.3}", ratio("measured")?),
+            ],
         );
-        println!("{row}");
-        section.push_str(&row);
-        section.push('\n');
     }
-    section.push_str(&pictures());
-    section.push_str(WASHOUT);
+    let washed = measured(&root, &WASHED, &wanted)?;
+    let mut washout =
+        csv_line(["corner (Hz)", "200 Hz", "1000 Hz", "10000 Hz", "20000 Hz", "50000 Hz", "1000 Hz measured"]);
     for corner in CORNERS {
-        if !wanted.is_empty() {
-            break;
-        }
-        let _ = write!(section, "| {corner} Hz |");
-        for (case, answer) in &theory {
+        let mut cells = vec![corner.to_owned()];
+        for (case, answer) in theory.iter().filter(|_| wanted.is_empty()) {
             let rate = case.rate.split(" --pull").next().unwrap_or_default();
             let (place, delay) = (WHERE.replace(" --port sim", ""), &answer["delay_samples"]);
             let line = format!("haptic range {place} {rate} --delay {delay} --undamped --washout {corner}");
             let range = asked(&root, &line)?;
-            let area = |mode: &str| range[mode]["area"].as_f64().ok_or("no area");
-            let kept = (area("washout")? - area("off")?) / (area("full")? - area("off")?);
-            let _ = write!(section, " {:.1} % |", 100.0 * kept);
+            cells.push(kept(|mode| Ok(range[mode]["area"].as_f64().ok_or("no area")?))?);
         }
-        section.push('\n');
+        let measured = washed.iter().find(|(case, _)| case.name == corner);
+        let measured = measured.map(|(_, answer)| kept(|mode| area(answer, mode, "measured"))).transpose()?;
+        cells.push(measured.unwrap_or_default());
+        told(&mut washout, &cells);
     }
-    section.push_str("\nMeasured at 1000 Hz and a cutoff of 20 Hz:\n\n| corner | kept |\n|---:|---:|\n");
-    for (case, answer) in measured(&root, &WASHED, &wanted)? {
-        let area = |mode| area(&answer, mode, "measured");
-        let kept = (area("washout")? - area("off")?) / (area("full")? - area("off")?);
-        let row = format!("| {} Hz | {:.1} % |", case.name, 100.0 * kept);
-        println!("{row}");
-        let _ = writeln!(section, "{row}");
-    }
-    section.push_str(WASHOUT_MEANS);
     let worlds = measured(&root, &WORLDS, &wanted)?;
+    let mut added = csv_line(["added", "area off", "area full", "full over off", "widest spread (%)"]);
     for (case, answer) in &worlds {
         let bare = &worlds[0].1;
         let share = |mode| Ok::<f64, Error>(area(answer, mode, "measured")? / area(bare, mode, "theory")?);
-        let row = match (share("off"), share("full")) {
-            (Ok(off), Ok(full)) => format!(
-                "| {} | {off:.3} | {full:.3} | {:.3} | {:.0} % |",
-                case.name,
-                area(answer, "full", "measured")? / area(answer, "off", "measured")?,
-                100.0 * area(answer, "off", "spread")?.max(area(answer, "full", "spread")?)
-            ),
-            (Err(why), _) | (_, Err(why)) => format!("| {} | {why} | | | |", case.name),
+        let cells = match (share("off"), share("full")) {
+            (Ok(off), Ok(full)) => [
+                format!("{off:.3}"),
+                format!("{full:.3}"),
+                format!("{:.3}", area(answer, "full", "measured")? / area(answer, "off", "measured")?),
+                format!("{:.0}", 100.0 * area(answer, "off", "spread")?.max(area(answer, "full", "spread")?)),
+            ],
+            (Err(why), _) | (_, Err(why)) => [why.to_string(), String::new(), String::new(), String::new()],
         };
-        println!("{row}");
-        let _ = writeln!(section, "{row}");
+        told(&mut added, &[&[case.name.to_owned()], &cells[..]].concat());
     }
-    section.push_str(WORLD_MEANS);
-    section.push_str(&lines());
     if wanted.is_empty() {
         for map in MAPS {
             asked(&root, &map_line(map))?;
         }
-        write_section(&root.join("docs/results.md"), &section)?;
+        let results = root.join("docs/results");
+        for (name, text) in [
+            ("range-cases.csv", cases),
+            ("range-washout.csv", washout),
+            ("range-added.csv", added),
+            ("ranges.sh", lines()),
+        ] {
+            std::fs::write(results.join(name), text)?;
+        }
     }
     Ok(())
 }
 
-const HEADING: &str = "The device is the shipped coupled-five-bar at q = (2.6, 1.75) rad, the wall along the normal of the \
-largest Wrr/Weff there.\nLines are the linear theory of the board's own delay and drive, dots are measured through the \
-protocol of a simulated board: the\nmedian of the repeats at 12 dampings, bars from the lowest to the highest. The command line \
-of every row is at the end of the section;\n`cargo xtask figures` runs them all.\n\nDeviation: the \
-largest distance of a measured median from the line, in percent of the line's highest point. Area ratio: with the\nfeed-forward \
-over without. (Wrr/Weff)² = 1.590 is what an undamped device gains.\n\nThese cases hold the theory to account: no friction, \
-no hand, torque at once, fine encoders.\n\n| case | deviation off | deviation full | area ratio predicted | measured \
-|\n|---|---|---|---|---|\n";
-
-const WASHOUT: &str = "\n### What a washout keeps\n\nThe share of the gained area, (washed out - off) / (full - off), that is \
-left when the feed-forward is high-passed so that a resting\nhand feels none of it, predicted by `haptic range --washout`.\n\n| \
-corner | 200 Hz, cutoff 20 Hz | 1000 Hz, cutoff 20 Hz | 10000 Hz, cutoff 200 Hz | 20000 Hz, cutoff 500 Hz | 50000 Hz, cutoff \
-1000 Hz |\n|---:|---:|---:|---:|---:|---:|\n";
-
-const WASHOUT_MEANS: &str = "\nAt 10 kHz and above 2 Hz keep nearly all of it. A slow loop reacts within the same times as a \
-hand, so a washout that a hand does not\nfeel takes the gain away: at 200 Hz or 1 kHz choose 0.5 Hz, or `feed_forward = \
-\"full\"`. Below zero the washed-out wall is stable in a\nsmaller area than one without feed-forward.\n\n### What the theory \
-leaves out\n\nThe same at 1000 Hz and a cutoff of 20 Hz, with one thing added at a time. Areas of the measured boundaries over \
-those of the theory\nof the first row, 6 dampings, medians of 2 repeats; the spread is the widest bar of a damping over its median. \
-None of this tests the\ntheory: it says what else there is.\n\n| added | area off | area full | full over off | widest spread \
-|\n|---|---:|---:|---:|---:|\n";
-
-const WORLD_MEANS: &str = "\nEncoder steps keep a wall near its boundary vibrating, which counts as not stable where it is \
-larger than six of them. The drive (2 ohm\nand 1 mH, 24 V, 120 ns of dead time) makes a current within a carrier period, a \
-twentieth of a sample. A torque limit bounds how far\nthe swings grow and not when they begin. Viscous friction adds its damping \
-to the wall's. Coulomb friction holds every swing that is\nsmall enough: what is measured is the stiffness from which a pull of \
-that length no longer comes to rest, which depends on the pull. A\nhand damps most of all. It loads the other directions as well, \
-so what the feed-forward removes is a smaller part of what acts there,\nand what it buys shrinks. A hand and encoder steps \
-together say little about the feed-forward: a hand leaves small vibrations near the\nboundary, and those of up to six steps count \
-as what the encoders do at rest. How many walls pass for stable then depends on how long\na step is, without feed-forward and with \
-it in different measure.\n\n![with what the theory leaves \
-out](results/range-1khz-world.svg)\n";
-
-fn pictures() -> String {
-    let mut text = String::new();
-    for (device, _) in MAPS {
-        let _ = write!(text, "\n![inertia over the workspace of {device}](results/map-{device}.png)\n");
-    }
-    for case in &THEORY {
-        let _ = write!(
-            text,
-            "\n![{}](results/{}.svg)\n",
-            case.rate.split(" --pull").next().unwrap_or_default().replace("--", ""),
-            case.name
-        );
-    }
-    text
+/// Adds a row to a table, and prints it.
+fn told(table: &mut String, cells: &[String]) {
+    let row = csv_line(cells);
+    print!("{row}");
+    table.push_str(&row);
 }
 
-/// Every command line of the section.
+/// The share of the gained area that a washout keeps, %.
+fn kept(area: impl Fn(&str) -> Result<f64, Error>) -> Result<String, Error> {
+    Ok(format!("{:.1}", 100.0 * (area("washout")? - area("off")?) / (area("full")? - area("off")?)))
+}
+
+/// Every command line.
 fn lines() -> String {
-    let mut text = format!("\n### The command lines\n\n{ORDER}\n\n```sh no-run: {DURATION}\n");
-    for case in THEORY.iter().chain(&WASHED).chain(&WORLDS) {
-        let _ = writeln!(text, "{}", line(case, &typed_file(case)));
+    let mut text = String::from(
+        "# The command line of every row of \"The impedance range\" in docs/results.md, and of the maps, as `cargo xtask\n\
+         # figures` writes and runs them: each takes a quarter of a minute to minutes.\n",
+    );
+    let groups: [(&str, &[Case]); 3] =
+        [("the cases", &THEORY), ("washouts, measured", &WASHED), ("what the theory leaves out", &WORLDS)];
+    for (what, cases) in groups {
+        let _ = writeln!(text, "\n# {what}");
+        cases.iter().for_each(|case| text += &(line(case, &typed_file(case)) + "\n"));
     }
-    for map in MAPS {
-        let _ = writeln!(text, "{}", map_line(map));
-    }
-    text.push_str("```\n");
+    text.push_str("\n# the maps\n");
+    MAPS.into_iter().for_each(|map| text += &(map_line(map) + "\n"));
     text
-}
-
-/// Replaces the section between the markers.
-fn write_section(path: &Path, section: &str) -> Result<(), Error> {
-    let old = std::fs::read_to_string(path)?;
-    let (from, to) = (old.find(BEGIN).ok_or("no section")?, old.find(END).ok_or("no end of the section")?);
-    std::fs::write(path, format!("{}{BEGIN}\n{section}{}", &old[..from], &old[to..]))?;
-    Ok(())
 }

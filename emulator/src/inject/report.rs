@@ -1,16 +1,9 @@
-//! What came of every fault, as docs/results/faults.md tells it.
+//! What came of every fault, as docs/results/faults.csv has it.
 
-use std::path::{Path, PathBuf};
-
+use haptic::output::csv_line;
 use haptic_bridge::safety::fault::Fault;
 
 use super::{Injection, Outcome, injection};
-
-/// Where the table is kept.
-#[must_use]
-pub fn document() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/results/faults.md")
-}
 
 /// How `fault` is brought about, or why it cannot be, in words.
 #[must_use]
@@ -21,8 +14,8 @@ pub fn how(fault: Fault) -> String {
     }
 }
 
-/// The row of docs/results/faults.md for `fault`. Values and periods that hang on how fast the image is, such as the
-/// instant at which a moving hand trips a limit, are left out.
+/// The row for `fault`. Values and periods that hang on how fast the image is, such as the instant at which a moving
+/// hand trips a limit, are left out.
 #[must_use]
 pub fn row(fault: Fault, outcome: Option<&Outcome>) -> String {
     let slow = matches!(injection(fault), Injection::Chip { within, .. } if within > 5);
@@ -45,22 +38,12 @@ pub fn row(fault: Fault, outcome: Option<&Outcome>) -> String {
             (cause, seen)
         }
     };
-    format!("| {} | {} | {how} | {cause} | {seen} | {} |", fault.code(), fault.name(), fault.remedy())
+    csv_line([&fault.code().to_string(), fault.name(), &how, cause, &seen])
 }
 
-/// The document for what came of every fault.
+/// The table of what came of every fault.
 #[must_use]
 pub fn table(outcomes: &[(Fault, Option<Outcome>)]) -> String {
-    let mut text = "# Faults brought about in the release images\n\n\
-        Written by `cargo xtask faults`: every fault of src/safety/fault.rs injected into an armed board on the emulated chip\n\
-        (emulator/src/inject.rs). Each was latched and listed, refused arming until it was cleared, and left the bridges\n\
-        floating with the enable line low. Periods from the cause count to bridges that float: `later` is where the cause has to\n\
-        last (a budget, a timeout, a moving hand). Periods from the last step before it was seen: at most 1 is the same period.\n\n\
-        | code | fault | injection | periods from the cause | periods from being seen | remedy |\n|--:|---|---|---|---|---|\n"
-        .to_owned();
-    for (fault, outcome) in outcomes {
-        text += &row(*fault, outcome.as_ref());
-        text.push('\n');
-    }
-    text
+    let head = csv_line(["code", "fault", "injection", "periods from the cause", "periods from being seen"]);
+    head + &outcomes.iter().map(|(fault, outcome)| row(*fault, outcome.as_ref())).collect::<String>()
 }

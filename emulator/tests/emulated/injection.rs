@@ -1,12 +1,13 @@
 //! Every fault, brought about in the release image: latched, listed, bridges off within a control period of being seen,
-//! cleared only when asked for. docs/results/faults.md holds what came of each.
+//! cleared only when asked for. docs/results/faults.csv holds what came of each.
 
 use haptic_bridge::safety::fault::Fault;
-use virtual_board::inject::{document, provoke, row};
+use virtual_board::inject::{provoke, row};
+use virtual_board::results;
 
 /// Every fourth fault, from the `first` of them on: four tests run side by side.
 fn every_fourth(first: usize) {
-    let text = std::fs::read_to_string(document()).expect("docs/results/faults.md is there");
+    let text = std::fs::read_to_string(results("faults")).expect("docs/results/faults.csv is there");
     for fault in Fault::ALL.iter().skip(first).step_by(4) {
         let outcome = provoke(*fault);
         println!("{}: {outcome:?}", fault.name());

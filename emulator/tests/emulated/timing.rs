@@ -1,15 +1,16 @@
-//! The control interrupt under the clock: docs/results/timing.md holds what it takes, and it takes no more.
+//! The control interrupt under the clock: docs/results/timing.csv holds what it takes, and it takes no more.
 
 use virtual_board::cases::CASES;
+use virtual_board::results;
 use virtual_board::stages::STAGES;
-use virtual_board::timing::{document, recorded};
+use virtual_board::timing::recorded;
 
 /// How much longer than recorded a period may get before someone has to look at it and run `cargo xtask timing`.
 const GROWTH: f64 = 1.03;
 
 fn takes_what_is_recorded(nth: usize) {
     let case = CASES[nth];
-    let text = std::fs::read_to_string(document()).expect("docs/results/timing.md is there");
+    let text = std::fs::read_to_string(results("timing")).expect("docs/results/timing.csv is there");
     let (longest, valley) = recorded(&text, &case).expect("the case is in the table");
     let timing = case.measure();
     println!("{}: {timing:?}", case.name());

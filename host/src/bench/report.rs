@@ -1,4 +1,4 @@
-//! Every variant of every mechanism with its cost and its error; the page and the picture made of them.
+//! Every variant of every mechanism with its cost and its error; the tables and the picture made of them.
 
 use crate::bench::counts;
 use crate::bench::error::{
@@ -8,6 +8,7 @@ use crate::bench::precompute::{Precomputed, frozen, most_points, range, table};
 use crate::bench::probe::{HAND_SPEED, Probe, workspace};
 use crate::device_file::DeviceFile;
 use crate::error::Failure;
+use crate::output::csv_line;
 use crate::plot::Picture;
 use crate::plot::axes::{Axis, Mark, PlotArea};
 use crate::plot::canvas::{Anchor, Canvas, Stroke};
@@ -21,7 +22,6 @@ use haptic_bridge::render::velocity::Estimator;
 use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::with_mechanism;
 use serde::Serialize;
-use std::fmt::Write;
 use std::hint::black_box;
 use std::time::Instant;
 
@@ -184,88 +184,67 @@ fn time<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
     (0..5).map(|_| run()).fold(f64::INFINITY, f64::min)
 }
 
-/// The page: one table per mechanism, of the variants on the chip.
-pub fn page(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, Failure> {
-    let mut text = String::from(
-        "# Speed against error\n\n\
-         Made by `cargo xtask bench`; do not edit. What each way of computing the control step costs on the chip, and what error\n\
-         it leaves in the rendered torque.\n\n\
-         - **Cost**: executed instructions of one whole `Controller::step` on the Cortex-M4F (slowest of six poses in contact with\n\
-         \x20 one wall): counts to angles, joint and wall filters, kinematics, contact, feed-forward, gravity where the device has\n\
-         \x20 weight. Counted on the emulated chip, the same on every run; benches/counts.json holds the figures and CI fails when\n\
-         \x20 one grows by more than 5 %.\n\
-         - **Error**: against the law that renders the wall's force whatever moves (docs/model.md section 2) in f64, over the reachable\n\
-         \x20 workspace, normals in every direction, the hand moving at 0.5 m/s, wherever the device's own motors can make that motion, with\n\
-         \x20 the largest force that they give beside it. In newtons at the tip, the largest of all situations, each cause by itself: *terms left\n\
-         \x20 out* (computed exactly; also what it is below *in 90 %* of the situations), the *mass matrix* instead of the closed form, *rounding* in f32 with\n\
-         \x20 the trigonometry's error, and what these do to the *tip*'s position times a wall of 20 kN/m.\n\
-         - **Fade**: what the velocity terms lack near singular poses counts as left out, as estimates of velocities lag (docs/model.md\n\
-         \x20 section 2): here as a scene has them that says nothing, 20 kHz and a cutoff of 500 Hz. A slower rate or cutoff leaves\n\
-         \x20 more. Where they are off, a variant with them is one without. What they lack because single encoder counts are no motion\n\
-         \x20 counts as left out, too.\n\
-         - **Area**: the stable area of stiffness and damping that is left of that with the exact feed-forward, at the worst situation.\n\
-         - **Duty**: all of the torque's error in steps of the duty (4200 at 20 kHz, 24 V bus, the device's own motors): below one is free.\n\
-         - **F** marks the Pareto front of each mechanism: nothing there is both cheaper and nearer to the force that\n\
-         \x20 should be felt, the tip's part included and beside the fade, which no variant changes.\n\n\
-         `table` is what the firmware runs. ![Instructions over error](speed-against-error.svg)\n",
-    );
+/// Every variant on the chip, mechanism by mechanism, the cheapest first: docs/results/speed-against-error.csv.
+pub fn by_variant(every: &[(Device<f64>, Vec<Variant>)]) -> String {
+    let mut text = csv_line([
+        "mechanism",
+        "device",
+        "trigonometry",
+        "mass matrix",
+        "terms",
+        "instructions",
+        "terms left out (N)",
+        "left out in 90 % (N)",
+        "mass matrix (N)",
+        "rounding (N)",
+        "tip (N)",
+        "area (%)",
+        "duty (steps)",
+        "front",
+    ]);
     for (device, variants) in every {
-        let _ = writeln!(text, "\n## {} ({})\n", device.mechanism.kind().spec().name, device.name);
-        let probes = probes(device);
-        let (step, [faded, off]) = (encoder_step(device, &probes), law(device)?.fading(device, &probes));
-        let _ = writeln!(
-            text,
-            "One encoder step moves the tip by up to {:.1} µm: {:.1e} N at 20 kN/m. The velocity terms fade in {:.1} % of the \
-             situations, and in {:.1} % they are off.\n",
-            1.0e6 * step,
-            STIFFNESS * step,
-            100.0 * faded,
-            100.0 * off
-        );
-        let _ = writeln!(
-            text,
-            "| trigonometry | mass matrix | terms | instructions | terms left out, N | in 90 %, N | mass matrix, N | rounding, N | tip, N | area, % | \
-             duty steps | |"
-        );
-        let _ = writeln!(text, "|---|---|---|---:|---:|---:|---:|---:|---:|---:|---:|---|");
         let mut rows: Vec<&Variant> = variants.iter().filter(|variant| variant.target == "cortex-m4f").collect();
         rows.sort_by_key(|variant| variant.instructions);
         for variant in rows {
-            let mut parts = variant.name.split('/').skip(1);
-            let mut part = || parts.next().unwrap_or_default();
-            let (trigonometry, model, terms) = (part(), part(), part());
-            let count = variant.instructions.map_or("-".into(), |count| count.to_string());
-            let Parts { dropped, dropped_mostly, model: matrix, rounding, tip, area } = variant.parts;
-            let _ = writeln!(
-                text,
-                "| {trigonometry} | {model} | {terms} | {count} | {dropped:.1e} | {dropped_mostly:.1e} | {matrix:.1e} | {rounding:.1e} | {tip:.1e} | {:.1} | {} | {} |",
-                100.0 * area,
-                steps(variant.errors.duty.max),
-                if variant.pareto { "F" } else { "" }
-            );
+            let mut cells = vec![variant.mechanism.to_owned(), device.name.to_string()];
+            cells.extend(variant.name.split('/').skip(1).map(String::from));
+            cells.push(count(variant.instructions));
+            let Parts { dropped, dropped_mostly, model, rounding, tip, area } = variant.parts;
+            cells.extend([dropped, dropped_mostly, model, rounding, tip].map(|newtons| format!("{newtons:.1e}")));
+            let front = if variant.pareto { "F" } else { "" };
+            cells.extend([format!("{:.1}", 100.0 * area), steps(variant.errors.duty.max), front.into()]);
+            text += &csv_line(cells);
         }
     }
-    text += &estimators(every);
+    text
+}
+
+/// What holds of a mechanism whatever the variant: how far one encoder step moves the tip, in how many situations the
+/// velocity terms fade and are off, and the instructions of the step with a wall and its feed-forward by velocity
+/// estimator, windows at their longest: docs/results/speed-by-mechanism.csv.
+pub fn by_mechanism(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, Failure> {
+    let head = ["mechanism", "device", "encoder step (µm)", "encoder step (N)", "terms fade (%)", "terms off (%)"];
+    let mut text = csv_line(head.into_iter().chain(Estimator::ALL.into_iter().map(|(name, _)| *name)));
+    for (device, _) in every {
+        let (probes, spec) = (probes(device), device.mechanism.kind().spec());
+        let (step, [faded, off]) = (encoder_step(device, &probes), law(device)?.fading(device, &probes));
+        let mut cells = vec![
+            spec.name.to_owned(),
+            device.name.to_string(),
+            format!("{:.1}", 1.0e6 * step),
+            format!("{:.1e}", STIFFNESS * step),
+        ];
+        cells.extend([faded, off].map(|share| format!("{:.1}", 100.0 * share)));
+        cells.extend(Estimator::ALL.into_iter().map(|(estimator, _)| {
+            count(counts::instructions(spec.name, BoardMath::NAME, "exact", &format!("feed-forward, {estimator}")))
+        }));
+        text += &csv_line(cells);
+    }
     Ok(text)
 }
 
-/// What the estimators of a wall's velocity cost.
-fn estimators(every: &[(Device<f64>, Vec<Variant>)]) -> String {
-    let mut text = String::from(
-        "\n## Velocity estimators\n\n\
-         Instructions of the step with a wall and its feed-forward (docs/model.md section 3); windows at their longest.\n\n| estimator |",
-    );
-    let mechanisms: Vec<&str> = every.iter().map(|(device, _)| device.mechanism.kind().spec().name).collect();
-    let _ = writeln!(text, " {} |\n|---|{}", mechanisms.join(" | "), "---:|".repeat(mechanisms.len()));
-    for (estimator, _) in Estimator::ALL {
-        let count = |mechanism: &&str| {
-            counts::instructions(mechanism, BoardMath::NAME, "exact", &format!("feed-forward, {estimator}"))
-                .map_or("-".into(), |count| count.to_string())
-        };
-        let cells: Vec<String> = mechanisms.iter().map(count).collect();
-        let _ = writeln!(text, "| {estimator} | {} |", cells.join(" | "));
-    }
-    text
+fn count(instructions: Option<u32>) -> String {
+    instructions.map_or("-".into(), |count| count.to_string())
 }
 
 fn steps(value: f64) -> String {

@@ -3,7 +3,7 @@
 use super::answer::Json;
 use super::force::Force;
 use haptic::bench::error::Parts;
-use haptic::bench::report::{Variant, devices, page, picture, variants};
+use haptic::bench::report::{Variant, by_mechanism, by_variant, devices, picture, variants};
 use haptic::device_file::DeviceFile;
 use haptic::digits::print_json;
 use haptic::error::{Failure, print};
@@ -19,7 +19,7 @@ use std::path::PathBuf;
 pub struct Args {
     /// Device files (TOML) instead of one shipped device per mechanism
     device: Vec<PathBuf>,
-    /// Write the page and the picture into this directory instead
+    /// Write the tables (CSV) and the picture into this directory instead
     #[arg(long, value_name = "DIRECTORY")]
     report: Option<PathBuf>,
     #[command(flatten)]
@@ -43,10 +43,8 @@ front: nothing of the same mechanism is both cheaper and nearer to the force tha
 
 /// Computes and prints, or writes the report.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let files = args
-        .report
-        .as_ref()
-        .map(|folder| [folder.join("speed-against-error.md"), folder.join("speed-against-error.svg")]);
+    let names = ["speed-by-mechanism.csv", "speed-against-error.csv", "speed-against-error.svg"];
+    let files = args.report.as_ref().map(|folder| names.map(|name| folder.join(name)));
     args.force.check(files.iter().flatten())?;
     let devices = match args.device.as_slice() {
         [] => devices()?,
@@ -60,11 +58,15 @@ pub fn run(args: Args) -> Result<(), Failure> {
         .into_iter()
         .map(|device| variants(&device, timed).map(|variants| (device, variants)))
         .collect::<Result<Vec<_>, Failure>>()?;
-    if let (Some(folder), Some([text, drawing])) = (&args.report, &files) {
+    if let (Some(folder), Some([table, variants, drawing])) = (&args.report, &files) {
         std::fs::create_dir_all(folder).map_err(|error| output::refused(folder, &error))?;
-        let (page, picture) = (page(&every)?, picture(&every));
-        let both = [(drawing.as_path(), picture.svg().as_bytes()), (text.as_path(), page.as_bytes())];
-        return output::write_together(&both, args.force.overwrite());
+        let (mechanisms, each, picture) = (by_mechanism(&every)?, by_variant(&every), picture(&every));
+        let all = [
+            (table.as_path(), mechanisms.as_bytes()),
+            (variants.as_path(), each.as_bytes()),
+            (drawing.as_path(), picture.svg().as_bytes()),
+        ];
+        return output::write_together(&all, args.force.overwrite());
     }
     if args.json.asked() {
         let variants: Vec<&Variant> = every.iter().flat_map(|(_, variants)| variants).collect();

@@ -1,9 +1,10 @@
-//! What a board believes of files, wires and sensors that are wrong: docs/results/lies.md.
+//! What a board believes of files, wires and sensors that are wrong: docs/results/lies.csv.
 
 use crate::common::forces::too_hard;
 use crate::common::lies::{LIES, Lie, Outcome, When, outcome};
 use crate::common::{root, shipped};
 use haptic::device_file::DeviceFile;
+use haptic::output::csv_line;
 
 const DEVICES: [&str; 4] = ["coupled-five-bar", "hapkit-paddle", "pantograph-mk2", "woodenhaptics"];
 
@@ -19,27 +20,25 @@ fn cell(file: &DeviceFile, lie: &Lie) -> String {
             format!("{:.2} ms: {}; {:.1} N, {:.1} rad/s", after * 1e3, record.fault.name(), harm.push, harm.speed)
         }
         Outcome::Seen(record, after, _) => format!("{:.2} ms: {}", after * 1e3, record.fault.name()),
-        Outcome::Missed(harm) => format!("**no**: {:.1} N, {:.1} A, {:.1} rad/s", harm.push, harm.current, harm.speed),
+        Outcome::Missed(harm) => format!("no: {:.1} N, {:.1} A, {:.1} rad/s", harm.push, harm.current, harm.speed),
     }
 }
 
 /// `UPDATE_DOCS=1 cargo xtask test --deep lies` writes it anew.
 #[test]
 fn the_table_of_lies_is_what_comes_of_them() {
-    let mut table = format!("| what is wrong | {} |\n|---|{}\n", DEVICES.join(" | "), "---|".repeat(DEVICES.len()));
+    let row = |what: &str, cells: [String; DEVICES.len()]| csv_line(std::iter::once(what.into()).chain(cells));
+    let mut made = row("what is wrong", DEVICES.map(String::from));
     let nothing = Lie { what: "nothing", when: When::Always(|_, _| ()) };
     for lie in std::iter::once(&nothing).chain(&LIES) {
-        let cells = DEVICES.map(|name| cell(&shipped(name), lie));
-        table += &format!("| {} | {} |\n", lie.what, cells.join(" | "));
+        made += &row(lie.what, DEVICES.map(|name| cell(&shipped(name), lie)));
     }
-    let path = root().join("docs/results/lies.md");
-    let text = std::fs::read_to_string(&path).expect("docs/results/lies.md is there");
-    let head = text.split_once("\n| ").expect("the table's begin").0;
-    let made = format!("{head}\n{table}");
+    let path = root().join("docs/results/lies.csv");
     if std::env::var_os("UPDATE_DOCS").is_some() {
-        std::fs::write(&path, made).expect("docs/results/lies.md can be written");
+        std::fs::write(&path, made).expect("docs/results/lies.csv can be written");
     } else {
-        assert_eq!(text, made, "run UPDATE_DOCS=1 cargo xtask test --deep lies");
+        let kept = std::fs::read_to_string(&path).expect("docs/results/lies.csv is there");
+        assert_eq!(kept, made, "run UPDATE_DOCS=1 cargo xtask test --deep lies");
     }
 }
 

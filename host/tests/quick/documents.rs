@@ -3,7 +3,7 @@
 #![cfg(unix)]
 
 use crate::common::documents::blocks::{Block, Kind, blocks, documents, root};
-use crate::common::documents::{all, session};
+use crate::common::documents::{all, session, tables};
 use crate::common::sim::HANG;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -31,7 +31,8 @@ fn the_files_that_they_show_are_sound() {
 fn published_command_lines_work_where_their_pictures_are() {
     let (mut wrong, mut seen) = (Vec::new(), BTreeSet::new());
     let lines = blocks(&root().join("docs/results.md")).unwrap().into_iter().flat_map(|block| block.commands());
-    for line in lines {
+    let kept = fs::read_to_string(root().join("docs/results/ranges.sh")).unwrap();
+    for line in lines.chain(kept.lines().map(String::from)) {
         let after = |option: &str| line.split_once(option).and_then(|(_, rest)| rest.split_whitespace().next());
         let picture = ["--svg ", "--png "].into_iter().find_map(after);
         if picture.is_some_and(|path| root().join(path).exists()) && !line.contains("--force") {
@@ -48,24 +49,80 @@ fn published_command_lines_work_where_their_pictures_are() {
 /// What docs/safety.md says in words of how soon broken sensors are seen holds for what was measured.
 #[test]
 fn the_times_of_the_motor_model_are_those_measured() {
-    let read = |name: &str| fs::read_to_string(root().join("docs").join(name)).unwrap();
     let said = "at most 0.5 ms ([measured](results/faults.md)); sensors frozen while a hand moves at most 15, 11, 7 ms";
-    assert!(read("safety.md").contains(said));
+    assert!(fs::read_to_string(root().join("docs/safety.md")).unwrap().contains(said));
     let (mut frozen, mut soon) = (Vec::new(), 0);
-    for line in read("results/faults.md").lines() {
-        let cells: Vec<&str> = line.split('|').map(str::trim).collect();
-        let [_, broken, _, seen, after, ..] = cells[..] else { continue };
+    for row in tables::csv("docs/results/broken.csv") {
+        let [broken, _, seen, after, ..] = row.as_slice() else { panic!("{row:?}") };
         let Ok(after) = after.parse::<f64>() else { continue };
         if broken == "current sensors frozen, hand moves" {
             frozen.push(after);
         } else if seen.contains("MotorModel") && !broken.contains("frozen") {
-            assert!(after <= 0.5, "{line}");
+            assert!(after <= 0.5, "{row:?}");
             soon += 1;
         }
     }
     assert!(soon >= 15, "{soon}");
     assert_eq!(frozen.len(), 3, "{frozen:?}");
     assert!(frozen.iter().zip([15.0, 11.0, 7.0]).all(|(found, said)| *found <= said), "{frozen:?}");
+}
+
+/// The documents and what they say: a file, or a heading of one.
+#[test]
+fn links_lead_somewhere() {
+    let pages = ["CONTRIBUTING.md", "CHANGELOG.md", "python/README.md"].map(|name| root().join(name));
+    let (mut wrong, mut seen) = (Vec::new(), 0);
+    for page in documents().into_iter().chain(pages) {
+        let text = fs::read_to_string(&page).unwrap();
+        for link in tables::links(&text) {
+            seen += 1;
+            let (file, heading) = link.split_once('#').unwrap_or((link, ""));
+            let to = if file.is_empty() { page.clone() } else { page.parent().unwrap().join(file) };
+            let slug = |line: &str| -> String {
+                let kept = |c: char| c.is_alphanumeric() || "-_ ".contains(c);
+                line.to_lowercase().chars().filter(|c| kept(*c)).collect::<String>().trim().replace(' ', "-")
+            };
+            let found = match heading {
+                "" => to.exists(),
+                _ => fs::read_to_string(&to)
+                    .is_ok_and(|text| text.lines().any(|line| line.starts_with('#') && slug(line) == heading)),
+            };
+            if !found {
+                wrong.push(format!("{}: {link}", page.display()));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(seen > 100, "{seen}");
+}
+
+/// A document that shows rows of a CSV file that it links to shows them as they are: a table whose columns are all some of
+/// the file's is made of its rows.
+#[test]
+fn rows_that_are_shown_of_a_file_stand_in_it() {
+    let (mut wrong, mut seen) = (Vec::new(), 0);
+    for page in documents() {
+        let text = fs::read_to_string(&page).unwrap();
+        let files = tables::links(&text).filter(|link| link.ends_with(".csv"));
+        let files: Vec<tables::Table> = files.map(|link| tables::csv(page.parent().unwrap().join(link))).collect();
+        for shown in tables::shown(&text) {
+            let columns = |file: &tables::Table| -> Option<Vec<usize>> {
+                shown[0].iter().map(|name| file[0].iter().position(|other| other == name)).collect()
+            };
+            let files: Vec<_> = files.iter().filter_map(|file| Some((&file[1..], columns(file)?))).collect();
+            for row in shown[1..].iter().filter(|_| !files.is_empty()) {
+                seen += 1;
+                let stands_in = |(rows, columns): &(&[Vec<String>], Vec<usize>)| {
+                    rows.iter().any(|kept| columns.iter().map(|at| &kept[*at]).eq(row))
+                };
+                if !files.iter().any(stands_in) {
+                    wrong.push(format!("{}: {row:?}", page.display()));
+                }
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "no row of the file:\n{}", wrong.join("\n"));
+    assert!(seen > 40, "{seen}");
 }
 
 /// Words between backticks that begin with `haptic` or `cargo xtask` name commands and options that there are.

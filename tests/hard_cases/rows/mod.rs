@@ -1,7 +1,7 @@
-//! The rows that are asserted in bounds.rs and shown in docs/hard-cases.md. What a device gives in f32 with the
+//! The rows that are asserted in bounds.rs and kept in docs/hard-cases/. What a device gives in f32 with the
 //! coefficients that a board is sent, and in f64, is compared with the reference: the library's own code in the numbers
 //! of whoever includes this.
-#![allow(dead_code, reason = "only the page shows all of them")]
+#![allow(dead_code, reason = "only the tables have all of them")]
 
 use super::{Exact, ExactMath, shipped};
 use std::sync::LazyLock;

@@ -1,16 +1,16 @@
-//! `faults`: brings every fault about on the emulated chip and writes docs/results/faults.md, then what lying sensors
-//! and broken motors do at three control rates into its second part. `faults lying` does the second alone,
+//! `faults`: brings every fault about on the emulated chip and writes docs/results/faults.csv, then what lying sensors
+//! and broken motors do at three control rates into broken.csv beside it. `faults lying` does the second alone,
 //! `faults FAULT …` brings the faults of those codes or names about and only prints what came of them, `faults list`
 //! says how each is brought about, or why it cannot be. `cargo xtask faults` calls it.
 //!
-//! Exit code 1: the document could not be read or written. Exit code 2: there is no such fault.
+//! Exit code 1: a table could not be written. Exit code 2: there is no such fault.
 
 use std::io;
 use std::process::ExitCode;
 
 use haptic_bridge::safety::fault::Fault;
-use virtual_board::campaign::{self, HEADING};
-use virtual_board::inject::{document, how, provoke, table};
+use virtual_board::inject::{how, provoke, table};
+use virtual_board::{campaign, results};
 
 fn main() -> ExitCode {
     let named: Vec<String> = std::env::args().skip(1).collect();
@@ -42,17 +42,10 @@ fn main() -> ExitCode {
     match run(lying_alone) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("faults: {}: {error}", document().display());
+            eprintln!("faults: a table cannot be written: {error}");
             ExitCode::from(1)
         }
     }
-}
-
-/// The document's two parts, the second from its heading on.
-fn parts() -> io::Result<(String, String)> {
-    let text = std::fs::read_to_string(document())?;
-    let at = text.find(HEADING).unwrap_or(text.len());
-    Ok((text[..at].to_owned(), text[at..].to_owned()))
 }
 
 fn run(lying_alone: bool) -> io::Result<()> {
@@ -65,8 +58,7 @@ fn run(lying_alone: bool) -> io::Result<()> {
                 (*fault, outcome)
             })
             .collect();
-        std::fs::write(document(), table(&outcomes) + &parts()?.1)?;
+        std::fs::write(results("faults"), table(&outcomes))?;
     }
-    let lying = campaign::table();
-    std::fs::write(document(), parts()?.0 + &lying)
+    std::fs::write(results("broken"), campaign::table())
 }

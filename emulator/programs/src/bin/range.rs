@@ -1,22 +1,22 @@
 //! `range`: measures the whole range of stable walls on the emulated chip, without and with the feed-forward, and
-//! writes its section of docs/results.md and its pictures. `cargo xtask range` calls it; it takes some ten minutes.
-//! `range cables [DEVICE [RATE [no-emf]]]` prints the rows of docs/results/complete.md instead, of every device at
-//! every rate or of those named, with the motors' back-EMF or without.
+//! writes docs/results/range-chip.csv and its pictures. `cargo xtask range` calls it; it takes some ten minutes.
+//! `range cables` writes docs/results/complete-chip.csv; `range cables DEVICE [RATE [no-emf]]` prints the rows of that
+//! device alone, at every rate or at this one, with the motors' back-EMF or without.
 //!
 //! Exit code 1: it could not be measured or written.
 
-use std::path::Path;
 use std::process::ExitCode;
 
 use haptic::measure::progress::Progress;
+use haptic::output::csv_line;
 use haptic_bridge::render::scene::FeedForward;
 use virtual_board::range::{
-    CABLE_HEAD, CABLE_RATES, CABLED, POINTS, RATES, REPEATS, Rate, introduction, section, whole, with_cables,
+    CABLE_HEAD, CABLE_RATES, CABLED, HEAD, POINTS, RATES, REPEATS, Rate, section, whole, with_cables,
 };
+use virtual_board::results;
 
-/// Where the section begins and ends.
-const BEGIN: &str = "<!-- range on the chip: begin, written by cargo xtask range -->\n";
-const END: &str = "<!-- range on the chip: end -->";
+/// What the table of cables has without back-EMF, too.
+const WITHOUT_EMF: (&str, u32) = ("woodenhaptics", 20_000);
 
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -30,26 +30,20 @@ fn main() -> ExitCode {
 }
 
 fn run() -> Result<(), Box<dyn std::error::Error>> {
-    let occasion = std::env::var("HAPTIC_OCCASION").unwrap_or_else(|_| "Undated".to_owned());
-    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs");
-    let mut text = introduction(&occasion);
+    let mut table = csv_line(HEAD);
     for rate in RATES {
         let (progress, delay) = measured(rate)?;
-        let (part, picture) = section(rate, &progress, delay);
-        let name = format!("range-chip-{}hz.svg", rate.rate_hz);
-        picture.save_svg(&docs.join("results").join(&name))?;
-        text += &format!("{part}\n![measured on the emulated chip at {} Hz](results/{name})\n", rate.rate_hz);
+        let (rows, told, picture) = section(rate, &progress, delay);
+        picture.save_svg(&results("range-chip").with_file_name(format!("range-chip-{}hz.svg", rate.rate_hz)))?;
+        table += &rows;
+        println!("{told}");
     }
-    let results = docs.join("results.md");
-    let old = std::fs::read_to_string(&results)?;
-    let (before, rest) = old.split_once(BEGIN).ok_or("docs/results.md lacks the mark where the section begins")?;
-    let (_, after) = rest.split_once(END).ok_or("docs/results.md lacks the mark where the section ends")?;
-    std::fs::write(&results, format!("{before}{BEGIN}{text}{END}{after}"))?;
-    println!("{text}");
+    std::fs::write(results("range-chip"), table)?;
     Ok(())
 }
 
-/// Prints what is measured with cables at the joints, row by row; `only` a device, at a rate, without back-EMF.
+/// Prints what is measured with cables at the joints, row by row, and keeps it; or prints it of `only` a device, at a
+/// rate, without back-EMF.
 fn cables(only: &[String]) -> Result<(), Box<dyn std::error::Error>> {
     let asked = |nth: usize, name: &str| only.get(nth).is_none_or(|wanted| wanted == name);
     let devices: Vec<_> = CABLED.into_iter().filter(|(name, _)| asked(0, name)).collect();
@@ -60,16 +54,27 @@ fn cables(only: &[String]) -> Result<(), Box<dyn std::error::Error>> {
         return Err(format!("the devices are {names}, the rates {rates} Hz").into());
     }
     let back_emf = only.get(2).is_none_or(|word| word != "no-emf");
-    let mut failed = Vec::new();
-    println!("{CABLE_HEAD}");
-    for rate in rates {
-        for &device in &devices {
-            // What one device faults with leaves the others to be measured.
-            if let Err(error) = with_cables(device, rate, back_emf, |row| println!("{row}")) {
-                let (name, board) = device;
-                failed.push(format!("{name} on {} at {} Hz: {error}", board.name(), rate.rate_hz));
-            }
+    let mut runs: Vec<_> =
+        rates.iter().flat_map(|rate| devices.iter().map(|device| (*device, *rate, back_emf))).collect();
+    if only.is_empty() {
+        let again = runs.iter().filter(|((name, _), rate, _)| (*name, rate.rate_hz) == WITHOUT_EMF);
+        runs.extend(again.map(|(device, rate, _)| (*device, *rate, false)).collect::<Vec<_>>());
+    }
+    let (mut failed, mut table) = (Vec::new(), csv_line(CABLE_HEAD));
+    print!("{table}");
+    for (device, rate, back_emf) in runs {
+        let told = |row: &str| {
+            print!("{row}");
+            table += row;
+        };
+        // What one device faults with leaves the others to be measured.
+        if let Err(error) = with_cables(device, rate, back_emf, told) {
+            let (name, board) = device;
+            failed.push(format!("{name} on {} at {} Hz: {error}", board.name(), rate.rate_hz));
         }
+    }
+    if only.is_empty() {
+        std::fs::write(results("complete-chip"), table)?;
     }
     if failed.is_empty() { Ok(()) } else { Err(failed.join("\n").into()) }
 }

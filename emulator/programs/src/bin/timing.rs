@@ -1,12 +1,13 @@
-//! `timing`: measures the control interrupt of both boards and writes docs/results/timing.md. `cargo xtask timing`
-//! calls it.
+//! `timing`: measures the control interrupt of both boards and writes the tables of
+//! docs/results/timing.md. `cargo xtask timing` calls it.
 //!
-//! Exit code 1: the table could not be written.
+//! Exit code 1: a table could not be written.
 
 use std::process::ExitCode;
 
 use virtual_board::cases::{CASES, Case, SCENES};
-use virtual_board::timing::{Timing, document, rates, replacements, scenes, table};
+use virtual_board::results;
+use virtual_board::timing::{Timing, rates, replacements, scenes, table};
 
 fn main() -> ExitCode {
     let measured = |cases: &[Case]| -> Vec<Timing> {
@@ -17,14 +18,15 @@ fn main() -> ExitCode {
         });
         measured.collect()
     };
-    let (stages, others) = (table(&measured(&CASES)), scenes(&measured(&SCENES)));
+    let mut tables = vec![("timing", table(&measured(&CASES))), ("timing-scenes", scenes(&measured(&SCENES)))];
     // An attempt at too high a rate ends in a panic on its own thread, which is the answer.
     std::panic::set_hook(Box::new(|_| ()));
-    match std::fs::write(document(), stages + &others + &replacements() + &rates()) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("timing: {}: {error}", document().display());
-            ExitCode::from(1)
+    tables.extend([("timing-new-scenes", replacements()), ("timing-rates", rates())]);
+    for (name, table) in tables {
+        if let Err(error) = std::fs::write(results(name), table) {
+            eprintln!("timing: {}: {error}", results(name).display());
+            return ExitCode::from(1);
         }
     }
+    ExitCode::SUCCESS
 }

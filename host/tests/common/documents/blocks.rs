@@ -62,10 +62,10 @@ impl Block {
     }
 }
 
-/// README.md and everything in docs/ that a person writes.
+/// README.md and everything in docs/ and docs/results/.
 pub fn documents() -> Vec<PathBuf> {
-    let mut paths: Vec<PathBuf> =
-        fs::read_dir(root().join("docs")).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let folders = ["docs", "docs/results"].map(|folder| fs::read_dir(root().join(folder)).unwrap());
+    let mut paths: Vec<PathBuf> = folders.into_iter().flatten().map(|entry| entry.unwrap().path()).collect();
     paths.retain(|path| path.extension().is_some_and(|end| end == "md"));
     paths.push(root().join("README.md"));
     paths.sort();
@@ -75,7 +75,7 @@ pub fn documents() -> Vec<PathBuf> {
 /// Its blocks. What is wrong with the document is the error: a block without a word on running it, or a command outside
 /// of any block.
 pub fn blocks(path: &Path) -> Result<Vec<Block>, String> {
-    let name = path.file_name().unwrap().to_string_lossy().into_owned();
+    let name = path.strip_prefix(root()).unwrap_or(path).display().to_string();
     parse(&name, &fs::read_to_string(path).unwrap())
 }
 

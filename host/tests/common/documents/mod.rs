@@ -10,6 +10,7 @@
 
 pub mod blocks;
 pub mod session;
+pub mod tables;
 
 use blocks::{Block, Kind, blocks, documents};
 

@@ -1,18 +1,19 @@
 //! Where numbers are hard to keep: f32 against f64 and both against 106 bits.
 //!
 //! The rows are computed once and asserted here and in tests/hard_cases/bounds.rs, which `cargo test` holds to f64 alone;
-//! docs/hard-cases.md shows them.
+//! the tables in docs/hard-cases/ hold them.
 
 #[path = "../../../../tests/hard_cases/bounds.rs"]
 mod bounds;
 mod double_double;
-mod page;
 #[macro_use]
 #[path = "../../../../tests/hard_cases/rows/mod.rs"]
 mod rows;
 mod saturated;
 mod sliding;
+mod tables;
 
+use crate::common::root;
 use bounds::serial;
 use double_double::{DoubleDouble as Exact, Series as ExactMath};
 use haptic::device_file::DeviceFile;
@@ -105,7 +106,7 @@ fn velocity_terms_lose_to_encoder_steps_and_not_to_single_precision() {
         assert!(if off { row.size == 0.0 } else { row.size > 0.03 }, "{row:?}");
         assert!(coarse < 0.5 * row.size + 3e-3, "{row:?}");
         assert!(fine < 0.005 * row.size + 6e-5, "{row:?}");
-        // What the page says of both in times of what f32 costs, as far apart as the page's numbers may be.
+        // What docs/hard-cases.md says of both in times of what f32 costs, as far apart as numbers may be there.
         let times = [coarse, fine].map(|error| error / row.rounding);
         assert!(off || (1e3..7e4).contains(&times[0]) && (5.0..1.3e3).contains(&times[1]), "{row:?}");
     }
@@ -124,11 +125,11 @@ fn motors_at_their_limit_hold_the_largest_force_that_fits_and_pull_nowhere_else(
     }
 }
 
-/// How many times larger or smaller a number on the page may be than what the code gives: errors are maxima over random
+/// How many times larger or smaller a number in a table may be than what the code gives: errors are maxima over random
 /// poses in one digit, and a change that only rounds differently moves them by less.
 const SAME: f64 = 4.0;
 
-/// Whether two words of the page say the same: equal, or numbers within [`SAME`] of each other ("lost" is anything
+/// Whether two words of a table say the same: equal, or numbers within [`SAME`] of each other ("lost" is anything
 /// above a half).
 fn same(shown: &str, computed: &str) -> bool {
     let number = |text: &str| if text == "lost" { Some(1.0) } else { text.parse::<f64>().ok() };
@@ -138,23 +139,23 @@ fn same(shown: &str, computed: &str) -> bool {
     }
 }
 
+/// `UPDATE_DOCS=1 cargo test -p haptic --test deep hard_cases` writes them anew.
 #[test]
-fn the_page_shows_what_the_code_gives() {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/hard-cases.md");
-    let page = std::fs::read_to_string(path).expect("docs/hard-cases.md is there");
-    let computed = page::markdown();
-    if std::env::var_os("UPDATE_DOCS").is_some() {
-        std::fs::write(path, computed).expect("docs/hard-cases.md can be written");
-        return;
+fn the_tables_hold_what_the_code_gives() {
+    for table in tables::all() {
+        let path = root().join(format!("docs/hard-cases/{}.csv", table.name));
+        let computed = table.csv();
+        if std::env::var_os("UPDATE_DOCS").is_some() {
+            std::fs::write(&path, computed).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+            continue;
+        }
+        let kept = std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        assert_eq!(kept.lines().count(), computed.lines().count(), "{}", path.display());
+        let words = |line: &str| line.split([' ', ',']).map(String::from).collect::<Vec<_>>();
+        for (number, (shown, computed)) in kept.lines().zip(computed.lines()).enumerate() {
+            let (a, b) = (words(shown), words(computed));
+            let agree = a.len() == b.len() && a.iter().zip(&b).all(|(a, b)| same(a, b));
+            assert!(agree, "line {} of {}:\n{shown}\n{computed}", number + 1, path.display());
+        }
     }
-    for (number, (shown, computed)) in page.lines().zip(computed.lines()).enumerate() {
-        let agree = shown.split_whitespace().count() == computed.split_whitespace().count()
-            && shown.split_whitespace().zip(computed.split_whitespace()).all(|(a, b)| same(a, b));
-        let line = number + 1;
-        assert!(
-            agree,
-            "line {line} of docs/hard-cases.md (its first paragraph says how it is made):\n{shown}\n{computed}"
-        );
-    }
-    assert_eq!(page.lines().count(), computed.lines().count());
 }

@@ -134,13 +134,13 @@ fn where_not_even_the_beginning_fits_no_file_is_left() {
     };
     let csv = folder.path().join("a.csv");
     nothing_is_left(limited(0, &["stream", "--csv", csv.to_str().unwrap(), "--port", &sim.port]));
-    // The picture of a report fits, and its page, which is larger, does not.
+    // The tables of a report fit, and its picture, which is larger, does not.
     let (one, two) = (file("hapkit-paddle.toml"), file("haply-2diy.toml"));
     haptic(&["bench", &one, &two, "--report", roomy.path().to_str().unwrap()]).assert().success();
     let blocks = |name: &str| std::fs::metadata(roomy.path().join(name)).unwrap().len().div_ceil(512);
-    let (page, picture) = (blocks("speed-against-error.md"), blocks("speed-against-error.svg"));
-    assert!(picture < page, "{picture} and {page} blocks: choose the limit otherwise");
-    nothing_is_left(limited(picture, &["bench", &one, &two, "--report", folder.path().to_str().unwrap()]));
+    let (table, picture) = (blocks("speed-against-error.csv"), blocks("speed-against-error.svg"));
+    assert!(table < picture, "{table} and {picture} blocks: choose the limit otherwise");
+    nothing_is_left(limited(table, &["bench", &one, &two, "--report", folder.path().to_str().unwrap()]));
 }
 
 #[test]

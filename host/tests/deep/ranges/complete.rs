@@ -1,9 +1,11 @@
 //! The simulated board with everything that is linear switched on (cables that give, joint damping, windings, current
 //! loops, carrier, the board's own step) meets the complete prediction within a tenth.
 //!
-//! `cargo test -p haptic --test deep complete -- --ignored --nocapture` measures the table of docs/results/complete.md.
+//! `UPDATE_DOCS=1 cargo test -p haptic --test deep complete -- --ignored --nocapture` measures complete.csv and
+//! complete-friction.csv in docs/results/ anew; without UPDATE_DOCS it only prints them.
 
-use crate::common::{file, haptic};
+use crate::common::{file, haptic, root};
+use haptic::output::csv_line;
 use serde_json::Value;
 
 /// Frequency of each joint's cable against its motor, Hz, and its share of critical damping.
@@ -47,7 +49,7 @@ const IDEAL: &[&str] = &["--ideal-drive", "--counts", "67108864"];
 /// The same without back-EMF, which the board gives back from a speed that its filter makes late.
 const NO_EMF: &[&str] = &["--counts", "4194304", "--no-emf"];
 /// What the drive misses of the first-order lag that stands for it, %: without the feed-forward on this device at 20
-/// kHz (docs/results/complete.md). With [`NO_EMF`] and [`IDEAL`] it is as near as all others.
+/// kHz (docs/results/complete.csv). With [`NO_EMF`] and [`IDEAL`] it is as near as all others.
 const MISSED: (&str, u32, f64) = ("capstan-pantograph", 20_000, 16.0);
 
 fn measured(
@@ -118,11 +120,44 @@ fn a_pantograph_with_soft_cables_is_as_stiff_as_predicted_here_and_apart() {
     }
 }
 
+/// A table in docs/results/, printed line by line.
+struct Table(String);
+
+impl Table {
+    fn new<const N: usize>(head: [&str; N]) -> Self {
+        let mut table = Self(String::new());
+        table.push(head);
+        table
+    }
+
+    fn push<C: AsRef<str>, const N: usize>(&mut self, cells: [C; N]) {
+        let line = csv_line(cells);
+        print!("{line}");
+        self.0 += &line;
+    }
+
+    fn keep(&self, name: &str) {
+        if std::env::var_os("UPDATE_DOCS").is_some() {
+            std::fs::write(root().join("docs/results").join(name), &self.0).unwrap();
+        }
+    }
+}
+
 #[test]
-#[ignore = "minutes: it prints docs/results/complete.md"]
+#[ignore = "minutes: it measures docs/results/complete.csv"]
 fn three_devices_at_three_rates() {
-    println!("| device | cable | rate, cutoff | kd, N s/m | feed-forward | measured, N/m | predicted, N/m | off by |");
-    println!("|---|---|---|---|---|---|---|---|");
+    let mut table = Table::new([
+        "device",
+        "cable (Hz)",
+        "rate (Hz)",
+        "cutoff (Hz)",
+        "drive",
+        "kd (N s/m)",
+        "feed-forward",
+        "measured (N/m)",
+        "predicted (N/m)",
+        "off by (%)",
+    ]);
     let devices =
         [("capstan-pantograph", "0.6,0.8"), ("phantom-premium-1.5", "0.6,0.8,0"), ("woodenhaptics", "0.6,0.8,0")];
     let mut cases = vec![(devices[0], (1_000, 100), SOFT, REAL)];
@@ -135,27 +170,32 @@ fn three_devices_at_three_rates() {
     for ((device, normal), loop_, cable, world) in cases {
         let (kd, rows) = measured(device, normal, loop_, cable, world).unwrap();
         let drive = match world {
-            _ if world == IDEAL => ", ideal drive",
-            _ if world == NO_EMF => ", no back-EMF",
+            _ if world == IDEAL => "ideal drive",
+            _ if world == NO_EMF => "no back-EMF",
             _ => "",
         };
         let most = if (device, loop_.0) == (MISSED.0, MISSED.1) && world == REAL { MISSED.2 } else { 10.0 };
         for (mode, found, predicted) in rows {
             let off = found.map(|found| 100.0 * (found / predicted - 1.0));
-            let row = format!(
-                "| {device} | {} Hz | {}, {} Hz{drive} | {kd} | {mode} | {} | {predicted:.0} | {} |",
-                cable.0,
-                loop_.0,
-                loop_.1,
-                found.map_or("-".into(), |found| format!("{found:.0}")),
-                off.map_or("not found".into(), |off| format!("{off:+.1} %")),
-            );
-            println!("{row}");
+            let cells = [
+                device.to_string(),
+                cable.0.to_string(),
+                loop_.0.to_string(),
+                loop_.1.to_string(),
+                drive.into(),
+                kd.to_string(),
+                mode,
+                found.map_or(String::new(), |found| format!("{found:.0}")),
+                format!("{predicted:.0}"),
+                off.map_or(String::new(), |off| format!("{off:+.1}")),
+            ];
             if off.is_none_or(|off| off.abs() >= most) {
-                far.push(row);
+                far.push(cells.clone());
             }
+            table.push(cells);
         }
     }
+    table.keep("complete.csv");
     assert!(far.is_empty(), "{far:#?}");
 }
 
@@ -180,12 +220,17 @@ fn with_everything(soft: &str) -> String {
 }
 
 #[test]
-#[ignore = "minutes: it prints the second table of docs/results/complete.md"]
+#[ignore = "minutes: it measures docs/results/complete-friction.csv"]
 fn three_devices_with_everything_on() {
-    println!(
-        "| device | kd, N s/m | feed-forward | linear prediction, N/m | measured without dry friction | with it | and held |"
-    );
-    println!("|---|---|---|---|---|---|---|");
+    let mut table = Table::new([
+        "device",
+        "kd (N s/m)",
+        "feed-forward",
+        "predicted (N/m)",
+        "measured without dry friction (N/m)",
+        "with it (N/m)",
+        "and gripped (N/m)",
+    ]);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("all.toml");
     for (device, normal) in
@@ -224,10 +269,12 @@ fn three_devices_with_everything_on() {
         });
         let [alone, dry, held] = found.each_ref().map(|document| document["points"].as_array().unwrap());
         for ((alone, dry), held) in alone.iter().zip(dry).zip(held) {
-            let kp = |point: &Value| point["kp"].as_f64().map_or("-".into(), |kp| format!("{kp:.0}"));
+            let kp = |point: &Value| point["kp"].as_f64().map_or(String::new(), |kp| format!("{kp:.0}"));
             let predicted = alone["theory_kp"].as_f64().unwrap();
             let mode = alone["mode"].as_str().unwrap();
-            println!("| {device} | {kd} | {mode} | {predicted:.0} | {} | {} | {} |", kp(alone), kp(dry), kp(held));
+            let predicted = format!("{predicted:.0}");
+            table.push([device, &kd, mode, &predicted, &kp(alone), &kp(dry), &kp(held)]);
         }
     }
+    table.keep("complete-friction.csv");
 }
