@@ -329,7 +329,7 @@ fn what_the_motors_cannot_make_walls_and_host_give_up_in_the_same_share() {
 }
 
 #[test]
-fn the_answer_tells_how_the_tip_moves() {
+fn the_answer_tells_how_tip_and_joints_move() {
     let mut rig = armed();
     let counts = (rig::COUNTS / core::f64::consts::TAU / f64::from(RATE)).round() as i32;
     let mut turn = |steps: u32| {
@@ -342,9 +342,12 @@ fn the_answer_tells_how_the_tip_moves() {
     // At 1 rad/s, long enough for the filters to have caught up.
     let (before, now) = (turn(200), turn(5));
     assert_eq!(now.step, before.step + 5);
+    let passed = (now.step - before.step) as f32 * now.period;
     for i in 0..2 {
-        let moved = (now.tip[i] - before.tip[i]) / ((now.step - before.step) as f32 * now.period);
+        let moved = (now.tip[i] - before.tip[i]) / passed;
         assert!((now.velocity[i] - moved).abs() < 0.02 * moved.abs().max(0.02), "{now:?} {moved}");
+        let turned = (now.q[i] - before.q[i]) / passed;
+        assert!((now.qd[i] - turned).abs() < 0.02, "{now:?} {turned}");
     }
 }
 
@@ -498,9 +501,10 @@ fn a_host_pushes_on_however_long_the_rate_has_been_the_same() {
     assert_eq!(rig.state(), State::Armed);
 }
 
-/// What is refused steers nothing: a program whose every request comes too late, or is wrong, has lost the device.
+/// What is refused steers nothing: a program whose every request comes too late, or is wrong, has lost the device. One that
+/// looks is there where it names the state that it saw before.
 #[test]
-fn only_a_request_that_is_taken_tells_the_board_that_its_host_is_there() {
+fn a_request_that_is_taken_and_a_look_that_follows_another_tell_the_board_that_its_host_is_there() {
     let watched = Rules { host_action: HostAction::Disarm, host_seconds: 0.5, ..rules() };
     let scene = scene(2, &[]);
     for (refused, why) in [
@@ -525,4 +529,12 @@ fn only_a_request_that_is_taken_tells_the_board_that_its_host_is_there() {
         }
         assert_eq!((rig.state(), rig.fault()), (State::Fault, Some(Fault::HostLost)), "{why:?}");
     }
+    let mut rig = Rig::with(&five_bar(), &scene, hardware(), watched);
+    rig.arm();
+    for _ in 0..4 {
+        let follows = ForceRequest { hold: 0.0, fade: 0.0, seen: Some(rig.servo.steps()), ..request(2) };
+        assert_eq!(rig.servo.force(&follows).done, ForceDone::Looked);
+        rig.run(0.45);
+    }
+    assert_eq!(rig.state(), State::Armed);
 }

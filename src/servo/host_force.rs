@@ -164,6 +164,8 @@ pub struct ForceAnswer {
     pub velocity: [f32; 3],
     /// Joint angles, rad.
     pub q: [f32; MAX_JOINTS],
+    /// Joint velocities, filtered as the scene says, rad/s.
+    pub qd: [f32; MAX_JOINTS],
     /// Joint torques commanded, after all limits, N m.
     pub torque: [f32; MAX_JOINTS],
     /// Force at the tip that the host's force and contact have really added, after lease, ramp and limits, N.
@@ -349,6 +351,7 @@ where
             tip: self.now.found.at.tip,
             velocity: [0.0; 3],
             q: self.now.found.at.q,
+            qd: self.now.found.at.qd,
             torque: self.now.motors.torque.0,
             force: [0.0; 3],
             share: 0.0,
@@ -391,6 +394,10 @@ where
             return ForceDone::Bad(BadForce::Seen);
         }
         if request.hold == 0.0 && request.fade == 0.0 {
+            // Whoever follows the device is there; a look that names no state before it may be anybody's.
+            if request.seen.is_some() {
+                self.hear_host();
+            }
             return ForceDone::Looked;
         }
         if self.state != State::Armed {
