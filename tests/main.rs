@@ -42,4 +42,5 @@ mod takeover;
 mod telemetry;
 mod trigonometry;
 mod velocity;
+mod wall_energy;
 mod what_a_wall_meets;

@@ -71,6 +71,7 @@ pub mod monitor;
 mod open;
 pub mod outline;
 pub mod output;
+pub mod perception;
 mod places;
 pub mod plan;
 pub mod plausible;

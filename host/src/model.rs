@@ -4,6 +4,7 @@
 //! trigonometry that the board runs.
 
 use crate::device_file::DeviceFile;
+use crate::perception::Perception;
 use haptic_bridge::math::{FineTable, Math, Real};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::inertia::Inertia;
@@ -91,6 +92,8 @@ pub struct Report {
     pub torque_without_feed_forward: Vec<f64>,
     /// Condition numbers.
     pub condition: Condition,
+    /// The inertia that a hand feels at the tip.
+    pub perception: Perception,
     /// What several walls render, the stiffest direction first; empty for one wall.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub directions: Vec<Direction>,
@@ -291,10 +294,12 @@ fn report<T: Real, K: Math<T>, const N: usize, M: Mechanism<T, N>>(
     let mass = mechanism.mass(&pose);
     let bias = mechanism.coriolis(&pose, &qd) + mechanism.gravity(&pose);
     let r = inertia.split.rendered;
+    let (jacobian, mass) = (rows(&jacobian, 0..task, 0..N), rows(&mass, 0..N, 0..N));
+    let normal = if let [only] = walls { Some(only.normal.as_slice()) } else { None };
     Report {
         position: list(&mechanism.tip(&pose), 0..task),
-        jacobian: rows(&jacobian, 0..task, 0..N),
-        mass: rows(&mass, 0..N, 0..N),
+        perception: Perception::new(&jacobian, &mass, normal),
+        condition: Condition { jacobian: condition(&jacobian), mass: condition(&mass) },
         bias: list(&bias, 0..N),
         w_rr: rows(&inertia.w, 0..r, 0..r),
         w_ra: rows(&inertia.w, 0..r, r..N),
@@ -306,10 +311,8 @@ fn report<T: Real, K: Math<T>, const N: usize, M: Mechanism<T, N>>(
         f_a: list(&inertia.f_a, 0..N - r),
         torque: list(&inertia.torque, 0..N),
         torque_without_feed_forward: list(&inertia.torque_without_feed_forward, 0..N),
-        condition: Condition {
-            jacobian: condition(&rows(&jacobian, 0..task, 0..N)),
-            mass: condition(&rows(&mass, 0..N, 0..N)),
-        },
+        jacobian,
+        mass,
         directions: if walls.len() > 1 { directions(&Principal::new::<K>(&pulls, task), task) } else { Vec::new() },
     }
 }
@@ -352,6 +355,7 @@ impl Report {
             && self.torque_without_feed_forward.iter().all(|value| value.is_finite())
             && self.condition.jacobian.is_finite()
             && self.condition.mass.is_finite()
+            && self.perception.is_finite()
     }
 
     /// Wrr/Weff - 1 of one wall; 0 without a wall.

@@ -26,6 +26,7 @@ use guidance::{Beside, Guidance};
 use heapless::Vec;
 use nalgebra::SVector;
 use observers::Observers;
+use passivity::Passivity;
 use postcard_schema::Schema;
 pub use push::{Push, PushedPlane};
 use serde::{Deserialize, Serialize};
@@ -36,6 +37,7 @@ pub use walls::{TOUCH_DEPTH, TOUCH_SHARE};
 mod encoders;
 mod guidance;
 mod observers;
+mod passivity;
 mod posture;
 mod push;
 mod stiffness;
@@ -150,6 +152,7 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     mechanism: M,
     coefficients: Coefficients<T>,
     encoders: Encoders<T, N>,
+    passivity: Passivity<T, N>,
     walls: Walls<T>,
     observers: Observers<T, N>,
     viscous: SVector<T, N>,
@@ -213,6 +216,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             mass: MassModel::Exact,
             observers: Observers::new(device, &coefficients),
             encoders: Encoders::new(device, &coefficients, M::SPEC.periodic, moving),
+            passivity: Passivity::new(coefficients.rate()),
             coefficients,
             walls,
             guidance,
@@ -315,7 +319,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let pose = shared_pose::<T, K, M, N>(&self.mechanism, &angles);
         let tip = self.mechanism.tip(&pose);
         let regularity = self.mechanism.regularity(&pose);
-        let qd = self.encoders.velocities(counts, |filter, raw| filter.step(&self.coefficients, raw));
+        let (speed, qd) = self.encoders.velocities(counts, |filter, raw| filter.step(&self.coefficients, raw));
+        self.passivity.observe(&speed);
         Self::keep(&qd, &tip, found);
         found.parallel = regularity.parallel;
         weigh_directions(&self.mechanism, &pose, &mut found.leverage);
@@ -357,18 +362,21 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
         let mut more: Vec<Active<T, N>, MAX_WALLS> = Vec::new();
         let along = observed.then_some(&along);
-        let touch = self.walls.touch::<K, N>(&self.coefficients, place, along, &mut more);
+        let debt = self.passivity.debt(self.coefficients.rate());
+        let touch = self.walls.touch::<K, N>(&self.coefficients, place, along, debt.as_ref(), &mut more);
         found.at.walls = touch.found;
         if touch.found.contacts > 0 {
+            found.at.walls.energy = self.passivity.energy();
             put(&self.mechanism.inverse(pose, &touch.normal), &mut found.motion);
         } else {
             clear::<T, N>(&mut found.motion);
         }
         let mut plain = touch.plain;
-        let mut beside = Beside::none();
+        let (mut beside, mut guided) = (Beside::none(), SVector::zeros());
         if self.guidance.any {
             let velocity = task_part::<T, M, N>(&self.mechanism.velocity(pose, qd));
-            plain += self.guidance.force(place, &velocity);
+            guided = self.guidance.force(place, &velocity);
+            plain += guided;
             // One joint alone has no other direction to shape into.
             if self.guidance.is_beside() && N > 1 {
                 beside = self.guidance.beside(place, &velocity, self.walls.gain());
@@ -402,6 +410,13 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             force = plain;
             torque = self.mechanism.transpose(pose, &plain);
             rendered = torque;
+        }
+        if touch.found.contacts == 0 {
+            self.passivity.leave();
+        } else if self.guidance.any {
+            self.passivity.hold(&(torque - self.mechanism.transpose(pose, &guided)));
+        } else {
+            self.passivity.hold(&torque);
         }
         if M::SPEC.task < N && self.posture.is_some() {
             torque += self.posture_torque(pose, qd);
@@ -577,9 +592,9 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         self.guidance.forget();
     }
 
-    /// Turns the passivity controller on or off.
+    /// Turns the passivity controller on or off; what was counted is forgotten.
     pub fn set_passivity(&mut self, on: bool) {
-        self.walls.set_passivity(on);
+        self.passivity.set(on);
     }
 
     /// Whether a one-sided wall of this scene is touched at these counts: arming and scene changes are refused then.

@@ -17,8 +17,8 @@ pub struct AtWalls<T> {
     pub wall_force: T,
     /// Share of the feed-forward that acts: 1 away from singularities, fading to 0 near them.
     pub shaping: T,
-    /// Energy the touched walls have taken up since contact began, less what they owed then, J; negative when they gave
-    /// some out.
+    /// Energy that the walls' torques, the feed-forward's with them, have taken up since contact began, less what they owed
+    /// then, J; negative when they gave some out.
     pub energy: T,
     /// Damping that the passivity controller added, N s/m.
     pub passivity_damping: T,

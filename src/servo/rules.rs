@@ -32,7 +32,7 @@ pub struct Rules {
     pub host_action: HostAction,
     /// How long a host may be silent, s.
     pub host_seconds: f32,
-    /// Whether the passivity controller damps energy that a wall gives out (Hannaford and Ryu 2002).
+    /// Whether the passivity controller pays back the energy that walls give out, by damping and less feed-forward.
     pub passivity: bool,
     /// Counts between two index pulses of each encoder; 0 where there is none.
     pub index_period: [i32; MAX_JOINTS],

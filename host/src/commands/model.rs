@@ -137,6 +137,8 @@ fn readable(report: &Report, q: &[f64], qd: &[f64], walls: &[WallForce]) -> Stri
     line("mass matrix M", "kg m²", matrix(&report.mass));
     line("bias c + g", "N m", row(&report.bias));
     line("condition of J, of M", "", row(&[report.condition.jacobian, report.condition.mass]));
+    line("a hand feels at the tip", "kg", row(&report.perception.tip));
+    line("the most over the least of it", "", row(&[report.perception.ratio]));
     for (index, wall) in walls.iter().enumerate() {
         line(&format!("wall {index}: normal"), "", row(&wall.normal));
         line(&format!("wall {index}: force"), "N", row(&[wall.force]));
@@ -156,6 +158,10 @@ fn readable(report: &Report, q: &[f64], qd: &[f64], walls: &[WallForce]) -> Stri
     line("Weff, without feed-forward", "kg", matrix(&report.w_eff));
     line("Wrr, with feed-forward", "kg", matrix(&report.w_rr));
     line("coupling Wrr - Weff", "kg", matrix(&report.coupling));
+    if let Some(along) = &report.perception.along_wall {
+        line("felt along the wall, off", "kg", row(&along.off));
+        line("felt along the wall, full", "kg", row(&along.full));
+    }
     line("Wra", "", matrix(&report.w_ra));
     line("Waa", "", matrix(&report.w_aa));
     line("z rendered", "N", row(&report.z_r));

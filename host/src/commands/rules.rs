@@ -49,7 +49,7 @@ pub struct Args {
     host: Option<HostAction>,
     #[arg(long, value_name = "S", value_parser = seconds, help = silence())]
     host_seconds: Option<f32>,
-    /// Damp the energy that a wall gives out (passivity controller)
+    /// Pay back the energy that walls give out, by damping and less feed-forward (passivity controller)
     #[arg(long, value_name = "BOOL", action = clap::ArgAction::Set)]
     passivity: Option<bool>,
     /// Counts between two index pulses of each encoder, one per joint; 0 where it has none

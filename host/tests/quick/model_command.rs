@@ -1,6 +1,7 @@
 //! `haptic model` as another program meets it: one JSON document, exit codes, and singular poses told apart.
 
 use crate::common::{file, haptic};
+use nalgebra::{DMatrix, DVector};
 use serde_json::Value;
 use std::process::Output;
 
@@ -54,6 +55,7 @@ fn the_document_has_the_documented_keys_and_shapes() {
         "torque",
         "torque_without_feed_forward",
         "condition",
+        "perception",
     ];
     documented.sort_unstable();
     let mut sorted = keys.clone();
@@ -235,6 +237,72 @@ fn the_text_says_what_the_feed_forward_buys_and_costs() {
     let heavy = text("woodenhaptics", "--normal=0.5,1,0");
     assert!(heavy.contains("more inertia here") && !heavy.contains("buys next to nothing"), "{heavy}");
     assert!(heavy.contains("pushes a hand along the wall"), "{heavy}");
+}
+
+/// Rows of numbers.
+fn matrix(value: &Value) -> DMatrix<f64> {
+    let rows = value.as_array().expect("rows");
+    let columns = rows[0].as_array().expect("a row").len();
+    DMatrix::from_fn(rows.len(), columns, |i, j| rows[i][j].as_f64().expect("a number"))
+}
+
+/// The force (N, by directions across the normal) with which a hand has to push per m/s² along a wall that keeps the tip
+/// from moving across it with these torques (N m) per newton: its eigenvalues, kg.
+fn felt(document: &Value, torque: &DVector<f64>, normal: &[f64]) -> Vec<f64> {
+    let (jacobian, mass) = (matrix(&document["jacobian"]), matrix(&document["mass"]));
+    let solve = |torque: &DVector<f64>| &jacobian * mass.clone().lu().solve(torque).expect("a mass matrix");
+    let n = DVector::from_column_slice(normal);
+    // What moves the tip across the normal is an eigenvector of 1 - n nᵀ.
+    let flat = (DMatrix::identity(n.len(), n.len()) - &n * n.transpose()).symmetric_eigen();
+    let across: Vec<DVector<f64>> =
+        (0..n.len()).filter(|i| flat.eigenvalues[*i] > 0.5).map(|i| flat.eigenvectors.column(i).into_owned()).collect();
+    let pressed = solve(torque);
+    let moved = across.iter().map(|t| {
+        let free = solve(&(jacobian.transpose() * t));
+        // The wall's force is as large as keeps the tip on its surface.
+        &free - &pressed * (n.dot(&free) / n.dot(&pressed))
+    });
+    let moved: Vec<DVector<f64>> = moved.collect();
+    let mobility = DMatrix::from_fn(across.len(), across.len(), |i, j| across[i].dot(&moved[j]));
+    let mut inertias: Vec<f64> = mobility.complex_eigenvalues().iter().map(|value| 1.0 / value.re).collect();
+    inertias.sort_by(f64::total_cmp);
+    inertias
+}
+
+#[test]
+fn a_hand_feels_less_along_a_wall_with_the_feed_forward() {
+    for (name, pose, normal) in [
+        ("coupled-five-bar", "--q=2.6,1.75", vec![0.6, 0.8]),
+        ("phantom-premium-1.5", "--q=0.3,0.9,-0.3", vec![-0.6, 0.0, 0.8]),
+        ("serial-3r", "--q=0.5,0.8,0.7", vec![0.6, 0.8]),
+    ] {
+        let list: Vec<String> = normal.iter().map(f64::to_string).collect();
+        let along = format!("--normal={}", list.join(","));
+        // Weight is no part of it.
+        let [none, one] = ["--force=0", "--force=1"].map(|force| json(name, &[pose, &along, force]));
+        let perception = &one["perception"];
+        let numbers = |value: &Value| -> Vec<f64> {
+            value.as_array().expect("a list").iter().map(|entry| entry.as_f64().expect("a number")).collect()
+        };
+        let mut sums = Vec::new();
+        for (mode, torques) in [("off", "torque_without_feed_forward"), ("full", "torque")] {
+            let torque = DVector::from_vec(numbers(&one[torques])) - DVector::from_vec(numbers(&none[torques]));
+            let found = numbers(&perception["along_wall"][mode]);
+            let known = felt(&one, &torque, &normal);
+            assert_eq!(found.len(), known.len());
+            for (found, known) in found.iter().zip(&known) {
+                assert!((found / known - 1.0).abs() < 1e-9, "{name} {mode}: {found} is not {known}");
+            }
+            sums.push(found.iter().sum::<f64>());
+        }
+        assert!(sums[1] < 0.999 * sums[0], "{name}: {sums:?}");
+        // In the air, any way: between the least and the most.
+        let (tip, ratio) = (numbers(&perception["tip"]), perception["ratio"].as_f64().expect("a number"));
+        assert_eq!(tip.len(), normal.len());
+        assert!((ratio - tip.last().unwrap() / tip[0]).abs() < 1e-12 && ratio > 1.0, "{name}: {tip:?}");
+        let w_eff = one["w_eff"][0][0].as_f64().expect("a number");
+        assert!(tip[0] <= w_eff && w_eff <= *tip.last().unwrap(), "{name}: {w_eff} of {tip:?}");
+    }
 }
 
 #[test]

@@ -49,7 +49,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let (_, angles) = self.encoders.angles(counts);
         let pose = self.mechanism.regular_pose::<K>(&angles, &least)?;
         let tip = self.mechanism.tip(&pose);
-        let qd = self.encoders.velocities(counts, |filter, raw| filter.pass(&self.coefficients, raw));
+        let (speed, qd) = self.encoders.velocities(counts, |filter, raw| filter.pass(&self.coefficients, raw));
+        self.passivity.observe(&speed);
         Self::keep(&qd, &tip, found);
         found.parallel = self.mechanism.regularity(&pose).parallel;
         weigh_directions(&self.mechanism, &pose, &mut found.leverage);

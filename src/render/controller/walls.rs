@@ -3,6 +3,7 @@
 //! Nothing here knows a mechanism, so devices with as many joints share the code.
 
 use super::Gains;
+use super::passivity::Debt;
 use crate::math::{Math, Real};
 use crate::model::inertia::frame_rate;
 use crate::render::found::AtWalls;
@@ -29,7 +30,6 @@ pub(super) struct Running<T: Real> {
     softness: T,
     velocity: Velocity<T>,
     washout: Washout<T>,
-    passivity: Passivity<T>,
 }
 
 /// How one wall that is touched pulls with others.
@@ -60,50 +60,44 @@ pub(super) struct Pressed<T> {
 }
 
 impl<T: Real> Running<T> {
-    /// The velocity along the normal (m/s) at this distance (m) by the wall's own low-pass, and how far the tip has come.
+    /// The velocity along the normal (m/s) at this distance (m) by the wall's own low-pass.
     #[inline(always)]
-    pub fn pass(&mut self, coefficients: &Coefficients<T>, distance: T) -> (T, T) {
-        (self.velocity.moved(distance), self.velocity.pass(coefficients, distance))
+    pub fn pass(&mut self, coefficients: &Coefficients<T>, distance: T) -> T {
+        self.velocity.pass(coefficients, distance)
     }
 
     /// The same by any estimator. `known`: the velocity, by one that watches joints.
     #[inline(always)]
-    fn approach(&mut self, coefficients: &Coefficients<T>, distance: T, known: Option<T>) -> (T, T) {
-        let moved = self.velocity.moved(distance);
-        let velocity = match known {
+    fn approach(&mut self, coefficients: &Coefficients<T>, distance: T, known: Option<T>) -> T {
+        match known {
             None => self.velocity.step(coefficients, distance),
             Some(velocity) => self.velocity.follow(distance, velocity),
-        };
-        (moved, velocity)
+        }
     }
 
-    /// The wall at this distance (m), after it changed by `moved` (m) and at the velocity `v` (m/s). `passivity`: the control
-    /// rate (Hz) where the passivity controller is on; `gain`: the feed-forward's α.
+    /// The wall at this distance (m) and at the velocity `v` (m/s). `gain`: the feed-forward's α.
     #[inline(always)]
-    pub fn press(&mut self, distance: T, (moved, v): (T, T), passivity: Option<T>, gain: T) -> Pressed<T> {
+    pub fn press(&mut self, distance: T, v: T, debt: Option<&Debt<T>>, gain: T) -> Pressed<T> {
         let wall = &self.wall;
         let zero = T::zero();
         let mut pressed = Pressed { velocity: v, touched: false, force: zero, shaped: zero, passivity_damping: zero };
         // Comparisons here are written so that what is not a number stays one, and is found out.
         let inside = distance < self.reach;
         if !inside {
-            self.passivity.leave(moved);
             if self.together == FeedForward::Washout {
                 self.washout.step(zero);
             }
             return pressed;
         }
         let mut force = -wall.stiffness * distance - wall.damping * v;
-        self.passivity.observe(moved);
-        if let Some(rate) = passivity {
-            let extra = self.passivity.damping(v, rate);
+        if let Some(debt) = debt {
+            let extra = debt.damping(v);
             force -= extra * v;
             pressed.passivity_damping = extra;
         }
         if force < self.least {
             force = self.least;
         }
-        self.passivity.hold(force);
         pressed.touched = true;
         pressed.force = force;
         pressed.shaped = match self.together {
@@ -111,6 +105,9 @@ impl<T: Real> Running<T> {
             FeedForward::Full => force * gain,
             FeedForward::Washout => self.washout.step(force) * gain,
         };
+        if let Some(debt) = debt {
+            pressed.shaped *= debt.left();
+        }
         pressed
     }
 
@@ -146,11 +143,6 @@ impl<T: Real> Running<T> {
         }
     }
 
-    /// Energy it has taken up since it was touched, J.
-    pub fn energy(&self) -> T {
-        self.passivity.energy
-    }
-
     /// Its surface.
     pub fn surface(&self) -> &Surface<T> {
         &self.wall.surface
@@ -180,52 +172,6 @@ impl<T: Real> Running<T> {
             self.washout = Washout::default();
             self.washout.retune(washout);
         }
-    }
-}
-
-/// A wall's passivity observer and controller (Hannaford and Ryu 2002, in the form that is exact for a force held
-/// between two samples): energy taken up = -Σ f(k-1) (x(k) - x(k-1)); when it falls below zero, the controller, if it
-/// is on, adds damping that takes up the missing part in one step.
-#[derive(Clone, Copy, Debug, Default)]
-struct Passivity<T> {
-    /// J
-    energy: T,
-    /// Force held since the last step, N.
-    held: T,
-}
-
-/// Most damping the passivity controller adds, as a share of the damping at which a mass of 1 kg would stop in a step:
-/// beyond it the controller itself would be the instability.
-const PASSIVITY_SHARE: f64 = 0.01;
-
-impl<T: Real> Passivity<T> {
-    /// Counts the energy of the last period, in which the tip moved by `moved` (m).
-    #[inline(always)]
-    fn observe(&mut self, moved: T) {
-        self.energy -= self.held * moved;
-    }
-
-    /// The damping (N s/m) that pays back what the wall has given out. `v` in m/s, `rate` in Hz.
-    #[inline(always)]
-    fn damping(&self, v: T, rate: T) -> T {
-        if self.energy >= T::zero() || v == T::zero() {
-            return T::zero();
-        }
-        let most = rate * T::from_f64(PASSIVITY_SHARE);
-        (-self.energy * rate / (v * v).greater(T::from_f64(1.0e-12))).lesser(most)
-    }
-
-    fn hold(&mut self, force: T) {
-        self.held = force;
-    }
-
-    /// The tip has left the wall: counts the last period's energy and keeps what the wall still owes for its next
-    /// touch.
-    #[inline(always)]
-    fn leave(&mut self, moved: T) {
-        self.observe(moved);
-        self.energy = self.energy.lesser(T::zero());
-        self.held = T::zero();
     }
 }
 
@@ -269,8 +215,6 @@ pub(super) enum Acting<'a, T: Real, const N: usize> {
 #[derive(Clone, Debug)]
 pub(super) struct Walls<T: Real> {
     running: Vec<Running<T>, MAX_WALLS>,
-    /// Whether the passivity controller is on.
-    passivity: bool,
     /// α: how much of (4)'s feed-forward there is.
     gain: T,
     /// Some wall is curved.
@@ -314,12 +258,10 @@ impl<T: Real> Walls<T> {
                 softness: T::zero(),
                 velocity: Velocity::default(),
                 washout,
-                passivity: Passivity::default(),
             });
         }
         let mut walls = Self {
             running,
-            passivity: false,
             gain: scene.feed_forward_gain,
             curved: scene.walls.iter().any(|wall| wall.surface.curved()),
             damped: scene.walls.iter().any(|wall| wall.damping_compensation),
@@ -364,6 +306,7 @@ impl<T: Real> Walls<T> {
         coefficients: &Coefficients<T>,
         place: &SVector<T, N>,
         along: Option<&SVector<T, N>>,
+        debt: Option<&Debt<T>>,
         more: &mut Vec<Active<T, N>, MAX_WALLS>,
     ) -> Touch<T, N> {
         let mut found = AtWalls::none();
@@ -372,12 +315,11 @@ impl<T: Real> Walls<T> {
         }
         let zeros = SVector::zeros();
         let mut touch = Touch { found, normal: zeros, plain: zeros, first: None };
-        let passivity = self.passivity.then(|| coefficients.rate());
         for (index, running) in self.running.iter_mut().enumerate() {
             let contact = running.wall.surface.contact::<K, N>(place);
             let known = along.map(|velocity| contact.normal.dot(velocity));
-            let approach = running.approach(coefficients, contact.distance, known);
-            let pressed = running.press(contact.distance, approach, passivity, self.gain);
+            let velocity = running.approach(coefficients, contact.distance, known);
+            let pressed = running.press(contact.distance, velocity, debt, self.gain);
             // Written so that what is not a number stays one, and is found out.
             let shallower = contact.distance >= touch.found.distance;
             if !shallower {
@@ -390,7 +332,6 @@ impl<T: Real> Walls<T> {
             }
             touch.found.contacts += 1;
             touch.found.wall_force += pressed.force;
-            touch.found.energy += running.energy();
             touch.found.passivity_damping += pressed.passivity_damping;
             touch.plain += contact.normal * (pressed.force - pressed.shaped);
             if running.together != FeedForward::Off {
@@ -472,23 +413,17 @@ impl<T: Real> Walls<T> {
         -frame_rate(&line, &line_rate, velocity)
     }
 
-    /// The only wall of a scene that has one alone, with whether the passivity controller is on.
+    /// The only wall of a scene that has one alone.
     #[inline(always)]
-    pub fn lone(&mut self) -> Option<(&mut Running<T>, bool)> {
+    pub fn lone(&mut self) -> Option<&mut Running<T>> {
         let [only] = self.running.as_mut_slice() else { return None };
-        Some((only, self.passivity))
+        Some(only)
     }
 
     /// All of them.
     #[inline(always)]
     pub fn all(&mut self) -> &mut [Running<T>] {
         &mut self.running
-    }
-
-    /// Whether the passivity controller is on.
-    #[inline(always)]
-    pub fn passivity(&self) -> bool {
-        self.passivity
     }
 
     /// Whether every wall that has the feed-forward is stiff: what is rendered then follows their stiffness.
@@ -546,14 +481,5 @@ impl<T: Real> Walls<T> {
             fresh.retune(&running.washout);
             running.washout = fresh;
         }
-    }
-
-    /// Turns the passivity controller on or off; what it counted is forgotten.
-    #[inline(never)]
-    pub fn set_passivity(&mut self, on: bool) {
-        if self.passivity != on {
-            self.running.iter_mut().for_each(|running| running.passivity = Passivity::default());
-        }
-        self.passivity = on;
     }
 }

@@ -86,9 +86,9 @@ impl<T: Real> Velocity<T> {
         velocity
     }
 
-    /// How far `position` is from the last sample. Call before [`Velocity::step`].
+    /// How far `position` is from the last sample.
     #[inline(always)]
-    pub fn moved(&self, position: T) -> T {
+    fn moved(&self, position: T) -> T {
         position - self.last
     }
 }

@@ -8,6 +8,8 @@ use haptic::analysis::pose::TaskPose;
 use haptic::analysis::range::predict;
 use haptic::analysis::sampled::{LinearEstimator, Loop};
 use haptic::device_file::DeviceFile;
+use haptic::model::{Precision, WallForce, evaluate};
+use haptic::perception::{AlongWall, Perception};
 use haptic::sim::{Load, Plant, Random};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::admissible::Admissible;
@@ -35,10 +37,13 @@ const HOME: [f64; 2] = [2.3, 0.841_592_653_589_79];
 /// The demo's pose and wall.
 pub const DEMO: ([f64; 2], f64) = ([2.6, 1.75], 75.0);
 
-pub fn five_bar() -> Description {
+fn demo_file() -> DeviceFile {
     DeviceFile::parse(include_str!("../../../../devices/coupled-five-bar.toml"), "coupled-five-bar.toml")
         .expect("a shipped device")
-        .description
+}
+
+pub fn five_bar() -> Description {
+    demo_file().description
 }
 
 fn unit(degrees: f64) -> Vector2<f64> {
@@ -246,25 +251,64 @@ pub fn stiffest_moving(speed: f64, law: Option<VelocityTerms>) -> f64 {
     moving.stiffest(speed, DAMPING, (8_000.0, 60_000.0), RATE_HZ, CUTOFF_HZ)
 }
 
-/// The farthest the wall is moved by 2 N along it for 30 ms, without and with the feed-forward, m.
+/// The farthest that 2 N along the wall for 30 ms move it within 60 ms, without and with the feed-forward, m. Some 20 ms
+/// later the tip is at the end of its reach.
 pub fn perturbed(feed_forward: FeedForward) -> f64 {
     Run { push: (2.0, 0.03), feed_forward, ..Run::at(DEMO) }.farthest(0.06)
 }
 
-/// The share of the gained inertia that is left when the board's model has another inertia of a rotor: the real
-/// device under the torques of the wrong model.
-pub fn kept_with_rotor(at: ([f64; 2], f64), joint: usize, factor: f64) -> f64 {
-    let mut believed = five_bar();
-    believed.joints[joint].inertia *= factor;
-    let wrong = along(&believed, at).shaped_torque();
-    let real = along(&five_bar(), at);
-    let mobility = real.row.dot(&real.mass.clone().cholesky().expect("positive definite").solve(&wrong));
-    let (w_eff, w_rr) = (real.w_eff().expect("a regular pose"), real.w_rr());
-    (1.0 / mobility - w_eff) / (w_rr - w_eff)
+/// What a board believes of the demo's device.
+pub struct Belief {
+    pub description: Description,
+    /// What it takes the joint angles to be less what they are, rad.
+    pub homed_off: [f64; 2],
 }
 
-/// What is kept with a rotor's inertia a half wrong, at poses around home where the feed-forward acts in full and is
-/// worth having.
+impl Belief {
+    /// With rotor inertias and a handle's mass so many times as large as they are.
+    pub fn scaled(rotors: [f64; 2], handle: f64) -> Self {
+        let mut description = five_bar();
+        description.joints.iter_mut().zip(rotors).for_each(|(joint, factor)| joint.inertia *= factor);
+        description.handle_mass *= handle;
+        Self { description, homed_off: [0.0; 2] }
+    }
+
+    /// The share of the gained inertia that is left: the real device in the loop that measures and pushes by this.
+    pub fn kept(&self, (q, normal): ([f64; 2], f64)) -> f64 {
+        let wrong = along(&self.description, (self.angles(q), normal));
+        let real = along(&five_bar(), (q, normal));
+        let mass = real.mass.clone().cholesky().expect("positive definite");
+        let met = |torque| 1.0 / wrong.row.dot(&mass.solve(torque));
+        (met(&wrong.shaped_torque()) - met(&wrong.row)) / (real.w_rr() - real.w_eff().expect("a regular pose"))
+    }
+
+    fn angles(&self, q: [f64; 2]) -> [f64; 2] {
+        [q[0] + self.homed_off[0], q[1] + self.homed_off[1]]
+    }
+}
+
+/// What may be wrong of the demo's device, each on all sides.
+pub fn beliefs() -> Vec<(String, Vec<Belief>)> {
+    let half = [0.5, 1.5];
+    let both = || half.into_iter().flat_map(move |first| half.map(|second| [first, second]));
+    let one = half.into_iter().flat_map(|by| [[by, 1.0], [1.0, by]]);
+    let mut all = vec![
+        ("one rotor, by a half".into(), one.map(|rotors| Belief::scaled(rotors, 1.0)).collect()),
+        ("both rotors, by a half".into(), both().map(|rotors| Belief::scaled(rotors, 1.0)).collect()),
+        (
+            "both rotors and the handle, by a half".into(),
+            both().flat_map(|rotors| half.map(|handle| Belief::scaled(rotors, handle))).collect(),
+        ),
+    ];
+    for off in [0.02, 0.05, 0.1] {
+        let sides = [[off, off], [off, -off], [-off, off], [-off, -off]];
+        let homed = sides.map(|homed_off| Belief { homed_off, ..Belief::scaled([1.0; 2], 1.0) });
+        all.push((format!("home, by {off} rad in both joints"), homed.into()));
+    }
+    all
+}
+
+/// What is kept with wrong beliefs, at poses around home where the feed-forward acts in full and is worth having.
 pub struct GainRetained {
     pub cases: usize,
     /// Of them, those that keep less than seven eighths.
@@ -274,7 +318,7 @@ pub struct GainRetained {
 }
 
 /// Poses within 0.6 rad of home in steps of 0.05 rad, normals in steps of 15°, Wrr/Weff above 1.3.
-pub fn kept_around_home() -> GainRetained {
+pub fn kept_around_home(beliefs: &[Belief]) -> GainRetained {
     let description = five_bar();
     let mut kept = GainRetained { cases: 0, below: 0, least: f64::INFINITY, most: f64::NEG_INFINITY };
     let steps = |i: i32| 0.05 * f64::from(i);
@@ -288,9 +332,7 @@ pub fn kept_around_home() -> GainRetained {
             if seen.w_rr() / seen.w_eff().expect("a regular pose") <= 1.3 {
                 continue;
             }
-            for share in
-                [0, 1].into_iter().flat_map(|joint| [0.5, 1.5].map(|by| kept_with_rotor((q, normal), joint, by)))
-            {
+            for share in beliefs.iter().filter(|it| clear(it.angles(q))).map(|it| it.kept((q, normal))) {
                 kept.cases += 1;
                 kept.below += usize::from(share < 0.875);
                 (kept.least, kept.most) = (kept.least.min(share), kept.most.max(share));
@@ -307,6 +349,13 @@ pub fn free_deflection() -> f64 {
     let along = Linearised::at(&five_bar(), &DEMO.0, &[t.x, t.y]).expect("a regular pose");
     let answer = device.mass.clone().cholesky().expect("positive definite").solve(&device.row);
     (along.row.dot(&answer)).atan2(device.row.dot(&answer)).to_degrees()
+}
+
+/// What a hand feels at the demo's wall.
+fn felt() -> Perception {
+    let normal = unit(DEMO.1).as_slice().to_vec();
+    let wall = WallForce { normal, force: 0.0, stiffness: 1.0, feed_forward: true };
+    evaluate(&demo_file(), &DEMO.0, &[0.0; 2], &[wall], Precision::F64).expect("a regular pose").perception
 }
 
 /// Wrr/Weff of the serial-3r at (0.5, 0.8, 0.7) against (0.6, 0.8), by what is held.
@@ -334,20 +383,22 @@ pub fn tables() -> String {
         line(format!("| {gain} | {met:.3} | {:.1} | {sensitivity:.2} |", stiffest(&device).1 / 1e3));
     }
     line("\n### A push along the wall\n".into());
-    let (off, full) = (perturbed(FeedForward::Off), perturbed(FeedForward::Full));
-    line("| feed-forward | farthest in or out of the wall, µm |\n|---|---|".into());
+    line("| feed-forward | farthest in or out of the wall within 60 ms, µm |\n|---|---|".into());
+    let [off, full] = [FeedForward::Off, FeedForward::Full].map(perturbed);
     line(format!("| off | {:.0} |\n| full | {:.0} |\n| ratio | {:.2} |", 1e6 * off, 1e6 * full, full / off));
-    line("\n### A wrong rotor inertia\n".into());
+    line("\n### A wrong model\n".into());
     line("| the model's rotor inertia | rotor 0: gain kept, % | rotor 1: gain kept, % |\n|---|---|---|".into());
     for percent in [-50, -25, -10, 10, 25, 50] {
-        let kept = |joint| 100.0 * kept_with_rotor(DEMO, joint, 1.0 + f64::from(percent) / 100.0);
-        line(format!("| {percent:+} % | {:.1} | {:.1} |", kept(0), kept(1)));
+        let by = 1.0 + f64::from(percent) / 100.0;
+        let [first, second] = [[by, 1.0], [1.0, by]].map(|rotors| 100.0 * Belief::scaled(rotors, 1.0).kept(DEMO));
+        line(format!("| {percent:+} % | {first:.1} | {second:.1} |"));
     }
-    let GainRetained { cases, below, least, most } = kept_around_home();
-    line("\n| around home, a half wrong | |\n|---|---|".into());
-    line(format!("| cases | {cases} |"));
-    line(format!("| keep less than 87.5 % of the gain, % of the cases | {:.1} |", 100.0 * below as f64 / cases as f64));
-    line(format!("| least and most kept, % | {:.1} to {:.1} |", 100.0 * least, 100.0 * most));
+    line("\n| wrong around home | cases | keep less than 87.5 %, % of them | least and most kept, % |\n|---|---|---|---|".into());
+    for (name, beliefs) in beliefs() {
+        let GainRetained { cases, below, least, most } = kept_around_home(&beliefs);
+        let share = 100.0 * below as f64 / cases as f64;
+        line(format!("| {name} | {cases} | {share:.1} | {:.1} to {:.1} |", 100.0 * least, 100.0 * most));
+    }
     line("\n### A sliding tip\n".into());
     line("| q, normal, speed | encoder | off, µm | paper, µm | rendered, µm |\n|---|---|---|---|---|".into());
     for case in SLIDES {
@@ -380,5 +431,11 @@ pub fn tables() -> String {
     }
     line("\n### A free tip\n".into());
     line(format!("A push along the normal moves the free tip {:.1}° off it.", free_deflection().abs()));
+    let Perception { tip, ratio, along_wall } = felt();
+    let AlongWall { off, full } = along_wall.expect("a wall");
+    line(format!(
+        "\nA hand feels {:.3} to {:.3} kg in the air, by direction ({ratio:.1} times), and along the wall {:.3} kg off, {:.3} full.",
+        tip[0], tip[1], off[0], full[0]
+    ));
     text
 }

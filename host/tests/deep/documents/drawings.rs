@@ -2,7 +2,9 @@
 
 use crate::common::{file, files, haptic, root, shipped};
 use haptic::analysis::pose::TaskPose;
+use haptic::plot::coupling::draw;
 use haptic::skeleton::{Turret, skeleton};
+use haptic_bridge::model::admissible::Admissible;
 
 #[test]
 fn the_drawings_of_the_documents_are_those_of_the_tool() {
@@ -24,7 +26,22 @@ fn the_drawings_of_the_documents_are_those_of_the_tool() {
             "{drawing}.svg: docs/devices.md says how to draw it anew"
         );
     }
-    assert_eq!(std::fs::read_dir(root().join("docs/drawings")).unwrap().count(), 6);
+    assert_eq!(std::fs::read_dir(root().join("docs/drawings")).unwrap().count(), 7);
+}
+
+#[test]
+fn the_papers_first_figure_is_what_the_tool_draws() {
+    let told = std::fs::read_to_string(root().join("docs/design.md")).unwrap();
+    let line =
+        "haptic design devices/coupled-five-bar.toml --q 2.6,1.75 --normal 0.94,-0.34 --points 300 --svg coupling.svg";
+    assert!(told.contains(line) && told.contains("(drawings/coupling.svg)"));
+    // The search of that line has no part in the picture.
+    let device = shipped("coupled-five-bar");
+    let size = 0.94_f64.hypot(-0.34);
+    let normal = [0.94 / size, -0.34 / size];
+    let drawn = draw(&device.description, &device.name, &[2.6, 1.75], &normal, Admissible::default()).unwrap().unwrap();
+    let kept = std::fs::read_to_string(root().join("docs/drawings/coupling.svg")).unwrap();
+    assert!(drawn.svg() == kept, "`{line}` draws docs/drawings/coupling.svg anew");
 }
 
 #[test]

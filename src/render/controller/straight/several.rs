@@ -58,13 +58,13 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             }
         }
         let Started { pose, place, .. } = started;
-        let passivity = self.walls.passivity().then(|| self.coefficients.rate());
+        let debt = self.passivity.debt(self.coefficients.rate());
         let (mut at, mut deepest) = (AtWalls { distance: T::INFINITY, ..AtWalls::none() }, SVector::zeros());
         let mut force = SVector::<T, N>::zeros();
         for running in self.walls.all() {
             let contact = running.surface().contact::<K, N>(&place);
-            let approach = running.pass(&self.coefficients, contact.distance);
-            let pressed = running.press(contact.distance, approach, passivity, T::one());
+            let velocity = running.pass(&self.coefficients, contact.distance);
+            let pressed = running.press(contact.distance, velocity, debt.as_ref(), T::one());
             // Written so that what is not a number stays one, and is found out.
             let shallower = contact.distance >= at.distance;
             if !shallower {
@@ -75,7 +75,6 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             }
             at.contacts += 1;
             at.wall_force += pressed.force;
-            at.energy += running.energy();
             at.passivity_damping += pressed.passivity_damping;
             force += contact.normal * pressed.force;
             if running.is_shaped() {
@@ -85,12 +84,13 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
                 let _ = stiff.push(Stiff { normal: contact.normal, pulled });
             }
         }
-        found.at.walls = at;
         if at.contacts > 0 {
+            at.energy = self.passivity.energy();
             put(&self.mechanism.inverse(&pose, &deepest), &mut found.motion);
         } else {
             clear::<T, N>(&mut found.motion);
         }
+        found.at.walls = at;
         let rendered = self.mechanism.transpose(&pose, &force);
         put(&rendered, &mut found.asked.rendered);
         found.asked.force_squared = force.dot(&force);
@@ -99,6 +99,11 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             let along = e.dot(&shaped);
             torque -= self.mechanism.transpose(&pose, &e) * (share * along);
             torque += self.shaped(&started, &e, along, None).torque * share;
+        }
+        if at.contacts > 0 {
+            self.passivity.hold(&torque)
+        } else {
+            self.passivity.leave()
         }
         self.total(&torque, || force, found);
     }

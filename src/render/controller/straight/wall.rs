@@ -28,8 +28,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             self.guide(&{ started }, &mut found.guided);
         }
         let Started { pose, place, .. } = started;
-        let rate = self.coefficients.rate();
-        let Some((running, passivity)) = self.walls.lone() else {
+        let debt = self.passivity.debt(self.coefficients.rate());
+        let Some(running) = self.walls.lone() else {
             found.at.walls = AtWalls::none();
             return self.untouched(found);
         };
@@ -38,15 +38,15 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         } else {
             (running.surface().contact::<K, N>(&place), T::zero())
         };
-        let approach = running.pass(&self.coefficients, contact.distance);
-        let pressed = running.press(contact.distance, approach, passivity.then_some(rate), T::one());
+        let velocity = running.pass(&self.coefficients, contact.distance);
+        let pressed = running.press(contact.distance, velocity, debt.as_ref(), T::one());
         found.at.walls = AtWalls {
             contacts: u8::from(pressed.touched),
             distance: contact.distance,
             normal_velocity: pressed.velocity,
             wall_force: pressed.force,
             shaping: T::one(),
-            energy: if pressed.touched { running.energy() } else { T::zero() },
+            energy: if pressed.touched { self.passivity.energy() } else { T::zero() },
             passivity_damping: pressed.passivity_damping,
         };
         if !pressed.touched {
@@ -60,6 +60,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         found.asked.force_squared = force * force;
         if !ROUND && feed_forward == FeedForward::Off {
             put(&self.mechanism.inverse(&pose, &contact.normal), &mut found.motion);
+            self.passivity.hold(&rendered);
             return self.total(&rendered, || contact.normal * force, found);
         }
         let Shaped { e, mut torque } = if ROUND {
@@ -67,17 +68,19 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         } else {
             self.shaped(&started, &contact.normal, pressed.shaped, Some(0))
         };
-        // In full nothing is left for Jᵀ alone.
-        if feed_forward == FeedForward::Washout {
+        // In full nothing is left for Jᵀ alone, unless something is owed.
+        if feed_forward == FeedForward::Washout || debt.is_some() {
             torque += row * (force - pressed.shaped);
         }
+        self.passivity.hold(&torque);
         put(&e, &mut found.motion);
         self.total(&torque, || contact.normal * force, found);
     }
 
     /// Where no wall is touched.
     #[inline(always)]
-    fn untouched(&self, found: &mut Found<T>) {
+    fn untouched(&mut self, found: &mut Found<T>) {
+        self.passivity.leave();
         clear::<T, N>(&mut found.motion);
         clear::<T, N>(&mut found.asked.rendered);
         found.asked.force_squared = T::zero();
