@@ -68,6 +68,13 @@ fn the_times_of_the_motor_model_are_those_measured() {
     assert!(frozen.iter().zip([15.0, 11.0, 7.0]).all(|(found, said)| *found <= said), "{frozen:?}");
 }
 
+#[test]
+fn the_readme_says_what_haptic_is_before_it_types_it() {
+    let text = fs::read_to_string(root().join("README.md")).unwrap();
+    let (said, typed) = (text.find("cargo install --path host"), text.find("\nhaptic "));
+    assert!(said.is_some() && said < typed, "{said:?}, {typed:?}");
+}
+
 /// Words between backticks that begin with `haptic` or `cargo xtask` name commands and options that there are.
 #[test]
 fn commands_in_sentences_exist() {
