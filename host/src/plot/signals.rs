@@ -187,7 +187,7 @@ impl<'a> Rows<'a> {
     fn cut(&self) -> Option<impl Fn(&[f64]) -> bool> {
         let names = (0..MAX_JOINTS).map(|joint| format!("saturated{joint}"));
         let columns: Vec<usize> = names.filter_map(|name| self.recording.column(&name)).collect();
-        (!columns.is_empty()).then(|| move |row: &[f64]| columns.iter().any(|column| row[*column] != 0.0))
+        (!columns.is_empty()).then_some(move |row: &[f64]| columns.iter().any(|column| row[*column] != 0.0))
     }
 }
 

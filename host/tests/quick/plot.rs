@@ -339,7 +339,7 @@ fn a_velocity_that_is_noise_is_not_drawn_unasked() {
         let drawn = panels.filter(|panel| panel["view"] == "phase").count();
         (drawn, found["said"].to_string().contains("velocity over distance is left out"))
     };
-    let noise = |t: f64| (1e3 * t * t * 7919.0).sin() * f64::from(u8::from((1e3 * t) as u64 % 2 == 0));
+    let noise = |t: f64| (1e3 * t * t * 7919.0).sin() * f64::from(u8::from(((1e3 * t) as u64).is_multiple_of(2)));
     assert_eq!(views(|t| (TAU * 70.0 * t).sin(), &[]), (1, false));
     assert_eq!(views(noise, &[]), (0, true));
     assert_eq!(views(noise, &["--show", "phase"]), (1, false));
