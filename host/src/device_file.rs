@@ -5,6 +5,7 @@
 
 use crate::toml_file::{Document, FileError, Must, Problem, Table};
 use crate::vectors::padded;
+use core::f64::consts::TAU;
 use haptic_bridge::math::{Libm, Real};
 use haptic_bridge::model::catalogue::{Kind, Spec};
 use haptic_bridge::model::catalogue::{MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
@@ -95,32 +96,30 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>), F
         let reason = "this looks like a scene file, not a device file";
         return Err(top.error_here(impossible(reason, "name the device file first, then its scene files")));
     }
-    top.refuse_unknown_keys(&["name", "mechanism", "gravity", "geometry", "link", "joint", "handle", "home"])?;
-    let name = top.required("name", top.string("name")?, "name = \"my-device\"")?;
-    if name.trim().is_empty() || name.chars().any(char::is_control) {
-        let reason = "a device's name must be printable text on one line";
-        return Err(top.error_at("name", impossible(reason, "write a name such as \"my-device\"")));
-    }
+    top.refuse_unknown_keys(&["name", "mechanism", "gravity", "geometry", "link", "joint", "handle", "home"]);
+    let name = top.keep(name(top), "");
     let words: Vec<(&str, Kind)> = Kind::ALL.iter().map(|kind| (kind.spec().name, *kind)).collect();
     let kind = top.required("mechanism", top.word("mechanism", &words)?, "mechanism = \"five-bar\"")?;
     let spec = kind.spec();
 
     let axes = ["x", "x, y", "x, y, z"][(spec.task - 1).min(2)];
-    let gravity = top.numbers("gravity", spec.task, Must::BeFinite, &format!("{axes} in m/s²"))?;
-    let gravity = top.required("gravity", gravity, format!("gravity = {:?}", vec![0.0; spec.task]))?;
+    let gravity = top.numbers("gravity", spec.task, Must::BeFinite, &format!("{axes} in m/s²"));
+    let example = format!("gravity = {:?}", vec![0.0; spec.task]);
+    let gravity = top.keep(gravity.and_then(|value| top.required("gravity", value, example)), Vec::new());
 
-    let geometry_table = top.required("geometry", top.table("geometry")?, "[geometry]")?;
-    let geometry = geometry(&geometry_table, &spec)?;
-    let links = links(top, &spec)?;
-    let joints = joints(top, &spec)?;
-    let handle_mass = match top.table("handle")? {
-        None => 0.0,
-        Some(handle) => {
-            handle.refuse_unknown_keys(&["mass"])?;
-            handle.required("mass", handle.number("mass", Must::NotBeNegative)?, "mass = 0.01")?
-        }
-    };
-    let home = home(top, &spec, &joints)?;
+    let table = top.table("geometry").and_then(|table| top.required("geometry", table, "[geometry]"));
+    let geometry_table = top.keep(table.map(Some), None);
+    let geometry = geometry_table.as_ref().map_or([0.0; MAX_GEOMETRY], |table| geometry(table, &spec));
+    let links = top.keep(links(top, &spec), Default::default());
+    let joints = top.keep(joints(top, &spec), Default::default());
+    let handle_mass = top.keep(top.table("handle"), None).map_or(0.0, |handle| {
+        handle.refuse_unknown_keys(&["mass"]);
+        handle.needed("mass", Must::NotBeNegative, "mass = 0.01")
+    });
+    let home = top.keep(home(top, &spec, &joints), None);
+    // The rest asks whether these numbers can be together.
+    top.sound()?;
+    let geometry_table = geometry_table.unwrap_or_else(|| top.clone());
 
     let description = Description { kind, gravity: padded(&gravity), geometry, links, joints, handle_mass, home };
     let mechanism = AnyMechanism::new(&description).map_err(|error| refusal(error, top, &geometry_table, &spec))?;
@@ -150,27 +149,35 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>), F
     Ok((name.to_string(), description, mechanism))
 }
 
+fn name<'a>(top: &Table<'a>) -> Result<&'a str, FileError> {
+    let name = top.required("name", top.string("name")?, "name = \"my-device\"")?;
+    if name.trim().is_empty() || name.chars().any(char::is_control) {
+        let reason = "a device's name must be printable text on one line";
+        return Err(top.error_at("name", impossible(reason, "write a name such as \"my-device\"")));
+    }
+    Ok(name)
+}
+
 fn impossible(reason: impl Into<String>, remedy: impl Into<String>) -> Problem {
     Problem::Impossible { reason: reason.into(), remedy: remedy.into() }
 }
 
 /// The geometry's numbers, flattened in the order of the mechanism.
-fn geometry(table: &Table<'_>, spec: &Spec) -> Result<[f64; MAX_GEOMETRY], FileError> {
+fn geometry(table: &Table<'_>, spec: &Spec) -> [f64; MAX_GEOMETRY] {
     let known: Vec<&str> = spec.geometry.iter().map(|(key, _)| *key).collect();
-    table.refuse_unknown_keys(&known)?;
+    table.refuse_unknown_keys(&known);
     let mut flat = Vec::with_capacity(MAX_GEOMETRY);
     for (key, count) in spec.geometry {
-        let values = match count {
-            1 => table.number(key, Must::BeFinite)?.map(|value| vec![value]),
-            _ => table.numbers(key, *count, Must::BeFinite, "metres")?,
-        };
-        let example = match count {
-            1 => format!("{key} = 0.1"),
-            _ => format!("{key} = {:?}", vec![0.1; *count]),
-        };
-        flat.extend(table.required(key, values, example)?);
+        if *count == 1 {
+            flat.push(table.needed(key, Must::BeFinite, format!("{key} = 0.1")));
+            continue;
+        }
+        let values = table.numbers(key, *count, Must::BeFinite, "metres");
+        let example = format!("{key} = {:?}", vec![0.1; *count]);
+        let values = values.and_then(|values| table.required(key, values, example));
+        flat.extend(table.keep(values, vec![f64::NAN; *count]));
     }
-    Ok(padded(&flat))
+    padded(&flat)
 }
 
 fn links(top: &Table<'_>, spec: &Spec) -> Result<[Link; MAX_LINKS], FileError> {
@@ -180,21 +187,18 @@ fn links(top: &Table<'_>, spec: &Spec) -> Result<[Link; MAX_LINKS], FileError> {
     } else {
         spec.links.join(", ")
     };
-    counted(top, &tables, "link", spec.links.len(), meaning)?;
+    top.keep(counted(top, &tables, "link", spec.links.len(), meaning), ());
     let mut links = [Link::default(); MAX_LINKS];
     for ((index, table), name) in tables.into_iter().enumerate().zip(spec.links) {
         let table = table.called(format!("[[link]] {index} ({name})"));
-        table.refuse_unknown_keys(&["mass", "com", "inertia", "inertia_axial", "inertia_transverse"])?;
-        let mass = table.required("mass", table.number("mass", Must::NotBeNegative)?, "mass = 0.02")?;
-        let com = table.required("com", table.number("com", Must::BeFinite)?, "com = 0.03")?;
-        let inertia = table.number("inertia", Must::NotBeNegative)?;
-        let inertia = table.required("inertia", inertia, "inertia = 1.0e-5")?;
+        table.refuse_unknown_keys(&["mass", "com", "inertia", "inertia_axial", "inertia_transverse"]);
+        let inertia = table.needed("inertia", Must::NotBeNegative, "inertia = 1.0e-5");
         links[index] = Link {
-            mass,
-            com,
+            mass: table.needed("mass", Must::NotBeNegative, "mass = 0.02"),
+            com: table.needed("com", Must::BeFinite, "com = 0.03"),
             inertia,
-            inertia_axial: table.number("inertia_axial", Must::NotBeNegative)?.unwrap_or(0.0),
-            inertia_transverse: table.number("inertia_transverse", Must::NotBeNegative)?.unwrap_or(inertia),
+            inertia_axial: table.number_or("inertia_axial", Must::NotBeNegative, 0.0),
+            inertia_transverse: table.number_or("inertia_transverse", Must::NotBeNegative, inertia),
         };
     }
     Ok(links)
@@ -225,81 +229,68 @@ fn counted(
 
 fn joints(top: &Table<'_>, spec: &Spec) -> Result<[Joint; MAX_JOINTS], FileError> {
     let tables = top.tables("joint")?;
-    counted(top, &tables, "joint", spec.joints, "one per actuated joint, joint 0 first".into())?;
+    top.keep(counted(top, &tables, "joint", spec.joints, "one per actuated joint, joint 0 first".into()), ());
     let mut joints = [Joint::default(); MAX_JOINTS];
-    for (index, table) in tables.into_iter().enumerate() {
+    for ((index, table), joint) in tables.into_iter().enumerate().zip(&mut joints).take(spec.joints) {
         let place = format!("[[joint]] {index}");
-        let table = table.called(place.clone());
-        table.refuse_unknown_keys(&[
-            "inertia",
-            "viscous",
-            "coulomb",
-            "limits",
-            "encoder",
-            "motor",
-            "transmission",
-            "friction",
-            "cogging",
-            "mode",
-        ])?;
-        let inertia = table.number("inertia", Must::NotBeNegative)?;
-        let inertia = table.required("inertia", inertia, "inertia = 2.0e-6")?;
-        let carries = carries_its_body(spec, index);
-        let rigid = table.is_string("transmission") && table.word("transmission", &[("rigid", true)])?.is_some();
-        let transmission = match table.is_string("transmission") {
-            true => None,
-            false => table
-                .table("transmission")?
-                .map(|table| {
-                    transmission_of(&table.called(format!("[joint.transmission] of {place}")), inertia, carries)
-                })
-                .transpose()?,
-        };
-        let coulomb = table.number("coulomb", Must::NotBeNegative)?.unwrap_or(0.0);
-        let friction = table
-            .table("friction")?
-            .map(|table| friction_of(&table.called(format!("[joint.friction] of {place}")), coulomb))
-            .transpose()?;
-        let cogging = table
-            .table("cogging")?
-            .map(|table| cogging_of(&table.called(format!("[joint.cogging] of {place}"))))
-            .transpose()?;
-        let encoder = table
-            .table("encoder")?
-            .map(|encoder| encoder_of(&encoder.called(format!("[joint.encoder] of {place}"))))
-            .transpose()?;
-        let motor = table
-            .table("motor")?
-            .map(|motor| motor_of(&motor.called(format!("[joint.motor] of {place}"))))
-            .transpose()?;
-        joints[index] = Joint {
-            inertia,
-            viscous: table.number("viscous", Must::NotBeNegative)?.unwrap_or(0.0),
-            coulomb,
-            limits: limits(&table)?,
-            encoder,
-            motor,
-            transmission,
-            rigid,
-            friction,
-            cogging,
-            modes: modes(&table, &place)?,
-        };
+        *joint = joint_of(&table.called(place), carries_its_body(spec, index));
     }
     Ok(joints)
 }
 
+/// `carries`: see [`carries_its_body`].
+fn joint_of(table: &Table<'_>, carries: bool) -> Joint {
+    table.refuse_unknown_keys(&[
+        "inertia",
+        "viscous",
+        "coulomb",
+        "limits",
+        "encoder",
+        "motor",
+        "transmission",
+        "friction",
+        "cogging",
+        "mode",
+    ]);
+    // A table of the joint, where it is there.
+    let part = |key: &str| {
+        let place = format!("[joint.{key}] of {}", table.place());
+        table.keep(table.table(key), None).map(|part| part.called(place))
+    };
+    let inertia = table.needed("inertia", Must::NotBeNegative, "inertia = 2.0e-6");
+    let coulomb = table.number_or("coulomb", Must::NotBeNegative, 0.0);
+    let (rigid, transmission) = match table.is_string("transmission") {
+        true => (table.keep(table.word("transmission", &[("rigid", true)]), None).is_some(), None),
+        false => (false, part("transmission")),
+    };
+    let transmission = transmission.map(|part| transmission_of(&part, inertia, carries));
+    let transmission = transmission.and_then(|found| table.keep(found.map(Some), None));
+    let friction = part("friction").and_then(|part| table.keep(friction_of(&part, coulomb).map(Some), None));
+    Joint {
+        inertia,
+        viscous: table.number_or("viscous", Must::NotBeNegative, 0.0),
+        coulomb,
+        limits: table.keep(limits(table), None),
+        encoder: part("encoder").map(|part| encoder_of(&part)),
+        motor: part("motor").map(|part| motor_of(&part)),
+        transmission,
+        rigid,
+        friction,
+        cogging: part("cogging").map(|part| cogging_of(&part)),
+        modes: table.keep(modes(table), Default::default()),
+    }
+}
+
 /// Whether the body that a joint turns counts in the joint's own inertia, beside its rotor: a paddle's and a turret's.
-fn carries_its_body(spec: &Spec, joint: usize) -> bool {
+pub(crate) fn carries_its_body(spec: &Spec, joint: usize) -> bool {
     joint == 0 && (spec.links.is_empty() || spec.task == 3)
 }
 
 /// `inertia` is the joint's, of which the motor has a part, or all of it unless the joint `carries_its_body`.
 fn transmission_of(table: &Table<'_>, inertia: f64, carries_its_body: bool) -> Result<Transmission, FileError> {
-    table.refuse_unknown_keys(&["stiffness", "damping", "motor_inertia", "encoder_at"])?;
-    let stiffness = table.number("stiffness", Must::BePositive)?;
-    let stiffness = table.required("stiffness", stiffness, "stiffness = 50.0")?;
-    let damping = table.number("damping", Must::NotBeNegative)?.unwrap_or(0.0);
+    table.refuse_unknown_keys(&["stiffness", "damping", "motor_inertia", "encoder_at"]);
+    let stiffness = table.needed("stiffness", Must::BePositive, "stiffness = 50.0");
+    let damping = table.number_or("damping", Must::NotBeNegative, 0.0);
     let given = table.number("motor_inertia", Must::BePositive)?;
     let motor_inertia = match given {
         None if carries_its_body => table.required("motor_inertia", None, "motor_inertia = 1.0e-5")?,
@@ -323,11 +314,9 @@ fn transmission_of(table: &Table<'_>, inertia: f64, carries_its_body: bool) -> R
 
 /// `coulomb` is the joint's, N m.
 fn friction_of(table: &Table<'_>, coulomb: f64) -> Result<Stribeck, FileError> {
-    table.refuse_unknown_keys(&["static", "stribeck_speed"])?;
-    let rest = table.number("static", Must::NotBeNegative)?;
-    let rest = table.required("static", rest, format!("static = {:?}", 1.5 * coulomb))?;
-    let speed = table.number("stribeck_speed", Must::BePositive)?;
-    let stribeck_speed = table.required("stribeck_speed", speed, "stribeck_speed = 0.1")?;
+    table.refuse_unknown_keys(&["static", "stribeck_speed"]);
+    let rest = table.needed("static", Must::NotBeNegative, format!("static = {:?}", 1.5 * coulomb));
+    let stribeck_speed = table.needed("stribeck_speed", Must::BePositive, "stribeck_speed = 0.1");
     if rest < coulomb {
         let reason =
             format!("static is {rest} N m, less than the joint's coulomb ({coulomb}): at rest friction is most");
@@ -336,32 +325,29 @@ fn friction_of(table: &Table<'_>, coulomb: f64) -> Result<Stribeck, FileError> {
     Ok(Stribeck { rest, stribeck_speed })
 }
 
-fn cogging_of(table: &Table<'_>) -> Result<Cogging, FileError> {
-    table.refuse_unknown_keys(&["amplitude", "per_turn"])?;
-    let amplitude = table.number("amplitude", Must::NotBeNegative)?;
-    let per_turn = table.number("per_turn", Must::BePositive)?;
-    Ok(Cogging {
-        amplitude: table.required("amplitude", amplitude, "amplitude = 0.001")?,
-        per_turn: table.required("per_turn", per_turn, "per_turn = 24")?,
-    })
+fn cogging_of(table: &Table<'_>) -> Cogging {
+    table.refuse_unknown_keys(&["amplitude", "per_turn"]);
+    Cogging {
+        amplitude: table.needed("amplitude", Must::NotBeNegative, "amplitude = 0.001"),
+        per_turn: table.needed("per_turn", Must::BePositive, "per_turn = 24"),
+    }
 }
 
-/// The `[[joint.mode]]` tables of the joint that messages call `place`.
-fn modes(joint: &Table<'_>, place: &str) -> Result<[Option<StructuralMode>; MAX_MODES], FileError> {
+/// The `[[joint.mode]]` tables of a joint.
+fn modes(joint: &Table<'_>) -> Result<[Option<StructuralMode>; MAX_MODES], FileError> {
     let tables = joint.tables("mode")?;
     if let Some(surplus) = tables.get(MAX_MODES) {
-        let reason = format!("{place} has {} modes, and a joint has {MAX_MODES} at most", tables.len());
+        let reason = format!("{} has {} modes, and a joint has {MAX_MODES} at most", joint.place(), tables.len());
         return Err(surplus.error_here(impossible(reason, "keep those of the lowest frequencies")));
     }
     let mut modes = [None; MAX_MODES];
     for (index, table) in tables.into_iter().enumerate() {
-        let table = table.called(format!("[[joint.mode]] {index} of {place}"));
-        table.refuse_unknown_keys(&["frequency", "damping", "inertia"])?;
-        let positive = |key: &str, example: &str| table.required(key, table.number(key, Must::BePositive)?, example);
+        let table = table.called(format!("[[joint.mode]] {index} of {}", joint.place()));
+        table.refuse_unknown_keys(&["frequency", "damping", "inertia"]);
         modes[index] = Some(StructuralMode {
-            frequency: positive("frequency", "frequency = 150.0")?,
-            damping: table.number("damping", Must::NotBeNegative)?.unwrap_or(0.0),
-            inertia: positive("inertia", "inertia = 1.0e-5")?,
+            frequency: table.needed("frequency", Must::BePositive, "frequency = 150.0"),
+            damping: table.number_or("damping", Must::NotBeNegative, 0.0),
+            inertia: table.needed("inertia", Must::BePositive, "inertia = 1.0e-5"),
         });
     }
     Ok(modes)
@@ -378,40 +364,31 @@ fn limits(joint: &Table<'_>) -> Result<Option<(f64, f64)>, FileError> {
     }
 }
 
-fn encoder_of(table: &Table<'_>) -> Result<Encoder, FileError> {
-    table.refuse_unknown_keys(&["counts_per_turn", "offset", "inverted"])?;
-    let counts = table.number("counts_per_turn", Must::BePositive)?;
-    Ok(Encoder {
-        counts_per_turn: table.required("counts_per_turn", counts, "counts_per_turn = 16384")?,
-        offset: table.required("offset", table.number("offset", Must::BeFinite)?, "offset = 0.0")?,
-        inverted: table.required("inverted", table.flag("inverted")?, "inverted = false")?,
-    })
+fn encoder_of(table: &Table<'_>) -> Encoder {
+    table.refuse_unknown_keys(&["counts_per_turn", "offset", "inverted"]);
+    Encoder {
+        counts_per_turn: table.needed("counts_per_turn", Must::BePositive, "counts_per_turn = 16384"),
+        offset: table.number_or("offset", Must::BeFinite, 0.0),
+        inverted: table.flag_or("inverted", false),
+    }
 }
 
-fn motor_of(table: &Table<'_>) -> Result<Motor<f64>, FileError> {
-    table.refuse_unknown_keys(&[
-        "torque_constant",
-        "resistance",
-        "inductance",
-        "back_emf",
-        "max_current",
-        "verified",
-    ])?;
-    let positive = |key: &str, example: &str| table.required(key, table.number(key, Must::BePositive)?, example);
-    let torque_constant = positive("torque_constant", "torque_constant = 0.05")?;
-    Ok(Motor {
+fn motor_of(table: &Table<'_>) -> Motor<f64> {
+    table.refuse_unknown_keys(&["torque_constant", "resistance", "inductance", "back_emf", "max_current", "verified"]);
+    let torque_constant = table.needed("torque_constant", Must::BePositive, "torque_constant = 0.05");
+    Motor {
         torque_constant,
-        resistance: positive("resistance", "resistance = 2.0")?,
-        inductance: table.number("inductance", Must::NotBeNegative)?.unwrap_or(0.0),
-        back_emf: table.number("back_emf", Must::NotBeNegative)?.unwrap_or(torque_constant),
-        max_current: positive("max_current", "max_current = 3.0")?,
-        verified: table.flag("verified")?.unwrap_or(false),
-    })
+        resistance: table.needed("resistance", Must::BePositive, "resistance = 2.0"),
+        inductance: table.number_or("inductance", Must::NotBeNegative, 0.0),
+        back_emf: table.number_or("back_emf", Must::NotBeNegative, torque_constant),
+        max_current: table.needed("max_current", Must::BePositive, "max_current = 3.0"),
+        verified: table.flag_or("verified", false),
+    }
 }
 
 fn home(top: &Table<'_>, spec: &Spec, joints: &[Joint]) -> Result<Option<[f64; MAX_JOINTS]>, FileError> {
     let Some(table) = top.table("home")? else { return Ok(None) };
-    table.refuse_unknown_keys(&["q"])?;
+    table.refuse_unknown_keys(&["q"]);
     let q = table.numbers("q", spec.joints, Must::BeFinite, "one angle per joint in rad")?;
     let q = table.required("q", q, format!("q = {:?}", vec![0.0; spec.joints]))?;
     for (index, (angle, joint)) in q.iter().zip(joints).enumerate() {
@@ -419,7 +396,12 @@ fn home(top: &Table<'_>, spec: &Spec, joints: &[Joint]) -> Result<Option<[f64; M
             && !(low..=high).contains(angle)
         {
             let reason = format!("home puts joint {index} at {angle} rad, outside its limits [{low}, {high}]");
-            return Err(table.error_at_element("q", index, impossible(reason, "move home or widen the limits")));
+            let radians = angle.to_radians();
+            let remedy = match angle.abs() > TAU && (low..=high).contains(&radians) {
+                true => format!("angles are in radians: {angle} degrees are {radians:.4} rad"),
+                false => "move home or widen the limits".into(),
+            };
+            return Err(table.error_at_element("q", index, impossible(reason, remedy)));
         }
     }
     Ok(Some(padded(&q)))

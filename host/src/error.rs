@@ -1,4 +1,5 @@
-//! How a command ends when it does not end well: an exit code, one line that says why, and what to do about it.
+//! How a command ends when it does not end well: an exit code, one line that says why, and what to do about it; of a file
+//! with several mistakes a line each.
 //!
 //! Exit codes (docs/model.md section 5): 0 done, 1 it could not be done, 2 the command or a file is wrong.
 
@@ -38,24 +39,26 @@ pub enum Choice {
     Fields,
 }
 
-/// A command that did not do what was asked, on one line.
+/// A command that did not do what was asked, on one line; a file with several mistakes, a line each.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Failure {
     blame: Blame,
     reason: String,
     remedy: Option<String>,
     choice: Option<Choice>,
+    /// Further lines.
+    also: Vec<String>,
 }
 
 impl Failure {
     /// It could not be done (exit code 1).
     pub fn impossible(reason: impl fmt::Display) -> Self {
-        Self { blame: Blame::World, reason: reason.to_string(), remedy: None, choice: None }
+        Self { blame: Blame::World, reason: reason.to_string(), remedy: None, choice: None, also: Vec::new() }
     }
 
     /// The command or a file is wrong (exit code 2).
     pub fn wrong(reason: impl fmt::Display) -> Self {
-        Self { blame: Blame::Request, reason: reason.to_string(), remedy: None, choice: None }
+        Self { blame: Blame::Request, reason: reason.to_string(), remedy: None, choice: None, also: Vec::new() }
     }
 
     /// Adds what the user can do about it.
@@ -67,6 +70,12 @@ impl Failure {
     /// Adds what the user may choose otherwise for the remedy.
     pub fn choose(mut self, choice: Choice) -> Self {
         self.choice = Some(choice);
+        self
+    }
+
+    /// Adds what is wrong beside, a line each.
+    pub fn also(mut self, lines: impl IntoIterator<Item = String>) -> Self {
+        self.also.extend(lines);
         self
     }
 
@@ -90,14 +99,14 @@ impl Failure {
 }
 
 impl fmt::Display for Failure {
-    /// Always a single line, whatever the reason was made of.
+    /// The reason is a single line, whatever it was made of.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let one_line = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
         f.write_str(&one_line(&self.reason))?;
-        match &self.remedy {
-            Some(remedy) => write!(f, "; {}", one_line(remedy)),
-            None => Ok(()),
+        if let Some(remedy) = &self.remedy {
+            write!(f, "; {}", one_line(remedy))?;
         }
+        self.also.iter().try_for_each(|line| write!(f, "\n{}", one_line(line)))
     }
 }
 

@@ -1,6 +1,6 @@
 //! Why a file is refused: every mistake a device or scene file can hold, in words, with what to do about it.
 //!
-//! One line each: `file:line:column: what is wrong; what to do`.
+//! One line each: `file:line:column: what is wrong; what to do`. A file is told all its mistakes that can be seen at once.
 
 use core::fmt;
 use std::path::PathBuf;
@@ -14,6 +14,32 @@ pub struct FileError {
     pub position: Option<(usize, usize)>,
     /// What is wrong.
     pub problem: Box<Problem>,
+    /// What else is wrong in the same file, further down.
+    pub others: Vec<FileError>,
+}
+
+impl FileError {
+    /// One mistake.
+    pub fn new(path: PathBuf, position: Option<(usize, usize)>, problem: Problem) -> Self {
+        Self { path, position, problem: Box::new(problem), others: Vec::new() }
+    }
+
+    /// The mistakes of one file as one, in the order of the file; none where there are none. A key that is missed only
+    /// because it is misspelt or stands in the wrong table is one mistake.
+    pub fn together(mut errors: Vec<Self>) -> Option<Self> {
+        let unknown: Vec<Problem> = errors.iter().map(|error| (*error.problem).clone()).collect();
+        let explained = |missing: &Problem| unknown.iter().any(|problem| problem.explains(missing));
+        errors.retain(|error| !explained(&error.problem));
+        errors.sort_by_key(|error| error.position);
+        let mut errors = errors.into_iter();
+        let first = errors.next()?;
+        Some(Self { others: errors.collect(), ..first })
+    }
+
+    fn line(&self) -> String {
+        let place = self.position.map_or(String::new(), |(line, column)| format!(":{line}:{column}"));
+        format!("{}{place}: {}; {}", self.path.display(), self.problem, self.problem.remedy())
+    }
 }
 
 /// Everything a file can be refused for. `place` is the table, such as `[geometry]` or `[[link]] 1 (proximal-2)`:
@@ -38,6 +64,8 @@ pub enum Problem {
         nearest: Option<String>,
         /// Every key that may stand here.
         known: Vec<String>,
+        /// It belongs at the top of the file.
+        on_top: bool,
     },
     /// A key that must be there is not.
     MissingKey {
@@ -122,6 +150,17 @@ pub enum Problem {
 }
 
 impl Problem {
+    /// Whether this unknown key is what is missing there.
+    fn explains(&self, missing: &Self) -> bool {
+        let (Self::UnknownKey { key: unknown, place, on_top, .. }, Self::MissingKey { key, place: lacking, .. }) =
+            (self, missing)
+        else {
+            return false;
+        };
+        let misspelt = place == lacking && nearest(unknown, std::slice::from_ref(key)).is_some();
+        misspelt || *on_top && lacking.is_empty() && unknown == key
+    }
+
     /// What to do about it.
     pub fn remedy(&self) -> String {
         match self {
@@ -129,6 +168,7 @@ impl Problem {
             Self::Unfit(_) => "name the TOML file that is meant".into(),
             Self::NotText => "save the file as UTF-8 text".into(),
             Self::Syntax(_) => "mend the TOML at this place".into(),
+            Self::UnknownKey { on_top: true, .. } => "it belongs at the top of the file, above the first table".into(),
             Self::UnknownKey { nearest: Some(nearest), .. } => format!("did you mean `{nearest}`?"),
             Self::UnknownKey { nearest: None, known, .. } if known.is_empty() => "remove it".into(),
             Self::UnknownKey { nearest: None, known, .. } => {
@@ -187,11 +227,8 @@ impl fmt::Display for Problem {
 
 impl fmt::Display for FileError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}", self.path.display())?;
-        if let Some((line, column)) = self.position {
-            write!(f, ":{line}:{column}")?;
-        }
-        write!(f, ": {}; {}", self.problem, self.problem.remedy())
+        f.write_str(&self.line())?;
+        self.others.iter().try_for_each(|other| write!(f, "\n{}", other.line()))
     }
 }
 
@@ -199,7 +236,7 @@ impl std::error::Error for FileError {}
 
 impl From<FileError> for crate::error::Failure {
     fn from(error: FileError) -> Self {
-        Self::wrong(error)
+        Self::wrong(error.line()).also(error.others.iter().map(FileError::line))
     }
 }
 

@@ -49,6 +49,23 @@ pub fn outline(surface: &Surface<f64>) -> Option<Outline> {
     }
 }
 
+/// The same for a device whose task is the length of an arc with this radius (m) about the origin: a wall across the arc.
+pub fn on_an_arc(surface: &Surface<f64>, radius: f64) -> Option<Outline> {
+    let Surface::Plane(plane) = surface else { return None };
+    let (sin, cos) = (plane.point[0] / radius).sin_cos();
+    let side = plane.normal[0].signum();
+    Some(Outline::Line { at: [radius * cos, radius * sin], normal: [-side * sin, side * cos] })
+}
+
+impl Outline {
+    /// A point of it, or its centre, m.
+    pub fn at(&self) -> [f64; 2] {
+        match self {
+            Self::Line { at, .. } | Self::Circle { at, .. } => *at,
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

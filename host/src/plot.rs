@@ -35,6 +35,9 @@ use thiserror::Error;
 /// Pixels of a PNG per unit of its SVG.
 #[cfg(feature = "png")]
 const PNG_SCALE: f32 = 2.0;
+/// The same where the SVG has a size on paper, whose units are 96 to the inch: 600 pixels to the inch.
+#[cfg(feature = "png")]
+const PRINTED_SCALE: f32 = 600.0 / 96.0;
 
 /// Why a picture could not be written.
 #[derive(Debug, Error)]
@@ -60,6 +63,9 @@ impl From<PictureError> for Failure {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Picture {
     svg: String,
+    /// It has a size on paper, which says how many pixels it takes.
+    #[cfg_attr(not(feature = "png"), allow(dead_code, reason = "pixels are PNG's"))]
+    printed: bool,
 }
 
 impl Picture {
@@ -75,7 +81,7 @@ impl Picture {
     }
 
     #[cfg(feature = "png")]
-    /// Writes it as PNG, two pixels per unit; as [`Picture::save_svg`].
+    /// Writes it as PNG, two pixels per unit, or 600 to the inch of one with a size on paper; as [`Picture::save_svg`].
     pub fn save_png(&self, path: &Path) -> Result<(), PictureError> {
         Ok(output::write(path, &self.png()?, Overwrite::Replace)?)
     }
@@ -95,10 +101,11 @@ impl Picture {
             ..usvg::Options::default()
         };
         let tree = usvg::Tree::from_str(&self.svg, &options).map_err(|e| drawing(e.to_string()))?;
-        let size = tree.size().to_int_size().scale_by(PNG_SCALE).ok_or_else(|| drawing("it has no size".into()))?;
+        let scale = if self.printed { PRINTED_SCALE } else { PNG_SCALE };
+        let size = tree.size().to_int_size().scale_by(scale).ok_or_else(|| drawing("it has no size".into()))?;
         let mut pixels =
             tiny_skia::Pixmap::new(size.width(), size.height()).ok_or_else(|| drawing("it is too large".into()))?;
-        resvg::render(&tree, tiny_skia::Transform::from_scale(PNG_SCALE, PNG_SCALE), &mut pixels.as_mut());
+        resvg::render(&tree, tiny_skia::Transform::from_scale(scale, scale), &mut pixels.as_mut());
         pixels.encode_png().map_err(|e| drawing(e.to_string()))
     }
 }

@@ -116,46 +116,52 @@ fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
         "spring",
         "field",
     ];
-    top.refuse_unknown_keys(&[&every[..], own.as_slice()].concat())?;
-    let rate_hz = top.number("rate_hz", Must::BePositive)?.unwrap_or(DEFAULT_RATE_HZ);
-    if !(MIN_RATE_HZ..=MAX_RATE_HZ).contains(&rate_hz) {
-        return Err(out_of_range(top, "rate_hz", rate_hz, &format!("from {MIN_RATE_HZ} to {MAX_RATE_HZ} Hz")));
-    }
-    let cutoff_hz = top.number("cutoff_hz", Must::BePositive)?.unwrap_or(DEFAULT_CUTOFF_HZ.min(0.1 * rate_hz));
-    below_half_the_rate(top, "cutoff_hz", cutoff_hz, rate_hz)?;
+    top.refuse_unknown_keys(&[&every[..], own.as_slice()].concat());
+    // NaN where it is wrong: nothing is held against it then.
+    let rate_hz = top.keep(rate(top), f64::NAN);
+    let cutoff_hz = top.number_or("cutoff_hz", Must::BePositive, DEFAULT_CUTOFF_HZ.min(0.1 * rate_hz));
+    top.keep(below_half_the_rate(top, "cutoff_hz", cutoff_hz, rate_hz), ());
     let mut scene = Scene {
         task: task as u8,
         rate_hz,
         cutoff_hz,
-        estimator: chosen(top, estimator)?,
-        gravity_compensation: top.flag("gravity_compensation")?.unwrap_or(true),
-        velocity_terms: top.word("velocity_terms", &VelocityTerms::ALL)?.unwrap_or_default(),
-        feed_forward_gain: feed_forward_gain(top)?,
-        admissible: top.word("admissible", &Admissible::ALL)?.unwrap_or_default(),
-        posture: top.table("posture")?.map(|table| posture(&table)).transpose()?,
+        estimator: top.keep(chosen(top, estimator), estimator),
+        gravity_compensation: top.flag_or("gravity_compensation", true),
+        velocity_terms: top.keep(top.word("velocity_terms", &VelocityTerms::ALL), None).unwrap_or_default(),
+        feed_forward_gain: top.keep(feed_forward_gain(top), 1.0),
+        admissible: top.keep(top.word("admissible", &Admissible::ALL), None).unwrap_or_default(),
+        posture: top.keep(top.table("posture"), None).map(|table| posture(&table)),
         ..Scene::default()
     };
-    let walls = top.tables("wall")?;
+    let walls = top.keep(top.tables("wall"), Vec::new());
     for table in &walls {
-        let wall = wall(table, task, rate_hz)?;
+        let Some(wall) = top.keep(wall(table, task, rate_hz), None) else { continue };
         scene.walls.push(wall).map_err(|_| too_many(table, "[[wall]]", walls.len(), MAX_WALLS))?;
     }
-    let springs = top.tables("spring")?;
+    let springs = top.keep(top.tables("spring"), Vec::new());
     for table in &springs {
-        let spring = spring(table, task)?;
+        let spring = spring(table, task);
         scene.springs.push(spring).map_err(|_| too_many(table, "[[spring]]", springs.len(), MAX_SPRINGS))?;
     }
+    for table in top.keep(top.tables("field"), Vec::new()) {
+        table.refuse_unknown_keys(&["damping"]);
+        scene.field_damping += table.needed("damping", Must::NotBeNegative, "damping = 2.0");
+    }
+    top.sound()?;
     let shaped = scene.walls.iter().filter(|wall| wall.feed_forward != FeedForward::Off).count();
     if scene.feed_forward_gain > 1.0 && shaped > 1 {
         let must = "at most 1 where several walls have a feed-forward";
         return Err(out_of_range(top, "feed_forward_gain", scene.feed_forward_gain, must));
     }
-    for table in top.tables("field")? {
-        table.refuse_unknown_keys(&["damping"])?;
-        let damping = table.number("damping", Must::NotBeNegative)?;
-        scene.field_damping += table.required("damping", damping, "damping = 2.0")?;
-    }
     Ok(scene)
+}
+
+fn rate(top: &Table<'_>) -> Result<f64, FileError> {
+    let rate_hz = top.number("rate_hz", Must::BePositive)?.unwrap_or(DEFAULT_RATE_HZ);
+    if !(MIN_RATE_HZ..=MAX_RATE_HZ).contains(&rate_hz) {
+        return Err(out_of_range(top, "rate_hz", rate_hz, &format!("from {MIN_RATE_HZ} to {MAX_RATE_HZ} Hz")));
+    }
+    Ok(rate_hz)
 }
 
 /// The estimator with the value of its own key and, if it is of a kind that a low-pass may follow and there is a
@@ -201,19 +207,23 @@ fn out_of_range(table: &Table<'_>, key: &str, found: f64, must: &str) -> FileErr
 }
 
 fn below_half_the_rate(table: &Table<'_>, key: &str, found: f64, rate_hz: f64) -> Result<(), FileError> {
-    if found < 0.5 * rate_hz {
+    if found < 0.5 * rate_hz || rate_hz.is_nan() {
         return Ok(());
     }
     Err(out_of_range(table, key, found, &format!("below half the rate of {rate_hz} Hz")))
 }
 
-fn wall(table: &Table<'_>, task: usize, rate_hz: f64) -> Result<Wall<f64>, FileError> {
+/// None where an unknown key keeps it from being read.
+fn wall(table: &Table<'_>, task: usize, rate_hz: f64) -> Result<Option<Wall<f64>>, FileError> {
     let shapes: Vec<(&str, ShapeSpec)> = Surface::<f64>::SPECS.iter().map(|spec| (spec.name, *spec)).collect();
     let shape = table.word("shape", &shapes)?.unwrap_or(shapes[0].1);
     let table = table.clone().called(format!("{} ({})", table.place(), shape.name));
     let every = ["shape", "stiffness", "damping", "feed_forward", "washout_hz", "damping_compensation", "bilateral"];
     let own: Vec<&str> = shape.keys.iter().map(|(key, _)| *key).collect();
-    table.refuse_unknown_keys(&[&own[..], &every].concat())?;
+    // An unknown key may be one of another shape's, or the shape itself, misspelt: what else is wrong is not known then.
+    if !table.refuse_unknown_keys(&[&own[..], &every].concat()) {
+        return Ok(None);
+    }
     if task < shape.least_task {
         let name = shape.name;
         let problem = Problem::Impossible {
@@ -222,38 +232,33 @@ fn wall(table: &Table<'_>, task: usize, rate_hz: f64) -> Result<Wall<f64>, FileE
         };
         return Err(table.error_at("shape", problem));
     }
-    let surface = surface(&table, &shape, task)?;
-
-    let washout_hz = table.number("washout_hz", Must::BePositive)?.unwrap_or(DEFAULT_WASHOUT_HZ);
-    below_half_the_rate(&table, "washout_hz", washout_hz, rate_hz)?;
-    let stiffness = table.number("stiffness", Must::NotBeNegative)?;
-    Ok(Wall {
+    let surface = surface(&table, &shape, task);
+    let washout_hz = table.number_or("washout_hz", Must::BePositive, DEFAULT_WASHOUT_HZ);
+    table.keep(below_half_the_rate(&table, "washout_hz", washout_hz, rate_hz), ());
+    Ok(Some(Wall {
         surface,
-        stiffness: table.required("stiffness", stiffness, "stiffness = 2000.0")?,
-        damping: table.number("damping", Must::NotBeNegative)?.unwrap_or(0.0),
-        feed_forward: table.word("feed_forward", &FeedForward::ALL)?.unwrap_or_default(),
+        stiffness: table.needed("stiffness", Must::NotBeNegative, "stiffness = 2000.0"),
+        damping: table.number_or("damping", Must::NotBeNegative, 0.0),
+        feed_forward: table.keep(table.word("feed_forward", &FeedForward::ALL), None).unwrap_or_default(),
         washout_hz,
-        damping_compensation: table.flag("damping_compensation")?.unwrap_or(false),
-        bilateral: table.flag("bilateral")?.unwrap_or(false),
-    })
+        damping_compensation: table.flag_or("damping_compensation", false),
+        bilateral: table.flag_or("bilateral", false),
+    }))
 }
 
 /// The shape that the table's own keys describe.
-fn surface(table: &Table<'_>, shape: &ShapeSpec, task: usize) -> Result<Surface<f64>, FileError> {
+fn surface(table: &Table<'_>, shape: &ShapeSpec, task: usize) -> Surface<f64> {
     let mut values = Vec::with_capacity(SHAPE_VALUES);
     for (key, meaning) in shape.keys {
         match meaning {
-            Meaning::Point => values.extend(vector(table, key, task, "a point in metres")?),
-            Meaning::Direction => values.extend(direction(table, key, task)?),
-            Meaning::Length => {
-                let length = table.number(key, Must::BePositive)?;
-                values.push(table.required(key, length, format!("{key} = 0.03"))?);
-            }
-            Meaning::Flag => values.push(f64::from(u8::from(table.flag(key)?.unwrap_or(false)))),
+            Meaning::Point => values.extend(point(table, key, task)),
+            Meaning::Direction => values.extend(direction(table, key, task)),
+            Meaning::Length => values.push(table.needed(key, Must::BePositive, format!("{key} = 0.03"))),
+            Meaning::Flag => values.push(f64::from(u8::from(table.flag_or(key, false)))),
         }
     }
-    Ok(Surface::from_values(shape.name, &padded(&values))
-        .expect("a shape is made by its own name, of at most as many values as there is room for"))
+    Surface::from_values(shape.name, &padded(&values))
+        .expect("a shape is made by its own name, of at most as many values as there is room for")
 }
 
 /// The first key of a shape that means this, and where its numbers begin among the shape's values.
@@ -266,42 +271,47 @@ pub fn place_of(shape: &ShapeSpec, meaning: Meaning) -> Option<(&'static str, us
     })
 }
 
-fn posture(table: &Table<'_>) -> Result<Posture<f64>, FileError> {
-    table.refuse_unknown_keys(&["orientation", "stiffness", "damping"])?;
-    let orientation = table.number("orientation", Must::BeFinite)?;
-    let stiffness = table.number("stiffness", Must::NotBeNegative)?;
-    Ok(Posture {
-        orientation: table.required("orientation", orientation, "orientation = 2.0")?,
-        stiffness: table.required("stiffness", stiffness, "stiffness = 1.0")?,
-        damping: table.number("damping", Must::NotBeNegative)?.unwrap_or(0.0),
-    })
+fn posture(table: &Table<'_>) -> Posture<f64> {
+    table.refuse_unknown_keys(&["orientation", "stiffness", "damping"]);
+    Posture {
+        orientation: table.needed("orientation", Must::BeFinite, "orientation = 2.0"),
+        stiffness: table.needed("stiffness", Must::NotBeNegative, "stiffness = 1.0"),
+        damping: table.number_or("damping", Must::NotBeNegative, 0.0),
+    }
 }
 
-fn spring(table: &Table<'_>, task: usize) -> Result<Spring<f64>, FileError> {
-    table.refuse_unknown_keys(&["point", "direction", "stiffness", "damping"])?;
-    let stiffness = table.number("stiffness", Must::NotBeNegative)?;
-    Ok(Spring {
-        point: vector(table, "point", task, "a point in metres")?,
-        direction: if table.has("direction") { direction(table, "direction", task)? } else { [0.0; 3] },
-        stiffness: table.required("stiffness", stiffness, "stiffness = 200.0")?,
-        damping: table.number("damping", Must::NotBeNegative)?.unwrap_or(0.0),
-    })
+fn spring(table: &Table<'_>, task: usize) -> Spring<f64> {
+    table.refuse_unknown_keys(&["point", "direction", "stiffness", "damping"]);
+    Spring {
+        point: point(table, "point", task),
+        direction: if table.has("direction") { direction(table, "direction", task) } else { [0.0; 3] },
+        stiffness: table.needed("stiffness", Must::NotBeNegative, "stiffness = 200.0"),
+        damping: table.number_or("damping", Must::NotBeNegative, 0.0),
+    }
 }
 
-/// A task vector, padded with zeros.
-fn vector(table: &Table<'_>, key: &str, task: usize, meaning: &str) -> Result<[f64; 3], FileError> {
+fn point(table: &Table<'_>, key: &str, task: usize) -> [f64; 3] {
+    table.keep(vector(table, key, &vec![0.0; task], "a point in metres"), [f64::NAN; 3])
+}
+
+/// A task vector, padded with zeros; `example` has as many entries.
+fn vector(table: &Table<'_>, key: &str, example: &[f64], meaning: &str) -> Result<[f64; 3], FileError> {
+    let task = example.len();
     let axes = ["x", "x, y", "x, y, z"][task.clamp(1, 3) - 1];
     let values = table.numbers(key, task, Must::BeFinite, &format!("{axes}, {meaning} of this device"))?;
-    let values = table.required(key, values, format!("{key} = {:?}", vec![0.0; task]))?;
-    Ok(padded(&values))
+    Ok(padded(&table.required(key, values, format!("{key} = {example:?}"))?))
 }
 
 /// A unit vector along the one in the file; zero is refused.
-fn direction(table: &Table<'_>, key: &str, task: usize) -> Result<[f64; 3], FileError> {
-    let values = vector(table, key, task, "a direction")?;
-    let unit = unit(&values).ok_or_else(|| {
-        let reason = format!("`{key}` in {} is zero, which points nowhere", table.place());
-        table.error_at(key, Problem::Impossible { reason, remedy: "write a direction of any length".into() })
-    })?;
-    Ok(padded(&unit))
+fn direction(table: &Table<'_>, key: &str, task: usize) -> [f64; 3] {
+    let mut example = vec![0.0; task];
+    example[usize::from(task > 1)] = 1.0;
+    let found = vector(table, key, &example, "a direction").and_then(|values| {
+        unit(&values).ok_or_else(|| {
+            let reason = format!("`{key}` in {} is zero, which points nowhere", table.place());
+            let remedy = format!("write a direction of any length, such as {example:?}");
+            table.error_at(key, Problem::Impossible { reason, remedy })
+        })
+    });
+    padded(&table.keep(found, example))
 }

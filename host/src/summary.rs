@@ -41,6 +41,8 @@ pub struct Summary {
     /// Largest force at the tip at home in its weakest and its strongest direction, N: max_current times
     /// torque_constant through Jᵀ.
     pub force_at_home: Option<Span>,
+    /// How far one encoder count of one joint moves the tip at home, at most, m; none where a joint has no encoder.
+    pub count_at_home: Option<f64>,
     /// Links and handle, kg.
     pub moving_mass: f64,
     /// Effective inertia that a wall meets at home over all normals, kg.
@@ -78,11 +80,22 @@ impl Summary {
             let free = mobility.view((0, 0), (pose.task, pose.task)).into_owned();
             Span::of(free.symmetric_eigenvalues().iter().map(|mobile| 1.0 / mobile))
         });
+        let joints = &description.joints[..spec.joints];
+        let count_at_home =
+            regular.as_ref().filter(|_| joints.iter().all(|joint| joint.encoder.is_some())).map(|pose| {
+                let tip = pose.jacobian.rows(0, pose.task);
+                let moved = tip
+                    .column_iter()
+                    .zip(&device.joints)
+                    .map(|(column, joint)| column.norm() * joint.radians_per_count);
+                moved.fold(0.0, |most: f64, moved| most.max(moved.abs()))
+            });
         let links = description.links.iter().take(spec.links.len()).map(|link| link.mass).sum::<f64>();
         Ok(Self {
             reach,
             tip_at_home: home.map(|pose| pose.position),
             force_at_home: regular.and_then(|pose| force_at(&device, &pose)).map(|(low, high)| Span { low, high }),
+            count_at_home,
             moving_mass: links + description.handle_mass,
             w_eff_at_home,
             w_eff,
@@ -111,6 +124,9 @@ impl Summary {
                 lines.push(format!("largest force at the tip at home, by direction: {}", between(force, "N")))
             }
             None => lines.push("largest force at the tip: unknown without [home] and [joint.motor]".into()),
+        }
+        if let Some(count) = self.count_at_home {
+            lines.push(format!("one encoder count moves the tip at home by up to {}", with_unit(count, "m")));
         }
         if self.moving_mass > 0.0 {
             lines.push(format!("links and handle weigh {}", with_unit(self.moving_mass, "kg")));

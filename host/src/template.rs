@@ -1,7 +1,13 @@
-//! A device file to start from, for each mechanism: every key, what it is, and numbers of a device that exists only to
-//! be replaced.
+//! Files to start from: a device file for each mechanism, with every key, what it is, and numbers of a device that exists
+//! only to be replaced; and a scene file for a device.
 
+use crate::device_file::DeviceFile;
+use crate::error::Failure;
+use crate::plausible::scene::doubts;
+use crate::view::world::wall_ahead;
 use haptic_bridge::model::catalogue::Kind;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::render::scene::{FeedForward, Scene, Surface};
 
 /// What a template knows of a mechanism beyond its [`Spec`](haptic_bridge::model::catalogue::Spec).
 struct Example {
@@ -130,12 +136,7 @@ pub fn device_file(kind: Kind, name: &str) -> String {
         example.gravity,
         about = example.about,
     );
-    let mut line = |key: &str, value: String, comment: &str| {
-        let pair = format!("{key} = {value}");
-        let comment = if comment.is_empty() { String::new() } else { format!("# {comment}") };
-        text.push_str(format!("{pair:<36} {comment}").trim_end());
-        text.push('\n');
-    };
+    let mut line = |key: &str, value: String, comment: &str| text.push_str(&line(key, &value, comment));
     for (key, value, comment) in example.geometry {
         line(key, (*value).into(), comment);
     }
@@ -179,8 +180,8 @@ pub fn device_file(kind: Kind, name: &str) -> String {
             "20000".into(),
             note("lines x 4 x ratio, at the joint; any positive number"),
         );
-        line("offset", "0.0".into(), note("rad, the angle at count 0; homing overrules it, so leave it 0"));
-        line("inverted", "false".into(), note("true when the counts fall as the angle grows"));
+        line("offset", "0.0".into(), note("rad, the angle at count 0; homing overrules it; default 0"));
+        line("inverted", "false".into(), note("true when the counts fall as the angle grows; default false"));
         line("\n[joint.motor]\ntorque_constant", "0.2".into(), note("N m/A at the joint: motor's x ratio"));
         line("resistance", "2.0".into(), note("ohm, between the terminals"));
         line("inductance", "0.001".into(), note("H; default 0: not known, and the current loop is slow"));
@@ -230,6 +231,88 @@ pub fn device_file(kind: Kind, name: &str) -> String {
     text
 }
 
+/// How often gains are halved before a wall is taken as it is.
+const MOST_HALVINGS: usize = 12;
+
+/// The scene with walls so soft that `haptic check` doubts none of them: half of what is stable by itself may be more than
+/// motors and encoders can render, and on a redundant arm a washout may let next to nothing be stable.
+fn undoubted(device: &Device<f64>, scene: Scene<f32>) -> Scene<f32> {
+    for feed_forward in [FeedForward::Washout, FeedForward::Off] {
+        let mut softer = scene.clone();
+        softer.walls.iter_mut().for_each(|wall| wall.feed_forward = feed_forward);
+        for _ in 0..MOST_HALVINGS {
+            if doubts(device, &softer.cast()).0.is_empty() {
+                return softer;
+            }
+            for wall in &mut softer.walls {
+                (wall.stiffness, wall.damping) = (0.5 * wall.stiffness, 0.5 * wall.damping);
+            }
+        }
+    }
+    scene
+}
+
+/// The text of a scene file for a device, with one wall in front of its home pose and every other key as a comment.
+pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
+    let scene = undoubted(&device.device().map_err(Failure::wrong)?, wall_ahead(device)?);
+    let task = device.spec().task;
+    let list = |values: &[f32]| {
+        // Tenths of a millimetre, and no zero with a sign.
+        let tenths = values.iter().take(task).map(|value| (1e4 * f64::from(*value)).round() / 1e4 + 0.0);
+        let values: Vec<String> = tenths.map(|value| format!("{value:?}")).collect();
+        format!("[{}]", values.join(", "))
+    };
+    let axes = ["along the arc", "x, y", "x, y, z"][task - 1];
+    let mut text = format!(
+        "# A scene for {}: a wall in front of its home pose. SI units throughout (m, kg, s, N, rad).\n\
+         # Lines that begin with `# ` and a key show what else there is. `haptic check DEVICE FILE` says what each wall meets,\n\
+         # `haptic tune` finds the stiffest one.\n\n",
+        device.name
+    );
+    let mut line = |key: &str, value: &str, comment: &str| text.push_str(&line(key, value, comment));
+    line("rate_hz", &number(scene.rate_hz.into()), "control steps a second, 200 to 50000");
+    line("cutoff_hz", &number(scene.cutoff_hz.into()), "Hz, of the velocity's low-pass, below half the rate");
+    line("# estimator", "\"butterworth\"", "of the velocity; docs/model.md section 3 lists them");
+    line("# gravity_compensation", "true", "the motors carry the device's weight");
+    line("# hand_speed", "0.5", "m/s, how fast a hand moves here");
+    for wall in &scene.walls {
+        let Surface::Plane(plane) = &wall.surface else { continue };
+        line("\n[[wall]]  # 0; up to eight\nshape", "\"plane\"", "default; \"sphere\" and \"cylinder\" have a radius");
+        line("point", &list(&plane.point), &format!("m, {axes}: a point of the surface"));
+        line("normal", &list(&plane.normal), &format!("{axes}, out of the solid towards the hand; any length"));
+        line("stiffness", &number(short(wall.stiffness.into())), "N/m; here well within what is predicted stable");
+        line("damping", &number(short(wall.damping.into())), "N s/m; default 0");
+        let law = format!("{:?}", wall.feed_forward.name());
+        line(
+            "feed_forward",
+            &law,
+            "default \"washout\"; \"full\": the paper's, which pushes sideways at rest; \"off\"",
+        );
+        line("# washout_hz", "2.0", "Hz, below which a washed-out feed-forward fades");
+        line("# bilateral", "false", "true: it acts on both sides and may pull");
+    }
+    line("\n# [[spring]]                        # up to four; a pull to a point\n# point", &list(&[0.0; 3]), "m");
+    line("# stiffness", "200.0", "N/m");
+    line("# damping", "1.0", "N s/m; default 0");
+    line("\n# [[field]]                         # drag everywhere\n# damping", "0.5", "N s/m");
+    Ok(text)
+}
+
+/// A line of a file: a key, its value, and what it is.
+fn line(key: &str, value: &str, comment: &str) -> String {
+    // A key may bring the lines before it along.
+    let begins = key.rfind('\n').map_or(0, |newline| newline + 1);
+    let (before, key) = key.split_at(begins);
+    let pair = format!("{key} = {value}");
+    let comment = if comment.is_empty() { String::new() } else { format!("# {comment}") };
+    format!("{before}{}\n", format!("{pair:<36} {comment}").trim_end())
+}
+
+/// To three significant digits, which is all that a prediction means.
+fn short(value: f64) -> f64 {
+    format!("{value:.2e}").parse().unwrap_or(value)
+}
+
 fn prefixed(unit: &str, comment: &str) -> String {
     if comment.is_empty() { String::new() } else { format!("{unit}: {comment}") }
 }
@@ -241,9 +324,10 @@ fn number(value: f64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::{Kind, device_file, scene_file};
     use crate::device_file::DeviceFile;
     use crate::plausible::device::doubts;
+    use crate::scene_file::SceneFile;
 
     #[test]
     fn every_template_is_sound_plausible_and_lacks_only_a_persons_word() {
@@ -306,6 +390,41 @@ mod tests {
             "inertia",
         ] {
             assert!(text.lines().any(|line| line.starts_with(&format!("# {key} = "))), "{key}");
+        }
+    }
+
+    #[test]
+    fn a_scene_is_sound_and_not_doubted_with_all_that_it_offers() {
+        for kind in Kind::ALL {
+            let file = DeviceFile::parse(&device_file(*kind, "mine"), "mine.toml").unwrap();
+            let task = file.spec().task;
+            let text = scene_file(&file).unwrap();
+            let keys = [
+                "[[",
+                "estimator",
+                "gravity",
+                "hand_speed",
+                "washout_hz",
+                "bilateral",
+                "point",
+                "stiffness",
+                "damping",
+            ];
+            let every =
+                keys.iter().fold(text.clone(), |text, key| text.replace(&format!("\n# {key}"), &format!("\n{key}")));
+            assert!(!every.lines().skip(4).any(|line| line.starts_with('#')), "{every}");
+            for text in [&text, &every] {
+                let scene =
+                    SceneFile::parse(text, "scene.toml", task).unwrap_or_else(|error| panic!("{error}\n{text}"));
+                assert!(scene.walls_entered(&file, &file.description.home.unwrap()).is_empty(), "{text}");
+                assert_eq!(
+                    (scene.scene.springs.is_empty(), scene.hand_speed.is_none()),
+                    (text != &every, text != &every)
+                );
+            }
+            let scene = SceneFile::parse(&text, "scene.toml", task).unwrap().scene;
+            let (doubted, contacts) = crate::plausible::scene::doubts(&file.device().unwrap(), &scene);
+            assert_eq!((doubted.as_slice(), contacts.len()), (&[][..], 1), "{text}");
         }
     }
 

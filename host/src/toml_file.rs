@@ -1,11 +1,13 @@
 //! TOML files whose every value knows where it stands, so that each refusal names the file, the line and the remedy.
 //!
 //! [`Document`] parses once; [`Table`] hands out typed values and refuses what it does not know. Device files and
-//! scene files are written in terms of it.
+//! scene files are written in terms of it. What is wrong with one value is kept ([`Table::keep`]) while the others are
+//! read, so that a file is told all at once.
 
 use crate::file_error::nearest;
 pub use crate::file_error::{FileError, Problem};
 use core::ops::Range;
+use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
@@ -31,7 +33,7 @@ pub struct Document {
 impl Document {
     /// Reads a file.
     pub fn load(path: &Path) -> Result<Self, FileError> {
-        let whole = |problem| FileError { path: path.into(), position: None, problem: Box::new(problem) };
+        let whole = |problem| FileError::new(path.into(), None, problem);
         let bytes = crate::input::read(path).map_err(|error| {
             let why = error.to_string();
             whole(if error.kind() == std::io::ErrorKind::Other {
@@ -43,11 +45,7 @@ impl Document {
         String::from_utf8(bytes).map(|text| Self { path: path.into(), text }).map_err(|error| {
             let good = error.utf8_error().valid_up_to();
             let before = String::from_utf8_lossy(&error.as_bytes()[..good]).into_owned();
-            FileError {
-                path: path.into(),
-                position: Some(position(&before, before.len())),
-                problem: Box::new(Problem::NotText),
-            }
+            FileError::new(path.into(), Some(position(&before, before.len())), Problem::NotText)
         })
     }
 
@@ -72,7 +70,12 @@ impl Document {
             let span = error.span().unwrap_or(0..0);
             self.error(span, Problem::Syntax(error.message().to_string()))
         })?;
-        read(&Table { document: self, place: String::new(), span: 0..0, entries: root.get_ref() })
+        let kept = RefCell::default();
+        let entries = root.get_ref();
+        let found = read(&Table { document: self, kept: &kept, place: String::new(), span: 0..0, entries });
+        let mut errors = kept.into_inner().errors;
+        errors.extend(found.as_ref().err().cloned());
+        FileError::together(errors).map_or(found, Err)
     }
 
     /// Line and column of a key's value: in `part` of the `index`-th table `table` (either may be empty). The table's
@@ -97,11 +100,7 @@ impl Document {
     }
 
     fn error(&self, span: Range<usize>, problem: Problem) -> FileError {
-        FileError {
-            path: self.path.clone(),
-            position: Some(position(&self.text, span.start)),
-            problem: Box::new(problem),
-        }
+        FileError::new(self.path.clone(), Some(position(&self.text, span.start)), problem)
     }
 }
 
@@ -116,10 +115,20 @@ fn position(text: &str, offset: usize) -> (usize, usize) {
     (before.matches('\n').count() + 1, before[line_start..].chars().count() + 1)
 }
 
+/// What the tables of a document have in common.
+#[derive(Debug, Default)]
+struct Kept {
+    /// What is wrong so far.
+    errors: Vec<FileError>,
+    /// Keys that may stand at the top of the file.
+    on_top: Vec<String>,
+}
+
 /// One table of a document.
 #[derive(Clone, Debug)]
 pub struct Table<'a> {
     document: &'a Document,
+    kept: &'a RefCell<Kept>,
     place: String,
     span: Range<usize>,
     entries: &'a DeTable<'a>,
@@ -160,18 +169,43 @@ impl<'a> Table<'a> {
         }
     }
 
-    /// Refuses the first key in the file that is not in `known`.
-    pub fn refuse_unknown_keys(&self, known: &[&str]) -> Result<(), FileError> {
-        let unknown = self.entries.keys().filter(|key| !known.contains(&key.get_ref().as_ref()));
-        let Some(key) = unknown.min_by_key(|key| key.span().start) else { return Ok(()) };
-        let known: Vec<String> = known.iter().map(ToString::to_string).collect();
-        let problem = Problem::UnknownKey {
-            key: key.get_ref().to_string(),
-            place: self.place.clone(),
-            nearest: nearest(key.get_ref(), &known),
-            known,
-        };
-        Err(self.document.error(key.span(), problem))
+    /// The value; or where it is wrong `instead`, to read on with: the file is refused for it all the same.
+    pub fn keep<T>(&self, value: Result<T, FileError>, instead: T) -> T {
+        value.unwrap_or_else(|error| {
+            self.kept.borrow_mut().errors.push(error);
+            instead
+        })
+    }
+
+    /// An error where something was wrong so far: what follows takes the values for sound.
+    pub fn sound(&self) -> Result<(), FileError> {
+        self.kept.borrow_mut().errors.pop().map_or(Ok(()), Err)
+    }
+
+    /// Keeps an error for every key that is not in `known`; whether there is none.
+    pub fn refuse_unknown_keys(&self, known: &[&str]) -> bool {
+        let mut kept = self.kept.borrow_mut();
+        let before = kept.errors.len();
+        let all: Vec<String> = known.iter().map(ToString::to_string).collect();
+        if self.place.is_empty() {
+            kept.on_top.clone_from(&all);
+        }
+        for (key, value) in self.entries.iter().filter(|(key, _)| !known.contains(&key.get_ref().as_ref())) {
+            let is_table = |value: &DeValue<'_>| matches!(value, DeValue::Table(_));
+            let tables = match value.get_ref() {
+                DeValue::Array(values) => values.iter().any(|value| is_table(value.get_ref())),
+                value => is_table(value),
+            };
+            let problem = Problem::UnknownKey {
+                key: key.get_ref().to_string(),
+                place: self.place.clone(),
+                nearest: nearest(key.get_ref(), &all),
+                known: all.clone(),
+                on_top: !tables && kept.on_top.iter().any(|known| known == key.get_ref()),
+            };
+            kept.errors.push(self.document.error(key.span(), problem));
+        }
+        kept.errors.len() == before
     }
 
     /// Whether the key is there.
@@ -189,6 +223,21 @@ impl<'a> Table<'a> {
         value.ok_or_else(|| {
             self.error_here(Problem::MissingKey { key: key.into(), place: self.place.clone(), example: example.into() })
         })
+    }
+
+    /// A number that must be there, NaN where it is wrong (see [`Table::keep`]).
+    pub fn needed(&self, key: &str, must: Must, example: impl Into<String>) -> f64 {
+        self.keep(self.number(key, must).and_then(|value| self.required(key, value, example)), f64::NAN)
+    }
+
+    /// A number, `usual` where it is not there or wrong (see [`Table::keep`]).
+    pub fn number_or(&self, key: &str, must: Must, usual: f64) -> f64 {
+        self.keep(self.number(key, must), None).unwrap_or(usual)
+    }
+
+    /// `true` or `false`, `usual` where it is not there or wrong (see [`Table::keep`]).
+    pub fn flag_or(&self, key: &str, usual: bool) -> bool {
+        self.keep(self.flag(key), None).unwrap_or(usual)
     }
 
     fn wrong_type(&self, key: &str, expected: impl Into<String>, value: &Spanned<DeValue<'_>>) -> FileError {
@@ -306,6 +355,7 @@ impl<'a> Table<'a> {
             Some(value) => match value.get_ref() {
                 DeValue::Table(entries) => Ok(Some(Table {
                     document: self.document,
+                    kept: self.kept,
                     place: if self.place.is_empty() {
                         format!("[{key}]")
                     } else {
@@ -330,6 +380,7 @@ impl<'a> Table<'a> {
             .map(|(index, value)| match value.get_ref() {
                 DeValue::Table(entries) => Ok(Table {
                     document: self.document,
+                    kept: self.kept,
                     place: format!("[[{key}]] {index}"),
                     span: value.span(),
                     entries,

@@ -63,6 +63,13 @@ pub fn digits(value: f64) -> String {
     format!("{value:.5e}").parse::<f64>().unwrap_or(value).to_string()
 }
 
+/// A share in per cent to so many decimals, with its sign where `signed`; what rounds to zero has none of its own.
+pub fn percent(share: f64, decimals: i32, signed: bool) -> String {
+    let shown = decimals.max(0) as usize;
+    let rounded = (100.0 * share * 10.0_f64.powi(decimals)).round() / 10.0_f64.powi(decimals) + 0.0;
+    if signed { format!("{rounded:+.shown$} %") } else { format!("{rounded:.shown$} %") }
+}
+
 /// So many of a thing.
 pub fn counted(count: impl std::fmt::Display, noun: &str) -> String {
     let count = count.to_string();
@@ -122,6 +129,15 @@ mod tests {
     fn things_are_listed_as_people_do() {
         let told = |count: usize| listed(&(0..count).map(|i| i.to_string()).collect::<Vec<_>>());
         assert_eq!([0, 1, 2, 3].map(told), ["", "0", "0 and 1", "0, 1 and 2"]);
+    }
+
+    #[test]
+    fn a_share_that_rounds_to_nothing_has_no_sign() {
+        let told = [-1e-5, 0.0, 0.0123, -0.5].map(|share| percent(share, 1, false));
+        assert_eq!(
+            (told.join(", "), percent(-1e-9, 2, true)),
+            ("0.0 %, 0.0 %, 1.2 %, -50.0 %".into(), "+0.00 %".into())
+        );
     }
 
     #[test]

@@ -16,33 +16,46 @@ pub struct SpectralLine {
     pub amplitude: f64,
 }
 
-/// The amplitudes of an even signal's sines, from 0 Hz to half of its rate: pieces of up to 16384 samples that overlap
-/// by half, each less its mean and under a Hann window, averaged by their power (Welch 1967). None where there are
-/// fewer than 64 samples.
-pub fn spectrum(signal: &[f64], rate_hz: f64) -> Option<Vec<SpectralLine>> {
-    if signal.len() < SHORTEST {
-        return None;
-    }
-    // The largest power of two that fits.
-    let size = (1 << signal.len().ilog2()).min(LONGEST);
+/// The spectrum of a signal.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Spectrum {
+    /// From 0 Hz to half of the signal's rate.
+    pub lines: Vec<SpectralLine>,
+    /// How many samples are in it.
+    pub samples: usize,
+}
+
+/// The amplitudes of a signal's sines, from its even `stretches` (Welch 1967): pieces of the largest power of two of
+/// samples that the longest stretch holds, 16384 at most, each less its mean and under a Hann window, averaged by their
+/// power. The pieces of a stretch overlap by half or more, so that the first begins with it and the last ends with it;
+/// stretches shorter than a piece are left out. None where the longest has fewer than 64 samples.
+pub fn spectrum(stretches: &[&[f64]], rate_hz: f64) -> Option<Spectrum> {
+    let longest = stretches.iter().map(|stretch| stretch.len()).max().filter(|longest| *longest >= SHORTEST)?;
+    let size = (1 << longest.ilog2()).min(LONGEST);
     let window: Vec<f64> = (0..size).map(|i| 0.5 - 0.5 * (TAU * i as f64 / size as f64).cos()).collect();
     let gain: f64 = window.iter().sum();
     let mut power = vec![0.0; size / 2 + 1];
-    let pieces = (signal.len() - size) / (size / 2) + 1;
-    for piece in 0..pieces {
-        let samples = &signal[piece * size / 2..][..size];
-        let mean = samples.iter().sum::<f64>() / size as f64;
-        let mut turned: Vec<(f64, f64)> = samples.iter().zip(&window).map(|(v, w)| ((v - mean) * w, 0.0)).collect();
-        transform(&mut turned);
-        for (sum, (re, im)) in power.iter_mut().zip(turned) {
-            *sum += (re * re + im * im) / pieces as f64;
+    let (mut pieces, mut samples) = (0.0, 0);
+    for stretch in stretches.iter().filter(|stretch| stretch.len() >= size) {
+        samples += stretch.len();
+        let room = stretch.len() - size;
+        let steps = room.div_ceil(size / 2);
+        for step in 0..=steps {
+            let piece = &stretch[room * step / steps.max(1)..][..size];
+            let mean = piece.iter().sum::<f64>() / size as f64;
+            let mut turned: Vec<(f64, f64)> = piece.iter().zip(&window).map(|(v, w)| ((v - mean) * w, 0.0)).collect();
+            transform(&mut turned);
+            for (sum, (re, im)) in power.iter_mut().zip(turned) {
+                *sum += re * re + im * im;
+            }
+            pieces += 1.0;
         }
     }
     let line = |(i, power): (usize, f64)| SpectralLine {
         frequency: i as f64 * rate_hz / size as f64,
-        amplitude: 2.0 * power.sqrt() / gain,
+        amplitude: 2.0 * (power / pieces).sqrt() / gain,
     };
-    Some(power.into_iter().enumerate().map(line).collect())
+    Some(Spectrum { lines: power.into_iter().enumerate().map(line).collect(), samples })
 }
 
 /// Fourier transform in place of a power of two of complex numbers (Cooley and Tukey 1965).
@@ -94,12 +107,31 @@ mod tests {
         for (hz, amplitude) in [(61.035_156_25, 3.0), (1_000.0, 0.02)] {
             let signal: Vec<f64> =
                 (0..50_000).map(|i| 7.0 + amplitude * (TAU * hz * f64::from(i) / rate).sin()).collect();
-            let lines = spectrum(&signal, rate).unwrap();
-            let top = lines.iter().max_by(|a, b| a.amplitude.total_cmp(&b.amplitude)).unwrap();
+            let found = spectrum(&[&signal], rate).unwrap();
+            let top = found.lines.iter().max_by(|a, b| a.amplitude.total_cmp(&b.amplitude)).unwrap();
             assert!((top.frequency - hz).abs() < rate / LONGEST as f64, "{top:?}");
             // Between two lines the Hann window shows 15 % less at most.
             assert!(top.amplitude <= 1.001 * amplitude && top.amplitude > 0.84 * amplitude, "{top:?}");
         }
-        assert_eq!(spectrum(&[0.0; 63], 1.0), None);
+        assert_eq!(spectrum(&[&[0.0; 63]], 1.0), None);
+    }
+
+    /// Of 1000 samples a power of two leaves nearly half, and of 767 a third, where pieces only follow from the front.
+    #[test]
+    fn no_sample_of_a_stretch_is_left_out() {
+        let rate = 1000.0;
+        for count in [767, 1000, 20_000, 40_000] {
+            for swings in [0..count / 5, count - count / 5..count] {
+                let sine = |i: usize| if swings.contains(&i) { (TAU * 100.0 * i as f64 / rate).sin() } else { 0.0 };
+                let signal: Vec<f64> = (0..count).map(sine).collect();
+                let found = spectrum(&[&signal], rate).unwrap();
+                let top = found.lines.iter().max_by(|a, b| a.amplitude.total_cmp(&b.amplitude)).unwrap();
+                assert!((top.frequency - 100.0).abs() < 2.0 * rate / 64.0 && top.amplitude > 0.01, "{count}: {top:?}");
+                assert_eq!(found.samples, count);
+            }
+        }
+        // Of several stretches all that hold a piece.
+        let found = spectrum(&[&[1.0; 100], &[1.0; 63], &[1.0; 64]], rate).unwrap();
+        assert_eq!((found.samples, found.lines.len()), (164, 33));
     }
 }

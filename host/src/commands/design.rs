@@ -12,6 +12,7 @@ use haptic::design::{singular, stiffness_per_kilogram};
 use haptic::device_file::DeviceFile;
 use haptic::error::Failure;
 use haptic::plot::coupling::draw;
+use haptic::words::percent;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::DEFAULT_RATE_HZ;
 use serde::Serialize;
@@ -204,8 +205,7 @@ fn readable(document: &Document, asked: bool, args: &Args) -> String {
         "  {:<46}{:>9}{:>9}{:>9}{:>11}{:>9}{:>9}",
         "", "Weff +", "Wrr +", "force +", "count +", "Weff -", "Wrr -"
     ));
-    let percent =
-        |value: Option<f64>| value.map_or("-".into(), |value| format!("{:+.2} %", 100.0 * (value - 1.0) + 0.0));
+    let percent = |value: Option<f64>| value.map_or("-".into(), |value| percent(value - 1.0, 2, true));
     for one in &document.sensitivities {
         let of = |effect: &Option<Effect>, pick: fn(&Effect) -> Option<f64>| percent(effect.as_ref().and_then(pick));
         line(format!(

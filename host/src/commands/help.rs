@@ -63,14 +63,15 @@ const START: &str = "Start here, without hardware:
   haptic info --port PORT
 ";
 
-/// Lines to type, for the help of a command and its page of the manual. Every one of them is understood: a test reads
-/// them.
+/// Lines to type, for the help of a command and its page of the manual. Tests read
+/// every one, see that the files they name ship, and type those that need no board and little time.
 pub fn examples(command: &str) -> &'static [&'static str] {
     match command {
-        "check" => &["haptic check devices/haply-2diy.toml devices/scenes/haply-2diy/wall.toml"],
+        "new" => &["haptic new five-bar -o mine.toml", "haptic new scene --device mine.toml -o wall.toml"],
+        "check" => &["haptic check devices/haply-2diy.toml devices/scenes/haply-2diy/wall-soft.toml"],
         "model" => &["haptic model devices/coupled-five-bar.toml --q 2.6,1.75 --normal 0.94,-0.34 --force 1"],
         "map" => &["haptic map devices/coupled-five-bar.toml --normal 0,1 --png map.png"],
-        "plan" => &["haptic plan devices/haply-2diy.toml devices/scenes/haply-2diy/wall.toml"],
+        "plan" => &["haptic plan devices/haply-2diy.toml devices/scenes/haply-2diy/wall-soft.toml"],
         "precompute" => &["haptic precompute devices/haply-2diy.toml --kind frozen --box 1.8,2.2,0.9,1.3"],
         "range" => &["haptic range devices/coupled-five-bar.toml --normal 0.6,0.8 --rate 20000 --cutoff 500"],
         "estimators" => &["haptic estimators devices/coupled-five-bar.toml --q 2.6,1.75 --normal 0.6,0.8"],
@@ -85,7 +86,7 @@ pub fn examples(command: &str) -> &'static [&'static str] {
         "sim" => &["haptic sim", "haptic sim devices/haply-2diy.toml --tcp 7710 --hand loop"],
         "info" => &["haptic info --port sim", "haptic info --port /dev/ttyACM0 --json"],
         "device" => &["haptic device devices/haply-2diy.toml"],
-        "scene" => &["haptic scene devices/scenes/haply-2diy/wall.toml"],
+        "scene" => &["haptic scene devices/scenes/haply-2diy/wall-soft.toml"],
         "gains" => &["haptic gains --stiffness 800 --damping 2", "haptic gains --wall 1 --feed-forward off"],
         "rules" => &["haptic rules --torque 0.1,0.1 --host disarm", "haptic rules --json"],
         "stream" => &[
@@ -94,9 +95,10 @@ pub fn examples(command: &str) -> &'static [&'static str] {
             "haptic stream --csv - --fields q,force,rendered --rate 5000 | head -n 100",
         ],
         "record" => &["haptic record contact.mcap", "haptic record contact.csv --rate 1000 --seconds 10"],
-        "plot" => {
-            &["haptic plot contact.mcap --svg contact.svg", "haptic plot contact.csv --show force --png force.png"]
-        }
+        "plot" => &[
+            "haptic plot contact.mcap --svg contact.svg --width 85",
+            "haptic plot contact.csv --show force --png force.png",
+        ],
         "replay" => &["haptic replay contact.mcap"],
         "serve" => &["haptic serve --haply --port sim"],
         "view" => &["haptic view --port sim", "haptic view devices/haply-2diy.toml --port sim"],

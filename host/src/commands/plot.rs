@@ -11,7 +11,8 @@ use std::path::PathBuf;
 
 /// Draw a recording: signals over time, force over penetration, spectrum, phase
 ///
-/// Prints what the recording says in numbers; --svg and --png draw it. A row that was lost is a gap in every curve.
+/// Prints what the recording says in numbers; --svg and --png draw it, with --width for a column of a paper. A row that
+/// was lost is a gap in every curve.
 #[derive(clap::Args)]
 pub struct Args {
     /// A recording: .mcap or .csv
@@ -35,8 +36,20 @@ pub struct Args {
     /// Print one JSON document: the numbers, and every point that is drawn
     #[arg(long)]
     json: bool,
+    /// Width of the picture on paper; its text then has 8 pt and more [default: none, for a screen]
+    #[arg(long, value_name = "MM", value_parser = width)]
+    width: Option<f64>,
     #[command(flatten)]
     pictures: Pictures,
+}
+
+/// Narrower than the numbers along an axis take, and wider than any page.
+const WIDTHS_MM: (f64, f64) = (60.0, 400.0);
+
+fn width(text: &str) -> Result<f64, String> {
+    let (least, most) = WIDTHS_MM;
+    let width = text.parse().ok().filter(|mm| (least..=most).contains(mm));
+    width.ok_or_else(|| format!("write {least} to {most} mm; a column of a paper has 85, its page 170"))
 }
 
 #[derive(Clone, Debug)]
@@ -68,7 +81,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let walls: Vec<String> = recording.about.iter().filter(|line| line.starts_with("wall ")).cloned().collect();
         let mut subtitle = vec![format!("board {}; control rate {}", told("board"), told("control rate"))];
         subtitle.extend(walls.into_iter().take(3));
-        let picture = draw(&title, &subtitle, &found);
+        let picture = draw(&title, &subtitle, &found, args.width);
         args.pictures.save(&picture)?;
     }
     if args.json {
@@ -91,8 +104,11 @@ fn readable(recording: &Recording, found: &Found) -> String {
         let note = if panel.note.is_empty() { String::new() } else { format!(": {}", panel.note) };
         text.push_str(&format!("  {} over {}, of {}{note}\n", panel.y.name, panel.x.name, of.join(", ")));
     }
-    if let Some(stiffness) = found.stiffness {
-        text.push_str(&format!("stiffness that was there: {} N/m\n", short(stiffness as f32)));
+    match found.stiffness {
+        Some(stiffness) => text.push_str(&format!("stiffness that was there: {} N/m\n", short(stiffness as f32))),
+        None if found.contact_rows > 0 => text.push_str("stiffness that was there: none\n"),
+        None => {}
     }
+    found.said.iter().for_each(|line| text.extend([line, "\n"]));
     text
 }

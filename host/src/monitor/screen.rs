@@ -192,8 +192,7 @@ fn stage(frame: &mut Frame<'_>, area: Rect, seen: &Seen) {
     let (tip, base, springs) = (point(&geometry["tip"]), points(&geometry["base"]), points(&geometry["springs"]));
     let flat = seen.hello["task"].as_u64().is_none_or(|task| task > 1);
     let near = |at: &(f64, f64)| tip.is_some_and(|tip| (at.0 - tip.0).hypot(at.1 - tip.1) < 0.12);
-    let walls =
-        seen.walls.iter().filter(|_| flat).filter_map(|wall| Some((*wall.values.first()?, *wall.values.get(1)?)));
+    let walls = seen.walls.iter().filter_map(|wall| wall.outline).map(|outline| outline.at().into());
     let shown =
         bars.iter().flat_map(|bar| [bar.0, bar.1]).chain(base.iter().copied()).chain(tip).chain(walls.filter(near));
     let far = (f64::INFINITY, f64::NEG_INFINITY);
@@ -211,12 +210,12 @@ fn stage(frame: &mut Frame<'_>, area: Rect, seen: &Seen) {
     let (x_ends, y_ends) = (ends(x, dots_x), ends(y, dots_y));
     let long = (dots_x + dots_y) * dot;
     let force = numbers(&geometry["force"]);
-    let hand = point(&seen.picture["hand"]["at"]);
+    let hand = point(&seen.picture["hand"]["at"]).map(|at| seen.placed(at));
     let canvas = Canvas::default().block(block).marker(Marker::Braille).x_bounds(x_ends).y_bounds(y_ends).paint(|c| {
         let line = |c: &mut Context<'_>, from: (f64, f64), to: (f64, f64), color: Color| {
             c.draw(&Stroke { x1: from.0, y1: from.1, x2: to.0, y2: to.1, color });
         };
-        for wall in seen.walls.iter().filter(|_| flat) {
+        for wall in seen.walls.iter().filter(|wall| flat || wall.outline.is_some()) {
             draw_wall(c, wall, long, dot);
         }
         for (spring, held) in seen.springs.iter().zip(&springs).filter(|_| flat) {
@@ -300,4 +299,46 @@ fn signal(frame: &mut Frame<'_>, area: Rect, seen: &Seen, plot: usize) {
         .x_axis(Axis::default().bounds([-seconds, 0.0]).labels([format!("-{window}"), "now".into()]))
         .y_axis(Axis::default().bounds([low - room, high + room]));
     frame.render_widget(chart, area);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ratatui::Terminal;
+    use ratatui::backend::TestBackend;
+
+    /// The wall of a paddle crosses the arc of its tip, and its solid side is dotted, as other walls are.
+    #[test]
+    fn the_wall_of_a_paddle_lies_across_its_arc() {
+        let mut seen = Seen::default();
+        for text in [
+            r#"{"is":"hello","device":"paddle","task":1,"simulated":true,"rows_hz":1000,"columns":["rendered_n"]}"#,
+            r#"{"is":"walls","walls":[{"shape":"plane","values":[-0.02,0,0,1,0,0],"stiffness":100,"damping":1,
+                "feed_forward":"off","outline":{"is":"line","at":[0.0671,-0.0197],"normal":[0.282,0.959]}}],"springs":[]}"#,
+            r#"{"is":"picture","state":"Disarmed","command":null,"numbers":{},"hand":{"at":[0.01,0],"goal":[0.01,0]},
+                "geometry":{"tip":[0.07,0],"bars":[[[0,0],[0.07,0]]],"base":[[0,0]],"springs":[],"force":[0,0]}}"#,
+        ] {
+            seen.hear(text);
+        }
+        let mut terminal = Terminal::new(TestBackend::new(120, 40)).unwrap();
+        terminal.draw(|frame| draw(frame, &seen)).unwrap();
+        let buffer = terminal.backend().buffer().clone();
+        let of = |colour: Color| -> Vec<(u16, u16)> {
+            let stage = (0..50).flat_map(|x| (0..40).map(move |y| (x, y)));
+            stage.filter(|at| buffer[*at].fg == colour && buffer[*at].symbol() != " ").collect()
+        };
+        // From edge to edge of a stage of 50 columns, and down to the right.
+        let wall = of(Color::Blue);
+        assert!(wall.len() > 40, "{wall:?}");
+        let row = |x: u16| wall.iter().filter(|at| at.0.abs_diff(x) < 3).map(|at| at.1).max().unwrap();
+        assert!(row(45) > row(5), "{wall:?}");
+        // The hand is on the arc as well, a step of it goes along it, and of a wall that is refused nothing is left.
+        assert!(of(Color::Yellow).iter().all(|(x, _)| *x > 20), "{:?}", of(Color::Yellow));
+        let Some(crate::view::message::FromPage::Hand { at: Some([arc, _]) }) = seen.lead(0.0, 1e-3) else { panic!() };
+        assert!((arc - 0.011).abs() < 2e-5, "{arc}");
+        seen.hear(r#"{"is":"refused","of":"gains","why":"too stiff","again":{"do":"take"}}"#);
+        assert!(seen.said.is_some());
+        seen.hear(r#"{"is":"walls","walls":[],"springs":[]}"#);
+        assert!(seen.said.is_none() && seen.again().is_none());
+    }
 }

@@ -93,6 +93,10 @@ impl Seen {
             "walls" => {
                 let walls = message["walls"].as_array().map(Vec::as_slice).unwrap_or_default();
                 self.walls = walls.iter().filter_map(wall).collect();
+                // A question about gains goes with the gains that it was about.
+                if self.again.take().is_some() {
+                    self.said = None;
+                }
                 self.wall = self.wall.min(self.walls.len().saturating_sub(1));
                 self.springs = message["springs"].as_array().cloned().unwrap_or_default();
             }
@@ -169,7 +173,7 @@ impl Seen {
 
     /// Other gains of the wall at hand; `next` kind of feed-forward.
     pub fn gains(&mut self, stiffness: f32, damping: f32, next: bool) -> Vec<FromPage> {
-        self.said = None;
+        (self.said, self.again) = (None, None);
         let Some(wall) = self.walls.get(self.wall) else { return Vec::new() };
         let kinds = FeedForward::ALL;
         let feed_forward = kinds[(wall.feed_forward as usize + usize::from(next)) % kinds.len()].1;
@@ -194,12 +198,33 @@ impl Seen {
             self.said = Some(("this device is not simulated: take it into your own hand".into(), true));
             return None;
         }
-        let from = numbers(&self.picture["hand"]["goal"]);
-        let from = if from.is_empty() { self.tip() } else { from };
-        let at = [from.first()? + x, from.get(1)? + y];
+        let tip = self.tip();
+        let goal = numbers(&self.picture["hand"]["goal"]);
+        let at = match (self.arc(), goal.as_slice(), tip.as_slice()) {
+            (None, [from_x, from_y, ..], _) | (None, [], [from_x, from_y, ..]) => [from_x + x, from_y + y],
+            // A step along the arc.
+            (Some(radius), goal, [tip_x, tip_y, ..]) => {
+                let from = goal.first().copied().unwrap_or(radius * tip_y.atan2(*tip_x));
+                let (sin, cos) = (from / radius).sin_cos();
+                [from - x * sin + y * cos, 0.0]
+            }
+            _ => return None,
+        };
         // Two keys between two pictures are two steps.
         self.picture["hand"]["goal"] = at.to_vec().into();
         Some(FromPage::Hand { at: Some(at) })
+    }
+
+    /// Radius of the arc that the task is a length of, m: a paddle's.
+    fn arc(&self) -> Option<f64> {
+        let [from, to] = [0, 1].map(|end| numbers(&self.picture["geometry"]["bars"][0][end]));
+        let radius = (to.first()? - from.first()?).hypot(to.get(1)? - from.get(1)?);
+        (self.hello["task"] == 1).then_some(radius)
+    }
+
+    /// Where a place of the task, m, is in the plane that is drawn.
+    pub fn placed(&self, place: (f64, f64)) -> (f64, f64) {
+        self.arc().map_or(place, |radius| (radius * (place.0 / radius).cos(), radius * (place.0 / radius).sin()))
     }
 
     /// The tip in the plane that is drawn, m.

@@ -2,6 +2,7 @@
 
 use super::{Doubt, Key, turns};
 use crate::analysis::pose::TaskPose;
+use crate::device_file::carries_its_body;
 use crate::vectors::padded_to;
 use crate::words::{digits, listed, with_unit};
 use core::f64::consts::{PI, TAU};
@@ -18,8 +19,14 @@ const STEEL_DENSITY: f64 = 7850.0;
 const LINK_LENGTHS_M: (f64, f64) = (1e-3, 3.0);
 /// A rotor and gear of more than this are those of a machine tool: 20 kg at 10 cm, kg m².
 const JOINT_INERTIA: f64 = 0.2;
-/// Fewer counts per turn than degrees.
-const LEAST_COUNTS: f64 = 360.0;
+/// Fewer counts per turn than this are lines, before x4 decoding and the ratio: the encoders of devices that render a
+/// wall have 700 and more at the joint.
+const LEAST_COUNTS: f64 = 600.0;
+/// Resistance times inertia over the torque constant's square is the same before and behind a ratio, s: 2 to 30 ms in
+/// motors, and times the ratio's square where the torque constant alone was left without it.
+const MOTOR_SECONDS: f64 = 0.25;
+/// How far a motor may wind its transmission up, rad: cables and belts give by hundredths.
+const WOUND_UP: f64 = 0.1;
 /// The voltage that resistance and largest current ask of a supply, V; the boards take up to 56 V.
 const LARGEST_SUPPLY_V: f64 = 120.0;
 /// Windings of desktop motors have 0.01 to 10 mH.
@@ -48,6 +55,7 @@ pub fn doubts(description: &Description) -> Vec<Doubt> {
     }
     for (index, joint) in description.joints.iter().enumerate().take(spec.joints) {
         doubts.extend(of_joint(joint, index));
+        doubts.extend(of_motor(joint, index, carries_its_body(&spec, index)));
     }
     doubts.extend(forgotten(description));
     let gravity = description.gravity.iter().take(spec.task).map(|g| g * g).sum::<f64>().sqrt();
@@ -187,9 +195,11 @@ fn of_joint(joint: &Joint, index: usize) -> Vec<Doubt> {
         if encoder.counts_per_turn < LEAST_COUNTS {
             let text = format!(
                 "the encoder of joint {index} has {} counts per turn, {:.1} degrees each: count after x4 decoding, times \
-                 the gear ratio, at the joint",
+                 the gear ratio, at the joint ({} lines are {} counts without a gear)",
                 encoder.counts_per_turn,
-                360.0 / encoder.counts_per_turn
+                360.0 / encoder.counts_per_turn,
+                encoder.counts_per_turn,
+                4.0 * encoder.counts_per_turn
             );
             doubt("encoder", "counts_per_turn", text);
         }
@@ -197,6 +207,13 @@ fn of_joint(joint: &Joint, index: usize) -> Vec<Doubt> {
             doubt("encoder", "offset", turns(&format!("the encoder offset of joint {index}"), encoder.offset));
         }
     }
+    doubts
+}
+
+/// `carries_body`: the joint's inertia is not the motor's alone.
+fn of_motor(joint: &Joint, index: usize, carries_body: bool) -> Vec<Doubt> {
+    let mut doubts = Vec::new();
+    let mut doubt = |part, name, text: String| doubts.push(Doubt::new(key("joint", Some(index), part, name), text));
     let Some(motor) = joint.motor else { return doubts };
     let torque = motor.torque_constant * motor.max_current;
     let volts = motor.resistance * motor.max_current;
@@ -217,6 +234,26 @@ fn of_joint(joint: &Joint, index: usize) -> Vec<Doubt> {
     if motor.inductance >= INDUCTANCE {
         let text = format!("`inductance` of joint {index} is {} H: 1 mH is 0.001", motor.inductance);
         doubt("motor", "inductance", text);
+    }
+    let seconds = motor.resistance * joint.inertia / motor.torque_constant.powi(2);
+    if seconds > MOTOR_SECONDS && !carries_body {
+        let text = format!(
+            "`torque_constant` of joint {index}, {} N m/A, takes {seconds:.1} s to speed up its own rotor (resistance times \
+             inertia over its square), and motors take hundredths: at the joint it is the motor's times the ratio, as the \
+             inertia is the rotor's times the ratio squared",
+            motor.torque_constant
+        );
+        doubt("motor", "torque_constant", text);
+    }
+    if let Some(wound) = joint.transmission.map(|between| torque / between.stiffness).filter(|wound| *wound > WOUND_UP)
+    {
+        let text = format!(
+            "the transmission of joint {index} gives by {:.0} degrees where its motor pushes with all that it has ({}): \
+             stiffness is in N m/rad at the joint, and a cable of c N/m on a sector of radius r has c r²",
+            wound.to_degrees(),
+            with_unit(torque, "N m")
+        );
+        doubt("transmission", "stiffness", text);
     }
     if joint.coulomb > torque {
         let text = format!(

@@ -19,7 +19,7 @@ use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::shape::Meaning;
 use haptic_bridge::render::scene::{FeedForward, Scene, Surface, Wall};
 use haptic_bridge::render::velocity::Estimator;
-use haptic_bridge::safety::limits::GENTLE_FORCE;
+use haptic_bridge::safety::limits::{GENTLE_FORCE, Limits};
 use nalgebra::{DVector, SVector};
 use serde::Serialize;
 use std::convert::Infallible;
@@ -29,6 +29,8 @@ const SLOW_HAND: f64 = 0.1;
 /// A wall whose force one encoder count changes by more than this is felt to buzz, N: its ripple is about half of it,
 /// root mean square (docs/encoder-steps.md).
 const BUZZ_N: f64 = 1.0;
+/// A stiffness that nobody feels, N/m.
+const NO_WALL: f64 = 1.0;
 /// Poses of each joint in which a device with so many joints is looked at.
 const PER_JOINT: [usize; 3] = [400, 60, 16];
 /// What a wall meets where the tip touches it.
@@ -179,10 +181,7 @@ pub fn meets(
     let mut linearised = Linearised::of(device, q, normal, scene.admissible).ok()?;
     linearised.gain = scene.feed_forward_gain;
     let (stable_to, damping_to) = stiffness_at(&linearised, &around, mode, wall.damping).ok()?;
-    let along = padded_to(pose.jacobian.nrows(), normal);
-    let per_radian = pose.jacobian.tr_mul(&along);
-    let count = per_radian.iter().zip(&device.joints).map(|(move_, joint)| (move_ * joint.radians_per_count).abs());
-    let count = count.fold(0.0, f64::max);
+    let count = count_along(device, &pose, normal);
     Some(Contact {
         wall: index,
         q: q.to_vec(),
@@ -194,6 +193,45 @@ pub fn meets(
         step_n: count * (wall.stiffness + wall.damping * around.estimator.quickest(around.rate_hz)),
         options: options(scene, wall, q, normal, delay_samples),
     })
+}
+
+/// How far the tip moves along a normal in one encoder count, at most, m.
+fn count_along(device: &Device<f64>, pose: &TaskPose, normal: &[f64]) -> f64 {
+    let per_radian = pose.jacobian.tr_mul(&padded_to(pose.jacobian.nrows(), normal));
+    let moved = per_radian.iter().zip(&device.joints).map(|(move_, joint)| (move_ * joint.radians_per_count).abs());
+    moved.fold(0.0, f64::max)
+}
+
+/// Gains beyond which a wall is only on or off, at a pose and within a board's limits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MostGains {
+    /// N/m: one encoder count asks for all of the force.
+    pub stiffness: f64,
+    /// N s/m: a hand that creeps at 1 cm/s does.
+    pub damping: f64,
+    /// The most that motors and limits give along the normal, N.
+    pub force: f64,
+}
+
+/// A hand that hardly moves, m/s.
+const CREEPING: f64 = 0.01;
+
+/// The most that a wall's gains can mean where it is touched at joint angles `q` (rad); `None` at a singularity, or where
+/// a joint has no motor.
+pub fn most_gains(device: &Device<f64>, surface: &Surface<f64>, q: &[f64], limits: &Limits) -> Option<MostGains> {
+    let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?;
+    let tip = SVector::from(padded::<3>(&pose.position));
+    let normal = surface.contact::<Libm, 3>(&tip).normal;
+    let normal = &normal.as_slice()[..pose.task];
+    let mut limited = device.clone();
+    let most = limits.torque.iter().zip(&limits.current);
+    for (motor, (torque, current)) in limited.joints.iter_mut().filter_map(|joint| joint.motor.as_mut()).zip(most) {
+        let allowed = f64::from(*current).min(f64::from(*torque) / motor.torque_constant.abs());
+        motor.max_current = motor.max_current.min(allowed);
+    }
+    let force = force_along(&limited, &pose, normal)?.min(limits.tip_force.into());
+    let stiffness = force / count_along(device, &pose, normal).max(f64::MIN_POSITIVE);
+    Some(MostGains { stiffness, damping: force / CREEPING, force })
 }
 
 fn options(scene: &Scene<f64>, wall: &Wall<f64>, q: &[f64], normal: &[f64], delay_samples: f64) -> String {
@@ -243,13 +281,23 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> 
             contact.options
         );
         doubts.push(doubt("damping", text));
+    } else if wall.stiffness > contact.stable_to && contact.stable_to < NO_WALL {
+        let text = format!(
+            "no stiffness of wall {index} is predicted stable with {} of damping, nor is its {}; write a damping of up to \
+             {} (`haptic range DEVICE {}`)",
+            with_unit(wall.damping, "N s/m"),
+            with_unit(wall.stiffness, "N/m"),
+            with_unit(0.5 * contact.damping_to, "N s/m"),
+            contact.options
+        );
+        doubts.push(doubt("damping", text));
     } else if wall.stiffness > contact.stable_to {
         let text = format!(
             "the stiffness of wall {index}, {}, is beyond what is predicted stable: up to {} here; this is {} times \
              that, and it will vibrate unless friction or a hand damps it (`haptic range DEVICE {}`)",
             with_unit(wall.stiffness, "N/m"),
             with_unit(contact.stable_to, "N/m"),
-            times(wall.stiffness / contact.stable_to.max(1e-9)),
+            times(wall.stiffness / contact.stable_to),
             contact.options
         );
         doubts.push(doubt("stiffness", text));

@@ -215,7 +215,7 @@ impl PlotArea {
 }
 
 /// Whether a line through these points (or the only one of them) has a part in the box between two corners.
-fn passes(line: &[(f64, f64)], low: (f64, f64), high: (f64, f64)) -> bool {
+pub(super) fn passes(line: &[(f64, f64)], low: (f64, f64), high: (f64, f64)) -> bool {
     let within = |from: (f64, f64), to: (f64, f64)| {
         // The part of the line from 0 to 1 that lies between the left and the right edge, and of that between the
         // others.

@@ -48,13 +48,20 @@ pub struct Canvas {
     body: String,
     width: f64,
     height: f64,
+    /// Width on paper, mm.
+    printed: Option<f64>,
     clips: usize,
 }
 
 impl Canvas {
     /// An empty white page.
     pub fn new(width: f64, height: f64) -> Self {
-        Self { body: String::new(), width, height, clips: 0 }
+        Self { body: String::new(), width, height, printed: None, clips: 0 }
+    }
+
+    /// Gives the page a width on paper, mm.
+    pub fn print_at(&mut self, mm: f64) {
+        self.printed = Some(mm);
     }
 
     /// Makes the page higher, and says where its end was.
@@ -68,14 +75,18 @@ impl Canvas {
     pub fn finish(self, title: &str, description: &str) -> Picture {
         let (width, height) = (self.width, self.height);
         let (title, description) = (escaped(title), escaped(description));
+        let size = match self.printed {
+            None => [width, height].map(|side| side.to_string()),
+            Some(mm) => [mm, mm * height / width].map(|side| format!("{side:.2}mm")),
+        };
         let svg = format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" \
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{}\" height=\"{}\" \
              viewBox=\"0 0 {width} {height}\" font-family=\"{FONT}, Verdana, sans-serif\" fill=\"{INK}\">\n\
              <title>{title}</title>\n<desc>{description}</desc>\n\
              <rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>\n{}</svg>\n",
-            self.body
+            size[0], size[1], self.body
         );
-        Picture { svg }
+        Picture { svg, printed: self.printed.is_some() }
     }
 
     fn push(&mut self, element: std::fmt::Arguments<'_>) {

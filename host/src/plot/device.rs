@@ -5,7 +5,7 @@ use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Description;
 
-use super::axes::{Axis, PlotArea};
+use super::axes::{Axis, PlotArea, passes};
 use super::canvas::{Anchor, Canvas, Stroke};
 use super::colour::{FAINT, FULL, INK, OFF, WASHOUT};
 use super::linkage::bounds;
@@ -21,6 +21,8 @@ const WIDE: f64 = 760.0;
 const REACH: &str = "#e6edf5";
 /// Links.
 const LINK: &str = "#b9bec6";
+/// Half of a link's width, pixels.
+const HALF_LINK: f64 = 4.5;
 /// Largest radius of an angle's arc, pixels.
 const ARC: f64 = 46.0;
 
@@ -138,8 +140,8 @@ fn overlap(a: &Area, b: &Area) -> bool {
 fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, mut taken: Vec<Area>) {
     for bar in &skeleton.bars {
         let ends = [bar.from, bar.to].map(|p| frame.pixel(p.0, p.1));
-        canvas.polyline(&ends, Stroke::solid(INK, 9.0));
-        canvas.polyline(&ends, Stroke::solid(LINK, 7.0));
+        canvas.polyline(&ends, Stroke::solid(INK, 2.0 * HALF_LINK));
+        canvas.polyline(&ends, Stroke::solid(LINK, 2.0 * HALF_LINK - 2.0));
     }
     let middles = skeleton.bars.iter().map(|bar| ((bar.from.0 + bar.to.0) / 2.0, (bar.from.1 + bar.to.1) / 2.0));
     let sum = middles.fold((0.0, 0.0), |sum, p| (sum.0 + p.0, sum.1 + p.1));
@@ -168,7 +170,7 @@ fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, mut taken: 
         let place = |past: f64, side: f64| {
             let (nx, ny) = (side * nx, side * ny);
             // The baseline lies below the letters.
-            let away = if ny > 0.0 { 17.0 } else { 8.0 };
+            let away = if ny > 0.0 { 18.0 } else { 9.0 };
             let at = (middle.0 + past * dx / length + away * nx, middle.1 + past * dy / length + away * ny);
             let [left, top] = [frame.at.0 + 2.0, frame.at.1 + 2.0];
             let [right, bottom] = [left + frame.size.0 - 4.0, top + frame.size.1 - 4.0];
@@ -178,10 +180,23 @@ fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, mut taken: 
             )
         };
         let area = |at: (f64, f64)| [at.0 - wide, at.1 - tall, at.0 + wide, at.1 + tall];
-        // The first place that is free: outside, inside, towards the other end of the link.
+        // The first place that is free: outside, inside, towards the other end of the link; and of those without other
+        // labels one that no other link crosses, where there is one.
         let places = [(past, outward), (past, -outward), (-past, outward), (-past, -outward)].map(|(p, s)| place(p, s));
-        let free = places.iter().find(|at| !taken.iter().any(|other| overlap(&area(**at), other)));
-        let at = *free.unwrap_or(&places[0]);
+        let labelled = |at: (f64, f64)| taken.iter().any(|other| overlap(&area(at), other));
+        let crossed = |at: (f64, f64)| {
+            // Seen along the label: its letters stand on its baseline.
+            let along = |p: Point| {
+                let p = frame.pixel(p.0, p.1);
+                let (x, y) = (p.0 - at.0, p.1 - at.1);
+                (x * cos + y * sin, y * cos - x * sin)
+            };
+            let others = skeleton.bars.iter().filter(|other| *other != bar);
+            let mut lines = others.map(|other| [other.from, other.to].map(along));
+            lines.any(|line| passes(&line, (-half.0, -9.0 - HALF_LINK), (half.0, 3.0 + HALF_LINK)))
+        };
+        let free = places.iter().find(|at| !labelled(**at) && !crossed(**at));
+        let at = *free.or_else(|| places.iter().find(|at| !labelled(**at))).unwrap_or(&places[0]);
         taken.push(area(at));
         canvas.slanted_text(at, slope, &text);
     }
@@ -189,9 +204,12 @@ fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, mut taken: 
         let (x, y) = frame.pixel(at.0, at.1);
         let (dx, dy) = (x - centre.0, y - centre.1);
         let away = 17.0 / dx.hypot(dy).max(1e-9);
-        let fixed = skeleton.base.contains(at);
-        let (x, y) = if fixed { (x, y + 19.0) } else { (x + away * dx, y + away * dy + 4.0) };
-        canvas.text((x, y), 12.5, Anchor::Middle, false, letter);
+        let outside = (x + away * dx, y + away * dy + 4.0);
+        // A pivot's stands below it, or where a label is there beside it.
+        let places = if skeleton.base.contains(at) { [(x, y + 19.0), (x + 12.0, y - 7.0)] } else { [outside; 2] };
+        let area = |(x, y): Point| [x - 5.0, y - 10.0, x + 5.0, y + 1.0];
+        let free = places.iter().find(|at| !taken.iter().any(|other| overlap(&area(**at), other)));
+        canvas.text(*free.unwrap_or(&places[0]), 12.5, Anchor::Middle, false, letter);
     }
 }
 
@@ -259,7 +277,7 @@ impl Label {
 fn label(frame: &PlotArea, angle: &Angle, skeleton: &Skeleton) -> Label {
     let centre = frame.pixel(angle.at.0, angle.at.1);
     let text = format!("joint {}: {:.1}°", angle.joint, angle.angle.to_degrees());
-    // Below the pivot, where links of usual poses are not; two base pivots keep apart.
+    // Below the pivot, where links of usual poses are not, or where they are above it; two base pivots keep apart.
     let left = skeleton.base.first().is_some_and(|first| skeleton.base.len() > 1 && *first == angle.at);
     let right = skeleton.base.len() > 1 && !left;
     let (shift, anchor) = if left {
@@ -269,11 +287,23 @@ fn label(frame: &PlotArea, angle: &Angle, skeleton: &Skeleton) -> Label {
     } else {
         (8.0, Anchor::Start)
     };
-    let at = (centre.0 + shift, centre.1 + if skeleton.base.contains(&angle.at) { 38.0 } else { 22.0 });
-    let mut label = Label { text, at, anchor };
-    let beyond = label.area()[2] - (frame.at.0 + frame.size.0);
-    label.at.0 -= beyond.max(0.0);
-    label
+    let below = if skeleton.base.contains(&angle.at) { 38.0 } else { 22.0 };
+    let right = frame.at.0 + frame.size.0;
+    let at = |shift: f64, below: f64, anchor: Anchor| {
+        let mut label = Label { text: text.clone(), at: (centre.0 + shift, centre.1 + below), anchor };
+        label.at.0 -= (label.area()[2] - right).max(0.0);
+        label
+    };
+    let crossed = |label: &Label| {
+        let [left, top, right, bottom] = label.area();
+        let mut links = skeleton.bars.iter().map(|bar| [bar.from, bar.to].map(|end| frame.pixel(end.0, end.1)));
+        links.any(|link| passes(&link, (left, top - HALF_LINK), (right, bottom + HALF_LINK)))
+    };
+    let other = if anchor == Anchor::End { Anchor::Start } else { Anchor::End };
+    let places =
+        [at(shift, below, anchor), at(-shift, below, other), at(shift, -26.0, anchor), at(-shift, -26.0, other)];
+    let free = places.iter().position(|label| !crossed(label)).unwrap_or(0);
+    places.into_iter().nth(free).unwrap_or_else(|| at(shift, below, anchor))
 }
 
 /// Where the turret's axis is named.
@@ -302,5 +332,65 @@ fn turret_axis(canvas: &mut Canvas, frame: &PlotArea, kind: Kind) {
             canvas.text((origin.0 - 6.0, top + 8.0), 11.5, Anchor::End, true, "axis of joint 0");
         }
         None => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device_file::DeviceFile;
+
+    /// The number behind `key` in a line of SVG.
+    fn number(line: &str, key: &str) -> f64 {
+        let value = line.split_once(key).unwrap_or_else(|| panic!("{key} in {line}")).1;
+        value.split(['"', ' ', ')']).next().unwrap().parse().unwrap()
+    }
+
+    /// A link's name and a joint's angle lie on no link, where there is room for them.
+    #[test]
+    fn labels_lie_on_no_link() {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices");
+        let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+        let mut seen = 0;
+        for path in files.filter(|path| path.is_file()) {
+            let DeviceFile { name, description, .. } = DeviceFile::load(&path).unwrap();
+            let home = description.home.unwrap();
+            let svg = draw(&description, &name, &home[..description.kind.spec().joints], &[]).unwrap().unwrap();
+            let links: Vec<[Point; 2]> = (svg.svg().lines().filter(|line| line.contains("stroke-width=\"9\"")))
+                .map(|line| {
+                    let points = line.split('"').nth(1).unwrap();
+                    let ends: Vec<f64> = points.split([' ', ',']).map(|number| number.parse().unwrap()).collect();
+                    [(ends[0], ends[1]), (ends[2], ends[3])]
+                })
+                .collect();
+            for line in svg.svg().lines() {
+                let (low, high, turn) = if line.contains("#ffffffdd") {
+                    let (x, y) = (number(line, " x=\""), number(line, " y=\""));
+                    let high = (x + number(line, " width=\""), y + number(line, " height=\""));
+                    ((x, y), high, ((0.0, 0.0), 0.0_f64))
+                } else if line.starts_with("<text transform=\"translate(") {
+                    let at = line.split_once("translate(").unwrap().1.split_once(')').unwrap().0;
+                    let (x, y) = at.split_once(' ').unwrap();
+                    let words = line.split_once('>').unwrap().1.split('<').next().unwrap();
+                    let half = 3.0 * words.chars().count() as f64;
+                    let at = (x.parse().unwrap(), y.parse().unwrap());
+                    ((-half, -8.0), (half, 2.0), (at, number(line, "rotate(").to_radians()))
+                } else {
+                    continue;
+                };
+                seen += 1;
+                let ((x, y), angle) = turn;
+                let (sin, cos) = angle.sin_cos();
+                for link in &links {
+                    let along = link.map(|p| {
+                        let (dx, dy) = (p.0 - x, p.1 - y);
+                        (dx * cos + dy * sin, dy * cos - dx * sin)
+                    });
+                    let apart = HALF_LINK - 0.1;
+                    assert!(!passes(&along, (low.0, low.1 - apart), (high.0, high.1 + apart)), "{name}: {line}");
+                }
+            }
+        }
+        assert!(seen > 40, "{seen}");
     }
 }

@@ -3,17 +3,17 @@
 //! What is drawn is worked out first, as points in SI units ([`panels`]), and then put on paper ([`draw`]). A row that
 //! was lost is a gap: no line leads over it.
 
-use super::Picture;
-use super::axes::{Axis, Mark, PlotArea};
-use super::canvas::{Anchor, Canvas, Stroke};
-use super::colour::{BOUND, FULL, INK, OFF, WASHOUT};
-use crate::analysis::amplitudes::{SpectralLine, spectrum};
+mod contact;
+mod paper;
+
+use crate::analysis::amplitudes::{SpectralLine, Spectrum, spectrum};
 use crate::error::{Choice, Failure};
 use crate::link::columns;
 use crate::recorder::Recording;
 use crate::words::{counted, with_unit};
 use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
+pub use paper::draw;
 use serde::Serialize;
 
 /// What can be drawn of a recording.
@@ -80,6 +80,8 @@ pub struct Panel {
     pub y: Quantity,
     /// Its lines.
     pub curves: Vec<Curve>,
+    /// Ends of the straight line through its points, where there is one.
+    pub line: Option<[(f64, f64); 2]>,
     /// What a reader has to know, above the frame.
     pub note: String,
 }
@@ -95,10 +97,19 @@ pub struct Found {
     pub missing: u64,
     /// The strongest sine of the first signal from 10 Hz on.
     pub strongest: Option<SpectralLine>,
-    /// Stiffness of the line through force over penetration in contact, N/m.
+    /// Stiffness of the line through force over penetration, in contact and where no limit cut the force, N/m.
     pub stiffness: Option<f64>,
+    /// Rows in contact with the motors on.
+    pub contact_rows: usize,
+    /// Of these, rows in which a limit cut the force; none where the recording does not say.
+    pub saturated_rows: Option<usize>,
+    /// What a reader has to know beside the panels.
+    pub said: Vec<String>,
     /// What is drawn.
     pub panels: Vec<Panel>,
+    /// Rows of which a phase portrait is drawn as one.
+    #[serde(skip)]
+    together: usize,
 }
 
 /// The part of a recording that is drawn.
@@ -166,13 +177,23 @@ impl<'a> Rows<'a> {
         self.stretches.windows(2).map(piece).collect()
     }
 
-    /// The longest stretch without a gap.
-    fn longest(&self) -> std::ops::Range<usize> {
-        let longest = self.stretches.windows(2).max_by_key(|ends| ends[1] - ends[0]);
-        longest.map_or(0..0, |ends| ends[0]..ends[1])
+    /// How many rows are drawn as one where single rows show encoder steps: at least a millisecond; at a kilohertz and
+    /// below every row by itself.
+    fn together(&self) -> usize {
+        (self.rate_hz / SMOOTHED_HZ).ceil().max(1.0) as usize
+    }
+
+    /// Whether a limit cut the force of a row; none where the recording does not say.
+    fn cut(&self) -> Option<impl Fn(&[f64]) -> bool> {
+        let names = (0..MAX_JOINTS).map(|joint| format!("saturated{joint}"));
+        let columns: Vec<usize> = names.filter_map(|name| self.recording.column(&name)).collect();
+        (!columns.is_empty()).then_some(move |row: &[f64]| columns.iter().any(|column| row[*column] != 0.0))
     }
 }
 
+/// A phase portrait of faster rows is drawn of means: differences between single rows are encoder steps, whose speeds
+/// make an area of its line.
+const SMOOTHED_HZ: f64 = 1000.0;
 /// What is slower is a motion, no vibration, Hz.
 const SLOW_HZ: f64 = 10.0;
 /// A millionth of the strongest line is nothing.
@@ -220,7 +241,11 @@ pub fn panels(recording: &Recording, request: &Request) -> Result<Found, Failure
         missing: rows.missing,
         strongest: None,
         stiffness: None,
+        contact_rows: 0,
+        saturated_rows: None,
+        said: Vec::new(),
         panels: Vec::new(),
+        together: rows.together(),
     };
     if drawn(View::Time) {
         found.panels.extend(over_time(&rows, &signals)?);
@@ -230,8 +255,7 @@ pub fn panels(recording: &Recording, request: &Request) -> Result<Found, Failure
             Failure::wrong("the recording has neither rendered_n nor force_n")
                 .remedy("record the fields distance, rendered")
         })?;
-        let (panel, stiffness) = over_penetration(&rows, force)?;
-        found.stiffness = stiffness;
+        let panel = contact::over_penetration(&rows, force, &mut found)?;
         found.panels.push(panel);
     }
     if drawn(View::Spectrum) {
@@ -240,7 +264,13 @@ pub fn panels(recording: &Recording, request: &Request) -> Result<Found, Failure
         found.panels.push(panel);
     }
     if drawn(View::Phase) {
-        found.panels.push(phase(&rows)?);
+        let panel = phase(&rows)?;
+        if request.views.is_empty() && !moves(&smoothed(&panel, rows.together())) && !found.panels.is_empty() {
+            let why = "the velocity is noise, from millisecond to millisecond as large as over all";
+            found.said.push(format!("velocity over distance is left out: {why} (--show phase draws it)"));
+        } else {
+            found.panels.push(panel);
+        }
     }
     if found.panels.is_empty() {
         return Err(Failure::wrong("the recording has nothing but steps and times").remedy("record more fields"));
@@ -266,6 +296,7 @@ fn over_time(rows: &Rows<'_>, signals: &[String]) -> Result<Vec<Panel>, Failure>
                 x: named("time", "s"),
                 y: of,
                 curves: vec![curve],
+                line: None,
                 note: String::new(),
             }),
         }
@@ -273,51 +304,11 @@ fn over_time(rows: &Rows<'_>, signals: &[String]) -> Result<Vec<Panel>, Failure>
     Ok(panels)
 }
 
-fn over_penetration(rows: &Rows<'_>, force: &str) -> Result<(Panel, Option<f64>), Failure> {
-    let (distance, column) = (rows.column("distance_m")?, rows.column(force)?);
-    let deepest = rows.rows.iter().fold(0.0_f64, |deepest, row| deepest.max(-row[distance]));
-    // What is far from the wall is no part of this picture: an empty row of points along the axis.
-    let near = |row: &[f64]| -row[distance] >= -0.1 * deepest;
-    let mut pieces = Vec::new();
-    for piece in rows.pieces(|i, _| (i as f64, 0.0)) {
-        let mut open = Vec::new();
-        for (i, _) in piece {
-            let row = &rows.rows[i as usize];
-            if near(row) {
-                open.push((-row[distance], row[column]));
-            } else if !open.is_empty() {
-                pieces.push(std::mem::take(&mut open));
-            }
-        }
-        pieces.push(open);
-    }
-    pieces.retain(|piece| piece.len() > 1);
-    let touched: Vec<(f64, f64)> = pieces.iter().flatten().copied().filter(|(x, _)| *x > 0.0).collect();
-    let stiffness = slope(&touched);
-    let note = match stiffness {
-        Some(stiffness) => format!("line through the rows in contact: {} N/m", crate::words::short(stiffness as f32)),
-        None => "no wall was touched".into(),
-    };
-    let (x, y) = (named("penetration", "m"), quantity(force));
-    Ok((Panel { view: View::Force, x, y, curves: vec![Curve { name: force.into(), pieces }], note }, stiffness))
-}
-
-/// Slope of the straight line of least squares.
-fn slope(points: &[(f64, f64)]) -> Option<f64> {
-    let count = points.len() as f64;
-    let mean = |pick: fn(&(f64, f64)) -> f64| points.iter().map(pick).sum::<f64>() / count;
-    let (x, y) = (mean(|p| p.0), mean(|p| p.1));
-    let spread: f64 = points.iter().map(|p| (p.0 - x).powi(2)).sum();
-    let both: f64 = points.iter().map(|p| (p.0 - x) * (p.1 - y)).sum();
-    (points.len() > 2 && spread > 0.0).then(|| both / spread)
-}
-
 fn amplitudes(
     rows: &Rows<'_>,
     signals: &[String],
     most_hz: Option<f64>,
 ) -> Result<(Panel, Option<SpectralLine>), Failure> {
-    let stretch = rows.longest();
     let half = 0.5 * rows.rate_hz;
     let most = most_hz.unwrap_or(1000.0).min(half);
     let mut panel = Panel {
@@ -325,20 +316,24 @@ fn amplitudes(
         x: named("frequency", "Hz"),
         y: named("amplitude", "dB"),
         curves: Vec::new(),
+        line: None,
         note: String::new(),
     };
     let unit = quantity(&signals[0]).unit;
     let reference = if unit.is_empty() { String::new() } else { format!(" re 1 {unit}") };
     panel.y.name.push_str(&reference);
-    let mut strongest = None;
+    let (mut strongest, mut used) = (None, 0);
     for signal in signals.iter().filter(|signal| quantity(signal).unit == unit) {
         let column = rows.column(signal)?;
-        let values: Vec<f64> = rows.rows[stretch.clone()].iter().map(|row| row[column]).collect();
-        let lines = spectrum(&values, rows.rate_hz).ok_or_else(|| {
-            Failure::wrong(format!("{} without a gap are too few for a spectrum", counted(values.len(), "row")))
+        let values: Vec<f64> = rows.rows.iter().map(|row| row[column]).collect();
+        let stretches: Vec<&[f64]> = rows.stretches.windows(2).map(|ends| &values[ends[0]..ends[1]]).collect();
+        let Spectrum { lines, samples } = spectrum(&stretches, rows.rate_hz).ok_or_else(|| {
+            let most = stretches.iter().map(|stretch| stretch.len()).max().unwrap_or(0);
+            Failure::wrong(format!("{} without a gap are too few for a spectrum", counted(most, "row")))
                 .remedy("record longer, or leave the spectrum out")
                 .choose(Choice::Shown)
         })?;
+        used = samples;
         let fast = lines.iter().filter(|line| line.frequency >= SLOW_HZ);
         let top = fast.max_by(|a, b| a.amplitude.total_cmp(&b.amplitude));
         if panel.curves.is_empty() {
@@ -351,8 +346,9 @@ fn amplitudes(
         let points = shown.map(|line| (line.frequency, 20.0 * line.amplitude.max(FLOOR * highest).log10())).collect();
         panel.curves.push(Curve { name: signal.clone(), pieces: vec![points] });
     }
-    if stretch.len() < rows.rows.len() {
-        panel.note = format!("of the longest stretch without a gap, {}", counted(stretch.len(), "row"));
+    if used < rows.rows.len() {
+        let left = counted(rows.rows.len() - used, "row");
+        panel.note = format!("without {left} of shorter stretches between gaps");
     }
     if let Some(line) = strongest {
         let size = with_unit(line.amplitude, &unit);
@@ -386,129 +382,9 @@ fn phase(rows: &Rows<'_>) -> Result<Panel, Failure> {
         x: named("distance to the wall", "m"),
         y: named("velocity", "m/s"),
         curves: vec![Curve { name: "velocity".into(), pieces: rows.pieces(|i, row| (row[distance], speed(i, row))) }],
+        line: None,
         note,
     })
-}
-
-/// Size of a panel's frame, and of what is around it, pixels.
-const SIZE: (f64, f64) = (600.0, 190.0);
-const LEFT: f64 = 96.0;
-const HEAD: f64 = 82.0;
-const FOOT: f64 = 84.0;
-/// A phase portrait of faster rows is drawn of means: differences between single rows are encoder steps, whose speeds
-/// make an area of its line.
-const SMOOTHED_HZ: f64 = 1000.0;
-/// Points from which on a line that may cross itself is drawn thin.
-const MANY: usize = 1000;
-const COLOURS: [&str; 4] = [FULL, OFF, WASHOUT, BOUND];
-
-/// Puts them on paper, one below the other.
-pub fn draw(title: &str, subtitle: &[String], found: &Found) -> Picture {
-    let head = HEAD + 16.0 * subtitle.len().saturating_sub(1) as f64;
-    let height = head + (SIZE.1 + FOOT) * found.panels.len() as f64;
-    let mut canvas = Canvas::new(LEFT + SIZE.0 + 24.0, height);
-    canvas.text((LEFT, 26.0), 15.0, Anchor::Start, false, title);
-    for (line, text) in subtitle.iter().enumerate() {
-        canvas.text((LEFT, 45.0 + 16.0 * line as f64), 11.5, Anchor::Start, false, text);
-    }
-    for (index, panel) in found.panels.iter().enumerate() {
-        let at = (LEFT, head + (SIZE.1 + FOOT) * index as f64);
-        // Means over at least a millisecond; at a kilohertz and below every row is drawn.
-        let rows = (found.rows as f64 / (SMOOTHED_HZ * found.seconds.max(f64::MIN_POSITIVE))).ceil();
-        match panel.view {
-            View::Phase if rows > 2.5 => draw_panel(&mut canvas, at, &smoothed(panel, rows as usize)),
-            _ => draw_panel(&mut canvas, at, panel),
-        }
-    }
-    let views: Vec<&str> = found.panels.iter().map(|panel| panel.y.name.as_str()).collect();
-    canvas.finish(title, &format!("Of a recording: {}.", views.join("; ")))
-}
-
-fn draw_panel(canvas: &mut Canvas, at: (f64, f64), panel: &Panel) {
-    let points = || panel.curves.iter().flat_map(|curve| curve.pieces.iter().flatten()).filter(|p| finite(p));
-    let ends = |pick: fn(&(f64, f64)) -> f64| {
-        let (low, high) =
-            points().map(pick).fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
-        if low > high { (0.0, 1.0) } else { (low, high) }
-    };
-    let axis = |quantity: &Quantity, (low, high): (f64, f64), room: f64| {
-        // A constant is a line in the middle of something.
-        let span =
-            if high - low > 1e-12 * high.abs().max(low.abs()) { high - low } else { 1e-3_f64.max(0.2 * high.abs()) };
-        Axis {
-            name: quantity.name.clone(),
-            unit: quantity.unit.clone(),
-            low: low - room * span,
-            high: high + room * span,
-        }
-    };
-    let y = axis(&panel.y, ends(|p| p.1), 0.06);
-    let frame = PlotArea { at, size: SIZE, x: axis(&panel.x, ends(|p| p.0), 0.0), y };
-    frame.clipped(canvas, |canvas| {
-        for (curve, colour) in panel.curves.iter().zip(COLOURS.into_iter().cycle()) {
-            for piece in &curve.pieces {
-                let points = match panel.view {
-                    View::Time | View::Spectrum => envelope(&frame, piece),
-                    View::Force | View::Phase => thinned(&frame, piece),
-                };
-                // A line that crosses itself many times would be an area.
-                let crossed = matches!(panel.view, View::Force | View::Phase) && points.len() > MANY;
-                frame.curve(canvas, &points, Stroke::solid(colour, if crossed { 0.4 } else { 1.1 }));
-            }
-        }
-        if frame.y.low < 0.0 && frame.y.high > 0.0 {
-            frame.curve(
-                canvas,
-                &[(frame.x.low, 0.0), (frame.x.high, 0.0)],
-                Stroke { colour: INK, width: 0.5, dash: "2 3" },
-            );
-        }
-    });
-    frame.draw(canvas, "");
-    if !panel.note.is_empty() {
-        canvas.text((at.0 + SIZE.0, at.1 - 6.0), 11.5, Anchor::End, false, &panel.note);
-    }
-    if panel.curves.len() > 1 {
-        let entries: Vec<(Mark<'_>, String)> = panel
-            .curves
-            .iter()
-            .zip(COLOURS.into_iter().cycle())
-            .map(|(curve, colour)| (Mark::Line(Stroke::solid(colour, 1.6)), curve.name.clone()))
-            .collect();
-        // Above the frame and its note: it hides no curve.
-        PlotArea::legend_line(canvas, (at.0, at.1 - 24.0), &entries);
-    }
-}
-
-fn finite(point: &(f64, f64)) -> bool {
-    point.0.is_finite() && point.1.is_finite()
-}
-
-/// Where more points than half pixels follow each other: first, lowest, highest and last of each half pixel, so that no
-/// peak is lost.
-fn envelope(frame: &PlotArea, piece: &[(f64, f64)]) -> Vec<(f64, f64)> {
-    let mut kept: Vec<(f64, f64)> = Vec::new();
-    let place = |point: &(f64, f64)| (2.0 * frame.pixel(point.0, point.1).0).floor();
-    for column in piece.chunk_by(|a, b| place(a) == place(b)) {
-        if column.len() <= 4 {
-            kept.extend(column.iter().filter(|p| finite(p)));
-            continue;
-        }
-        let (mut low, mut high) = (0, 0);
-        for (i, point) in column.iter().enumerate() {
-            if point.1 < column[low].1 {
-                low = i;
-            }
-            if point.1 > column[high].1 {
-                high = i;
-            }
-        }
-        let mut picked = vec![0, low, high, column.len() - 1];
-        picked.sort_unstable();
-        picked.dedup();
-        kept.extend(picked.into_iter().map(|i| column[i]).filter(finite));
-    }
-    kept
 }
 
 /// A panel of the means of every `together` points that follow each other; of the last ones, fewer.
@@ -526,16 +402,15 @@ fn smoothed(panel: &Panel, together: usize) -> Panel {
     smooth
 }
 
-/// Without the points that lie on the one before them, within a quarter of a pixel.
-fn thinned(frame: &PlotArea, piece: &[(f64, f64)]) -> Vec<(f64, f64)> {
-    let mut kept: Vec<(f64, f64)> = Vec::new();
-    let mut last = (f64::INFINITY, f64::INFINITY);
-    for point in piece.iter().filter(|p| finite(p)) {
-        let pixel = frame.pixel(point.0, point.1);
-        if (pixel.0 - last.0).hypot(pixel.1 - last.1) > 0.25 || last.0.is_infinite() {
-            kept.push(*point);
-            last = pixel;
-        }
-    }
-    kept
+/// Whether the values of a panel's first curve go somewhere, and do not only jump: the mean square from point to point
+/// (von Neumann 1941) is below their variance, of which noise has twice as much.
+fn moves(panel: &Panel) -> bool {
+    let values = || panel.curves[0].pieces.iter().flatten().map(|point| point.1);
+    let count = values().count().max(1) as f64;
+    let mean = values().sum::<f64>() / count;
+    let variance = values().map(|value| (value - mean).powi(2)).sum::<f64>() / count;
+    let jumps =
+        panel.curves[0].pieces.iter().flat_map(|piece| piece.windows(2).map(|two| (two[1].1 - two[0].1).powi(2)));
+    let (jumps, sum) = jumps.fold((0, 0.0), |(jumps, sum), jump| (jumps + 1, sum + jump));
+    sum < f64::from(jumps) * variance
 }

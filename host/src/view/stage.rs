@@ -19,15 +19,17 @@ use super::stability::{Oracle, Plane};
 use super::world::{World, lead};
 use crate::error::Failure;
 use crate::link::{Board, BoardError, Column, LinkError, columns, rows_that_fit};
+use crate::plausible::scene::most_gains;
 use crate::scene_file::place_of;
 use crate::vectors::{padded, unit};
-use crate::words::wall_in_words;
+use crate::words::{wall_in_words, with_unit};
 use haptic_bridge::board::telemetry::Field;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::shape::Meaning;
 use haptic_bridge::render::scene::{FeedForward, Scene, Surface};
 use haptic_bridge::safety::fault::State;
+use haptic_bridge::servo::Rules;
 use recording::ActiveRecording;
 use serde_json::json;
 use std::collections::BTreeMap;
@@ -81,6 +83,8 @@ pub struct Stage {
     looked: Duration,
     device: Device<f64>,
     scene: Scene<f64>,
+    /// As they were last seen.
+    rules: Rules,
     columns: Vec<Column>,
     rows_hz: f64,
     delay_samples: f64,
@@ -124,6 +128,7 @@ impl Stage {
         let device = board.device()?.ok_or(BoardError::Refused(haptic_bridge::safety::refusal::Refusal::NoDevice))?;
         let scene = board.scene()?.ok_or(BoardError::Refused(haptic_bridge::safety::refusal::Refusal::NoScene))?;
         let (device, scene) = (device.cast::<f64>(), scene.cast::<f64>());
+        let rules = board.rules()?;
         let rate_hz = f64::from(details.rate_hz);
         let name = if world.simulated.is_some() { "simulated" } else { "" };
         let most = rows_that_fit(name, FIELDS, device.axes(), rate_hz);
@@ -145,6 +150,7 @@ impl Stage {
             looked: now,
             device,
             scene,
+            rules,
             columns,
             rows_hz,
             delay_samples: f64::from(details.delay_samples),
@@ -456,6 +462,21 @@ impl Stage {
             self.refuse(id, &format!("there is no wall {wall}"));
             return Ok(());
         };
+        let asked = format!("{} with {}", with_unit(stiffness.into(), "N/m"), with_unit(damping.into(), "N s/m"));
+        let q = Newest::of(&self.ring, &self.columns).q(self.device.axes());
+        if let Some(most) = most_gains(&self.device, &now.surface, &q, &self.rules.limits)
+            && (f64::from(stiffness) > most.stiffness || f64::from(damping) > most.damping)
+        {
+            let why = format!(
+                "wall {wall} cannot have {asked}: beyond {} one encoder count, and beyond {} a creeping hand, asks for all of the \
+                 {} that motors and rules allow here",
+                with_unit(most.stiffness, "N/m"),
+                with_unit(most.damping, "N s/m"),
+                with_unit(most.force, "N")
+            );
+            self.say(id, &json!({"is": "refused", "of": "gains", "why": why}));
+            return Ok(());
+        }
         if let Some(plane) = self.plane.as_ref().filter(|plane| plane.wall == usize::from(wall) && !beyond) {
             let most = plane.stiffness_to(feed_forward, f64::from(damping));
             let most_now = plane.stiffness_to(now.feed_forward, now.damping);
@@ -463,11 +484,12 @@ impl Stage {
             let less_stable = feed_forward != now.feed_forward && most < most_now;
             if f64::from(stiffness) > most && (now.stiffness <= most_now || less_stable) {
                 let why = format!(
-                    "predicted to be unstable here: with {damping:.1} N s/m and feed-forward {}, walls are stable up to {most:.0} N/m",
-                    feed_forward.name()
+                    "{asked} and feed-forward {} is predicted to be unstable here: stable up to {}",
+                    feed_forward.name(),
+                    with_unit(most, "N/m")
                 );
                 let again = FromPage::Gains { wall, stiffness, damping, feed_forward, beyond: true };
-                self.say(id, &json!({"is": "refused", "why": why, "again": again}));
+                self.say(id, &json!({"is": "refused", "of": "gains", "why": why, "again": again}));
                 return Ok(());
             }
         }
@@ -526,6 +548,7 @@ impl Stage {
 
     fn look(&mut self) -> Result<(), LinkError> {
         let details = self.board().details()?;
+        self.rules = self.board().rules()?;
         let cycles = f64::from(details.longest_cycles);
         if let Some(Err(error)) = self.recording.as_mut().map(|recording| recording.flush()) {
             self.recording_failed(error);

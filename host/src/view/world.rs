@@ -125,8 +125,9 @@ pub fn lead(board: &SharedBoard, goal: Option<[f64; 2]>) {
     }
 }
 
-/// A wall in front of the tip at home, below it where the device moves in a plane or in space.
-fn wall_ahead(file: &DeviceFile) -> Result<Scene<f32>, Failure> {
+/// A wall in front of the tip at home, below it where the device moves in a plane or in space, of half the stiffness that
+/// is predicted stable.
+pub fn wall_ahead(file: &DeviceFile) -> Result<Scene<f32>, Failure> {
     let task = file.spec().task;
     let none = || {
         Failure::wrong(format!("{} has no [home], so there is no pose to start in", file.path.display()))

@@ -114,6 +114,25 @@ fn a_key_that_is_held_arms_and_letting_go_disarms() {
     browser.hold_until(&tab, armed);
     browser.space(&tab, "keyUp");
     browser.until(&tab, off);
+    // Whatever has the focus, and it stays as it is; but not where a number is typed.
+    for control in ["ff-off", "beyond", "channel-a", "before", "trigger"] {
+        browser.evaluate(
+            &tab,
+            &format!("$('{control}').focus(); window.was = [$('{control}').value, $('{control}').checked]"),
+        );
+        browser.hold_until(&tab, armed);
+        browser.space(&tab, "keyUp");
+        browser.until(&tab, off);
+        let same = format!("$('{control}').value === was[0] && $('{control}').checked === was[1]");
+        assert_eq!(browser.evaluate(&tab, &same), true, "{control}");
+    }
+    browser.evaluate(&tab, "$('stiffness').focus()");
+    browser.space(&tab, "keyDown");
+    browser.space(&tab, "keyUp");
+    browser.evaluate(&tab, "window.then = view.pictures");
+    browser.until(&tab, "view.pictures > then + 10");
+    assert_eq!(browser.evaluate(&tab, "view.down || view.last.state === 'Armed'"), false);
+    browser.evaluate(&tab, "document.activeElement.blur()");
     // The button, by the mouse.
     let key = on(&mut browser, &tab, "key", "60", "30");
     browser.press_until(&tab, key, "view.last.held");
@@ -171,8 +190,19 @@ fn the_dot_is_dragged_and_stops_at_the_boundary_until_one_goes_on() {
     assert_eq!(browser.evaluate(&tab, in_sight), true, "what one needs then is not covered");
     assert_eq!(browser.evaluate(&tab, "view.walls[0].stiffness < 21e3"), true, "it stays on the stable side");
     browser.until(&tab, "view.again?.stiffness > 22e3");
+    // The button names what it sets, and the bar goes with what it was about.
+    assert_eq!(browser.evaluate(&tab, "/^Set 2[23]\\.\\d kN\\/m, .* anyway$/.test($('anyway').textContent)"), true);
     browser.evaluate(&tab, "$('anyway').click()");
     browser.until(&tab, "view.walls[0].stiffness > 21e3 && document.body.dataset.stable === 'false'");
+    browser.evaluate(&tab, "$('stiffness').focus(); $('stiffness').value = '1000000000'; $('stiffness').onchange()");
+    browser.until(&tab, "$('why').textContent.includes('motors and rules allow') && $('anyway').hidden");
+    assert_eq!(
+        browser.evaluate(&tab, "$('stiffness').valueAsNumber < 1e6"),
+        true,
+        "what was refused is not left there"
+    );
+    browser.evaluate(&tab, "$('stiffness').value = '3000'; $('stiffness').onchange()");
+    browser.until(&tab, "view.walls[0].stiffness === 3000 && !$('notice').classList.contains('shown')");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! A wrong file is refused by name, line and remedy, on one line, with exit code 2.
+//! A wrong file is refused by name, line and remedy, on one line for each mistake, with exit code 2.
 //!
 //! Two ways: a table of mistakes people make, each through the command itself, and every shipped file mutilated line by
 //! line, which no list of mistakes would cover.
@@ -222,6 +222,12 @@ fn a_wrong_device_is_refused_by_line_and_remedy() {
         ("limits = [-1.0, 3.0]", "limits = [3.0, -1.0]", ":33:10:", &["the wrong way round"]),
         ("limits = [-1.0, 3.0]", "limits = [1.0, 1.0]", ":33:10:", &["the wrong way round"]),
         ("limits = [-1.0, 3.0]", "limits = [-1.0, 2.0]", ":49:6:", &["home", "outside its limits"]),
+        (
+            "q = [2.4, 0.7]",
+            "q = [137, 40]",
+            ":49:6:",
+            &["outside its limits", "angles are in radians: 137 degrees are 2.3911 rad"],
+        ),
         ("resistance = 2.0", "resistance = 0.0", ":42:14:", &["`resistance`", "more than zero"]),
         ("resistance = 2.0", "resistance = 2.0\ninductance = -1", ":43:14:", &["`inductance`", "zero or more"]),
         ("max_current = 3.0\n", "", ":40:1:", &["`max_current`", "[joint.motor] of [[joint]] 0"]),
@@ -247,7 +253,8 @@ fn a_wrong_scene_is_refused_by_line_and_remedy() {
         ("normal = [0.0, -1.0]", "normal = [0.0, 0.0]", ":6:10:", &["`normal`", "points nowhere"]),
         ("normal = [0.0, -1.0]", "normal = [0.0, -1.0, 0.0]", ":6:10:", &["3 numbers instead of 2"]),
         ("normal = [0.0, -1.0]", "normal = [0.0, inf]", ":6:16:", &["not a finite number"]),
-        ("normal = [0.0, -1.0]\n", "", ":4:1:", &["`normal`", "missing", "add `normal ="]),
+        ("normal = [0.0, -1.0]\n", "", ":4:1:", &["`normal`", "missing", "add `normal = [0.0, 1.0]`"]),
+        ("damping = 1.0", "rate_hz = 1000", ":8:1:", &["`rate_hz`", "belongs at the top of the file"]),
         ("point = [0.0, 0.13]", "point = [0.13]", ":5:9:", &["1 number instead of 2"]),
         ("stiffness = 1000.0", "stiffness = -1000.0", ":7:13:", &["`stiffness`", "zero or more"]),
         ("stiffness = 1000.0", "stiffness = nan", ":7:13:", &["`stiffness`", "not a finite number"]),
@@ -286,6 +293,41 @@ fn a_wrong_scene_is_refused_by_line_and_remedy() {
     }
     let said = refusal(DEVICE, &nine_walls);
     assert!(said.contains("at most 8 [[wall]] tables"), "{said}");
+}
+
+/// Whoever writes a first file is told of all its mistakes at once, each with its place, in the order of the file.
+#[test]
+fn a_file_with_several_mistakes_is_told_all_of_them() {
+    let mistakes = [
+        ("gravity = [0.0, 0.0]\n", "", "`gravity` is missing"),
+        ("proximal = [0.07, 0.07]", "proximal = [0.07]", "`proximal` in [geometry] has 1 number"),
+        ("mass = 0.02", "mas = 0.02", "did you mean `mass`?"),
+        ("com = 0.04", "com = \"4 cm\"", "`com` in [[link]] 2 (distal-1) is a string"),
+        ("counts_per_turn = 16384", "counts_per_turn = -1", "`counts_per_turn` in [joint.encoder] of [[joint]] 0"),
+        ("resistance = 2.0\n", "", "`resistance` in [joint.motor] of [[joint]] 0 is missing"),
+        ("q = [2.4, 0.7]", "q = [2.4]", "`q` in [home] has 1 number"),
+    ];
+    let text = mistakes.iter().fold(DEVICE.to_string(), |text, (from, to, _)| replaced(&text, from, to));
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("device.toml");
+    std::fs::write(&path, text).unwrap();
+    let output = haptic(&["check"]).arg(&path).output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!((output.status.code(), said.lines().count()), (Some(2), mistakes.len()), "{said}");
+    for (line, (_, _, words)) in said.lines().zip(mistakes) {
+        assert!(line.contains("device.toml:") && line.contains(words), "{words}: {line}");
+    }
+    let scene = SCENE.replace("rate_hz = 20000", "rate_hz = 1").replace("stiffness = 1000.0", "stiffness = -1.0");
+    let error = SceneFile::parse(&scene.replace("[[field]]\ndamping = 1.0", "[[field]]"), "scene", 2).unwrap_err();
+    assert_eq!(error.to_string().lines().count(), 4, "{error}");
+}
+
+/// Where an encoder is not told otherwise its counts rise with the angle, and count 0 is angle 0.
+#[test]
+fn an_encoder_needs_its_counts_alone() {
+    let short = replaced(DEVICE, "offset = 0.0\ninverted = false\n", "");
+    let of = |text: &str| DeviceFile::parse(text, "device").map(|file| file.description);
+    assert_eq!(of(&short), of(DEVICE));
 }
 
 #[test]

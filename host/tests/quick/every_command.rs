@@ -15,9 +15,14 @@ use std::process::{Command, Stdio};
 /// What is typed, and how the first line begins that it prints.
 type Line = (&'static str, &'static str);
 
-const ANALYSIS: [Line; 15] = [
+const ANALYSIS: [Line; 17] = [
     ("demo", "coupled-five-bar: a simulated board at 1000 Hz"),
     ("new five-bar -o mine.toml", "mine.toml: an example five-bar to fill in"),
+    (
+        "new scene --device mine.toml -o wall.toml",
+        "wall.toml: a wall in front of mine at home; then `haptic check mine.toml",
+    ),
+    ("check mine.toml wall.toml", "mine.toml: sound: mine, a five-bar"),
     ("check devices/hapkit-paddle.toml", "devices/hapkit-paddle.toml: sound: hapkit-paddle"),
     ("model devices/hapkit-paddle.toml", "hapkit-paddle (paddle)"),
     ("map devices/hapkit-paddle.toml --normal 1 --points 20", "hapkit-paddle: 20 poses"),
@@ -111,6 +116,34 @@ fn every_command_without_a_board() {
 #[test]
 fn every_command_with_a_board() {
     each(&BOARD, folder().path(), &Sim::start(&["--fast"]).port);
+}
+
+/// Commands whose examples are typed as they are: the others need a board, a recording, or more than a second.
+const TYPED: [&str; 6] = ["new", "check", "model", "plan", "precompute", "range"];
+
+#[test]
+fn the_examples_of_every_help_page_name_files_that_ship() {
+    let folder = folder();
+    let help = |name: &[&str]| {
+        let page = haptic(&[&["help"], name].concat()).assert().success().get_output().stdout.clone();
+        String::from_utf8(page).unwrap()
+    };
+    let page = help(&[]);
+    let (listing, _) = page.split_once("Start here").unwrap();
+    let mut typed = BTreeSet::new();
+    for name in listing.lines().filter_map(|line| line.strip_prefix("  ")?.split_whitespace().next()) {
+        let page = help(&[name]);
+        let examples = page.split_once("Examples:\n").map_or("", |(_, examples)| examples);
+        for line in examples.lines().filter_map(|line| line.trim().strip_prefix("haptic ")) {
+            let files = words(line).into_iter().filter(|word| word.starts_with("devices/"));
+            files.for_each(|file| assert!(root().join(file).is_file(), "haptic {line}: {file} does not ship"));
+            if TYPED.contains(&name) {
+                haptic(&words(line)).current_dir(folder.path()).assert().success();
+                typed.insert(name.to_string());
+            }
+        }
+    }
+    assert_eq!(typed.len(), TYPED.len(), "{typed:?}");
 }
 
 #[test]

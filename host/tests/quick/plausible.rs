@@ -50,6 +50,18 @@ fn wrong_units_are_doubted_at_their_line() {
         (&[("inductance = 0.001", "inductance = 1.0")], "inductance", "1 mH is 0.001"),
         (&[("counts_per_turn = 10752", "counts_per_turn = 48")], "counts_per_turn = 48", "gear ratio"),
         (&[("coulomb = 0.002", "coulomb = 0.2")], "coulomb = 0.2", "cannot move itself"),
+        (&[("counts_per_turn = 10752", "counts_per_turn = 500")], "counts_per_turn = 500", "500 lines are 2000 counts"),
+        // The motor's own, whose rotor is behind a ratio of 15.
+        (
+            &[("torque_constant = 0.033333", "torque_constant = 0.0022"), ("coulomb = 0.002", "coulomb = 0.0")],
+            "torque_constant = 0.0022",
+            "the motor's times the ratio",
+        ),
+        (
+            &[("transmission = \"rigid\"\n", "[joint.transmission]\nstiffness = 0.1\n")],
+            "stiffness = 0.1",
+            "gives by 57 degrees where its motor pushes with all that it has",
+        ),
     ] {
         let (json, err) = checked(changes, None);
         let warnings = json["warnings"].as_array().unwrap();
@@ -84,6 +96,20 @@ fn walls_beyond_reach_loop_and_motors_are_doubted() {
             "{err}"
         );
     }
+    // A damping that was forgotten leaves nothing stable on a device that has none: not so many times nothing.
+    let (_, err) = checked(&[("viscous = 0.0003", "viscous = 0.0")], Some(&wall("[0.0, 0.125]", "3000.0", "0.0")));
+    assert!(err.contains("write a damping of up to") && !err.contains("times that"), "{err}");
+}
+
+#[test]
+fn check_says_how_far_an_encoder_count_moves_the_tip() {
+    let path = file("hapkit-paddle.toml");
+    let (code, out, _) = haptic(&["check", &path]);
+    let (_, json, _) = haptic(&["check", &path, "--json"]);
+    let step = serde_json::from_str::<Value>(&json).unwrap()["summary"]["count_at_home"].as_f64().unwrap();
+    // 70 mm times a turn, in 60,000 counts.
+    assert!((step - 0.07 * core::f64::consts::TAU / 60e3).abs() < 1e-9, "{step}");
+    assert!(code == 0 && out.contains("one encoder count moves the tip at home by up to 7.33 µm"), "{out}");
 }
 
 #[test]

@@ -221,7 +221,7 @@ fn the_phase_of_fast_rows_is_drawn_of_means() {
     let plot = |more: &[&str]| haptic(&["plot", "--show", "phase"]).arg(&csv).args(more).assert().success();
     plot(&["--svg", svg.to_str().unwrap()]);
     let text = std::fs::read_to_string(&svg).unwrap();
-    assert!(text.contains("means over 21 rows"), "{text}");
+    assert!(text.contains("means over 20 rows"), "{text}");
     let line = &read(&text)[0].lines[0];
     assert!((400..=500).contains(&line.len()), "{}", line.len());
     assert!(line.iter().all(|(_, v)| (v - 0.02).abs() < 6e-3), "{line:?}");
@@ -261,4 +261,122 @@ fn what_cannot_be_drawn_is_refused_in_words() {
     refused(&[], "no channel /rows");
     std::fs::write(&csv, [0xff, 0xfe, 0x00]).unwrap();
     refused(&[], "neither MCAP nor text");
+}
+
+/// A recording at 1000 Hz of these columns.
+fn write_rows(path: &Path, columns: &str, rows: usize, row: impl Fn(f64) -> String) {
+    let mut text = format!("# haptic-bridge recording\n# control rate 1000 Hz, every step\nstep,time_s,{columns}\n");
+    (0..rows).for_each(|i| text += &format!("{i},{},{}\n", i as f64 / RATE, row(i as f64 / RATE)));
+    std::fs::write(path, text).unwrap();
+}
+
+#[test]
+fn a_vibration_at_the_end_of_a_recording_is_in_its_spectrum() {
+    let folder = tempfile::tempdir().unwrap();
+    let csv = folder.path().join("a.csv");
+    write_rows(&csv, "rendered_n", 1000, |t| (if t < 0.77 { 0.0 } else { (TAU * 50.0 * t).sin() }).to_string());
+    let strongest = json(&["plot", csv.to_str().unwrap()])["strongest"].clone();
+    let (hz, amplitude) = (strongest["frequency"].as_f64().unwrap(), strongest["amplitude"].as_f64().unwrap());
+    assert!((hz - 50.0).abs() < 2.0 && (0.2..1.0).contains(&amplitude), "{strongest}");
+}
+
+/// A wall of 60 kN/m, pressed 0.5 mm deep by a device whose limit is at `most` newtons.
+#[test]
+fn the_stiffness_is_that_of_rows_that_no_limit_cut() {
+    let folder = tempfile::tempdir().unwrap();
+    let (csv, svg) = (folder.path().join("a.csv"), folder.path().join("a.svg"));
+    let pressed = |most: f64| {
+        write_rows(&csv, "distance_m,rendered_n,saturated0,saturated1,state", 1000, |t| {
+            let depth = 0.5e-3 * (TAU * t).sin();
+            let asked = (60e3 * depth).max(0.0);
+            // The motors went off at last, in the wall.
+            let (force, state) = if t < 0.4 { (asked.min(most), "Armed") } else { (0.0, "Disarmed") };
+            format!("{},{force},0,{},{state}", -depth, u8::from(asked > most && t < 0.4))
+        });
+        let printed = haptic(&["plot", "--svg", svg.to_str().unwrap(), "--force"]).arg(&csv).assert().success();
+        let printed = String::from_utf8(printed.get_output().stdout.clone()).unwrap();
+        (printed, json(&["plot", csv.to_str().unwrap()]), std::fs::read_to_string(&svg).unwrap())
+    };
+    let (printed, found, drawn) = pressed(5.0);
+    let (rows, cut) = (found["contact_rows"].as_u64().unwrap(), found["saturated_rows"].as_u64().unwrap());
+    assert!((395..=400).contains(&rows) && cut > 300 && rows - cut > 20, "{rows}, {cut}");
+    assert!((found["stiffness"].as_f64().unwrap() - 60e3).abs() < 1.0, "{}", found["stiffness"]);
+    assert!(printed.contains(&format!("{} rows in contact, without {cut} that a limit cut", rows - cut)), "{printed}");
+    assert!(printed.contains("stiffness that was there: 60000 N/m"), "{printed}");
+    // The line is drawn where it is spoken of, from the first row to the last of which it is.
+    let ends: [[f64; 2]; 2] = serde_json::from_value(found["panels"][1]["line"].clone()).unwrap();
+    assert!(ends.iter().all(|[x, y]| (y - 60e3 * x).abs() < 1e-6) && ends[1][1] < 5.0 && ends[1][1] > 4.5, "{ends:?}");
+    assert_eq!(drawn.matches("stroke-dasharray=\"7 4\"").count(), 1);
+
+    let (printed, found, drawn) = pressed(0.5);
+    assert!(found["stiffness"].is_null() && found["panels"][1]["line"].is_null(), "{found}");
+    assert!(printed.contains("no stiffness, too few for a line: ") && printed.contains("there: none"), "{printed}");
+    assert!(!drawn.contains("stroke-dasharray=\"7 4\""));
+}
+
+#[test]
+fn a_force_that_does_not_follow_the_depth_has_no_stiffness() {
+    let folder = tempfile::tempdir().unwrap();
+    let csv = folder.path().join("a.csv");
+    write_rows(&csv, "distance_m,rendered_n", 1000, |t| {
+        let depth = 1e-3 + 1e-5 * (TAU * 3.0 * t).sin();
+        format!("{},{}", -depth, 2.0 + (TAU * 71.0 * t).sin())
+    });
+    let found = json(&["plot", csv.to_str().unwrap()]);
+    assert!(found["stiffness"].is_null(), "{}", found["stiffness"]);
+    assert!(found["panels"][1]["note"].as_str().unwrap().contains("the force does not follow the depth"), "{found}");
+}
+
+/// Encoder steps make a brush of a phase portrait: it is drawn only where the velocity goes somewhere, or is asked for.
+#[test]
+fn a_velocity_that_is_noise_is_not_drawn_unasked() {
+    let folder = tempfile::tempdir().unwrap();
+    let csv = folder.path().join("a.csv");
+    let views = |speed: fn(f64) -> f64, more: &[&str]| {
+        write_rows(&csv, "distance_m,velocity_m_s,rendered_n", 1000, |t| format!("{t},{},0", speed(t)));
+        let found = json(&[&["plot", csv.to_str().unwrap()], more].concat());
+        let panels = found["panels"].as_array().unwrap().iter();
+        let drawn = panels.filter(|panel| panel["view"] == "phase").count();
+        (drawn, found["said"].to_string().contains("velocity over distance is left out"))
+    };
+    let noise = |t: f64| (1e3 * t * t * 7919.0).sin() * f64::from(u8::from(((1e3 * t) as u64).is_multiple_of(2)));
+    assert_eq!(views(|t| (TAU * 70.0 * t).sin(), &[]), (1, false));
+    assert_eq!(views(noise, &[]), (0, true));
+    assert_eq!(views(noise, &["--show", "phase"]), (1, false));
+}
+
+/// The column of a journal is 85 mm wide, its page 170 mm, and 8 pt is the smallest text that many of them print.
+#[test]
+fn a_picture_for_a_paper_has_its_width_and_letters_of_eight_points_inside_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let (csv, svg, png) = (folder.path().join("a.csv"), folder.path().join("a.svg"), folder.path().join("a.png"));
+    recording(&csv);
+    for width in ["85", "170"] {
+        let files = ["--svg", svg.to_str().unwrap(), "--png", png.to_str().unwrap(), "--force", "--width", width];
+        let signals = ["--signals", "torque0_n_m,rendered_n,velocity_m_s"];
+        haptic(&["plot"]).arg(&csv).args(files).args(signals).assert().success();
+        let text = std::fs::read_to_string(&svg).unwrap();
+        let head = text.lines().next().unwrap();
+        assert!(head.contains(&format!(" width=\"{width}.00mm\"")), "{head}");
+        let units: f64 = head.split("viewBox=\"0 0 ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+        let points_a_unit = width.parse::<f64>().unwrap() / 25.4 * 72.0 / units;
+        let texts: Vec<&str> = text.lines().filter(|line| line.starts_with("<text")).collect();
+        assert!(texts.len() > 30);
+        for line in texts {
+            let size = attribute(line, "font-size").unwrap();
+            assert!(size * points_a_unit > 7.99, "{line}");
+            if line.contains("rotate") {
+                continue;
+            }
+            let (x, long) = (attribute(line, "x").unwrap(), 0.56 * size * words(line).chars().count() as f64);
+            let begins = [("start", 0.0), ("middle", 0.5), ("end", 1.0)];
+            let before = begins.iter().find(|(anchor, _)| line.contains(anchor)).unwrap().1 * long;
+            assert!(x - before > 0.0 && x - before + long < units, "{line} sticks out of {units}");
+        }
+        // 600 dots to the inch.
+        let picture = std::fs::read(&png).unwrap();
+        let wide = u32::from_be_bytes(picture[16..20].try_into().unwrap());
+        assert!((f64::from(wide) / (width.parse::<f64>().unwrap() / 25.4) - 600.0).abs() < 3.0, "{wide}");
+    }
+    haptic(&["plot", "--width", "20"]).arg(&csv).assert().code(2).stderr(contains("write 60 to 400 mm"));
 }

@@ -171,6 +171,21 @@ fn a_feed_forward_that_costs_more_than_it_brings_is_warned_of() {
     assert!(rigid["area_ratio"].as_f64().unwrap() > 1.2 && rigid.get("warnings").is_none(), "{}", rigid["area_ratio"]);
 }
 
+/// Uneven joint damping makes it creep at every gain: that is no wall "0.00 times as stiff".
+#[test]
+fn a_feed_forward_with_which_nothing_is_stable_is_said_to_be_so() {
+    let text = std::fs::read_to_string(file("coupled-five-bar.toml")).unwrap();
+    let uneven =
+        text.replacen("viscous = 0.001", "viscous = 0.1", 1).replacen("viscous = 0.001\n", "viscous = 1.0e-4\n", 1);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("uneven.toml");
+    std::fs::write(&path, uneven).unwrap();
+    let pose = ["--q=2.6,1.75", "--normal=0.2588,0.9659", "--rate", "1000", "--cutoff", "20"];
+    let found = json(&[&["range", path.to_str().unwrap()], &pose[..]].concat());
+    let said = found["warnings"].to_string();
+    assert!(said.contains("the feed-forward leaves nothing stable here") && !said.contains("0.00 times"), "{said}");
+}
+
 #[test]
 fn a_washout_that_costs_is_doubted_where_the_feed_forward_in_full_brings_much() {
     // Where Wrr is many times Weff, 2 Hz are no longer far below what a loop at 200 Hz does.

@@ -10,7 +10,7 @@ use haptic::view::hub::{Hub, Message as Sent, PageId};
 use haptic::view::message::FromPage;
 use haptic::view::stability::Plane;
 use haptic::view::{PageListener, Stage, Turn, World};
-use haptic_bridge::board::protocol::Disarm;
+use haptic_bridge::board::protocol::{Arm, Disarm};
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::{Fault, State};
 use postcard_rpc::Endpoint as _;
@@ -78,6 +78,12 @@ impl Played {
         let seen = self.heard(page).step();
         self.pages[page].says = Some(FromPage::Hold { seen });
         self.say(page, json!({"do": "arm", "seen": seen}));
+        // Rows come several at once: the first that says so is in the next picture or the one after it.
+        for _ in 0..2 {
+            if self.state() != "Armed" {
+                self.play(0.02);
+            }
+        }
         assert_eq!(self.state(), "Armed", "{:?}", self.pages[page].heard.refused);
     }
 
@@ -363,6 +369,77 @@ fn gains_beyond_the_boundary_are_asked_about_first() {
     assert_eq!(view.heard(0).refused.len(), 2);
     view.say(0, gains(-1.0, "off"));
     assert_eq!(view.heard(0).refused.len(), 3);
+}
+
+/// What is refused names what was asked for; and what no board can render is refused for good.
+#[test]
+fn gains_are_refused_by_name_and_have_an_upper_limit() {
+    let mut view = Played::demo();
+    view.boundary();
+    let before = view.heard(0).walls[0].clone();
+    let gains = |stiffness: f64, damping: f64| json!({"do": "gains", "wall": 0, "stiffness": stiffness, "damping": damping, "feed_forward": "off", "beyond": false});
+    view.say(0, gains(9_100.0, 80.0));
+    let refused = view.heard(0).refused.last().unwrap().clone();
+    assert_eq!((&refused["of"], &refused["again"]["stiffness"]), (&json!("gains"), &json!(9100.0)));
+    assert!(view.heard(0).why().starts_with("9.10 kN/m with 80.0 N s/m and feed-forward off"), "{refused}");
+    for (stiffness, damping) in [(1e9, 80.0), (9_100.0, 1e9)] {
+        let mut meant = gains(stiffness, damping);
+        meant["beyond"] = json!(true);
+        view.say(0, meant);
+        let refused = view.heard(0).refused.last().unwrap();
+        assert!(refused["again"].is_null() && refused["of"] == "gains", "{refused}");
+        assert!(view.heard(0).why().contains("that motors and rules allow here"), "{}", view.heard(0).why());
+    }
+    assert_eq!(view.heard(0).walls[0], before);
+    // Rules that allow half of the force allow half of the stiffness.
+    let [all, half] = [18.0, 9.0].map(|tip_force| {
+        let mut world = World::demo().unwrap();
+        let mut rules = world.board.rules().unwrap();
+        rules.limits.tip_force = tip_force;
+        world.board.set_rules(&rules).unwrap();
+        let mut view = Played::in_command(world, None);
+        view.say(0, gains(1e9, 80.0));
+        let limit = view.heard(0).why().split("beyond ").nth(1).and_then(|rest| rest.split(" MN/m").next());
+        limit.unwrap_or_else(|| panic!("{}", view.heard(0).why())).parse::<f64>().unwrap()
+    });
+    assert!((all / half - 2.0).abs() < 0.02, "{all}, {half}");
+}
+
+/// A page that hears nothing any more says what is known of the motors, and no more.
+#[test]
+fn what_is_known_of_the_motors_without_a_connection_is_told_beforehand() {
+    let if_lost = |view: &Played| view.heard(0).picture["if_lost"].as_str().unwrap_or_default().to_string();
+    assert!(if_lost(&Played::demo()).contains("simulated board is gone"));
+    let simulated = World::demo().unwrap().simulated.unwrap();
+    let board = Board::over(simulated.wire(), "a board").unwrap();
+    let mut view = Played::in_command(World::of(board, None), None);
+    assert_eq!(if_lost(&view), "the motors were off when this page last heard of them");
+    view.arm(0);
+    view.play(0.1);
+    assert!(if_lost(&view).contains("half a second after it last heard of the key"), "{}", if_lost(&view));
+    view.pages[0].says = Some(FromPage::Here {});
+    view.say(0, json!({"do": "release"}));
+    view.play(0.1);
+    assert!(if_lost(&view).contains("were off"), "{}", if_lost(&view));
+    // Another tool, on a board that does not watch its host.
+    let header = VarHeader { key: VarKey::Key8(Arm::REQ_KEY), seq_no: VarSeq::Seq2(7) };
+    simulated.lock().receive(&encode(&header, &[]));
+    view.play(0.5);
+    assert_eq!(view.state(), "Armed");
+    assert!(if_lost(&view).contains("MAY BE ON"), "{}", if_lost(&view));
+}
+
+/// The wall of a paddle is a line across the arc of its tip, with a solid side, like that of any device.
+#[test]
+fn the_wall_of_a_paddle_is_told_where_it_is_drawn() {
+    let view = Played::in_command(World::simulate(shipped("hapkit-paddle"), None).unwrap(), None);
+    let wall = &view.heard(0).walls[0];
+    let [at, normal] = ["at", "normal"].map(|key| [0, 1].map(|axis| wall["outline"][key][axis].as_f64().unwrap()));
+    let (arc, length) = (wall["values"][0].as_f64().unwrap(), 0.07);
+    assert!(
+        (at[0] - length * (arc / length).cos()).abs() < 1e-6 && (at[1] - length * (arc / length).sin()).abs() < 1e-6
+    );
+    assert!((normal[0] * at[0] + normal[1] * at[1]).abs() < 1e-6 && normal[1] > 0.9, "out of the solid, along the arc");
 }
 
 /// A page reddens a ripple above this, N.

@@ -7,6 +7,7 @@ use haptic::analysis::host::HostWall;
 use haptic::analysis::passivity::Passivity;
 use haptic::analysis::range::{COSTLY_RATIO, Domain, Range, WORTHWHILE_RATIO, lower_corner};
 use haptic::analysis::why::{Both, Limits, Why};
+use haptic::words::percent;
 use haptic_bridge::model::description::Description;
 use std::fmt::Write;
 
@@ -172,8 +173,8 @@ fn verdict(range: &Range) -> String {
             .into()
     } else if ratio < WORTHWHILE_RATIO {
         format!(
-            "The feed-forward buys nothing here: the stable area changes by {:+.1} %. Leave it off at this pose and normal.",
-            100.0 * (ratio - 1.0)
+            "The feed-forward buys nothing here: the stable area changes by {}. Leave it off at this pose and normal.",
+            percent(ratio - 1.0, 1, true)
         )
     } else {
         format!("With the feed-forward the stable area is {ratio:.3} times as large.")
@@ -185,7 +186,7 @@ pub fn in_words(why: &Why) -> String {
     let mut text =
         format!("\n  {:<40}{:>16}{:>9}{:>16}{:>9}\n", "largest kp without", "off N/m", "takes", "full N/m", "takes");
     let number = |limits: Option<Limits>| limits.map_or("no limit".into(), |limits| format!("{:.2}", limits.kp_max));
-    let share = |share: Option<f64>| share.map_or("-".into(), |share| format!("{:.1} %", 100.0 * share));
+    let share = |share: Option<f64>| share.map_or("-".into(), |share| percent(share, 1, false));
     let mut row = |name: &str, limits: &Both, takes: [String; 2]| {
         let [off, full] = takes;
         let _ = writeln!(text, "  {name:<40}{:>16}{off:>9}{:>16}{full:>9}", number(limits.off), number(limits.full));
@@ -215,6 +216,9 @@ pub fn costly<E>(
 ) -> Result<Vec<String>, E> {
     let doubt = |domain: &Domain, what: &str, instead: &str| {
         let (area, stiffness) = costs(domain, &range.off)?;
+        if domain.area == 0.0 {
+            return Some(format!("{what} leaves nothing stable here; {instead}"));
+        }
         Some(format!(
             "{what} costs more than it brings here: the stable area becomes {area:.2} times as large and the stiffest \
              wall {stiffness:.2} times as stiff; {instead}"

@@ -2,12 +2,14 @@
 
 use super::recording::{ActiveRecording, Recorded};
 use super::{SILENCE, Stage, TURNED};
-use crate::outline::outline;
+use crate::outline::{on_an_arc, outline};
 use crate::view::hub::PageId;
 use crate::view::picture::{Geometry, Newest, Numbers, nearest_wall};
 use crate::view::stability::{Plane, Question};
 use crate::view::world::hand_settings;
+use haptic_bridge::render::scene::Surface;
 use haptic_bridge::safety::fault::FaultRecord;
+use haptic_bridge::servo::HostAction;
 use serde::Serialize;
 use serde_json::{Value, json};
 
@@ -31,6 +33,7 @@ struct Picture<'a> {
     speed: Option<f64>,
     pages: usize,
     recording: Option<Recorded>,
+    if_lost: &'static str,
 }
 
 #[derive(Serialize)]
@@ -73,6 +76,7 @@ impl Stage {
             speed: self.world.simulated.is_some().then_some(self.pace.speed),
             pages: self.hub.count(),
             recording: self.recording.as_ref().map(ActiveRecording::told),
+            if_lost: self.if_lost(),
         };
         // NaN and infinities become null: a page leaves them out.
         if let Ok(text) = serde_json::to_string(&picture) {
@@ -106,6 +110,19 @@ impl Stage {
             self.plane = answer;
             let message = self.plane.as_ref().map_or(json!({"is": "plane", "plane": null}), plane_message);
             self.say_to_all(&message);
+        }
+    }
+
+    /// What is known of the motors where nothing is heard of this stage any more.
+    fn if_lost(&self) -> &'static str {
+        match (self.world.simulated.is_some(), self.state.drives(), self.rules.host_action) {
+            (true, ..) => "its simulated board is gone with it, or let its motors go with the key",
+            _ if self.held.is_some() => "the board turns its motors off half a second after it last heard of the key",
+            (_, true, HostAction::Disarm) => {
+                "another tool turned the motors on; the board turns them off where it hears of no tool"
+            }
+            (_, true, _) => "the motors MAY BE ON: another tool turned them on, and the board does not watch its host",
+            (_, false, _) => "the motors were off when this page last heard of them",
         }
     }
 
@@ -148,10 +165,16 @@ impl Stage {
     }
 
     pub(super) fn walls(&self) -> Value {
+        let paddle = self.scene.task == 1;
+        let length = self.world.file.as_ref().map(|file| file.description.geometry[0]);
+        let drawn = |surface: &Surface<f64>| match paddle {
+            true => length.and_then(|length| on_an_arc(surface, length)),
+            false => outline(surface),
+        };
         let walls = self.scene.walls.iter().map(|wall| {
             json!({
                 "shape": wall.surface.spec().name, "values": wall.surface.values(),
-                "outline": outline(&wall.surface.cast()), "stiffness": wall.stiffness,
+                "outline": drawn(&wall.surface), "stiffness": wall.stiffness,
                 "damping": wall.damping, "feed_forward": wall.feed_forward, "washout_hz": wall.washout_hz,
             })
         });

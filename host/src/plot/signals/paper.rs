@@ -1,0 +1,189 @@
+//! The panels of a recording on paper, one below the other, as wide as a screen or a column of a paper takes.
+
+use super::{Found, Panel, Quantity, View, smoothed};
+use crate::plot::Picture;
+use crate::plot::axes::{Axis, Mark, PlotArea};
+use crate::plot::canvas::{Anchor, Canvas, Stroke};
+use crate::plot::colour::{BOUND, FULL, INK, OFF, WASHOUT};
+
+/// Size of a panel's frame, and of what is around it, in units of the drawing (pixels on a screen).
+const SIZE: (f64, f64) = (600.0, 190.0);
+const LEFT: f64 = 96.0;
+const RIGHT: f64 = 24.0;
+const HEAD: f64 = 82.0;
+const FOOT: f64 = 84.0;
+/// On a page narrower than this, text begins at its edge and numbers along an axis get less room.
+const NARROW: f64 = 500.0;
+const NARROW_LEFT: f64 = 78.0;
+const EDGE: f64 = 10.0;
+/// Sizes of a title, and of the smallest text that is drawn.
+const TITLE: f64 = 15.0;
+const SMALL: f64 = 11.5;
+/// Millimetres of paper that a unit is, so that the smallest text has 8 pt.
+const UNIT_MM: f64 = 8.0 * 25.4 / 72.0 / SMALL;
+/// Points from which on a line that may cross itself is drawn thin.
+const MANY: usize = 1000;
+const COLOURS: [&str; 4] = [FULL, OFF, WASHOUT, BOUND];
+
+/// Puts them on paper, one below the other: so many millimetres wide with text of 8 pt and more, or for a screen.
+pub fn draw(title: &str, subtitle: &[String], found: &Found, width_mm: Option<f64>) -> Picture {
+    let wide = width_mm.map_or(LEFT + SIZE.0 + RIGHT, |mm| mm / UNIT_MM);
+    let (left, begin) = if wide < NARROW { (NARROW_LEFT, EDGE) } else { (LEFT, LEFT) };
+    let size = (wide - left - RIGHT, SIZE.1);
+    let titles = wrapped(title, wide - begin, TITLE);
+    let under: Vec<String> = subtitle.iter().flat_map(|line| wrapped(line, wide - begin, SMALL)).collect();
+    let head = HEAD + 19.0 * (titles.len() - 1) as f64;
+    let mut canvas = Canvas::new(wide, head + 16.0 * under.len().saturating_sub(1) as f64);
+    if let Some(mm) = width_mm {
+        canvas.print_at(mm);
+    }
+    for (line, text) in titles.iter().enumerate() {
+        canvas.text((begin, 26.0 + 19.0 * line as f64), TITLE, Anchor::Start, false, text);
+    }
+    for (line, text) in under.iter().enumerate() {
+        canvas.text((begin, head - 37.0 + 16.0 * line as f64), SMALL, Anchor::Start, false, text);
+    }
+    for panel in &found.panels {
+        match panel.view {
+            View::Phase if found.together > 2 => {
+                draw_panel(&mut canvas, left, size, &smoothed(panel, found.together));
+            }
+            _ => draw_panel(&mut canvas, left, size, panel),
+        }
+    }
+    let views: Vec<&str> = found.panels.iter().map(|panel| panel.y.name.as_str()).collect();
+    canvas.finish(title, &format!("Of a recording: {}.", views.join("; ")))
+}
+
+/// Words in lines that are no wider than `room` where letters have this size; a word by itself may be.
+fn wrapped(text: &str, room: f64, size: f64) -> Vec<String> {
+    // A letter of the font is 0.6 of its size wide, or a little less.
+    let most = (room / (0.6 * size)) as usize;
+    let mut lines = vec![String::new()];
+    for word in text.split_whitespace() {
+        let last =
+            lines.last_mut().filter(|line| line.is_empty() || line.chars().count() + word.chars().count() < most);
+        match last {
+            Some(line) if line.is_empty() => line.push_str(word),
+            Some(line) => line.extend([" ", word]),
+            None => lines.push(word.into()),
+        }
+    }
+    lines
+}
+
+/// Adds a panel below the others: its frame has its left edge at `left` and this size.
+fn draw_panel(canvas: &mut Canvas, left: f64, size: (f64, f64), panel: &Panel) {
+    let notes = wrapped(&panel.note, left + size.0 - EDGE, SMALL);
+    let colours = COLOURS.into_iter().cycle();
+    let entries: Vec<(Mark<'_>, String)> = panel
+        .curves
+        .iter()
+        .zip(colours.clone())
+        .map(|(curve, colour)| (Mark::Line(Stroke::solid(colour, 1.6)), curve.name.clone()))
+        .collect();
+    let longest = entries.iter().map(|(_, name)| name.chars().count()).max().unwrap_or(0) as f64;
+    let in_a_row = ((size.0 / (53.0 + 6.5 * longest)) as usize).max(1);
+    let legend: Vec<_> = if entries.len() > 1 { entries.chunks(in_a_row).collect() } else { Vec::new() };
+    // A line of notes and one of the legend have room between two frames.
+    let noted = 14.0 * (notes.len() - 1) as f64;
+    let above = noted + 18.0 * legend.len().saturating_sub(1) as f64;
+    let at = (left, canvas.lengthen(above + size.1 + FOOT) + above);
+
+    let points = || panel.curves.iter().flat_map(|curve| curve.pieces.iter().flatten()).filter(|p| finite(p));
+    let ends = |pick: fn(&(f64, f64)) -> f64| {
+        let (low, high) =
+            points().map(pick).fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
+        if low > high { (0.0, 1.0) } else { (low, high) }
+    };
+    let axis = |quantity: &Quantity, (low, high): (f64, f64), room: f64| {
+        // A constant is a line in the middle of something.
+        let span =
+            if high - low > 1e-12 * high.abs().max(low.abs()) { high - low } else { 1e-3_f64.max(0.2 * high.abs()) };
+        Axis {
+            name: quantity.name.clone(),
+            unit: quantity.unit.clone(),
+            low: low - room * span,
+            high: high + room * span,
+        }
+    };
+    let y = axis(&panel.y, ends(|p| p.1), 0.06);
+    let frame = PlotArea { at, size, x: axis(&panel.x, ends(|p| p.0), 0.0), y };
+    frame.clipped(canvas, |canvas| {
+        for (curve, colour) in panel.curves.iter().zip(colours) {
+            for piece in &curve.pieces {
+                let points = match panel.view {
+                    View::Time | View::Spectrum => envelope(&frame, piece),
+                    View::Force | View::Phase => thinned(&frame, piece),
+                };
+                // A line that crosses itself many times would be an area.
+                let crossed = matches!(panel.view, View::Force | View::Phase) && points.len() > MANY;
+                frame.curve(canvas, &points, Stroke::solid(colour, if crossed { 0.4 } else { 1.1 }));
+            }
+        }
+        if frame.y.low < 0.0 && frame.y.high > 0.0 {
+            frame.curve(
+                canvas,
+                &[(frame.x.low, 0.0), (frame.x.high, 0.0)],
+                Stroke { colour: INK, width: 0.5, dash: "2 3" },
+            );
+        }
+        if let Some(line) = &panel.line {
+            frame.curve(canvas, line, Stroke { colour: INK, width: 1.4, dash: "7 4" });
+        }
+    });
+    frame.draw(canvas, "");
+    for (line, note) in notes.iter().rev().enumerate().filter(|(_, note)| !note.is_empty()) {
+        let y = at.1 - 6.0 - 14.0 * line as f64;
+        canvas.text((at.0 + size.0, y), SMALL, Anchor::End, false, note);
+    }
+    // Above the frame and its note: it hides no curve.
+    for (row, entries) in legend.iter().rev().enumerate() {
+        PlotArea::legend_line(canvas, (at.0, at.1 - 24.0 - noted - 18.0 * row as f64), entries);
+    }
+}
+
+fn finite(point: &(f64, f64)) -> bool {
+    point.0.is_finite() && point.1.is_finite()
+}
+
+/// Where more points than half pixels follow each other: first, lowest, highest and last of each half pixel, so that no
+/// peak is lost.
+fn envelope(frame: &PlotArea, piece: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let mut kept: Vec<(f64, f64)> = Vec::new();
+    let place = |point: &(f64, f64)| (2.0 * frame.pixel(point.0, point.1).0).floor();
+    for column in piece.chunk_by(|a, b| place(a) == place(b)) {
+        if column.len() <= 4 {
+            kept.extend(column.iter().filter(|p| finite(p)));
+            continue;
+        }
+        let (mut low, mut high) = (0, 0);
+        for (i, point) in column.iter().enumerate() {
+            if point.1 < column[low].1 {
+                low = i;
+            }
+            if point.1 > column[high].1 {
+                high = i;
+            }
+        }
+        let mut picked = vec![0, low, high, column.len() - 1];
+        picked.sort_unstable();
+        picked.dedup();
+        kept.extend(picked.into_iter().map(|i| column[i]).filter(finite));
+    }
+    kept
+}
+
+/// Without the points that lie on the one before them, within a quarter of a pixel.
+fn thinned(frame: &PlotArea, piece: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let mut kept: Vec<(f64, f64)> = Vec::new();
+    let mut last = (f64::INFINITY, f64::INFINITY);
+    for point in piece.iter().filter(|p| finite(p)) {
+        let pixel = frame.pixel(point.0, point.1);
+        if (pixel.0 - last.0).hypot(pixel.1 - last.1) > 0.25 || last.0.is_infinite() {
+            kept.push(*point);
+            last = pixel;
+        }
+    }
+    kept
+}
