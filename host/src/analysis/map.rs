@@ -261,6 +261,14 @@ impl Reachable {
                     axes.push(vec![0.0]);
                     wraps.push(false);
                 }
+                (_, Some((low, high))) if spec.periodic && high - low > std::f64::consts::TAU => {
+                    // More than a turn says nothing new, and would take the grid's fineness: the turn about home.
+                    let (pi, turn) = (std::f64::consts::PI, std::f64::consts::TAU);
+                    let middle = device.home.map_or(0.0, |home| home[joint]).clamp(low + pi, high - pi);
+                    let step = turn / per_joint as f64;
+                    axes.push((0..per_joint).map(|i| middle - pi + (i as f64 + 0.5) * step).collect());
+                    wraps.push(false);
+                }
                 (_, Some((low, high))) => {
                     let last = per_joint.max(2) - 1;
                     axes.push((0..=last).map(|i| low + (high - low) * i as f64 / last as f64).collect());

@@ -9,8 +9,8 @@ use haptic::design::place::{Directions, Placed, Places, directions, places};
 use haptic::design::posture::{Posture, Postures, postures};
 use haptic::design::sensitivity::{Buys, CHANGE, Effect, Sensitivity, buys_most, sensitivities};
 use haptic::design::{singular, stiffness_per_kilogram};
-use haptic::device_file::DeviceFile;
 use haptic::error::Failure;
+use haptic::plausible::{Warned, warn};
 use haptic::plot::coupling::draw;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::DEFAULT_RATE_HZ;
@@ -84,13 +84,15 @@ struct Document {
 /// Searches, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.pictures.check()?;
-    let file = DeviceFile::load(&args.device)?;
+    let (file, mut warnings) = arguments::device(&args.device, false)?;
     let spec = file.spec();
     arguments::check_rate(args.rate)?;
     if !(0.0..1.0).contains(&args.clear) || !(0.0..=1.0).contains(&args.patch) {
         return Err(Failure::wrong("--clear is a sine from 0 to below 1, --patch a length up to 1 m"));
     }
     let q = arguments::pose(args.q.as_ref(), &file)?;
+    warnings.extend(arguments::pose_doubts(&q, &file));
+    warn(&warnings);
     let asked = args.normal.clone().map(|normal| normal.unit(spec.task, "--normal")).transpose()?;
     let description = &file.description;
     let directions = directions(description, &q, args.admissible)?;
@@ -135,7 +137,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let picture = drawn.ok_or_else(|| Failure::impossible("the linkage does not close at this pose"))?;
         args.pictures.save(&picture)?;
     }
-    args.json.answer(&document, &readable(&document, asked.is_some(), &args))?;
+    let result = Warned { result: &document, warnings: &warnings };
+    args.json.answer(result, &readable(&document, asked.is_some(), &args))?;
     sweep.finish();
     Ok(())
 }
@@ -181,7 +184,7 @@ fn readable(document: &Document, asked: bool, args: &Args) -> String {
     line(wall("where it couples most", &document.directions.couples_most));
     let places = &document.places;
     line(format!(
-        "\n  over the workspace: {} poses with a sine of {} and more, and between them",
+        "\n  over the workspace, in home's working mode: {} poses with a sine of {} and more, and between them",
         places.poses, document.clear
     ));
     line(placed("stiffest wall", &places.stiffest));

@@ -3,6 +3,7 @@
 use super::arguments::{self, Numbers};
 use super::continued::Continue;
 use super::force::Force;
+use haptic::analysis::prediction;
 use haptic::boards::BoardKind;
 use haptic::design::place::directions;
 use haptic::device_file::DeviceFile;
@@ -121,7 +122,7 @@ fn list(values: &[f64]) -> String {
 fn subject(args: &Args, file: &DeviceFile) -> Result<Subject, Failure> {
     let spec = file.spec();
     let scene = args.scene.as_ref().map(|path| SceneFile::load(path, spec.task)).transpose()?.map(|file| file.scene);
-    let device = file.device::<f64>().map_err(Failure::wrong)?;
+    let device = prediction::Subject::new(&file.description).map_err(Failure::wrong)?;
     let touched = scene.as_ref().and_then(|scene| {
         let (_, contacts) = doubts(&device, scene);
         contacts.into_iter().find(|contact| contact.wall == 0)

@@ -37,6 +37,9 @@ fn besides(args: &Args, description: &Description) -> Vec<String> {
     if description.is_flexible() {
         besides.push("with the transmissions and modes of the device file".to_string());
     }
+    if let Some(Numbers(held)) = &args.posture {
+        besides.push(format!("in a posture of {} N m/rad and {} N m s/rad", held[0], held[1]));
+    }
     if let Some(Numbers(hand)) = &args.hand {
         besides.push(format!("in a hand of {} kg, {} N s/m, {} N/m", hand[0], hand[1], hand[2]));
     }
@@ -78,10 +81,17 @@ pub fn readable(
         line(format!("  met with {gain} times the feed-forward{:>28.6} kg", met));
         line(format!("  {}", price(range.w_eff, range.w_rr, gain)));
     }
+    if let Some(at_tip) = range.transmissions {
+        line(format!(
+            "  stiffness of the transmissions at the tip along n {at_tip:>12.0} N/m: a hand feels a wall behind it"
+        ));
+    }
     line(String::new());
-    line(format!("  {:<26}{:>14}{:>14}{:>18}", "", "max kp N/m", "kd_max N s/m", "area N²s/m²"));
+    let felt = if range.transmissions.is_some() { format!("{:>14}", "felt N/m") } else { String::new() };
+    line(format!("  {:<26}{:>14}{felt}{:>14}{:>18}", "", "max kp N/m", "kd_max N s/m", "area N²s/m²"));
     let mut row = |label: &str, domain: &Domain| {
-        line(format!("  {label:<26}{:>14.2}{:>14.4}{:>18.6e}", domain.top.kp, domain.kd_max, domain.area));
+        let felt = domain.top.felt.map_or(String::new(), |felt| format!("{felt:>14.2}"));
+        line(format!("  {label:<26}{:>14.2}{felt}{:>14.4}{:>18.6e}", domain.top.kp, domain.kd_max, domain.area));
     };
     row("no feed-forward", &range.off);
     row("feed-forward (4)", &range.full);
@@ -115,7 +125,11 @@ pub fn readable(
         );
     }
     line(String::new());
-    let islands = range.off.islands.len() + range.full.islands.len();
+    let islands: usize = [Some(&range.off), Some(&range.full), range.washout.as_ref()]
+        .into_iter()
+        .flatten()
+        .map(|d| d.islands.len())
+        .sum();
     if islands > 0 {
         line(format!(
             "  {islands} stable intervals lie above the boundary (islands): listed with --json, not counted."
@@ -125,7 +139,7 @@ pub fn readable(
         line(format!(
             "  passive without feed-forward (Colgate and Schenkel 1997): kp < {:.2} N/m at kd = 0, kd < {:.4} N s/m",
             passivity.sampled(0.0),
-            passivity.damping
+            passivity.most_damping()
         ));
         if let Some(limit) = passivity.quantised() {
             line(format!(
@@ -165,7 +179,11 @@ fn on_a_computer(range: &Range, host: &HostWall) -> String {
 /// What the feed-forward buys, in a sentence.
 fn verdict(range: &Range) -> String {
     let ratio = range.area_ratio;
-    if range.off.area == 0.0 {
+    if range.off.area == 0.0 && range.full.area == 0.0 {
+        "Nothing is stable here from zero stiffness up, without the feed-forward or with it: lower the delay or raise the \
+         cutoff; behind a transmission put the encoder on the motor."
+            .into()
+    } else if range.off.area == 0.0 {
         "Nothing is stable here without the feed-forward: lower the delay or raise the cutoff.".into()
     } else if range.full.area == 0.0 {
         "With the feed-forward nothing is stable here: uneven joint damping makes it creep. Try --damping-compensation."
