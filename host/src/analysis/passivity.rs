@@ -29,13 +29,14 @@ use nalgebra::{Complex, DVector};
 use super::control_loop::Loop;
 use super::plant::{Drive, Linearised};
 
-/// Angles from 1e-4 up to where the even ones begin, and the even ones.
+/// Angles up to where the even ones begin, and the even ones of a loop without delay: each sample of it turns the
+/// response once more. Slower motions have a limit of their own.
 const SLOW_ANGLES: usize = 200;
 const EVEN_ANGLES: usize = 400;
-const SLOWEST: f64 = 1e-4;
+const SLOWEST: f64 = 1e-3;
 const EVEN_FROM: f64 = 0.1;
 /// Aliases whose lag is reckoned with; those beyond count as if they had none, which makes r larger.
-const ALIASES: i32 = 100;
+const ALIASES: i32 = 60;
 
 /// What dissipates along the rendered direction, and what a wall there asks of it.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,6 +47,8 @@ pub struct Passivity {
     pub coulomb: f64,
     /// Largest step of the rendered position when every encoder steps once, Σⱼ |Jrⱼ| Δⱼ, m; `None` without encoders.
     pub quantum: Option<f64>,
+    /// How late a force acts on average, s.
+    lateness: f64,
     angles: Vec<Angle>,
 }
 
@@ -90,6 +93,7 @@ impl Passivity {
             damping,
             coulomb: if coulomb.is_finite() { coulomb } else { 0.0 },
             quantum,
+            lateness: (0.5 + around.delay_samples) / around.rate_hz + lag_s,
             angles: if damping > 0.0 { angles(damping, lag_s, around) } else { Vec::new() },
         })
     }
@@ -101,7 +105,7 @@ impl Passivity {
             let rest = 1.0 + 2.0 * kd * (velocity * centre).re - spread * kd * kd * velocity.norm_sqr();
             positive_root(*spread, 2.0 * centre.re - 2.0 * spread * kd * velocity.re, rest)
         });
-        allowed.reduce(f64::min).unwrap_or(0.0)
+        allowed.reduce(f64::min).map_or(0.0, |least| least.min((self.damping + kd) / self.lateness))
     }
 
     /// Largest passive damping, N s/m.
@@ -142,8 +146,9 @@ fn lag_s(drive: &Drive) -> Option<f64> {
 fn angles(b: f64, lag_s: f64, around: &Loop) -> Vec<Angle> {
     let decades = (EVEN_FROM / SLOWEST).powf(1.0 / SLOW_ANGLES as f64);
     let slow = (0..SLOW_ANGLES).map(|i| SLOWEST * decades.powi(i as i32));
-    let step = (std::f64::consts::PI - EVEN_FROM) / (EVEN_ANGLES - 1) as f64;
-    let even = (0..EVEN_ANGLES).map(|i| EVEN_FROM + step * i as f64);
+    let count = EVEN_ANGLES * (1 + around.delay_samples.ceil() as usize);
+    let step = (std::f64::consts::PI - EVEN_FROM) / (count - 1) as f64;
+    let even = (0..count).map(|i| EVEN_FROM + step * i as f64);
     let t = 1.0 / around.rate_hz;
     let scale = t / (2.0 * b);
     // Lag rate per sample.

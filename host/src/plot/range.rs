@@ -49,12 +49,16 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
     let range = contents.range;
     let domains = || [Some(&range.off), Some(&range.full), range.washout.as_ref()].into_iter().flatten();
     let measured = || contents.measured_off.iter().chain(contents.measured_full);
-    let widest = domains().map(|d| d.kd_max).chain(measured().map(|m| m.kd)).fold(0.0_f64, f64::max);
-    let islands = domains().flat_map(|d| &d.islands);
+    let islands = || domains().flat_map(|d| &d.islands);
+    let ends = domains().map(|d| d.kd_max).chain(measured().map(|m| m.kd));
+    let widest = match ends.fold(0.0_f64, f64::max) {
+        0.0 => islands().map(|i| i.kd).fold(0.0, f64::max),
+        widest => widest,
+    };
     let tallest = domains()
         .flat_map(|d| d.boundary.iter().map(|p| p.kp))
         .chain(measured().map(|m| m.high))
-        .chain(islands.map(|i| i.kp_high))
+        .chain(islands().map(|i| i.kp_high))
         .fold(0.0_f64, f64::max);
     let above = |value: f64| if value > 0.0 { value * 1.08 } else { 1.0 };
 

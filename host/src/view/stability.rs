@@ -135,6 +135,7 @@ impl Oracle {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::analysis::plant::Drive;
     use crate::demo::Demo;
 
     #[test]
@@ -147,7 +148,7 @@ mod tests {
             wall: 0,
             q: demo.q().to_vec(),
             normal: demo.normal.to_vec(),
-            path: TorquePath::usual(1_000.0),
+            path: TorquePath { delay_samples: 0.025, drive: Drive::Ideal },
         };
         let mut oracle = Oracle::default();
         oracle.ask(question);

@@ -5,7 +5,7 @@ use crate::commands::arguments::Numbers;
 use crate::commands::port::counted;
 use haptic::analysis::host::HostWall;
 use haptic::analysis::passivity::Passivity;
-use haptic::analysis::range::{COSTLY_RATIO, Domain, Range, WORTHWHILE_RATIO, lower_corner};
+use haptic::analysis::range::{COSTLY_RATIO, Domain, Island, Range, WORTHWHILE_RATIO, lower_corner};
 use haptic::analysis::why::{Both, Limits, Why};
 use haptic_bridge::model::description::Description;
 use std::fmt::Write;
@@ -117,7 +117,9 @@ pub fn readable(
     line(columns().fold(" ".into(), |row, (name, _)| {
         format!("{row} {:>12}{:>14}", format!("kd {name}"), format!("kp_max {name}"))
     }));
-    for index in (0..range.off.boundary.len()).step_by(step) {
+    let nothing = args.kd.is_none() && columns().all(|(_, domain)| domain.kd_max == 0.0);
+    let rows = if nothing { 0 } else { range.off.boundary.len() };
+    for index in (0..rows).step_by(step) {
         line(
             columns()
                 .filter_map(|(_, domain)| domain.boundary.get(index))
@@ -125,14 +127,17 @@ pub fn readable(
         );
     }
     line(String::new());
-    let islands: usize = [Some(&range.off), Some(&range.full), range.washout.as_ref()]
-        .into_iter()
-        .flatten()
-        .map(|d| d.islands.len())
-        .sum();
-    if islands > 0 {
+    let domains = [Some(&range.off), Some(&range.full), range.washout.as_ref()].into_iter().flatten();
+    let islands: Vec<_> = domains.flat_map(|domain| &domain.islands).collect();
+    let wide = |island: &Island| island.kp_high - island.kp_low;
+    if let Some(widest) = islands.iter().max_by(|a, b| wide(a).total_cmp(&wide(b))) {
         line(format!(
-            "  {islands} stable intervals lie above the boundary (islands): listed with --json, not counted."
+            "  {} stable intervals lie above the boundary (islands), the widest at kd {:.4} from {:.0} to {:.0} N/m: listed with \
+             --json, not counted.",
+            islands.len(),
+            widest.kd,
+            widest.kp_low,
+            widest.kp_high
         ));
     }
     if let Some(passivity) = passivity {
