@@ -147,7 +147,9 @@ impl Prediction {
 
     /// The posture with the row of the orientation's Jacobian.
     fn posture_row(&self, q: &[f64]) -> Result<Option<(Posture, nalgebra::DVector<f64>)>, PoseError> {
-        let Some(held) = self.posture else { return Ok(None) };
+        // Neither spring nor damper holds nothing.
+        let acts = |held: &Posture| held.stiffness > 0.0 || held.damping > 0.0;
+        let Some(held) = self.posture.filter(acts) else { return Ok(None) };
         let pose = TaskPose::of(&self.subject.device.mechanism, q)?;
         let redundant = pose.jacobian.nrows() > pose.task;
         Ok(redundant.then(|| (held, pose.jacobian.row(pose.task).transpose())))

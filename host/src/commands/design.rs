@@ -156,7 +156,7 @@ fn readable(document: &Document, asked: bool, args: &Args) -> String {
     let per_kilogram = document.stiffness_per_kilogram;
     line(format!("{}: q = ({}) rad, n = ({})", document.device, list(&document.q), list(&document.normal)));
     line(format!(
-        "  walls by {:.0} N/m for a kilogram met: {} Hz, Butterworth at {} Hz, a board's delay, no joint damping",
+        "  walls by {:.0} N/m for a kilogram met: {} Hz, Butterworth at {} Hz, a board's delay and drive, no joint damping",
         per_kilogram, args.rate, args.cutoff
     ));
     let wall = |name: &str, at: &Placed| {
