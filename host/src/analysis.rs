@@ -7,7 +7,7 @@
 //! - [`control_loop`]: rate, delay, estimator, drives and feed-forward: everything about a loop that is not the device
 //! - [`cut`]: the plane of that map that is drawn, in tiles
 //! - [`estimator`]: the velocity estimators as linear filters
-//! - [`flexible`]: what is not rigid about it: transmissions, and a hand on the tip
+//! - [`flexible`]: what is not rigid about it and what holds it: transmissions, a hand on the tip, a posture
 //! - [`host`]: the same wall rendered by a program on a computer
 //! - [`map`]: inertia over the workspace: what `haptic map` prints
 //! - [`passivity`]: the classical bounds of walls that no hand can make oscillate
@@ -18,6 +18,7 @@
 //! - [`boundary`]: the stiffness at which a mode leaves the unit circle, and every other stable interval
 //! - [`pose`]: from a device description and joint angles to the matrices all of this works on
 //! - [`domain`]: boundary, area and islands of one device with one feed-forward
+//! - [`prediction`]: a device in a loop: the one question that every command asks, and its answer
 //! - [`range`]: the domains of every feed-forward side by side: what `haptic range` prints
 //! - [`ripple`]: what encoder steps make of a pressed wall, by simulation
 //! - [`several`]: the same loop around walls that act together
@@ -42,6 +43,7 @@ pub mod map;
 pub mod passivity;
 pub mod plant;
 pub mod pose;
+pub mod prediction;
 pub mod range;
 mod reduction;
 pub mod ripple;

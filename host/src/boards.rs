@@ -1,5 +1,20 @@
 //! The boards there is firmware for, as a program that plans for one needs to know them.
 
+use crate::analysis::control_loop::{CARRIER_HZ, CURRENT_LOOP_HZ, TorquePath};
+use crate::analysis::plant::Drive;
+use haptic_bridge::board::protocol::{Details, Info};
+
+/// What the board that says this puts between its encoders and the torque that answers, at the rate that it runs at.
+#[must_use]
+pub fn torque_path(info: &Info, details: &Details) -> TorquePath {
+    let bandwidth_hz = (CURRENT_LOOP_HZ * f64::from(details.carrier_hz) / CARRIER_HZ).round();
+    let ideal = info.board.as_str() == crate::sim::IDEAL_BOARD;
+    TorquePath {
+        delay_samples: (f64::from(details.delay_samples) * 1e6).round() / 1e6,
+        drive: if ideal { Drive::Ideal } else { Drive::Current { bandwidth_hz } },
+    }
+}
+
 /// A board there is firmware for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BoardKind {

@@ -13,8 +13,8 @@ pub mod place;
 pub mod posture;
 pub mod sensitivity;
 
-use crate::analysis::control_loop::usual_delay;
-use crate::analysis::plant::{Drive, Linearised};
+use crate::analysis::control_loop::TorquePath;
+use crate::analysis::plant::Linearised;
 use crate::analysis::pose::{TaskPose, angles, regular};
 use crate::analysis::range::domain;
 use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
@@ -36,13 +36,7 @@ pub fn stiffness_per_kilogram(rate_hz: f64, cutoff_hz: f64) -> Result<f64, Failu
         gain: 1.0,
         flexible: Default::default(),
     };
-    let around = Loop {
-        rate_hz,
-        delay_samples: usual_delay(rate_hz),
-        estimator: LinearEstimator::Butterworth(cutoff_hz),
-        drive: Drive::Ideal,
-        damping_compensation: false,
-    };
+    let around = Loop::through(&TorquePath::usual(rate_hz), rate_hz, LinearEstimator::Butterworth(cutoff_hz));
     let found = domain(&kilogram, &around, Mode::Off, None)?;
     Ok(found.boundary.iter().map(|point| point.kp).fold(0.0, f64::max))
 }

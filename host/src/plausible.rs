@@ -11,6 +11,7 @@ pub mod device;
 pub mod scene;
 
 use crate::toml_file::Document;
+use haptic_bridge::model::description::Description;
 use serde::Serialize;
 
 /// Where in a file a doubt is: a table (with its place in a list of tables, from 0), perhaps a table in it, and a key.
@@ -111,6 +112,18 @@ pub fn angles(q: &[f64], what: &str) -> Vec<Doubt> {
     doubted
         .map(|(joint, angle)| Doubt { key: None, text: turns(&format!("{what} of joint {joint}"), *angle) })
         .collect()
+}
+
+/// Doubts about joint angles that the device's limits leave out.
+pub fn beyond_limits(q: &[f64], description: &Description) -> Vec<Doubt> {
+    let beyond = |(joint, angle): (usize, &f64)| {
+        let (low, high) = description.joints[joint].limits?;
+        let text = format!(
+            "--q puts joint {joint} at {angle} rad, outside its limits [{low}, {high}]: the device never stands so"
+        );
+        (!(low..=high).contains(angle)).then_some(Doubt { key: None, text })
+    };
+    q.iter().enumerate().filter_map(beyond).collect()
 }
 
 /// An angle that is more than a turn.

@@ -1,8 +1,7 @@
-//! Device files (docs/model.md section 4), as far as the shipped and the golden ones go: rigid devices, taken at their
-//! word. host/tests/quick/golden_model.rs holds this against the tool's own reader.
+//! Device files (docs/model.md section 4), as far as the shipped and the golden ones go, taken at their word. host/tests/quick/golden_model.rs holds this against the tool's own reader.
 
 use haptic_bridge::model::catalogue::Kind;
-use haptic_bridge::model::description::{Description, Encoder, Joint, Link};
+use haptic_bridge::model::description::{Description, Encoder, EncoderAt, Joint, Link, Transmission};
 use haptic_bridge::model::motor::Motor;
 use toml::{Table, Value};
 
@@ -50,8 +49,19 @@ fn joint(table: &Table) -> Joint {
         limits: limits.map(|limits| (limits[0], limits[1])),
         encoder: table.get("encoder").and_then(Value::as_table).map(encoder),
         motor: table.get("motor").and_then(Value::as_table).map(motor),
-        rigid: table.get("transmission").is_some_and(|word| word.as_str().expect("no table") == "rigid"),
+        rigid: table.get("transmission").is_some_and(|word| word.as_str() == Some("rigid")),
+        transmission: table.get("transmission").and_then(Value::as_table).map(|gives| transmission(gives, table)),
         ..Joint::default()
+    }
+}
+
+fn transmission(table: &Table, joint: &Table) -> Transmission {
+    known(table, &["stiffness", "damping", "motor_inertia"]);
+    Transmission {
+        stiffness: number(table, "stiffness").expect("a stiffness"),
+        damping: number(table, "damping").unwrap_or(0.0),
+        motor_inertia: number(table, "motor_inertia").or(number(joint, "inertia")).expect("an inertia"),
+        encoder_at: EncoderAt::Motor,
     }
 }
 

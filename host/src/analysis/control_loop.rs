@@ -53,6 +53,13 @@ pub struct Loop {
 }
 
 impl Loop {
+    /// A loop at this rate (Hz) with this estimator, through a board's torque path.
+    #[must_use]
+    pub fn through(path: &TorquePath, rate_hz: f64, estimator: LinearEstimator) -> Self {
+        let TorquePath { delay_samples, drive } = path.clone();
+        Self { rate_hz, delay_samples, estimator, drive, damping_compensation: false }
+    }
+
     /// Refuses what cannot be sampled.
     pub fn check(&self) -> Result<(), AnalysisError> {
         if !(self.rate_hz.is_finite() && self.rate_hz > 0.0) {
@@ -79,6 +86,23 @@ impl Loop {
         } else {
             Err(AnalysisError::Cutoff { cutoff, rate: self.rate_hz })
         }
+    }
+}
+
+/// What a board puts between the reading of its encoders and the torque that answers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TorquePath {
+    /// Control samples, fractions allowed.
+    pub delay_samples: f64,
+    /// Motor drives.
+    pub drive: Drive,
+}
+
+impl TorquePath {
+    /// That of a board at this control rate when nothing else is known.
+    #[must_use]
+    pub fn usual(rate_hz: f64) -> Self {
+        Self { delay_samples: usual_delay(rate_hz), drive: Drive::Current { bandwidth_hz: CURRENT_LOOP_HZ } }
     }
 }
 

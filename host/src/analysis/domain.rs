@@ -11,12 +11,19 @@ use serde::Serialize;
 use super::boundary::{Circle, Interval};
 use super::control_loop::{Loop, Mode};
 use super::error::AnalysisError;
+use super::flexible::felt;
 use super::plant::Linearised;
 use super::sampled::OpenLoop;
 use super::several::{Loops, WallSet};
 
 /// Damping values on a boundary when none are asked for.
 pub const BOUNDARY_POINTS: usize = 200;
+
+/// Nothing is stable where all ends below this damping, in units of m/T: what is left there is what the smallest
+/// stiffness that is looked at leaves.
+const SMALLEST_DAMPING: f64 = 1e-7;
+/// From where to where stable islands are looked for where nothing is stable from zero up, in the same units.
+const ISLANDS: (f64, f64) = (1e-5, 2.0);
 
 /// One point of the boundary.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, serde::Deserialize)]
@@ -25,6 +32,16 @@ pub struct BoundaryPoint {
     pub kd: f64,
     /// Largest stiffness that is stable from zero up, N/m; zero where nothing is.
     pub kp: f64,
+    /// What a hand at the tip feels of it where transmissions give, N/m ([`super::flexible::felt`]).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub felt: Option<f64>,
+}
+
+impl BoundaryPoint {
+    /// This stiffness (N/m) at this damping (N s/m).
+    pub(super) fn new(kd: f64, kp: f64) -> Self {
+        Self { kd, kp, felt: None }
+    }
 }
 
 /// A stable interval of stiffness that cannot be reached from zero at the same damping.
@@ -54,13 +71,24 @@ pub struct Domain {
     pub islands: Vec<Island>,
 }
 
+impl Domain {
+    /// The same with what a hand feels behind what is as stiff as this at the tip (N/m), where anything gives.
+    pub(super) fn behind(mut self, at_tip: Option<f64>) -> Self {
+        for point in self.boundary.iter_mut().chain([&mut self.top]) {
+            point.felt = at_tip.map(|at_tip| felt(point.kp, at_tip));
+        }
+        self
+    }
+}
+
 /// Predicts the stable domain for one kind of feed-forward.
 pub fn domain(device: &Linearised, around: &Loop, mode: Mode, kd: Option<&[f64]>) -> Result<Domain, AnalysisError> {
     if let Some(&refused) = kd.unwrap_or_default().iter().find(|kd| !(kd.is_finite() && **kd >= 0.0)) {
         return Err(AnalysisError::Damping(refused));
     }
     let open = OpenLoop::new(device, around, mode)?;
-    bounded(&mut Circle::new(&open, around.delay_samples), open.mass, open.sample_s, kd)
+    let found = bounded(&mut Circle::new(&open, around.delay_samples), open.mass, open.sample_s, kd)?;
+    Ok(found.behind(device.flexible.stiffness_at_tip(&device.row)))
 }
 
 /// As [`domain`] of walls that act together.
@@ -111,7 +139,7 @@ pub(super) fn bounded(
     let damping_unit = mass / sample_s;
     let stiffness_unit = damping_unit / sample_s;
 
-    let support = circle.damping_intervals()?;
+    let support = support(circle)?;
     let kd_max = support.last().map_or(0.0, |last| last.high);
     let mut stable_at = |kd: f64| match circle.stiffness_intervals(kd) {
         // At the very damping where all ends nothing need end with stiffness; no gain there counts.
@@ -120,36 +148,36 @@ pub(super) fn bounded(
     };
     let area = area(kd_max, |kd| Ok(supported_stiffness(&support, kd, &stable_at(kd)?)))?;
 
-    let even: Vec<f64> = (0..BOUNDARY_POINTS).map(|i| kd_max * i as f64 / (BOUNDARY_POINTS - 1) as f64).collect();
+    let share = |i: usize| i as f64 / (BOUNDARY_POINTS - 1) as f64;
     let at: Vec<f64> = match kd {
         Some(asked) => asked.iter().map(|kd| kd / damping_unit).collect(),
-        None => even,
+        None if kd_max > 0.0 => (0..BOUNDARY_POINTS).map(|i| kd_max * share(i)).collect(),
+        None => (0..BOUNDARY_POINTS).map(|i| ISLANDS.0 * (ISLANDS.1 / ISLANDS.0).powf(share(i))).collect(),
     };
     let mut boundary: Vec<BoundaryPoint> = Vec::with_capacity(at.len());
     let mut islands = Vec::new();
     for &kd_hat in &at {
         let stable = stable_at(kd_hat)?;
         let kp = supported_stiffness(&support, kd_hat, &stable);
-        boundary.push(BoundaryPoint { kd: kd_hat * damping_unit, kp: kp * stiffness_unit });
+        boundary.push(BoundaryPoint::new(kd_hat * damping_unit, kp * stiffness_unit));
         push_islands(&mut islands, kd_hat, &stable, damping_unit, stiffness_unit);
     }
     let highest = boundary.iter().enumerate().max_by(|(_, a), (_, b)| a.kp.total_cmp(&b.kp));
-    let mut top = highest.map_or(BoundaryPoint { kd: 0.0, kp: 0.0 }, |(_, point)| *point);
-    if let (None, Some((place, _))) = (kd, highest) {
+    let mut top = highest.map_or(BoundaryPoint::new(0.0, 0.0), |(_, point)| *point);
+    if let (None, Some((place, _)), true) = (kd, highest, kd_max > 0.0) {
         let around = (at[place.saturating_sub(1)], at[(place + 1).min(at.len() - 1)]);
         narrow(around, |kd_hat| {
             let kp = supported_stiffness(&support, kd_hat, &stable_at(kd_hat)?) * stiffness_unit;
             if kp > top.kp {
-                top = BoundaryPoint { kd: kd_hat * damping_unit, kp };
+                top = BoundaryPoint::new(kd_hat * damping_unit, kp);
             }
             Ok(kp)
         })?;
     }
-    if kd.is_none() {
+    if kd.is_none() && kd_max > 0.0 {
         // Islands may lie beyond the domain; look as far again as it reaches.
-        let reach = if kd_max > 0.0 { kd_max } else { 1.0 };
         for i in 1..=32 {
-            let kd_hat = kd_max + reach * f64::from(i) / 32.0;
+            let kd_hat = kd_max + kd_max * f64::from(i) / 32.0;
             let stable = stable_at(kd_hat)?;
             push_islands(&mut islands, kd_hat, &stable, damping_unit, stiffness_unit);
         }
@@ -164,9 +192,13 @@ pub fn stiffness_at(device: &Linearised, around: &Loop, mode: Mode, kd: f64) -> 
     let open = OpenLoop::new(device, around, mode)?;
     let damping_unit = open.mass / open.sample_s;
     let mut circle = Circle::new(&open, around.delay_samples);
-    let support = circle.damping_intervals()?;
+    let support = support(&mut circle)?;
     let kd_max = support.last().map_or(0.0, |last| last.high);
-    let kp = supported_stiffness(&support, kd / damping_unit, &circle.stiffness_intervals(kd / damping_unit)?);
+    let kd_hat = kd / damping_unit;
+    let kp = match supports(&support, kd_hat) {
+        true => supported_stiffness(&support, kd_hat, &circle.stiffness_intervals(kd_hat)?),
+        false => 0.0,
+    };
     Ok((kp * damping_unit / open.sample_s, kd_max * damping_unit))
 }
 
@@ -195,7 +227,7 @@ pub fn boundary_of(
     let open = OpenLoop::believing(device, believed, around, mode)?;
     let damping_unit = open.mass / open.sample_s;
     let mut circle = Circle::new(&open, around.delay_samples);
-    let support = circle.damping_intervals()?;
+    let support = support(&mut circle)?;
     let kd_max = support.last().map_or(0.0, |last| last.high) * damping_unit;
     let mut points = Vec::new();
     for kd in kd(kd_max) {
@@ -204,9 +236,15 @@ pub fn boundary_of(
             true => supported_stiffness(&support, kd_hat, &circle.stiffness_intervals(kd_hat)?),
             false => 0.0,
         };
-        points.push(BoundaryPoint { kd, kp: kp_hat * damping_unit / open.sample_s });
+        points.push(BoundaryPoint::new(kd, kp_hat * damping_unit / open.sample_s));
     }
     Ok(points)
+}
+
+/// The dampings at which the smallest stiffness is stable, in units of m/T; none where nothing is to speak of.
+fn support(circle: &mut impl Bounded) -> Result<Vec<Interval>, AnalysisError> {
+    let found = circle.damping_intervals()?;
+    Ok(if found.last().is_some_and(|last| last.high > SMALLEST_DAMPING) { found } else { Vec::new() })
 }
 
 /// Whether the smallest stiffness is stable at this damping.

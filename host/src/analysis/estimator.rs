@@ -5,7 +5,7 @@
 
 use super::error::AnalysisError;
 use haptic_bridge::render::velocity::{Chosen, Estimator as Kind};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{Complex, DMatrix, DVector};
 
 /// Most samples that a difference can be taken over.
 pub const LONGEST_DIFFERENCE: usize = 64;
@@ -87,13 +87,29 @@ impl LinearEstimator {
         all.filter(move |(_, kind)| windowless(*kind) && Self::of(*kind, 1.0).is_some())
     }
 
+    /// The options of `haptic range` that ask for it, beside `--cutoff`.
+    pub(super) fn options(self) -> String {
+        let (name, samples) = match self {
+            Self::BackwardDifference => ("backward-difference", 1),
+            Self::FirstOrder(_) => ("first-order", 1),
+            Self::Butterworth(_) => ("butterworth", 1),
+            Self::AlphaBeta(_) => ("alpha-beta", 1),
+            Self::Predicted(_) => ("predicted", 1),
+            Self::Over { samples, then: LowPass::None } => ("backward-difference", samples),
+            Self::Over { samples, then: LowPass::FirstOrder(_) } => ("first-order", samples),
+            Self::Over { samples, then: LowPass::Butterworth(_) } => ("butterworth", samples),
+        };
+        let kind = if name == "butterworth" { String::new() } else { format!(" --estimator {name}") };
+        if samples > 1 { format!("{kind} --difference-over {samples}") } else { kind }
+    }
+
     /// Whether it begins with a difference, which can be taken over more samples.
     pub fn takes_difference(self) -> bool {
         !matches!(self, Self::AlphaBeta(_) | Self::Predicted(_))
     }
 
     /// Its cutoff, Hz.
-    pub(super) fn cutoff_hz(self) -> Option<f64> {
+    pub fn cutoff_hz(self) -> Option<f64> {
         match self {
             Self::BackwardDifference | Self::Over { then: LowPass::None, .. } => None,
             Self::FirstOrder(hz)
@@ -192,6 +208,28 @@ impl LinearEstimator {
                 Answer { velocity: velocity + gained, change }
             }
             _ => Answer { velocity: moved, change: Vec::new() },
+        }
+    }
+
+    /// Velocity per sample that a position of amplitude 1 gives at an angle per sample, rad; of one that predicts,
+    /// without what it knows of the commands.
+    pub(super) fn response(self, rate_hz: f64) -> impl Fn(f64) -> Complex<f64> {
+        let (samples, filter) = match self {
+            Self::Over { samples, then } => (samples, then.alone()),
+            alone => (1, alone),
+        };
+        let (matrix, states) = (filter.matrix(rate_hz), filter.states());
+        move |angle: f64| {
+            let back = |steps: f64| Complex::from_polar(1.0, -angle * steps);
+            let difference = (1.0 - back(samples as f64)) / samples as f64;
+            // z - 1 times the states is their change.
+            let mut own = matrix.view((0, 0), (states, states)).map(|value| Complex::from(-value));
+            own.iter_mut().step_by(states + 1).for_each(|entry| *entry += back(-1.0) - 1.0);
+            let driven = matrix.view((0, states), (states, 1)).map(Complex::from);
+            let rest = if states == 0 { None } else { own.lu().solve(&driven) };
+            let through: Complex<f64> =
+                rest.iter().flat_map(|rest| rest.iter().enumerate()).map(|(i, s)| s * matrix[(states, i)]).sum();
+            difference * (through + matrix[(states, states)])
         }
     }
 

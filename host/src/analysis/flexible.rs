@@ -3,7 +3,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use haptic_bridge::model::description::{Joint, StructuralMode, Transmission};
+use haptic_bridge::model::description::{EncoderAt, Joint, StructuralMode, Transmission};
 
 /// A hand as a mass, a damper and a spring to where it wants to be, at the tip and the same in every direction.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -23,7 +23,18 @@ impl Hand {
     }
 }
 
-/// What is not rigid about a device at a pose. The default is a rigid device that nobody holds.
+/// The spring and the damper that hold the orientation of a redundant device's last link: a scene's `[posture]` where
+/// it is at rest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Posture {
+    /// N m/rad
+    pub stiffness: f64,
+    /// N m s/rad
+    pub damping: f64,
+}
+
+/// What is not rigid about a device at a pose, and what holds it beside the wall. The default is a rigid device that
+/// nothing holds.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Flexible {
     /// Of each joint; empty where all are rigid.
@@ -32,10 +43,19 @@ pub struct Flexible {
     pub modes: Vec<(usize, StructuralMode)>,
     /// On the tip.
     pub hand: Hand,
+    /// The posture that the board renders, with the row of the orientation's Jacobian, N.
+    pub posture: Option<(Posture, DVector<f64>)>,
     /// The tip's Jacobian, d x N, m/rad: what the hand moves with.
     pub tip: DMatrix<f64>,
     /// The wall's unit normal, d entries.
     pub normal: DVector<f64>,
+}
+
+/// What a hand feels of a wall of `stiffness` (N/m) behind what gives, [`Flexible::stiffness_at_tip`] (N/m): both in
+/// series.
+#[must_use]
+pub fn felt(stiffness: f64, at_tip: f64) -> f64 {
+    stiffness * at_tip / (stiffness + at_tip)
 }
 
 impl Flexible {
@@ -45,6 +65,26 @@ impl Flexible {
         let modes = joints.iter().enumerate();
         self.modes = modes.flat_map(|(index, joint)| joint.structural_modes().map(move |mode| (index, mode))).collect();
         self
+    }
+
+    /// Stiffness at the tip along a direction whose Jacobian is `row` (m/rad, N), with the motors held where their
+    /// encoders see them: that of the transmissions, 1/Σⱼ rowⱼ²/kⱼ, N/m. A joint whose encoder is on the link's side
+    /// does not count, because its wall reckons with what the transmission gives. `None` where nothing gives.
+    #[must_use]
+    pub fn stiffness_at_tip(&self, row: &DVector<f64>) -> Option<f64> {
+        let gives = self.transmissions.iter().zip(row.iter()).filter_map(|(transmission, lever)| {
+            let transmission = transmission.filter(|found| found.encoder_at == EncoderAt::Motor)?;
+            Some(lever * lever / transmission.stiffness)
+        });
+        let compliance: f64 = gives.sum();
+        (compliance > 0.0).then(|| 1.0 / compliance)
+    }
+
+    /// Whether an encoder sits on the link's side of a transmission that gives: its motor then pushes through a spring
+    /// on what it sees.
+    #[must_use]
+    pub fn is_sensed_behind_a_spring(&self) -> bool {
+        self.transmissions.iter().flatten().any(|transmission| transmission.encoder_at == EncoderAt::Joint)
     }
 
     /// Whether it is all rigid, and in nobody's hand.

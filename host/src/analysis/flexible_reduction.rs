@@ -33,7 +33,7 @@ pub(crate) struct Watched<'a> {
     pub viscous: &'a DVector<f64>,
     /// What is not rigid.
     pub flexible: &'a Flexible,
-    /// Rendered directions as rows, R x N, m/rad, and as columns in the task, d x R.
+    /// Rendered directions as rows, R x N, m/rad, and those of the tip, which come first, as columns in the task.
     pub rows: &'a DMatrix<f64>,
     pub directions: &'a DMatrix<f64>,
 }
@@ -194,8 +194,10 @@ pub(crate) fn reduce_seen(
     // States: scaled velocities L' v, scaled deflections, torques of the drives that lag, every x where no spring holds
     // it.
     let (torques, position) = (moving + springs, moving + springs + lagging.len());
-    let integrates = bodies.held.is_none();
-    let size = position + if integrates { rendered } else { 0 };
+    // A hand's springs hold the tip, not its orientation.
+    let held = |k: usize| bodies.held.filter(|_| k < device.directions.ncols());
+    let integrated: Vec<usize> = (0..rendered).filter(|&k| held(k).is_none()).collect();
+    let size = position + integrated.len();
     let (mut a, mut b) = (DMatrix::zeros(size, size), DMatrix::zeros(size, inputs.ncols()));
     let lower = bodies.mass.cholesky()?.l();
     // From generalised forces to the change of the scaled velocities, L⁻¹; its transpose gives the velocities back.
@@ -226,16 +228,16 @@ pub(crate) fn reduce_seen(
     // As columns.
     let mut seen = DMatrix::zeros(size, rendered);
     for k in 0..rendered {
-        if integrates {
+        let Some(held) = held(k) else {
+            let state = position + integrated.iter().position(|&other| other == k)?;
             for joint in 0..joints {
-                let mut row = a.view_mut((position + k, 0), (1, moving));
+                let mut row = a.view_mut((state, 0), (1, moving));
                 row += velocities.row(bodies.encoder[joint]) * device.rows[(k, joint)];
             }
-            seen[(position + k, k)] = 1.0;
+            seen[(state, k)] = 1.0;
             continue;
-        }
+        };
         // Jr q is the tip's own displacement, which the hand's springs hold; an encoder on a motor sees the twist too.
-        let held = bodies.held.unwrap_or_default();
         for (direction, along) in device.directions.column(k).iter().enumerate() {
             seen[(moving + held + direction, k)] += along / roots[held + direction];
         }

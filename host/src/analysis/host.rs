@@ -56,6 +56,7 @@ impl Host {
         let open = held(&board, steps, late);
         let delay = (late as f64 + around.delay_samples) / steps as f64;
         let domain = bounded(&mut Circle::new(&open, delay), open.mass, open.sample_s, kd)?;
+        let domain = domain.behind(device.flexible.stiffness_at_tip(&device.row));
         Ok(HostWall { rate_hz: around.rate_hz / steps as f64, delay_s: late as f64 / around.rate_hz, domain })
     }
 }
@@ -102,6 +103,7 @@ fn held(board: &OpenLoop, steps: usize, late: usize) -> OpenLoop {
         sample_s: board.sample_s * steps as f64,
         drift: None,
         resonances,
+        still: board.still,
     }
 }
 

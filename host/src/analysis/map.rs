@@ -261,6 +261,15 @@ impl Reachable {
                     axes.push(vec![0.0]);
                     wraps.push(false);
                 }
+                (_, Some((low, high))) if spec.periodic && high - low > std::f64::consts::TAU => {
+                    // More than a turn says nothing new, and would take the grid's fineness. Where there are two, no
+                    // end of one is an end of the way.
+                    let (pi, turn) = (std::f64::consts::PI, std::f64::consts::TAU);
+                    let first = 0.0_f64.clamp(low + pi, high - pi) - pi;
+                    let step = turn / per_joint as f64;
+                    axes.push((0..per_joint).map(|i| first + (i as f64 + 0.5) * step).collect());
+                    wraps.push(high - low >= 2.0 * turn && per_joint > 2);
+                }
                 (_, Some((low, high))) => {
                     let last = per_joint.max(2) - 1;
                     axes.push((0..=last).map(|i| low + (high - low) * i as f64 / last as f64).collect());

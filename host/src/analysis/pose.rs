@@ -12,6 +12,7 @@ use thiserror::Error;
 
 use super::flexible::{Flexible, Hand};
 use super::plant::{Linearised, MotorElectrics};
+use super::prediction::Subject;
 use crate::vectors::{padded_to, unit};
 
 /// Poses closer to a singularity than this sine are refused.
@@ -212,15 +213,11 @@ impl Linearised {
         normal: &[f64],
         admissible: Admissible,
     ) -> Result<Self, PoseError> {
-        let joints = description.kind.spec().joints;
-        let mut seen = Self::of(&Device::new("", description)?, q, normal, admissible)?;
-        if description.is_flexible() {
-            seen.flexible = seen.flexible.of_joints(&description.joints[..joints]);
-        }
-        Ok(seen)
+        Subject::new(description)?.along(q, normal, admissible)
     }
 
-    /// As [`Linearised::holding`], of a device that is lumped already, and rigid.
+    /// As [`Linearised::holding`], of a device that is lumped already, without what gives in it: what a wall stands on
+    /// is predicted by [`super::prediction`].
     pub fn of(device: &Device<f64>, q: &[f64], normal: &[f64], admissible: Admissible) -> Result<Self, PoseError> {
         let pose = TaskPose::of(&device.mechanism, q)?.regular()?.holding(admissible);
         let joints = q.len();

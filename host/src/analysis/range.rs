@@ -47,6 +47,9 @@ pub struct Range {
     /// See `feed_forward_gain`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub inertia_met: Option<f64>,
+    /// Stiffness of the transmissions at the tip along the wall, N/m, where any gives: a hand feels a wall behind it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub transmissions: Option<f64>,
     /// Without feed-forward.
     pub off: Domain,
     /// With equation (4).
@@ -90,7 +93,9 @@ pub fn predict(
     let w_eff = device.w_eff().ok_or(AnalysisError::Singular)?;
     let feed_forward_gain = (device.gain != 1.0).then_some(device.gain);
     let inertia_met = feed_forward_gain.and_then(|_| device.inertia_met());
-    Ok(Range { w_eff, w_rr: device.w_rr(), feed_forward_gain, inertia_met, off, full, washout, area_ratio, host: None })
+    let transmissions = device.flexible.stiffness_at_tip(&device.row);
+    let (w_rr, host) = (device.w_rr(), None);
+    Ok(Range { w_eff, w_rr, feed_forward_gain, inertia_met, transmissions, off, full, washout, area_ratio, host })
 }
 
 /// Predicts the stable domain of walls that act together, in the totals of stiffness and damping.
@@ -106,5 +111,6 @@ pub fn predict_several(
     let area_ratio = if off.area > 0.0 { full.area / off.area } else { 0.0 };
     let met = |feed_forward| set.met(feed_forward).ok_or(AnalysisError::Singular);
     let (w_eff, w_rr) = (met(false)?, met(true)?);
-    Ok(Range { w_eff, w_rr, feed_forward_gain: None, inertia_met: None, off, full, washout, area_ratio, host: None })
+    let (feed_forward_gain, inertia_met, transmissions, host) = (None, None, None, None);
+    Ok(Range { w_eff, w_rr, feed_forward_gain, inertia_met, transmissions, off, full, washout, area_ratio, host })
 }

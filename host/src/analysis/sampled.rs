@@ -16,6 +16,7 @@ pub use super::error::AnalysisError;
 pub use super::estimator::{LONGEST_DIFFERENCE, LinearEstimator, LowPass};
 use super::plant::{ContinuousPlant, Drive, Linearised};
 use super::reduction::reduce;
+use super::several::{Loops, WallSet};
 use super::spectrum::{exp_minus_identity, growth};
 
 /// The loop cut at the wall force, in sample units (see [`super::plant`]).
@@ -36,6 +37,8 @@ pub(crate) struct OpenLoop {
     /// Motions that no feedback sees by construction (damping compensation alone has any).
     pub(super) drift: Option<Drift>,
     pub(super) resonances: Vec<(f64, f64)>,
+    /// |z|² - 1 below this is rounding.
+    pub(super) still: f64,
 }
 
 /// A signal as a linear form over the states and the wall force.
@@ -122,6 +125,9 @@ impl OpenLoop {
         around: &Loop,
         mode: Mode,
     ) -> Result<Self, AnalysisError> {
+        if device.flexible.posture.is_some() {
+            return Ok(Loops::new(&WallSet::of_one(device, believed), around, mode)?.alone());
+        }
         around.check()?;
         if let Mode::Washout(hz) = mode {
             around.check_cutoff(hz)?;
@@ -194,7 +200,7 @@ impl OpenLoop {
 
     /// Whether all modes decay; gains in sample units.
     pub fn is_stable(&self, kp: f64, kd: f64) -> bool {
-        growth(self.closed(kp, kd)) < STILL
+        growth(self.closed(kp, kd)) < self.still
     }
 }
 
@@ -360,6 +366,7 @@ fn assemble(
         sample_s: 1.0 / around.rate_hz,
         drift,
         resonances,
+        still: STILL,
     }
 }
 

@@ -14,16 +14,17 @@ use haptic_bridge::math::FineTable;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::inertia::NO_STIFFNESS;
-use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism, Shaping};
+use haptic_bridge::model::mechanism::{Mechanism, Shaping};
 use haptic_bridge::model::principal::{Principal, Pull};
 use haptic_bridge::with_mechanism;
 
 use super::boundary::{Interval, SMALLEST_STIFFNESS};
-use super::flexible::{Flexible, Hand};
+use super::flexible::{Flexible, Hand, Posture};
 use super::flexible_reduction::{Reduced, Watched, reduce_seen};
-use super::plant::{Drive, Lags};
+use super::plant::{Drive, Lags, Linearised};
 use super::pose::{PoseError, TaskPose, unit_normal};
-use super::sampled::{AnalysisError, Loop, Mode};
+use super::prediction::Subject;
+use super::sampled::{AnalysisError, Loop, Mode, OpenLoop, resonances};
 use super::spectrum::{exp_minus_identity, growth};
 
 /// One wall of a set that acts together.
@@ -76,9 +77,38 @@ impl WallSet {
         walls: &[Member],
         admissible: Admissible,
     ) -> Result<Self, PoseError> {
-        let mechanism = AnyMechanism::new(description)?;
-        TaskPose::of(&mechanism, q)?.regular()?;
-        with_mechanism!(&mechanism, m => linearised(m, description, q, walls, admissible))
+        Self::of(&Subject::new(description)?, q, walls, admissible)
+    }
+
+    /// As [`WallSet::at`], of a device that is lumped already.
+    pub fn of(subject: &Subject, q: &[f64], walls: &[Member], admissible: Admissible) -> Result<Self, PoseError> {
+        let mechanism = &subject.device.mechanism;
+        TaskPose::of(mechanism, q)?.regular()?;
+        with_mechanism!(mechanism, m => linearised(m, subject, q, walls, admissible))
+    }
+
+    /// One wall on a device that the controller takes for `believed`, with what holds it.
+    pub(super) fn of_one(device: &Linearised, believed: &Linearised) -> Self {
+        let joints = device.mass.nrows();
+        let unit = &believed.unit_motion;
+        let back = &believed.mass * unit * unit.transpose() / believed.w_rr();
+        Self {
+            first: device.flexible.normal.clone(),
+            mass: device.mass.clone(),
+            viscous: device.viscous.clone(),
+            directions: DMatrix::from_columns(std::slice::from_ref(&device.flexible.normal)),
+            rows: DMatrix::from_rows(&[device.row.transpose()]),
+            stiffness: DVector::from_element(1, 1.0),
+            shaped: DMatrix::from_columns(&[believed.shaped_torque()]),
+            bias: DMatrix::identity(joints, joints) - back,
+            flexible: device.flexible.clone(),
+        }
+    }
+
+    /// The same in a posture, with the row of the orientation's Jacobian.
+    pub(super) fn in_posture(mut self, posture: Option<(Posture, DVector<f64>)>) -> Self {
+        self.flexible.posture = posture;
+        self
     }
 
     /// The same without joint damping.
@@ -147,7 +177,7 @@ impl WallSet {
 
 fn linearised<const N: usize, M: Mechanism<f64, N>>(
     m: &M,
-    description: &Description,
+    subject: &Subject,
     q: &[f64],
     walls: &[Member],
     admissible: Admissible,
@@ -187,11 +217,11 @@ fn linearised<const N: usize, M: Mechanism<f64, N>>(
     let tips: Vec<DVector<f64>> = (0..M::SPEC.task)
         .map(|axis| dense(m.transpose(&pose, &SVector::from_fn(|i, _| f64::from(u8::from(i == axis))))))
         .collect();
-    let flexible = Flexible { tip: DMatrix::from_columns(&tips).transpose(), ..Flexible::default() };
+    let flexible = Flexible { tip: DMatrix::from_columns(&tips).transpose(), ..subject.gives() };
     Ok(WallSet {
-        flexible: flexible.of_joints(&description.joints[..N]),
+        flexible,
         mass: DMatrix::from_fn(N, N, |i, j| mass[(i, j)]),
-        viscous: DVector::from_fn(N, |j, _| description.joints[j].viscous),
+        viscous: DVector::from_fn(N, |j, _| subject.device.joints[j].viscous),
         first: DVector::from_fn(M::SPEC.task, |i, _| pulls.first().map_or(0.0, |pull| pull.normal[i])),
         directions: DMatrix::from_fn(M::SPEC.task, seen.len(), |i, column| principal.direction(seen[column])[i]),
         rows: DMatrix::from_columns(&rows).transpose(),
@@ -229,7 +259,15 @@ impl Loops {
         if let Mode::Washout(hz) = mode {
             around.check_cutoff(hz)?;
         }
-        let (directions, joints) = set.rows.shape();
+        let (walls, joints) = set.rows.shape();
+        // The posture is one more direction, whose loop is closed below.
+        let rows = match &set.flexible.posture {
+            Some((_, row)) => {
+                DMatrix::from_fn(walls + 1, joints, |i, j| if i < walls { set.rows[(i, j)] } else { row[j] })
+            }
+            None => set.rows.clone(),
+        };
+        let directions = rows.nrows();
         let mass = set.met(mode != Mode::Off).ok_or(AnalysisError::Singular)?;
         let inverse = set.mass.clone().cholesky().ok_or(AnalysisError::Singular)?.inverse();
         let t = 1.0 / around.rate_hz;
@@ -241,11 +279,12 @@ impl Loops {
             return Err(AnalysisError::CompensatedFlexible);
         }
         let lags = Lags::new(&around.drive, joints, t);
-        let seen = match set.flexible.is_rigid() {
-            true => rigid(set, &lags, &inverse, t, mass, compensated),
+        // What is left of a device in a posture is reduced as a flexible one's is: a motion that nothing sees is no mode.
+        let seen = match set.flexible.is_rigid() && (set.flexible.posture.is_none() || compensated) {
+            true => rigid(set, &rows, &lags, &inverse, t, mass, compensated),
             false => {
-                let WallSet { mass: m, viscous, flexible, rows, directions, .. } = set;
-                let watched = Watched { mass: m, viscous, flexible, rows, directions };
+                let WallSet { mass: m, viscous, flexible, directions, .. } = set;
+                let watched = Watched { mass: m, viscous, flexible, rows: &rows, directions };
                 // Torques in units of m/T² times metres.
                 let reduced = reduce_seen(&watched, &lags, &DMatrix::identity(joints, joints), t, mass);
                 let Reduced { a, b, seen } = reduced.ok_or(AnalysisError::Singular)?;
@@ -282,21 +321,22 @@ impl Loops {
         let moved = plant;
         let filters = moved + directions + sensed;
         let washout = filters + per * (directions + sensed);
-        let queue = washout + if matches!(mode, Mode::Washout(_)) { directions } else { 0 };
+        let queue = washout + if matches!(mode, Mode::Washout(_)) { walls } else { 0 };
         let held = queue + whole * joints;
         let acted = held + if fraction > 0.0 { joints } else { 0 };
         let size = acted + if around.estimator.predicts() { joints } else { 0 };
         let estimator = around.estimator.matrix(around.rate_hz);
 
-        let change = |s: &DVector<f64>, force: &DVector<f64>| {
+        let change = |s: &DVector<f64>, forces: &DVector<f64>| {
             let mut change = DVector::zeros(size);
+            let force = forces.rows(0, walls).into_owned();
             let mut command = match mode {
-                Mode::Off => set.rows.tr_mul(force),
+                Mode::Off => set.rows.tr_mul(&force),
                 Mode::Full => &set.shaped * force,
                 Mode::Washout(hz) => {
                     let g = (std::f64::consts::PI * hz * t).tan();
                     let mut high = force.clone();
-                    for k in 0..directions {
+                    for k in 0..walls {
                         let step = (force[k] - s[washout + k]) * g / (1.0 + g);
                         high[k] -= s[washout + k] + step;
                         change[washout + k] = 2.0 * step;
@@ -304,10 +344,11 @@ impl Loops {
                     set.rows.tr_mul(&(force - &high)) + &set.shaped * high
                 }
             };
+            command += rows.rows(walls, directions - walls).tr_mul(&forces.rows(walls, directions - walls));
             let mut estimates = DVector::zeros(directions + sensed);
             // What the last command gave: of the directions, then of the joints.
             let given = &inverse * s.rows(acted, size - acted).into_owned().resize_vertically(joints, 0.0) * mass;
-            let along = &set.rows * &given;
+            let along = &rows * &given;
             for k in 0..directions + sensed {
                 let first = filters + per * k;
                 let pushed = if k < directions { along[k] } else { given[k - directions] };
@@ -361,7 +402,30 @@ impl Loops {
         for k in 0..directions {
             input.set_column(k, &change(&DVector::zeros(size), &unit(directions, k)).0);
         }
+        if let Some((held, _)) = &set.flexible.posture {
+            let feedback =
+                position.row(walls) * (held.stiffness * t * t / mass) + velocity.row(walls) * (held.damping * t / mass);
+            f -= input.column(walls) * feedback;
+            input = input.remove_column(walls);
+            (position, velocity) = (position.remove_row(walls), velocity.remove_row(walls));
+        }
         Ok(Self { f, input, position, velocity, stiffness: set.stiffness.clone(), mass, sample_s: t })
+    }
+
+    /// The loop of one wall.
+    pub fn alone(self) -> OpenLoop {
+        let first = |rows: &DMatrix<f64>| rows.row(0).transpose();
+        OpenLoop {
+            resonances: resonances(&self.f, self.f.nrows()),
+            input: self.input.column(0).into_owned(),
+            position: first(&self.position),
+            velocity: first(&self.velocity),
+            f: self.f,
+            mass: self.mass,
+            sample_s: self.sample_s,
+            drift: None,
+            still: STILL,
+        }
     }
 
     fn is_stable(&self, kp: f64, kd: f64) -> bool {
@@ -404,8 +468,16 @@ struct Seen {
 }
 
 /// Of a rigid device that nobody holds: joint velocities (rad per sample), lagging torques, positions (m).
-fn rigid(set: &WallSet, lags: &Lags, inverse: &DMatrix<f64>, t: f64, mass: f64, compensated: bool) -> Seen {
-    let (directions, joints) = set.rows.shape();
+fn rigid(
+    set: &WallSet,
+    rows: &DMatrix<f64>,
+    lags: &Lags,
+    inverse: &DMatrix<f64>,
+    t: f64,
+    mass: f64,
+    compensated: bool,
+) -> Seen {
+    let (directions, joints) = rows.shape();
     let Lags { rate: lag, emf } = lags;
     let lagging: Vec<usize> = (0..joints).filter(|j| lag[*j].is_some()).collect();
     let (torques, positions) = (joints, joints + lagging.len());
@@ -430,7 +502,7 @@ fn rigid(set: &WallSet, lags: &Lags, inverse: &DMatrix<f64>, t: f64, mass: f64, 
         a[(torques + slot, *j)] = -rate * emf[*j] * t / mass;
         b[(torques + slot, *j)] = rate;
     }
-    a.view_mut((positions, 0), (directions, joints)).copy_from(&set.rows);
+    a.view_mut((positions, 0), (directions, joints)).copy_from(rows);
     let pick = |rows: usize, from: usize| DMatrix::from_fn(rows, plant, |i, j| f64::from(u8::from(j == from + i)));
     let turning = pick(if compensated { joints } else { 0 }, 0);
     Seen { a, b, positions: pick(directions, positions), turning }

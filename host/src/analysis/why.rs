@@ -123,6 +123,11 @@ fn cases(device: &Linearised, around: &Loop) -> Vec<(&'static str, &'static str,
         still.flexible.modes.clear();
         add("structure", "no structural modes", still, around.clone());
     }
+    if device.flexible.posture.is_some() {
+        let mut free = device.clone();
+        free.flexible.posture = None;
+        add("posture", "no posture", free, around.clone());
+    }
     if device.flexible.hand.is_there() {
         add("hand", "no hand", device.clone().held(Hand::default()), around.clone());
     }

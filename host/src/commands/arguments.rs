@@ -7,11 +7,14 @@ use haptic::boards::BoardKind;
 use haptic::device_file::DeviceFile;
 use haptic::error::Failure;
 use haptic::model::Precision;
+use haptic::plausible::{self, Doubt, Warning};
+use haptic::toml_file::Document;
 use haptic::vectors::unit;
 use haptic::words::counted;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::{FeedForward, MAX_RATE_HZ, MIN_RATE_HZ};
 use haptic_bridge::render::velocity::Estimator;
+use std::path::Path;
 
 /// A list of numbers separated by commas, such as `-0.3,1.2`.
 #[derive(Clone, Debug, PartialEq)]
@@ -154,6 +157,26 @@ pub fn pose(q: Option<&Numbers>, file: &DeviceFile) -> Result<Vec<f64>, Failure>
         (None, None) => Err(Failure::wrong(format!("{} has no [home], so there is no pose", file.path.display()))
             .remedy("say which with --q")),
     }
+}
+
+/// A device file, with what is doubtful about it. What lies between motor and link is left out where `for_a_loop` is
+/// false: inertia does not depend on it.
+pub fn device(path: &Path, for_a_loop: bool) -> Result<(DeviceFile, Vec<Warning>), Failure> {
+    let document = Document::load(path)?;
+    let file = DeviceFile::read(&document)?;
+    let mut doubts = plausible::device::doubts(&file.description);
+    doubts.retain(|doubt| for_a_loop || doubt.key.is_none_or(|key| key.name != "transmission"));
+    let warnings = doubts.into_iter().map(|doubt| doubt.about(&document)).collect();
+    Ok((file, warnings))
+}
+
+/// What is doubtful about joint angles: in degrees, mostly, or beyond the joints' limits.
+pub fn pose_doubts(q: &[f64], file: &DeviceFile) -> Vec<Warning> {
+    let mut doubts = plausible::angles(q, "--q");
+    if doubts.is_empty() {
+        doubts = plausible::beyond_limits(q, &file.description);
+    }
+    doubts.into_iter().map(Doubt::typed).collect()
 }
 
 /// Refuses a control rate that no board has.

@@ -3,6 +3,7 @@
 
 use super::answer::{Json, Pictures};
 use super::port::counted;
+use haptic::analysis::prediction::Subject;
 use haptic::device_file::DeviceFile;
 use haptic::error::Failure;
 use haptic::plausible::scene::Contact;
@@ -102,8 +103,8 @@ fn scene_report(path: &Path, device: &DeviceFile) -> Result<(SceneReport, Vec<Wa
     let document = Document::load(path)?;
     let file = SceneFile::read(&document, device.spec().task)?;
     file.scene::<f32>().map_err(|error| Failure::wrong(format!("{}: {error}", path.display())))?;
-    let lumped = device.device::<f64>().map_err(Failure::wrong)?;
-    let (doubts, contacts) = scene::doubts(&lumped, &file.scene);
+    let subject = Subject::new(&device.description).map_err(Failure::wrong)?;
+    let (doubts, contacts) = scene::doubts(&subject, &file.scene);
     let report = SceneReport {
         path: path.display().to_string(),
         walls: file.scene.walls.len(),
@@ -155,8 +156,10 @@ fn readable(report: &Report, tip: &str) -> String {
         for contact in &scene.contacts {
             let force =
                 contact.force.map_or(String::new(), |force| format!("; the motors have {}", with_unit(force, "N")));
+            let felt =
+                contact.felt_to.map_or(String::new(), |felt| format!(" (felt at the tip: {})", with_unit(felt, "N/m")));
             text.push_str(&format!(
-                "  wall {}: predicted stable up to {} with its damping, up to {} damping{force}\n",
+                "  wall {}: predicted stable up to {}{felt} with its damping, up to {} damping{force}\n",
                 contact.wall,
                 with_unit(contact.stable_to, "N/m"),
                 with_unit(contact.damping_to, "N s/m"),

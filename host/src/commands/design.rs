@@ -9,8 +9,8 @@ use haptic::design::place::{Directions, Placed, Places, directions, places};
 use haptic::design::posture::{Posture, Postures, postures};
 use haptic::design::sensitivity::{Buys, CHANGE, Effect, Sensitivity, buys_most, sensitivities};
 use haptic::design::{singular, stiffness_per_kilogram};
-use haptic::device_file::DeviceFile;
 use haptic::error::Failure;
+use haptic::plausible::{Warned, warn};
 use haptic::plot::coupling::draw;
 use haptic::words::percent;
 use haptic_bridge::model::admissible::Admissible;
@@ -85,13 +85,15 @@ struct Document {
 /// Searches, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.pictures.check()?;
-    let file = DeviceFile::load(&args.device)?;
+    let (file, mut warnings) = arguments::device(&args.device, false)?;
     let spec = file.spec();
     arguments::check_rate(args.rate)?;
     if !(0.0..1.0).contains(&args.clear) || !(0.0..=1.0).contains(&args.patch) {
         return Err(Failure::wrong("--clear is a sine from 0 to below 1, --patch a length up to 1 m"));
     }
     let q = arguments::pose(args.q.as_ref(), &file)?;
+    warnings.extend(arguments::pose_doubts(&q, &file));
+    warn(&warnings);
     let asked = args.normal.clone().map(|normal| normal.unit(spec.task, "--normal")).transpose()?;
     let description = &file.description;
     let directions = directions(description, &q, args.admissible)?;
@@ -136,7 +138,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let picture = drawn.ok_or_else(|| Failure::impossible("the linkage does not close at this pose"))?;
         args.pictures.save(&picture)?;
     }
-    args.json.answer(&document, &readable(&document, asked.is_some(), &args))?;
+    let result = Warned { result: &document, warnings: &warnings };
+    args.json.answer(result, &readable(&document, asked.is_some(), &args))?;
     sweep.finish();
     Ok(())
 }
@@ -154,7 +157,7 @@ fn readable(document: &Document, asked: bool, args: &Args) -> String {
     let per_kilogram = document.stiffness_per_kilogram;
     line(format!("{}: q = ({}) rad, n = ({})", document.device, list(&document.q), list(&document.normal)));
     line(format!(
-        "  walls by {:.0} N/m for a kilogram met: {} Hz, Butterworth at {} Hz, a board's delay, no joint damping",
+        "  walls by {:.0} N/m for a kilogram met: {} Hz, Butterworth at {} Hz, a board's delay and drive, no joint damping",
         per_kilogram, args.rate, args.cutoff
     ));
     let wall = |name: &str, at: &Placed| {
@@ -182,7 +185,7 @@ fn readable(document: &Document, asked: bool, args: &Args) -> String {
     line(wall("where it couples most", &document.directions.couples_most));
     let places = &document.places;
     line(format!(
-        "\n  over the workspace: {} poses with a sine of {} and more, and between them",
+        "\n  over the workspace, in home's working mode: {} poses with a sine of {} and more, and between them",
         places.poses, document.clear
     ));
     line(placed("stiffest wall", &places.stiffest));

@@ -3,6 +3,8 @@
 use super::answer::Json;
 use super::arguments;
 use super::port::{Port, counted, feed_forward_in_words, short};
+use haptic::analysis::prediction::Subject;
+use haptic::boards::torque_path;
 use haptic::error::Failure;
 use haptic::link::{Board, BoardError};
 use haptic::plausible::scene::{at, beyond};
@@ -61,7 +63,9 @@ fn doubts(board: &mut Board, scene: &Scene<f32>, index: usize) -> Result<Vec<War
         Some(home) if !status.homed => home,
         _ => status.q.map(f64::from),
     };
-    let Some(contact) = at(&device, &scene, index, &q[..device.axes()], f64::from(details.delay_samples)) else {
+    let axes = device.axes();
+    let (subject, path) = (Subject::on_board(device, None), torque_path(board.info(), &details));
+    let Some(contact) = at(&subject, &scene, index, &q[..axes], &path) else {
         return Ok(Vec::new());
     };
     Ok(beyond(&scene.walls[index], &contact, false).into_iter().map(Doubt::typed).collect())

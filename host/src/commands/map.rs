@@ -4,8 +4,8 @@ use super::answer::{Json, Pictures};
 use super::arguments::{self, Numbers};
 use super::continued::Continue;
 use haptic::analysis::map::{MapPoint, map_swept};
-use haptic::device_file::DeviceFile;
 use haptic::error::Failure;
+use haptic::plausible::{Warned, warn};
 use haptic::plot::map::draw;
 use haptic_bridge::model::admissible::Admissible;
 use std::fmt::Write;
@@ -48,7 +48,8 @@ struct Document {
 /// Maps, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.pictures.check()?;
-    let file = DeviceFile::load(&args.device)?;
+    let (file, warnings) = arguments::device(&args.device, false)?;
+    warn(&warnings);
     let normal = args.normal.unit(file.spec().task, "--normal")?;
     let pictured = args.pictures.asked();
     let question = format!("{:?} {normal:?} {} {:?}", file.description, args.points, args.admissible);
@@ -62,7 +63,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         args.pictures.save(&picture)?;
     }
     let said = readable(&file.name, &points);
-    args.json.answer(Document { points }, &said)?;
+    args.json.answer(Warned { result: &Document { points }, warnings: &warnings }, &said)?;
     sweep.finish();
     Ok(())
 }

@@ -6,7 +6,7 @@ use haptic::device_file::DeviceFile;
 use haptic::digits::print_json;
 use haptic::error::{Failure, print};
 use haptic::model::{Precision, Report, Rows, WallForce, evaluate_holding};
-use haptic::plausible::{Doubt, Warned, angles, warn};
+use haptic::plausible::{Warned, warn};
 use haptic_bridge::model::admissible::Admissible;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -52,19 +52,24 @@ pub struct Args {
 
 /// Computes and prints.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let device = DeviceFile::load(&args.device)?;
+    let (device, mut warnings) = arguments::device(&args.device, false)?;
     let spec = device.spec();
     let q = arguments::pose(args.q.as_ref(), &device)?;
     let qd = match args.qd {
         Some(qd) => qd.exactly(spec.joints, "--qd", "joint velocities")?,
         None => vec![0.0; spec.joints],
     };
-    let warnings: Vec<_> = angles(&q, "--q").into_iter().map(Doubt::typed).collect();
+    warnings.extend(arguments::pose_doubts(&q, &device));
     warn(&warnings);
     let walls = walls(&args.normal, &args.force, args.stiffness.as_ref(), args.no_feed_forward.as_ref(), spec.task)?;
     let report = evaluate_holding(&device, &q, &qd, &walls, args.precision, args.admissible)?;
     if args.json.asked() {
-        return print_json(Warned { result: &report, warnings: &warnings });
+        let forces = walls.iter().map(|wall| wall.force).collect();
+        let normals = walls.iter().map(|wall| wall.normal.clone()).collect();
+        let (precision, admissible) = (args.precision, args.admissible.name());
+        let precision = Precision::ALL.iter().find(|(_, other)| *other == precision).map_or("", |(name, _)| name);
+        let result = &Asked { q, qd, normals, forces, precision, admissible, report: &report };
+        return print_json(Warned { result, warnings: &warnings });
     }
     let board = if args.precision == Precision::F32 { ", f32 as on the board" } else { "" };
     let heading = format!("{} ({}){board}\n", device.name, spec.name);
@@ -73,6 +78,23 @@ pub fn run(args: Args) -> Result<(), Failure> {
         text.push_str(&held(&device, &q, only, args.admissible)?);
     }
     print(&text)
+}
+
+/// The document of `--json`: what was asked, so that the figures can be had again, and the answer.
+#[derive(serde::Serialize)]
+struct Asked<'a> {
+    /// rad
+    q: Vec<f64>,
+    /// rad/s
+    qd: Vec<f64>,
+    /// Unit normals of the walls, d entries each.
+    normals: Vec<Vec<f64>>,
+    /// N
+    forces: Vec<f64>,
+    precision: &'static str,
+    admissible: &'static str,
+    #[serde(flatten)]
+    report: &'a Report,
 }
 
 /// Wrr/Weff of a redundant device for every coordinate that it may hold: it belongs to the choice.

@@ -2,6 +2,7 @@
 
 use super::answer::Json;
 use clap::builder::NonEmptyStringValueParser;
+use haptic::analysis::prediction::Subject;
 use haptic::bench::probe::HAND_SPEED;
 use haptic::device_file::DeviceFile;
 use haptic::digits::print_json;
@@ -65,7 +66,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let document = Document::load(&args.scene)?;
     let scene = SceneFile::read(&document, file.spec().task)?;
     // A scene names no device: that it was made for another shows in walls that this one does not reach.
-    let (doubts, _) = doubts(&device, &scene.scene);
+    let (doubts, _) = doubts(&Subject::new(&file.description).map_err(Failure::wrong)?, &scene.scene);
     let warnings: Vec<_> = doubts.into_iter().map(|doubt| doubt.about(&document)).collect();
     warn(&warnings);
     let plan = plan(&device, &scene.scene, budget(args.error.as_deref())?, speed(args.speed, &scene)?)?;

@@ -8,21 +8,22 @@ use super::arguments::{self, Numbers, WallArgs};
 use super::continued::Continue;
 use super::port::counted;
 use clap::{Args as ClapArgs, ValueEnum};
-use haptic::analysis::control_loop::{CURRENT_LOOP_HZ, usual_delay};
-use haptic::analysis::flexible::Hand;
+use haptic::analysis::control_loop::{CURRENT_LOOP_HZ, TorquePath, usual_delay};
+use haptic::analysis::flexible::{Hand, Posture};
 use haptic::analysis::host::Host;
 use haptic::analysis::passivity::Passivity;
-use haptic::analysis::plant::{Drive, Linearised};
+use haptic::analysis::plant::Drive;
 use haptic::analysis::pose::motors;
-use haptic::analysis::range::{Range, predict, predict_several};
+use haptic::analysis::prediction::{Prediction, Subject, Walls};
+use haptic::analysis::range::Range;
 use haptic::analysis::sampled::{AnalysisError, LinearEstimator, Loop};
-use haptic::analysis::several::{Member, WallSet};
+use haptic::analysis::several::Member;
 use haptic::analysis::why::{Why, why};
 use haptic::boards::BoardKind;
 use haptic::device_file::DeviceFile;
 use haptic::digits::print_json;
 use haptic::error::{Failure, print};
-use haptic::plausible::{Doubt, Warned, angles, warn};
+use haptic::plausible::{Doubt, Warned, warn};
 use haptic::plot::range::{Contents, draw};
 use haptic::sweep::Sweep;
 use haptic_bridge::model::admissible::Admissible;
@@ -63,6 +64,10 @@ pub struct Args {
     /// A hand on the tip: its mass (kg), damping (N s/m) and stiffness (N/m), the same in every direction
     #[arg(long, value_name = "M,B,K", allow_hyphen_values = true)]
     hand: Option<Numbers>,
+    /// The posture that a redundant device is held in, as a scene's [posture]: its stiffness (N m/rad) and damping
+    /// (N m s/rad)
+    #[arg(long, value_name = "K,D", allow_hyphen_values = true)]
+    posture: Option<Numbers>,
     /// Leave the joints' own viscous damping out
     #[arg(long)]
     undamped: bool,
@@ -165,16 +170,58 @@ impl Args {
             }
         }
     }
+
+    fn posture(&self, file: &DeviceFile) -> Result<Option<Posture>, Failure> {
+        let Some(numbers) = &self.posture else { return Ok(None) };
+        let remedy = "write stiffness (N m/rad) and damping (N m s/rad), such as 0.5,0.03";
+        let spec = file.spec();
+        match numbers.0[..] {
+            _ if spec.joints == spec.task => {
+                let reason = format!("--posture, and a {} has one posture at each place of its tip", spec.name);
+                Err(Failure::wrong(reason).remedy("leave it out"))
+            }
+            [stiffness, damping] if stiffness >= 0.0 && damping >= 0.0 => Ok(Some(Posture { stiffness, damping })),
+            [_, _] => Err(Failure::wrong("--posture holds a negative number").remedy(remedy)),
+            _ => {
+                let numbers = counted(numbers.0.len(), "number");
+                Err(Failure::wrong(format!("--posture has {numbers}, and a posture has 2")).remedy(remedy))
+            }
+        }
+    }
+
+    /// The device in the loop that was asked for.
+    fn prediction(&self, file: &DeviceFile) -> Result<Prediction, Failure> {
+        let drive = match self.drive() {
+            DriveKind::Ideal => Drive::Ideal,
+            DriveKind::Current => Drive::Current { bandwidth_hz: self.current_bandwidth },
+            DriveKind::Voltage => Drive::Voltage(motors(&file.description).ok_or_else(|| {
+                Failure::wrong(format!("{} has joints without [joint.motor]", self.device.display()))
+                    .remedy("a voltage drive is analysed with the motors' resistance and back-EMF: add them")
+            })?),
+        };
+        let path = TorquePath { delay_samples: self.delay(), drive };
+        let mut around = Loop::through(&path, self.rate, estimator(self)?);
+        around.damping_compensation = self.damping_compensation;
+        let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
+        let subject = if self.undamped { subject.undamped() } else { subject };
+        Ok(Prediction {
+            admissible: self.admissible,
+            gain: self.feed_forward_gain,
+            posture: self.posture(file)?,
+            hand: self.hand()?,
+            ..Prediction::new(subject, around)
+        })
+    }
 }
 
 /// Analyses, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.pictures.check()?;
-    let file = DeviceFile::load(&args.device)?;
+    let (file, mut warnings) = arguments::device(&args.device, true)?;
     let spec = file.spec();
     arguments::check_rate(args.rate)?;
     let q = arguments::pose(args.q.as_ref(), &file)?;
-    let mut warnings: Vec<_> = angles(&q, "--q").into_iter().map(Doubt::typed).collect();
+    warnings.extend(arguments::pose_doubts(&q, &file));
     let members = args.walls.members(spec.task)?;
     let normals: Vec<Vec<f64>> = members.iter().map(|member| member.normal.clone()).collect();
     if let Some(board) = args.board.filter(|board| board.axes() < spec.joints) {
@@ -185,22 +232,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         };
         return Err(Failure::wrong(reason).remedy(remedy));
     }
-    let drive = match args.drive() {
-        DriveKind::Ideal => Drive::Ideal,
-        DriveKind::Current => Drive::Current { bandwidth_hz: args.current_bandwidth },
-        DriveKind::Voltage => Drive::Voltage(motors(&file.description).ok_or_else(|| {
-            Failure::wrong(format!("{} has joints without [joint.motor]", args.device.display()))
-                .remedy("a voltage drive is analysed with the motors' resistance and back-EMF: add them")
-        })?),
-    };
-    let around = Loop {
-        rate_hz: args.rate,
-        delay_samples: args.delay(),
-        estimator: estimator(&args)?,
-        drive,
-        damping_compensation: args.damping_compensation,
-    };
-    let (analyse, passivity) = walls(&args, &file, &q, &members, &around)?;
+    let prediction = args.prediction(&file)?;
+    let (analyse, passivity) = walls(&args, &file, &q, &members, &prediction)?;
     let asked_kd = args.kd.as_ref().map(|kd| kd.0.as_slice());
     let range = analyse(asked_kd, args.washout)?;
     let doubts = costly(&range, args.washout, |corner| analyse(asked_kd, Some(corner)))?;
@@ -208,10 +241,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
     warn(&warnings);
     let asked = (&args.ripple, &args.kd, args.washout, args.damping_ratio, &args.hand);
     let device = (file.description, args.undamped, args.feed_forward_gain, args.admissible);
-    let question = format!("{device:?} {q:?} {normals:?} {around:?} {asked:?}");
+    let question = format!("{device:?} {q:?} {normals:?} {:?} {:?} {asked:?}", prediction.around, prediction.posture);
     let sweep = args.continued.sweep("range", &question)?;
-    let why = if args.why { Some(explained(&args, &file, &q, &normals, &around, &sweep)?) } else { None };
-    let steps = stepped(&args, &file, &q, &normals, &around, &sweep)?;
+    let why = if args.why { Some(explained(&prediction, &q, &normals, &sweep)?) } else { None };
+    let steps = stepped(&args, &file, &q, &normals, &prediction, &sweep)?;
     let pictures = args.pictures.asked();
     if let Some(why) = why.as_ref().filter(|_| pictures) {
         let title = format!("{}: what each effect takes from the stiffest wall", file.name);
@@ -232,7 +265,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         args.pictures.save(&picture)?;
     }
     if args.json.asked() {
-        let result = Explained { range: &range, why: why.as_ref(), ripple: steps.as_ref() };
+        let asked = Asked::of(&args, &prediction, &q, &members);
+        let result = Explained { asked, range: &range, why: why.as_ref(), ripple: steps.as_ref() };
         print_json(Warned { result: &result, warnings: &warnings })?;
     } else {
         print(&readable(&file.name, &args, &q, &normals, &range, passivity.as_ref(), &file.description))?;
@@ -247,6 +281,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
 #[derive(serde::Serialize)]
 struct Explained<'a> {
     #[serde(flatten)]
+    asked: Asked,
+    #[serde(flatten)]
     range: &'a Range,
     #[serde(skip_serializing_if = "Option::is_none")]
     why: Option<&'a Why>,
@@ -254,27 +290,57 @@ struct Explained<'a> {
     ripple: Option<&'a Steps>,
 }
 
+/// What was asked, so that the figures can be had again.
+#[derive(serde::Serialize)]
+struct Asked {
+    /// rad
+    q: Vec<f64>,
+    /// Unit normals, d entries each.
+    normals: Vec<Vec<f64>>,
+    rate_hz: f64,
+    /// None with an estimator that has none.
+    cutoff_hz: Option<f64>,
+    delay_samples: f64,
+    drive: String,
+    /// What `haptic range DEVICE` takes to predict the same.
+    options: String,
+}
+
+impl Asked {
+    fn of(args: &Args, prediction: &Prediction, q: &[f64], members: &[Member]) -> Self {
+        let mut options = prediction.options(q, members);
+        let mut more = |option: &str, value: Option<String>| {
+            if let Some(value) = value {
+                options += &format!(" --{option} {value}");
+            }
+        };
+        more("washout", args.washout.map(|hz| hz.to_string()));
+        more("kd", args.kd.as_ref().map(Numbers::to_string));
+        more("host-rate", args.host_rate.map(|hz| hz.to_string()));
+        more("host-delay", args.host_delay.map(|s| s.to_string()));
+        if args.undamped {
+            options += " --undamped";
+        }
+        let around = &prediction.around;
+        Self {
+            q: q.to_vec(),
+            normals: members.iter().map(|wall| wall.normal.clone()).collect(),
+            rate_hz: around.rate_hz,
+            cutoff_hz: around.estimator.cutoff_hz(),
+            delay_samples: around.delay_samples,
+            drive: format!("{:?}", args.drive()).to_lowercase(),
+            options,
+        }
+    }
+}
+
 /// What each effect takes, of the one wall that there is.
-fn explained(
-    args: &Args,
-    file: &DeviceFile,
-    q: &[f64],
-    normals: &[Vec<f64>],
-    around: &Loop,
-    sweep: &Sweep,
-) -> Result<Why, Failure> {
+fn explained(prediction: &Prediction, q: &[f64], normals: &[Vec<f64>], sweep: &Sweep) -> Result<Why, Failure> {
     let [normal] = normals else {
         let reason = "--why with several --normal";
         return Err(Failure::wrong(reason).remedy("ask why of one wall at a time"));
     };
-    why(&seen(args, file, q, normal)?, around, sweep)
-}
-
-/// The device as one wall sees it.
-fn seen(args: &Args, file: &DeviceFile, q: &[f64], normal: &[f64]) -> Result<Linearised, Failure> {
-    let mut device = Linearised::holding(&file.description, q, normal, args.admissible)?.held(args.hand()?);
-    device.gain = args.feed_forward_gain;
-    Ok(if args.undamped { device.undamped() } else { device })
+    why(&prediction.seen(q, normal)?, &prediction.around, sweep)
 }
 
 /// The estimator that was asked for.
@@ -302,34 +368,37 @@ fn walls<'a>(
     file: &DeviceFile,
     q: &[f64],
     members: &[Member],
-    around: &'a Loop,
+    prediction: &'a Prediction,
 ) -> Result<(Analysis<'a>, Option<Passivity>), Failure> {
-    let gain = args.feed_forward_gain;
-    if let [only] = members {
-        let device = seen(args, file, q, &only.normal)?;
-        let most = device.most_gain().unwrap_or(1.0);
-        if !(0.0..=most).contains(&gain) {
-            let reason = format!("--feed-forward-gain {gain} is not from 0 to {most:.3}");
-            return Err(
-                Failure::wrong(reason).remedy("a board gives no more here: beyond lies the pole of the inertia")
-            );
+    let (gain, around) = (args.feed_forward_gain, &prediction.around);
+    let found = prediction.walls(q, members)?;
+    let passivity = match &found {
+        Walls::One(device) => {
+            let most = device.most_gain().unwrap_or(1.0);
+            if !(0.0..=most).contains(&gain) {
+                let reason = format!("--feed-forward-gain {gain} is not from 0 to {most:.3}");
+                return Err(
+                    Failure::wrong(reason).remedy("a board gives no more here: beyond lies the pole of the inertia")
+                );
+            }
+            Passivity::new(device, &file.description, around)
         }
-        let passivity = Passivity::new(&device, &file.description, 1.0 / args.rate, around.delay_samples);
-        let analyse = move |kd: Option<&[f64]>, washout: Option<f64>| {
-            let host = args.host().map(|host| host.domain(&device, around, kd)).transpose()?;
-            Ok(Range { host, ..predict(&device, around, kd, washout)? })
+        Walls::Several(_) if args.host_rate.is_some() => {
+            let reason = "--host-rate with several --normal";
+            return Err(Failure::wrong(reason).remedy("a wall that a computer renders is analysed one at a time"));
+        }
+        Walls::Several(_) if gain != 1.0 => {
+            let reason = format!("--feed-forward-gain {gain} with several --normal");
+            return Err(Failure::wrong(reason).remedy("several walls are analysed with a gain of 1; leave it out"));
+        }
+        Walls::Several(_) => None,
+    };
+    let analyse = move |kd: Option<&[f64]>, washout: Option<f64>| {
+        let host = match (args.host(), &found) {
+            (Some(host), Walls::One(device)) => Some(host.domain(device, around, kd)?),
+            _ => None,
         };
-        return Ok((Box::new(analyse), Some(passivity)));
-    }
-    if args.host_rate.is_some() {
-        let reason = "--host-rate with several --normal";
-        return Err(Failure::wrong(reason).remedy("a wall that a computer renders is analysed one at a time"));
-    }
-    if gain != 1.0 {
-        let reason = format!("--feed-forward-gain {gain} with several --normal");
-        return Err(Failure::wrong(reason).remedy("several walls are analysed with a gain of 1; leave it out"));
-    }
-    let set = WallSet::at(&file.description, q, members, args.admissible)?.held(args.hand()?);
-    let set = if args.undamped { set.undamped() } else { set };
-    Ok((Box::new(move |kd, washout| predict_several(&set, around, kd, washout)), None))
+        Ok(Range { host, ..found.range(around, kd, washout)? })
+    };
+    Ok((Box::new(analyse), passivity))
 }

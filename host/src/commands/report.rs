@@ -3,13 +3,16 @@
 use super::arguments::{self, Numbers};
 use super::continued::Continue;
 use super::force::Force;
-use haptic::boards::BoardKind;
+use haptic::analysis::control_loop::{Loop, TorquePath};
+use haptic::analysis::prediction::{self, Prediction};
+use haptic::analysis::sampled::LinearEstimator;
+use haptic::analysis::several::Member;
 use haptic::design::place::directions;
 use haptic::device_file::DeviceFile;
 use haptic::error::{Failure, print};
 use haptic::output;
 use haptic::plausible::scene::doubts;
-use haptic::scene_file::SceneFile;
+use haptic::scene_file::{DEFAULT_CUTOFF_HZ, SceneFile};
 use haptic_bridge::render::scene::{DEFAULT_RATE_HZ, FeedForward};
 use serde::{Deserialize, Serialize};
 use std::fmt::Write;
@@ -88,6 +91,8 @@ struct Subject {
     rate: String,
     cutoff: String,
     washout: Option<String>,
+    /// What `haptic range DEVICE` takes to predict the wall in its scene.
+    options: String,
 }
 
 /// Runs every command and writes the page.
@@ -95,7 +100,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     output::check(&args.out, args.force.overwrite())?;
     let file = DeviceFile::load(&args.device)?;
     let subject = subject(&args, &file)?;
-    let sections = sections(&args, &file, &subject);
+    let sections = sections(&args, &subject);
     let scene = args.scene.as_ref().map(|path| SceneFile::load(path, file.spec().task)).transpose()?;
     let scene = scene.map(|file| file.scene);
     let lines: Vec<_> = sections.iter().map(Section::line).collect();
@@ -121,7 +126,7 @@ fn list(values: &[f64]) -> String {
 fn subject(args: &Args, file: &DeviceFile) -> Result<Subject, Failure> {
     let spec = file.spec();
     let scene = args.scene.as_ref().map(|path| SceneFile::load(path, spec.task)).transpose()?.map(|file| file.scene);
-    let device = file.device::<f64>().map_err(Failure::wrong)?;
+    let device = prediction::Subject::new(&file.description).map_err(Failure::wrong)?;
     let touched = scene.as_ref().and_then(|scene| {
         let (_, contacts) = doubts(&device, scene);
         contacts.into_iter().find(|contact| contact.wall == 0)
@@ -136,23 +141,33 @@ fn subject(args: &Args, file: &DeviceFile) -> Result<Subject, Failure> {
         (None, None) => directions(&file.description, &q, Default::default())?.feed_forward_buys_most.normal,
     };
     let wall = scene.as_ref().and_then(|scene| scene.walls.first());
+    let rate = scene.as_ref().map_or(DEFAULT_RATE_HZ, |scene| scene.rate_hz);
+    let cutoff = scene.as_ref().map_or(DEFAULT_CUTOFF_HZ, |scene| scene.cutoff_hz);
+    let path = TorquePath::usual(rate);
+    let in_scene = scene.as_ref().and_then(|scene| Prediction::in_scene(&device, scene, wall, &path));
+    let prediction = in_scene.unwrap_or_else(|| {
+        // An estimator without a linear analysis stands beside the usual one.
+        Prediction::new(device.clone(), Loop::through(&path, rate, LinearEstimator::Butterworth(cutoff)))
+    });
+    let rounded = |values: &[f64]| values.iter().map(|value| (value * 1e6).round() / 1e6 + 0.0).collect::<Vec<_>>();
+    let (q, normal) = (rounded(&q), rounded(&normal));
     Ok(Subject {
+        options: prediction.options(&q, &[Member::new(normal.clone(), 1.0)]),
         q: list(&q),
         normal: list(&normal),
-        rate: list(&[scene.as_ref().map_or(DEFAULT_RATE_HZ, |scene| scene.rate_hz)]),
-        cutoff: list(&[scene.as_ref().map_or(500.0, |scene| scene.cutoff_hz)]),
+        rate: list(&[rate]),
+        cutoff: list(&[cutoff]),
         washout: wall
             .filter(|wall| wall.feed_forward == FeedForward::Washout)
             .map_or(Some("2".into()), |wall| Some(list(&[wall.washout_hz]))),
     })
 }
 
-fn sections(args: &Args, file: &DeviceFile, subject: &Subject) -> Vec<Section> {
+fn sections(args: &Args, subject: &Subject) -> Vec<Section> {
     let device = args.device.display().to_string();
     let scene = args.scene.as_ref().map(|scene| scene.display().to_string());
-    let Subject { q, normal, rate, cutoff, washout } = subject;
+    let Subject { q, normal, rate, cutoff, washout, options } = subject;
     let (q, normal) = (format!("--q={q}"), format!("--normal={normal}"));
-    let board = BoardKind::with_axes(file.spec().joints).unwrap_or(BoardKind::HBridgeF405).name();
     let mut sections = Vec::new();
     let mut add = |title, about, picture, words: &[&str]| {
         sections.push(Section { title, about, picture, words: words.iter().map(|word| (*word).to_string()).collect() });
@@ -179,13 +194,14 @@ fn sections(args: &Args, file: &DeviceFile, subject: &Subject) -> Vec<Section> {
             &["map", &device, &normal],
         );
     }
-    let mut range = vec!["range", &device, &q, &normal, "--rate", rate, "--cutoff", cutoff, "--board", board];
+    let mut range = vec!["range", &device];
+    range.extend(options.split(' '));
     if let Some(washout) = washout {
         range.extend(["--washout", washout]);
     }
     add(
         "The range of stable walls",
-        "Predicted with this board's drive and delay: without the feed-forward, with it, and washed out. Friction and a hand \
+        "Predicted with a board's drive and delay: without the feed-forward, with it, and washed out. Friction and a hand \
          make the measured range larger.",
         Some("range.svg"),
         &range,
@@ -361,7 +377,7 @@ mod tests {
             let args = CommandLine::parse_from(words).args;
             let file = DeviceFile::load(&args.device).unwrap();
             let subject = subject(&args, &file).unwrap();
-            for section in sections(&args, &file, &subject) {
+            for section in sections(&args, &subject) {
                 // As a shell splits it: no path here needs quotes.
                 let line = section.line();
                 if let Err(error) = help::command().try_get_matches_from(line.split(' ')) {

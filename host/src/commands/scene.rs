@@ -4,6 +4,7 @@ use super::answer::Json;
 use super::plan::{budget, readable, speed};
 use super::port::{Port, scene_in_words};
 use clap::builder::NonEmptyStringValueParser;
+use haptic::analysis::prediction::Subject;
 use haptic::error::Failure;
 use haptic::link::{Board, BoardError};
 use haptic::plan::plan;
@@ -55,7 +56,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let written = file.scene::<f32>().map_err(|error| Failure::wrong(format!("{}: {error}", args.file.display())))?;
     let name = args.file.display();
     let device = device.cast::<f64>();
-    let (doubts, _) = doubts(&device, &file.scene);
+    let (doubts, _) = doubts(&Subject::on_board(device.clone(), None), &file.scene);
     let warnings: Vec<_> = doubts.into_iter().map(|doubt| doubt.about(&document)).collect();
     warn(&warnings);
     if args.as_written || board.status()?.state == State::Armed {

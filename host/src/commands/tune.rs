@@ -4,6 +4,7 @@ use super::answer::Json;
 use super::arguments::{self, Numbers};
 use super::continued::Continue;
 use super::force::Force;
+use haptic::analysis::prediction::Subject;
 use haptic::device_file::DeviceFile;
 use haptic::digits::print_json;
 use haptic::error::{Failure, print};
@@ -307,8 +308,7 @@ fn place(args: &Args, file: &DeviceFile) -> Result<Place, Failure> {
 
 /// Where the device touches a wall of a scene, nearest to home.
 fn touched(file: &DeviceFile, scene: &Scene<f64>, wall: usize) -> Option<(Vec<f64>, Vec<f64>)> {
-    let device = file.device::<f64>().ok()?;
-    let (_, contacts) = doubts(&device, scene);
+    let (_, contacts) = doubts(&Subject::new(&file.description).ok()?, scene);
     contacts.into_iter().find(|contact| contact.wall == wall).map(|contact| (contact.q, contact.normal))
 }
 

@@ -4,7 +4,10 @@
 //! them the limit lies higher or lower, and comparing the two would compare apples with pears.
 
 use super::{Demo, DemoError};
-use crate::analysis::plant::{Drive, Linearised};
+use crate::analysis::control_loop::TorquePath;
+use crate::analysis::plant::Drive;
+use crate::analysis::pose::PoseError;
+use crate::analysis::prediction::{Prediction, Subject};
 use crate::analysis::range::domain;
 use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
 use crate::analysis::several::Member;
@@ -55,14 +58,10 @@ pub fn limit(demo: &Demo, feed_forward: FeedForward) -> Result<Limit, DemoError>
 }
 
 fn predict(demo: &Demo, feed_forward: FeedForward, delay_samples: f64) -> Result<f64, DemoError> {
-    let device = Linearised::at(&demo.file.description, demo.q(), &demo.normal)?.undamped();
-    let around = Loop {
-        rate_hz: demo.rate_hz,
-        delay_samples,
-        estimator: LinearEstimator::Butterworth(demo.cutoff_hz),
-        drive: Drive::Ideal,
-        damping_compensation: false,
-    };
+    let path = TorquePath { delay_samples, drive: Drive::Ideal };
+    let around = Loop::through(&path, demo.rate_hz, LinearEstimator::Butterworth(demo.cutoff_hz));
+    let subject = Subject::new(&demo.file.description).map_err(PoseError::from)?.undamped();
+    let device = Prediction::new(subject, around.clone()).seen(demo.q(), &demo.normal)?;
     let mode = Mode::of(feed_forward, demo.washout_hz);
     let boundary = domain(&device, &around, mode, Some(&[demo.damping]))?.boundary;
     Ok(boundary.first().map_or(0.0, |point| point.kp))

@@ -8,9 +8,8 @@ use super::campaign::{self, Plan};
 use super::progress::{Progress, ProgressError};
 use super::simulated::{Friction, World};
 use super::{MeasureError, MeasurementSetup, PreparedBoard, rules_for};
-use crate::analysis::control_loop::{CARRIER_HZ, CURRENT_LOOP_HZ};
-use crate::analysis::plant::Drive;
 use crate::analysis::sampled::{LinearEstimator, Loop};
+use crate::boards::torque_path;
 use crate::device_file::DeviceFile;
 use crate::link::{Board, BoardError, LinkError};
 use haptic_bridge::board::protocol::{Details, Info};
@@ -137,15 +136,7 @@ pub fn another(board: &mut Board, device: &Device<f32>) -> Result<Option<String>
 /// The loop of a board that is measured with `setup`, as the theory knows it: its own delay, and its own drive.
 #[must_use]
 pub fn around(setup: &MeasurementSetup, info: &Info, details: &Details) -> Loop {
-    let bandwidth_hz = (CURRENT_LOOP_HZ * f64::from(details.carrier_hz) / CARRIER_HZ).round();
-    let ideal = info.board.as_str() == crate::sim::IDEAL_BOARD;
-    Loop {
-        rate_hz: setup.rate_hz,
-        delay_samples: (f64::from(details.delay_samples) * 1e6).round() / 1e6,
-        estimator: LinearEstimator::Butterworth(setup.cutoff_hz),
-        drive: if ideal { Drive::Ideal } else { Drive::Current { bandwidth_hz } },
-        damping_compensation: false,
-    }
+    Loop::through(&torque_path(info, details), setup.rate_hz, LinearEstimator::Butterworth(setup.cutoff_hz))
 }
 
 /// What is measured, in words: a file of progress goes on only with the same.

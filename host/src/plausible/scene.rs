@@ -3,13 +3,15 @@
 
 use super::device::force_along;
 use super::{Doubt, Key};
-use crate::analysis::control_loop::usual_delay;
-use crate::analysis::flexible::Flexible;
+use crate::analysis::control_loop::TorquePath;
+use crate::analysis::flexible::{Flexible, felt};
 use crate::analysis::map::Reachable;
-use crate::analysis::plant::{Drive, Linearised};
+use crate::analysis::plant::Linearised;
 use crate::analysis::pose::TaskPose;
+use crate::analysis::prediction::{Prediction, Subject, printed};
 use crate::analysis::range::{COSTLY_RATIO, lower_corner, stiffness_at};
-use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
+use crate::analysis::sampled::{AnalysisError, Mode};
+use crate::analysis::several::Member;
 use crate::bench::probe::on_surface;
 use crate::scene_file::place_of;
 use crate::vectors::{padded, padded_to};
@@ -18,7 +20,6 @@ use haptic_bridge::math::Libm;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::shape::Meaning;
 use haptic_bridge::render::scene::{FeedForward, Scene, Surface, Wall};
-use haptic_bridge::render::velocity::Estimator;
 use haptic_bridge::safety::limits::{GENTLE_FORCE, Limits};
 use nalgebra::{DVector, SVector};
 use serde::Serialize;
@@ -44,6 +45,9 @@ pub struct Contact {
     pub normal: Vec<f64>,
     /// Largest stiffness that is stable with this wall's damping and feed-forward by prediction, N/m.
     pub stable_to: f64,
+    /// What a hand at the tip would feel of that, N/m; none where no transmission gives.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub felt_to: Option<f64>,
     /// Largest damping with which anything is stable, N s/m.
     pub damping_to: f64,
     /// The most that the motors give along the normal, N; none where a joint has no motor.
@@ -54,34 +58,49 @@ pub struct Contact {
     pub step_n: f64,
     /// What `haptic range DEVICE` takes to predict the same.
     pub options: String,
+    /// Whether the device is a board's, which does not know what gives in it.
+    #[serde(skip)]
+    pub taken_for_rigid: bool,
 }
 
-/// Everything doubtful about a scene, and what each wall meets where the device touches it.
-pub fn doubts(device: &Device<f64>, scene: &Scene<f64>) -> (Vec<Doubt>, Vec<Contact>) {
+/// Everything doubtful about a scene, and what each wall meets where the device touches it, on a board of which nothing
+/// else is known.
+pub fn doubts(subject: &Subject, scene: &Scene<f64>) -> (Vec<Doubt>, Vec<Contact>) {
     let (mut doubts, mut contacts) = (Vec::new(), Vec::new());
+    let (device, path) = (&subject.device, TorquePath::usual(scene.rate_hz));
     for (index, wall) in scene.walls.iter().enumerate() {
         match touched(device, &wall.surface) {
             Touched::At(q, normal) => {
-                let Some(contact) = meets(device, scene, index, &q, &normal, usual_delay(scene.rate_hz)) else {
+                let Some(contact) = meets(subject, scene, index, &q, &normal, &path) else {
+                    doubts.extend(unpredicted(subject, index, wall));
                     continue;
                 };
                 doubts.extend(beyond(wall, &contact, true));
                 doubts.extend(too_soft(device, wall, &contact));
                 doubts.extend(buzzing(scene, &contact));
-                doubts.extend(washed_away(device, scene, &contact));
+                doubts.extend(washed_away(subject, scene, &path, &contact));
                 contacts.push(contact);
             }
             Touched::Never(nearest) => doubts.push(out_of_reach(index, &wall.surface, nearest)),
             Touched::Unknown => {}
         }
     }
-    doubts.extend(held(device, scene));
-    doubts.extend(at_home(device, scene).into_iter().flatten());
+    doubts.extend(held(subject, scene, &path));
+    doubts.extend(at_home(subject, scene, &path).into_iter().flatten());
     (doubts, contacts)
 }
 
+/// A wall whose feed-forward compensates a damping that is not the links'.
+fn unpredicted(subject: &Subject, index: usize, wall: &Wall<f64>) -> Option<Doubt> {
+    let shaped = wall.damping_compensation && wall.feed_forward != FeedForward::Off;
+    let text = format!("whether wall {index} is stable is not predicted: {}", AnalysisError::CompensatedFlexible);
+    let key = Key { table: "wall", index: Some(index), part: "", name: "damping_compensation" };
+    (shaped && subject.is_flexible()).then(|| Doubt::new(key, text))
+}
+
 /// Springs and fields beyond what is stable at home in the direction in which the device is lightest.
-fn at_home(device: &Device<f64>, scene: &Scene<f64>) -> Option<Vec<Doubt>> {
+fn at_home(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> Option<Vec<Doubt>> {
+    let device = &subject.device;
     let spec = device.mechanism.kind().spec();
     let q = &device.home?[..spec.joints];
     let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?;
@@ -89,9 +108,8 @@ fn at_home(device: &Device<f64>, scene: &Scene<f64>) -> Option<Vec<Doubt>> {
     let mobility = &jacobian * pose.mass.clone().cholesky()?.solve(&jacobian.transpose());
     let motions = mobility.symmetric_eigen();
     let lightest = motions.eigenvectors.column(motions.eigenvalues.imax());
-    let around = ideal_loop(scene, false, usual_delay(scene.rate_hz))?;
-    let linearised = Linearised::of(device, q, lightest.as_slice(), scene.admissible).ok()?;
-    let stable = |damping| stiffness_at(&linearised, &around, Mode::Off, damping).ok();
+    let prediction = Prediction::in_scene(subject, scene, None, path)?;
+    let stable = |damping| prediction.stiffness_at(q, lightest.as_slice(), Mode::Off, damping).ok();
     let mut doubts = Vec::new();
     let mut doubt = |table, index: usize, name, what: &str, has: f64, most: f64, unit| {
         let text = format!(
@@ -119,8 +137,8 @@ fn at_home(device: &Device<f64>, scene: &Scene<f64>) -> Option<Vec<Doubt>> {
 }
 
 /// A posture that the device cannot be held in, or whose spring sampling makes unstable.
-fn held(device: &Device<f64>, scene: &Scene<f64>) -> Option<Doubt> {
-    let posture = scene.posture?;
+fn held(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> Option<Doubt> {
+    let (device, posture) = (&subject.device, scene.posture?);
     let key = |name| Key { table: "posture", index: None, part: "", name };
     let spec = device.mechanism.kind().spec();
     if spec.joints == spec.task {
@@ -135,8 +153,9 @@ fn held(device: &Device<f64>, scene: &Scene<f64>) -> Option<Doubt> {
     let unit_motion = pose.inverse.column(spec.joints - 1).into_owned();
     let row = pose.jacobian.row(spec.joints - 1).transpose();
     let viscous = DVector::from_fn(spec.joints, |i, _| device.joints[i].viscous);
-    let turning = Linearised { mass: pose.mass, viscous, row, unit_motion, gain: 1.0, flexible: Flexible::default() };
-    let around = ideal_loop(scene, false, usual_delay(scene.rate_hz))?;
+    let flexible = Flexible { normal: DVector::zeros(spec.task), ..subject.gives() };
+    let turning = Linearised { mass: pose.mass, viscous, row, unit_motion, gain: 1.0, flexible };
+    let around = Prediction::in_scene(subject, scene, None, path)?.around;
     let (stable_to, damping_to) = stiffness_at(&turning, &around, Mode::Off, posture.damping).ok()?;
     let (name, has, most, unit) = if posture.damping > damping_to {
         ("damping", posture.damping, damping_to, "N m s/rad")
@@ -154,44 +173,43 @@ fn held(device: &Device<f64>, scene: &Scene<f64>) -> Option<Doubt> {
     Some(Doubt::new(key(name), text))
 }
 
-/// The loop around a wall of a scene, its motors ideal; `None` with an estimator that has no linear analysis.
-pub fn around(scene: &Scene<f64>, wall: &Wall<f64>, delay_samples: f64) -> Option<Loop> {
-    ideal_loop(scene, wall.damping_compensation, delay_samples)
-}
-
-fn ideal_loop(scene: &Scene<f64>, damping_compensation: bool, delay_samples: f64) -> Option<Loop> {
-    let estimator = LinearEstimator::of(scene.estimator, scene.cutoff_hz)?;
-    Some(Loop { rate_hz: scene.rate_hz, delay_samples, estimator, drive: Drive::Ideal, damping_compensation })
-}
-
-/// What wall `index` of a scene meets at a pose, in a loop with this delay (control samples); `None` at a
-/// singularity, and with an estimator that has no linear analysis.
+/// What wall `index` of a scene meets at a pose, through this torque path; `None` at a singularity, with an estimator
+/// that has no linear analysis, and where damping is compensated through a transmission that gives.
 pub fn meets(
-    device: &Device<f64>,
+    subject: &Subject,
     scene: &Scene<f64>,
     index: usize,
     q: &[f64],
     normal: &[f64],
-    delay_samples: f64,
+    path: &TorquePath,
 ) -> Option<Contact> {
-    let wall = scene.walls.get(index)?;
-    let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?;
-    let around = around(scene, wall, delay_samples)?;
+    let (device, wall) = (&subject.device, scene.walls.get(index)?);
+    // As the options print them.
+    let rounded = |values: &[f64]| values.iter().map(|value| printed(*value)).collect::<Vec<_>>();
+    let (q, normal) = (rounded(q), rounded(normal));
+    let pose = TaskPose::of(&device.mechanism, &q).ok()?.regular().ok()?;
+    let prediction = Prediction::in_scene(subject, scene, Some(wall), path)?;
     let mode = Mode::of(wall.feed_forward, wall.washout_hz);
-    let mut linearised = Linearised::of(device, q, normal, scene.admissible).ok()?;
-    linearised.gain = scene.feed_forward_gain;
-    let (stable_to, damping_to) = stiffness_at(&linearised, &around, mode, wall.damping).ok()?;
-    let count = count_along(device, &pose, normal);
+    let seen = prediction.seen(&q, &normal).ok()?;
+    let (stable_to, damping_to) = stiffness_at(&seen, &prediction.around, mode, wall.damping).ok()?;
+    let count = count_along(device, &pose, &normal);
+    let estimator = prediction.around.estimator;
+    let mut options = prediction.options(&q, &[Member::new(normal.clone(), 1.0)]);
+    if let Mode::Washout(hz) = mode {
+        options += &format!(" --washout {hz}");
+    }
     Some(Contact {
         wall: index,
-        q: q.to_vec(),
-        normal: normal.to_vec(),
         stable_to,
+        felt_to: seen.flexible.stiffness_at_tip(&seen.row).map(|at_tip| felt(stable_to, at_tip)),
         damping_to,
-        force: force_along(device, &pose, normal),
+        force: force_along(device, &pose, &normal),
         count,
-        step_n: count * (wall.stiffness + wall.damping * around.estimator.quickest(around.rate_hz)),
-        options: options(scene, wall, q, normal, delay_samples),
+        step_n: count * (wall.stiffness + wall.damping * estimator.quickest(scene.rate_hz)),
+        options: format!("{options} --kd {}", wall.damping),
+        taken_for_rigid: subject.joints.is_none(),
+        q,
+        normal,
     })
 }
 
@@ -234,39 +252,19 @@ pub fn most_gains(device: &Device<f64>, surface: &Surface<f64>, q: &[f64], limit
     Some(MostGains { stiffness, damping: force / CREEPING, force })
 }
 
-fn options(scene: &Scene<f64>, wall: &Wall<f64>, q: &[f64], normal: &[f64], delay_samples: f64) -> String {
-    let list = |values: &[f64]| values.iter().map(|value| digits(*value)).collect::<Vec<_>>().join(",");
-    let estimator = match scene.estimator {
-        Estimator::Butterworth => String::new(),
-        other => format!(" --estimator {}", other.name()),
-    };
-    let washout = match wall.feed_forward {
-        FeedForward::Washout => format!(" --washout {}", wall.washout_hz),
-        _ => String::new(),
-    };
-    format!(
-        "--q={} --normal={} --rate {} --cutoff {} --delay {}{estimator}{washout} --kd {}",
-        list(q),
-        list(normal),
-        scene.rate_hz,
-        scene.cutoff_hz,
-        digits(delay_samples),
-        digits(wall.damping)
-    )
-}
-
 /// What wall `index` of a scene meets if it is touched at a pose, wherever the wall is.
-pub fn at(device: &Device<f64>, scene: &Scene<f64>, index: usize, q: &[f64], delay_samples: f64) -> Option<Contact> {
-    let pose = TaskPose::of(&device.mechanism, q).ok()?;
+pub fn at(subject: &Subject, scene: &Scene<f64>, index: usize, q: &[f64], path: &TorquePath) -> Option<Contact> {
+    let pose = TaskPose::of(&subject.device.mechanism, q).ok()?;
     let tip = SVector::from(padded::<3>(&pose.position));
     let normal = scene.walls.get(index)?.surface.contact::<Libm, 3>(&tip).normal;
-    meets(device, scene, index, q, &normal.as_slice()[..pose.task], delay_samples)
+    meets(subject, scene, index, q, &normal.as_slice()[..pose.task], path)
 }
 
 /// Doubts about a wall's gains: more than the loop or the motors can render. `in_file`: the doubts have a place in a
 /// scene file.
 pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> {
     let index = contact.wall;
+    let rigid = if contact.taken_for_rigid { ", if nothing in the device gives" } else { "" };
     let doubt = |name: &'static str, text: String| Doubt {
         key: in_file.then_some(Key { table: "wall", index: Some(index), part: "", name }),
         text,
@@ -274,7 +272,7 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> 
     let mut doubts = Vec::new();
     if wall.damping > contact.damping_to {
         let text = format!(
-            "the damping of wall {index}, {} N s/m, is beyond what is predicted stable: up to {} here; it will vibrate \
+            "the damping of wall {index}, {} N s/m, is beyond what is predicted stable{rigid}: up to {} here; it will vibrate \
              unless friction or a hand damps it (`haptic range DEVICE {}`)",
             digits(wall.damping),
             with_unit(contact.damping_to, "N s/m"),
@@ -293,7 +291,7 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> 
         doubts.push(doubt("damping", text));
     } else if wall.stiffness > contact.stable_to {
         let text = format!(
-            "the stiffness of wall {index}, {}, is beyond what is predicted stable: up to {} here; this is {} times \
+            "the stiffness of wall {index}, {}, is beyond what is predicted stable{rigid}: up to {} here; this is {} times \
              that, and it will vibrate unless friction or a hand damps it (`haptic range DEVICE {}`)",
             with_unit(wall.stiffness, "N/m"),
             with_unit(contact.stable_to, "N/m"),
@@ -349,15 +347,13 @@ const NEAR_SHARE: f64 = 0.25;
 
 /// A washout with which less stiffness is stable than without any feed-forward, at the wall's own damping: one whose
 /// corner is not far below what the loop does.
-fn washed_away(device: &Device<f64>, scene: &Scene<f64>, contact: &Contact) -> Option<Doubt> {
+fn washed_away(subject: &Subject, scene: &Scene<f64>, path: &TorquePath, contact: &Contact) -> Option<Doubt> {
     let wall = scene.walls.get(contact.wall)?;
     if wall.feed_forward != FeedForward::Washout || wall.stiffness <= NEAR_SHARE * contact.stable_to {
         return None;
     }
-    let around = around(scene, wall, usual_delay(scene.rate_hz))?;
-    let mut linearised = Linearised::of(device, &contact.q, &contact.normal, scene.admissible).ok()?;
-    linearised.gain = scene.feed_forward_gain;
-    let stable_to = |mode| Some(stiffness_at(&linearised, &around, mode, wall.damping).ok()?.0);
+    let prediction = Prediction::in_scene(subject, scene, Some(wall), path)?;
+    let stable_to = |mode| Some(prediction.stiffness_at(&contact.q, &contact.normal, mode, wall.damping).ok()?.0);
     let without = stable_to(Mode::Off)?;
     if contact.stable_to >= COSTLY_RATIO * without {
         return None;

@@ -49,12 +49,16 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
     let range = contents.range;
     let domains = || [Some(&range.off), Some(&range.full), range.washout.as_ref()].into_iter().flatten();
     let measured = || contents.measured_off.iter().chain(contents.measured_full);
-    let widest = domains().map(|d| d.kd_max).chain(measured().map(|m| m.kd)).fold(0.0_f64, f64::max);
-    let islands = domains().flat_map(|d| &d.islands);
+    let islands = || domains().flat_map(|d| &d.islands);
+    let ends = domains().map(|d| d.kd_max).chain(measured().map(|m| m.kd));
+    let widest = match ends.fold(0.0_f64, f64::max) {
+        0.0 => islands().map(|i| i.kd).fold(0.0, f64::max),
+        widest => widest,
+    };
     let tallest = domains()
         .flat_map(|d| d.boundary.iter().map(|p| p.kp))
         .chain(measured().map(|m| m.high))
-        .chain(islands.map(|i| i.kp_high))
+        .chain(islands().map(|i| i.kp_high))
         .fold(0.0_f64, f64::max);
     let above = |value: f64| if value > 0.0 { value * 1.08 } else { 1.0 };
 
@@ -107,7 +111,7 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
         for bound in bounds.iter().filter(|bound| bound.elsewhere.is_none()) {
             let stroke = Stroke { colour: BOUND, width: 1.6, dash: bound.dash };
             frame.curve(canvas, &bound.line, stroke);
-            drawn.push(bound.line.to_vec());
+            drawn.push(bound.line.clone());
             entries.push((Mark::Line(stroke), format!("passive: {}", bound.name)));
         }
         for (dots, colour) in [(contents.measured_full, FULL), (contents.measured_off, OFF)] {
@@ -137,7 +141,7 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
 struct Bound {
     name: &'static str,
     dash: &'static str,
-    line: [(f64, f64); 2],
+    line: Vec<(f64, f64)>,
     /// Where it lies, in words, if not where it can be seen.
     elsewhere: Option<String>,
 }
@@ -146,23 +150,28 @@ struct Bound {
 fn bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<Bound> {
     // Pixels: what is closer to an axis is taken for the axis.
     const SEEN: f64 = 2.0;
-    let most = passivity.sampled(0.0);
-    let (right, top) = frame.pixel(passivity.damping, most);
+    /// Pieces of the curve of the first.
+    const PIECES: usize = 40;
+    let (most, end) = (passivity.sampled(0.0), passivity.most_damping());
+    let (right, top) = frame.pixel(end, most);
     let bottom = frame.at.1 + frame.size.1;
     let small = right - frame.at.0 < SEEN || bottom - top < SEEN;
+    let at = |i: usize| end * i as f64 / PIECES as f64;
     let mut bounds = vec![Bound {
-        name: "b > kp T (1/2 + d) + |kd|",
+        name: "Colgate and Schenkel, of this loop",
         dash: "5 3",
-        line: [(0.0, most), (passivity.damping, 0.0)],
-        elsewhere: small.then(|| format!("ends at kp = {}, kd = b: not to be seen here", with_unit(most, "N/m"))),
+        line: (0..=PIECES).map(|i| (at(i), passivity.sampled(at(i)))).collect(),
+        elsewhere: small.then(|| {
+            format!("ends at {} and {}: not to be seen here", with_unit(most, "N/m"), with_unit(end, "N s/m"))
+        }),
     }];
     if let Some(limit) = passivity.quantised() {
         let (_, y) = frame.pixel(0.0, limit);
         let hidden = bottom - y < SEEN || y < frame.at.1;
         bounds.push(Bound {
-            name: "kp ≤ 2 fc/Δ and b/(T (1/2 + d))",
+            name: "kp ≤ 2 fc/Δ as well, at kd = 0",
             dash: "1.5 2.5",
-            line: [(0.0, limit), (0.04 * frame.x.high, limit)],
+            line: vec![(0.0, limit), (0.04 * frame.x.high, limit)],
             elsewhere: hidden.then(|| format!("kp ≤ {}: not to be seen here", with_unit(limit, "N/m"))),
         });
     }
@@ -174,8 +183,9 @@ fn symbols(passivity: &Passivity, bounds: &[Bound]) -> Vec<String> {
     let mut lines = vec![
         "Weff, Wrr: the inertia that the wall meets; passive: no hand makes it oscillate, without feed-forward".into(),
         format!(
-            "b = {:.3} N s/m: smallest viscous damping along n; T: control period; d: delay in samples",
-            passivity.damping
+            "b = {:.3} N s/m: smallest viscous damping along n, of which delay, drive and filter leave kd < {:.3} N s/m",
+            passivity.damping,
+            passivity.most_damping()
         ),
     ];
     if let Some(quantum) = passivity.quantum {

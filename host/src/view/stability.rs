@@ -1,10 +1,10 @@
 //! The predicted boundary of a wall's gains where the device is now, worked out beside the stage on a thread of its
 //! own; in a browser, which has none, when it is asked for (some milliseconds).
 
-use crate::analysis::plant::Linearised;
-use crate::analysis::range::{BoundaryPoint, predict};
-use crate::plausible::scene::around;
-use haptic_bridge::model::device::Device;
+use crate::analysis::control_loop::TorquePath;
+use crate::analysis::prediction::{Prediction, Subject};
+use crate::analysis::range::BoundaryPoint;
+use crate::analysis::several::Member;
 use haptic_bridge::render::scene::{FeedForward, Scene};
 use serde::{Deserialize, Serialize};
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -13,8 +13,8 @@ use std::thread;
 /// What is asked.
 #[derive(Clone, Debug)]
 pub struct Question {
-    /// The device as the board has it.
-    pub device: Device<f64>,
+    /// The device as the board has it, with what the file says that gives in it.
+    pub subject: Subject,
     /// The scene.
     pub scene: Scene<f64>,
     /// Which wall, from 0.
@@ -23,8 +23,8 @@ pub struct Question {
     pub q: Vec<f64>,
     /// The wall's normal there.
     pub normal: Vec<f64>,
-    /// The board's delay, control samples.
-    pub delay_samples: f64,
+    /// The board's delay and drives.
+    pub path: TorquePath,
 }
 
 /// The boundary for each kind of feed-forward.
@@ -68,12 +68,10 @@ impl Plane {
 
 /// Answers a question; `None` where the pose is singular or the loop cannot be analysed.
 pub fn answer(question: &Question) -> Option<Plane> {
-    let Question { device, scene, wall: index, q, normal, delay_samples } = question;
+    let Question { subject, scene, wall: index, q, normal, path } = question;
     let wall = scene.walls.get(*index)?;
-    let around = around(scene, wall, *delay_samples)?;
-    let mut seen = Linearised::of(device, q, normal, scene.admissible).ok()?;
-    seen.gain = scene.feed_forward_gain.min(seen.most_gain().unwrap_or(1.0));
-    let range = predict(&seen, &around, None, Some(wall.washout_hz)).ok()?;
+    let prediction = Prediction::in_scene(subject, scene, Some(wall), path)?;
+    let range = prediction.range(q, &[Member::new(normal.clone(), 1.0)], None, Some(wall.washout_hz)).ok()?;
     let washout = range.washout.map_or_else(Vec::new, |domain| domain.boundary);
     Some(Plane {
         wall: *index,
@@ -137,6 +135,7 @@ impl Oracle {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::analysis::plant::Drive;
     use crate::demo::Demo;
 
     #[test]
@@ -144,12 +143,12 @@ mod tests {
         let demo = Demo::shipped(1).unwrap();
         let scene = demo.scene([0.0, 0.0], FeedForward::Washout).cast::<f64>();
         let question = Question {
-            device: demo.file.device().unwrap(),
+            subject: Subject::new(&demo.file.description).unwrap(),
             scene,
             wall: 0,
             q: demo.q().to_vec(),
             normal: demo.normal.to_vec(),
-            delay_samples: 0.025,
+            path: TorquePath { delay_samples: 0.025, drive: Drive::Ideal },
         };
         let mut oracle = Oracle::default();
         oracle.ask(question);

@@ -17,6 +17,9 @@ use super::picture::{FIELDS, Newest};
 use super::scope::{LONGEST, Ring, Scope};
 use super::stability::{Oracle, Plane};
 use super::world::{World, lead};
+use crate::analysis::control_loop::TorquePath;
+use crate::analysis::prediction::Subject;
+use crate::boards::torque_path;
 use crate::error::Failure;
 use crate::link::{Board, BoardError, Column, LinkError, columns, rows_that_fit};
 use crate::plausible::scene::most_gains;
@@ -87,7 +90,9 @@ pub struct Stage {
     rules: Rules,
     columns: Vec<Column>,
     rows_hz: f64,
-    delay_samples: f64,
+    /// The device with what gives in it, and the board's delay and drives.
+    subject: Subject,
+    path: TorquePath,
     ring: Ring,
     last_step: Option<u32>,
     divider: u32,
@@ -142,18 +147,18 @@ impl Stage {
         let (now, board_now) = (Duration::ZERO, board.now());
         let stage = Self {
             ring: Ring::new(columns.len(), (1.5 * LONGEST * rows_hz).ceil() as usize),
-            world,
             hub,
             now,
             shown: now,
             swept: now,
             looked: now,
+            subject: Subject::on_board(device.clone(), world.file.as_ref()),
+            path: torque_path(world.board.info(), &details),
             device,
             scene,
             rules,
             columns,
             rows_hz,
-            delay_samples: f64::from(details.delay_samples),
             last_step: None,
             divider,
             trail: Vec::new(),
@@ -172,6 +177,7 @@ impl Stage {
             pace: Pace { began: now, board_began: board_now, measured: (now, board_now), speed: 1.0 },
             folder,
             recording: None,
+            world,
         };
         stage.say_to_all(&stage.about());
         stage.say_to_all(&stage.walls());

@@ -1,14 +1,12 @@
 //! What is looked at: a board, its links to draw, and where it is simulated the hand on it.
 
-use crate::analysis::control_loop::usual_delay;
-use crate::analysis::plant::Linearised;
-use crate::analysis::range::stiffness_at;
+use crate::analysis::control_loop::TorquePath;
+use crate::analysis::prediction::{Prediction, Subject};
 use crate::analysis::sampled::Mode;
 use crate::demo::Demo;
 use crate::device_file::DeviceFile;
 use crate::error::Failure;
 use crate::link::{Board, LinkError};
-use crate::plausible::scene::around;
 use crate::scene_file::{DEFAULT_CUTOFF_HZ, DEFAULT_WASHOUT_HZ};
 use crate::sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, ready_board};
 use haptic_bridge::render::scene::{DEFAULT_RATE_HZ, FeedForward, Plane, Scene, Surface, Wall};
@@ -158,11 +156,12 @@ pub fn wall_ahead(file: &DeviceFile) -> Result<Scene<f32>, Failure> {
         cutoff_hz: DEFAULT_CUTOFF_HZ as f32,
         ..Scene::default()
     };
-    let Some(around) = around(&scene.cast(), &wall.cast(), usual_delay(DEFAULT_RATE_HZ)) else { return Ok(scene) };
-    let device = Linearised::at(&file.description, q, &normal)?;
-    let (_, most_damping) = stiffness_at(&device, &around, Mode::Off, 0.0)?;
+    let (subject, path) =
+        (Subject::new(&file.description).map_err(Failure::wrong)?, TorquePath::usual(DEFAULT_RATE_HZ));
+    let Some(prediction) = Prediction::in_scene(&subject, &scene.cast(), None, &path) else { return Ok(scene) };
+    let (_, most_damping) = prediction.stiffness_at(q, &normal, Mode::Off, 0.0)?;
     let damping = 0.2 * most_damping;
-    let (most_stiffness, _) = stiffness_at(&device, &around, Mode::Off, damping)?;
+    let (most_stiffness, _) = prediction.stiffness_at(q, &normal, Mode::Off, damping)?;
     (wall.stiffness, wall.damping) = ((0.5 * most_stiffness) as f32, damping as f32);
     // A scene holds eight walls.
     let _ = scene.walls.push(wall);

@@ -24,6 +24,7 @@ mod model_command;
 mod plausible;
 mod plot;
 mod precision;
+mod prediction;
 mod published;
 mod range_command;
 mod range_estimators;

@@ -56,6 +56,12 @@ fn the_document_has_the_documented_keys_and_shapes() {
         "torque_without_feed_forward",
         "condition",
         "perception",
+        "q",
+        "qd",
+        "normals",
+        "forces",
+        "precision",
+        "admissible",
     ];
     documented.sort_unstable();
     let mut sorted = keys.clone();

@@ -175,7 +175,19 @@ fn the_limit_that_is_named_is_that_of_haptic_range() {
     let device = file("haply-2diy.toml");
     let q = format!("--q={}", q.join(","));
     let (code, out, err) = haptic(&[
-        "range", &device, &q, "--normal", "0,-1", "--rate", "20000", "--cutoff", "500", "--delay", "0.5", "--kd", "6",
+        "range",
+        &device,
+        &q,
+        "--normal",
+        "0,-1",
+        "--rate",
+        "20000",
+        "--cutoff",
+        "500",
+        "--board",
+        "odrive-v3",
+        "--kd",
+        "6",
         "--json",
     ]);
     assert_eq!(code, 0, "{err}");

@@ -2,12 +2,13 @@
 
 use super::Args;
 use crate::commands::port::counted;
-use haptic::analysis::control_loop::CURRENT_LOOP_HZ;
-use haptic::analysis::plant::{Drive, Linearised};
+use haptic::analysis::flexible::felt;
+use haptic::analysis::plant::Drive;
 use haptic::analysis::pose::PoseError;
-use haptic::analysis::range::{BoundaryPoint, Range, predict, predict_several};
-use haptic::analysis::sampled::{AnalysisError, Loop};
-use haptic::analysis::several::{Member, WallSet};
+use haptic::analysis::prediction::{Prediction, Subject, Walls, printed};
+use haptic::analysis::range::{BoundaryPoint, Range};
+use haptic::analysis::sampled::Loop;
+use haptic::analysis::several::Member;
 use haptic::device_file::DeviceFile;
 use haptic::error::Failure;
 use haptic::measure::campaign::Plan;
@@ -16,7 +17,6 @@ use haptic::measure::progress::{Point, Progress};
 use haptic::plausible::{Doubt, Warning, warn};
 use haptic::plot::range::{Contents, MeasuredPoint, draw};
 use haptic::words::listed;
-use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::FeedForward;
 use serde_json::json;
 use std::fmt::Write;
@@ -32,29 +32,9 @@ pub struct Theory {
     q: Vec<f64>,
 }
 
-/// One wall, whose boundary is known exactly, or several that act together.
-enum Walls {
-    One(Linearised),
-    Several(WallSet),
-}
-
-impl Walls {
-    fn predict(&self, around: &Loop, kd: Option<&[f64]>, washout: Option<f64>) -> Result<Range, AnalysisError> {
-        match self {
-            Self::One(device) => predict(device, around, kd, washout),
-            Self::Several(set) => predict_several(set, around, kd, washout),
-        }
-    }
-}
-
 /// Numbers as an option takes them.
 fn list(values: &[f64]) -> String {
     values.iter().map(f64::to_string).collect::<Vec<_>>().join(",")
-}
-
-/// A damping to six digits, N s/m: theory and printed line then agree in every digit.
-fn printed(kd: f64) -> f64 {
-    format!("{kd:.5e}").parse().unwrap_or(kd)
 }
 
 impl Theory {
@@ -67,30 +47,28 @@ impl Theory {
         around: Loop,
         excitation: Excitation,
     ) -> Result<Self, PoseError> {
-        let device = match walls.as_slice() {
-            [only] => Walls::One(Linearised::at(&file.description, q, &only.normal)?),
-            _ => Walls::Several(WallSet::at(&file.description, q, &walls, Admissible::default())?),
-        };
+        let prediction = Prediction::new(Subject::new(&file.description)?, around);
+        let device = prediction.walls(q, &walls)?;
         let mut line = format!("haptic range {} --q={}", args.device.display(), list(q));
         line += &args.walls.line();
-        let _ = write!(line, " --rate {} --cutoff {} --delay {}", args.rate, args.cutoff, around.delay_samples);
-        if let Drive::Current { bandwidth_hz } = around.drive {
-            line.push_str(" --drive current");
-            if bandwidth_hz != CURRENT_LOOP_HZ {
-                let _ = write!(line, " --current-bandwidth {bandwidth_hz}");
-            }
-        }
+        line += &prediction.loop_options(prediction.gain);
         if file.description.joints.iter().all(|joint| joint.viscous == 0.0) {
             line.push_str(" --undamped");
         }
         if args.feed_forward.contains(&FeedForward::Washout) {
             let _ = write!(line, " --washout {}", args.washout);
         }
-        Ok(Self { device, walls, around, excitation, line, q: q.to_vec() })
+        Ok(Self { device, walls, around: prediction.around, excitation, line, q: q.to_vec() })
+    }
+
+    /// What a hand at the tip feels of a stiffness (N/m), where transmissions give.
+    fn felt(&self, kp: f64) -> Option<f64> {
+        let Walls::One(device) = &self.device else { return None };
+        device.flexible.stiffness_at_tip(&device.row).map(|at_tip| felt(kp, at_tip))
     }
 
     fn predict(&self, kd: Option<&[f64]>, washout: Option<f64>) -> Result<Range, Failure> {
-        Ok(self.device.predict(&self.around, kd, washout)?)
+        Ok(self.device.range(&self.around, kd, washout)?)
     }
 }
 
@@ -248,7 +226,10 @@ impl Report<'_> {
                     (_, Some(size)) => format!("vibrates by {} mm", millimetres(size)),
                     (_, None) => "grows".into(),
                 };
-                let _ = writeln!(text, "{:>12.2}  {beyond}", theory.kp);
+                let median = (!point.repeats.is_empty()).then(|| point.median());
+                let felt = median.and_then(|median| self.theory.felt(median));
+                let felt = felt.map_or(String::new(), |felt| format!("; felt at the tip: {felt:.0} N/m"));
+                let _ = writeln!(text, "{:>12.2}  {beyond}{felt}", theory.kp);
                 if let Some(why) = &point.open {
                     open.push((label, point, why, theory.kp));
                 }
@@ -345,7 +326,7 @@ impl Report<'_> {
             for (point, theory) in self.beside(mode)? {
                 let (low, high) = point.bounds();
                 let found = (!point.repeats.is_empty()).then(|| (point.median(), low, high));
-                points.push(json!({
+                let mut told = json!({
                     "mode": mode,
                     "kd": point.kd,
                     "kp": found.map(|found| found.0),
@@ -355,7 +336,11 @@ impl Report<'_> {
                     "vibration_m": point.vibration_m,
                     "open": point.open,
                     "theory_kp": theory.kp,
-                }));
+                });
+                if let Some(felt) = found.and_then(|found| self.theory.felt(found.0)) {
+                    told["felt"] = felt.into();
+                }
+                points.push(told);
             }
         }
         let walls: Vec<_> = self

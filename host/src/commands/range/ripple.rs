@@ -1,9 +1,10 @@
 //! What encoder steps make of walls that are pressed: `haptic range --ripple` and `--wall`.
 
-use super::{Args, seen};
+use super::Args;
 use crate::commands::arguments::Numbers;
+use haptic::analysis::prediction::Prediction;
 use haptic::analysis::ripple::{Along, DampingRule, LIGHT_HAND, PUSH_N, Pressed, Ripple};
-use haptic::analysis::sampled::{Loop, Mode};
+use haptic::analysis::sampled::Mode;
 use haptic::device_file::DeviceFile;
 use haptic::error::Failure;
 use haptic::sweep::Sweep;
@@ -53,7 +54,7 @@ pub fn stepped(
     file: &DeviceFile,
     q: &[f64],
     normals: &[Vec<f64>],
-    around: &Loop,
+    prediction: &Prediction,
     sweep: &Sweep,
 ) -> Result<Option<Steps>, Failure> {
     if args.ripple.is_none() && args.wall.is_none() {
@@ -67,18 +68,22 @@ pub fn stepped(
         let reason = "--ripple or --wall with --damping-compensation";
         return Err(Failure::wrong(reason).remedy("the ripple is simulated without it: leave it out"));
     }
+    if args.posture.is_some() {
+        let reason = "--ripple or --wall with --posture";
+        return Err(Failure::wrong(reason).remedy("the ripple is simulated without it: leave it out"));
+    }
     let positive = |value: f64, what: &str| match value.is_finite() && value > 0.0 {
         true => Ok(value),
         false => Err(Failure::wrong(format!("{what} {value} is not more than zero")).remedy("write a positive number")),
     };
-    let device = seen(args, file, q, normal)?;
+    let device = prediction.seen(q, normal)?;
     let mut description = file.description;
     if args.undamped {
         description.joints.iter_mut().for_each(|joint| joint.viscous = 0.0);
     }
     let hand = if args.hand.is_some() { args.hand()? } else { LIGHT_HAND };
     let (q, normal) = (q.to_vec(), normal.clone());
-    let pressed = Pressed { device: &device, description, q, normal, around, hand, push_n: PUSH_N };
+    let pressed = Pressed { device: &device, description, q, normal, around: &prediction.around, hand, push_n: PUSH_N };
     let unseen = || {
         Failure::wrong(format!("{} has joints without [joint.encoder]", args.device.display()))
             .remedy("ripple is what encoder steps make: add them")

@@ -5,7 +5,7 @@ use crate::commands::arguments::Numbers;
 use crate::commands::port::counted;
 use haptic::analysis::host::HostWall;
 use haptic::analysis::passivity::Passivity;
-use haptic::analysis::range::{COSTLY_RATIO, Domain, Range, WORTHWHILE_RATIO, lower_corner};
+use haptic::analysis::range::{COSTLY_RATIO, Domain, Island, Range, WORTHWHILE_RATIO, lower_corner};
 use haptic::analysis::why::{Both, Limits, Why};
 use haptic::words::percent;
 use haptic_bridge::model::description::Description;
@@ -37,6 +37,9 @@ fn besides(args: &Args, description: &Description) -> Vec<String> {
     let mut besides = Vec::new();
     if description.is_flexible() {
         besides.push("with the transmissions and modes of the device file".to_string());
+    }
+    if let Some(Numbers(held)) = &args.posture {
+        besides.push(format!("in a posture of {} N m/rad and {} N m s/rad", held[0], held[1]));
     }
     if let Some(Numbers(hand)) = &args.hand {
         besides.push(format!("in a hand of {} kg, {} N s/m, {} N/m", hand[0], hand[1], hand[2]));
@@ -79,10 +82,17 @@ pub fn readable(
         line(format!("  met with {gain} times the feed-forward{:>28.6} kg", met));
         line(format!("  {}", price(range.w_eff, range.w_rr, gain)));
     }
+    if let Some(at_tip) = range.transmissions {
+        line(format!(
+            "  stiffness of the transmissions at the tip along n {at_tip:>12.0} N/m: a hand feels a wall behind it"
+        ));
+    }
     line(String::new());
-    line(format!("  {:<26}{:>14}{:>14}{:>18}", "", "max kp N/m", "kd_max N s/m", "area N²s/m²"));
+    let felt = if range.transmissions.is_some() { format!("{:>14}", "felt N/m") } else { String::new() };
+    line(format!("  {:<26}{:>14}{felt}{:>14}{:>18}", "", "max kp N/m", "kd_max N s/m", "area N²s/m²"));
     let mut row = |label: &str, domain: &Domain| {
-        line(format!("  {label:<26}{:>14.2}{:>14.4}{:>18.6e}", domain.top.kp, domain.kd_max, domain.area));
+        let felt = domain.top.felt.map_or(String::new(), |felt| format!("{felt:>14.2}"));
+        line(format!("  {label:<26}{:>14.2}{felt}{:>14.4}{:>18.6e}", domain.top.kp, domain.kd_max, domain.area));
     };
     row("no feed-forward", &range.off);
     row("feed-forward (4)", &range.full);
@@ -108,7 +118,9 @@ pub fn readable(
     line(columns().fold(" ".into(), |row, (name, _)| {
         format!("{row} {:>12}{:>14}", format!("kd {name}"), format!("kp_max {name}"))
     }));
-    for index in (0..range.off.boundary.len()).step_by(step) {
+    let nothing = args.kd.is_none() && columns().all(|(_, domain)| domain.kd_max == 0.0);
+    let rows = if nothing { 0 } else { range.off.boundary.len() };
+    for index in (0..rows).step_by(step) {
         line(
             columns()
                 .filter_map(|(_, domain)| domain.boundary.get(index))
@@ -116,17 +128,24 @@ pub fn readable(
         );
     }
     line(String::new());
-    let islands = range.off.islands.len() + range.full.islands.len();
-    if islands > 0 {
+    let domains = [Some(&range.off), Some(&range.full), range.washout.as_ref()].into_iter().flatten();
+    let islands: Vec<_> = domains.flat_map(|domain| &domain.islands).collect();
+    let wide = |island: &Island| island.kp_high - island.kp_low;
+    if let Some(widest) = islands.iter().max_by(|a, b| wide(a).total_cmp(&wide(b))) {
         line(format!(
-            "  {islands} stable intervals lie above the boundary (islands): listed with --json, not counted."
+            "  {} stable intervals lie above the boundary (islands), the widest at kd {:.4} from {:.0} to {:.0} N/m: listed with \
+             --json, not counted.",
+            islands.len(),
+            widest.kd,
+            widest.kp_low,
+            widest.kp_high
         ));
     }
     if let Some(passivity) = passivity {
         line(format!(
             "  passive without feed-forward (Colgate and Schenkel 1997): kp < {:.2} N/m at kd = 0, kd < {:.4} N s/m",
             passivity.sampled(0.0),
-            passivity.damping
+            passivity.most_damping()
         ));
         if let Some(limit) = passivity.quantised() {
             line(format!(
@@ -166,7 +185,11 @@ fn on_a_computer(range: &Range, host: &HostWall) -> String {
 /// What the feed-forward buys, in a sentence.
 fn verdict(range: &Range) -> String {
     let ratio = range.area_ratio;
-    if range.off.area == 0.0 {
+    if range.off.area == 0.0 && range.full.area == 0.0 {
+        "Nothing is stable here from zero stiffness up, without the feed-forward or with it: lower the delay or raise the \
+         cutoff; behind a transmission put the encoder on the motor."
+            .into()
+    } else if range.off.area == 0.0 {
         "Nothing is stable here without the feed-forward: lower the delay or raise the cutoff.".into()
     } else if range.full.area == 0.0 {
         "With the feed-forward nothing is stable here: uneven joint damping makes it creep. Try --damping-compensation."

@@ -97,12 +97,12 @@ impl Stage {
         if moved && self.ring.end() > 0 && !self.oracle.is_busy() {
             let task = usize::from(self.scene.task);
             self.oracle.ask(Question {
-                device: self.device.clone(),
+                subject: self.subject.clone(),
                 scene: self.scene.clone(),
                 wall,
                 q: q.clone(),
                 normal: normal.as_slice()[..task].to_vec(),
-                delay_samples: self.delay_samples,
+                path: self.path.clone(),
             });
             self.asked = Some((wall, q));
         }

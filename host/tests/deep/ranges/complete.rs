@@ -39,8 +39,9 @@ fn with_cables(device: &str, turret: bool, (hz, damped): Cable) -> String {
     soft
 }
 
-/// Mode, measured and predicted stiffness (N/m; none where it could not be measured).
-type Row = (String, Option<f64>, f64);
+/// Mode, measured and predicted stiffness, and what a hand feels of the measured one behind the cables (N/m; none where
+/// it could not be measured).
+type Row = (String, Option<f64>, f64, Option<f64>);
 
 /// The drive of the board, and encoders fine enough that their steps decide nothing up to 5 kHz.
 const REAL: &[&str] = &["--counts", "4194304"];
@@ -88,7 +89,8 @@ fn measured(
     let still = ["--friction", "viscous", "--yes", "--progress", progress.to_str().unwrap()];
     let document = run(&[&measure[..], &still[..], &world].concat())?;
     let rows = document["points"].as_array().unwrap().iter().map(|point| {
-        (point["mode"].as_str().unwrap().into(), point["kp"].as_f64(), point["theory_kp"].as_f64().unwrap())
+        let [kp, theory, felt] = ["kp", "theory_kp", "felt"].map(|key| point[key].as_f64());
+        (point["mode"].as_str().unwrap().into(), kp, theory.unwrap(), felt)
     });
     Ok((kd.parse().unwrap(), rows.collect()))
 }
@@ -97,7 +99,7 @@ fn measured(
 fn a_pantograph_with_cables_is_as_stiff_as_predicted() {
     let (_, rows) = measured("capstan-pantograph", "0.6,0.8", (1_000, 100), CABLE, REAL).unwrap();
     assert_eq!(rows.len(), 3);
-    for (mode, found, predicted) in rows {
+    for (mode, found, predicted, _) in rows {
         let found = found.unwrap();
         assert!((found / predicted - 1.0).abs() < 0.1, "{mode}: {found} is not {predicted}");
     }
@@ -112,7 +114,7 @@ const APART: [(&str, f64); 3] = [("off", 5715.25), ("full", 10022.44), ("washout
 fn a_pantograph_with_soft_cables_is_as_stiff_as_predicted_here_and_apart() {
     let (kd, rows) = measured("capstan-pantograph", "0.6,0.8", (1_000, 100), SOFT, REAL).unwrap();
     assert_eq!((kd, rows.len()), (5.41, 3));
-    for ((mode, found, predicted), (known, apart)) in rows.into_iter().zip(APART) {
+    for ((mode, found, predicted, _), (known, apart)) in rows.into_iter().zip(APART) {
         assert_eq!(mode, known);
         assert!((predicted / apart - 1.0).abs() < 1e-4, "{mode}: {predicted} is not {apart}");
         let found = found.unwrap();
@@ -155,6 +157,7 @@ fn three_devices_at_three_rates() {
         "kd (N s/m)",
         "feed-forward",
         "measured (N/m)",
+        "felt (N/m)",
         "predicted (N/m)",
         "off by (%)",
     ]);
@@ -175,7 +178,8 @@ fn three_devices_at_three_rates() {
             _ => "",
         };
         let most = if (device, loop_.0) == (MISSED.0, MISSED.1) && world == REAL { MISSED.2 } else { 10.0 };
-        for (mode, found, predicted) in rows {
+        for (mode, found, predicted, felt) in rows {
+            let number = |value: Option<f64>| value.map_or(String::new(), |value| format!("{value:.0}"));
             let off = found.map(|found| 100.0 * (found / predicted - 1.0));
             let cells = [
                 device.to_string(),
@@ -185,7 +189,8 @@ fn three_devices_at_three_rates() {
                 drive.into(),
                 kd.to_string(),
                 mode,
-                found.map_or(String::new(), |found| format!("{found:.0}")),
+                number(found),
+                number(felt),
                 format!("{predicted:.0}"),
                 off.map_or(String::new(), |off| format!("{off:+.1}")),
             ];

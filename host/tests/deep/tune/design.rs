@@ -1,8 +1,9 @@
 //! `haptic design` against formulas and brute force.
 
 use crate::common::shipped;
+use haptic::analysis::control_loop::TorquePath;
 use haptic::analysis::map::along;
-use haptic::analysis::plant::{Drive, Linearised};
+use haptic::analysis::plant::Linearised;
 use haptic::analysis::pose::{TaskPose, unit_normal};
 use haptic::analysis::range::domain;
 use haptic::analysis::sampled::{LinearEstimator, Loop, Mode};
@@ -24,13 +25,8 @@ fn the_stiffest_wall_is_in_proportion_to_the_inertia_that_it_meets() {
         ("phantom-premium-1.5", vec![0.3, 0.9, -0.3], vec![0.6, 0.8, 0.0]),
     ] {
         let device = Linearised::at(&shipped(name).description, &q, &n).unwrap().undamped();
-        let around = Loop {
-            rate_hz: 20_000.0,
-            delay_samples: 0.5,
-            estimator: LinearEstimator::Butterworth(500.0),
-            drive: Drive::Ideal,
-            damping_compensation: false,
-        };
+        let estimator = LinearEstimator::Butterworth(500.0);
+        let around = Loop::through(&TorquePath::usual(20_000.0), 20_000.0, estimator);
         for (mode, met) in [(Mode::Off, device.w_eff().unwrap()), (Mode::Full, device.w_rr())] {
             let range = domain(&device, &around, mode, None).unwrap();
             let top = range.boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
