@@ -4,6 +4,7 @@
 //! Nothing here talks to a board: a pose, a direction and a few numbers about the loop go in, predictions come out.
 //!
 //! - [`amplitudes`]: how much of a recorded signal swings at which frequency
+//! - [`contact`]: a device with its encoder steps in a hand against a wall, by simulation
 //! - [`control_loop`]: rate, delay, estimator, drives and feed-forward: everything about a loop that is not the device
 //! - [`cut`]: the plane of that map that is drawn, in tiles
 //! - [`estimator`]: the velocity estimators as linear filters
@@ -29,6 +30,7 @@
 
 pub mod amplitudes;
 pub mod boundary;
+pub mod contact;
 pub mod control_loop;
 pub mod cut;
 pub mod domain;

@@ -6,6 +6,7 @@
 //! - [`probe`]: where errors are looked at: poses, normals, forces and hand motions over the workspace or along a wall
 //! - [`report`]: every variant of every mechanism with both, its Pareto front, and the page and picture made of them
 //! - [`error`]: the torque a variant renders, in the board's precision, against f64 and the closed form
+//! - [`wall`]: one wall rendered by the board's own step, pressed, slid along, struck or tapped
 //!
 //! Error is always against the whole of equation (4) with its velocity terms: what a variant leaves out counts.
 
@@ -15,3 +16,4 @@ pub mod estimators;
 pub mod precompute;
 pub mod probe;
 pub mod report;
+pub mod wall;

@@ -27,6 +27,8 @@ pub enum Choice {
     Patch,
     /// The ripple that a wall may have.
     Ripple,
+    /// Which wall is tried.
+    Wall,
     /// Whether files are overwritten.
     Overwriting,
     /// Which board.

@@ -16,6 +16,7 @@ fn option(choice: Choice) -> &'static str {
         Choice::Clearance => "--clear",
         Choice::Patch => "--patch",
         Choice::Ripple => "--ripple",
+        Choice::Wall => "--wall",
         Choice::Overwriting => "--force",
         Choice::Board => "--port or HAPTIC_PORT",
         Choice::Kept => "--continue",

@@ -1,4 +1,5 @@
 //! Long work on many things, on all cores: it shows progress, ends in order at Ctrl-C, and goes on where it stopped.
+//! On a terminal progress is one line that changes; elsewhere those that take minutes print a line for each stage.
 //!
 //! Results are in the order of the things whoever was first, and what was kept is what would be computed again, to the
 //! bit. So an answer is the same on any number of cores, in any order, with any number of interruptions.
@@ -18,6 +19,9 @@ use std::time::{Duration, Instant};
 const WRITE_INTERVAL: Duration = Duration::from_secs(2);
 /// but after a pause of at least this many times as long as the last writing took.
 const LEAST_PAUSE: u32 = 20;
+
+/// Stages of so many things are told in quarters.
+const LONG_STAGE: usize = 16;
 
 /// The state that is kept between runs.
 #[derive(Debug, Default, Deserialize, Serialize)]
@@ -51,9 +55,20 @@ impl Checkpoint {
 pub struct Sweep {
     interrupted: Box<dyn Fn() -> bool + Send + Sync>,
     file: Option<PathBuf>,
-    shown: bool,
+    shown: Shown,
     state: Mutex<State>,
 }
+
+/// How progress is shown.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Shown {
+    Never,
+    InPlace,
+    Lines,
+}
+
+/// A program that shows what its commands say on standard error sets this, so that they say nothing of progress.
+pub const QUIET: &str = "HAPTIC_NO_PROGRESS";
 
 struct State {
     kept: Checkpoint,
@@ -94,7 +109,7 @@ impl Sweep {
             // A place that cannot be written is told before the work, not after it.
             write(path, &kept)?;
         }
-        let shown = std::io::stderr().is_terminal();
+        let shown = if std::io::stderr().is_terminal() { Shown::InPlace } else { Shown::Never };
         let state = Mutex::new(State { kept, due: Instant::now() + WRITE_INTERVAL });
         Ok(Self { interrupted: Box::new(interrupted), file: file.map(Path::to_path_buf), shown, state })
     }
@@ -103,7 +118,43 @@ impl Sweep {
     #[must_use]
     pub fn quiet() -> Self {
         let state = Mutex::new(State { kept: Checkpoint::default(), due: Instant::now() });
-        Self { interrupted: Box::new(|| false), file: None, shown: false, state }
+        Self { interrupted: Box::new(|| false), file: None, shown: Shown::Never, state }
+    }
+
+    /// The same with a line for each stage where standard error is no terminal.
+    #[must_use]
+    pub fn in_lines(mut self) -> Self {
+        if self.shown == Shown::Never && std::env::var_os(QUIET).is_none() {
+            self.shown = Shown::Lines;
+        }
+        self
+    }
+
+    /// An error once the user has asked for the end: for work that takes longer than a moment.
+    pub fn go_on(&self) -> Result<(), Failure> {
+        if (self.interrupted)() { Err(self.ended("interrupted".into())) } else { Ok(()) }
+    }
+
+    fn ended(&self, how: String) -> Failure {
+        let failure = Failure::impossible(how);
+        match &self.file {
+            Some(file) => failure.remedy(format!("the same command goes on from there, out of {}", file.display())),
+            None => failure.remedy("with a file that keeps results the same command would go on from there"),
+        }
+        .choose(Choice::Kept)
+    }
+
+    fn show(&self, stage: &str, done: usize, of: usize) {
+        match self.shown {
+            Shown::InPlace if of > 1 => {
+                crate::error::say_over(format_args!("{stage}: {done} of {of}"), done == of);
+            }
+            // Of many things every quarter.
+            Shown::Lines if done == of || of >= LONG_STAGE && done * 4 / of > (done - 1) * 4 / of => {
+                crate::error::say(format_args!("{stage}: {done} of {of}\n"));
+            }
+            _ => {}
+        }
     }
 
     /// `work` on each of `things`; what an earlier run has of this `stage`, a name of its own, is not done again. Of
@@ -118,10 +169,9 @@ impl Sweep {
         let missing: Vec<usize> = (0..things.len()).filter(|index| !found.contains_key(index)).collect();
         let before = found.len();
         let progress = |done: usize, _: usize| {
-            if self.shown && things.len() > 1 {
-                let done = before + done;
-                let all = done == things.len();
-                crate::error::say_over(format_args!("{stage}: {done} of {}", things.len()), all);
+            // What is left undone counts as well once the user has asked for the end, and clears the line.
+            if self.shown == Shown::InPlace || !(self.interrupted)() {
+                self.show(stage, before + done, things.len());
             }
         };
         let failing = AtomicUsize::new(usize::MAX);
@@ -154,13 +204,7 @@ impl Sweep {
             return Ok(found.into_values().collect());
         }
         self.save()?;
-        let failure =
-            Failure::impossible(format!("interrupted with {} of {} done ({stage})", found.len(), things.len()));
-        Err(match &self.file {
-            Some(file) => failure.remedy(format!("the same command goes on from there, out of {}", file.display())),
-            None => failure.remedy("with a file that keeps results the same command would go on from there"),
-        }
-        .choose(Choice::Kept))
+        Err(self.ended(format!("interrupted with {} of {} done ({stage})", found.len(), things.len())))
     }
 
     /// The answer is there, and told: nothing is kept any more.

@@ -1,25 +1,25 @@
 //! What encoder steps make of a wall that is pressed: by simulation, because a quantiser is not linear.
 //!
-//! A hand presses the wall with a steady force. The device moves by its full equations with its friction, cogging,
-//! transmissions and modes ([`Plant`]); around it is the loop of the prediction: its delay, drive, estimator and
-//! feed-forward, linearised at the pose, with one thing more: each joint's angle comes in steps of its encoder. A
+//! A hand presses the wall with a steady force, in the one simulation of such contacts ([`super::contact`]). The wall is
+//! rendered by the loop of the prediction: its delay, drive, estimator and feed-forward, linearised at the pose, with
+//! one thing more: each joint's angle comes in steps of its encoder. A prediction has drives, delays and filters that no
+//! board has; the board's own step, with estimators that are not linear, renders the walls of [`crate::bench::wall`]. A
 //! static wall is unilateral. Without friction there is no equilibrium between two counts, so there always is a limit
 //! cycle; where friction holds more than a count's force there is none (Abbott and Okamura 2005). Its size depends on
 //! where in a count the pose lies, so each wall is tried with several offsets of the counts, and the largest ripple is
-//! taken. The board's own step, with estimators that are not linear, is simulated in [`crate::bench::estimators`].
-
-use std::collections::VecDeque;
+//! taken.
 
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::Description;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
+use super::contact::{Answer, Contact, Grip, Law, about_its_line};
 use super::flexible::Hand;
-use super::plant::{Lags, Linearised};
+use super::plant::Linearised;
 use super::sampled::{Loop, Mode, OpenLoop};
 use crate::error::Failure;
-use crate::sim::{Load, Plant};
+use crate::sim::Plant;
 use crate::sweep::Sweep;
 use crate::vectors::padded;
 
@@ -32,10 +32,6 @@ pub(crate) const RISE: f64 = 1.0;
 /// Time in which the motion settles, and in which it is looked at, s.
 pub(crate) const SETTLE_S: f64 = 0.5;
 pub(crate) const LOOK_S: f64 = 0.3;
-/// Longest steps of the simulation, s: of a rigid device, and of one that gives.
-const STEP_S: (f64, f64) = (50e-6, 25e-6);
-/// A tip this far from the wall's surface is lost, m.
-const FAR_M: f64 = 0.02;
 /// How many offsets of the counts are tried.
 pub(crate) const OFFSETS: usize = 4;
 /// Walls along a line: how far below the stiffest, and how many in a decade.
@@ -203,84 +199,35 @@ impl Pressed<'_> {
     /// Simulates a wall: root mean square and peak of its force, N, and how far the tip moves, m. `None` where it flies
     /// off.
     fn run(&self, steps: &[f64], mode: Mode, kp: f64, kd: f64, offset: f64) -> Option<[f64; 3]> {
-        let joints = steps.len();
         let mut held = self.description;
         held.handle_mass += self.hand.mass;
         let q0: [f64; MAX_JOINTS] = padded(&self.q);
-        let mut plant = Plant::new(&held, q0, true, [(f64::NEG_INFINITY, f64::INFINITY); 3]).ok()?;
-        let (tip0, weight) = (plant.tip(), plant.gravity());
-        let period = 1.0 / self.around.rate_hz;
-        let lags = Lags::new(&self.around.drive, joints, period);
-        let estimator = self.around.estimator.matrix(self.around.rate_hz);
-        let states = estimator.nrows() - 1;
-        let mut memory = DVector::zeros(states + 2);
-        let row = &self.device.row;
-        let shaped = self.device.shaped_torque();
+        let plant = Plant::new(&held, q0, true, [(f64::NEG_INFINITY, f64::INFINITY); 3]).ok()?;
+        let (tip, weight) = (plant.tip(), plant.gravity());
         let mobility = self.device.mass.clone().cholesky()?.inverse();
-        let gives = row.dot(&(&mobility * row));
-        let gives_shaped = row.dot(&(&mobility * &shaped));
-        // Half a turn of each joint's count by itself, so that joints do not step together.
-        let origin = |j: usize| (offset + 0.37 * j as f64).fract();
-        let angle = |j: usize, q: f64| (((q - q0[j]) / steps[j] - origin(j)).round() + origin(j)) * steps[j];
-        // At the start the wall holds the hand.
-        let surface = if kp > 0.0 { -self.push_n / kp } else { 0.0 };
-        let (mut before, mut low, mut asked) =
-            ((0..joints).map(|j| row[j] * angle(j, q0[j])).sum::<f64>(), 0.0, [0.0; 2]);
-        if let Mode::Washout(_) = mode {
-            low = self.push_n;
-        }
-        let whole = self.around.delay_samples.floor();
-        let fraction = self.around.delay_samples - whole;
-        let at_rest = row * self.push_n;
-        let mut waiting: VecDeque<DVector<f64>> = (0..whole as usize).map(|_| at_rest.clone()).collect();
-        let (mut acting, mut torque) = (at_rest.clone(), at_rest);
-        let against = self.against(mode, &mobility, &shaped)?;
-        let longest = if self.description.is_flexible() { STEP_S.1 } else { STEP_S.0 };
-        let total = ((SETTLE_S + LOOK_S) * self.around.rate_hz).round() as usize;
+        let shaped = self.device.shaped_torque();
+        let against: [f64; MAX_JOINTS] = padded(self.against(mode, &mobility, &shaped)?.as_slice());
+        let mut law = Linear::new(self, steps, mode, (kp, kd), offset, &mobility, &shaped);
+        let before = padded((&self.device.row * self.push_n).as_slice());
+        let contact =
+            Contact { carried: weight, before, ..Contact::new(plant, padded(&self.normal), self.around, self.hand) };
         let settle = (SETTLE_S * self.around.rate_hz).round() as usize;
-        let (mut forces, mut tips) = (Vec::with_capacity(total - settle), Vec::with_capacity(total - settle));
-        for n in 0..total {
-            let measured = plant.measured();
-            let x: f64 = (0..joints).map(|j| row[j] * angle(j, measured[j])).sum();
-            memory[states] = x - before;
-            // The velocity per sample that the last command gave.
-            memory[states + 1] = period * period * (gives * asked[0] + gives_shaped * asked[1]);
-            before = x;
-            let change = &estimator * &memory;
-            for state in 0..states {
-                memory[state] += change[state];
-            }
-            let force = (-kp * (surface + x) - kd * change[states] / period).max(0.0);
-            asked = match mode {
-                Mode::Off => [force, 0.0],
-                Mode::Full => [0.0, force],
-                Mode::Washout(hz) => {
-                    let g = (std::f64::consts::PI * hz * period).tan();
-                    let step = (force - low) * g / (1.0 + g);
-                    let washed = force - (low + step);
-                    low += 2.0 * step;
-                    [force - washed, washed]
+        let (mut forces, mut tips, mut n) = (Vec::new(), Vec::new(), 0);
+        let kept = contact.run(
+            &mut law,
+            SETTLE_S + LOOK_S,
+            |time| Some(Grip { goal: tip, push: against.map(|share| -(share * (self.push_n + RISE * time))) }),
+            |force, along| {
+                if n >= settle {
+                    forces.push(force);
+                    tips.push(along);
                 }
-            };
-            waiting.push_back(row * asked[0] + &shaped * asked[1]);
-            let next = waiting.pop_front()?;
-            let push = &against * (self.push_n + RISE * n as f64 * period);
-            for (torques, time) in [(acting.clone(), fraction * period), (next.clone(), (1.0 - fraction) * period)] {
-                self.advance(&mut plant, &torques, &mut torque, &lags, &weight, &tip0, &push, time, longest, period);
-            }
-            acting = next;
-            let tip = plant.tip();
-            let along: f64 = self.normal.iter().enumerate().map(|(i, n)| n * (tip[i] - tip0[i])).sum();
-            if along.is_nan() || along.abs() >= FAR_M {
-                return None;
-            }
-            if n >= settle {
-                forces.push(force);
-                tips.push(along);
-            }
-        }
+                n += 1;
+                true
+            },
+        );
         let (rms, force) = about_its_line(&forces);
-        Some([rms, 0.5 * force, about_its_line(&tips).1])
+        kept.then(|| [rms, 0.5 * force, about_its_line(&tips).1])
     }
 
     /// What a hand presses with that keeps the tip where it is, per newton of wall, d entries: along the normal, and
@@ -295,68 +242,106 @@ impl Pressed<'_> {
         let tip = &self.device.flexible.tip;
         Some((tip * mobility * tip.transpose()).cholesky()?.solve(&(tip * mobility * shaped)))
     }
+}
 
-    /// Lets `time` (s) pass under commanded `torques`, N m beside what carries the device; `torque` is what the drives
-    /// give.
-    #[allow(clippy::too_many_arguments)]
-    fn advance(
-        &self,
-        plant: &mut Plant,
-        torques: &DVector<f64>,
-        torque: &mut DVector<f64>,
-        lags: &Lags,
-        weight: &[f64; 3],
-        tip0: &[f64; 3],
-        push: &DVector<f64>,
-        time: f64,
-        longest: f64,
-        period: f64,
-    ) {
-        let pieces = (time / longest).ceil();
-        if pieces == 0.0 {
-            return;
-        }
-        let h = time / pieces;
-        for _ in 0..pieces as usize {
-            let (tip, speed, turning) = (plant.tip(), plant.tip_velocity(), plant.motor_velocity());
-            let mut load = Load::default();
-            for j in 0..torques.len() {
-                let mean = match lags.rate[j] {
-                    None => {
-                        load.damping[j] = lags.emf[j];
-                        torques[j]
-                    }
-                    Some(rate) => {
-                        let passed = rate * h / period;
-                        let settled = torques[j] - lags.emf[j] * turning[j];
-                        let excess = torque[j] - settled;
-                        torque[j] = settled + excess * (-passed).exp();
-                        settled + excess * -(-passed).exp_m1() / passed
-                    }
-                };
-                load.torque[j] = mean + weight[j];
-            }
-            for (i, push) in push.iter().enumerate() {
-                load.force[i] = -push - self.hand.stiffness * (tip[i] - tip0[i]) - self.hand.damping * speed[i];
-            }
-            plant.step(&load, h);
-        }
+/// The loop of a prediction: its estimator and feed-forward, linearised at the pose, behind encoders that step.
+struct Linear<'a> {
+    steps: &'a [f64],
+    q0: [f64; MAX_JOINTS],
+    offset: f64,
+    row: &'a DVector<f64>,
+    shaped: &'a DVector<f64>,
+    /// What a newton of wall gives the rendered velocity, through plain and through shaped torques, 1/kg.
+    gives: [f64; 2],
+    estimator: DMatrix<f64>,
+    /// States of the estimator, then how far the tip moved in the last period and what the last command gives.
+    memory: DVector<f64>,
+    mode: Mode,
+    /// The slow part of the force, of a washout.
+    slow: f64,
+    kp: f64,
+    kd: f64,
+    /// Where the wall's surface is, m along the normal.
+    surface: f64,
+    period: f64,
+    before: f64,
+    /// Newtons that were commanded through plain and through shaped torques.
+    asked: [f64; 2],
+}
+
+impl<'a> Linear<'a> {
+    fn new(
+        pressed: &'a Pressed<'_>,
+        steps: &'a [f64],
+        mode: Mode,
+        (kp, kd): (f64, f64),
+        offset: f64,
+        mobility: &DMatrix<f64>,
+        shaped: &'a DVector<f64>,
+    ) -> Self {
+        let (row, period) = (&pressed.device.row, 1.0 / pressed.around.rate_hz);
+        let estimator = pressed.around.estimator.matrix(pressed.around.rate_hz);
+        let mut law = Self {
+            steps,
+            q0: padded(&pressed.q),
+            offset,
+            row,
+            shaped,
+            gives: [row.dot(&(mobility * row)), row.dot(&(mobility * shaped))],
+            memory: DVector::zeros(estimator.nrows() + 1),
+            estimator,
+            mode,
+            slow: pressed.push_n,
+            kp,
+            kd,
+            // At the start the wall holds the hand.
+            surface: if kp > 0.0 { -pressed.push_n / kp } else { 0.0 },
+            period,
+            before: 0.0,
+            asked: [0.0; 2],
+        };
+        law.before = law.position(&law.q0);
+        law
+    }
+
+    /// How far the tip is along the normal, by the encoders, m.
+    fn position(&self, q: &[f64; MAX_JOINTS]) -> f64 {
+        let angle = |j: usize| {
+            // Half a turn of each joint's count by itself, so that joints do not step together.
+            let origin = (self.offset + 0.37 * j as f64).fract();
+            (((q[j] - self.q0[j]) / self.steps[j] - origin).round() + origin) * self.steps[j]
+        };
+        (0..self.steps.len()).map(|j| self.row[j] * angle(j)).sum()
     }
 }
 
-/// What is left of evenly spaced values beside the straight line through them: root mean square, and from the smallest
-/// to the largest.
-pub(crate) fn about_its_line(values: &[f64]) -> (f64, f64) {
-    let count = values.len() as f64;
-    let middle = 0.5 * (count - 1.0);
-    let mean = values.iter().sum::<f64>() / count;
-    let moment: f64 = values.iter().enumerate().map(|(i, value)| (i as f64 - middle) * value).sum();
-    let slope = moment / (count * (count * count - 1.0) / 12.0).max(f64::MIN_POSITIVE);
-    let left = values.iter().enumerate().map(|(i, value)| value - mean - slope * (i as f64 - middle));
-    let (square, low, high) = left.fold((0.0, f64::INFINITY, f64::NEG_INFINITY), |(square, low, high), left| {
-        (square + left * left, left.min(low), left.max(high))
-    });
-    ((square / count).sqrt(), high - low)
+impl Law for Linear<'_> {
+    fn answer(&mut self, measured: &[f64; MAX_JOINTS]) -> Answer {
+        let x = self.position(measured);
+        let (states, period) = (self.estimator.nrows() - 1, self.period);
+        self.memory[states] = x - self.before;
+        // The velocity per sample that the last command gave.
+        self.memory[states + 1] = period * period * (self.gives[0] * self.asked[0] + self.gives[1] * self.asked[1]);
+        self.before = x;
+        let change = &self.estimator * &self.memory;
+        for state in 0..states {
+            self.memory[state] += change[state];
+        }
+        let force = (-self.kp * (self.surface + x) - self.kd * change[states] / period).max(0.0);
+        self.asked = match self.mode {
+            Mode::Off => [force, 0.0],
+            Mode::Full => [0.0, force],
+            Mode::Washout(hz) => {
+                let g = (std::f64::consts::PI * hz * period).tan();
+                let step = (force - self.slow) * g / (1.0 + g);
+                let washed = force - (self.slow + step);
+                self.slow += 2.0 * step;
+                [force - washed, washed]
+            }
+        };
+        let torque = self.row * self.asked[0] + self.shaped * self.asked[1];
+        Answer { force, torque: padded(torque.as_slice()) }
+    }
 }
 
 impl super::sampled::LinearEstimator {

@@ -34,8 +34,8 @@ pub struct Args {
     /// Cutoff in Hz [default: 500, or a tenth of the rate where that is less]
     #[arg(long, value_name = "HZ")]
     cutoff: Option<f64>,
-    /// Stiffness and damping of the wall that is pressed, in N/m and N s/m [default: a quarter and half of what is
-    /// predicted stable with the Butterworth]
+    /// Stiffness and damping of the wall that is pressed, in N/m and N s/m [default: a quarter and half of what
+    /// `range --board` predicts stable with the Butterworth]
     #[arg(long, value_name = "KP,KD")]
     wall: Option<Numbers>,
     #[command(flatten)]
@@ -62,11 +62,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
             }
             (wall[0], wall[1])
         }
-        None => telling_wall(&file.device().map_err(Failure::wrong)?, &q, &normal, args.rate, cutoff)?,
+        None => telling_wall(&file, &q, &normal, args.rate, cutoff)?,
     };
     let comparison = Comparison { file: &file, q: &q, normal: &normal, rate_hz: args.rate, cutoff_hz: cutoff, wall };
     let question = format!("{:?} {q:?} {normal:?} {} {cutoff} {wall:?}", file.description, args.rate);
-    let sweep = args.continued.sweep("estimators", &question)?;
+    let sweep = args.continued.sweep("estimators", &question)?.in_lines();
     let rows = compare(&comparison, &sweep)?;
     let document = json!({
         "device": file.name, "q": q, "normal": normal, "rate_hz": args.rate, "cutoff_hz": cutoff,

@@ -266,7 +266,7 @@ impl Section {
         let folder = tempfile::tempdir().ok();
         let picture = folder.as_ref().zip(self.picture).map(|(folder, name)| folder.path().join(name));
         let mut command = Command::new(tool);
-        command.args(&self.words).stdin(Stdio::null());
+        command.args(&self.words).stdin(Stdio::null()).env(haptic::sweep::QUIET, "1");
         if let Some(picture) = &picture {
             command.arg("--svg").arg(picture);
         }

@@ -8,7 +8,6 @@ use haptic::analysis::prediction::Subject;
 use haptic::device_file::DeviceFile;
 use haptic::digits::print_json;
 use haptic::error::{Failure, print};
-use haptic::interrupt;
 use haptic::link::{Board, PortSpec};
 use haptic::measure::occasion;
 use haptic::output;
@@ -16,12 +15,13 @@ use haptic::plausible::scene::doubts;
 use haptic::scene_file::SceneFile;
 use haptic::tune::measured::{self, Measured};
 use haptic::tune::{
-    Answer, Baseline, Found, Margins, Otherwise, Question, RATES_HZ, Settings, USUAL_RIPPLE_N, baseline, ripple_like,
-    to_toml, tune,
+    Answer, Baseline, Found, Margins, Otherwise, Question, RATES_HZ, Settings, USUAL_RIPPLE_N, baseline, estimators,
+    ripple_like, to_toml, tune,
 };
 use haptic::words::digits;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::{FeedForward, Scene, Surface};
+use haptic_bridge::render::velocity::Estimator;
 use serde::Serialize;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -29,8 +29,9 @@ use std::path::{Path, PathBuf};
 /// Find the settings that render the stiffest wall on a device
 ///
 /// Searches control rate, velocity estimator, cutoff, damping, stiffness, washout and feed-forward for the stiffest
-/// wall that stays stable within margins (a device that is not quite the one in the file), ripples little under a hand
-/// that slides along it, and asks no more of the motors than they have; says what limits it. Stability is predicted,
+/// wall that stays stable and ripples little under a hand that slides along it, on the device of the file and on others
+/// a little off it, that a tap leaves once at most, and that asks no more of the motors than they have; says what limits
+/// it. Stability is predicted,
 /// ripple is simulated with the steps of the encoders, and once more on a simulated board, under another hand. Takes
 /// some minutes; Ctrl-C ends it, and with --continue the same command goes on from there. With --scene the pose, the
 /// normal and the ripple are those of a wall in that file, which the result is compared with.
@@ -58,6 +59,9 @@ pub struct Args {
     /// Control rates to look at, in Hz
     #[arg(long, value_name = "A,B,..", default_value = "1000,5000,10000,20000")]
     rates: Numbers,
+    /// Velocity estimators to look at [default: all that have a linear analysis]
+    #[arg(long, value_name = "KIND", value_delimiter = ',', value_parser = arguments::tuned_estimator())]
+    estimators: Vec<Estimator>,
     /// Feed-forwards to look at; full pushes a resting hand along the wall
     #[arg(long, value_name = "KIND", value_delimiter = ',', default_value = "off,washout", value_parser = arguments::feed_forward())]
     feed_forward: Vec<FeedForward>,
@@ -73,6 +77,12 @@ pub struct Args {
     /// Share by which each link and rotor may be lighter or heavier on its own
     #[arg(long, value_name = "SHARE", default_value_t = Margins::default().inertia)]
     inertia_error: f64,
+    /// Share by which friction may be less or more, for the ripple
+    #[arg(long, value_name = "SHARE", default_value_t = Margins::default().friction)]
+    friction_error: f64,
+    /// Share by which an encoder's counts may be coarser or finer, for the ripple
+    #[arg(long, value_name = "SHARE", default_value_t = Margins::default().counts)]
+    counts_error: f64,
     /// Encoder counts into the wall at which the motors may give all that they have
     #[arg(long, value_name = "N", default_value_t = 1.0)]
     counts: f64,
@@ -153,6 +163,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
             delay_s: args.delay_margin,
             mass: args.mass_error,
             inertia: args.inertia_error,
+            friction: args.friction_error,
+            counts: args.counts_error,
             hand: true,
         },
         ripple_n: args.ripple.unwrap_or(USUAL_RIPPLE_N),
@@ -160,40 +172,24 @@ pub fn run(args: Args) -> Result<(), Failure> {
         counts: args.counts,
         speed: args.speed,
         rates_hz: if args.rates.0.is_empty() { RATES_HZ.to_vec() } else { args.rates.0.clone() },
+        estimators: if args.estimators.is_empty() { estimators() } else { args.estimators.clone() },
         feed_forwards: args.feed_forward.clone(),
         known: None,
     };
+    let asked = format!("{question:?} {:?} {:?}", place.written, args.ripple);
+    let sweep = args.continued.sweep("tune", &asked)?.in_lines();
     if let (None, Some(written)) = (args.ripple, &place.written) {
-        let (ripple_n, board_ripple_n) = ripple_like(&question, written)?;
+        let (ripple_n, board_ripple_n) = ripple_like(&question, written, &sweep)?;
         (question.ripple_n, question.board_ripple_n) = (ripple_n, Some(board_ripple_n));
     }
-    let before = place.written.map(|written| baseline(&question, &written)).transpose()?;
+    let before = place.written.map(|written| baseline(&question, &written, &sweep)).transpose()?;
     question.known = before.map(|before| before.settings);
-    let asked = format!(
-        "{} {:?} {:?} {:?} {:?} {:?} {} {:?} {} {} {:?} {:?} {:?}",
-        file.name,
-        file.description,
-        question.q,
-        question.normal,
-        question.admissible,
-        question.margins,
-        question.ripple_n,
-        question.board_ripple_n,
-        question.counts,
-        question.speed,
-        question.rates_hz,
-        question.feed_forwards,
-        question.known
-    );
-    let interrupt = interrupt::watch();
-    let sweep = args.continued.sweep("tune", &asked)?;
     let answer = tune(&question, &sweep)?;
-    let stop = || interrupt.is_set();
     let (mut here, mut there) = (None, None);
     if args.measure {
         let stages: Vec<Option<Settings>> = vec![before.map(|before| before.settings), Some(answer.best.settings)];
         let mut found = haptic::cores::map(&stages, &|_, _| {}, |settings| {
-            settings.map(|s| measured::measure(&question, &s, &stop))
+            settings.map(|settings| measured::measure(&question, &settings, &sweep))
         });
         here = found.pop().flatten().transpose()?;
         there = found.pop().flatten().transpose()?;
@@ -360,8 +356,9 @@ fn readable(document: &Document<'_>) -> String {
     line(format!("  the stiffest wall        {:>10} N/m   {}", best.settings.stiffness, ripples(best)));
     line(format!("    {}", in_words(&best.settings)));
     if let Some(scene) = document.scene {
-        let ripple =
-            scene.ripple_n.map_or("none keeps margins and ripple".into(), |ripple| format!("ripple {ripple:.4} N"));
+        let ripple = scene
+            .ripple_n
+            .map_or("none keeps margins, ripple and rebounds".into(), |ripple| format!("ripple {ripple:.4} N"));
         line(format!("  the scene's settings     {:>10} N/m   {ripple}", scene.settings.stiffness));
         line(format!(
             "    {}; {} N/m as written, {} N/m within margins and motors whatever it ripples",
@@ -378,12 +375,14 @@ fn readable(document: &Document<'_>) -> String {
         ));
     }
     line(format!(
-        "\n  limited by: {}, which comes first when it is made stiffer; within a gain margin of {}, {:.1} us more delay, {:.0} % of mass, {:.0} % of each inertia, and in hands",
+        "\n  limited by: {}, which comes first when it is made stiffer; within a gain margin of {}, {:.1} us more delay, {:.0} % of mass, {:.0} % of each inertia, {:.0} % of friction, {:.0} % of counts, and in hands",
         answer.active,
         margins.gain,
         1e6 * margins.delay_s,
         100.0 * margins.mass,
-        100.0 * margins.inertia
+        100.0 * margins.inertia,
+        100.0 * margins.friction,
+        100.0 * margins.counts
     ));
     line(format!("  {:<30}{:>14}", "at this damping, alone", "up to N/m"));
     for limit in &answer.limits {
@@ -394,7 +393,8 @@ fn readable(document: &Document<'_>) -> String {
     for beside in &answer.beside {
         let ripple = beside.ripple_n.map_or("flies off".into(), |ripple| format!("ripple {ripple:.4} N"));
         let beyond = if beside.allowed { "" } else { ", beyond margins or motors" };
-        line(format!("    {:>10} N/m with {} N s/m: {ripple}{beyond}", beside.stiffness, beside.damping));
+        let rebounds = if beside.rebounds { ", rebounds" } else { "" };
+        line(format!("    {:>10} N/m with {} N s/m: {ripple}{beyond}{rebounds}", beside.stiffness, beside.damping));
     }
     for other in &answer.feed_forwards {
         line(otherwise(other, best, answer.passed_over.as_ref()));

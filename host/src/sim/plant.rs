@@ -134,6 +134,10 @@ impl Plant {
     pub fn task(&self) -> usize {
         self.task
     }
+    /// Whether any joint has a transmission that gives or a structural mode.
+    pub fn is_flexible(&self) -> bool {
+        self.transmissions.iter().any(Option::is_some) || self.modes.iter().flatten().any(Option::is_some)
+    }
     /// Joint angles, rad.
     pub fn q(&self) -> [f64; 3] {
         self.q

@@ -1,14 +1,16 @@
-//! The wall that a scene has already, held to the margins and the ripple of the search.
+//! The wall that a scene has already, held to what the search holds walls to.
 
-use super::{Found, Question, SearchContext, Settings, check, measured, ripple, three_digits};
+use super::criteria::SearchContext;
+use super::{Found, Question, Settings, measured, ripple, three_digits};
 use crate::error::Failure;
+use crate::sweep::Sweep;
 use serde::Serialize;
 
 /// The wall's settings that came before, held to the same margins.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Baseline {
-    /// Rate, estimator, cutoff, damping and feed-forward of the scene, with the largest stiffness within margins and
-    /// ripple; 0 where there is none.
+    /// Rate, estimator, cutoff, damping and feed-forward of the scene, with the largest stiffness that keeps
+    /// everything; 0 where there is none.
     #[serde(flatten)]
     pub settings: Settings,
     /// Ripple at that stiffness, N.
@@ -27,24 +29,22 @@ pub const LEAST_RIPPLE_N: f64 = 0.002;
 
 /// The ripple that settings like these may have, in the search and on the simulated board: as much as the wall as it is
 /// written, and no less than the least.
-pub fn ripple_like(question: &Question<'_>, written: &Settings) -> Result<(f64, f64), Failure> {
+pub fn ripple_like(question: &Question<'_>, written: &Settings, sweep: &Sweep) -> Result<(f64, f64), Failure> {
     let bound = |ripple_n: Option<f64>| ripple_n.unwrap_or(USUAL_RIPPLE_N).max(LEAST_RIPPLE_N);
-    Ok((bound(ripple(question, written)?.ripple_n), bound(measured::ripple(question, written)?)))
+    Ok((bound(ripple(question, written)?.ripple_n), bound(measured::ripple(question, written, sweep)?)))
 }
 
-/// The settings of a scene's wall, as stiff as the same margins and ripple let them be.
-pub fn baseline(question: &Question<'_>, written: &Settings) -> Result<Baseline, Failure> {
-    check(question)?;
-    let context = SearchContext::new(question)?;
+/// The settings of a scene's wall, as stiff as they keep everything.
+pub fn baseline(question: &Question<'_>, written: &Settings, sweep: &Sweep) -> Result<Baseline, Failure> {
+    let context = SearchContext::new(question, sweep)?;
     if written.around().is_none() {
         return Err(Failure::wrong(format!("`{}` has no linear analysis to hold it to margins", written.estimator))
             .remedy("compare with a scene that has another estimator"));
     }
-    let most = context.allowed(written, &[written.damping]).map_or(0.0, |allowed| three_digits(allowed[0], true));
+    let most = three_digits(context.most(written)?, true);
     let at = |stiffness: f64| -> Result<Option<Found>, Failure> {
         let settings = Settings { stiffness: three_digits(stiffness, true), ..*written };
-        let ripple_n = if stiffness > 0.0 { ripple(question, &settings)?.ripple_n } else { None };
-        context.kept_on_board(ripple_n.map(|ripple_n| Found { settings, ripple_n, board_ripple_n: None }))
+        if stiffness > 0.0 { context.kept(&settings) } else { Ok(None) }
     };
     let keeps = Option::is_some;
     let mut best = at(most)?;

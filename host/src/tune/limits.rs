@@ -1,6 +1,7 @@
 //! What stops the wall that was found: what each limit alone would allow, and what lies beside it.
 
-use super::{Found, STIFFNESS_RATIO, SearchContext, Settings, ripple, three_digits};
+use super::criteria::SearchContext;
+use super::{Found, STIFFNESS_RATIO, Settings, ripple, three_digits};
 use crate::analysis::error::AnalysisError;
 use crate::analysis::range::stiffnesses;
 use crate::error::Failure;
@@ -8,10 +9,17 @@ use haptic_bridge::render::scene::FeedForward;
 use serde::Serialize;
 
 /// How much more and less is tried to say what stops it.
-const MORE: f64 = 1.15;
+pub(super) const MORE: f64 = 1.15;
 
-/// What the second hand feels.
+/// Limits that are looked for by simulation.
+const RIPPLE: &str = "ripple";
 const ON_BOARD: &str = "ripple on the simulated board";
+const REBOUNDS: &str = "rebounds after a tap";
+const MARGINS: &str = "all margins together";
+const MOTORS: &str = "motors and encoder counts";
+/// Where they are looked for, as shares of the wall's stiffness, and where the last, which takes longest.
+const TRIED: [f64; 7] = [STIFFNESS_RATIO, 1.06, MORE, 1.25, 1.5, 2.0, 4.0];
+const TRIED_ON_BOARD: [f64; 2] = [STIFFNESS_RATIO, MORE];
 /// A limit that binds nothing, beside which the others are read.
 pub const RULE_OF_THUMB: &str = "rule of thumb, encoder steps";
 
@@ -35,6 +43,8 @@ pub struct Beside {
     pub allowed: bool,
     /// N; none where the tip flies off.
     pub ripple_n: Option<f64>,
+    /// Whether a tip that taps it leaves it too often.
+    pub rebounds: bool,
 }
 
 /// What stops the wall: each limit alone, and what more damping would bring.
@@ -61,30 +71,33 @@ pub(super) fn limits(
         }
         limits.push(Limit { limit, stiffness: least.is_finite().then_some(least) });
     }
-    limits.push(Limit { limit: "motors and encoder counts", stiffness: Some(context.most.0) });
-    let keeps = |stiffness: f64| Ok(context.tried(settings, stiffness, settings.damping)?.is_some());
-    limits.push(Limit { limit: "ripple", stiffness: rippling(settings, &[1.1, 1.2, 1.5, 2.0, 3.0, 4.0], &keeps)? });
-    if question.board_ripple_n.is_some() {
-        let keeps = |stiffness: f64| Ok(context.pressed_on_board(settings, stiffness)?.is_some());
-        limits.push(Limit { limit: ON_BOARD, stiffness: rippling(settings, &[1.1, 1.5], &keeps)? });
+    limits.push(Limit { limit: MOTORS, stiffness: Some(context.motors.0) });
+    let slid = |wall: &Settings| Ok(context.slid_along(wall)?.is_some());
+    limits.push(Limit { limit: RIPPLE, stiffness: up_to(settings, &TRIED, &slid)? });
+    let tapped = |wall: &Settings| context.tapped(wall);
+    limits.push(Limit { limit: REBOUNDS, stiffness: up_to(settings, &TRIED, &tapped)? });
+    if let Some(bound) = question.board_ripple_n {
+        let pressed = |wall: &Settings| Ok(context.on_board(wall, bound)?.is_some());
+        limits.push(Limit { limit: ON_BOARD, stiffness: up_to(settings, &TRIED_ON_BOARD, &pressed)? });
     }
-    let active = first(&limits, settings, context.most.1);
+    let active = first(&limits, settings, context.motors.1);
     limits.push(Limit { limit: RULE_OF_THUMB, stiffness: Some(context.steps) });
 
     let mut beside = Vec::new();
     for (stiffer, more) in [(MORE, 1.0), (1.0, MORE), (1.0, 1.0 / MORE)] {
         let stiffness = three_digits(settings.stiffness * stiffer, false);
         let damping = three_digits(settings.damping * more, false);
-        let allowed = context.allowed(settings, &[damping]).is_some_and(|most| most[0] >= stiffness);
-        let ripple_n = ripple(question, &Settings { stiffness, damping, ..*settings })?.ripple_n;
-        beside.push(Beside { stiffness, damping, allowed, ripple_n });
+        let wall = Settings { stiffness, damping, ..*settings };
+        let allowed = context.most(&wall)? >= stiffness;
+        let ripple_n = ripple(question, &wall)?.ripple_n;
+        beside.push(Beside { stiffness, damping, allowed, ripple_n, rebounds: !context.tapped(&wall)? });
     }
     Ok((active, limits, beside))
 }
 
 /// Which limit comes first when this wall is made stiffer.
 fn first(limits: &[Limit], settings: &Settings, damped: f64) -> &'static str {
-    let binding = ["ripple", ON_BOARD, "all margins together", "motors and encoder counts"];
+    let binding = [RIPPLE, ON_BOARD, REBOUNDS, MARGINS, MOTORS];
     let among = limits.iter().filter(|limit| binding.contains(&limit.limit));
     let least = among.min_by(|a, b| {
         let stiffness = |limit: &Limit| limit.stiffness.unwrap_or(f64::INFINITY);
@@ -92,31 +105,30 @@ fn first(limits: &[Limit], settings: &Settings, damped: f64) -> &'static str {
     });
     let limit = least.map_or("", |limit| limit.limit);
     // More damping would let it be stiffer, and the motors do not have it.
-    if limit == "all margins together" && settings.damping * STIFFNESS_RATIO > damped {
-        "motors and damping"
-    } else {
-        limit
-    }
+    if limit == MARGINS && settings.damping * STIFFNESS_RATIO > damped { "motors and damping" } else { limit }
 }
 
-/// The stiffness at which this wall first does not keep a ripple, as far as `factors` of its own are tried.
-fn rippling(
+/// The largest stiffness at which this wall still keeps something, as far as `factors` of its own are tried; none where it
+/// keeps it at the last of them.
+fn up_to(
     settings: &Settings,
     factors: &[f64],
-    keeps: &dyn Fn(f64) -> Result<bool, Failure>,
+    keeps: &dyn Fn(&Settings) -> Result<bool, Failure>,
 ) -> Result<Option<f64>, Failure> {
-    let mut low = settings.stiffness;
-    for factor in [STIFFNESS_RATIO].iter().chain(factors) {
-        let mut high = factor * settings.stiffness;
-        if keeps(high)? {
-            low = high;
-            continue;
+    let at = |stiffness: f64| keeps(&Settings { stiffness, ..*settings });
+    let (mut low, mut high) = (settings.stiffness, None);
+    for factor in factors {
+        let stiffness = three_digits(factor * settings.stiffness, false);
+        if at(stiffness)? {
+            (low, high) = (stiffness, None);
+        } else if high.is_none() {
+            high = Some(stiffness);
         }
-        while high / low > STIFFNESS_RATIO {
-            let middle = (low * high).sqrt();
-            if keeps(middle)? { low = middle } else { high = middle }
-        }
-        return Ok(Some(low));
     }
-    Ok(None)
+    let Some(mut high) = high else { return Ok(None) };
+    while high / low > STIFFNESS_RATIO {
+        let middle = (low * high).sqrt();
+        if at(middle)? { low = middle } else { high = middle }
+    }
+    Ok(Some(low))
 }

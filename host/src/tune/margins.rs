@@ -1,4 +1,5 @@
-//! How far a device may be from its file, as loops that must be stable as well.
+//! How far a device may be from its file, as loops that must be stable as well, and as devices on which a wall must not
+//! ripple more.
 //!
 //! A torque constant that is larger than the file says is a device that is lighter by the same factor, which the
 //! controller does not know; so is a device whose every mass is smaller. An error of its distribution, some links and
@@ -33,15 +34,20 @@ pub struct Margins {
     pub mass: f64,
     /// Share by which every link and rotor may be, on its own, on the worse side.
     pub inertia: f64,
+    /// Share by which friction, viscous and dry, may be less or more.
+    pub friction: f64,
+    /// Share by which a count may be coarser or finer.
+    pub counts: f64,
     /// Whether it must be stable in `HANDS` as well.
     pub hand: bool,
 }
 
 impl Default for Margins {
     /// A torque constant from a data sheet (±10 %) that a magnet's warmth changes (another ±10 %), half a carrier
-    /// period, and masses that were computed and not weighed.
+    /// period, masses that were computed and not weighed, friction that comes and goes with warmth and grease, and a
+    /// cable's radius that was taken for the pulley's.
     fn default() -> Self {
-        Self { gain: 1.25, delay_s: 25.0e-6, mass: 0.1, inertia: 0.1, hand: true }
+        Self { gain: 1.25, delay_s: 25.0e-6, mass: 0.1, inertia: 0.1, friction: 0.25, counts: 0.03, hand: true }
     }
 }
 
@@ -120,22 +126,48 @@ pub fn vertex(
 
 impl Margins {
     /// None.
-    pub const NONE: Self = Self { gain: 1.0, delay_s: 0.0, mass: 0.0, inertia: 0.0, hand: false };
+    pub const NONE: Self =
+        Self { gain: 1.0, delay_s: 0.0, mass: 0.0, inertia: 0.0, friction: 0.0, counts: 0.0, hand: false };
 
     /// Refuses values that are not margins.
     pub(super) fn check(&self) -> Result<(), Failure> {
         let share = |share: f64| (0.0..0.9).contains(&share);
         let fine = (1.0..=10.0).contains(&self.gain) && (0.0..=0.01).contains(&self.delay_s);
-        if fine && share(self.mass) && share(self.inertia) {
+        if fine && [self.mass, self.inertia, self.friction, self.counts].into_iter().all(share) {
             return Ok(());
         }
         Err(Failure::wrong(format!("these are no margins: {self:?}"))
             .remedy("write a gain from 1 to 10, a delay up to 0.01 s, and errors from 0 to 0.9"))
     }
 
+    /// The devices on which a wall must not ripple more than it may, each as the board believes it and as it moves: a
+    /// light one that little friction holds behind coarse counts, where most walls ripple most, that of the file, and
+    /// the opposite. The board knows its counts, but neither weight nor friction.
+    pub(super) fn deviations(self, description: &Description) -> Vec<(Description, Description)> {
+        let Self { mass, friction, counts, .. } = self;
+        let off = |sign: f64| {
+            let mut believed = *description;
+            for encoder in believed.joints.iter_mut().filter_map(|joint| joint.encoder.as_mut()) {
+                encoder.counts_per_turn *= 1.0 + sign * counts;
+            }
+            let parts = description.kind.spec().links.len() + description.kind.spec().joints + 1;
+            let mut moving = (0..parts).fold(believed, |moving, part| scaled(&moving, part, 1.0 + sign * mass));
+            for joint in &mut moving.joints {
+                joint.viscous *= 1.0 + sign * friction;
+                joint.coulomb *= 1.0 + sign * friction;
+                if let Some(rest) = joint.friction.as_mut() {
+                    rest.rest *= 1.0 + sign * friction;
+                }
+            }
+            (believed, moving)
+        };
+        let signs: &[f64] = if [mass, friction, counts] == [0.0; 3] { &[0.0] } else { &[-1.0, 0.0, 1.0] };
+        signs.iter().map(|sign| off(*sign)).collect()
+    }
+
     /// Each margin without the others, by name, beside none and all.
     pub(super) fn alone(self) -> [(&'static str, Self); 7] {
-        let Self { gain, delay_s, mass, inertia, hand } = self;
+        let Self { gain, delay_s, mass, inertia, hand, .. } = self;
         [
             ("stability, no margin", Self::NONE),
             ("gain margin", Self { gain, ..Self::NONE }),
@@ -176,7 +208,7 @@ impl Margins {
             Ok(Corner { device, believed, delay_s: self.delay_s })
         };
         let mut corners = vec![corner(false)?];
-        if (Self { delay_s: 0.0, hand: false, ..self }) != Self::NONE {
+        if (Self { delay_s: 0.0, friction: 0.0, counts: 0.0, hand: false, ..self }) != Self::NONE {
             corners.push(corner(true)?);
         }
         let hands = if self.hand { HANDS.as_slice() } else { &[] };

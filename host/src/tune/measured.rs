@@ -2,13 +2,14 @@
 //! bridges and windings, friction, encoder steps.
 
 use super::{Question, Settings};
+use crate::analysis::contact::Fast;
 use crate::analysis::several::Member;
-use crate::bench::estimators::fast;
 use crate::error::Failure;
 use crate::link::{Board, fields};
 use crate::measure::simulated::World;
 use crate::measure::{Law, MeasureError, MeasurementSetup, PreparedBoard, complement};
 use crate::sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, Waypoint, ready_board};
+use crate::sweep::Sweep;
 use crate::vectors::padded;
 use haptic_bridge::board::telemetry::Field;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
@@ -43,15 +44,16 @@ pub struct Measured {
 }
 
 /// Raises the stiffness on a simulated board until the wall oscillates, and presses the wall of the settings.
-pub fn measure(question: &Question<'_>, settings: &Settings, stop: &dyn Fn() -> bool) -> Result<Measured, Failure> {
-    let found = boundary(question, settings, stop);
+pub fn measure(question: &Question<'_>, settings: &Settings, sweep: &Sweep) -> Result<Measured, Failure> {
+    let found = boundary(question, settings, &|| sweep.go_on().is_err());
+    sweep.go_on()?;
     let (stiffness, open) = match found {
         Ok(stiffness) => (stiffness, None),
         Err(MeasureError::Open { stable, why }) => (stable, Some(why.to_string())),
         Err(error) if error.is_local() => (0.0, Some(error.to_string())),
         Err(error) => return Err(Failure::impossible(error)),
     };
-    Ok(Measured { stiffness, open, ripple_n: ripple(question, settings)? })
+    Ok(Measured { stiffness, open, ripple_n: ripple(question, settings, sweep)? })
 }
 
 fn boundary(question: &Question<'_>, settings: &Settings, stop: &dyn Fn() -> bool) -> Result<f64, MeasureError> {
@@ -103,7 +105,7 @@ pub fn scene(question: &Question<'_>, settings: &Settings, point: &[f64]) -> Sce
 }
 
 /// Ripple of the wall's force on the board, N; none where the hand is not held.
-pub fn ripple(question: &Question<'_>, settings: &Settings) -> Result<Option<f64>, Failure> {
+pub fn ripple(question: &Question<'_>, settings: &Settings, sweep: &Sweep) -> Result<Option<f64>, Failure> {
     let device = Options { start: Some(padded(&question.q)), ..Options::default() };
     let mut simulated = ready_board(question.file, BoardOptions { device, ..BoardOptions::default() })
         .map_err(|error| Failure::wrong(format!("{}: {error}", question.file.path.display())))?;
@@ -133,12 +135,14 @@ pub fn ripple(question: &Question<'_>, settings: &Settings) -> Result<Option<f64
     let begun = board.now();
     let settled = begun + Duration::from_secs_f64(SETTLE);
     while board.now() < settled {
+        sweep.go_on()?;
         board.rows(Duration::from_millis(20))?;
     }
     board.start_stream(wanted, divider)?;
     let mut forces = Vec::new();
     let end = board.now() + Duration::from_secs_f64(WATCH);
     while board.now() < end {
+        sweep.go_on()?;
         for row in board.rows(Duration::from_millis(20))? {
             forces.extend(row.get(Field::WallForce));
         }
@@ -153,6 +157,7 @@ pub fn ripple(question: &Question<'_>, settings: &Settings) -> Result<Option<f64
     // The trend needs a tenth of a second to be one.
     let from = (0.1 * row_hz) as usize;
     let mean = forces.iter().sum::<f64>() / forces.len() as f64;
-    let square = fast(&forces, row_hz, from).map(|fast| fast * fast).sum::<f64>();
+    let mut fast = Fast::new(row_hz);
+    let square = forces.iter().map(|force| fast.of(*force).powi(2)).skip(from).sum::<f64>();
     Ok((mean > HELD && forces.len() > from).then(|| (square / (forces.len() - from) as f64).sqrt()))
 }

@@ -1,6 +1,7 @@
 //! What the feed-forwards that were not taken would bring, and what they would cost.
 
-use super::{Found, SearchContext, Settings, ripple, stiffest};
+use super::criteria::SearchContext;
+use super::{Found, Settings, ripple, stiffest};
 use crate::error::Failure;
 use haptic_bridge::render::scene::FeedForward;
 use serde::Serialize;
@@ -33,7 +34,7 @@ pub(super) fn otherwise(context: &SearchContext<'_>, answer: &Found, all: &[Foun
                 damping_compensation: answer.settings.damping_compensation && !off,
                 ..answer.settings
             };
-            let allowed = context.allowed(&settings, &[settings.damping]).map_or(0.0, |allowed| allowed[0]);
+            let allowed = context.most(&settings)?;
             let best = stiffest(all.iter().filter(|found| found.settings.feed_forward == feed_forward));
             Ok(Otherwise { feed_forward, best, allowed, ripple_n: ripple(context.question, &settings)?.ripple_n })
         })

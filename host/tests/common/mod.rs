@@ -10,6 +10,7 @@ pub mod page;
 pub mod sim;
 pub mod socket;
 pub mod strict;
+pub mod tuned;
 
 use assert_cmd::Command;
 use haptic::device_file::DeviceFile;

@@ -43,6 +43,7 @@ mod simulated_board;
 mod simulated_device;
 mod single_counts;
 mod tools;
+mod tuned;
 mod view;
 mod what_is_held;
 mod why;

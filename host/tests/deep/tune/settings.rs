@@ -1,6 +1,6 @@
 //! `haptic tune` against what can be derived, and against a plain scan of all settings.
 
-use crate::common::{haptic, json, root, shipped};
+use crate::common::{haptic, json, root, shipped, tuned};
 use haptic::analysis::control_loop::CURRENT_LOOP_HZ;
 use haptic::analysis::flexible::Flexible;
 use haptic::analysis::plant::{Drive, Linearised};
@@ -9,7 +9,7 @@ use haptic::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic::device_file::DeviceFile;
 use haptic::scene_file::SceneFile;
 use haptic::sweep::Sweep;
-use haptic::tune::{Margins, Question, Settings, ripple, to_toml, tune, vertex};
+use haptic::tune::{Margins, Question, Settings, estimators, keeps, to_toml, tune, vertex};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::render::scene::FeedForward;
@@ -101,6 +101,7 @@ fn question(file: &DeviceFile, margins: Margins) -> Question<'_> {
         counts: 1.0,
         speed: 0.1,
         rates_hz: vec![5_000.0],
+        estimators: estimators(),
         feed_forwards: vec![FeedForward::Off],
         known: None,
     }
@@ -140,16 +141,24 @@ fn no_wall_of_a_plain_scan_is_much_stiffer() {
             if most < settings.stiffness {
                 continue;
             }
-            let pressed = ripple(&question, &settings).unwrap();
-            let keeps = |ripple: Option<f64>| ripple.is_some_and(|ripple| ripple <= question.ripple_n);
-            let keeps = pressed.holds
-                && keeps(pressed.ripple_n)
-                && keeps(haptic::tune::measured::ripple(&question, &settings).unwrap());
-            assert!(!keeps, "{settings:?} ripples {:?}; found was {best:?}", pressed.ripple_n);
+            let keeps = keeps(&question, &settings).unwrap();
+            assert!(keeps.is_none(), "{keeps:?}; found was {best:?}");
             tried += 1;
         }
     }
     assert!(tried > 10, "{tried}");
+}
+
+/// Rigid ones and ones with cables: no wall with other estimators, cutoffs and dampings is stiffer by more than a
+/// twentieth and keeps the same.
+#[test]
+fn no_wall_of_a_grid_is_much_stiffer_on_ten_devices_that_nobody_chose() {
+    for number in 0..10 {
+        let file = tuned::drawn(number);
+        let dampings = [0.2, 0.35, 0.6, 0.8, 1.0, 1.25, 1.7, 2.8, 5.0];
+        let (best, tried) = tuned::none_is_stiffer(&tuned::question(&file, 5_000.0), &dampings, &[1.06, 1.25]);
+        println!("{number} {}: {best:?}, {tried} walls", file.name);
+    }
 }
 
 /// What encoder steps alone make of the force of a tip that moves evenly through them, kp √(Σ step²/12), is a rule of
@@ -169,7 +178,7 @@ fn the_answer_is_the_stiffest_of_all_and_names_what_ends_it() {
     // The limit that is named is the one that ends it: at the stiffness that was found, within the step of the last
     // search.
     let active = limit(found.active).unwrap() / found.best.settings.stiffness;
-    assert!((1.0..1.1).contains(&active), "{} at {active} times", found.active);
+    assert!((1.0..1.15).contains(&active), "{} at {active} times", found.active);
     for limit in &found.limits {
         let binds = limit.limit != "rule of thumb, encoder steps"
             && limit.stiffness.is_some_and(|most| most < found.best.settings.stiffness);
