@@ -1,12 +1,12 @@
 //! Files to start from: a device file for each mechanism, with every key, what it is, and numbers of a device that exists
 //! only to be replaced; and a scene file for a device.
 
+use crate::analysis::prediction::Subject;
 use crate::device_file::DeviceFile;
 use crate::error::Failure;
 use crate::plausible::scene::doubts;
 use crate::view::world::wall_ahead;
 use haptic_bridge::model::catalogue::Kind;
-use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::{FeedForward, Scene, Surface};
 
 /// What a template knows of a mechanism beyond its [`Spec`](haptic_bridge::model::catalogue::Spec).
@@ -236,7 +236,7 @@ const MOST_HALVINGS: usize = 12;
 
 /// The scene with walls so soft that `haptic check` doubts none of them: half of what is stable by itself may be more than
 /// motors and encoders can render, and on a redundant arm a washout may let next to nothing be stable.
-fn undoubted(device: &Device<f64>, scene: Scene<f32>) -> Scene<f32> {
+fn undoubted(device: &Subject, scene: Scene<f32>) -> Scene<f32> {
     for feed_forward in [FeedForward::Washout, FeedForward::Off] {
         let mut softer = scene.clone();
         softer.walls.iter_mut().for_each(|wall| wall.feed_forward = feed_forward);
@@ -254,7 +254,7 @@ fn undoubted(device: &Device<f64>, scene: Scene<f32>) -> Scene<f32> {
 
 /// The text of a scene file for a device, with one wall in front of its home pose and every other key as a comment.
 pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
-    let scene = undoubted(&device.device().map_err(Failure::wrong)?, wall_ahead(device)?);
+    let scene = undoubted(&Subject::new(&device.description).map_err(Failure::wrong)?, wall_ahead(device)?);
     let task = device.spec().task;
     let list = |values: &[f32]| {
         // Tenths of a millimetre, and no zero with a sign.
@@ -325,6 +325,7 @@ fn number(value: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::{Kind, device_file, scene_file};
+    use crate::analysis::prediction::Subject;
     use crate::device_file::DeviceFile;
     use crate::plausible::device::doubts;
     use crate::scene_file::SceneFile;
@@ -423,7 +424,7 @@ mod tests {
                 );
             }
             let scene = SceneFile::parse(&text, "scene.toml", task).unwrap().scene;
-            let (doubted, contacts) = crate::plausible::scene::doubts(&file.device().unwrap(), &scene);
+            let (doubted, contacts) = crate::plausible::scene::doubts(&Subject::new(&file.description).unwrap(), &scene);
             assert_eq!((doubted.as_slice(), contacts.len()), (&[][..], 1), "{text}");
         }
     }
