@@ -22,7 +22,7 @@ pub use framing::{Deframer, MAX_FRAME, Packet, encode, envelope};
 pub use past::disarm_past;
 pub use ports::{BoardPort, PortSpec, USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR, boards};
 pub(crate) use ports::{open_serial, open_tcp};
-pub use session::{FADE, HOLD, Session};
+pub use session::{FADE, HOLD, PATIENCE, Session};
 pub use telemetry::{Column, Losses, Row, columns, fields, rows_that_fit};
 pub(crate) use wire::nothing_yet;
 pub use wire::{SerialWire, TcpWire, Wire};

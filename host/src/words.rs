@@ -1,11 +1,18 @@
 //! How people are told of walls and numbers.
 
 use haptic_bridge::render::scene::{FeedForward, Wall};
+use haptic_bridge::safety::fault::FaultRecord;
 
 /// What a board or this library says, for people who call functions: `calls` names the function for each command of the
 /// tool.
 pub fn for_a_program(text: &str, calls: &[(&str, &str)]) -> String {
     calls.iter().fold(text.into(), |text, (command, call)| text.replace(&format!("`haptic {command}`"), call))
+}
+
+/// A fault, its joint, and what to do about it.
+pub fn fault_and_remedy(record: &FaultRecord) -> String {
+    let joint = record.axis.map_or(String::new(), |axis| format!(" (joint {axis})"));
+    format!("{}{joint}; {}", record.fault, record.fault.remedy())
 }
 
 /// A wall in words.

@@ -27,7 +27,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if board.details()?.real {
         confirm(args.yes, "each joint is moved by a small torque: the device must be free to move, and hands off it")?;
     }
-    board.keep_alive();
     board.check_polarity()?;
     board.wait_for_polarity()?.passed()?;
     args.json.answer(json!({ "polarity_checked": true }), "every motor turns its joint the right way\n")

@@ -5,6 +5,7 @@ use super::error::{BoardError, LinkError};
 use super::telemetry::{Losses, Row, Rows};
 use super::wire::Wire;
 use crate::error::Failure;
+use crate::words::fault_and_remedy;
 use haptic_bridge::board::protocol::{self as p, Details, GainsRequest, Info, Outcome, PROTOCOL};
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::board::telemetry::{Fields, StreamRequest};
@@ -48,10 +49,7 @@ impl PolarityOutcome {
     pub fn passed(self) -> Result<(), Failure> {
         match self {
             Self::Right => Ok(()),
-            Self::Fault(record) => {
-                let axis = record.axis.map_or(String::new(), |axis| format!(" (joint {axis})"));
-                Err(Failure::impossible(format!("{}{axis}", record.fault)).remedy(record.fault.remedy()))
-            }
+            Self::Fault(record) => Err(Failure::impossible(fault_and_remedy(&record))),
             Self::Stopped => Err(Failure::impossible("the check was ended from outside").remedy("start it again")),
         }
     }
@@ -329,8 +327,16 @@ impl Board {
         self.heartbeat = true;
     }
 
-    /// Waits for the end of the polarity check that [`Board::check_polarity`] started, and says how it ended.
+    /// Waits for the end of the polarity check that [`Board::check_polarity`] started, and says how it ended. Meanwhile
+    /// the board is told that the host is there.
     pub fn wait_for_polarity(&mut self) -> Result<PolarityOutcome, BoardError> {
+        let before = std::mem::replace(&mut self.heartbeat, true);
+        let outcome = self.polarity_outcome();
+        self.heartbeat = before;
+        outcome
+    }
+
+    fn polarity_outcome(&mut self) -> Result<PolarityOutcome, BoardError> {
         loop {
             // No telemetry comes: this only waits, and lets a simulated board's time pass.
             self.rows(Duration::from_millis(100))?;

@@ -5,12 +5,19 @@ use super::board::Board;
 use super::error::{BoardError, LinkError};
 use super::ports::PortSpec;
 use haptic_bridge::board::protocol::{ForceAnswer, ForceRequest, HostContact};
+use haptic_bridge::safety::fault::{FaultRecord, State};
 use std::ops::{Deref, DerefMut};
+use std::time::Duration;
 
 /// How long a request acts in full, s: it bridges a computer that does something else for two frames of a game.
 pub const HOLD: f32 = 0.02;
 /// In how long it then fades to nothing, s.
 pub const FADE: f32 = 0.05;
+
+/// For how long a request is sent again, each time that its answer does not come within
+/// [`FORCE_PATIENCE`](super::FORCE_PATIENCE), before it counts as unanswered: a computer or a board that was busy for a
+/// moment ends no program's loop.
+pub const PATIENCE: Duration = Duration::from_secs(1);
 
 /// A board that this program holds. Everything that a [`Board`] does it does as well; dropping it disarms the board,
 /// also when the program panics. A program that is killed leaves that to the board's watch of its host.
@@ -30,6 +37,9 @@ pub struct Session {
     sequence: u32,
     /// Step of the state that was told last.
     seen: Option<u32>,
+    /// What had turned the motors off when that state was told.
+    fault: Option<FaultRecord>,
+    patience: Duration,
     /// How long a request acts in full, and how long it then fades, s; at most 0.2 each.
     pub lease: (f32, f32),
 }
@@ -42,14 +52,31 @@ impl Session {
 
     /// Holds a board that is open already.
     pub fn of(board: Board) -> Self {
-        Self { board, sequence: 0, seen: None, lease: (HOLD, FADE) }
+        Self { board, sequence: 0, seen: None, fault: None, patience: PATIENCE, lease: (HOLD, FADE) }
     }
 
-    /// Motors on. Whenever this session waits for telemetry it tells the board that somebody is there; forces tell it
-    /// as well.
+    /// Motors on. Whenever this session waits for telemetry it tells the board that somebody is there; forces and looks
+    /// tell it as well.
     pub fn arm(&mut self) -> Result<(), BoardError> {
         self.board.keep_alive();
         self.board.arm()
+    }
+
+    /// Clears a latched fault.
+    pub fn clear(&mut self) -> Result<(), BoardError> {
+        self.fault = None;
+        self.board.clear()
+    }
+
+    /// The latched fault, where the last answer told of one.
+    pub fn fault(&self) -> Option<FaultRecord> {
+        self.fault
+    }
+
+    /// For how long an answer is waited for, and that its request is sent once; without this, see [`PATIENCE`].
+    pub fn wait_for_forces(&mut self, patience: Duration) {
+        self.patience = patience;
+        self.board.wait_for_forces(patience);
     }
 
     /// How the device is: tip (m), velocity (m/s), joint angles (rad).
@@ -77,9 +104,25 @@ impl Session {
 
     /// Sends any request, counted and stamped with the state that was told last.
     pub fn exchange(&mut self, request: ForceRequest) -> Result<ForceAnswer, LinkError> {
-        self.sequence = self.sequence.wrapping_add(1);
-        let answer = self.board.force(&ForceRequest { sequence: self.sequence, seen: self.seen, ..request })?;
-        self.seen = Some(answer.step);
+        let began = self.board.now();
+        let answer = loop {
+            self.sequence = self.sequence.wrapping_add(1);
+            match self.board.force(&ForceRequest { sequence: self.sequence, seen: self.seen, ..request }) {
+                Err(LinkError::Unanswered { .. }) if self.board.now() - began < self.patience => {}
+                Err(LinkError::Unanswered { .. }) => return Err(LinkError::Unanswered { waited: self.patience }),
+                answered => break answered?,
+            }
+        };
+        if self.seen.replace(answer.step).is_none() && request.hold + request.fade == 0.0 {
+            // Only a look that follows another is a sign of the host.
+            return self.exchange(request);
+        }
+        self.fault = match (answer.state, self.fault) {
+            // Where it is not told now, the next answer asks again.
+            (State::Fault, None) => self.board.status().ok().and_then(|status| status.fault),
+            (State::Fault, known) => known,
+            _ => None,
+        };
         Ok(answer)
     }
 }

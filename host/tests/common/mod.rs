@@ -9,6 +9,7 @@ pub mod lies;
 pub mod page;
 pub mod sim;
 pub mod socket;
+pub mod strict;
 
 use assert_cmd::Command;
 use haptic::device_file::DeviceFile;

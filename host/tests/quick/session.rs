@@ -1,17 +1,18 @@
 //! A program that holds a board: what it reads, what its forces do, and that the motors go off with it.
 
 use crate::common::sim;
+use crate::common::strict::{Lossy, strict};
 
 use haptic::device_file::DeviceFile;
 use haptic::latency::measure;
-use haptic::link::{Board, FADE, FORCE_PATIENCE, HOLD, LinkError, Session, Wire, fields};
+use haptic::link::{Board, FADE, FORCE_PATIENCE, HOLD, LinkError, PATIENCE, Session, fields};
 use haptic::sim::{BoardOptions, Hand, HandSettings, Intent, SHIPPED_DEVICE, SharedBoard, Waypoint, ready_board};
 use haptic_bridge::board::protocol::{ForceDone, ForceRequest, HostContact};
 use haptic_bridge::render::scene::Scene;
-use haptic_bridge::safety::fault::State;
+use haptic_bridge::safety::fault::{Fault, State};
 use predicates::str::contains;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
 /// A simulated board with a five-bar in free space, and a session on it.
@@ -23,31 +24,10 @@ fn session() -> (SharedBoard, Session) {
     (shared, session)
 }
 
-/// A wire that loses what is sent while it is told to.
-struct Lossy {
-    wire: Box<dyn Wire>,
-    loses: Arc<AtomicBool>,
-}
-
-impl Wire for Lossy {
-    fn send(&mut self, bytes: &[u8]) -> std::io::Result<()> {
-        if self.loses.load(Ordering::Relaxed) { Ok(()) } else { self.wire.send(bytes) }
-    }
-    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> std::io::Result<usize> {
-        self.wire.receive(buffer, timeout)
-    }
-    fn now(&self) -> Duration {
-        self.wire.now()
-    }
-}
-
-/// A session over a wire that loses what is sent while it is told to.
-fn lossy() -> (Session, Arc<AtomicBool>) {
+/// A session over a wire that loses so many of the next messages.
+fn lossy() -> (Session, Arc<AtomicU32>) {
     let file = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
-    let shared = SharedBoard::new(ready_board(&file, BoardOptions::default()).unwrap());
-    let loses = Arc::new(AtomicBool::new(false));
-    let wire = Lossy { wire: shared.wire(), loses: loses.clone() };
-    (Session::of(Board::over(Box::new(wire), "sim").unwrap()), loses)
+    Lossy::session(&SharedBoard::new(ready_board(&file, BoardOptions::default()).unwrap()))
 }
 
 #[test]
@@ -55,15 +35,46 @@ fn a_lost_frame_costs_a_force_its_patience_and_the_next_one_nothing() {
     let (mut session, loses) = lossy();
     for patience in [FORCE_PATIENCE, Duration::from_millis(5)] {
         session.wait_for_forces(patience);
-        loses.store(true, Ordering::Relaxed);
+        loses.store(u32::MAX, Ordering::Relaxed);
         let began = session.now();
         let error = session.look().unwrap_err();
         assert!(matches!(error, LinkError::Unanswered { waited } if waited == patience), "{error}");
         let waited = session.now() - began;
         assert!(waited >= patience && waited < patience + Duration::from_millis(2), "{waited:?} of {patience:?}");
-        loses.store(false, Ordering::Relaxed);
+        loses.store(0, Ordering::Relaxed);
         assert_eq!(session.look().unwrap().done, ForceDone::Looked);
     }
+}
+
+#[test]
+fn without_a_word_on_its_time_a_request_outlasts_a_stall_and_not_a_board_that_is_silent() {
+    let (mut session, loses) = lossy();
+    loses.store(u32::MAX, Ordering::Relaxed);
+    let began = session.now();
+    assert!(matches!(session.look(), Err(LinkError::Unanswered { waited }) if waited == PATIENCE));
+    assert!(session.now() - began < PATIENCE + FORCE_PATIENCE);
+    loses.store(0, Ordering::Relaxed);
+    // A board that comes to itself after 0.2 s.
+    loses.store(2, Ordering::Relaxed);
+    assert_eq!(session.look().unwrap().done, ForceDone::Looked);
+}
+
+#[test]
+fn a_polarity_check_a_program_that_only_looks_and_a_named_fault_on_a_board_that_watches_its_host() {
+    // Its polarity was checked with the watch on.
+    let (shared, mut session) = strict();
+    session.arm().unwrap();
+    for _ in 0..8 {
+        shared.lock().run(0.4);
+        session.look().unwrap();
+    }
+    assert_eq!((session.look().unwrap().state, session.fault()), (State::Armed, None));
+    shared.lock().run(0.6);
+    assert_eq!(session.look().unwrap().state, State::Fault);
+    assert_eq!(session.fault().unwrap().fault, Fault::HostLost);
+    session.clear().unwrap();
+    session.arm().unwrap();
+    assert_eq!((session.look().unwrap().state, session.fault()), (State::Armed, None));
 }
 
 #[test]
@@ -102,9 +113,9 @@ fn telemetry_that_is_read_while_forces_are_under_way_takes_none_of_their_answers
 fn one_lost_among_forces_that_overtake_each_other_costs_no_wait() {
     let (mut session, loses) = lossy();
     let request = |sequence| ForceRequest { sequence, ..ForceRequest::default() };
-    loses.store(true, Ordering::Relaxed);
+    loses.store(u32::MAX, Ordering::Relaxed);
     let lost = session.send_force(&request(1)).unwrap();
-    loses.store(false, Ordering::Relaxed);
+    loses.store(0, Ordering::Relaxed);
     let next = session.send_force(&request(2)).unwrap();
     let began = session.now();
     assert!(matches!(session.force_answer(lost), Err(LinkError::Unanswered { .. })));
