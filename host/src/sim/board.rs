@@ -434,7 +434,7 @@ impl SimulatedBoard {
     pub fn host_silence(&self) -> Option<(f64, f64)> {
         let (rules, servo) = (self.service.rules(), &self.machine.servo);
         let host = (rules.host_action != HostAction::Ignore).then(|| (servo.host_silent(), rules.host_seconds));
-        let (silent, allowed) = servo.key_still().or(host).filter(|_| self.status().state == State::Armed)?;
+        let (silent, allowed) = servo.key_still().or(host).filter(|_| self.status().state.drives())?;
         Some((f64::from(silent), f64::from(allowed)))
     }
 

@@ -198,7 +198,7 @@ mod tests {
     use crate::device_file::DeviceFile;
     use crate::link::encode;
     use crate::sim::{BoardOptions, SHIPPED_DEVICE, ready_board};
-    use haptic_bridge::board::protocol::{Arm, Disarm, GetStatus, SetRules};
+    use haptic_bridge::board::protocol::{Arm, CheckPolarity, Disarm, GetStatus, SetRules};
     use haptic_bridge::render::scene::Scene;
     use haptic_bridge::safety::fault::State;
     use haptic_bridge::servo::{HostAction, Rules};
@@ -263,25 +263,29 @@ mod tests {
 
     #[test]
     fn as_fast_as_it_can_it_waits_for_a_reader_and_does_not_take_its_own_haste_for_silence() {
-        let mut board = board(1_000.0);
-        let rules = Rules { host_action: HostAction::Disarm, ..Rules::default() };
-        board.receive(&request::<SetRules>(&rules));
-        board.receive(&request::<Arm>(&()));
-        let mut server = Server::new(&mut board, Pace::AsFastAsItCan);
-        assert_eq!(server.due(0.0), Due::Events, "nobody is there");
-        let _told = connect(&mut server);
-        let play = |server: &mut Server<'_>, now: f64| {
-            while server.due(now) == Due::Time {
-                server.turn(now, Due::Time, None);
+        for (start, state) in
+            [(request::<Arm>(&()), State::Armed), (request::<CheckPolarity>(&()), State::CheckingPolarity)]
+        {
+            let mut board = board(1_000.0);
+            let rules = Rules { host_action: HostAction::Disarm, ..Rules::default() };
+            board.receive(&request::<SetRules>(&rules));
+            board.receive(&start);
+            let mut server = Server::new(&mut board, Pace::AsFastAsItCan);
+            assert_eq!(server.due(0.0), Due::Events, "nobody is there");
+            let _told = connect(&mut server);
+            let play = |server: &mut Server<'_>, now: f64| {
+                while server.due(now) == Due::Time && server.board.status().state == state {
+                    server.turn(now, Due::Time, None);
+                }
+                server.board.time() - server.start
+            };
+            let quarter = 0.25 * f64::from(rules.host_seconds);
+            for now in [0.0, 0.5 * quarter, 2.0 * quarter, 3.0 * quarter] {
+                let passed = play(&mut server, now);
+                assert!((passed - now.max(quarter)).abs() < 3.0 * SLICE, "{passed} s at {now} s, {state:?}");
             }
-            server.board.time() - server.start
-        };
-        let quarter = 0.25 * f64::from(rules.host_seconds);
-        for now in [0.0, 0.5 * quarter, 2.0 * quarter, 3.0 * quarter] {
-            let passed = play(&mut server, now);
-            assert!((passed - now.max(quarter)).abs() < 3.0 * SLICE, "{passed} s at {now} s");
+            assert_eq!(server.board.status().state, state);
         }
-        assert_eq!(server.board.status().state, State::Armed);
     }
 
     #[test]
