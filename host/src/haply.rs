@@ -2,25 +2,25 @@
 //! (`haptic serve --haply`, docs/haply.md).
 //!
 //! Lock-step, as the service does it: the first frame tells everything, and then each message of the program is
-//! answered with one frame of how the device is. Forces come in both of the service's spellings, `values` (3.1) and
-//! `vector` (3.5).
+//! answered with one frame of how the device is.
 //!
 //! The frame is Haply's: x to the operator's right, y away from the operator, z up, the origin at the device's base.
 
-use crate::frame::Axes;
-use crate::link::{BoardError, Session, nothing_yet};
+mod inverse3;
+mod wish;
+
+pub use inverse3::Inverse3;
+pub use wish::{Basis, Wish};
+
+use crate::link::{BoardError, nothing_yet};
 use crate::places::{Place, Places};
-use haptic_bridge::board::protocol::{ForceAnswer, ForceDone};
-use haptic_bridge::render::scene::Scene;
-use haptic_bridge::safety::fault::State;
-use haptic_bridge::safety::refusal::Refusal;
 use serde_json::{Value, json};
 use std::io::{self, Write};
 use std::net::{IpAddr, SocketAddr, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use tungstenite::handshake::server::{Request, create_response, write_response};
 use tungstenite::protocol::{Role, WebSocketConfig};
 use tungstenite::{Message, WebSocket};
@@ -28,8 +28,6 @@ use tungstenite::{Message, WebSocket};
 /// Where programs look for the service.
 pub const USUAL_PORT: u16 = 10_001;
 
-/// The handle that programs ask for: it does not turn, and its buttons are not pressed.
-const GRIP: &str = "HB00";
 /// Longest message of a program, bytes.
 const MESSAGE: usize = 256 * 1024;
 /// Connections at once that have not yet said what they want.
@@ -38,219 +36,6 @@ const HANDSHAKES: usize = 32;
 const LISTEN: Duration = Duration::from_millis(20);
 /// How long an answer may be left unread.
 const SEND: Duration = Duration::from_secs(2);
-/// Most simulated time that passes at once.
-const MOST_AT_ONCE: Duration = Duration::from_millis(100);
-
-/// What a program asks for with one message.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Wish {
-    /// Force, N, in Haply's axes; `None` if there is none or it is marked as not to be executed.
-    pub force: Option<[f64; 3]>,
-    /// It asks for the full state once.
-    pub full: bool,
-    /// Commands that a board has nothing for.
-    pub others: Vec<String>,
-}
-
-impl Wish {
-    /// Reads a message for the device with this id; anything for other devices is ignored.
-    pub fn parse(text: &str, id: &str) -> Result<Self, String> {
-        let message: Value = serde_json::from_str(text).map_err(|error| format!("not JSON: {error}"))?;
-        let mut wish = Self { full: !message["session"]["force_render_full_state"].is_null(), ..Self::default() };
-        for device in message["inverse3"].as_array().into_iter().flatten().filter(|device| device["device_id"] == id) {
-            for (name, command) in device["commands"].as_object().into_iter().flatten() {
-                match name.as_str() {
-                    "set_cursor_force" => {
-                        let vector = if command["vector"].is_null() { &command["values"] } else { &command["vector"] };
-                        let entry = |axis: &str| vector[axis].as_f64().filter(|newtons| newtons.is_finite());
-                        let (Some(x), Some(y), Some(z)) = (entry("x"), entry("y"), entry("z")) else {
-                            return Err("set_cursor_force without the numbers x, y and z in vector or values".into());
-                        };
-                        wish.force = (command["execute"] != false).then_some([x, y, z]);
-                    }
-                    "probe_position" => {}
-                    other => wish.others.push(other.into()),
-                }
-            }
-        }
-        Ok(wish)
-    }
-}
-
-/// A board that programs take for a device of Haply's.
-pub struct Inverse3 {
-    session: Session,
-    axes: Axes,
-    id: String,
-    simulated: bool,
-    looked: Instant,
-    last: ForceAnswer,
-    armed: bool,
-    /// Whether the next force arms: the first of a program. Who turned the motors off meanwhile meant it.
-    may_arm: bool,
-    told: Vec<String>,
-}
-
-impl Inverse3 {
-    /// Of a board that is open and has a device; a board without a scene gets free space. `axes` are CHAI3D's, as
-    /// [`Axes::of`] knows them.
-    pub fn new(mut session: Session, axes: Option<Axes>, simulated: bool) -> Result<Self, BoardError> {
-        let device = session.device()?.ok_or(Refusal::NoDevice)?;
-        let task = device.mechanism.kind().spec().task;
-        if session.scene()?.is_none() {
-            session.set_scene(&Scene { task: task as u8, ..Scene::default() })?;
-        }
-        let axes = axes.unwrap_or_else(|| Axes::of(device.mechanism.kind(), device.weight));
-        let id = session.info().serial.to_string();
-        let last = session.look()?;
-        Ok(Self {
-            session,
-            axes,
-            id,
-            simulated,
-            looked: Instant::now(),
-            last,
-            armed: false,
-            may_arm: true,
-            told: Vec::new(),
-        })
-    }
-
-    /// The device's id in messages: the board's serial number.
-    pub fn id(&self) -> &str {
-        &self.id
-    }
-
-    /// Says something to whoever runs the server, once.
-    fn tell(&mut self, words: String) {
-        if !self.told.contains(&words) {
-            crate::tell!("{words}");
-            self.told.push(words);
-        }
-    }
-
-    /// Does what a message asks for, and reads how the device is then.
-    fn obey(&mut self, wish: &Wish) -> Result<(), BoardError> {
-        for other in &wish.others {
-            self.tell(format!("`{other}` is left alone: a board takes forces at the tip"));
-        }
-        if self.simulated {
-            let passed = self.looked.elapsed().min(MOST_AT_ONCE);
-            self.session.rows(passed)?;
-        }
-        self.looked = Instant::now();
-        let Some(force) = wish.force else {
-            self.last = self.session.look()?;
-            return Ok(());
-        };
-        if !self.armed && self.may_arm {
-            match self.session.arm() {
-                Ok(()) => (self.armed, self.may_arm) = (true, false),
-                Err(BoardError::Refused(refusal)) => self.tell(format!("the motors stay off: {refusal}")),
-                Err(error) => return Err(error),
-            }
-        }
-        let [right, away, up] = force;
-        let force = self.axes.to_task([-away, right, up]);
-        self.last = self.session.force(force.map(|newtons| newtons as f32))?;
-        if let ForceDone::Bad(_) = self.last.done {
-            self.tell(format!("a force of ({right:e}, {away:e}, {up:e}) N is {}", self.last.done));
-        }
-        if self.armed && self.last.state != State::Armed {
-            self.armed = false;
-            self.tell(
-                "the motors are off, by the board or another tool (`haptic faults`); a program that connects anew arms them"
-                    .into(),
-            );
-        }
-        Ok(())
-    }
-
-    /// Motors off.
-    fn let_go(&mut self) {
-        (self.armed, self.may_arm) = (false, true);
-        self.told.clear();
-        let _ = self.session.disarm();
-    }
-
-    /// A frame; `full` with what does not change.
-    fn frame(&self, full: bool) -> Value {
-        let vector = |task: [f32; 3]| {
-            let [toward, right, up] = self.axes.to_chai3d(task.map(f64::from));
-            json!({"x": right, "y": 0.0 - toward, "z": up})
-        };
-        let angles = |radians: [f32; 3]| {
-            let [a0, a1, a2] = radians.map(|angle| f64::from(angle).to_degrees());
-            json!({"a0": a0, "a1": a1, "a2": a2})
-        };
-        let upright = json!({"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0});
-        let zero = json!({"x": 0.0, "y": 0.0, "z": 0.0});
-        let armed = self.last.state == State::Armed;
-        let mut device = json!({
-            "device_id": self.id,
-            "state": {
-                "cursor_position": vector(self.last.tip),
-                "cursor_velocity": vector(self.last.velocity),
-                "angular_position": angles(self.last.q),
-                "angular_velocity": {"a0": 0.0, "a1": 0.0, "a2": 0.0},
-                "body_orientation": upright,
-                "current_cursor_force": vector(self.last.force),
-                "mode": "idle",
-                "control_domain": "cartesian",
-                "control_mode": if armed { "force" } else { "idle" },
-                "transform": {"position": zero, "rotation": upright, "scale": {"x": 1.0, "y": 1.0, "z": 1.0}},
-            },
-            "status": {
-                "calibrated": true,
-                "in_use": armed,
-                "power_supply": true,
-                "ready": self.last.state != State::Fault,
-                "started": armed,
-            },
-        });
-        let mut grip = json!({
-            "device_id": GRIP,
-            "state": {
-                "battery_level": 1.0,
-                "battery_voltage": 3.7,
-                "buttons": {"a": false, "b": false, "c": false},
-                "hall": 0,
-                "orientation": upright,
-            },
-            "status": {"ready": true, "connected": true, "awake": true},
-        });
-        if full {
-            device["config"] = json!({
-                "id": self.id,
-                "type": "inverse3",
-                "device_info": {
-                    "id": self.id, "major_version": 0, "minor_version": 1, "device_type": "inverse3", "uuid": self.id,
-                },
-                "port": self.session.port(),
-                "extended_device_id": self.id,
-                "extended_firmware_version": self.session.info().firmware.as_str(),
-                "gravity_compensation": {"enabled": true, "scaling_factor": 1.0},
-                "handedness": "right",
-                "torque_scaling": {"enabled": false},
-                "coordinate_origin": "device_base",
-                "basis": {"permutation": "XYZ"},
-                "streaming_mode": "USB",
-            });
-            grip["config"] = json!({
-                "id": GRIP,
-                "type": "wireless_verse_grip",
-                "port": "",
-                "major_version": 0,
-                "minor_version": 0,
-                "hardware_version": 0,
-                "streaming_mode": "Radio",
-                "basis": {"permutation": "XYZ"},
-            });
-        }
-        json!({"session_id": 1, "inverse3": [device], "verse_grip": [], "wireless_verse_grip": [grip]})
-    }
-}
-
 /// A port at which programs find a board.
 pub struct HaplyListener {
     listener: TcpListener,
@@ -332,6 +117,18 @@ impl Shared {
     fn device(&self) -> MutexGuard<'_, Inverse3> {
         self.device.lock().unwrap_or_else(PoisonError::into_inner)
     }
+
+    /// How the device is after `work`; none where its board is gone, which ends the server.
+    fn frame(&self, full: bool, work: impl FnOnce(&mut Inverse3) -> Result<(), BoardError>) -> Option<Value> {
+        let mut device = self.device();
+        match work(&mut device) {
+            Ok(()) => Some(device.frame(full)),
+            Err(lost) => {
+                *self.lost.lock().unwrap_or_else(PoisonError::into_inner) = Some(lost);
+                None
+            }
+        }
+    }
 }
 
 /// The device is a program's from its handshake until this is dropped, however the two end; the motors are off then.
@@ -339,7 +136,11 @@ struct Used<'s>(&'s Shared);
 
 impl<'s> Used<'s> {
     fn take(shared: &'s Shared) -> Option<Self> {
-        (!shared.taken.swap(true, Ordering::SeqCst)).then_some(Self(shared))
+        let free = !shared.taken.swap(true, Ordering::SeqCst);
+        free.then(|| {
+            shared.device().begin();
+            Self(shared)
+        })
     }
 }
 
@@ -372,7 +173,10 @@ fn greet(mut stream: TcpStream, place: Place, shared: &Shared) -> tungstenite::R
     }
     match request.uri().path() {
         "/devices" => {
-            let frame = shared.device().frame(true);
+            let Some(frame) = shared.frame(true, Inverse3::glance) else {
+                let gone = json!({"ok": false, "error": "the board is gone"});
+                return answer(&mut stream, "503 Service Unavailable", &gone);
+            };
             answer(&mut stream, "200 OK", &frame)
         }
         "/version" => {
@@ -415,19 +219,14 @@ fn converse(stream: TcpStream, shared: &Shared) -> tungstenite::Result<()> {
     let mut next = Some(Wish { full: true, ..Wish::default() });
     while !shared.over.load(Ordering::Relaxed) {
         if let Some(wish) = next.take() {
-            let mut device = shared.device();
-            if let Err(lost) = device.obey(&wish) {
-                *shared.lost.lock().unwrap_or_else(PoisonError::into_inner) = Some(lost);
-                return Ok(());
-            }
-            let frame = device.frame(wish.full);
-            drop(device);
+            let Some(frame) = shared.frame(wish.full, |device| device.obey(&wish)) else { return Ok(()) };
             socket.send(Message::text(frame.to_string()))?;
         }
         match socket.read() {
-            Ok(Message::Text(text)) => {
+            // Python's orjson makes bytes, which become binary frames; the service answers either with text.
+            Ok(message @ (Message::Text(_) | Message::Binary(_))) => {
                 let mut device = shared.device();
-                next = Some(Wish::parse(&text, device.id()).unwrap_or_else(|error| {
+                next = Some(Wish::parse(&message.into_data(), device.id()).unwrap_or_else(|error| {
                     device.tell(format!("a message that makes no sense: {error}"));
                     Wish::default()
                 }));
@@ -444,7 +243,7 @@ fn converse(stream: TcpStream, shared: &Shared) -> tungstenite::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::link::PortSpec;
+    use crate::link::{PortSpec, Session};
     use tungstenite::handshake::machine::TryParse;
 
     #[test]
@@ -485,29 +284,5 @@ mod tests {
         for elsewhere in ["http://evil.example", "null", "https://localhost:3000", "file://"] {
             assert!(!let_in("?token=abc", elsewhere) && !let_in("", elsewhere), "{elsewhere}");
         }
-    }
-
-    #[test]
-    fn forces_are_read_in_both_spellings_and_only_for_this_device() {
-        let wish = |commands: &str| {
-            Wish::parse(
-                &format!("{{\"session\":{{}},\"inverse3\":[{{\"device_id\":\"A\",\"commands\":{commands}}}]}}"),
-                "A",
-            )
-        };
-        let force = Some([1.0, -2.0, 0.5]);
-        let vector = "{\"x\":1.0,\"y\":-2,\"z\":0.5}";
-        assert_eq!(wish(&format!("{{\"set_cursor_force\":{{\"values\":{vector}}}}}")).unwrap().force, force);
-        let new = format!("{{\"set_cursor_force\":{{\"vector\":{vector},\"execute\":true}}}}");
-        assert_eq!(wish(&new).unwrap().force, force);
-        assert_eq!(Wish::parse(&new.replace("set", "get"), "A"), Ok(Wish::default()));
-        assert_eq!(wish(&new.replace("true", "false")).unwrap(), Wish::default());
-        assert_eq!(wish("{\"probe_position\":{}}").unwrap(), Wish::default());
-        assert_eq!(wish("{\"set_cursor_position\":{}}").unwrap().others, ["set_cursor_position"]);
-        assert!(wish("{\"set_cursor_force\":{\"values\":{\"x\":1}}}").is_err());
-        assert!(Wish::parse("{", "A").is_err());
-        let other = format!("{{\"inverse3\":[{{\"device_id\":\"B\",\"commands\":{new}}}]}}");
-        assert_eq!(Wish::parse(&other, "A"), Ok(Wish::default()));
-        assert!(Wish::parse("{\"session\":{\"force_render_full_state\":{}}}", "A").unwrap().full);
     }
 }
