@@ -1,6 +1,6 @@
 /* Pushes a tip to the side against a spring that this program computes: push PORT DEVICE.toml
  *
- *     gcc push.c -I ../include -L ../../target/debug -lhapticbridge -lm -o push
+ *     gcc push.c $(pkg-config --cflags --libs hapticbridge) -lm -o push
  */
 #include <hapticbridge.h>
 #include <math.h>
@@ -40,7 +40,7 @@ int main(int count, char **arguments) {
            state.state);
     /* For the test that holds this header to the library. */
     printf("sizes %zu %zu offsets %zu %zu\n", sizeof(hb_request), sizeof(hb_state), offsetof(hb_request, damping_ns_m),
-           offsetof(hb_state, force_n));
+           offsetof(hb_state, fault));
     hb_close(board);
     /* What cannot be opened says why. */
     if (hb_open("tcp:127.0.0.1:1")) return 1;

@@ -14,7 +14,7 @@
 /*
  Of this header. A library of another number has other structures: compare with hb_version().
  */
-#define HB_VERSION 1
+#define HB_VERSION 2
 
 /*
  What a function returns: it was done.
@@ -35,6 +35,16 @@
  A defect of the library; the board was told to disarm.
  */
 #define HB_BROKEN 3
+
+/*
+ No answer in time: the board or the computer was busy, or a frame was lost. The next call goes on.
+ */
+#define HB_UNANSWERED 4
+
+/*
+ The board was unplugged, or the connection to it ended: close it, and open it again once it is back.
+ */
+#define HB_LOST 5
 
 /*
  hb_state.done: what was done with a request (docs/host-force.md). It acts.
@@ -82,7 +92,7 @@
 #define HB_CHECKING_POLARITY 2
 
 /*
- They are off until hb_clear().
+ They are off until hb_clear(): hb_state.fault and hb_error() say why.
  */
 #define HB_FAULT 3
 
@@ -181,6 +191,14 @@ typedef struct {
    That the host's force and contact have really added at the tip.
    */
   float force_n[3];
+  /*
+   Joint velocities.
+   */
+  float qd_rad_s[3];
+  /*
+   Code of the fault that is latched, see hb_fault_text(); 0 without one.
+   */
+  int32_t fault;
 } hb_state;
 
 #ifdef __cplusplus
@@ -193,10 +211,15 @@ extern "C" {
 uint32_t hb_version(void);
 
 /*
- What went wrong in the last call of this thread that failed, or which number of a request was HB_BAD; valid until
- its next call. Never NULL.
+ What went wrong in the last call of this thread that failed; after hb_exchange() also which number of a request was
+ HB_BAD, or which fault is latched. Never NULL; the same pointer for as long as the thread lives.
  */
 const char *hb_error(void);
+
+/*
+ What a fault means and what to do about it, of its code in hb_state.fault. Valid for ever; empty for what is no code.
+ */
+const char *hb_fault_text(int32_t fault);
 
 /*
  Opens a board: a serial port or serial number, tcp:HOST:PORT, sim, sim:DEVICE.toml, or NULL for the only one
@@ -210,9 +233,15 @@ hb_board *hb_open(const char *port);
 void hb_close(hb_board *board);
 
 /*
- Loads a device file and a scene file; a NULL scene is free space. Motors must be off.
+ Loads a device file and a scene file; a NULL scene is free space. Motors must be off; homing and the polarity check are
+ forgotten.
  */
 int32_t hb_load(const hb_board *board, const char *device_file, const char *scene_file);
+
+/*
+ Loads a scene file for the device that the board has, which stays homed; NULL is free space. Motors must be off.
+ */
+int32_t hb_set_scene(const hb_board *board, const char *scene_file);
 
 /*
  The device stands in its home pose.
@@ -226,8 +255,8 @@ int32_t hb_home(const hb_board *board);
 int32_t hb_check_polarity(const hb_board *board);
 
 /*
- Motors on; torque ramps up over half a second. hb_exchange() must then be called at least as often as the board's
- rules ask for a sign of the host.
+ Motors on; torque ramps up over half a second. hb_exchange(), also with NULL, must then be called at least as often as
+ the board's rules ask for a sign of the host: every half second, unless they say otherwise.
  */
 int32_t hb_arm(const hb_board *board);
 
@@ -242,14 +271,14 @@ int32_t hb_disarm(const hb_board *board);
 int32_t hb_clear(const hb_board *board);
 
 /*
- For how long hb_exchange() waits for its answer, s; 0.1 unless this says otherwise. A program whose loop has less
- time asks for less: a lost frame then costs it no more.
+ For how long hb_exchange() waits for its answer, s. Unless this says otherwise it waits for 0.1 and asks again, for a
+ second in all. A program whose loop has less time asks for less: a lost frame then costs it no more.
  */
 int32_t hb_wait_for_forces(const hb_board *board, double seconds);
 
 /*
- Sends a request (NULL only asks) and waits for the answer, usually below a millisecond. Where a frame was lost it
- fails after hb_wait_for_forces() seconds, and the next request goes on. A request that was not taken is no failure:
+ Sends a request (NULL only asks) and waits for the answer, usually below a millisecond. Where none comes it returns
+ HB_UNANSWERED, see hb_wait_for_forces(), and the next request goes on. A request that was not taken is no failure:
  hb_state.done says why.
  */
 int32_t hb_exchange(const hb_board *board, const hb_request *request, hb_state *state);
