@@ -3,13 +3,14 @@
 use haptic::analysis::map::Reachable;
 use haptic::analysis::pose::TaskPose;
 use haptic::frame::Axes;
-use haptic::haptic_bridge::board::protocol::ForceAnswer;
+use haptic::haptic_bridge::board::protocol::{DeviceData, ForceAnswer};
 use haptic::haptic_bridge::model::device::Device as BoardDevice;
 use haptic::haptic_bridge::render::scene::Scene;
 use haptic::haptic_bridge::safety::fault::State;
 use haptic::haptic_bridge::servo::host_force::MOST_HELD_FORCE;
 use haptic::link::{LinkError, PortSpec, Session};
 use haptic::vectors::padded;
+use haptic::words::{fault_and_remedy, for_a_program};
 use std::time::{Duration, Instant};
 
 /// From one tick of the servo loop to the next: what CHAI3D's devices have.
@@ -20,9 +21,21 @@ const ANGLES: usize = 24;
 /// CHAI3D divides by the radius, m.
 const LEAST_RADIUS: f64 = 0.01;
 
+/// Ticks between two attempts to open a board that went away: half a second.
+const RETRY: u32 = 500;
+/// What a program does where a person would type a command.
+const CALLS: [(&str, &str); 1] = [("clear", "close and open the device")];
+
+/// How the board is opened, also once more.
+type Opener = Box<dyn FnMut() -> Result<Session, String> + Send>;
+
 /// A board that a program made with CHAI3D uses.
 pub struct HdDevice {
-    session: Session,
+    open: Opener,
+    /// None while the board is gone.
+    session: Option<Session>,
+    /// What the board holds: another one in its place is not this device.
+    held: DeviceData,
     axes: Axes,
     /// The tip that is CHAI3D's origin, m.
     centre: [f64; 3],
@@ -32,12 +45,28 @@ pub struct HdDevice {
     pub name: String,
     last: ForceAnswer,
     tick: Instant,
+    /// Ticks since the board went away.
+    gone: u32,
     /// Simulated time passes only while somebody waits for it.
     simulated: bool,
     /// Why the motors are off was said.
     told: bool,
     /// A force that is none was said.
     told_absurd: bool,
+    /// A fault that came while the program had the motors on is cleared when it opens the device anew.
+    tripped: bool,
+}
+
+/// The board's device, in a scene, and how it is.
+fn look(session: &mut Session) -> Result<(DeviceData, ForceAnswer), String> {
+    let device = session.device().map_err(|error| error.to_string())?;
+    let device = device.ok_or("the board has no device; load one with `haptic device`")?;
+    if session.scene().map_err(|error| error.to_string())?.is_none() {
+        let task = device.mechanism.kind().spec().task as u8;
+        session.set_scene(&Scene { task, ..Scene::default() }).map_err(|error| error.to_string())?;
+    }
+    let state = session.look().map_err(|error| error.to_string())?;
+    Ok((device, state))
 }
 
 impl HdDevice {
@@ -45,14 +74,15 @@ impl HdDevice {
     pub fn open() -> Result<Self, String> {
         let port = std::env::var("HAPTIC_PORT").unwrap_or_else(|_| "sim".into());
         let spec = port.parse::<PortSpec>()?;
-        let mut session = Session::open(&spec).map_err(|error| error.to_string())?;
-        let device = session.device().map_err(|error| error.to_string())?;
-        let device = device.ok_or("the board has no device; load one with `haptic device`")?.cast::<f64>();
+        let simulated = matches!(spec, PortSpec::Sim(_));
+        Self::with(Box::new(move || Session::open(&spec).map_err(|error| error.to_string())), simulated)
+    }
+
+    fn with(mut open: Opener, simulated: bool) -> Result<Self, String> {
+        let mut session = open()?;
+        let (held, last) = look(&mut session)?;
+        let device = held.cast::<f64>();
         let task = device.mechanism.kind().spec().task;
-        if session.scene().map_err(|error| error.to_string())?.is_none() {
-            let free = Scene { task: task as u8, ..Scene::default() };
-            session.set_scene(&free).map_err(|error| error.to_string())?;
-        }
         let axes = match std::env::var("HAPTIC_AXES") {
             Ok(text) => text.parse().map_err(|error| format!("HAPTIC_AXES: {error}"))?,
             Err(_) => Axes::of(device.mechanism.kind(), device.weight),
@@ -60,34 +90,39 @@ impl HdDevice {
         if let Some((index, _)) = axes.0.iter().flatten().find(|(index, _)| *index >= task) {
             return Err(format!("HAPTIC_AXES names axis {index} (from 0), and the device has {task}"));
         }
-        let last = session.look().map_err(|error| error.to_string())?;
         let (centre, radius) = workspace(&device, last.tip.map(f64::from));
         Ok(Self {
-            session,
+            open,
+            session: Some(session),
+            name: format!("haptic-bridge {}", device.name.as_str()),
+            held,
             axes,
             centre,
             radius,
-            name: format!("haptic-bridge {}", device.name.as_str()),
             last,
             tick: Instant::now(),
-            simulated: matches!(spec, PortSpec::Sim(_)),
+            gone: 0,
+            simulated,
             told: false,
             told_absurd: false,
+            tripped: false,
         })
     }
 
     /// Motors on; why they stay off goes to standard error, once.
     pub fn arm(&mut self) -> bool {
-        match self.session.arm() {
+        if self.session.is_none() {
+            self.open_anew();
+        }
+        let Some(session) = &mut self.session else { return false };
+        let cleared = if self.tripped { session.clear() } else { Ok(()) };
+        match cleared.and_then(|()| session.arm()) {
             Ok(()) => {
-                (self.tick, self.told) = (Instant::now(), false);
+                (self.tick, self.told, self.tripped) = (Instant::now(), false, false);
                 true
             }
             Err(error) => {
-                if !self.told {
-                    haptic::tell!("haptic-bridge: the motors stay off: {error}");
-                    self.told = true;
-                }
+                self.tell(format!("the motors stay off: {error}"));
                 false
             }
         }
@@ -95,22 +130,24 @@ impl HdDevice {
 
     /// Motors off.
     pub fn disarm(&mut self) -> bool {
-        self.session.disarm().is_ok()
+        self.session.as_mut().is_some_and(|session| session.disarm().is_ok())
     }
 
-    /// Where the tip was at the last tick, m.
-    pub fn position(&self) -> [f64; 3] {
+    /// Where the tip was at the last tick, m; none while the board is gone.
+    pub fn position(&self) -> Option<[f64; 3]> {
         let tip = self.last.tip.map(f64::from);
-        self.axes.to_chai3d(std::array::from_fn(|i| tip[i] - self.centre[i]))
+        self.session.as_ref()?;
+        Some(self.axes.to_chai3d(std::array::from_fn(|i| tip[i] - self.centre[i])))
     }
 
-    /// How fast it was, m/s.
-    pub fn velocity(&self) -> [f64; 3] {
-        self.axes.to_chai3d(self.last.velocity.map(f64::from))
+    /// How fast it was, m/s; none while the board is gone.
+    pub fn velocity(&self) -> Option<[f64; 3]> {
+        self.session.as_ref()?;
+        Some(self.axes.to_chai3d(self.last.velocity.map(f64::from)))
     }
 
     /// Sends a force (N), waits for the next tick and reads how the device is then. A force that no board accepts is
-    /// replaced by none, and the call reports failure.
+    /// replaced by none, and the call reports failure. Where the board is gone, it is looked for now and then.
     pub fn force(&mut self, force: [f64; 3]) -> bool {
         let usable = force.iter().all(|newtons| newtons.abs() <= f64::from(MOST_HELD_FORCE));
         if !usable && !self.told_absurd {
@@ -118,18 +155,31 @@ impl HdDevice {
             self.told_absurd = true;
         }
         let force = self.axes.to_task(if usable { force } else { [0.0; 3] });
-        let sent = match self.session.force(force.map(|newtons| newtons as f32)) {
+        let Some(session) = &mut self.session else {
+            // A program whose device is gone must not spin.
+            std::thread::sleep(TICK);
+            self.gone += 1;
+            if self.gone.is_multiple_of(RETRY) {
+                self.open_anew();
+            }
+            return false;
+        };
+        let sent = match session.force(force.map(|newtons| newtons as f32)) {
             Ok(sent) => sent,
             Err(error) => return self.lost(&error),
         };
-        if sent.state == State::Fault && !self.told {
-            let fault = self.session.status().ok().and_then(|status| status.fault);
-            let why = fault.map_or_else(String::new, |record| format!(": {}", record.fault));
-            haptic::tell!("haptic-bridge: the board has turned its motors off{why}");
-            self.told = true;
+        if sent.state == State::Fault {
+            let why = session.fault().map_or_else(String::new, |record| {
+                format!(
+                    ": {}; closing and opening the device clears it",
+                    for_a_program(&fault_and_remedy(&record), &CALLS)
+                )
+            });
+            self.tripped = true;
+            self.tell(format!("the board has turned its motors off{why}"));
         }
-        if self.simulated
-            && let Err(error) = self.session.rows(TICK)
+        if let Some(session) = self.session.as_mut().filter(|_| self.simulated)
+            && let Err(error) = session.rows(TICK)
         {
             return self.lost(&error);
         }
@@ -140,24 +190,47 @@ impl HdDevice {
             // Who is late does not hurry afterwards.
             None => self.tick = now,
         }
-        match self.session.look() {
-            Ok(state) => {
+        match self.session.as_mut().map(Session::look) {
+            Some(Ok(state)) => {
                 self.last = state;
                 usable
             }
-            Err(error) => self.lost(&error),
+            Some(Err(error)) => self.lost(&error),
+            None => false,
         }
     }
 
     fn lost(&mut self, error: &LinkError) -> bool {
         // After a lost frame the next force goes on.
-        if !self.told && !matches!(error, LinkError::Unanswered { .. }) {
-            haptic::tell!("haptic-bridge: the board is gone");
+        if matches!(error, LinkError::Unanswered { .. }) {
+            return false;
+        }
+        (self.session, self.gone, self.told) = (None, 0, false);
+        self.tell("the board is gone; once it is back it is found again".into());
+        false
+    }
+
+    /// Opens a board that went away, if it is back. Its motors stay as they are: whoever plugs it in may hold it.
+    fn open_anew(&mut self) {
+        let Ok(mut session) = (self.open)() else { return };
+        match look(&mut session) {
+            Ok((held, last)) if held == self.held => {
+                (self.session, self.last, self.told) = (Some(session), last, false);
+                self.tripped = last.state == State::Fault;
+                self.tell("the board is back; closing and opening the device turns its motors on".into());
+                self.told = false;
+            }
+            Ok(_) => self.tell("another device is on the board now: start the program again".into()),
+            Err(_) => {}
+        }
+    }
+
+    /// Says something to a person, once until it has changed.
+    fn tell(&mut self, words: String) {
+        if !self.told {
+            haptic::tell!("haptic-bridge: {words}");
             self.told = true;
         }
-        // A program whose device is gone must not spin.
-        std::thread::sleep(TICK);
-        false
     }
 }
 
@@ -178,4 +251,93 @@ fn workspace(device: &BoardDevice<f64>, here: [f64; 3]) -> ([f64; 3], f64) {
     }
     let spans = (0..task).map(|i| (high[i] - centre[i]).min(centre[i] - low[i]));
     (centre, spans.fold(f64::INFINITY, f64::min).max(LEAST_RADIUS))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use haptic::device_file::DeviceFile;
+    use haptic::link::{Board, Wire};
+    use haptic::sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, ready_board};
+    use std::io;
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicBool, Ordering};
+
+    /// A wire that can be pulled.
+    struct Cable(Box<dyn Wire>, Arc<AtomicBool>);
+
+    impl Cable {
+        fn there(&self) -> io::Result<()> {
+            if self.1.load(Ordering::Relaxed) { Ok(()) } else { Err(io::ErrorKind::UnexpectedEof.into()) }
+        }
+    }
+
+    impl Wire for Cable {
+        fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+            self.there()?;
+            self.0.send(bytes)
+        }
+        fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
+            self.there()?;
+            self.0.receive(buffer, timeout)
+        }
+        fn now(&self) -> Duration {
+            self.0.now()
+        }
+    }
+
+    /// A board that asks what a real one asks, ready to arm; the program's device; and its cable.
+    fn device() -> (SharedBoard, HdDevice, Arc<AtomicBool>) {
+        let mut file = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
+        for joint in &mut file.description.joints[..2] {
+            joint.motor.as_mut().unwrap().verified = true;
+            joint.limits = Some((-4.0, 4.0));
+        }
+        let options = BoardOptions { strict: true, ..BoardOptions::default() };
+        let board = SharedBoard::new(ready_board(&file, options).unwrap());
+        let (shared, plugged) = (board.clone(), Arc::new(AtomicBool::new(true)));
+        let cable = Arc::clone(&plugged);
+        let open = move || {
+            let wire = Cable(shared.wire(), Arc::clone(&cable));
+            Board::over(Box::new(wire), "sim").map(Session::of).map_err(|error| error.to_string())
+        };
+        let mut device = HdDevice::with(Box::new(open), false).unwrap();
+        let session = device.session.as_mut().unwrap();
+        session.set_scene(&Scene { task: 2, rate_hz: 1_000.0, cutoff_hz: 50.0, ..Scene::default() }).unwrap();
+        session.home().unwrap();
+        session.check_polarity().unwrap();
+        session.wait_for_polarity().unwrap().passed().unwrap();
+        assert!(device.arm());
+        (board, device, plugged)
+    }
+
+    #[test]
+    fn a_fault_is_cleared_by_closing_and_opening_the_device() {
+        let (board, mut device, _) = device();
+        assert!(device.force([0.0; 3]));
+        board.lock().run(0.6);
+        assert!(device.force([0.0; 3]), "positions go on");
+        assert_eq!(board.lock().status().state, State::Fault);
+        assert!(device.disarm() && device.arm());
+        assert_eq!(board.lock().status().state, State::Armed);
+    }
+
+    #[test]
+    fn a_board_that_comes_back_is_found_again_and_armed_by_opening_the_device() {
+        let (board, mut device, plugged) = device();
+        plugged.store(false, Ordering::Relaxed);
+        assert!(!device.force([0.0; 3]));
+        assert_eq!((device.position(), device.velocity()), (None, None), "the last place is not where it is");
+        assert!(!device.disarm() && !device.arm());
+        plugged.store(true, Ordering::Relaxed);
+        // Its watch has let go meanwhile.
+        board.lock().run(0.6);
+        while device.position().is_none() {
+            assert!(!device.force([0.0; 3]));
+        }
+        assert!(device.force([0.0; 3]));
+        assert_eq!(board.lock().status().state, State::Fault);
+        assert!(device.disarm() && device.arm());
+        assert_eq!(board.lock().status().state, State::Armed);
+    }
 }

@@ -109,24 +109,24 @@ pub extern "C" fn hdPhantomClose(id: c_int) -> c_int {
     with(id, HdDevice::disarm)
 }
 
-/// The tip, m.
+/// The tip, m; none while the board is gone.
 ///
 /// # Safety
 /// The pointers are NULL or each has room for one number.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hdPhantomGetPosition(id: c_int, x: *mut f64, y: *mut f64, z: *mut f64) -> c_int {
     // SAFETY: as the caller promises.
-    with(id, |device| unsafe { put([x, y, z], device.position()) })
+    with(id, |device| device.position().is_some_and(|position| unsafe { put([x, y, z], position) }))
 }
 
-/// Its velocity, m/s.
+/// Its velocity, m/s; none while the board is gone.
 ///
 /// # Safety
 /// The pointers are NULL or each has room for one number.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hdPhantomGetLinearVelocity(id: c_int, x: *mut f64, y: *mut f64, z: *mut f64) -> c_int {
     // SAFETY: as the caller promises.
-    with(id, |device| unsafe { put([x, y, z], device.velocity()) })
+    with(id, |device| device.velocity().is_some_and(|velocity| unsafe { put([x, y, z], velocity) }))
 }
 
 /// The orientation, as rows: none of our devices has any but the identity.
