@@ -4,12 +4,15 @@ use crate::arrays::{array, list};
 use crate::device::{PyDevice, Scene};
 use crate::errors::{self, LinkError, RequestError};
 use crate::recording::Recording;
-use haptic::haptic_bridge::board::protocol::{ForceAnswer, ForceDone, ForceRequest, HostContact};
+use haptic::haptic_bridge::board::protocol::{BadForce, ForceAnswer, ForceDone, ForceRequest, HostContact};
 use haptic::haptic_bridge::board::telemetry::Fields;
 use haptic::haptic_bridge::render::controller::Gains;
 use haptic::haptic_bridge::render::scene::Scene as BoardScene;
+use haptic::haptic_bridge::safety::fault::FaultRecord;
+use haptic::haptic_bridge::safety::refusal::Refusal;
 use haptic::link::{self, BoardError, PortSpec, Row, Session, columns};
 use haptic::recorder::STATES;
+use haptic::words::fault_and_remedy;
 use numpy::PyArrayDyn;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -23,73 +26,90 @@ const LOOK: f64 = 0.1;
 /// How the device is, in the answer to a request (docs/host-force.md). Arrays have three entries, 0 where the device
 /// has none.
 #[pyclass(frozen, module = "haptic_bridge")]
-pub struct State(ForceAnswer);
+pub struct State {
+    answer: ForceAnswer,
+    fault: Option<FaultRecord>,
+}
 
 #[pymethods]
 impl State {
     /// What was done with the request, in words: it begins with "taken" or "not taken".
     #[getter]
     fn done(&self) -> String {
-        self.0.done.to_string()
+        self.answer.done.to_string()
     }
     /// Whether the request acts.
     #[getter]
     fn taken(&self) -> bool {
-        self.0.done == ForceDone::Taken
+        self.answer.done == ForceDone::Taken
     }
     /// Disarmed, Armed, CheckingPolarity or Fault.
     #[getter]
     fn state(&self) -> &'static str {
-        STATES[self.0.state as usize]
+        STATES[self.answer.state as usize]
     }
     /// Control periods since the board started, wrapping at 2³².
     #[getter]
     fn step(&self) -> u32 {
-        self.0.step
+        self.answer.step
     }
     /// From one control period to the next, s.
     #[getter]
     fn period_s(&self) -> f32 {
-        self.0.period
+        self.answer.period
     }
     /// Since the state that the acting request was computed from, s; None when none acts.
     #[getter]
     fn age_s(&self) -> Option<f32> {
-        self.0.age
+        self.answer.age
     }
     /// The part of what was asked for that acts, 0 to 1.
     #[getter]
     fn share(&self) -> f32 {
-        self.0.share
+        self.answer.share
     }
     /// Tip, m, shape (3,).
     #[getter]
     fn tip<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
-        list(py, &self.0.tip)
+        list(py, &self.answer.tip)
     }
     /// Velocity of the tip, m/s, shape (3,), filtered as the scene says.
     #[getter]
     fn velocity<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
-        list(py, &self.0.velocity)
+        list(py, &self.answer.velocity)
     }
     /// Joint angles, rad, shape (3,).
     #[getter]
     fn q<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
-        list(py, &self.0.q)
+        list(py, &self.answer.q)
+    }
+    /// Joint velocities, rad/s, shape (3,), filtered as the scene says.
+    #[getter]
+    fn qd<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        list(py, &self.answer.qd)
     }
     /// Joint torques commanded, after all limits, N m, shape (3,).
     #[getter]
     fn torque<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
-        list(py, &self.0.torque)
+        list(py, &self.answer.torque)
     }
     /// Force at the tip that the host's requests really added, N, shape (3,).
     #[getter]
     fn force<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
-        list(py, &self.0.force)
+        list(py, &self.answer.force)
+    }
+    /// The latched fault, with what to do about it; None without one.
+    #[getter]
+    fn fault(&self) -> Option<String> {
+        self.fault.as_ref().map(words)
     }
     fn __repr__(&self) -> String {
-        format!("<State {}, tip {:?} m, {}>", self.state(), self.0.tip, self.0.done)
+        format!("<State {}, tip {:?} m, {}>", self.state(), self.answer.tip, self.answer.done)
     }
+}
+
+fn words(fault: &FaultRecord) -> String {
+    errors::in_calls(&fault_and_remedy(fault))
 }
 
 /// The stream that is followed.
@@ -143,7 +163,15 @@ impl Board {
     }
 
     fn exchanged(&self, py: Python<'_>, request: ForceRequest) -> PyResult<State> {
-        self.with(py, |held| Ok(State(held.session.exchange(request)?)))
+        let state = self.with(py, |held| {
+            let answer = held.session.exchange(request)?;
+            Ok(State { answer, fault: held.session.fault() })
+        })?;
+        match state.answer.done {
+            // A step that the board has not been at: it has restarted, and the next request goes on.
+            ForceDone::Bad(bad) if bad != BadForce::Seen => Err(PyValueError::new_err(state.answer.done.to_string())),
+            _ => Ok(state),
+        }
     }
 }
 
@@ -200,24 +228,30 @@ impl Board {
         self.with(py, |held| Ok(STATES[held.session.status()?.state as usize]))
     }
 
-    /// The latched fault in words; None without one.
+    /// The latched fault, with what to do about it; None without one.
     #[getter]
     fn fault(&self, py: Python<'_>) -> PyResult<Option<String>> {
-        self.with(py, |held| Ok(held.session.status()?.fault.map(|record| record.fault.to_string())))
+        self.with(py, |held| Ok(held.session.status()?.fault.as_ref().map(words)))
     }
 
-    /// Loads a device and a scene; without a scene, free space. Motors must be off.
+    /// Loads a device and a scene; without a scene, free space. Motors must be off; homing and the polarity check are
+    /// forgotten.
     #[pyo3(signature = (device, scene = None))]
     fn load(&self, py: Python<'_>, device: &PyDevice, scene: Option<&Scene>) -> PyResult<()> {
         let data = device.file.device().map_err(|error| RequestError::new_err(error.to_string()))?;
-        let task = device.file.spec().task as u8;
-        let scene = match scene {
-            Some(scene) => scene.file.scene().map_err(|error| RequestError::new_err(error.to_string()))?,
-            None => BoardScene { task, ..BoardScene::default() },
-        };
+        self.with(py, |held| held.session.set_device(&data))?;
+        self.set_scene(py, scene)
+    }
+
+    /// Loads a scene for the device that the board has, which stays homed; without one, free space. Motors must be off.
+    #[pyo3(signature = (scene = None))]
+    fn set_scene(&self, py: Python<'_>, scene: Option<&Scene>) -> PyResult<()> {
+        let scene = scene.map(|scene| scene.file.scene()).transpose();
+        let scene = scene.map_err(|error| RequestError::new_err(error.to_string()))?;
         self.with(py, |held| {
-            held.session.set_device(&data)?;
-            held.session.set_scene(&scene)
+            let device = held.session.device()?.ok_or(Refusal::NoDevice)?;
+            let task = device.mechanism.kind().spec().task as u8;
+            held.session.set_scene(&scene.unwrap_or(BoardScene { task, ..BoardScene::default() }))
         })
     }
 
@@ -237,7 +271,7 @@ impl Board {
     }
 
     /// Motors on; torque ramps up over half a second. The board must then hear from this program as often as its rules
-    /// ask.
+    /// ask, every half second unless they say otherwise: look, force and torque tell it.
     fn arm(&self, py: Python<'_>) -> PyResult<()> {
         self.with(py, |held| held.session.arm())
     }
@@ -266,8 +300,8 @@ impl Board {
         there.map_err(|walls| RequestError::new_err(format!("the scene has {walls} walls, so there is no wall {wall}")))
     }
 
-    /// For how long look, force and torque wait for their answer, s; 0.1 unless this says otherwise. Where it does not
-    /// come they raise, and the next one goes on.
+    /// For how long look, force and torque wait for their answer, s. Unless this says otherwise they wait for 0.1 and ask
+    /// again, for a second in all. Where none comes they raise UnansweredError, and the next one goes on.
     fn wait_for_forces(&self, py: Python<'_>, seconds: f64) -> PyResult<()> {
         let patience = Duration::try_from_secs_f64(seconds)
             .map_err(|_| PyValueError::new_err(format!("a time is no less than 0 s, not {seconds}")))?;
@@ -277,7 +311,7 @@ impl Board {
         })
     }
 
-    /// How the device is; asks nothing of the motors.
+    /// How the device is; asks nothing of the motors, and tells the board that this program is there.
     fn look(&self, py: Python<'_>) -> PyResult<State> {
         self.exchanged(py, ForceRequest::default())
     }
@@ -286,8 +320,8 @@ impl Board {
     /// before.
     ///
     /// hold_s: how long it acts in full, fade_s: in how long it then fades to nothing, 0 to 0.2 s each. contact: (point
-    /// (m), unit normal, stiffness (N/m), damping (N s/m)) of a plane that the board renders at its own rate. A force
-    /// that was not taken raises nothing: State.done says why.
+    /// (m), unit normal, stiffness (N/m), damping (N s/m)) of a plane that the board renders at its own rate. A number
+    /// that no board takes raises ValueError; what was not taken for another reason raises nothing: State.done says why.
     #[pyo3(signature = (force, *, contact = None, hold_s = link::HOLD, fade_s = link::FADE))]
     fn force(
         &self,

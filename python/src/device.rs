@@ -15,10 +15,17 @@ use haptic::error::Failure;
 use haptic::haptic_bridge::model::admissible::Admissible;
 use haptic::model::{Precision, Report, WallForce, evaluate_holding};
 use haptic::scene_file::SceneFile;
+use haptic::toml_file::Document;
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::Duration;
+
+/// How often Ctrl-C is looked for.
+const LOOK: Duration = Duration::from_millis(50);
 
 /// One of a few words, or the words there are.
 pub fn word<T: Copy>(what: &str, given: &str, all: &[(&str, T)]) -> PyResult<T> {
@@ -49,6 +56,38 @@ fn each<T>(found: Vec<Result<T, Failure>>, keep: bool) -> PyResult<Vec<Option<T>
         .collect()
 }
 
+/// What each of `count` poses gives, on all cores with the interpreter's lock released; Ctrl-C ends it.
+fn on_all_cores<T: Send>(
+    py: Python<'_>,
+    count: usize,
+    one: impl Fn(usize) -> Result<T, Failure> + Sync,
+) -> PyResult<Vec<Result<T, Failure>>> {
+    let (stop, done) = (AtomicBool::new(false), AtomicBool::new(false));
+    let all: Vec<usize> = (0..count).collect();
+    py.detach(|| {
+        let caller = thread::current();
+        thread::scope(|scope| {
+            let work = scope.spawn(|| {
+                let found = cores::map(&all, &|_, _| {}, |pose| match stop.load(Ordering::Relaxed) {
+                    true => Err(Failure::impossible("interrupted")),
+                    false => one(*pose),
+                });
+                done.store(true, Ordering::Release);
+                caller.unpark();
+                found
+            });
+            while !done.load(Ordering::Acquire) && !work.is_finished() {
+                thread::park_timeout(LOOK);
+                if let Err(interrupted) = Python::attach(|py| py.check_signals()) {
+                    stop.store(true, Ordering::Relaxed);
+                    return Err(interrupted);
+                }
+            }
+            work.join().map_err(|_| ImpossibleError::new_err("a defect of haptic_bridge: please report it"))
+        })
+    })
+}
+
 /// A column over the poses: `tail` numbers each, NaN where a pose has none.
 struct Columns<'py, 'a, T> {
     into: Bound<'py, PyDict>,
@@ -73,6 +112,13 @@ impl<T> Columns<'_, '_, T> {
 #[pyclass(name = "Device", frozen, module = "haptic_bridge")]
 pub struct PyDevice {
     pub file: DeviceFile,
+    /// What the file was read from: what is pickled.
+    document: Document,
+}
+
+fn read(document: Document) -> PyResult<PyDevice> {
+    let file = DeviceFile::read(&document).map_err(failure)?;
+    Ok(PyDevice { file, document })
 }
 
 #[pymethods]
@@ -80,14 +126,20 @@ impl PyDevice {
     /// Device(path): reads a device file.
     #[new]
     fn new(path: PathBuf) -> PyResult<Self> {
-        Ok(Self { file: DeviceFile::load(path).map_err(failure)? })
+        read(Document::load(&path).map_err(failure)?)
     }
 
     /// Reads the text of a device file; `origin` is what messages call it.
     #[staticmethod]
     #[pyo3(signature = (text, origin = "device.toml"))]
     fn parse(text: &str, origin: &str) -> PyResult<Self> {
-        Ok(Self { file: DeviceFile::parse(text, origin).map_err(failure)? })
+        read(Document::new(text, origin))
+    }
+
+    /// For pickle: the text of the device file, so that it may be read elsewhere.
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (String, String))> {
+        let parse = py.get_type::<Self>().getattr("parse")?;
+        Ok((parse, (self.document.text().to_owned(), self.document.path().display().to_string())))
     }
 
     /// The device's name.
@@ -163,24 +215,20 @@ impl PyDevice {
         let precision = word("precision", precision, &Precision::ALL)?;
         let admissible = word("admissible", admissible, &Admissible::ALL)?;
         let keep = keeps(singular)?;
-        let found: Vec<Result<Report, Failure>> = py.detach(|| {
-            let all: Vec<usize> = (0..poses.rows.len()).collect();
-            cores::map(&all, &|_, _| {}, |pose| {
-                let wall = normals.as_ref().map(|normals| WallForce {
-                    normal: normals[*pose].clone(),
-                    force,
-                    stiffness: 1.0,
-                    feed_forward: true,
-                });
-                let walls: Vec<WallForce> = wall.into_iter().collect();
-                if poses.rows[*pose].iter().chain(&speeds[*pose]).any(|number| !number.is_finite()) {
-                    return Err(Failure::wrong("joint angles and velocities must be finite numbers"));
-                }
-                evaluate_holding(&self.file, &poses.rows[*pose], &speeds[*pose], &walls, precision, admissible)
-                    .map_err(Failure::from)
-            })
-        });
-        let found = each(found, keep)?;
+        let one = |pose: usize| -> Result<Report, Failure> {
+            let wall = normals.as_ref().map(|normals| WallForce {
+                normal: normals[pose].clone(),
+                force,
+                stiffness: 1.0,
+                feed_forward: true,
+            });
+            let walls: Vec<WallForce> = wall.into_iter().collect();
+            if poses.rows[pose].iter().chain(&speeds[pose]).any(|number| !number.is_finite()) {
+                return Err(Failure::wrong("joint angles and velocities must be finite numbers"));
+            }
+            Ok(evaluate_holding(&self.file, &poses.rows[pose], &speeds[pose], &walls, precision, admissible)?)
+        };
+        let found = each(on_all_cores(py, poses.rows.len(), one)?, keep)?;
         let columns = Columns { into: PyDict::new(py), shape: &poses.shape, found: &found };
         columns.add("position", &[d], |report| report.position.clone())?;
         columns.add("jacobian", &[d, n], |report| report.jacobian.concat())?;
@@ -298,11 +346,7 @@ impl PyDevice {
             let host = host.map(|host| host.domain(&device, &around, kd.as_deref())).transpose()?;
             Ok(Range { host, ..range })
         };
-        let found = py.detach(|| {
-            let all: Vec<usize> = (0..poses.rows.len()).collect();
-            cores::map(&all, &|_, _| {}, |pose| one(*pose))
-        });
-        let found = each(found, keep)?;
+        let found = each(on_all_cores(py, poses.rows.len(), one)?, keep)?;
         let columns = Columns { into: PyDict::new(py), shape: &poses.shape, found: &found };
         columns.add("w_eff", &[], |range| vec![range.w_eff])?;
         columns.add("w_rr", &[], |range| vec![range.w_rr])?;

@@ -26,12 +26,18 @@ create_exception!(
     "A sound request that has no answer, such as at a singular pose."
 );
 create_exception!(haptic_bridge, LinkError, HapticError, "No board can be reached, or it went away.");
+create_exception!(
+    haptic_bridge,
+    UnansweredError,
+    LinkError,
+    "One answer did not come in time: the board or the computer was busy. The next request goes on."
+);
 create_exception!(haptic_bridge, RefusedError, HapticError, "The board refuses.");
 
 /// What a program calls where a person would type a command.
 const CALLS: [(&str, &str); 6] = [
     ("device FILE", "Board.load()"),
-    ("scene FILE", "Board.load()"),
+    ("scene FILE", "Board.set_scene()"),
     ("home", "Board.home()"),
     ("polarity", "Board.check_polarity()"),
     ("disarm", "Board.disarm()"),
@@ -57,13 +63,19 @@ pub fn board(error: BoardError) -> PyErr {
 
 /// Of what a board does not do.
 pub fn refused(words: &str) -> PyErr {
-    RefusedError::new_err(for_a_program(words, &CALLS))
+    RefusedError::new_err(in_calls(words))
+}
+
+/// What the tool says, with what a program calls.
+pub fn in_calls(words: &str) -> String {
+    for_a_program(words, &CALLS)
 }
 
 /// Of the way to one.
 pub fn link(error: NoLink) -> PyErr {
     match error {
         NoLink::CannotSimulate(_) => RequestError::new_err(error.to_string()),
+        NoLink::Unanswered { .. } => UnansweredError::new_err(error.to_string()),
         _ => LinkError::new_err(error.to_string()),
     }
 }

@@ -21,6 +21,7 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("RequestError", py.get_type::<errors::RequestError>())?;
     module.add("ImpossibleError", py.get_type::<errors::ImpossibleError>())?;
     module.add("LinkError", py.get_type::<errors::LinkError>())?;
+    module.add("UnansweredError", py.get_type::<errors::UnansweredError>())?;
     module.add("RefusedError", py.get_type::<errors::RefusedError>())?;
     module.add_class::<device::PyDevice>()?;
     module.add_class::<device::Scene>()?;

@@ -77,6 +77,40 @@ def test_a_polarity_check_is_over_when_it_returns(five_bar):
         assert board.state == "Armed"
 
 
+def test_a_board_that_watches_its_host_is_brought_up_and_its_fault_read_and_cleared(vouched):
+    simulation = hb.Simulation(vouched, strict=True)
+    with simulation.board() as board:
+        board.home()
+        board.check_polarity()
+        board.set_scene()  # homed and checked it stays
+        board.arm()
+        for _ in range(4):
+            simulation.run(0.4)
+            assert board.look().state == "Armed"
+        simulation.run(0.6)
+        state = board.look()
+        assert state.state == "Fault" and state.fault.startswith("HostLost (16): ")
+        assert board.fault == state.fault
+        board.clear()
+        board.arm()
+        assert board.look().fault is None
+        board.force([0.5, 0.0], hold_s=0.1)
+        simulation.run(0.1)
+        assert np.abs(board.look().qd).max() > 0
+
+
+def test_numbers_that_no_board_takes_and_answers_that_do_not_come_are_exceptions(five_bar):
+    with armed(hb.Simulation(five_bar)) as board:
+        for force in ([np.nan, 0.0], [2000.0, 0.0], [0.0, np.inf]):
+            with pytest.raises(ValueError, match="each entry of the force must be at most 1000 N"):
+                board.force(force)
+        board.wait_for_forces(0.0)
+        with pytest.raises(hb.UnansweredError, match="no answer to a force"):
+            board.look()
+        board.wait_for_forces(0.1)
+        assert board.look().state == "Armed"
+
+
 def test_what_a_board_refuses_is_an_exception_in_its_words(five_bar, devices):
     simulation = hb.Simulation(five_bar, strict=True)
     with simulation.board() as board, pytest.raises(hb.RefusedError, match="the board refuses"):

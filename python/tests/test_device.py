@@ -1,6 +1,8 @@
 """Model, range and map: shapes, the paper's relations between the numbers, and what is refused."""
 
+import _thread
 import json
+import pickle
 import threading
 import time
 
@@ -150,3 +152,16 @@ def test_the_range_is_what_others_computed(devices):
         kp = [point["kp"] for point in expected["off"]["boundary"]]
         np.testing.assert_allclose(found["off"]["kp"], kp, rtol=1e-4, err_msg=case["id"])
         np.testing.assert_allclose(found["full"]["area"], expected["full"]["area"], rtol=1e-4, err_msg=case["id"])
+
+
+def test_a_device_is_pickled_as_its_file(five_bar):
+    copy = pickle.loads(pickle.dumps(five_bar))
+    q = poses(five_bar, 3)
+    np.testing.assert_array_equal(copy.model(q)["mass"], five_bar.model(q)["mass"])
+
+
+def test_ctrl_c_ends_a_batch(five_bar):
+    q = np.tile(five_bar.home, (1_000_000, 1))  # a quarter of an hour
+    threading.Timer(0.2, _thread.interrupt_main).start()
+    with pytest.raises(KeyboardInterrupt):
+        five_bar.range(q, NORMAL)

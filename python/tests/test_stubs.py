@@ -4,6 +4,8 @@ import ast
 import inspect
 import pathlib
 
+import pytest
+
 import haptic_bridge
 from haptic_bridge import _native
 
@@ -37,3 +39,14 @@ def test_the_stubs_name_what_there_is_and_nothing_else():
 def compare(function, node):
     names = [argument.arg for argument in [*node.args.args, *node.args.kwonlyargs]]
     assert list(inspect.signature(function).parameters) == names, node.name
+
+
+def test_the_example_of_the_readme_is_typed(tmp_path, monkeypatch):
+    mypy = pytest.importorskip("mypy.api")
+    readme = (pathlib.Path(__file__).parents[1] / "README.md").read_text()
+    example = tmp_path / "example.py"
+    example.write_text(readme.split("```python\n")[1].split("```")[0])
+    monkeypatch.setenv("MYPYPATH", str(STUB.parents[1]))
+    options = ["--strict", "--follow-imports=silent", f"--cache-dir={tmp_path}"]
+    report, errors, status = mypy.run([*options, str(example)])
+    assert status == 0, report + errors
