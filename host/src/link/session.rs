@@ -113,7 +113,10 @@ impl Session {
                 answered => break answered?,
             }
         };
-        self.seen = Some(answer.step);
+        if self.seen.replace(answer.step).is_none() && request.hold + request.fade == 0.0 {
+            // Only a look that follows another is a sign of the host.
+            return self.exchange(request);
+        }
         self.fault = match (answer.state, self.fault) {
             // Where it is not told now, the next answer asks again.
             (State::Fault, None) => self.board.status().ok().and_then(|status| status.fault),

@@ -65,8 +65,8 @@ fn a_polarity_check_a_program_that_only_looks_and_a_named_fault_on_a_board_that_
     let (shared, mut session) = strict();
     session.arm().unwrap();
     for _ in 0..8 {
-        session.look().unwrap();
         shared.lock().run(0.4);
+        session.look().unwrap();
     }
     assert_eq!((session.look().unwrap().state, session.fault()), (State::Armed, None));
     shared.lock().run(0.6);
