@@ -319,8 +319,9 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let pose = shared_pose::<T, K, M, N>(&self.mechanism, &angles);
         let tip = self.mechanism.tip(&pose);
         let regularity = self.mechanism.regularity(&pose);
-        let (speed, qd) = self.encoders.velocities(counts, |filter, raw| filter.step(&self.coefficients, raw));
-        self.passivity.observe(&speed);
+        let turned = self.encoders.turned(counts);
+        self.passivity.observe(&turned);
+        let qd = self.encoders.velocities(&turned, |filter, raw| filter.step(&self.coefficients, raw));
         Self::keep(&qd, &tip, found);
         found.parallel = regularity.parallel;
         weigh_directions(&self.mechanism, &pose, &mut found.leverage);
