@@ -152,7 +152,6 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     mechanism: M,
     coefficients: Coefficients<T>,
     encoders: Encoders<T, N>,
-    passivity: Passivity<T, N>,
     walls: Walls<T>,
     observers: Observers<T, N>,
     viscous: SVector<T, N>,
@@ -162,6 +161,8 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     posture: Option<Posture<T>>,
     guidance: Guidance<T>,
     mass: MassModel<T, N>,
+    /// Behind what those loads reach: it needs one address of its own, and would push others out.
+    passivity: Passivity<T, N>,
     math: PhantomData<K>,
 }
 
