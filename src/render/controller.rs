@@ -152,7 +152,6 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     mechanism: M,
     coefficients: Coefficients<T>,
     encoders: Encoders<T, N>,
-    passivity: Passivity<T, N>,
     walls: Walls<T>,
     observers: Observers<T, N>,
     viscous: SVector<T, N>,
@@ -162,6 +161,8 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     posture: Option<Posture<T>>,
     guidance: Guidance<T>,
     mass: MassModel<T, N>,
+    /// Behind what those loads reach: it needs one address of its own, and would push others out.
+    passivity: Passivity<T, N>,
     math: PhantomData<K>,
 }
 
@@ -319,8 +320,9 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let pose = shared_pose::<T, K, M, N>(&self.mechanism, &angles);
         let tip = self.mechanism.tip(&pose);
         let regularity = self.mechanism.regularity(&pose);
-        let (speed, qd) = self.encoders.velocities(counts, |filter, raw| filter.step(&self.coefficients, raw));
-        self.passivity.observe(&speed);
+        let turned = self.encoders.turned(counts);
+        self.passivity.observe(&turned);
+        let qd = self.encoders.velocities(&turned, |filter, raw| filter.step(&self.coefficients, raw));
         Self::keep(&qd, &tip, found);
         found.parallel = regularity.parallel;
         weigh_directions(&self.mechanism, &pose, &mut found.leverage);

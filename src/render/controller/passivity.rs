@@ -13,7 +13,7 @@ use crate::math::Real;
 use nalgebra::SVector;
 
 /// What the walls owe (J) from where on nothing is shaped any more: what a wall of 10 kN/m stores at 4.5 N.
-pub const MOST_OWED: f64 = 1.0e-3;
+const MOST_OWED: f64 = 1.0e-3;
 
 /// Most damping that the controller adds, as a share of the damping at which a mass of 1 kg would stop in a step: beyond
 /// it the controller itself would be the instability.

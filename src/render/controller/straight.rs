@@ -49,8 +49,9 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let (_, angles) = self.encoders.angles(counts);
         let pose = self.mechanism.regular_pose::<K>(&angles, &least)?;
         let tip = self.mechanism.tip(&pose);
-        let (speed, qd) = self.encoders.velocities(counts, |filter, raw| filter.pass(&self.coefficients, raw));
-        self.passivity.observe(&speed);
+        let turned = self.encoders.turned(counts);
+        self.passivity.observe(&turned);
+        let qd = self.encoders.velocities(&turned, |filter, raw| filter.pass(&self.coefficients, raw));
         Self::keep(&qd, &tip, found);
         found.parallel = self.mechanism.regularity(&pose).parallel;
         weigh_directions(&self.mechanism, &pose, &mut found.leverage);

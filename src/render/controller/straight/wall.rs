@@ -68,10 +68,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         } else {
             self.shaped(&started, &contact.normal, pressed.shaped, Some(0))
         };
-        // In full nothing is left for Jᵀ alone, unless something is owed.
-        if feed_forward == FeedForward::Washout || debt.is_some() {
-            torque += row * (force - pressed.shaped);
-        }
+        // Nothing where all of it is shaped.
+        torque += row * (force - pressed.shaped);
         self.passivity.hold(&torque);
         put(&e, &mut found.motion);
         self.total(&torque, || contact.normal * force, found);
