@@ -149,7 +149,7 @@ fn main() -> Result<(), Error> {
     let wanted: Vec<String> = std::env::args().skip(1).collect();
     let theory = measured(&root, &THEORY, &wanted)?;
     let mut cases = csv_line(["case", "deviation off (%)", "deviation full (%)", "area ratio predicted", "measured"]);
-    for (case, answer) in &theory {
+    for (_, answer) in &theory {
         let (off, full) = ("off", "full");
         let [cutoff, rate] = ["cutoff_hz", "rate_hz"].map(|key| answer[key].to_string());
         let ratio = |key| Ok::<f64, Error>(area(answer, full, key)? / area(answer, off, key)?);

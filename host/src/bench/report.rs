@@ -224,7 +224,7 @@ pub fn by_variant(every: &[(Device<f64>, Vec<Variant>)]) -> String {
 /// estimator, windows at their longest: docs/results/speed-by-mechanism.csv.
 pub fn by_mechanism(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, Failure> {
     let head = ["mechanism", "device", "encoder step (µm)", "encoder step (N)", "terms fade (%)", "terms off (%)"];
-    let mut text = csv_line(head.into_iter().chain(Estimator::ALL.into_iter().map(|(name, _)| *name)));
+    let mut text = csv_line(head.into_iter().chain(Estimator::ALL.iter().map(|(name, _)| *name)));
     for (device, _) in every {
         let (probes, spec) = (probes(device), device.mechanism.kind().spec());
         let (step, [faded, off]) = (encoder_step(device, &probes), law(device)?.fading(device, &probes));
@@ -235,7 +235,7 @@ pub fn by_mechanism(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, Fai
             format!("{:.1e}", STIFFNESS * step),
         ];
         cells.extend([faded, off].map(|share| format!("{:.1}", 100.0 * share)));
-        cells.extend(Estimator::ALL.into_iter().map(|(estimator, _)| {
+        cells.extend(Estimator::ALL.iter().map(|(estimator, _)| {
             count(counts::instructions(spec.name, BoardMath::NAME, "exact", &format!("feed-forward, {estimator}")))
         }));
         text += &csv_line(cells);

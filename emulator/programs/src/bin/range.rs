@@ -16,7 +16,7 @@ use virtual_board::range::{
 use virtual_board::results;
 
 /// What the table of cables has without back-EMF, too.
-const WITHOUT_EMF: (&str, u32) = ("woodenhaptics", 20_000);
+const WITHOUT_EMF: (&str, f64) = ("woodenhaptics", 20_000.0);
 
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();

@@ -27,7 +27,7 @@ impl Table {
     }
 
     pub fn csv(&self) -> String {
-        csv_line(self.header) + &self.rows.iter().map(|row| csv_line(row)).collect::<String>()
+        csv_line(self.header) + &self.rows.iter().map(csv_line).collect::<String>()
     }
 }
 
