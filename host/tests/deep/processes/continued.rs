@@ -80,7 +80,7 @@ fn a_search_for_the_best_settings() {
         feed_forwards: vec![haptic_bridge::render::scene::FeedForward::Off],
         known: None,
     };
-    comes_to_the_same(2, 3_000, |sweep| tune(&question, sweep));
+    comes_to_the_same(1, 1_000, |sweep| tune(&question, sweep));
 }
 
 #[test]
