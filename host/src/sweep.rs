@@ -135,6 +135,20 @@ impl Sweep {
         if (self.interrupted)() { Err(self.ended("interrupted".into())) } else { Ok(()) }
     }
 
+    /// Tells of work that is not done in parts.
+    pub fn during<R>(&self, stage: &str, work: impl FnOnce() -> R) -> R {
+        match self.shown {
+            Shown::InPlace => crate::error::say_over(format_args!("{stage}"), false),
+            Shown::Lines => crate::error::say(format_args!("{stage}\n")),
+            Shown::Never => {}
+        }
+        let done = work();
+        if self.shown == Shown::InPlace {
+            crate::error::say_over(format_args!(""), true);
+        }
+        done
+    }
+
     fn ended(&self, how: String) -> Failure {
         let failure = Failure::impossible(how);
         match &self.file {

@@ -234,8 +234,8 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<Answer, Failure> {
         .remedy("ask at another pose or normal (`haptic design`), or allow more")
         .choose(Choice::Ripple));
     };
-    let (active, limits, beside) = limits(&context, &best)?;
-    let feed_forwards = otherwise::otherwise(&context, &best, &all)?;
+    let (active, limits, beside) = sweep.during("what limits it", || limits(&context, &best))?;
+    let feed_forwards = sweep.during("other feed-forwards", || otherwise::otherwise(&context, &best, &all))?;
     Ok(Answer { best, passed_over, active, limits, beside, others: of_each_estimator(all), feed_forwards, looked_at })
 }
 

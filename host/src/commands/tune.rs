@@ -182,15 +182,17 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let (ripple_n, board_ripple_n) = ripple_like(&question, written, &sweep)?;
         (question.ripple_n, question.board_ripple_n) = (ripple_n, Some(board_ripple_n));
     }
-    let before = place.written.map(|written| baseline(&question, &written, &sweep)).transpose()?;
+    let before =
+        place.written.map(|written| sweep.during("the wall of the scene", || baseline(&question, &written, &sweep)));
+    let before = before.transpose()?;
     question.known = before.map(|before| before.settings);
     let answer = tune(&question, &sweep)?;
     let (mut here, mut there) = (None, None);
     if args.measure {
         let stages: Vec<Option<Settings>> = vec![before.map(|before| before.settings), Some(answer.best.settings)];
-        let mut found = haptic::cores::map(&stages, &|_, _| {}, |settings| {
-            settings.map(|settings| measured::measure(&question, &settings, &sweep))
-        });
+        let measure = |settings: &Option<Settings>| settings.map(|s| measured::measure(&question, &s, &sweep));
+        let mut found =
+            sweep.during("measured on the simulated board", || haptic::cores::map(&stages, &|_, _| {}, measure));
         here = found.pop().flatten().transpose()?;
         there = found.pop().flatten().transpose()?;
     }

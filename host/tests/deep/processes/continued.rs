@@ -51,7 +51,7 @@ fn a_comparison_of_estimators() {
     let file = shipped("hapkit-paddle");
     let comparison =
         Comparison { file: &file, q: &[0.1], normal: &[1.0], rate_hz: 1_000.0, cutoff_hz: 50.0, wall: (100.0, 1.0) };
-    comes_to_the_same(2, 1_500, |sweep| compare(&comparison, sweep));
+    comes_to_the_same(2, 1_800, |sweep| compare(&comparison, sweep));
 }
 
 #[test]
@@ -80,7 +80,7 @@ fn a_search_for_the_best_settings() {
         feed_forwards: vec![haptic_bridge::render::scene::FeedForward::Off],
         known: None,
     };
-    comes_to_the_same(3, 2_000, |sweep| tune(&question, sweep));
+    comes_to_the_same(1, 1_000, |sweep| tune(&question, sweep));
 }
 
 #[test]
