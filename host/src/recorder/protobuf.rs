@@ -47,7 +47,8 @@ pub fn describe(name: &str, fields: &[Field], states: &[&str]) -> Result<Message
             ..DescriptorProto::default()
         }],
         enum_type: if states.is_empty() { Vec::new() } else { vec![state] },
-        syntax: Some("proto3".into()),
+        // A field that is set is written, also with -0, which proto3 leaves out here.
+        syntax: Some("proto2".into()),
         ..FileDescriptorProto::default()
     };
     let mut pool = DescriptorPool::new();
@@ -91,7 +92,7 @@ pub fn pack_text(message: &MessageDescriptor, text: &str) -> Vec<u8> {
     packed.encode_to_vec()
 }
 
-/// A message's numbers in the order of its fields' numbers: 0 where one is left out, as proto3 has it; NaN in the place of
+/// A message's numbers in the order of its fields' numbers: 0 where one is left out; NaN in the place of
 /// what is no number, and throughout where the message is not whole.
 pub fn values(message: &MessageDescriptor, bytes: &[u8]) -> Vec<f64> {
     let whole = DynamicMessage::decode(message.clone(), bytes);
@@ -127,8 +128,10 @@ mod tests {
         let read = described(&set, "haptic.Row").unwrap();
         assert_eq!(names(&read), kinds.map(|(name, _)| name));
         assert!(described(&set, "haptic.Column").is_none());
-        let row = [4e9, -0.1, f64::from(0.1_f32), -2_147_483_648.0];
-        assert_eq!(values(&read, &pack(&written, row)), row);
+        for row in [[4e9, -0.1, f64::from(0.1_f32), -2_147_483_648.0], [0.0, -0.0, -0.0, 0.0]] {
+            let bits = |row: &[f64]| row.iter().map(|number| number.to_bits()).collect::<Vec<_>>();
+            assert_eq!(bits(&values(&read, &pack(&written, row))), bits(&row));
+        }
         assert_eq!(values(&read, &[])[1..], [0.0; 3], "what is not there is 0");
     }
 
