@@ -122,7 +122,6 @@ const ROWS: [Row; 11] = [
             "emulator/src/noise.rs",
             "emulator/src/range.rs",
             "emulator/src/soak.rs",
-            "host/src/commands/report.rs",
         ],
         toy: Some(("emulator/tests/emulated/toy.rs", "a_toy_board_is_one_file_and_renders_a_wall")),
     },

@@ -308,7 +308,7 @@ fn the_library_names_no_board_and_no_chip() {
 }
 
 /// The files below host/src that write whole command lines for people.
-const WRITERS: [&str; 2] = ["demo.rs", "plausible/scene.rs"];
+const WRITERS: [&str; 3] = ["analysis/prediction.rs", "demo.rs", "plausible/scene.rs"];
 
 /// The texts in a source that name an option of a command line; comments and tests aside.
 fn options(tokens: TokenStream) -> Vec<String> {

@@ -52,4 +52,5 @@ pub mod ripple;
 pub mod sampled;
 pub mod several;
 pub mod spectrum;
+mod subject;
 pub mod why;

@@ -119,7 +119,7 @@ pub fn beyond_limits(q: &[f64], description: &Description) -> Vec<Doubt> {
     let beyond = |(joint, angle): (usize, &f64)| {
         let (low, high) = description.joints[joint].limits?;
         let text = format!(
-            "--q puts joint {joint} at {angle} rad, outside its limits [{low}, {high}]: the device never stands so"
+            "the pose puts joint {joint} at {angle} rad, outside its limits [{low}, {high}]: the device never stands so"
         );
         (!(low..=high).contains(angle)).then_some(Doubt { key: None, text })
     };

@@ -357,7 +357,7 @@ mod tests {
             let device = random_device(&mut random, joints);
             let around = random_loop(&mut random, joints);
             let mode = [Mode::Off, Mode::Full, Mode::Washout(2.0)][(case / 3) % 3];
-            let open = OpenLoop::new(&device, &around, mode).unwrap();
+            let open = OpenLoop::believing(&device, &device, &around, mode).unwrap();
             let mut circle = Circle::new(&open, around.delay_samples);
             let support = circle.damping_intervals().unwrap();
             for interval in &support {

@@ -13,8 +13,7 @@ use super::control_loop::{Loop, Mode};
 use super::error::AnalysisError;
 use super::flexible::felt;
 use super::plant::Linearised;
-use super::sampled::OpenLoop;
-use super::several::{Loops, WallSet};
+use super::several::{Loops, WallSet, open_loop};
 
 /// Damping values on a boundary when none are asked for.
 pub const BOUNDARY_POINTS: usize = 200;
@@ -86,7 +85,7 @@ pub fn domain(device: &Linearised, around: &Loop, mode: Mode, kd: Option<&[f64]>
     if let Some(&refused) = kd.unwrap_or_default().iter().find(|kd| !(kd.is_finite() && **kd >= 0.0)) {
         return Err(AnalysisError::Damping(refused));
     }
-    let open = OpenLoop::new(device, around, mode)?;
+    let open = open_loop(device, device, around, mode)?;
     let found = bounded(&mut Circle::new(&open, around.delay_samples), open.mass, open.sample_s, kd)?;
     Ok(found.behind(device.flexible.stiffness_at_tip(&device.row)))
 }
@@ -189,7 +188,7 @@ pub(super) fn bounded(
 /// The largest stiffness (N/m) that is stable with damping `kd` (N s/m), zero where none is, and the damping at which
 /// that ends.
 pub fn stiffness_at(device: &Linearised, around: &Loop, mode: Mode, kd: f64) -> Result<(f64, f64), AnalysisError> {
-    let open = OpenLoop::new(device, around, mode)?;
+    let open = open_loop(device, device, around, mode)?;
     let damping_unit = open.mass / open.sample_s;
     let mut circle = Circle::new(&open, around.delay_samples);
     let support = support(&mut circle)?;
@@ -224,7 +223,7 @@ pub fn boundary_of(
     mode: Mode,
     kd: impl FnOnce(f64) -> Vec<f64>,
 ) -> Result<Vec<BoundaryPoint>, AnalysisError> {
-    let open = OpenLoop::believing(device, believed, around, mode)?;
+    let open = open_loop(device, believed, around, mode)?;
     let damping_unit = open.mass / open.sample_s;
     let mut circle = Circle::new(&open, around.delay_samples);
     let support = support(&mut circle)?;

@@ -87,22 +87,6 @@ impl LinearEstimator {
         all.filter(move |(_, kind)| windowless(*kind) && Self::of(*kind, 1.0).is_some())
     }
 
-    /// The options of `haptic range` that ask for it, beside `--cutoff`.
-    pub(super) fn options(self) -> String {
-        let (name, samples) = match self {
-            Self::BackwardDifference => ("backward-difference", 1),
-            Self::FirstOrder(_) => ("first-order", 1),
-            Self::Butterworth(_) => ("butterworth", 1),
-            Self::AlphaBeta(_) => ("alpha-beta", 1),
-            Self::Predicted(_) => ("predicted", 1),
-            Self::Over { samples, then: LowPass::None } => ("backward-difference", samples),
-            Self::Over { samples, then: LowPass::FirstOrder(_) } => ("first-order", samples),
-            Self::Over { samples, then: LowPass::Butterworth(_) } => ("butterworth", samples),
-        };
-        let kind = if name == "butterworth" { String::new() } else { format!(" --estimator {name}") };
-        if samples > 1 { format!("{kind} --difference-over {samples}") } else { kind }
-    }
-
     /// Whether it begins with a difference, which can be taken over more samples.
     pub fn takes_difference(self) -> bool {
         !matches!(self, Self::AlphaBeta(_) | Self::Predicted(_))
@@ -248,6 +232,20 @@ impl LinearEstimator {
             unit[column] = 0.0;
         }
         matrix
+    }
+
+    /// What a command line calls it, and over how many samples it takes the difference.
+    pub(super) fn name_and_window(self) -> (&'static str, usize) {
+        match self {
+            Self::BackwardDifference => ("backward-difference", 1),
+            Self::FirstOrder(_) => ("first-order", 1),
+            Self::Butterworth(_) => ("butterworth", 1),
+            Self::AlphaBeta(_) => ("alpha-beta", 1),
+            Self::Predicted(_) => ("predicted", 1),
+            Self::Over { samples, then: LowPass::None } => ("backward-difference", samples),
+            Self::Over { samples, then: LowPass::FirstOrder(_) } => ("first-order", samples),
+            Self::Over { samples, then: LowPass::Butterworth(_) } => ("butterworth", samples),
+        }
     }
 }
 

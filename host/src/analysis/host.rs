@@ -9,6 +9,7 @@ use super::boundary::Circle;
 use super::domain::{Domain, bounded};
 use super::plant::Linearised;
 use super::sampled::{AnalysisError, LONGEST_DELAY, Loop, Mode, OpenLoop};
+use super::several::open_loop;
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
@@ -52,7 +53,7 @@ impl Host {
         }
         // A hair above whole periods is rounding.
         let late = (self.delay_s * around.rate_hz - 1e-6).ceil().max(0.0) as usize;
-        let board = OpenLoop::new(device, around, Mode::Off)?;
+        let board = open_loop(device, device, around, Mode::Off)?;
         let open = held(&board, steps, late);
         let delay = (late as f64 + around.delay_samples) / steps as f64;
         let domain = bounded(&mut Circle::new(&open, delay), open.mass, open.sample_s, kd)?;

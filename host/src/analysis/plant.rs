@@ -11,7 +11,6 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::control_loop::CURRENT_LOOP_HZ;
 use super::flexible::Flexible;
 
 /// The device at rest at one pose, seen along one rendered direction. `N` joints; gravity is balanced.
@@ -92,19 +91,6 @@ pub enum Drive {
         /// -3 dB bandwidth of the current loop, Hz.
         bandwidth_hz: f64,
     },
-}
-
-impl Drive {
-    /// The options of `haptic range` that ask for it.
-    #[must_use]
-    pub fn options(&self) -> String {
-        match self {
-            Self::Ideal => String::new(),
-            Self::Voltage(_) => " --drive voltage".into(),
-            Self::Current { bandwidth_hz } if *bandwidth_hz == CURRENT_LOOP_HZ => " --drive current".into(),
-            Self::Current { bandwidth_hz } => format!(" --drive current --current-bandwidth {bandwidth_hz}"),
-        }
-    }
 }
 
 /// How the drives of all joints lag and damp.

@@ -12,7 +12,7 @@ use thiserror::Error;
 
 use super::flexible::{Flexible, Hand};
 use super::plant::{Linearised, MotorElectrics};
-use super::prediction::Subject;
+use super::subject::Subject;
 use crate::vectors::{padded_to, unit};
 
 /// Poses closer to a singularity than this sine are refused.
@@ -246,6 +246,16 @@ impl Linearised {
     pub fn undamped(mut self) -> Self {
         self.viscous.fill(0.0);
         self
+    }
+}
+
+impl Subject {
+    /// The device at rest at `q` (rad), seen along `normal` (d entries, any length but zero).
+    pub fn along(&self, q: &[f64], normal: &[f64], admissible: Admissible) -> Result<Linearised, PoseError> {
+        let mut seen = Linearised::of(&self.device, q, normal, admissible)?;
+        let Flexible { transmissions, modes, .. } = self.gives();
+        (seen.flexible.transmissions, seen.flexible.modes) = (transmissions, modes);
+        Ok(seen)
     }
 }
 

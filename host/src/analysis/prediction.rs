@@ -3,76 +3,21 @@
 //! A [`Subject`] is the device with what gives between its motors and links; a [`Prediction`] puts it into a loop: the
 //! scene's rate, estimator, feed-forward and posture, the board's delay and drives, a hand.
 
-use super::control_loop::{Loop, Mode, TorquePath};
+use super::control_loop::{CURRENT_LOOP_HZ, Loop, Mode, TorquePath};
 use super::domain::stiffness_at;
 use super::error::AnalysisError;
 use super::estimator::LinearEstimator;
-use super::flexible::{Flexible, Hand, Posture};
-use super::plant::Linearised;
+use super::flexible::{Hand, Posture};
+use super::plant::{Drive, Linearised};
 use super::pose::{PoseError, TaskPose};
 use super::range::{Range, predict, predict_several};
 use super::several::{Member, WallSet};
-use crate::device_file::DeviceFile;
+pub use super::subject::Subject;
 use crate::error::Failure;
 use crate::words::digits;
 use haptic_bridge::model::admissible::Admissible;
-use haptic_bridge::model::catalogue::MAX_JOINTS;
-use haptic_bridge::model::description::{Description, DescriptionError, Joint};
-use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::{Scene, Wall};
 use std::fmt::Write;
-
-/// A device as predictions know it.
-#[derive(Clone, Debug)]
-pub struct Subject {
-    /// As a board has it.
-    pub device: Device<f64>,
-    /// Its joints as the file describes them: their transmissions and structural modes are what a board's device lacks.
-    /// `None` where only a board is known; then nothing gives.
-    pub joints: Option<[Joint; MAX_JOINTS]>,
-}
-
-impl Subject {
-    /// The device that a file describes.
-    pub fn new(description: &Description) -> Result<Self, DescriptionError> {
-        Ok(Self { device: Device::new("", description)?, joints: Some(description.joints) })
-    }
-
-    /// The device that a board holds, with what gives in it where `file` describes the same device.
-    #[must_use]
-    pub fn on_board(device: Device<f64>, file: Option<&DeviceFile>) -> Self {
-        let same = |file: &&DeviceFile| file.device::<f32>().is_ok_and(|described| described == device.cast());
-        Self { joints: file.filter(same).map(|file| file.description.joints), device }
-    }
-
-    /// The same without joint damping.
-    #[must_use]
-    pub fn undamped(mut self) -> Self {
-        self.device.joints.iter_mut().for_each(|joint| joint.viscous = 0.0);
-        self
-    }
-
-    /// The device at rest at `q` (rad), seen along `normal` (d entries, any length but zero).
-    pub fn along(&self, q: &[f64], normal: &[f64], admissible: Admissible) -> Result<Linearised, PoseError> {
-        let mut seen = Linearised::of(&self.device, q, normal, admissible)?;
-        let Flexible { transmissions, modes, .. } = self.gives();
-        (seen.flexible.transmissions, seen.flexible.modes) = (transmissions, modes);
-        Ok(seen)
-    }
-
-    /// What gives in it.
-    #[must_use]
-    pub fn gives(&self) -> Flexible {
-        let joints = self.joints.as_ref().map(|joints| &joints[..self.device.axes()]);
-        joints.map_or_else(Flexible::default, |joints| Flexible::default().of_joints(joints))
-    }
-
-    /// Whether anything does.
-    #[must_use]
-    pub fn is_flexible(&self) -> bool {
-        !self.gives().is_rigid()
-    }
-}
 
 /// A device in a loop.
 #[derive(Clone, Debug)]
@@ -206,7 +151,7 @@ impl Prediction {
         if let Some(cutoff) = estimator.cutoff_hz() {
             let _ = write!(line, " --cutoff {cutoff}");
         }
-        let _ = write!(line, " --delay {delay_samples}{}{}", drive.options(), estimator.options());
+        let _ = write!(line, " --delay {delay_samples}{}{}", drive_options(drive), estimator_options(*estimator));
         if self.admissible != Admissible::default() {
             let _ = write!(line, " --admissible {}", self.admissible.name());
         }
@@ -224,6 +169,23 @@ impl Prediction {
         }
         line
     }
+}
+
+/// The options of `haptic range` that ask for a drive.
+fn drive_options(drive: &Drive) -> String {
+    match drive {
+        Drive::Ideal => String::new(),
+        Drive::Voltage(_) => " --drive voltage".into(),
+        Drive::Current { bandwidth_hz } if *bandwidth_hz == CURRENT_LOOP_HZ => " --drive current".into(),
+        Drive::Current { bandwidth_hz } => format!(" --drive current --current-bandwidth {bandwidth_hz}"),
+    }
+}
+
+/// The options of `haptic range` that ask for an estimator, beside `--cutoff`.
+fn estimator_options(estimator: LinearEstimator) -> String {
+    let (name, samples) = estimator.name_and_window();
+    let kind = if name == "butterworth" { String::new() } else { format!(" --estimator {name}") };
+    if samples > 1 { format!("{kind} --difference-over {samples}") } else { kind }
 }
 
 /// A value to the six digits in which it is printed: prediction and printed line then agree in every digit.

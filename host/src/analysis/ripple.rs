@@ -17,7 +17,8 @@ use serde::{Deserialize, Serialize};
 use super::contact::{Answer, Contact, Grip, Law, about_its_line};
 use super::flexible::Hand;
 use super::plant::Linearised;
-use super::sampled::{Loop, Mode, OpenLoop};
+use super::sampled::{Loop, Mode};
+use super::several::open_loop;
 use crate::error::Failure;
 use crate::sim::Plant;
 use crate::sweep::Sweep;
@@ -145,7 +146,7 @@ impl Pressed<'_> {
         if self.resolutions().is_none() {
             return Ok(None);
         }
-        let open = OpenLoop::new(self.device, self.around, mode)?;
+        let open = open_loop(self.device, self.device, self.around, mode)?;
         let mass = open.mass;
         let damping = |kp: f64| match line {
             DampingRule::Ratio(ratio) => 2.0 * ratio * (kp * mass).sqrt(),

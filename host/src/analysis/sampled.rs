@@ -16,7 +16,6 @@ pub use super::error::AnalysisError;
 pub use super::estimator::{LONGEST_DIFFERENCE, LinearEstimator, LowPass};
 use super::plant::{ContinuousPlant, Drive, Linearised};
 use super::reduction::reduce;
-use super::several::{Loops, WallSet};
 use super::spectrum::{exp_minus_identity, growth};
 
 /// The loop cut at the wall force, in sample units (see [`super::plant`]).
@@ -112,12 +111,7 @@ fn one_pole(hz: f64, rate_hz: f64, signal: &Signal, state: &Signal) -> (Signal, 
 }
 
 impl OpenLoop {
-    /// Puts the loop around the device.
-    pub fn new(device: &Linearised, around: &Loop, mode: Mode) -> Result<Self, AnalysisError> {
-        Self::believing(device, device, around, mode)
-    }
-
-    /// As [`OpenLoop::new`], with a controller whose model of the device is `believed`: it takes feed-forward, damping
+    /// Puts the loop around the device, without a held posture, with a controller whose model of the device is `believed`: it takes feed-forward, damping
     /// compensation and predictions from there.
     pub fn believing(
         device: &Linearised,
@@ -125,9 +119,6 @@ impl OpenLoop {
         around: &Loop,
         mode: Mode,
     ) -> Result<Self, AnalysisError> {
-        if device.flexible.posture.is_some() {
-            return Ok(Loops::new(&WallSet::of_one(device, believed), around, mode)?.alone());
-        }
         around.check()?;
         if let Mode::Washout(hz) = mode {
             around.check_cutoff(hz)?;

@@ -23,9 +23,9 @@ use super::flexible::{Flexible, Hand, Posture};
 use super::flexible_reduction::{Reduced, Watched, reduce_seen};
 use super::plant::{Drive, Lags, Linearised};
 use super::pose::{PoseError, TaskPose, unit_normal};
-use super::prediction::Subject;
 use super::sampled::{AnalysisError, Loop, Mode, OpenLoop, resonances};
 use super::spectrum::{exp_minus_identity, growth};
+use super::subject::Subject;
 
 /// One wall of a set that acts together.
 #[derive(Clone, Debug, PartialEq)]
@@ -69,6 +69,19 @@ pub struct WallSet {
     flexible: Flexible,
 }
 
+/// The loop around one wall, with whatever posture holds the device, of a controller that takes it for `believed`.
+pub(super) fn open_loop(
+    device: &Linearised,
+    believed: &Linearised,
+    around: &Loop,
+    mode: Mode,
+) -> Result<OpenLoop, AnalysisError> {
+    match device.flexible.posture {
+        Some(_) => Ok(Loops::new(&WallSet::of_one(device, believed), around, mode)?.alone()),
+        None => OpenLoop::believing(device, believed, around, mode),
+    }
+}
+
 impl WallSet {
     /// These walls. A redundant device holds `admissible`.
     pub fn at(
@@ -88,7 +101,7 @@ impl WallSet {
     }
 
     /// One wall on a device that the controller takes for `believed`, with what holds it.
-    pub(super) fn of_one(device: &Linearised, believed: &Linearised) -> Self {
+    fn of_one(device: &Linearised, believed: &Linearised) -> Self {
         let joints = device.mass.nrows();
         let unit = &believed.unit_motion;
         let back = &believed.mass * unit * unit.transpose() / believed.w_rr();
@@ -413,7 +426,7 @@ impl Loops {
     }
 
     /// The loop of one wall.
-    pub fn alone(self) -> OpenLoop {
+    fn alone(self) -> OpenLoop {
         let first = |rows: &DMatrix<f64>| rows.row(0).transpose();
         OpenLoop {
             resonances: resonances(&self.f, self.f.nrows()),

@@ -267,7 +267,7 @@ pub fn panels(recording: &Recording, request: &Request) -> Result<Found, Failure
         let panel = phase(&rows)?;
         if request.views.is_empty() && !moves(&smoothed(&panel, rows.together())) && !found.panels.is_empty() {
             let why = "the velocity is noise, from millisecond to millisecond as large as over all";
-            found.said.push(format!("velocity over distance is left out: {why} (--show phase draws it)"));
+            found.said.push(format!("velocity over distance is left out unless it is asked for: {why}"));
         } else {
             found.panels.push(panel);
         }

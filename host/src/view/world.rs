@@ -62,7 +62,7 @@ impl World {
         let mut demo = Demo::shipped(1)?;
         let (sine, cosine) = 45.0_f64.to_radians().sin_cos();
         (demo.pose, demo.normal) = ([2.2, 1.2, 0.0], [cosine, sine]);
-        (demo.stiffness, demo.damping) = (9_100.0, 80.0);
+        (demo.stiffness, demo.damping) = (8_700.0, 80.0);
         for joint in &mut demo.file.description.joints {
             joint.coulomb *= LITTLE_FRICTION;
             if let Some(encoder) = &mut joint.encoder {

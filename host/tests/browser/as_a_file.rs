@@ -89,7 +89,7 @@ fn as_a_file_its_wall_buzzes_without_the_feed_forward_and_is_quiet_with_it() {
 #[test]
 fn as_a_file_gains_and_walls_are_dragged_and_devices_chosen() {
     let (mut browser, tab) = opened();
-    let (from, to) = (on_plane(&mut browser, &tab, 80.0, 9100.0), on_plane(&mut browser, &tab, 40.0, 10e3));
+    let (from, to) = (on_plane(&mut browser, &tab, 80.0, 8700.0), on_plane(&mut browser, &tab, 40.0, 10e3));
     browser.drag(&tab, from, to);
     browser.until(&tab, "Math.abs(view.walls[0].damping - 40) < 1 && Math.abs(view.walls[0].stiffness - 10e3) < 200");
     drag_the_wall(&mut browser, &tab);

@@ -165,7 +165,7 @@ fn a_page_that_is_closed_disarms_and_the_other_one_may_command_then() {
 #[test]
 fn the_dot_is_dragged_and_stops_at_the_boundary_until_one_goes_on() {
     let (_view, mut browser, tab) = opened();
-    let (from, to) = (on_plane(&mut browser, &tab, 80.0, 9100.0), on_plane(&mut browser, &tab, 40.0, 10e3));
+    let (from, to) = (on_plane(&mut browser, &tab, 80.0, 8700.0), on_plane(&mut browser, &tab, 40.0, 10e3));
     browser.drag(&tab, from, to);
     // A pixel of the picture is some tens of newtons a metre.
     browser.until(&tab, "Math.abs(view.walls[0].damping - 40) < 1 && Math.abs(view.walls[0].stiffness - 10e3) < 200");

@@ -152,7 +152,7 @@ fn a_wall_is_pressed_its_gains_are_turned_and_it_is_recorded() {
         "1: rendered_n",
         "2: distance_m",
         "outside",
-        "wall 0 (plane): 9100 N/m, 80 N s/m, feed-forward washout",
+        "wall 0 (plane): 8700 N/m, 80 N s/m, feed-forward washout",
         "hold Space: motors on",
         "rows lost 0",
     ] {
@@ -170,9 +170,9 @@ fn a_wall_is_pressed_its_gains_are_turned_and_it_is_recorded() {
     terminal.press("\u{1b}[1;2B\u{1b}[1;2B\u{1b}[1;2B\u{1b}[1;2B\u{1b}[1;2B");
     terminal.until("a force", |text| text.contains("depth ") && number(text, "force ") > 1.0);
     terminal.press("h");
-    terminal.shows("9100 N/m, 76.19 N s/m");
+    terminal.shows("8700 N/m, 76.19 N s/m");
     terminal.press("jjj");
-    terminal.until("a softer wall", |text| !text.contains("): 9100 N/m"));
+    terminal.until("a softer wall", |text| !text.contains("): 8700 N/m"));
     terminal.press("1");
     terminal.until("the next signal", |text| !text.contains("1: rendered_n"));
     terminal.press("r");
@@ -196,7 +196,7 @@ fn a_wall_is_pressed_its_gains_are_turned_and_it_is_recorded() {
     let recording = Recording::load(&file).unwrap();
     let force = recording.column("rendered_n").unwrap();
     assert!(!recording.torn && recording.rows.iter().any(|row| row[force] > 1.0), "{}", recording.rows.len());
-    assert!(recording.about.iter().any(|line| line.starts_with("wall 0: plane, 9100 N/m, 76.19 N s/m")));
+    assert!(recording.about.iter().any(|line| line.starts_with("wall 0: plane, 8700 N/m, 76.19 N s/m")));
 }
 
 #[test]
