@@ -6,7 +6,7 @@ use haptic::frame::Axes;
 use haptic::haptic_bridge::board::protocol::{DeviceData, ForceAnswer};
 use haptic::haptic_bridge::model::device::Device as BoardDevice;
 use haptic::haptic_bridge::render::scene::Scene;
-use haptic::haptic_bridge::safety::fault::State;
+use haptic::haptic_bridge::safety::fault::{Fault, State};
 use haptic::haptic_bridge::servo::host_force::MOST_HELD_FORCE;
 use haptic::link::{LinkError, PortSpec, Session};
 use haptic::vectors::padded;
@@ -53,7 +53,9 @@ pub struct HdDevice {
     told: bool,
     /// A force that is none was said.
     told_absurd: bool,
-    /// A fault that came while the program had the motors on is cleared when it opens the device anew.
+    /// The program has the motors on, as far as it knows.
+    armed: bool,
+    /// A fault that came while it had is cleared when it opens the device anew; no other is.
     tripped: bool,
 }
 
@@ -105,6 +107,7 @@ impl HdDevice {
             simulated,
             told: false,
             told_absurd: false,
+            armed: false,
             tripped: false,
         })
     }
@@ -118,7 +121,7 @@ impl HdDevice {
         let cleared = if self.tripped { session.clear() } else { Ok(()) };
         match cleared.and_then(|()| session.arm()) {
             Ok(()) => {
-                (self.tick, self.told, self.tripped) = (Instant::now(), false, false);
+                (self.tick, self.told, self.armed, self.tripped) = (Instant::now(), false, true, false);
                 true
             }
             Err(error) => {
@@ -130,6 +133,7 @@ impl HdDevice {
 
     /// Motors off.
     pub fn disarm(&mut self) -> bool {
+        self.armed = false;
         self.session.as_mut().is_some_and(|session| session.disarm().is_ok())
     }
 
@@ -169,13 +173,11 @@ impl HdDevice {
             Err(error) => return self.lost(&error),
         };
         if sent.state == State::Fault {
+            self.tripped |= std::mem::take(&mut self.armed);
+            let how = if self.tripped { "; closing and opening the device clears it" } else { "" };
             let why = session.fault().map_or_else(String::new, |record| {
-                format!(
-                    ": {}; closing and opening the device clears it",
-                    for_a_program(&fault_and_remedy(&record), &CALLS)
-                )
+                format!(": {}{how}", for_a_program(&fault_and_remedy(&record), &CALLS))
             });
-            self.tripped = true;
             self.tell(format!("the board has turned its motors off{why}"));
         }
         if let Some(session) = self.session.as_mut().filter(|_| self.simulated)
@@ -215,8 +217,11 @@ impl HdDevice {
         let Ok(mut session) = (self.open)() else { return };
         match look(&mut session) {
             Ok((held, last)) if held == self.held => {
+                // That the board lost this program is its own to clear; what else came meanwhile, somebody has to look at.
+                let fault = session.status().ok().and_then(|status| status.fault);
+                self.tripped =
+                    std::mem::take(&mut self.armed) && fault.is_some_and(|record| record.fault == Fault::HostLost);
                 (self.session, self.last, self.told) = (Some(session), last, false);
-                self.tripped = last.state == State::Fault;
                 self.tell("the board is back; closing and opening the device turns its motors on".into());
                 self.told = false;
             }
@@ -320,6 +325,17 @@ mod tests {
         assert_eq!(board.lock().status().state, State::Fault);
         assert!(device.disarm() && device.arm());
         assert_eq!(board.lock().status().state, State::Armed);
+    }
+
+    #[test]
+    fn a_fault_that_came_while_the_motors_were_off_is_not_the_programs_to_clear() {
+        let (board, mut device, _) = device();
+        assert!(device.disarm());
+        board.lock().inject(Fault::GateDriver, None, 0.0);
+        board.lock().run(0.01);
+        device.force([0.0; 3]);
+        assert!(!device.arm());
+        assert_eq!(board.lock().status().state, State::Fault);
     }
 
     #[test]

@@ -6,7 +6,7 @@ use crate::link::{Board, BoardError, LinkError, Session};
 use crate::words::{fault_and_remedy, for_a_program};
 use haptic_bridge::board::protocol::{ForceAnswer, ForceDone, ForceRequest};
 use haptic_bridge::render::scene::Scene;
-use haptic_bridge::safety::fault::{FaultRecord, State};
+use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
 use haptic_bridge::safety::refusal::Refusal;
 use serde_json::{Value, json};
 use std::time::{Duration, Instant};
@@ -34,6 +34,8 @@ pub struct Inverse3 {
     fault: Option<FaultRecord>,
     /// It came while a program had the motors on; one from before is not cleared by whoever comes next.
     tripped: bool,
+    /// The step from which on a force arms, after a fault was cleared.
+    arms_from: Option<u32>,
     armed: bool,
     /// Whether the next force arms: the first of a program. Who turned the motors off meanwhile meant it.
     may_arm: bool,
@@ -66,6 +68,7 @@ impl Inverse3 {
             last,
             answered: true,
             tripped: false,
+            arms_from: None,
             armed: false,
             may_arm: true,
             basis: Basis::default(),
@@ -158,7 +161,7 @@ impl Inverse3 {
         self.last = match wish.force {
             None => self.session.look()?,
             Some(force) => {
-                if !self.armed && self.may_arm {
+                if !self.armed && self.may_arm && !wish.clear_fault {
                     self.arm()?;
                 }
                 let [right, away, up] = self.basis.to_haply(force);
@@ -170,26 +173,46 @@ impl Inverse3 {
             let [x, y, z] = wish.force.unwrap_or_default();
             self.tell(format!("a force of ({x:e}, {y:e}, {z:e}) N is {}", self.last.done));
         }
-        self.fault = self.session.fault();
-        if self.armed && self.last.state != State::Armed {
-            self.armed = false;
-            self.tripped = self.fault.is_some();
-            let why = self.fault.map_or_else(|| "another tool did it".into(), |fault| words(&fault));
-            self.tell(format!("the motors are off: {why}; a program that connects anew arms them"));
-        }
+        self.notice();
         Ok(())
     }
 
+    /// Tells why the motors went off while the program had them on.
+    fn notice(&mut self) {
+        self.fault = self.session.fault();
+        if self.armed && self.last.state != State::Armed {
+            self.armed = false;
+            // That it fell silent, a program that connects anew has seen; what else came, a person has to look at.
+            self.tripped = self.fault.is_some_and(|fault| fault.fault == Fault::HostLost);
+            let why = self.fault.map_or_else(|| "another tool did it".into(), |fault| words(&fault));
+            let on =
+                if self.tripped || self.fault.is_none() { "connects anew arms them" } else { "clears that arms them" };
+            self.tell(format!("the motors are off: {why}; a program that {on}"));
+        }
+    }
+
+    /// Clears the latched fault. A force arms a second later at the earliest: a fault stays a fault for a person's hand, also
+    /// where a program clears it in every message.
     fn clear(&mut self) -> Result<(), BoardError> {
+        self.last = self.session.look()?;
+        self.notice();
+        let rate = self.session.scene()?.map_or(0.0, |scene| scene.rate_hz);
         self.session.clear()?;
+        self.arms_from = Some(self.last.step.wrapping_add(rate as u32));
         (self.fault, self.tripped, self.may_arm) = (None, false, true);
-        self.tell("the fault is cleared: the next force arms".into());
+        self.tell("the fault is cleared: a force arms from a second on".into());
         Ok(())
     }
 
     fn arm(&mut self) -> Result<(), BoardError> {
+        // Half the counter's range is hours ahead.
+        if self.arms_from.is_some_and(|from| (self.last.step.wrapping_sub(from) as i32) < 0) {
+            return Ok(());
+        }
+        self.arms_from = None;
         if self.tripped {
-            self.clear()?;
+            self.session.clear()?;
+            (self.fault, self.tripped) = (None, false);
         }
         match self.session.arm() {
             Ok(()) => (self.armed, self.may_arm) = (true, false),

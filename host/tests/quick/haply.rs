@@ -270,6 +270,7 @@ fn a_fault_is_named_to_the_program_that_has_the_board_and_cleared_by_it() {
     let (mut program, id, _) = server.connect();
     let push = force(&id, "vector", [0.0; 3]);
     let clear = json!({"inverse3": [{"device_id": id, "commands": {"clear_fault": {}}}]});
+    let probe = json!({"inverse3": [{"device_id": id, "commands": {"probe_position": {}}}]});
     let started = |frame: &Value| frame["inverse3"][0]["status"]["started"] == true;
     assert!(started(&program.ask(&push)));
     // The program says nothing for too long.
@@ -282,6 +283,14 @@ fn a_fault_is_named_to_the_program_that_has_the_board_and_cleared_by_it() {
     assert!(!started(&program.ask(&push)), "armed again behind the back of a fault");
     let cleared = program.ask(&clear);
     assert!(cleared["inverse3"][0]["fault"].is_null() && cleared["inverse3"][0]["status"]["ready"] == true);
+    // Not with the message that clears, and not at once: a program cannot run through a fault.
+    let both = json!({"inverse3": [{"device_id": id, "commands": {"clear_fault": {}, "set_cursor_force": {"vector": {"x": 0.0, "y": 0.0, "z": 0.0}}}}]});
+    for _ in 0..3 {
+        assert!(!started(&program.ask(&both)) && !started(&program.ask(&push)));
+    }
+    let a_second = || server.board.lock().run(1.0);
+    a_second();
+    program.ask(&probe);
     assert!(started(&program.ask(&push)));
     // A program that knows nothing of faults connects anew, and both are told which one it was.
     fall_silent();
@@ -298,7 +307,15 @@ fn a_fault_is_named_to_the_program_that_has_the_board_and_cleared_by_it() {
     assert_eq!(first["inverse3"][0]["fault"]["name"], "GateDriver");
     assert!(!started(&last.ask(&push)));
     last.ask(&clear);
+    a_second();
+    last.ask(&probe);
     assert!(started(&last.ask(&push)));
+    // Nor is a fault of the board's that came while one did, to the next that connects.
+    server.board.lock().inject(Fault::GateDriver, None, 0.0);
+    server.board.lock().run(0.01);
+    last.ask(&push);
+    drop(last);
+    assert!(!started(&server.connect().0.ask(&push)));
 }
 
 #[test]
