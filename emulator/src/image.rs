@@ -12,7 +12,7 @@ use object::{Object, ObjectSection, ObjectSymbol, SectionKind, SymbolKind};
 pub const SETTINGS: Range<u64> = 0x0800_4000..0x0800_C000;
 
 /// The flash sectors that the code is in, as far as images go.
-pub const CODE: Range<u64> = 0x0800_C000..0x0804_C000;
+pub const CODE: Range<u64> = 0x0800_C000..0x0806_C000;
 
 /// The handler that the vector table names for the control interrupt.
 pub const CONTROL_INTERRUPT: &str = "TIM1_UP_TIM10";
