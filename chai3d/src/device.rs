@@ -218,9 +218,9 @@ impl HdDevice {
         match look(&mut session) {
             Ok((held, last)) if held == self.held => {
                 // That the board lost this program is its own to clear; what else came meanwhile, somebody has to look at.
-                let fault = session.status().ok().and_then(|status| status.fault);
-                self.tripped =
-                    std::mem::take(&mut self.armed) && fault.is_some_and(|record| record.fault == Fault::HostLost);
+                if let Some(record) = session.status().ok().and_then(|status| status.fault) {
+                    self.tripped = std::mem::take(&mut self.armed) && record.fault == Fault::HostLost;
+                }
                 (self.session, self.last, self.told) = (Some(session), last, false);
                 self.tell("the board is back; closing and opening the device turns its motors on".into());
                 self.told = false;
