@@ -133,8 +133,9 @@ impl HdDevice {
 
     /// Motors off.
     pub fn disarm(&mut self) -> bool {
-        self.armed = false;
-        self.session.as_mut().is_some_and(|session| session.disarm().is_ok())
+        let off = self.session.as_mut().is_some_and(|session| session.disarm().is_ok());
+        self.armed &= !off;
+        off
     }
 
     /// Where the tip was at the last tick, m; none while the board is gone.
