@@ -387,6 +387,8 @@ where
         self.look(seen);
         if due {
             self.step(seen);
+        } else {
+            self.check_at_free_crest();
         }
         self.drive(seen.bus_voltage, samples, seen.late, into, legs)
     }
@@ -395,6 +397,7 @@ where
     /// crest, before [`Servo::act`] where a step is due and before [`Servo::duties`].
     pub fn guard(&mut self, seen: &Samples) -> Outputs {
         self.look(&self.known(seen));
+        self.check_at_free_crest();
         self.outputs()
     }
 

@@ -122,6 +122,8 @@ pub(super) struct PolarityCheck {
     /// Time between two steps of the check, s, control steps until the next, and what the motors are told until then.
     pace: f32,
     left: u32,
+    /// The next one waits for a crest without a control step.
+    due: bool,
     told: Torques,
 }
 
@@ -145,13 +147,30 @@ where
     pub(super) fn check_polarity(&mut self) -> Torques {
         match self.polarity.left.checked_sub(1) {
             Some(left) => self.polarity.left = left,
-            None => {
-                let steps = ((CHECK_PERIOD / self.period) as u32).max(1);
-                (self.polarity.left, self.polarity.pace) = (steps - 1, steps as f32 * self.period);
-                self.polarity.told = self.check_step();
-            }
+            None if self.has_free_crests() => self.polarity.due = true,
+            None => self.go_on_checking(),
         }
         self.polarity.told
+    }
+
+    /// Takes the step of the check that waits for a crest like this, without a control step: together they may be too long
+    /// for one.
+    pub(super) fn check_at_free_crest(&mut self) {
+        if self.polarity.due && self.state == State::CheckingPolarity {
+            self.go_on_checking();
+        }
+    }
+
+    /// Whether there are crests without a control step.
+    fn has_free_crests(&self) -> bool {
+        self.crests.period < 0.75 * self.period
+    }
+
+    fn go_on_checking(&mut self) {
+        let steps = ((CHECK_PERIOD / self.period) as u32).max(1);
+        self.polarity.due = false;
+        (self.polarity.left, self.polarity.pace) = (steps - 1, steps as f32 * self.period);
+        self.polarity.told = self.check_step();
     }
 
     /// One step of the check: the torques that the motors are told; zero while it waits and when it has ended.
